@@ -89,9 +89,7 @@ def contradiction(gravity: Gravity) -> str:
         return ""
     return sentence(
         "earth.contradiction" if gravity.height_m is not None else "earth.contradiction_at_0_m",
-        gravity_m_s2=gravity.gravity_m_s2,
-        latitude_deg=gravity.latitude_deg,
-        height_m=gravity.height_m,
+        given=gravity,
         normal_m_s2=normal,
         apart_ppm=abs(off) / normal * 1e6,
         limit_ppm=GRAVITIES_DIFFER_SIGMA * limit / normal * 1e6,

@@ -88,6 +88,7 @@ class ImufieldError(Exception):
 class UsageError(ImufieldError, ValueError):
     """An option, a file name or a value typed by the user makes no sense."""
 
+    # Those of the base, stated again: they go before those of the other kind that a subclass is as well.
     exit_code = 2
     default_reason = Reason.USAGE
 

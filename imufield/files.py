@@ -68,12 +68,12 @@ def write_error(path: str | Path, error: OSError, kind: type[AnError], *, advice
 
 
 @contextmanager
-def typed_write_errors(path: str | Path, kind: type[ImufieldError] = ParameterFileError) -> Iterator[None]:
+def typed_write_errors(path: str | Path, kind: type[ImufieldError] = ParameterFileError, *, advice: str = "") -> Iterator[None]:
     """Raise the ``write_error`` of an OSError that comes up inside the block."""
     try:
         yield
     except OSError as error:
-        raise write_error(path, error, kind) from error
+        raise write_error(path, error, kind, advice=advice) from error
 
 
 def read_small_file(path: str | Path) -> bytes:
@@ -150,15 +150,10 @@ def refuse_overwriting(output: Path, inputs: Iterable[Path] = ()) -> None:
     if any(_RECORDED.fullmatch(name) for name in (output.name, Path(os.path.realpath(output)).name)):
         raise UsageError(sentence("files.name_of_recording", output=output))
     for path in inputs:
-        if _is_same(output, path):
-            raise UsageError(sentence("files.is_input", output=output))
-
-
-def _is_same(output: Path, path: Path) -> bool:
-    try:
-        return output.samefile(path)
-    except OSError:
-        return False
+        # Where one of them is not there they are not the same.
+        with suppress(OSError):
+            if output.samefile(path):
+                raise UsageError(sentence("files.is_input", output=output))
 
 
 def refuse_what_is_no_file(path: Path) -> None:

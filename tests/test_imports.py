@@ -78,7 +78,13 @@ def test_every_command_starts_fast(modules: list[Any]) -> None:
 
 def test_options_are_light(modules: list[Any]) -> None:
     """Every start of the program reads them: of imufield they import nothing that imports NumPy."""
-    light = ("imufield.errors", "imufield.files", "imufield.commands.configuration", "imufield.commands.options")
+    light = (
+        "imufield.errors",
+        "imufield.sentences",
+        "imufield.files",
+        "imufield.commands.configuration",
+        "imufield.commands.options",
+    )
     for module in modules:
         if module.name.startswith("commands.options"):
             top = [node.module or "" for node in module.tree.body if isinstance(node, ast.ImportFrom)]

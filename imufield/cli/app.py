@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from imufield.cli.command import make_command
-from imufield.commands.options import acquire, calibrate, deliver
+from imufield.commands.options import commands
 from imufield.version import __version__
 
 app = typer.Typer(
@@ -42,32 +42,32 @@ def root(
 # Under each heading: name, options, and the function below imufield.commands that does the work.
 _COMMANDS: dict[str, tuple[tuple[str, type, str], ...]] = {
     "Calibrate": (
-        ("devices", acquire.DevicesOptions, "devices.list_devices"),
-        ("probe", acquire.ProbeOptions, "probe.run_probe"),
-        ("capture", acquire.CaptureOptions, "capture.run_capture"),
-        ("solve", calibrate.SolveOptions, "solve.run_solve"),
-        ("report", deliver.ReportOptions, "report.run_report"),
-        ("export", deliver.ExportOptions, "export.run_export"),
+        ("devices", commands.DevicesOptions, "devices.list_devices"),
+        ("probe", commands.ProbeOptions, "probe.run_probe"),
+        ("capture", commands.CaptureOptions, "capture.run_capture"),
+        ("solve", commands.SolveOptions, "solve.run_solve"),
+        ("report", commands.ReportOptions, "report.run_report"),
+        ("export", commands.ExportOptions, "export.run_export"),
     ),
     "Prove and compare": (
-        ("verify", deliver.VerifyOptions, "verify.run_verify"),
-        ("history", deliver.HistoryOptions, "history.run_history"),
-        ("noise", calibrate.NoiseOptions, "noise.run_noise"),
+        ("verify", commands.VerifyOptions, "verify.run_verify"),
+        ("history", commands.HistoryOptions, "history.run_history"),
+        ("noise", commands.NoiseOptions, "noise.run_noise"),
     ),
     "Recordings": (
-        ("record", acquire.RecordOptions, "record.run_record"),
-        ("import", acquire.ImportOptions, "import_files.run_import"),
-        ("replay", acquire.ReplayOptions, "replay.run_replay"),
-        ("apply", deliver.ApplyOptions, "apply.run_apply"),
-        ("export-data", deliver.ExportDataOptions, "export_data.run_export_data"),
+        ("record", commands.RecordOptions, "record.run_record"),
+        ("import", commands.ImportOptions, "import_files.run_import"),
+        ("replay", commands.ReplayOptions, "replay.run_replay"),
+        ("apply", commands.ApplyOptions, "apply.run_apply"),
+        ("export-data", commands.ExportDataOptions, "export_data.run_export_data"),
     ),
     "Without hardware": (
-        ("demo", acquire.DemoOptions, "demo.run_demo"),
-        ("emulate", acquire.EmulateOptions, "emulate.run_emulate"),
-        ("study", calibrate.StudyOptions, "study.run_study_command"),
+        ("demo", commands.DemoOptions, "demo.run_demo"),
+        ("emulate", commands.EmulateOptions, "emulate.run_emulate"),
+        ("study", commands.StudyOptions, "study.run_study_command"),
     ),
 }
 
-for _panel, _commands in _COMMANDS.items():
-    for _name, _options, _work in _commands:
+for _panel, _row in _COMMANDS.items():
+    for _name, _options, _work in _row:
         app.command(_name, rich_help_panel=_panel)(make_command(_options, _work))

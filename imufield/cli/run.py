@@ -16,6 +16,9 @@ import typer
 from imufield.cli.app import app
 from imufield.errors import EXIT_INTERRUPTED, ImufieldError, Reason, RecordingError, UsageError
 from imufield.files import write_error
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 RECORDING_COMMANDS = ("capture", "record", "demo")
 
@@ -54,10 +57,10 @@ def run(arguments: list[str]) -> int:
             return failure.exit_code
         # Whether a name is there is asked in many places, and the answer to this one is always the same.
         if error.errno == errno.ENAMETOOLONG:
-            _complain(f"{str(error.filename)[:60]}... is longer than the name of a file can be; check what was typed")
+            _complain(sentence("run.long_name", name=str(error.filename)))
             return UsageError.exit_code
         # The reader of our output went away (`imufield ... | head`), or the terminal was closed: there is nobody to tell.
-        closed = error.errno == errno.EIO and _was_interrupted(error)
+        closed = error.errno == errno.EIO and _comes_from(error, KeyboardInterrupt, typer.Abort)
         if not (closed or isinstance(error, BrokenPipeError)):
             raise
         _forget(sys.stdout)
@@ -94,22 +97,19 @@ def _run(arguments: list[str]) -> int:
     return 0
 
 
-def _interrupted_words(arguments: list[str], leave: BaseException | None = None) -> str:
+def _interrupted_words(arguments: list[str], leave: BaseException) -> str:
     from imufield.commands.terminal.output import NothingRecorded
 
     command = arguments[0] if arguments else ""
-    while leave is not None and not isinstance(leave, NothingRecorded):
-        leave = leave.__context__
-    if leave is not None:
-        return "interrupted; nothing was recorded"
+    if _comes_from(leave, NothingRecorded):
+        return sentence("run.nothing_recorded")
     if command in RECORDING_COMMANDS:
-        return "interrupted; what was recorded is on disk"
-    return "interrupted; nothing was imported" if command == "import" else "interrupted"
+        return sentence("run.recorded")
+    return sentence("run.nothing_imported") if command == "import" else "interrupted"
 
 
-def _was_interrupted(error: BaseException) -> bool:
-    """Whether an error came up while an interrupt was on its way out."""
-    cause: BaseException | None = error
-    while cause is not None and not isinstance(cause, KeyboardInterrupt | typer.Abort):
-        cause = cause.__context__
-    return cause is not None
+def _comes_from(error: BaseException | None, *kinds: type[BaseException]) -> bool:
+    """Whether an error is one of these kinds, or came up while one was on its way out."""
+    while error is not None and not isinstance(error, kinds):
+        error = error.__context__
+    return error is not None

@@ -6,7 +6,7 @@ import typer
 
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
-from imufield.commands.options.deliver import ApplyOptions
+from imufield.commands.options.commands import ApplyOptions
 from imufield.commands.terminal.output import say
 from imufield.commands.terminal.row_count import RowCount
 from imufield.deliver.parameters.file import load
@@ -16,6 +16,9 @@ from imufield.errors import UsageError
 from imufield.files import refuse_overwriting
 from imufield.pipeline.chain import session_samples
 from imufield.pipeline.table_samples import table_samples
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 
 def run_apply(options: ApplyOptions) -> None:
@@ -30,7 +33,7 @@ def run_apply(options: ApplyOptions) -> None:
     damage: list[Damage] = []
     if source.is_dir():
         if options.rate_hz is not None:
-            raise UsageError("--rate-hz is for tables without a time column; a session has its time, leave it out")
+            raise UsageError(sentence("apply.rate_of_session"))
         session = Session.open(source)
         refuse_overwriting(output, [options.parameters, *session.parts])
         serial_number, blocks = session.serial_number, session_samples(session, damage)
@@ -44,7 +47,5 @@ def run_apply(options: ApplyOptions) -> None:
         say(entry.what, err=True)
     typer.echo(beside(f"{rows} corrected samples in", output))
     say("time in s, specific force in m/s^2, angular rate in rad/s, temperature in degC")
-    if parameters.edited_note:
-        typer.echo(hanging("", parameters.edited_note))
-    if count.flags():
-        typer.echo(hanging("", count.flags()))
+    for note in filter(None, (parameters.edited_note, count.flags())):
+        typer.echo(hanging("", note))

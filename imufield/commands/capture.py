@@ -7,19 +7,17 @@ from contextlib import ExitStack
 
 from imufield.acquire.instrument.connect import check_files, connect
 from imufield.acquire.link.host_clock import HostClock
-from imufield.commands.options.acquire import CaptureOptions
-from imufield.commands.terminal.connection import host_clock, say_assumed
+from imufield.commands.options.commands import CaptureOptions
 from imufield.commands.terminal.guided import DEFAULT_SCHEME, Captured, guide_record, guided_session, new_session
-from imufield.commands.terminal.output import before_recording, say
+from imufield.commands.terminal.output import before_recording, host_clock, say, say_assumed
 from imufield.commands.terminal.questions import ask
 from imufield.commands.terminal.resume import check_instrument, check_plan, connect_as_before, find_unfinished
 from imufield.errors import UsageError
 from imufield.guide.positions import scheme
 from imufield.pipeline.site import SiteOptions
+from imufield.sentences import Sentences
 
-_GRAVITY_UNKNOWN = (
-    "gravity here is not known, so the scale is good to 0.2 %: give --latitude LATITUDE, in degrees, here or to solve"
-)
+sentence = Sentences(__package__)
 
 
 def run_capture(options: CaptureOptions, clock: HostClock | None = None) -> Captured:
@@ -42,7 +40,7 @@ def run_capture(options: CaptureOptions, clock: HostClock | None = None) -> Capt
         check_files(options.connect)
         site = ask_site(options.site if earlier is None else options.site.over(earlier.record.site), interactive)
         if not (site.is_known or interactive or options.view == "json"):
-            say(_GRAVITY_UNKNOWN, err=True)
+            say(sentence("capture.gravity_unknown"), err=True)
         site.gravity()
         how = options.connect if earlier is None else connect_as_before(options.connect, earlier)
         connected = connect(how, clock, say_assumed)
@@ -61,11 +59,11 @@ def ask_site(site: SiteOptions, interactive: bool) -> SiteOptions:
     """Return the site, asking once where nothing is known and somebody is there to answer."""
     if site.is_known or not interactive:
         return site
-    say("Gravity here sets the scale of the accelerometer; a latitude to 0.1 degree will do.")
-    answer = ask("Latitude in degrees, e.g. 48.1 (Enter: not known)")
+    say(sentence("capture.why_latitude"))
+    answer = ask(sentence("capture.latitude"))
     if not answer:
         return site
     try:
         return SiteOptions(latitude_deg=float(answer), height_m=site.height_m)
     except ValueError as error:
-        raise UsageError(f"latitude {answer!r} is no number; write decimal degrees, e.g. 48.1") from error
+        raise UsageError(sentence("capture.no_number", answer=answer)) from error

@@ -12,6 +12,9 @@ from pathlib import Path
 
 from imufield.errors import Reason, UsageError
 from imufield.files import read_small_file
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 FILE_NAME = "imufield.toml"
 KEYS: dict[str, tuple[str, ...]] = {
@@ -39,10 +42,22 @@ def default_map() -> dict[str, dict[str, object]]:
 
     # The file in the working folder comes last, as what is set last stands.
     for path in (platformdirs.user_config_path("imufield") / FILE_NAME, Path(FILE_NAME)):
-        if path.is_file():
-            for key, value in _read(path).items():
-                for command in KEYS[key]:
-                    commands.setdefault(command, {})[key] = _settings_list(key, value) if key in _TABLES else value
+        if not path.is_file():
+            continue
+        try:
+            content = tomllib.loads(read_small_file(path).decode())
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
+            raise UsageError(sentence("configuration.no_toml", path=str(path), error=str(error))) from error
+        for key, value in sorted(content.items()):
+            if key not in KEYS:
+                unknown = sentence("configuration.unknown_key", path=str(path), unknown=key, known=[*KEYS])
+                raise UsageError(unknown, Reason.UNKNOWN_KEY, key=key)
+            if key in _TABLES and not isinstance(value, dict):
+                raise UsageError(sentence("configuration.no_table", name=key, file=FILE_NAME, example=_TABLES[key]))
+            # A table as it is typed: an option for each row.
+            default = [f"{name}={entry}" for name, entry in value.items()] if key in _TABLES else value
+            for command in KEYS[key]:
+                commands.setdefault(command, {})[key] = default
     return commands
 
 
@@ -58,9 +73,7 @@ def parse_settings(options: list[str] | None) -> dict[str, str]:
     for option in options or []:
         name, equals, value = option.partition("=")
         if not equals or not name.strip():
-            raise UsageError(
-                f"--set {option!r} is not of the form NAME=VALUE; write e.g. --set accelerometer_range_g=30", option=option
-            )
+            raise UsageError(sentence("configuration.no_setting", option=option))
         parsed[name.strip()] = value.strip()
     return parsed
 
@@ -80,23 +93,5 @@ def parse_zero(text: str | None) -> list[float] | None:
     except ValueError:
         values = []
     if len(values) not in (1, 3) or not all(math.isfinite(value) for value in values):
-        raise UsageError(f"--zero {text!r} is neither one number nor three; write e.g. --zero 32768", zero=text)
+        raise UsageError(sentence("configuration.zero", zero=text))
     return values * 3 if len(values) == 1 else values
-
-
-def _read(path: Path) -> dict[str, object]:
-    try:
-        content = tomllib.loads(read_small_file(path).decode())
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
-        raise UsageError(f"{path} cannot be read as TOML ({error}); mend or remove it", path=str(path)) from error
-    unknown = sorted(set(content) - set(KEYS))
-    if unknown:
-        message = f"{path} has the unknown key {unknown[0]!r}; known are {', '.join(KEYS)}"
-        raise UsageError(message, Reason.UNKNOWN_KEY, path=str(path), key=unknown[0])
-    return content
-
-
-def _settings_list(key: str, table: object) -> list[str]:
-    if not isinstance(table, dict):
-        raise UsageError(f"`{key}` in {FILE_NAME} must be a table, e.g. [{key}] {_TABLES[key]}")
-    return [f"{name}={value}" for name, value in table.items()]

@@ -12,7 +12,6 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,10 +24,9 @@ from imufield.acquire.link.host_clock import ScaledClock
 from imufield.calibrate.model.gauge import intrinsic
 from imufield.calibrate.model.models import to_vector
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration
-from imufield.commands.options.acquire import CaptureOptions, DemoOptions
-from imufield.commands.terminal.connection import say_assumed
+from imufield.commands.options.commands import CaptureOptions, DemoOptions
 from imufield.commands.terminal.guided import Captured, guided_session, new_session
-from imufield.commands.terminal.output import before_recording
+from imufield.commands.terminal.output import before_recording, say_assumed
 from imufield.deliver.parameters.file import PARAMETER_FILE, write_document
 from imufield.deliver.report.summary import Outcome, print_summary
 from imufield.errors import LinkError, Reason
@@ -36,7 +34,10 @@ from imufield.pipeline.calibration import SolveSettings
 from imufield.pipeline.site import SiteOptions
 from imufield.pipeline.solving import solve_session
 from imufield.samples import FloatArray
+from imufield.sentences import Sentences
 from imufield.simulate.truth.motion import Site
+
+sentence = Sentences(__package__)
 
 RATE_HZ = 500.0  # Below the 2000 Hz the instrument can, so that a small machine keeps up with eight times real time.
 HOLD_S = 5.0  # Shorter than a real session needs, so that the whole takes minutes.
@@ -54,28 +55,7 @@ INTRINSIC_NAMES = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class DemoResult:
-    """How the demonstration went."""
-
-    captured: Captured
-    calibration: Calibration
-    errors_in_sigma: FloatArray
-    """Gauge-free errors in units of their stated sigma, shape (12,); NaN where nothing was fitted."""
-
-    @property
-    def largest_sigma(self) -> float:
-        """Largest of the errors, either sign."""
-        return float(np.nanmax(np.abs(self.errors_in_sigma)))
-
-    @property
-    def passed(self) -> bool:
-        """Whether every position was measured and every fitted parameter is within 4 sigma of the truth."""
-        whole = self.captured.finished and self.captured.accepted == self.captured.planned
-        return whole and self.largest_sigma <= LIMIT_SIGMA
-
-
-def run_demo(options: DemoOptions) -> DemoResult:
+def run_demo(options: DemoOptions) -> None:
     """Capture and solve a simulated session, and compare it with the truth.
 
     Raises
@@ -93,9 +73,7 @@ def run_demo(options: DemoOptions) -> DemoResult:
     path = captured.session.folder / PARAMETER_FILE
     kept = write_document(path, solved.parameters.document)
     print_summary(solved.parameters, Outcome(path, kept, captured.session.folder))
-    result = DemoResult(captured, solved.parameters.calibration, compare(solved.parameters.calibration, truth))
-    _print_comparison(result, truth)
-    return result
+    _print_comparison(captured, _errors_in_sigma(solved.parameters.calibration, truth), truth["seed"])
 
 
 def _capture(port: str, options: DemoOptions) -> Captured:
@@ -105,7 +83,7 @@ def _capture(port: str, options: DemoOptions) -> Captured:
         connect=ConnectOptions(port=port, driver="stim300"),
         hold_s=HOLD_S,
         site=SiteOptions(gravity_m_s2=site.gravity_m_s2, latitude_deg=site.latitude_deg),
-        view="plain" if options.plain else "auto",
+        plain=options.plain,
         root=options.root,
     )
     with before_recording():
@@ -129,23 +107,19 @@ def _emulator(seed: int, speed: float, truth: Path) -> Iterator[str]:
         try:
             line = process.stdout.readline() if process.stdout is not None else ""
             if not line:
-                raise LinkError("the emulator did not start; run `imufield emulate stim300` to see why", Reason.PORT_NOT_FOUND)
+                raise LinkError(sentence("demo.no_emulator"), Reason.PORT_NOT_FOUND)
             yield str(json.loads(line)["port"])
         finally:
             process.terminate()
 
 
-def true_parameters(truth: dict[str, Any]) -> AccelerometerParameters:
-    """Return the simulator's accelerometer from its truth file; its bias with what the slow drift added on average."""
+def _errors_in_sigma(calibration: Calibration, truth: dict[str, Any]) -> FloatArray:
+    """Return the gauge-free errors in units of their stated sigma, shape (12,); NaN where nothing was fitted."""
     table = truth["accelerometer"]
-    values = {name: np.array(table[name]) for name in ("scale", "bias_m_s2", "misalignment_rad", "quadratic", "raw_zero")}
-    values["bias_m_s2"] = values["bias_m_s2"] + np.array(table["mean_drift_m_s2"])
-    return AccelerometerParameters(**values, quadratic_axes=table["quadratic_axes"])
-
-
-def compare(calibration: Calibration, truth: dict[str, Any]) -> FloatArray:
-    """Return the gauge-free errors in units of their sigma, shape (12,)."""
-    true, _ = intrinsic(to_vector(true_parameters(truth)))
+    given = {name: np.array(table[name]) for name in ("scale", "bias_m_s2", "misalignment_rad", "quadratic", "raw_zero")}
+    # The bias with what the slow drift added on average.
+    given["bias_m_s2"] = given["bias_m_s2"] + np.array(table["mean_drift_m_s2"])
+    true, _ = intrinsic(to_vector(AccelerometerParameters(**given, quadratic_axes=table["quadratic_axes"])))
     found = calibration.intrinsic
     values = np.concatenate([found.scale, found.bias_raw, found.angle_rad, found.quadratic])
     sigma = np.concatenate([found.scale_sigma, found.bias_raw_sigma, found.angle_sigma_rad, found.quadratic_sigma])
@@ -154,16 +128,18 @@ def compare(calibration: Calibration, truth: dict[str, Any]) -> FloatArray:
         return np.where(sigma > 0, (values - true) / sigma, np.nan)
 
 
-def _print_comparison(result: DemoResult, truth: dict[str, Any]) -> None:
+def _print_comparison(captured: Captured, errors_in_sigma: FloatArray, seed: int) -> None:
     typer.echo()
     typer.echo("Against the simulator's truth, in units of the stated sigma:")
-    for rank in range(0, len(INTRINSIC_NAMES), 3):
-        row = [
-            f"{name:<12}{error:+6.2f}" if np.isfinite(error) else f"{name:<12}     -"
-            for name, error in zip(INTRINSIC_NAMES[rank : rank + 3], result.errors_in_sigma[rank : rank + 3], strict=True)
-        ]
-        typer.echo("   " + "     ".join(row))
-    word = "as it should be" if result.passed else "NOT as it should be"
-    within = "within" if result.largest_sigma <= LIMIT_SIGMA else "NOT within"
-    typer.echo(f"{result.captured.accepted} of {result.captured.planned} positions, seed {truth['seed']}: {word},")
-    typer.echo(f"{within} {LIMIT_SIGMA:g} sigma of the simulator's truth: largest {result.largest_sigma:.1f}")
+    cells = [
+        f"{name:<12}{error:+6.2f}" if np.isfinite(error) else f"{name:<12}     -"
+        for name, error in zip(INTRINSIC_NAMES, errors_in_sigma, strict=True)
+    ]
+    for first in range(0, len(cells), 3):
+        typer.echo("   " + "     ".join(cells[first : first + 3]))
+    largest = float(np.nanmax(np.abs(errors_in_sigma)))
+    within = "within" if largest <= LIMIT_SIGMA else "NOT within"
+    passed = captured.finished and captured.accepted == captured.planned and largest <= LIMIT_SIGMA
+    word = "as it should be" if passed else "NOT as it should be"
+    typer.echo(f"{captured.accepted} of {captured.planned} positions, seed {seed}: {word},")
+    typer.echo(f"{within} {LIMIT_SIGMA:g} sigma of the simulator's truth: largest {largest:.1f}")

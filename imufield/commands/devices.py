@@ -4,27 +4,17 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
-from typing import TypedDict
+from typing import Any
 
 import typer
 
 from imufield.acquire.link.ports import can_channels, serial_ports
 from imufield.acquire.registry import driver_names, load_driver
-from imufield.commands.options.acquire import DevicesOptions
+from imufield.commands.options.commands import DevicesOptions
 from imufield.deliver.parameters.numbers import hanging
 from imufield.errors import ProtocolError
 
 _TRIED = "verified on real bytes"
-
-
-class _Row(TypedDict):
-    """What is said of a driver, in JSON under the same names."""
-
-    name: str
-    title: str
-    default_baud: int | str | None
-    status: str
-    abilities: dict[str, str]
 
 
 def list_devices(options: DevicesOptions) -> None:
@@ -59,7 +49,8 @@ def list_devices(options: DevicesOptions) -> None:
     typer.echo(hanging("* ", "experimental: commands and answers from documents, never seen on a real instrument"))
 
 
-def _describe(name: str) -> _Row:
+def _describe(name: str) -> dict[str, Any]:
+    """Return what is said of a driver, in JSON under the same names."""
     try:
         driver = load_driver(name)
     except ProtocolError as error:

@@ -6,22 +6,26 @@ import json
 import math
 import shlex
 from dataclasses import fields
-from typing import Any
+from typing import Any, get_args
 
 import typer
 
 from imufield.acquire.protocol.toml import spell
 from imufield.acquire.registry import driver_names, load_driver
-from imufield.commands.options.acquire import EmulateOptions
+from imufield.commands.options.commands import EmulateOptions
 from imufield.commands.terminal.output import replace_only
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import UsageError
 from imufield.guide.positions import scheme
+from imufield.pipeline.calibration import one_of
 from imufield.pipeline.chain import REVISIT_FROM, ROTATIONS
+from imufield.sentences import Sentences
 from imufield.simulate.emulator.core import EmulatorCore, EmulatorSettings
-from imufield.simulate.emulator.emulate import TRUTH_FORMAT, Emulation, WireChoice, choose_wire, emulate
+from imufield.simulate.emulator.emulate import TRUTH_FORMAT, Emulation, choose_wire, emulate
 from imufield.simulate.emulator.faults import CanFaults, Faults, WireFaults
-from imufield.simulate.truth.operator import OperatorSettings
+from imufield.simulate.truth.operator import OperatorSettings, StillKind
+
+sentence = Sentences(__package__)
 
 STANDS_STILL = "none"
 INITIAL_STILL_S = 6.0
@@ -33,8 +37,7 @@ ROUNDS = 20
 def run_emulate(options: EmulateOptions) -> None:
     """Emulate until the time is over or the user interrupts, telling the port first."""
     if options.truth is not None:
-        what = f"--truth {options.truth} holds something else than the truth of an emulation"
-        replace_only(options.truth, TRUTH_FORMAT, what)
+        replace_only(options.truth, TRUTH_FORMAT, "--truth", "the truth of an emulation")
     emulation = make_emulation(options)
     emulator = emulate(emulation, on_start=lambda running: _announce(options, emulation, running))
     if not options.as_json:
@@ -49,27 +52,31 @@ def make_emulation(options: EmulateOptions) -> Emulation:
     UsageError
         If one is not known.
     """
-    on_bus = _is_on_bus(options)
-    if options.style not in ("placed", "held"):
-        raise UsageError(f"--style {options.style!r} is neither placed nor held")
-    if options.rotations not in (None, *ROTATIONS):
-        raise UsageError(f"--rotations {options.rotations!r} is unknown; choose one of {', '.join(ROTATIONS)}")
+    on_bus = options.bus is not None
+    if not options.driver.endswith(".toml"):
+        names = driver_names()
+        if options.driver not in names:
+            raise UsageError(sentence("emulate.no_emulator", driver=options.driver, names=names))
+        on_bus = load_driver(options.driver).wire == "can"
+    style: StillKind = one_of("style", options.style, get_args(StillKind))
+    if options.rotations is not None:
+        one_of("rotations", options.rotations, tuple(ROTATIONS))
     positions = None if options.positions == STANDS_STILL else scheme(options.positions)
     rounds = options.rounds or (ROUNDS if options.rotations is None else 1)
     # A long session ends with the first position again, as ``capture`` asks for it.
-    directions = () if positions is None else positions.directions()[_order(len(positions), rounds)]
+    order = [] if positions is None else [*range(len(positions))] * rounds + [0] * (len(positions) >= REVISIT_FROM)
     return Emulation(
         device=options.driver,
         rate_hz=options.rate_hz,
         grade=options.grade,
         seed=options.seed,
         day=options.day,
-        directions=directions,
+        directions=() if positions is None else positions.directions()[order],
         operator=OperatorSettings(
-            style=options.style,  # type: ignore[arg-type]  # checked above
+            style=style,
             hold_s=options.hold_s,
             initial_still_s=INITIAL_STILL_S,
-            begins_in_first_position=options.style == "placed",
+            begins_in_first_position=style == "placed",
             rotations=options.rotations,  # type: ignore[arg-type]  # checked above
         ),
         faults=parse_faults(options.faults or [], CanFaults if on_bus else Faults),
@@ -81,21 +88,6 @@ def make_emulation(options: EmulateOptions) -> Emulation:
         settings=dict(options.settings),
         bus=options.bus,
     )
-
-
-def _is_on_bus(options: EmulateOptions) -> bool:
-    if options.driver.endswith(".toml"):
-        return options.bus is not None
-    names = driver_names()
-    if options.driver not in names:
-        raise UsageError(
-            f"there is no emulator for {options.driver!r}; choose one of {', '.join(names)}, or give a protocol file (.toml)"
-        )
-    return load_driver(options.driver).wire == "can"
-
-
-def _order(count: int, rounds: int) -> list[int]:
-    return [*range(count)] * rounds + ([0] if count >= REVISIT_FROM else [])
 
 
 def parse_faults(texts: list[str], kind: type[WireFaults] = Faults) -> WireFaults:
@@ -116,7 +108,7 @@ def parse_faults(texts: list[str], kind: type[WireFaults] = Faults) -> WireFault
             # Refused below together with inf and nan, which float would take.
             number = math.nan
         if name not in known or not math.isfinite(number):
-            raise UsageError(f"--fault {text!r} is not of the form NAME=NUMBER with a name of {', '.join(sorted(known))}")
+            raise UsageError(sentence("emulate.fault", text=text, known=sorted(known)))
         # A cable can be pulled several times; of every other fault the last one typed stands.
         values[name] = (*values.get(name, ()), number) if name == "disconnect_at_s" else number
     return kind(**values)
@@ -137,15 +129,10 @@ def _announce(options: EmulateOptions, emulation: Emulation, emulator: EmulatorC
     clock = "" if options.speed == 1 else f"IMUFIELD_CLOCK_SPEED={max(options.speed, 1):g} "
     # The right latitude matters: the scale of the accelerometer is as good as the gravity it is given.
     latitude = f"--latitude {emulation.site.latitude_deg:g}"
+    # A protocol file of the user's own is no driver that another command knows by name.
+    which = f"{'--driver' if wire.driver else '--protocol'} {options.driver}"
+    told = "".join(f"--set {name}={spell(value)} " for name, value in wire.settings.items())
     typer.echo("read it with:")
-    typer.echo(f"  {clock}imufield capture --{kind} {shlex.quote(address)} {_reader(options, wire)}{latitude}")
+    typer.echo(f"  {clock}imufield capture --{kind} {shlex.quote(address)} {which} {told}{latitude}")
     waits = "it begins when a program opens the port; " if options.waits_for_reader and kind == "port" else ""
     typer.echo(f"{waits}Ctrl-C ends it")
-
-
-def _reader(options: EmulateOptions, wire: WireChoice) -> str:
-    """Return the options that tell another command what the wire does not."""
-    # A protocol file of the user's own is no driver that another command knows by name.
-    which = "--driver" if wire.driver else "--protocol"
-    told = "".join(f"--set {name}={spell(value)} " for name, value in wire.settings.items())
-    return f"{which} {options.driver} {told}"

@@ -6,10 +6,13 @@ import json
 
 import typer
 
-from imufield.commands.options.deliver import ExportOptions
+from imufield.commands.options.commands import ExportOptions
 from imufield.deliver.exports import TARGETS, export_options, export_parameters, write_exported
 from imufield.deliver.parameters.file import load
 from imufield.deliver.parameters.numbers import hanging
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 
 def run_export(options: ExportOptions) -> None:
@@ -36,7 +39,7 @@ def run_export(options: ExportOptions) -> None:
     for file in written:
         typer.echo(f"written: {file.path}")
         if file.kept is not None:
-            typer.echo(hanging("         ", f"the file that stood there before is now {file.kept.name}"))
+            typer.echo(hanging("         ", sentence("export.kept", name=file.kept.name)))
     for loss in exported.losses:
         typer.echo(hanging("lost:    ", loss))
     for note in notes:

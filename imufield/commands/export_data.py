@@ -7,7 +7,7 @@ import typer
 
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import open_or_newest
-from imufield.commands.options.deliver import ExportDataOptions
+from imufield.commands.options.commands import ExportDataOptions
 from imufield.commands.terminal.output import say
 from imufield.commands.terminal.row_count import RowCount
 from imufield.deliver.parameters.numbers import beside, hanging
@@ -15,6 +15,9 @@ from imufield.deliver.samples.export_data import FORMATS, export_samples, facts_
 from imufield.errors import UsageError
 from imufield.files import refuse_overwriting
 from imufield.pipeline.chain import recorded_protocol, session_samples
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 
 def run_export_data(options: ExportDataOptions) -> None:
@@ -30,7 +33,7 @@ def run_export_data(options: ExportDataOptions) -> None:
     to = options.to
     if to not in FORMATS:
         listed = "; ".join(f"{name}: {form.title}" for name, form in FORMATS.items())
-        raise UsageError(f"--to {to!r} is unknown; choose one of {listed}")
+        raise UsageError(sentence("export_data.unknown_format", to=to, listed=listed))
     session = open_or_newest(options.session)
     path = options.output or session.folder / f"samples.{FORMATS[to].suffix}"
     refuse_overwriting(path, session.parts)

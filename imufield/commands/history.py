@@ -12,7 +12,7 @@ from pathlib import Path
 
 import typer
 
-from imufield.commands.options.deliver import HistoryOptions
+from imufield.commands.options.commands import HistoryOptions
 from imufield.commands.terminal.output import say, write_output
 from imufield.deliver.history import (
     Change,
@@ -29,7 +29,9 @@ from imufield.deliver.parameters.gauge_free import Number
 from imufield.deliver.parameters.numbers import WIDTH, beside, hanging, to_ascii, with_sigma
 from imufield.errors import UsageError
 from imufield.files import refuse_overwriting
-from imufield.sentences import counted
+from imufield.sentences import Sentences, counted
+
+sentence = Sentences(__package__)
 
 _NO_UNIT = ("m/s^2 per m/s^2", "rad/s per rad/s")  # Units of a scale that is 1 but for its error.
 
@@ -90,12 +92,12 @@ def _print_nearest(history: History, options: HistoryOptions) -> None:
     try:
         at = as_utc(datetime.fromisoformat(str(options.at)))
     except ValueError as error:
-        raise UsageError(f"--at {options.at!r} is no date; write it like 2026-03-04 or 2026-03-04T10:30") from error
+        raise UsageError(sentence("history.no_date", at=options.at)) from error
     instrument = one_instrument(history)
     entry = instrument.nearest(at)
     typer.echo(str(options.folder / entry.path))
     days = abs((entry.time - at).total_seconds()) / 86400
-    old = f", more than the {options.stale_days:g} of --stale-days: calibrate again" if days > options.stale_days else ""
+    old = sentence("history.old", stale_days=options.stale_days) if days > options.stale_days else ""
     # In whole days between the dates, as a person counts them: from evening to morning is a day.
     apart = (entry.time.astimezone(at.tzinfo).date() - at.date()).days
     when = f"{counted(abs(apart), 'day')} {'after' if apart > 0 else 'before'} {options.at}"
@@ -117,12 +119,12 @@ def _print(history: History, options: HistoryOptions, now: datetime) -> None:
         headings = [("parameter", "value ± sigma", "unit", "since the one before")] if numbers else []
         for line in _table(headings + [_cells(number, changes.get(number.name)) for number in numbers]):
             typer.echo(line)
-        for sentence in sentences(instrument, now, options.stale_days):
-            typer.echo(hanging("  - ", sentence))
+        for line in sentences(instrument, now, options.stale_days):
+            typer.echo(hanging("  - ", line))
     alone = sum(len(instrument.entries) == 1 for instrument in history.instruments)
     if alone:
         what = "It has" if len(history.instruments) == 1 else f"{counted(alone, 'instrument')} with"
-        typer.echo(hanging("", f"{what} one calibration, so there is nothing to compare; --csv and --json have every number."))
+        typer.echo(hanging("", sentence("history.nothing_to_compare", what=what)))
 
 
 def _cells(number: Number, change: Change | None) -> tuple[str, str, str, str]:

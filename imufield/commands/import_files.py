@@ -6,7 +6,7 @@ import json
 import math
 import shlex
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -27,12 +27,15 @@ from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import LOCK_FILE, SETTINGS_FILE, Session, create_session
 from imufield.acquire.recording.session_record import SettingRecord
 from imufield.acquire.registry import load_driver
-from imufield.commands.options.acquire import ImportOptions
+from imufield.commands.options.commands import ImportOptions
 from imufield.commands.terminal.output import say
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.pipeline.chain import part_metadata
 from imufield.pipeline.table_samples import refuse_endless
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 DUMP_CHUNK_BYTES = 1 << 16  # Small beside a block of the recorder, large beside a call.
 
@@ -45,12 +48,12 @@ def run_import(options: ImportOptions) -> Session:
     ImufieldError
         A file cannot be read or understood.
     """
-    session, sentences = import_session(options)
+    session, assumptions = import_session(options)
     if options.as_json:
-        typer.echo(json.dumps({"event": "imported", "session": str(session.folder), "assumptions": sentences}))
+        typer.echo(json.dumps({"event": "imported", "session": str(session.folder), "assumptions": assumptions}))
         return session
-    for sentence in sentences:
-        say(sentence, err=True, indent=2)
+    for assumption in assumptions:
+        say(assumption, err=True, indent=2)
     typer.echo(beside("session", session.folder))
     typer.echo(beside("next: ", f"imufield solve {shlex.quote(str(session.folder))}"))
     return session
@@ -65,10 +68,7 @@ def import_session(options: ImportOptions) -> tuple[Session, list[str]]:
     _refuse_ignored(options, protocol)
     # All that can be refused without the data is refused by now: an earlier import is put aside for good reasons only.
     with _in_place_of_earlier(options):
-        if protocol is None:
-            _refuse_can_log(options)
-            return _import_tables(options)
-        return _import_dump(options, protocol) if protocol.can is None else _import_can(options, protocol)
+        return _import_tables(options) if protocol is None else _import_bytes(options, protocol)
 
 
 def _protocol(options: ImportOptions) -> Protocol | None:
@@ -80,9 +80,9 @@ def _protocol(options: ImportOptions) -> Protocol | None:
         If protocol and DBC file are both given, or a mapping without a DBC file.
     """
     if options.protocol is not None and options.dbc is not None:
-        raise UsageError("--protocol and --dbc contradict each other; give one of them")
+        raise UsageError(sentence("import_files.protocol_and_dbc"))
     if options.mapping and options.dbc is None:
-        raise UsageError("--map names signals of a DBC file; give the file with --dbc")
+        raise UsageError(sentence("import_files.map_without_dbc"))
     if options.dbc is not None:
         # The package that reads DBC files is slow to import, and most imports are of tables.
         from imufield.acquire.instrument.can_map import protocol_from_dbc
@@ -94,89 +94,34 @@ def _protocol(options: ImportOptions) -> Protocol | None:
 
 
 def _refuse_ignored(options: ImportOptions, protocol: Protocol | None) -> None:
-    """Refuse options that would change nothing.
-
-    Raises
-    ------
-    UsageError
-        If there is one.
-    """
-    if options.channel is not None and (protocol is None or protocol.can is None):
-        raise UsageError("--channel is for logs of several CAN buses; leave it out")
+    """Refuse options that would change nothing; raises ``UsageError``."""
+    is_log = protocol is not None and protocol.can is not None
+    if options.channel is not None and not is_log:
+        raise UsageError(sentence("import_files.channel"))
     if options.topic is not None and not (protocol is None and any(is_bag(path) for path in options.files)):
-        raise UsageError("--topic is for recordings of ROS; leave it out")
+        raise UsageError(sentence("import_files.topic"))
     if options.protocol is not None and options.driver is not None:
-        raise UsageError(f"--protocol {options.protocol} and --driver {options.driver} contradict each other; give one of them")
+        raise UsageError(sentence("import_files.protocol_and_driver", protocol=options.protocol, driver=options.driver))
+    if protocol is not None and (options.columns or options.rate_hz or options.zero):
+        raise UsageError(sentence("import_files.log_as_table" if is_log else "import_files.dump_as_table"))
 
 
-def _refuse_own(paths: Sequence[Path]) -> None:
-    """Refuse our own recordings, which are to be solved as they are.
-
-    Raises
-    ------
-    UsageError
-        If there is one.
-    """
+def _refuse_own(paths: list[Path]) -> None:
+    """Refuse our own recordings, which are to be solved as they are; raises ``UsageError``."""
     for path in paths:
         # Also where one file of a session is named: what it is of is what the person has to solve.
         folder = path if path.is_dir() else path.parent
         if is_part(path) or (folder == path and (path / SETTINGS_FILE).is_file()) or path.name == SETTINGS_FILE:
-            raise UsageError(
-                f"{path} is of a session of imufield, which needs no import: `imufield solve {shlex.quote(str(folder))}` "
-                "takes it as it is",
-                path=str(path),
-            )
-
-
-def _refuse_can_log(options: ImportOptions) -> None:
-    """Refuse a log of a CAN bus of which nobody says what is on it: its frames alone mean nothing."""
-    from imufield.acquire.formats.can_logs import begins_as_can_log
-
-    for path in options.files:
-        if begins_as_can_log(path):
-            raise UsageError(
-                f"{path} is a log of a CAN bus; say what is on it with --driver, or with --dbc and --map", path=str(path)
-            )
-
-
-def _import_can(options: ImportOptions, protocol: Protocol) -> tuple[Session, list[str]]:
-    """Put the frames of logs into a recording; they arrive when the logs say."""
-    from imufield.acquire.formats.can_logs import import_log
-
-    if options.columns or options.rate_hz or options.zero:
-        raise UsageError("--columns, --rate-hz and --zero are for tables; a log of a CAN bus has its --set")
-    sentences = _try_can(options, protocol)
-    with _whole_or_nothing(_new_session(options, protocol, None), protocol) as (session, recorder):
-        for path in options.files:
-            # What is lost was said while the logs were tried.
-            import_log(path, recorder, channel=options.channel, losses=[])
-    return session, sentences
-
-
-def _try_can(options: ImportOptions, protocol: Protocol) -> list[str]:
-    """Decode before anything is made of the logs; return what there is to say of them. Raises as ``_try_dump``."""
-    from imufield.acquire.formats.can_logs import read_log
-
-    losses: list[str] = []
-    decoder = Decoder(protocol)
-    for path in options.files:
-        for chunk in read_log(path, channel=options.channel, losses=losses):
-            decoder.feed(chunk.data, chunk.monotonic_s)
-    decoder.flush()
-    counts = decoder.statistics
-    if not counts.samples:
-        kinds = ", ".join(f"{name}: {count}" for name, count in counts.by_kind.items())
-        raise RecordingError(
-            f"{', '.join(map(str, options.files))}: {counts.frames} frames hold no sample of {protocol.name} ({kinds}); give "
-            "the --driver or the --map that fits",
-            Reason.NO_FRAMES,
-            frames=counts.frames,
-        )
-    said = f"{counts.samples} samples of {counts.frames} frames, {counts.lost} lost"
-    return [*losses, said, *remarks([counts]), *assumed(protocol)]
+            raise UsageError(sentence("import_files.own", path=str(path), folder=shlex.quote(str(folder))))
 
 
 def _import_tables(options: ImportOptions) -> tuple[Session, list[str]]:
+    from imufield.acquire.formats.can_logs import begins_as_can_log
+
+    for path in options.files:
+        # Of a log of a CAN bus nobody said what is on it: its frames alone mean nothing.
+        if begins_as_can_log(path):
+            raise UsageError(sentence("import_files.unknown_can_log", path=str(path)))
     table = read_tables(
         options.files,
         columns=options.columns,
@@ -186,50 +131,54 @@ def _import_tables(options: ImportOptions) -> tuple[Session, list[str]]:
         topic=options.topic,
     )
     # The unit of time is spent when the rows are made; their protocol does not know it.
-    of_rows = {name: value for name, value in (options.settings or {}).items() if name != TIME_UNIT}
+    of_rows = {name: value for name, value in options.settings.items() if name != TIME_UNIT}
     protocol = load_protocol(ROWS_PROTOCOL, {**of_rows, **table.settings})
     with _whole_or_nothing(_new_session(options, protocol, table), protocol) as (session, recorder):
         write_rows(recorder, table.rows, table.status, table.counter)
     return session, list(table.assumptions)
 
 
-def _import_dump(options: ImportOptions, protocol: Protocol) -> tuple[Session, list[str]]:
-    """Put the bytes of a dump into a recording as they are; there is no arrival time but the order."""
-    if options.columns or options.rate_hz or options.zero:
-        raise UsageError("--columns, --rate-hz and --zero are for tables; a byte dump has its --protocol and --set")
-    sentences = _try_dump(options.files, protocol)
-    utc_ns = SystemClock().utc_ns()
-    with _whole_or_nothing(_new_session(options, protocol, None), protocol) as (session, recorder):
-        for path in options.files:
-            for data in read_pieces(path, DUMP_CHUNK_BYTES):
-                recorder.write_chunk(Chunk(data, math.nan, utc_ns))
-    return session, sentences
-
-
-def _try_dump(files: list[Path], protocol: Protocol) -> list[str]:
-    """Decode before anything is made of the files; return what there is to say of them.
-
-    Raises
-    ------
-    RecordingError
-        If there is not a single sample in them, or one cannot be read.
-    """
+def _import_bytes(options: ImportOptions, protocol: Protocol) -> tuple[Session, list[str]]:
+    """Put the bytes of a dump or the frames of logs into a recording as they are."""
+    losses: list[str] = []
     decoder = Decoder(protocol)
-    for path in files:
-        for data in read_pieces(path, DUMP_CHUNK_BYTES):
-            decoder.feed(data)
+    # Decoded before anything is made of them, so that nothing is put aside for files without a sample.
+    for chunk in _chunks(options, protocol, losses):
+        decoder.feed(chunk.data, chunk.monotonic_s)
     decoder.flush()
     counts = decoder.statistics
-    names = ", ".join(map(str, files))
     if not counts.samples:
-        raise RecordingError(
-            f"{names}: {counts.bytes_total} bytes hold no sample of {protocol.name} ({counts.frames_bad_checksum} frames with "
-            "a bad checksum); give the --protocol they were recorded with",
-            Reason.NO_FRAMES,
+        none = sentence(
+            "import_files.dump_without_samples" if protocol.can is None else "import_files.log_without_samples",
+            names=options.files,
+            protocol=protocol.name,
             bytes=counts.bytes_total,
+            frames=counts.frames,
+            frames_bad_checksum=counts.frames_bad_checksum,
+            kinds=[f"{name}: {count}" for name, count in counts.by_kind.items()],
         )
-    said = f"{counts.samples} samples, {counts.bytes_skipped} of {counts.bytes_total} bytes skipped"
-    return [said, *remarks([counts]), *assumed(protocol)]
+        raise RecordingError(none, Reason.NO_FRAMES)
+    said = f"{counts.samples} samples of {counts.frames} frames, {counts.lost} lost"
+    if protocol.can is None:
+        said = f"{counts.samples} samples, {counts.bytes_skipped} of {counts.bytes_total} bytes skipped"
+    with _whole_or_nothing(_new_session(options, protocol, None), protocol) as (session, recorder):
+        for chunk in _chunks(options, protocol, []):  # What is lost was said while they were tried.
+            recorder.write_chunk(chunk)
+    return session, [*losses, said, *remarks([counts]), *assumed(protocol)]
+
+
+def _chunks(options: ImportOptions, protocol: Protocol, losses: list[str]) -> Iterator[Chunk]:
+    """Yield what the files hold: frames arrive when their log says; for bytes there is no arrival time but the order."""
+    if protocol.can is None:
+        utc_ns = SystemClock().utc_ns()
+        for path in options.files:
+            for data in read_pieces(path, DUMP_CHUNK_BYTES):
+                yield Chunk(data, math.nan, utc_ns)
+        return
+    from imufield.acquire.formats.can_logs import read_log
+
+    for path in options.files:
+        yield from read_log(path, channel=options.channel, losses=losses)
 
 
 @contextmanager
@@ -246,7 +195,7 @@ def _in_place_of_earlier(options: ImportOptions) -> Iterator[None]:
         yield
         return
     if folder is None:
-        raise UsageError("--replace needs the folder of the earlier import; give it with --output")
+        raise UsageError(sentence("import_files.replace_what"))
     if not (folder / SETTINGS_FILE).exists():
         yield
         return
@@ -254,11 +203,11 @@ def _in_place_of_earlier(options: ImportOptions) -> Iterator[None]:
     kind = earlier.record.kind
     # Nothing goes that cannot be imported again from its files.
     if kind != "import":
-        raise UsageError(f"--replace goes for imports alone, and {folder} is a {kind}; choose a new folder")
+        raise UsageError(sentence("import_files.no_import", folder=folder, kind=kind))
     own = {SETTINGS_FILE, LOCK_FILE, *(part.name for part in earlier.parts)}
     others = sorted(path.name for path in folder.iterdir() if path.name not in own)
     if others:
-        raise UsageError(f"{folder} holds {', '.join(others[:3])} besides the import; move that away, or choose a new folder")
+        raise UsageError(sentence("import_files.holds_more", folder=folder, others=others[:3]))
     # In the same folder, so that it can be renamed back; hidden from what looks for sessions.
     aside = folder.with_name(f".{folder.name}.replaced")
     shutil.rmtree(aside, ignore_errors=True)
@@ -287,20 +236,16 @@ def _whole_or_nothing(session: Session, protocol: Protocol) -> Iterator[tuple[Se
         # The folder was new or empty.
         shutil.rmtree(session.folder, ignore_errors=True)
         if isinstance(error, RecordingError) and error.reason is Reason.DISK_FULL:
-            raise RecordingError(
-                f"{session.folder} cannot hold the import, the disk or its quota is full: free some space, or give another "
-                "place with --output, and import again.",
-                Reason.DISK_FULL,
-                path=str(session.folder),
-            ) from error
+            raise RecordingError(sentence("import_files.disk_full", path=str(session.folder)), error.reason) from error
         raise
     session.update(finished=True)
 
 
 def _new_session(options: ImportOptions, protocol: Protocol, table: ImportedTable | None) -> Session:
+    model = options.files[0].name.split(".")[0]
     metadata: dict[str, object] = {
         "kind": "import",
-        "instrument": {"driver": options.driver or protocol.name, "model": options.files[0].name.split(".")[0]},
+        "instrument": {"driver": options.driver or protocol.name, "model": model},
         "protocol": {"name": protocol.name, "sha256": protocol.sha256, "text": protocol.text},
         "settings": {name: SettingRecord(setting.value, setting.origin) for name, setting in protocol.settings.items()},
         "units": {"accelerometer": protocol.units.accelerometer, "gyroscope": protocol.units.gyroscope},
@@ -311,12 +256,6 @@ def _new_session(options: ImportOptions, protocol: Protocol, table: ImportedTabl
     if table is not None:
         metadata["nominal"] = {"raw_zero": list(table.raw_zero)}
         metadata["notes"] = list(table.assumptions)
-    model = options.files[0].name.split(".")[0]
     if options.output is not None and not options.replace and (options.output / SETTINGS_FILE).exists():
-        raise RecordingError(
-            f"{options.output} holds a session already and nothing is overwritten: choose a new folder, or give "
-            "--replace if it is an import to be done again.",
-            Reason.UNFINISHED,
-            folder=str(options.output),
-        )
+        raise RecordingError(sentence("import_files.exists", folder=str(options.output)), Reason.UNFINISHED)
     return create_session(options.output, options.root, model, metadata)

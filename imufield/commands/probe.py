@@ -5,25 +5,23 @@ from __future__ import annotations
 import json
 import shlex
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING
 
 import typer
 
-from imufield.acquire.instrument.connected import ConnectOptions
 from imufield.acquire.instrument.instrument import Instrument
 from imufield.acquire.instrument.listen import Search, bauds_to_try, has_no_baud, nothing_recognised, search, serial_candidates
 from imufield.acquire.instrument.recognise import Candidate, Finding, Listener
 from imufield.acquire.link.host_clock import HostClock
 from imufield.acquire.link.ports import serial_ports
-from imufield.commands.options.acquire import ProbeOptions
-from imufield.commands.terminal.connection import host_clock
-from imufield.commands.terminal.output import say
+from imufield.commands.options.commands import ProbeOptions
+from imufield.commands.terminal.output import host_clock, say
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import ImufieldError, LinkError, Reason
+from imufield.sentences import Sentences
 
-if TYPE_CHECKING:
-    from imufield.acquire.instrument.connect_can import BusFinding
+sentence = Sentences(__package__)
 
 PORTS_AT_ONCE = 8  # More threads than any machine has instruments; each only waits for bytes.
 _OTHERS_NAMED = 3  # Behind these come chance finds of a few frames.
@@ -72,35 +70,33 @@ class Probed:
 
 
 def run_probe(options: ProbeOptions) -> None:
-    """Probe a bus, a port, or all ports of this machine at once; raises as ``probe_bus`` and ``probe_ports``."""
-    clock = host_clock(options.clock_speed)
-    if options.connect.bus is not None:
-        probe_bus(options.connect, clock, ask=options.ask, as_json=options.as_json)
-    else:
-        probe_ports(options.connect, clock, ask=options.ask, as_json=options.as_json)
-
-
-def probe_ports(options: ConnectOptions, clock: HostClock, *, ask: bool, as_json: bool) -> list[Probed]:
-    """Probe one port, or all of this machine at once, and print what was found.
+    """Probe a bus, a port, or all ports of this machine at once, and print what was found.
 
     Raises
     ------
     LinkError
-        There is no port, or on none of them anything was recognised.
+        There is no port, or nothing was recognised.
+    UsageError
+        The bit rate of a bus is needed, or several instruments send the same messages.
     """
-    ports = [options.port] if options.port is not None else [port.device for port in serial_ports()]
+    clock = host_clock(options.clock_speed)
+    if options.connect.bus is not None:
+        _probe_bus(options, options.connect.bus, clock)
+    else:
+        _probe_ports(options, clock)
+
+
+def _probe_ports(options: ProbeOptions, clock: HostClock) -> None:
+    baud, port = options.connect.baud, options.connect.port
+    ports = [port.device for port in serial_ports()] if port is None else [port]
     if not ports:
-        raise LinkError(
-            "no serial ports found: plug the instrument in, or give --port /dev/ttyUSB0 or --port socket://host:port",
-            Reason.PORT_NOT_FOUND,
-        )
-    if not as_json:
-        say(f"listening on {', '.join(ports)}, up to 10 s; {_WRITES if ask else _SILENT}", err=True)
+        raise LinkError(sentence("probe.no_ports"), Reason.PORT_NOT_FOUND)
+    _tell_begin(options, ports, limit_s=10)
     with ThreadPoolExecutor(min(len(ports), PORTS_AT_ONCE)) as pool:
         # Once for all ports: a driver that cannot be loaded is said once.
-        candidates = serial_candidates(say=lambda sentence: say(sentence, err=True))
-        results = list(pool.map(lambda port: probe_port(port, options.baud, clock, ask=ask, candidates=candidates), ports))
-    if as_json:
+        candidates = serial_candidates(say=_tell)
+        results = list(pool.map(lambda port: probe_port(port, baud, clock, ask=options.ask, candidates=candidates), ports))
+    if options.as_json:
         typer.echo(json.dumps({"ports": [probed.to_dict() for probed in results]}))
     else:
         for probed in results:
@@ -110,43 +106,33 @@ def probe_ports(options: ConnectOptions, clock: HostClock, *, ask: bool, as_json
         if len(errors) == 1:
             raise errors[0]
         # Bytes that nobody understands are another case than silence: the instrument is there, and on.
-        raise LinkError(
-            f"nothing was recognised on {', '.join(ports)}; connect the instrument and switch it on, or say what it is with "
-            "--driver",
-            Reason.SILENCE if {error.reason for error in errors} == {Reason.SILENCE} else Reason.NO_FRAMES,
-        )
-    return results
+        reason = Reason.SILENCE if {error.reason for error in errors} == {Reason.SILENCE} else Reason.NO_FRAMES
+        raise LinkError(sentence("probe.nothing", ports=ports), reason)
 
 
-def probe_bus(options: ConnectOptions, clock: HostClock, *, ask: bool, as_json: bool) -> BusFinding:
-    """Listen on one CAN bus and print who speaks there.
+def _probe_bus(options: ProbeOptions, bus: str, clock: HostClock) -> None:
+    from imufield.acquire.instrument.connect_can import probe_bus
 
-    Raises
-    ------
-    LinkError
-        Nobody that is known does.
-    UsageError
-        The bit rate is needed, or several instruments send the same messages.
-    """
-    from imufield.acquire.instrument.connect_can import probe_bus as listen_on_bus
-
-    bus = options.bus or ""
-    if not as_json:
-        say(f"listening on {bus}, up to 5 s; {_WRITES if ask else _SILENT}", err=True)
-    found = listen_on_bus(options, clock, lambda sentence: say(sentence, err=True), ask=ask)
-    words = ["imufield", "capture", "--bus", bus, *([] if options.baud is None else ["--baud", str(options.baud)])]
+    baud = options.connect.baud
+    _tell_begin(options, [bus], limit_s=5)
+    found = probe_bus(options.connect, clock, _tell, ask=options.ask)
+    words = ["imufield", "capture", "--bus", bus, *([] if baud is None else ["--baud", str(baud)])]
     command = shlex.join([*words, "--driver", found.name])
-    if as_json:
+    if options.as_json:
         typer.echo(json.dumps({"buses": [{"bus": bus, "found": asdict(found), "command": command}]}))
-        return found
+        return
     say(f"{bus}: {found.title}", indent=2)
     say(f"  evidence    {found.frames} frames with its identifiers, {found.samples} samples", indent=_SECOND_COLUMN)
     _show_rest(found.identity, command)
-    return found
 
 
-_SILENT = "nothing is sent to the instrument (--ask lets it say who it is)"
-_WRITES = "the instrument is asked who it is"
+def _tell_begin(options: ProbeOptions, places: list[str], limit_s: int) -> None:
+    if not options.as_json:
+        _tell(sentence("probe.asking" if options.ask else "probe.listening", places=places, limit_s=limit_s))
+
+
+def _tell(line: str) -> None:
+    say(line, err=True)
 
 
 def probe_port(
@@ -159,23 +145,14 @@ def probe_port(
         result = search(port, candidates, bauds, clock)
     except ImufieldError as error:
         return Probed(port=port, error=error)
-    try:
+    with closing(result.link):
         others, listener = _others(result), result.recognised
         if listener is None:
             return Probed(port=port, others=others, error=nothing_recognised(port, result))
         # A rate of 9600 in the command for a USB port would look as if it mattered.
         rate = None if has_no_baud(port) and baud is None else result.last.baud
-        identity = _identity(result, listener, clock, ask=ask)
-        return Probed(
-            port=port,
-            found=listener.finding(),
-            baud=rate,
-            command=_command(port, listener, rate),
-            identity=identity,
-            others=others,
-        )
-    finally:
-        result.link.close()
+        command, identity = _command(port, listener, rate), _identity(result, listener, clock, ask=ask)
+        return Probed(port=port, found=listener.finding(), baud=rate, command=command, identity=identity, others=others)
 
 
 def _identity(result: Search, listener: Listener, clock: HostClock, *, ask: bool) -> dict[str, str]:

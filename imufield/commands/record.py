@@ -17,12 +17,14 @@ from imufield.acquire.link.host_clock import HostClock
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import Session, create_session
-from imufield.commands.options.acquire import RecordOptions
-from imufield.commands.terminal.connection import host_clock, say_assumed
-from imufield.commands.terminal.output import say
+from imufield.commands.options.commands import RecordOptions
+from imufield.commands.terminal.output import host_clock, say, say_assumed
 from imufield.deliver.parameters.numbers import beside
-from imufield.errors import LinkError, RecordingError
+from imufield.errors import RecordingError
 from imufield.pipeline.chain import part_metadata
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 TELL_EVERY_S = 1.0  # A count that changes faster cannot be read.
 
@@ -72,7 +74,11 @@ def _record(connected: Connected, decoder: Decoder, recorder: Recorder, clock: H
     link, was_lost = PatientLink(connected.link, clock), False
     while options.duration_s is None or clock.monotonic_s() - start_s < options.duration_s:
         chunk = link.read()
-        was_lost = _tell_link(link.lost, was_lost=was_lost)
+        if link.lost is not None and not was_lost:
+            say(sentence("record.waiting", lost=link.lost.message), err=True)
+        elif was_lost and link.lost is None:
+            say("the link is back", err=True)
+        was_lost = link.lost is not None
         if chunk is not None:
             start_s, is_silent = (chunk.monotonic_s if is_silent else start_s), False
             _take([chunk], decoder, recorder)
@@ -82,15 +88,6 @@ def _record(connected: Connected, decoder: Decoder, recorder: Recorder, clock: H
             _tell_progress(decoder, now_s - start_s, options.as_json)
     if link.lost is not None:
         raise link.lost
-
-
-def _tell_link(lost: LinkError | None, *, was_lost: bool) -> bool:
-    """Say when the link goes and when it is back; return whether it is lost."""
-    if lost is not None and not was_lost:
-        say(f"{lost.message}; waiting until it is back (Ctrl-C ends the recording)", err=True)
-    elif was_lost and lost is None:
-        say("the link is back", err=True)
-    return lost is not None
 
 
 def _take(chunks: list[Chunk], decoder: Decoder, recorder: Recorder) -> None:
@@ -119,5 +116,5 @@ def _tell_end(session: Session, decoder: Decoder, as_json: bool) -> None:
     if sys.stdout.isatty():
         typer.echo()
     typer.echo(beside(f"{counts.samples} samples, {counts.lost} lost, session", session.folder))
-    for sentence in remarks([counts]):
-        say(sentence)
+    for remark in remarks([counts]):
+        say(remark)

@@ -9,15 +9,18 @@ import typer
 
 from imufield.acquire.recording.reader import Damage, EndOfRecordingError, RecordingLink
 from imufield.acquire.recording.session import Session, open_or_newest
-from imufield.commands.options.acquire import ReplayOptions
+from imufield.commands.options.commands import ReplayOptions
 from imufield.commands.terminal.output import say
 from imufield.errors import UsageError
 from imufield.guide.view.plain import JsonLinesView, PlainView
 from imufield.pipeline.chain import Chain, ReadingPlan, recorded_protocol, replay_into
 from imufield.pipeline.damage import without_end_under_way
+from imufield.sentences import Sentences
 
 if TYPE_CHECKING:
     from imufield.acquire.protocol.can_frames import Frame
+
+sentence = Sentences(__package__)
 
 WAIT_S = 0.05  # Between two looks for a reader: shorter than a person notices.
 SLOT_S = 0.002  # Between two looks at a full buffer, which holds some ten times as long at 1 Mbit/s.
@@ -35,7 +38,7 @@ def run_replay(options: ReplayOptions) -> None:
     """
     session = open_or_newest(options.session)
     if options.to_pty and options.bus is not None:
-        raise UsageError("--to-pty and --bus contradict each other; give one of them")
+        raise UsageError(sentence("replay.pty_and_bus"))
     if options.bus is not None or options.to_pty:
         _replay_to_others(session, options)
         return
@@ -48,7 +51,7 @@ def run_replay(options: ReplayOptions) -> None:
     for entry in without_end_under_way(damage, session) if goes_on else damage:
         say(entry.what, err=True)
     if goes_on:
-        say("this session is still being recorded: replayed is what was on disk", err=True)
+        say(sentence("replay.goes_on"), err=True)
     # JSON lines are for programs, which count for themselves.
     if not options.as_json:
         _tell(chain)
@@ -72,7 +75,7 @@ def _replay_to_others(session: Session, options: ReplayOptions) -> None:
         (_replay_to_pty if can is None else _replay_to_slcan)(session, options.speed)
         return
     if can is None:
-        raise UsageError(f"{session.folder} was not recorded from a CAN bus; replay it with --to-pty")
+        raise UsageError(sentence("replay.no_bus", folder=session.folder))
     from imufield.acquire.formats.can_logs import replay_to_bus
 
     typer.echo(f"sending to {options.bus}  (Ctrl-C ends)")
@@ -88,7 +91,7 @@ def _replay_to_slcan(session: Session, speed: float) -> None:
 
     device = SlcanDevice()
 
-    def answer() -> None:
+    def answer(_: int) -> None:
         device.receive()
 
     def send(frame: Frame) -> None:
@@ -102,7 +105,7 @@ def _replay_to_slcan(session: Session, speed: float) -> None:
         while not device.is_open:
             device.receive()
             time.sleep(WAIT_S)
-        sent = replay_frames(RecordingLink(session), send, pace=speed or None, on_chunk=lambda _: answer())
+        sent = replay_frames(RecordingLink(session), send, pace=speed or None, on_chunk=answer)
         typer.echo(f"{sent - device.frames_dropped} frames sent")
         time.sleep(LINGER_S)
     finally:
@@ -132,7 +135,7 @@ def _replay_to_pty(session: Session, speed: float) -> None:
             # Said only when a chunk has shown it: no file says of itself that it has no times.
             if speed and not (said or link.has_arrival_times):
                 said = True
-                say("an imported dump holds no arrival times: its bytes go as fast as the reader takes them, whatever --speed")
+                say(sentence("replay.no_times"))
     except EndOfRecordingError:
         typer.echo(f"{sent} bytes sent")
         time.sleep(LINGER_S)

@@ -6,7 +6,6 @@ import platform
 import shlex
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
@@ -15,8 +14,7 @@ import typer
 
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session, open_or_newest
-from imufield.acquire.recording.session_record import SettingRecord
-from imufield.commands.options.deliver import ReportOptions
+from imufield.commands.options.commands import ReportOptions
 from imufield.commands.terminal.output import write_output
 from imufield.deliver.parameters.document import VERSION
 from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, load
@@ -40,7 +38,10 @@ from imufield.files import refuse_overwriting
 from imufield.pipeline.calibration import MoveListener
 from imufield.pipeline.chain import Chain, ReadingPlan, replay_into
 from imufield.pipeline.solving import session_sha256
+from imufield.sentences import Sentences
 from imufield.version import __version__
+
+sentence = Sentences(__package__)
 
 REPORT_FILE = "report.html"
 RECORD_FILE = "calibration-record.html"
@@ -83,7 +84,7 @@ def gather(options: ReportOptions) -> tuple[ReportData, Path]:
     path = parameters.path or path
     preset = None if options.preset is None else load(options.preset)
     _check_belongs(parameters, session, preset)
-    found = _Replayed() if session is None else _replay(session, parameters, preset)
+    trace, closed, damage = (None, None, []) if session is None else _replay(session, parameters, preset)
     seed = parameters.calibration.solver.seed or 0
     before = None if preset is None else preset.calibration.accelerometer
     results, sha256 = verification_path(path), content_sha256(parameters.document)
@@ -92,13 +93,13 @@ def gather(options: ReportOptions) -> tuple[ReportData, Path]:
     data = ReportData(
         parameters=parameters,
         preset=preset,
-        trace=found.trace,
-        closure=found.closure,
+        trace=trace,
+        closure=closed,
         convergence=convergence(observations_of(parameters), parameters.calibration, before, seed) if many else (),
         verification=read_verification(results, sha256),
         provenance=tuple(_provenance(path, parameters, session)),
         operator=options.operator,
-        notes=(*found.notes, *([left_out] if left_out else [])),
+        notes=(*(entry.what for entry in damage), *filter(None, (left_out,))),
     )
     return data, path.parent if session is None else session.folder
 
@@ -113,25 +114,14 @@ def _check_belongs(parameters: Parameters, session: Session | None, preset: Para
     parameters.check_instrument(own)
     wanted = parameters.context.session.sha256
     if wanted and wanted != session_sha256(session):
-        raise ParameterFileError(
-            f"{parameters.path} was solved from another recording than {session.folder} (its SHA-256 differs); "
-            "solve again, or give --parameters without a session",
-            Reason.FOREIGN,
-            parameters=str(parameters.path),
-            session=str(session.folder),
-        )
+        other = sentence("report.other_recording", parameters=str(parameters.path), session=str(session.folder))
+        raise ParameterFileError(other, Reason.FOREIGN)
 
 
-@dataclass(frozen=True, slots=True)
-class _Replayed:
-    """What only the recording tells."""
-
-    trace: Trace | None = None
-    closure: Closure | None = None
-    notes: tuple[str, ...] = ()
-
-
-def _replay(session: Session, parameters: Parameters, preset: Parameters | None) -> _Replayed:
+def _replay(
+    session: Session, parameters: Parameters, preset: Parameters | None
+) -> tuple[Trace | None, Closure | None, list[Damage]]:
+    """Return what only the recording tells."""
     trace, moves, rests = TraceCollector(parameters), MoveListener(), RestCollector(parameters)
     chain = Chain(ReadingPlan(None), (trace.feed, moves.feed, rests.feed), judging=False)
     damage: list[Damage] = []
@@ -143,14 +133,7 @@ def _replay(session: Session, parameters: Parameters, preset: Parameters | None)
     # Positions that were given otherwise have no time, and no moves between them.
     if len(observations) and np.isfinite(observations.start_s).all():
         closed = closure(observations, moves.between(observations), parameters, old, nominal=nominal)
-    return _Replayed(trace.finish(), closed, tuple(entry.what for entry in damage))
-
-
-def _setting(name: str, setting: SettingRecord) -> str:
-    """Return a setting and where it came from; a rate of zero stands for one that only the recording tells."""
-    if name == "rate_hz" and setting.value == 0:
-        return "rate_hz measured on the recording"
-    return f"{name} = {setting.value} ({setting.origin})"
+    return trace.finish(), closed, damage
 
 
 def _provenance(path: Path, parameters: Parameters, session: Session | None) -> Iterator[tuple[str, str]]:
@@ -160,7 +143,11 @@ def _provenance(path: Path, parameters: Parameters, session: Session | None) -> 
         record = session.record
         yield "Protocol", f"{record.protocol.name}, SHA-256 {record.protocol.sha256}"
         if record.settings:
-            yield "Settings", "; ".join(_setting(name, entry) for name, entry in record.settings.items())
+            settings = {name: f"{name} = {setting.value} ({setting.origin})" for name, setting in record.settings.items()}
+            # A rate of zero stands for one that only the recording tells.
+            if "rate_hz" in settings and record.settings["rate_hz"].value == 0:
+                settings["rate_hz"] = "rate_hz measured on the recording"
+            yield "Settings", "; ".join(settings.values())
         yield "Recorded by", record.software
     packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "matplotlib", "jinja2"))
     yield "Report by", f"imufield {__version__}, Python {platform.python_version()}, {packages}"

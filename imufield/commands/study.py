@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
 import typer
 
-from imufield.commands.options.calibrate import StudyOptions
+from imufield.commands.options.commands import StudyOptions
 from imufield.commands.terminal.output import replace_only
 from imufield.errors import UsageError
 from imufield.files import typed_write_errors
+from imufield.sentences import Sentences
 from imufield.study.context import StudyContext
 from imufield.study.report import StudyReport, as_text
 from imufield.study.run import TITLE, run_study, write_document
+
+sentence = Sentences(__package__)
 
 
 def run_study_command(options: StudyOptions) -> None:
@@ -26,32 +28,27 @@ def run_study_command(options: StudyOptions) -> None:
     LinkError
         If the scheduler does not answer.
     """
-    output, document = options.output, options.document
-    _check_places(output, document)
+    folder, document = options.output, options.document
+    # Refused before hours of computing what would be refused after them.
+    if folder is not None and folder.exists() and not folder.is_dir():
+        raise UsageError(sentence("study.no_folder", folder=folder))
+    if folder is not None:
+        with typed_write_errors(folder, UsageError):
+            folder.mkdir(parents=True, exist_ok=True)
+    if document is not None:
+        if document.is_dir() or not document.parent.is_dir():
+            raise UsageError(sentence("study.no_place", document=document))
+        replace_only(document, TITLE, "--document", "the results of a study")
     context = StudyContext(
         seed=options.seed, quick=options.quick, workers=options.workers, scheduler=options.scheduler, progress=_tell
     )
     reports: list[StudyReport] = []
-    for report in run_study(options.name, context, folder=output):
+    for report in run_study(options.name, context, folder=folder):
         typer.echo(as_text(report), nl=False)
         reports.append(report)
     if document is not None:
         write_document(reports, document, context)
         typer.echo(f"written: {document}")
-
-
-def _check_places(folder: Path | None, document: Path | None) -> None:
-    """Refuse before hours of computing what would be refused after them."""
-    if folder is not None and folder.exists() and not folder.is_dir():
-        raise UsageError(f"--output {folder} is no folder, and a study writes several files; choose a folder")
-    if folder is not None:
-        with typed_write_errors(folder, UsageError):
-            folder.mkdir(parents=True, exist_ok=True)
-    if document is None:
-        return
-    if document.is_dir() or not document.parent.is_dir():
-        raise UsageError(f"--document {document} is no place for a file; give a file in a folder that exists")
-    replace_only(document, TITLE, f"--document {document} holds something else than the results of a study")
 
 
 def _tell(done: int, total: int) -> None:

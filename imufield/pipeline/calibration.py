@@ -25,6 +25,9 @@ from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.guide.events import Event, Turned
 from imufield.guide.lead.turns import VERTICAL
 from imufield.samples import FloatArray, Samples
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 AChoice = TypeVar("AChoice")
 
@@ -176,17 +179,16 @@ def _with_gyroscope(
         joined = result.join(calibration)
     except CalibrationError as error:
         # The accelerometer is known all the same; axes that contradict it were refused before.
-        sentence = f"the gyroscope is not calibrated: {error.message}"
-        quality = calibration.quality
+        why, quality = sentence("calibration.no_gyroscope", error=error.message), calibration.quality
         if error.reason in _CONTRADICTED:
-            return replace(calibration, quality=quality.lowered("usable", sentence))
-        return replace(calibration, quality=replace(quality, reasons=(*quality.reasons, sentence)))
+            return replace(calibration, quality=quality.lowered("usable", why))
+        return replace(calibration, quality=replace(quality, reasons=(*quality.reasons, why)))
     quality = joined.quality
-    if solved is not None and not solved.converged:
-        failed = f"the method {settings.method} did not converge on the gyroscope"
-        quality = quality.lowered("poor", f"{failed}, do not use its parameters: {solved.message}")
-    elif solved is not None:
-        quality = replace(quality, reasons=(*quality.reasons, f"gyroscope solved by {settings.method}: {solved.message}"))
+    if solved is not None:
+        key = "calibration.solved_by" if solved.converged else "calibration.not_converged"
+        how = sentence(key, method=settings.method, message=solved.message)
+        reasons = (*quality.reasons, how)
+        quality = replace(quality, reasons=reasons) if solved.converged else quality.lowered("poor", how)
     if check is not None:
         quality = replace(quality, reasons=(*quality.reasons, check.sentence))
     return replace(joined, quality=quality)
@@ -204,4 +206,4 @@ def one_of(name: str, value: str, choices: tuple[AChoice, ...]) -> AChoice:
     for choice in choices:
         if choice == value:
             return choice
-    raise UsageError(f"--{name} {value!r} is unknown; choose one of {', '.join(map(str, choices))}")
+    raise UsageError(sentence("calibration.unknown_choice", name=name, value=value, choices=choices))

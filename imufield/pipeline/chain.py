@@ -7,7 +7,8 @@ session. It reads no clock: arrival times come with the bytes.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,6 @@ from imufield.acquire.decoder import Decoder
 from imufield.acquire.protocol.protocol import Protocol, parse_protocol
 from imufield.acquire.recording.reader import Damage, PartStart, RecordedBlock, RecordedEvent, read_blocks
 from imufield.acquire.recording.session import Session
-from imufield.acquire.recording.session_record import SessionRecord
 from imufield.calibrate.model.observations import Observations
 from imufield.earth import choose_gravity
 from imufield.errors import ProtocolError, Reason, RecordingError, SettingError
@@ -29,6 +29,9 @@ from imufield.guide.positions import scheme
 from imufield.guide.stillness.scale import RoughScale
 from imufield.pipeline.damage import require_samples
 from imufield.samples import FloatArray, Samples
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 MARK = "mark"
 """Name of a recorded event: what the operator said, to be said again on replay."""
@@ -38,7 +41,6 @@ ROTATIONS = {"rolled": HORIZONTAL, "table": VERTICAL}
 """Kinds of whole turns, as ``--rotations`` names them, and the axis they are about."""
 SCHEME_FILE = "positions.toml"
 """Copy, in the session's folder, of positions that are not shipped: the session must be solved again without their file."""
-PART_BEGINS = "the session goes on after a pause; everything measured so far is kept"
 PART_GAP_S = 1.0
 """Least time between the samples of two parts, whatever the clocks of the host say of them."""
 
@@ -57,27 +59,12 @@ class ReadingPlan:
     @classmethod
     def of(cls, session: Session) -> ReadingPlan:
         """Return the plan written in ``session.toml``; positions of the user's own stand beside it."""
-        record = session.record
-        name = record.scheme or None
-        return cls(
-            str(session.folder / SCHEME_FILE) if name == SCHEME_FILE else name, guide_settings(record), record.nominal.raw_zero
-        )
-
-
-def guide_settings(record: SessionRecord) -> GuideSettings:
-    """Return the settings of the guide written in ``session.toml``."""
-    guide, site = record.guide, record.site
-    gravity = choose_gravity(site.gravity_m_s2, site.latitude_deg, site.height_m)
-    return GuideSettings(
-        hold_s=guide.hold_s,
-        target_bias_ug=guide.target_bias_ug,
-        target_scale_ppm=guide.target_scale_ppm,
-        revisit_first=bool(guide.revisit_first),
-        rotations=guide.rotations,
-        gravity_m_s2=gravity.gravity_m_s2,
-        earlier_scale_raw=guide.earlier_scale_raw,
-        earlier_scale_sigma=guide.earlier_scale_sigma or 0.0,
-    )
+        record, site = session.record, session.record.site
+        scheme = str(session.folder / SCHEME_FILE) if record.scheme == SCHEME_FILE else record.scheme or None
+        gravity = choose_gravity(site.gravity_m_s2, site.latitude_deg, site.height_m)
+        # The settings have the names that they have in the file; what it does not state keeps its default.
+        stated: dict[str, Any] = {name: value for name, value in asdict(record.guide).items() if value is not None}
+        return cls(scheme, GuideSettings(gravity_m_s2=gravity.gravity_m_s2, **stated), record.nominal.raw_zero)
 
 
 class Chain:
@@ -117,18 +104,22 @@ class Chain:
             If its samples have other units than those of the parts before.
         """
         if self.protocol is not None and protocol.units != self.protocol.units:
-            raise ProtocolError(
-                f"the parts of this session have different units ({self.protocol.units.accelerometer} and "
-                f"{protocol.units.accelerometer}); import or solve them one by one",
-                Reason.UNITS,
-            )
+            units = [self.protocol.units.accelerometer, protocol.units.accelerometer]
+            raise ProtocolError(sentence("chain.units", units=units), Reason.UNITS)
         self.protocol = protocol
         # Not before the first part: the judge needs the units and the rough scale, which its protocol tells.
         if self._judging and self.guide is None and self.finder is None:
-            self._make_judge(protocol)
+            nominal = protocol.nominal
+            scale = RoughScale(nominal.accelerometer_scale, nominal.gyroscope_scale, self.raw_zero(protocol))
+            if self.plan.scheme is None:
+                self.finder = StillIntervalFinder(protocol.units, scale)
+            else:
+                self.guide = Guide(scheme(self.plan.scheme), protocol.units, scale=scale, settings=self.plan.guide)
         events = self._start_decoder(protocol)
         # Whoever stopped and goes on wanted the pause: to call it a lost link would alarm for nothing.
-        return [replace(event, words=PART_BEGINS) if isinstance(event, LinkLost) else event for event in events]
+        return [
+            replace(event, words=sentence("chain.part_begins")) if isinstance(event, LinkLost) else event for event in events
+        ]
 
     def feed_block(self, block: RecordedBlock) -> list[Event]:
         """Take many recorded reads at once, as if they came one by one."""
@@ -140,7 +131,7 @@ class Chain:
 
     def _started(self) -> Decoder:
         if self.decoder is None:
-            raise RecordingError("bytes stand before the start of a part; the recording is damaged", Reason.DAMAGED)
+            raise RecordingError(sentence("chain.no_part"), Reason.DAMAGED)
         return self.decoder
 
     def _take(self, samples: Samples, utc_ns: int) -> list[Event]:
@@ -221,14 +212,6 @@ class Chain:
     def _flush_decoder(self) -> list[Event]:
         return [] if self.decoder is None else self._take(self.decoder.flush(), self._last_utc_ns)
 
-    def _make_judge(self, protocol: Protocol) -> None:
-        nominal = protocol.nominal
-        scale = RoughScale(nominal.accelerometer_scale, nominal.gyroscope_scale, self.raw_zero(protocol))
-        if self.plan.scheme is None:
-            self.finder = StillIntervalFinder(protocol.units, scale)
-            return
-        self.guide = Guide(scheme(self.plan.scheme), protocol.units, scale=scale, settings=self.plan.guide)
-
     def _on_session_clock(self, samples: Samples, utc_ns: int) -> Samples:
         """Shift the samples of a later part behind those of the parts before, as far as the host's clock says."""
         if self._offset_s is None and self._last_s is not None:
@@ -261,11 +244,10 @@ def recorded_protocol(metadata: Mapping[str, object], session: Session) -> Proto
     # The part goes first: session.toml can be edited, and the bytes are what their part says.
     text = metadata.get("protocol_text") or session.record.protocol.text
     if not isinstance(text, str) or not text:
-        raise RecordingError(f"{session.folder} does not hold the protocol it was recorded with; restore session.toml")
+        raise RecordingError(sentence("chain.no_protocol", folder=session.folder))
     try:
-        return parse_protocol(
-            text, _recorded_settings(metadata) or session.record.setting_values, label=f"protocol of {session.name}"
-        )
+        settings = _recorded_settings(metadata) or session.record.setting_values
+        return parse_protocol(text, settings, label=f"protocol of {session.name}")
     except SettingError as error:
         # Nobody typed it: it stands in the recording.
         raise ProtocolError(error.message, error.reason, **error.values) from error
@@ -282,8 +264,7 @@ def _edited_settings(part: PartStart, session: Session) -> list[str]:
     # With an edited range every sample would have another scale, and nothing in the result would show it.
     recorded = _recorded_settings(part.metadata)
     return [
-        f"session.toml says {name} = {value}, but {part.path.name} was recorded with {recorded[name]}, which is used: what is "
-        "edited there changes nothing"
+        sentence("chain.edited", name=name, value=value, part=part.path.name, recorded=recorded[name])
         for name, value in session.record.setting_values.items()
         if name in recorded and recorded[name] != value
     ]

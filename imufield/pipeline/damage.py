@@ -9,6 +9,9 @@ from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
 from imufield.errors import CalibrationError, Reason, RecordingError
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 NAMED = 2  # Places of damage that one sentence names; a recording with many holes would fill a page.
 _BY_LOSS = (Reason.TOO_FEW, Reason.UNOBSERVABLE)  # What a recording with all its bytes might have been enough for.
@@ -26,31 +29,23 @@ def require_samples(session: Session, statistics: Sequence[DecoderStatistics], d
         return
     # Three causes, each with a remedy of its own: the files are gone, of another instrument, or cut.
     total = sum(part.bytes_total for part in statistics)
-    if not session.parts:
-        why = "its recording, part-001.mcap, is gone; put it back, or record or import again"
-    elif total:
-        bad = sum(part.frames_bad_checksum for part in statistics)
-        why = (
-            f"its {total} bytes are not of the protocol they were recorded with ({bad} frames have a bad checksum)"
-            f"{damage_clause(damage)}; record again with the driver of this instrument"
-        )
-    else:
-        names = ", ".join(path.name for path in session.parts)
-        why = f"all of {names} is lost{damage_clause(damage)}; put a copy in its place, or record or import again"
-    raise RecordingError(
-        f"{session.folder} holds no sample: {why}",
-        Reason.BAD_DATA if total and not damage else Reason.DAMAGED,
+    empty = sentence(
+        "damage.gone" if not session.parts else "damage.foreign" if total else "damage.lost",
         folder=str(session.folder),
         bytes=total,
+        frames_bad_checksum=sum(part.frames_bad_checksum for part in statistics),
+        names=[path.name for path in session.parts],
+        damage=_damage_clause(damage),
     )
+    raise RecordingError(empty, Reason.BAD_DATA if total and not damage else Reason.DAMAGED)
 
 
-def damage_clause(damage: Sequence[Damage]) -> str:
+def _damage_clause(damage: Sequence[Damage]) -> str:
     """Return ", FILE is cut off ..., ..." to be put into a sentence; empty without damage."""
     named = [entry.what.rstrip(".") for entry in damage[:NAMED]]
     if len(damage) > NAMED:
         named.append(f"and {len(damage) - NAMED} more like these")
-    return "".join(f", {sentence}" for sentence in named)
+    return "".join(f", {what}" for what in named)
 
 
 def without_end_under_way(damage: Sequence[Damage], session: Session) -> list[Damage]:
@@ -74,11 +69,11 @@ def naming_damage(session: Session, damage: Sequence[Damage]) -> Iterator[None]:
     except CalibrationError as error:
         if not damage:
             raise
-        clause = damage_clause(damage).removeprefix(", ")
+        said = {"damage": _damage_clause(damage).removeprefix(", "), "error": error.message}
         # A torn end is also what a program leaves that is killed: of its last part in a finished session bytes went later.
         torn = session.parts[-1:] if session.finished else []
         lost = any(not entry.torn_end or entry.path in torn for entry in damage)
         if error.reason in _BY_LOSS and lost:
-            message = f"{session.folder} is damaged, {clause}, and what is left is not enough: {error.message}"
-            raise RecordingError(message, Reason.DAMAGED, **error.values) from error
-        raise CalibrationError(f"{error.message} (and {clause})", error.reason, **error.values) from error
+            not_enough = sentence("damage.not_enough", folder=session.folder, **said)
+            raise RecordingError(not_enough, Reason.DAMAGED, **error.values) from error
+        raise CalibrationError(sentence("damage.beside", **said), error.reason, **error.values) from error

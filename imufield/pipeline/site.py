@@ -7,6 +7,9 @@ from dataclasses import asdict, dataclass, fields, replace
 from imufield.acquire.recording.session_record import SiteRecord
 from imufield.earth import Gravity, choose_gravity
 from imufield.errors import UsageError
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,7 +35,7 @@ class SiteOptions(SiteRecord):
             If a value exists nowhere on Earth, or a height stands alone.
         """
         if self.height_m is not None and not (self.is_known or self.is_default):
-            raise UsageError(f"a height of {self.height_m:g} m alone tells no gravity; give --latitude too, or --gravity")
+            raise UsageError(sentence("site.height_alone", height_m=self.height_m))
         # A value that is typed is as good as its digits; one that follows from a latitude has its own uncertainty.
         site = self.over(recorded or SiteRecord())
         sigma_m_s2 = None if site.gravity_m_s2 is None else site.gravity_sigma_m_s2

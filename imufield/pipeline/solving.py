@@ -5,8 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -22,13 +21,15 @@ from imufield.errors import CalibrationError, ImufieldError, Reason
 from imufield.guide.cross_checks.axes import AxesCheck
 from imufield.guide.events import Event, RefusalCode, Rejected
 from imufield.guide.lead.guide import Guide
+from imufield.guide.refusals import Refusal
 from imufield.pipeline.calibration import FEWEST_POSITIONS, Measured, MoveListener, SolveSettings, calibrate
 from imufield.pipeline.chain import Chain, ReadingPlan, SamplesListener, replay_into
 from imufield.pipeline.damage import naming_damage, without_end_under_way
 from imufield.pipeline.site import SiteOptions
-from imufield.sentences import counted
+from imufield.sentences import Sentences
 
-_HASH_BLOCK_BYTES = 1 << 20  # Bounds the memory, whatever the size of a part.
+sentence = Sentences(__package__)
+
 _BETTER_KNOWN = 3.0  # Factor between sigmas of gravity from which the common scale of a session is another in practice.
 _SHOWN = 6  # Places that a sentence lists.
 _AT_LIMIT = (RefusalCode.SATURATED, RefusalCode.STUCK)
@@ -45,16 +46,9 @@ class Solved:
     """Sentences about the recording that are not about the numbers."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Usable:
-    """What a session holds to be calibrated from."""
-
-    observations: Observations
-    axes: AxesCheck
-    notes: tuple[str, ...]
-    """Sentences beside the numbers."""
-    saturated: str
-    """The sentence for the verdict about what was left out because an axis was clipped; empty where none was."""
+# What a session holds to be calibrated from, its axes, sentences beside the numbers, and the one for the verdict about what was
+# left out because an axis was clipped, empty where none was.
+_Usable = tuple[Observations, AxesCheck, tuple[str, ...], str]
 
 
 def solve_session(
@@ -96,23 +90,23 @@ def solve_session(
     replay_into(chain, session, damage, hear)
     if goes_on:
         damage = without_end_under_way(damage, session)
-        chain.notes.append("This session is still being recorded: solved is what was on disk; solve again when it is over.")
+        chain.notes.append(sentence("solving.goes_on"))
     if on_read is not None:
         on_read()
     with naming_damage(session, damage):
         usable = _unguided(chain) if chain.guide is None else _guided(chain, chain.guide, refusals)
-        if usable.axes.error is not None:
-            raise usable.axes.error
-        where = "are missing in the file" if session.record.kind == "import" else "were lost on the wire"
-        saturated = (usable.saturated,) if usable.saturated else ()
-        reasons = (usable.axes.words, *saturated, *chain.notes, *_loss_sentences(chain, damage, where))
+        observations, axes, notes, saturated = usable
+        if axes.error is not None:
+            raise axes.error
+        lost = _loss_sentences(chain, damage, is_import=session.record.kind == "import")
+        reasons = (axes.words, *filter(None, (saturated,)), *chain.notes, *lost)
         rates = [statistics.rate_hz for statistics in chain.statistics if statistics.rate_hz]
         true_rate_hz = float(np.median(rates)) if rates else math.nan
         rests = chain.turn_rests()
-        between = moves.between(usable.observations, rests)
+        between = moves.between(observations, rests)
         protocol = chain.protocol
         measured = Measured(
-            observations=usable.observations,
+            observations=observations,
             gravity=(site or SiteOptions()).gravity(session.record.site),
             context=Context(
                 instrument=InstrumentFacts(**asdict(session.record.instrument)),
@@ -125,8 +119,14 @@ def solve_session(
             gyroscope_scale=None if protocol is None else protocol.nominal.gyroscope_scale,
             reasons=reasons,
         )
-        with _naming_saturation(usable.saturated):
-            return Solved(calibrate(measured, settings), usable.notes)
+        try:
+            return Solved(calibrate(measured, settings), notes)
+        except CalibrationError as error:
+            if not saturated:
+                raise
+            # Clipped outputs are the cause where what is left cannot be calibrated from.
+            why = sentence("solving.rest", saturated=saturated.removesuffix("."), error=error.message)
+            raise CalibrationError(why, Reason.SATURATED, **error.values) from error
 
 
 def solve_observations(path: Path, settings: SolveSettings, site: SiteOptions) -> Solved:
@@ -137,50 +137,31 @@ def solve_observations(path: Path, settings: SolveSettings, site: SiteOptions) -
     return Solved(calibrate(measured, settings), ())
 
 
-@contextmanager
-def _naming_saturation(saturated: str) -> Iterator[None]:
-    """Name clipped outputs as the cause where what is left of a session cannot be calibrated from."""
-    try:
-        yield
-    except CalibrationError as error:
-        if not saturated:
-            raise
-        raise CalibrationError(
-            f"{saturated.removesuffix('.')}, and what is left is not enough: {error.message}",
-            Reason.SATURATED,
-            **error.values,
-        ) from error
-
-
 def _guided(chain: Chain, guide: Guide, refusals: list[Rejected]) -> _Usable:
     """Return the accepted positions of a guided session."""
     observations = chain.observations()
     spoilt = [event for event in refusals if event.position or event.reason in _SPOIL_DATA]
-    _check_count(len(observations), [(event.reason, event.words, event.remedy) for event in spoilt])
+    _check_count(len(observations), spoilt)
     missing = guide.plan.missing()
     # A position that was taken again lacks nothing.
     clipped = [
         event for event in refusals if event.reason in _AT_LIMIT and missing and (event.position or missing[0]) in missing
     ]
-    return _Usable(
-        observations=observations,
-        axes=guide.check_axes(),
-        notes=_missing_sentences(guide, refusals),
-        saturated=_saturation_sentence([(event.time_s, event.words) for event in clipped]),
-    )
+    saturated = _saturation_sentence([(event.time_s, event.words) for event in clipped])
+    return observations, guide.check_axes(), _missing_sentences(guide, refusals), saturated
 
 
 def _unguided(chain: Chain) -> _Usable:
     """Return the still intervals of a session that nobody guided."""
     found = chain.still_intervals()
-    _check_count(len(found.observations), [(refusal.reason, refusal.words, refusal.remedy) for _, refusal in found.refused])
+    _check_count(len(found.observations), [refusal for _, refusal in found.refused])
     clipped = [(start_s, refusal.words) for start_s, refusal in found.refused if refusal.reason in _AT_LIMIT]
     notes = tuple(
-        f"The still interval at {start_s:.1f} s is left out: {refusal.words}."
+        sentence("solving.left_out", start_s=start_s, words=refusal.words)
         for start_s, refusal in found.refused
         if refusal.reason not in _AT_LIMIT
     )
-    return _Usable(observations=found.observations, axes=found.axes, notes=notes, saturated=_saturation_sentence(clipped))
+    return found.observations, found.axes, notes, _saturation_sentence(clipped)
 
 
 def _saturation_sentence(clipped: list[tuple[float, str]]) -> str:
@@ -188,10 +169,10 @@ def _saturation_sentence(clipped: list[tuple[float, str]]) -> str:
     if not clipped:
         return ""
     shown = ", ".join(f"at {time_s:.1f} s" for time_s, _ in clipped[:_SHOWN]) + (" and others" if len(clipped) > _SHOWN else "")
-    return f"{counted(len(clipped), 'still interval')} left out because of saturation ({shown}): {clipped[-1][1]}."
+    return sentence("solving.clipped", count=len(clipped), shown=shown, words=clipped[-1][1])
 
 
-def _check_count(count: int, refusals: list[tuple[RefusalCode, str, str]]) -> None:
+def _check_count(count: int, refusals: Sequence[Rejected | Refusal]) -> None:
     """Say what stood in the way where holds were refused and too few are left; without refusals the solver says it.
 
     Raises
@@ -201,18 +182,19 @@ def _check_count(count: int, refusals: list[tuple[RefusalCode, str, str]]) -> No
     """
     if count >= FEWEST_POSITIONS or not refusals:
         return
-    (code, _), *_ = Counter(code for code, _, _ in refusals).most_common(1)
-    words, remedy = next((words, remedy) for its_code, words, remedy in reversed(refusals) if its_code is code)
-    at_its_end = code in _AT_LIMIT
-    raise CalibrationError(
-        f"{counted(count, 'position')} {'is' if count == 1 else 'are'} left, scale and bias need {FEWEST_POSITIONS}, because "
-        f"{len(refusals)} {'was' if len(refusals) == 1 else 'were'} refused, mostly as "
-        f"this one: {words}; {remedy}",
-        Reason.SATURATED if at_its_end else Reason.TOO_FEW,
+    ((code, _),) = Counter(refusal.reason for refusal in refusals).most_common(1)
+    last = next(refusal for refusal in reversed(refusals) if refusal.reason is code)
+    too_few = sentence(
+        "solving.too_few",
         positions=count,
+        are="is" if count == 1 else "are",
         limit=FEWEST_POSITIONS,
         refused=len(refusals),
+        were="was" if len(refusals) == 1 else "were",
+        words=last.words,
+        remedy=last.remedy,
     )
+    raise CalibrationError(too_few, Reason.SATURATED if code in _AT_LIMIT else Reason.TOO_FEW)
 
 
 def _missing_sentences(guide: Guide, refusals: list[Rejected]) -> tuple[str, ...]:
@@ -222,19 +204,21 @@ def _missing_sentences(guide: Guide, refusals: list[Rejected]) -> tuple[str, ...
     if not missing:
         return ()
     why = {event.position: event.words for event in refusals if event.position in missing}
-    sentences = [f"{len(missing)} of {len(plan.scheme)} planned positions are not measured: {', '.join(missing)}."]
-    return (*sentences, *(f"A hold at {position} was refused: {words}." for position, words in why.items()))
+    unmeasured = sentence("solving.missing", count=len(missing), planned=len(plan.scheme), missing=missing)
+    refused = (sentence("solving.refused_at", position=position, words=words) for position, words in why.items())
+    return (unmeasured, *refused)
 
 
-def _loss_sentences(chain: Chain, damage: list[Damage], where: str) -> tuple[str, ...]:
+def _loss_sentences(chain: Chain, damage: list[Damage], *, is_import: bool) -> tuple[str, ...]:
     sentences = [part.what for part in damage]
     lost = sum(statistics.samples_lost for statistics in chain.statistics)
     estimated = sum(statistics.losses_estimated for statistics in chain.statistics)
     total = sum(statistics.samples for statistics in chain.statistics)
     if lost:
-        sentences.append(f"{lost} of {total + lost} samples {where}.")
+        key = "solving.missing_in_file" if is_import else "solving.lost_on_wire"
+        sentences.append(sentence(key, lost=lost, total=total + lost))
     if estimated:
-        sentences.append(f"About {estimated} more were lost in longer gaps, by the clock of the host.")
+        sentences.append(sentence("solving.estimated", estimated=estimated))
     return tuple(sentences)
 
 
@@ -249,8 +233,7 @@ def better_gravity(path: Path, now: Gravity) -> tuple[str, ...]:
     again = f"--gravity {before.gravity_m_s2:.6g}"
     if before.source == "normal" and before.latitude_deg is not None:
         again = f"--latitude {before.latitude_deg:g} --height {before.height_m or 0:g}"
-    known = f"that file had gravity to {before.sigma_m_s2:.2g} m/s^2, this one has it to {now.sigma_m_s2:.2g} m/s^2"
-    return (f"{known}: to solve as it was, add {again}",)
+    return (sentence("solving.better_gravity", before_m_s2=before.sigma_m_s2, now_m_s2=now.sigma_m_s2, again=again),)
 
 
 def session_sha256(session: Session) -> str:
@@ -262,6 +245,5 @@ def _sha256(paths: list[Path]) -> str:
     digest = hashlib.sha256()
     for path in paths:
         with path.open("rb") as file:
-            while block := file.read(_HASH_BLOCK_BYTES):
-                digest.update(block)
+            hashlib.file_digest(file, lambda: digest)
     return digest.hexdigest()

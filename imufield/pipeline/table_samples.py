@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import stat
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from imufield.acquire.decoder import Decoder
@@ -13,6 +12,9 @@ from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.samples import Samples
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 
 def table_samples(path: Path, rate_hz: float | None = None) -> Iterator[Samples]:
@@ -22,22 +24,19 @@ def table_samples(path: Path, rate_hz: float | None = None) -> Iterator[Samples]
     # The way of an import, through rows and the decoder: a table gives the same numbers imported or not.
     for table in stream_table(path, rate_hz=rate_hz):
         decoder = decoder or Decoder(load_protocol(ROWS_PROTOCOL, table.settings))
-        chunks = _Chunks([])
+        chunks = _Chunks()
         write_rows(chunks, table.rows, table.status, table.counter)
-        for chunk in chunks.written:
+        for chunk in chunks:
             yield decoder.feed(chunk.data, chunk.monotonic_s)
     if decoder is not None:
         yield decoder.flush()
 
 
-@dataclass(frozen=True, slots=True)
-class _Chunks:
+class _Chunks(list[Chunk]):
     """What rows are written to where no recording is wanted."""
 
-    written: list[Chunk]
-
     def write_chunk(self, chunk: Chunk, /) -> None:
-        self.written.append(chunk)
+        self.append(chunk)
 
 
 def refuse_endless(paths: Sequence[Path]) -> None:
@@ -54,10 +53,9 @@ def refuse_endless(paths: Sequence[Path]) -> None:
         except FileNotFoundError:
             continue  # said by what reads it
         except OSError as error:
-            raise RecordingError(f"{path} cannot be read ({error.strerror}): check its name", Reason.NOT_A_RECORDING) from error
+            unreadable = sentence("table_samples.unreadable", path=path, cause=error.strerror)
+            raise RecordingError(unreadable, Reason.NOT_A_RECORDING) from error
         if stat.S_ISCHR(mode) or stat.S_ISBLK(mode):
-            raise UsageError(f"{path} is a device, which has no end: record from it with --port, and import files")
+            raise UsageError(sentence("table_samples.device", path=path))
         if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-            raise UsageError(
-                f"{path} is a pipe or socket, which can be read only once: write its content to a file and import that"
-            )
+            raise UsageError(sentence("table_samples.pipe", path=path))

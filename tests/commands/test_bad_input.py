@@ -74,7 +74,7 @@ TYPED = [
     Case("unknown model", "solve whole --model cubic", USAGE, ("cubic", "linear, quadratic")),
     Case("preset gauge without preset", "solve whole --gauge preset", USAGE, ("--preset",)),
     Case("foreign preset", "solve whole --preset notes.txt", PARAMETER_FILE, ("notes.txt",)),
-    Case("output nowhere", "solve whole -o none/p.toml", PARAMETER_FILE, ("none/p.toml",)),
+    Case("output nowhere", "solve whole -o none/p.toml", PARAMETER_FILE, ("none/p.toml", "--output")),
     Case("output is a folder", "solve whole -o folder", PARAMETER_FILE, ("folder",)),
     Case("zero of two numbers", "solve whole --zero 1,2", USAGE, ("1,2",)),
     Case("session and means", "solve whole --observations means.csv", USAGE, ("--observations",)),
@@ -309,7 +309,7 @@ def test_interrupted(program: Program, command: str, number: signal.Signals) -> 
     process.send_signal(number)
     output, error = process.communicate(timeout=900)
     assert process.returncode == INTERRUPTED
-    assert one_sentence(error) == f"{_interrupted_words([command])}."
+    assert one_sentence(error) == f"{_interrupted_words([command], KeyboardInterrupt())}."
     session = only_session(program.folder)
     assert bytes_on_disk(session) > 125 * 38
     assert session.finished == (command == "record")

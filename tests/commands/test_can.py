@@ -29,6 +29,7 @@ from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.recording.session import Session
 from imufield.acquire.registry import load_driver
 from imufield.cli.run import run
+from imufield.errors import Reason
 from imufield.guide.positions import scheme
 from imufield.pipeline.chain import session_samples
 from imufield.samples import Status, concatenate
@@ -37,6 +38,7 @@ from imufield.simulate.emulator.core import EmulatorSettings
 from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
 from imufield.simulate.emulator.faults import CanFaults
 from imufield.simulate.truth.operator import OperatorSettings
+from tests.commands.told import fails, says
 
 if TYPE_CHECKING:
     from tests.commands.conftest import Program
@@ -393,18 +395,14 @@ def test_frames_that_come_in_bursts_are_understood_however_uneven() -> None:
     assert listener.decoder.statistics.samples >= FEWEST_SAMPLES
 
 
-def test_a_typed_bus_goes_before_a_port_by_default(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_typed_bus_goes_before_a_port_by_default(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (folder / "imufield.toml").write_text('port = "/dev/ttyUSB0"\n[mapping]\n"accelerometer.x" = "A"\n', encoding="utf-8")
-    assert in_this_process(*RECORD, "--bus", "virtual:nobody", "--driver", "aceinna_can") == 2
-    assert "--map names signals" in capsys.readouterr().err
+    fails([*map(str, RECORD), "--bus", "virtual:nobody", "--driver", "aceinna_can"], 2, Reason.USAGE, "--map")
     (folder / "imufield.toml").write_text('port = "/dev/ttyUSB0"\n', encoding="utf-8")
-    assert in_this_process(*RECORD, "--bus", "virtual:nobody", "--driver", "aceinna_can") == 3
-    assert "virtual:nobody is silent" in capsys.readouterr().err
+    fails([*map(str, RECORD), "--bus", "virtual:nobody", "--driver", "aceinna_can"], 3, Reason.SILENCE, "virtual:nobody")
     monkeypatch.setenv("IMUFIELD_BUS", "virtual:other")
-    assert in_this_process(*RECORD, "--port", "/dev/nowhere", "--driver", "stim300") == 3
-    assert "/dev/nowhere does not exist" in capsys.readouterr().err
+    gone = [*map(str, RECORD), "--port", "/dev/nowhere", "--driver", "stim300"]
+    fails(gone, 3, Reason.PORT_NOT_FOUND, "/dev/nowhere")
 
 
 def test_probe_of_a_bus_says_who_is_there_and_how_to_read_it(capsys: pytest.CaptureFixture[str]) -> None:
@@ -418,6 +416,6 @@ def test_probe_of_a_bus_says_who_is_there_and_how_to_read_it(capsys: pytest.Capt
     assert told["found"]["samples"] >= 20
     said = capsys.readouterr()
     assert command in said.out
-    assert "nothing is sent" in said.err
+    assert says(said.err, "commands", "probe.listening", places=["virtual:probed"], limit_s=5)
     assert in_this_process("probe", "--bus", "virtual:nobody-probed") == 3
     assert in_this_process("probe", "--bus", "virtual:probed", "--port", "/dev/ttyUSB0") == 2

@@ -20,13 +20,15 @@ from imufield.acquire.recording.session import Session
 from imufield.acquire.registry import load_driver
 from imufield.cli.run import run
 from imufield.commands import import_files
-from imufield.commands.options.acquire import ImportOptions
+from imufield.commands.options.commands import ImportOptions
 from imufield.deliver.samples.export_data import export_samples
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.pipeline.chain import Chain, ReadingPlan, replay_into, session_samples
 from imufield.pipeline.table_samples import table_samples
 from imufield.samples import NO_COUNTER, Samples, Status, concatenate, make_samples
 from imufield.simulate.wire.can_frames import CanEncoder
+from tests.commands.told import fails
+from tests.refused import refused
 
 N = 500
 DBC = """VERSION ""
@@ -127,16 +129,16 @@ def test_a_log_with_a_dbc_and_a_mapping(tmp_path: Path, capsys: pytest.CaptureFi
     assert f"is cut: {len(content) - 30} of {len(content)} bytes" in capsys.readouterr().err
     assert typed("import", path, "--driver", "aceinna_can", "-o", tmp_path / "other") == 4
     assert re.search(r"drive.blf: 4\d\d frames hold no sample of j1939_imu \(other: 4\d\d\)", capsys.readouterr().err)
-    assert typed("import", path, "-o", tmp_path / "other") == 2
-    assert "is a log of a CAN bus; say what is on it" in capsys.readouterr().err
-    assert typed("import", path, "--map", MAP[0], "-o", tmp_path / "other") == 2
+    unknown = ["import", str(path), "-o", str(tmp_path / "other")]
+    fails(unknown, 2, Reason.USAGE, str(path), key="import_files.unknown_can_log")
+    fails([*unknown, "--map", MAP[0]], 2, Reason.USAGE, "--dbc", key="import_files.map_without_dbc")
     assert not (tmp_path / "other").exists()
 
 
 @pytest.mark.parametrize("name", ["", "part-001.mcap", "session.toml"])
 def test_our_own_recording_needs_no_import(tmp_path: Path, name: str) -> None:
     folder = Path(__file__).parents[2] / "fixtures" / "stim300-six-faces"
-    with pytest.raises(UsageError, match=f"imufield solve .*{folder.name}` takes it as it is"):
+    with refused(UsageError, Reason.USAGE, f"{folder.name}`", key="import_files.own"):
         import_files.import_session(ImportOptions(files=[folder / name], output=tmp_path / "session"))
     assert not (tmp_path / "session").exists()
 
@@ -166,8 +168,8 @@ def test_matlab_and_every_export_again(tmp_path: Path, capsys: pytest.CaptureFix
         np.testing.assert_array_equal(imported(again).accelerometer, force)
         np.testing.assert_array_equal(imported(again).gyroscope, rate)
         capsys.readouterr()
-    assert typed("export-data", tmp_path / "mine", "--to", "ros1") == 2
-    assert "choose one of csv: text" in capsys.readouterr().err
+    wrong = ["export-data", str(tmp_path / "mine"), "--to", "ros1"]
+    fails(wrong, 2, Reason.USAGE, "'ros1'", "csv: text", key="export_data.unknown_format")
 
 
 @pytest.mark.parametrize("suffix", HEADS)
@@ -296,21 +298,20 @@ def test_an_import_is_replaced_when_asked_and_nothing_else_is(tmp_path: Path, ca
         return float(concatenate(list(session_samples(Session.open(here), []))).accelerometer[:, 2].mean())
 
     assert imported("a.csv", "--replace") == 0
-    assert imported("b.csv") == 4
-    assert "--replace" in capsys.readouterr().err
+    once_more = ["import", str(tmp_path / "b.csv"), "-o", str(here)]
+    fails(once_more, 4, Reason.UNFINISHED, "--replace", key="import_files.exists")
     assert imported("nowhere.csv", "--replace") == 4
     assert level() == pytest.approx(9.8, rel=1e-3)
     assert imported("b.csv", "--replace") == 0
     assert level() == pytest.approx(19.6, rel=1e-3)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.csv", "b.csv", "here"]
     (here / "parameters.toml").touch()
-    assert imported("a.csv", "--replace") == 2
-    assert "holds parameters.toml besides the import" in capsys.readouterr().err
+    again = ["import", str(tmp_path / "a.csv"), "-o", str(here), "--replace"]
+    fails(again, 2, Reason.USAGE, "parameters.toml", key="import_files.holds_more")
     (here / "parameters.toml").unlink()
     Session.open(here).update(kind="capture")
-    assert imported("a.csv", "--replace") == 2
-    assert "for imports alone" in capsys.readouterr().err
-    assert run(["import", str(tmp_path / "a.csv"), "--replace"]) == 2
+    fails(again, 2, Reason.USAGE, "capture", key="import_files.no_import")
+    fails(["import", str(tmp_path / "a.csv"), "--replace"], 2, Reason.USAGE, "--output", key="import_files.replace_what")
 
 
 def gappy(n: int = 3000) -> Samples:
@@ -374,7 +375,7 @@ def test_a_pipe_is_refused(tmp_path: Path, name: str) -> None:
     for arguments in ((), ("--protocol", "rows_f64")):
         assert typed("import", tmp_path / name, *arguments, "-o", tmp_path / "s") == 2
     assert not (tmp_path / "s").exists()
-    with pytest.raises(UsageError, match="is a pipe or socket"):
+    with refused(UsageError, Reason.USAGE, name, key="table_samples.pipe"):
         next(table_samples(tmp_path / name))
 
 

@@ -12,8 +12,8 @@ import tomli_w
 
 from imufield.acquire.recording.session_record import SiteRecord
 from imufield.cli.run import run
-from imufield.commands.options.deliver import VerifyOptions
-from imufield.commands.verify import _task
+from imufield.commands.options.commands import VerifyOptions
+from imufield.commands.verify import _Task
 from imufield.errors import Reason
 from imufield.pipeline.site import SiteOptions
 from tests.commands.told import fails, missing
@@ -92,7 +92,7 @@ def test_a_default_goes_before_gravity_that_was_assumed(session: Path) -> None:
     without_site(session)
     assert solved(session)["site"]["gravity_source"] == "assumed"
     site = SiteOptions(latitude_deg=60.0, height_m=0.0, is_default=True)
-    task = _task(VerifyOptions(parameters=session.parent / "solved.toml", session=session, site=site))
+    task = _Task(VerifyOptions(parameters=session.parent / "solved.toml", session=session, site=site))
     assert (task.gravity.source, task.latitude_deg, task.gravity.height_m) == ("normal", 60.0, 0.0)
 
 
@@ -102,7 +102,7 @@ def test_what_was_typed_to_solve_a_session_without_a_site_goes_before_a_default(
     assert (site["gravity_source"], site["latitude_deg"], site["height_m"]) == ("normal", 10.0, 300.0)
     parameters = session.parent / "solved.toml"
     for options in (SiteOptions(), SiteOptions(latitude_deg=60.0, height_m=0.0, is_default=True)):
-        task = _task(VerifyOptions(parameters=parameters, session=session, site=options))
+        task = _Task(VerifyOptions(parameters=parameters, session=session, site=options))
         assert task.latitude_deg == 10.0
         assert task.gravity.height_m == 300.0
         assert task.gravity.gravity_m_s2 == site["gravity_m_s2"]

@@ -17,7 +17,7 @@ import pytest
 
 import imufield
 from imufield.cli.run import run
-from imufield.commands.options.calibrate import SolveOptions
+from imufield.commands.options.commands import SolveOptions
 from imufield.commands.solve import run_solve_many
 from imufield.deliver.parameters.file import load
 from imufield.errors import Reason, UsageError

@@ -15,12 +15,15 @@ from imufield.acquire.link.host_clock import SystemClock
 from imufield.acquire.recording.session import Session
 from imufield.cli.run import _interrupted_words, run
 from imufield.commands.terminal.guided import Captured, farewell
+from imufield.commands.terminal.output import NothingRecorded
 from imufield.deliver.exports import export_parameters
 from imufield.deliver.parameters.file import Parameters
-from imufield.errors import ParameterFileError
+from imufield.errors import ParameterFileError, Reason
 from imufield.guide.events import LinkLost
 from imufield.pipeline.chain import Chain, ReadingPlan, replay_into
 from imufield.samples import Samples, Status
+from imufield.sentences import Sentences
+from tests.commands.told import fails
 
 
 def starting_up(samples: Samples) -> Samples:
@@ -72,29 +75,21 @@ def test_an_export_asks_for_all_that_is_missing_at_once(solved_session: Path) ->
     assert "--set gyroscope_nominal=NUMBER (count per rad/s)" in caught.value.message
 
 
-def test_an_import_onto_a_session_names_what_it_can_do(
-    solved_session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_import_onto_a_session_names_what_it_can_do(solved_session: Path, tmp_path: Path) -> None:
     (tmp_path / "rows.csv").write_text("ax,ay,az,gx,gy,gz\n" + "0.1,0.2,9.8,0,0,0\n" * 50)
-    assert run(["import", str(tmp_path / "rows.csv"), "--rate-hz", "100", "-o", str(solved_session)]) == 4
-    told = capsys.readouterr().err
-    assert "holds a session already" in told
-    assert "--resume" not in told
+    line = ["import", str(tmp_path / "rows.csv"), "--rate-hz", "100", "-o", str(solved_session)]
+    error = fails(line, 4, Reason.UNFINISHED, str(solved_session), key="import_files.exists")
+    assert "--resume" not in error.message
 
 
 @pytest.mark.parametrize(
-    ("command", "words"),
-    [
-        ("capture", "what was recorded is on disk"),
-        ("solve", "interrupted"),
-        ("emulate", "interrupted"),
-        ("import", "nothing was imported"),
-    ],
+    ("command", "key"),
+    [("capture", "run.recorded"), ("solve", None), ("emulate", None), ("import", "run.nothing_imported")],
 )
-def test_an_interrupt_says_what_is_true(command: str, words: str) -> None:
-    told = _interrupted_words([command, "x"])
-    assert told.endswith(words) or words in told
-    assert ("on disk" in told) == (command == "capture")
+def test_an_interrupt_says_what_is_true(command: str, key: str | None) -> None:
+    assert getattr(_interrupted_words([command, "x"], KeyboardInterrupt()), "key", None) == key
+    nothing = NothingRecorded()
+    assert getattr(_interrupted_words([command, "x"], nothing), "key", None) == "run.nothing_recorded"
 
 
 @pytest.mark.filterwarnings("error")
@@ -145,7 +140,7 @@ def test_a_session_that_goes_on_does_not_speak_of_a_link_that_is_gone(make_sessi
     replay_into(chain, session, [], ended=False)
     assert chain.protocol is not None
     said = [event for event in chain.start_part(chain.protocol) if isinstance(event, LinkLost)]
-    assert [event.words for event in said] == ["the session goes on after a pause; everything measured so far is kept"]
+    assert [event.words for event in said] == [Sentences("imufield.pipeline")("chain.part_begins")]
     assert said[0].accepted == 3
 
 

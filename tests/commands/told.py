@@ -8,6 +8,7 @@ from unittest import mock
 from imufield.cli.app import app
 from imufield.cli.run import run
 from imufield.errors import ImufieldError, Reason
+from imufield.sentences import Sentences
 
 
 def failure(*arguments: object) -> ImufieldError:
@@ -35,6 +36,11 @@ def fails(arguments: str | list[str], code: int, reason: Reason, *facts: str, ke
     assert key is None or getattr(error.message, "key", None) == key, error
     assert not missing(error.message, *facts), error
     return error
+
+
+def says(text: str, room: str, key: str, **values: object) -> bool:
+    """Whether a text holds a sentence of a room ("files" and the like are of ""), however its lines are broken."""
+    return Sentences(f"imufield.{room}".rstrip("."))(key, **values) in " ".join(text.split())
 
 
 def missing(text: str, *facts: object) -> list[str]:

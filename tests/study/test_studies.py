@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imufield.commands.options.calibrate import StudyOptions
+from imufield.commands.options.commands import StudyOptions
 from imufield.errors import Reason, UsageError
 from imufield.study import bsas_bound, bsas_runs, instruments
 from imufield.study.context import StudyContext

@@ -21,6 +21,7 @@ from imufield.acquire.recording.reader import read_session
 from imufield.acquire.recording.session import Session
 from imufield.sentences import Sentences
 from tests.commands.pty_terminal import Terminal
+from tests.commands.told import says
 from tests.torture.captures import (
     SCHEME,
     accepted_on_disk,
@@ -64,8 +65,9 @@ def test_disk_full_again_and_again(program: Program, campaign: Campaign) -> None
             times = number
             break
         assert ended.returncode == RECORDING, ended.stderr
-        assert "free some space" in sentence_of(ended.stderr)
         part = Session.open(folder).parts[-1]
+        full = {"path": part, "cause": os.strerror(errno.EFBIG), "advice": ""}
+        assert says(sentence_of(ended.stderr), "", "files.size_limit", **full)
         assert part.stat().st_size == limit, "what fits on the disk is written"
         accepted = accepted_on_disk(folder)
         assert kept <= set(accepted), f"full disk {number}: a position is gone"
@@ -98,15 +100,19 @@ def test_a_small_file_system(program: Program, small_disk: Path, campaign: Campa
     folder, port = small_disk / "session", show_rounds(program, POSITIONS)
     ended = program.run(*capture_into(program, port, folder, POSITIONS))
     assert ended.returncode == RECORDING, ended.stderr
-    assert "free some space" in sentence_of(ended.stderr)
+    cause = os.strerror(errno.ENOSPC)
+    part = Session.open(folder).parts[-1]
+    assert says(sentence_of(ended.stderr), "", "files.disk_full", path=part, cause=cause, advice="")
     kept = accepted_on_disk(folder)
     assert kept
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
-    for command in (("solve", folder, "--latitude", 48), ("export-data", folder, "-o", small_disk / "samples.csv")):
+    samples, parameters = small_disk / "samples.csv", folder / "parameters.toml"
+    for path, command in ((parameters, ("solve", folder, "--latitude", 48)), (samples, ("export-data", folder, "-o", samples))):
         ended = program.run(*command)
         # On a fast machine the disk is full before there are positions enough.
         assert ended.returncode in (RECORDING, PARAMETERS, TOO_FEW), ended.stderr
-        assert ended.returncode == TOO_FEW or "space" in sentence_of(ended.stderr)
+        said = sentence_of(ended.stderr)
+        assert ended.returncode == TOO_FEW or says(said, "", "files.disk_full", path=path, cause=cause, advice="")
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
     assert [path.name for path in small_disk.iterdir()] == ["session"]
     subprocess.run(["mount", "-o", "remount,size=64m", str(small_disk)], check=True)

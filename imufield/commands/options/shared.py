@@ -15,10 +15,13 @@ import typer
 
 from imufield.commands.configuration import parse_settings
 from imufield.errors import UsageError
+from imufield.sentences import Sentences
 
 if TYPE_CHECKING:
     from imufield.acquire.instrument.connected import ConnectOptions
     from imufield.pipeline.site import SiteOptions
+
+sentence = Sentences(__package__)
 
 LARGEST_SEED = 2**63 - 1
 """What a parameter file can hold."""
@@ -45,16 +48,18 @@ class Group:
     """
 
     arguments: type
-    build: Callable[[Any, frozenset[str]], object] = lambda arguments, _typed: arguments
+    build: Callable[[Any, frozenset[str]], object]
 
 
-def option(*names: str, low: float | None = None, high: float = math.inf, **more: Any) -> Any:
-    """Return ``typer.Option``; the value of a number is checked against its limits.
+def option(
+    *names: str, low: float | None = None, high: float = math.inf, check: Callable[[Any], Any] | None = None, **more: Any
+) -> Any:
+    """Return ``typer.Option``; the value of a number is checked against its limits, another by ``check``, which returns it.
 
     The limits of typer itself are printed in every help, where those of a seed leave no room for words.
     """
     # Files are opened by the commands, which say what is wrong with one and how to go on.
-    return typer.Option(*names, callback=None if low is None else _within(low, high), readable=False, **more)
+    return typer.Option(*names, callback=check if low is None else _within(low, high), readable=False, **more)
 
 
 def argument(**more: Any) -> Any:
@@ -66,8 +71,8 @@ def _within(low: float, high: float) -> Callable[[Any], Any]:
     def check(value: Any) -> Any:
         # Written so that NaN is outside.
         if value is not None and not low <= value <= high:
-            limits = f"between {low} and {high}" if high < math.inf else f"{low} or more"
-            raise typer.BadParameter(f"{value!r} is out of range, it must be {limits}")
+            key = "shared.between" if high < math.inf else "shared.at_least"
+            raise typer.BadParameter(sentence(key, value=value, low=low, high=high))
         return value
 
     return check
@@ -83,7 +88,7 @@ class TypedNumber(float):
         try:
             number = super().__new__(cls, str(text))
         except ValueError as error:
-            raise typer.BadParameter(f"{text!r} is not a number; write it with a decimal point, e.g. 9.80665") from error
+            raise typer.BadParameter(sentence("shared.no_number", text=text)) from error
         number.text = str(text)
         return number
 
@@ -184,7 +189,7 @@ def _connect_options(given: PortOrBus | Connection, typed: frozenset[str]) -> "C
     if port is not None and bus is not None:
         # Both typed, or both from file and variables: nothing says which of them is meant.
         if ("port" in typed) == ("bus" in typed):
-            raise UsageError(f"--port {port} and --bus {bus} contradict each other; give one of them")
+            raise UsageError(sentence("shared.port_and_bus", port=port, bus=bus))
         port, bus = (port, None) if "port" in typed else (None, bus)
     # The fields have the names of those they are handed to; what a probe does not ask for keeps its default.
     values: dict[str, Any] = {entry.name: getattr(given, entry.name) for entry in fields(given)}

@@ -6,7 +6,7 @@ import shlex
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,13 +17,12 @@ from imufield.acquire.instrument.connected import Connected
 from imufield.acquire.link.background import PatientLink
 from imufield.acquire.link.host_clock import HostClock, ScaledClock
 from imufield.acquire.link.serial import Chunk
-from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import Session, create_session
 from imufield.acquire.recording.session_record import GuideRecord
-from imufield.commands.options.acquire import CaptureOptions, ViewName
+from imufield.commands.options.commands import CaptureOptions, ViewName
 from imufield.commands.terminal.output import say
-from imufield.commands.terminal.views import LinkState, LiveStatus, View, make_view
+from imufield.commands.terminal.views import View, make_view
 from imufield.deliver.parameters.file import load
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import ImufieldError, RecordingError, UsageError
@@ -32,9 +31,12 @@ from imufield.guide.events import Advice, Event, Topic
 from imufield.guide.positions import SCHEMES, scheme
 from imufield.guide.view.plain import known_words, words
 from imufield.guide.view.terminal import Keyboard
-from imufield.pipeline.calibration import FEWEST_POSITIONS
+from imufield.pipeline.calibration import FEWEST_POSITIONS, one_of
 from imufield.pipeline.chain import MARK, REVISIT_FROM, ROTATIONS, SCHEME_FILE, Chain, ReadingPlan, part_metadata, replay_into
 from imufield.pipeline.site import SiteOptions
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 DEFAULT_SCHEME = "paper24"  # What the README promises: 24 positions, hand-held.
 SILENCE_S = 2.0
@@ -74,8 +76,7 @@ def guide_record(options: CaptureOptions) -> GuideRecord:
     ParameterFileError
         If the preset cannot be read.
     """
-    if options.rotations is not None and options.rotations not in ROTATIONS:
-        raise UsageError(f"--rotations {options.rotations!r} is unknown; choose one of {', '.join(ROTATIONS)}")
+    rotations = None if options.rotations is None else ROTATIONS[one_of("rotations", options.rotations, tuple(ROTATIONS))]
     scale, sigma = None, None
     if options.preset is not None:
         # The common scale of the earlier calibration: what a wrong gravity shows against.
@@ -87,7 +88,7 @@ def guide_record(options: CaptureOptions) -> GuideRecord:
         hold_s=options.hold_s,
         target_bias_ug=options.target_bias_ug,
         target_scale_ppm=options.target_scale_ppm,
-        rotations=None if options.rotations is None else ROTATIONS[options.rotations],
+        rotations=rotations,
         earlier_scale_raw=scale,
         earlier_scale_sigma=sigma if sigma is not None and sigma > 0 else None,
     )
@@ -111,7 +112,7 @@ def new_session(options: CaptureOptions, connected: Connected, site: SiteOptions
         try:
             positions = read_small_file(name)
         except OSError as error:
-            raise UsageError(f"{name} cannot be read ({error.strerror}); check the name", path=name) from error
+            raise UsageError(sentence("guided.no_positions", path=name, cause=error.strerror)) from error
     guide = replace(guide_record(options), revisit_first=True if len(scheme(name)) >= REVISIT_FROM else None)
     metadata = {
         **connected.session_tables(),
@@ -129,9 +130,26 @@ def new_session(options: CaptureOptions, connected: Connected, site: SiteOptions
 
 def guided_session(session: Session, connected: Connected, clock: HostClock, options: CaptureOptions) -> Captured:
     """Run the loop and say what there is and how to go on, also where it is broken off; the reason is passed on."""
+    chain = Chain(ReadingPlan.of(session))
+    # Of a session that goes on, so that the guide knows again what it knew; of a new one there is nothing.
+    replay_into(chain, session, [], ended=False)
+    metadata = part_metadata(connected.protocol, connected.session_tables())
     loop = None
     try:
-        with open_loop(session, connected, clock, options) as loop:
+        with ExitStack() as stack:
+            recorder = stack.enter_context(Recorder(session.add_part(), metadata, clock=clock))
+            keyboard = stack.enter_context(Keyboard())
+            positions = scheme(chain.plan.scheme or DEFAULT_SCHEME)
+            view = stack.enter_context(make_view(options, session.folder, positions, chain.origin_s))
+            loop = CaptureLoop(
+                session=session,
+                connected=connected,
+                chain=chain,
+                recorder=recorder,
+                view=view,
+                keyboard=keyboard,
+                clock=clock,
+            )
             captured = loop.run()
     except (KeyboardInterrupt, ImufieldError):
         if loop is not None:
@@ -141,47 +159,22 @@ def guided_session(session: Session, connected: Connected, clock: HostClock, opt
     return captured
 
 
-@contextmanager
-def open_loop(session: Session, connected: Connected, clock: HostClock, options: CaptureOptions) -> Iterator[CaptureLoop]:
-    """Open recorder, view and keyboard, and close them whatever happens."""
-    chain = Chain(ReadingPlan.of(session))
-    damage: list[Damage] = []
-    # Of a session that goes on, so that the guide knows again what it knew; of a new one there is nothing.
-    replay_into(chain, session, damage, ended=False)
-    metadata = part_metadata(connected.protocol, connected.session_tables())
-    with ExitStack() as stack:
-        recorder = stack.enter_context(Recorder(session.add_part(), metadata, clock=clock))
-        keyboard = stack.enter_context(Keyboard())
-        positions = scheme(chain.plan.scheme or DEFAULT_SCHEME)
-        view_of = make_view(options.view, session.folder, positions, options.view_options, origin_s=chain.origin_s)
-        view = stack.enter_context(view_of)
-        yield CaptureLoop(session, connected, chain, recorder, view=view, keyboard=keyboard, clock=clock)
-
-
+@dataclass(kw_only=True)
 class CaptureLoop:
     """One run of a session: chunks to the disk first, then through the chain, events to the view."""
 
-    def __init__(
-        self,
-        session: Session,
-        connected: Connected,
-        chain: Chain,
-        recorder: Recorder,
-        *,
-        view: View,
-        keyboard: Keyboard,
-        clock: HostClock,
-    ) -> None:
-        self.session = session
-        self.connected = connected
-        self.chain = chain
-        self.recorder = recorder
-        self.view = view
-        self.keyboard = keyboard
-        self.clock = clock
-        self._last_byte_s = clock.monotonic_s()
+    session: Session
+    connected: Connected
+    chain: Chain
+    recorder: Recorder
+    view: View
+    keyboard: Keyboard
+    clock: HostClock
+
+    def __post_init__(self) -> None:
+        self._last_byte_s = self.clock.monotonic_s()
         self._last_refresh_s = float("-inf")
-        self._link = PatientLink(connected.link, clock)  # When to try the port again; None while it is there.
+        self._link = PatientLink(self.connected.link, self.clock)  # When to try the port again; None while it is there.
         self._finish_until_s = float("-inf")  # Until then the key that finishes is believed.
         self._advice: dict[Topic, Advice] = {}  # The newest of those that are for the end.
 
@@ -231,8 +224,7 @@ class CaptureLoop:
         """Say how well the parameters are known, and what was advised at the end."""
         known = None if self.chain.guide is None else self.chain.guide.snapshot().forecast
         if known is not None:
-            bias, scale = known_words(known, "bias_ug"), known_words(known, "scale_ppm")
-            yield f"known to (1 sigma): bias {bias}, scale {scale}; solve tells more"
+            yield sentence("guided.known", bias=known_words(known, "bias_ug"), scale=known_words(known, "scale_ppm"))
         yield from (words(advice) for advice in self._advice.values())
 
     @property
@@ -295,10 +287,9 @@ class CaptureLoop:
         if now_s - self._last_refresh_s < REFRESH_EVERY_S or self.chain.guide is None:
             return
         self._last_refresh_s = now_s
-        silent_s = now_s - self._last_byte_s
-        state: LinkState = "lost" if self._link.lost is not None else "silent" if silent_s > SILENCE_S else "ok"
+        silent = self._link.lost is None and now_s - self._last_byte_s > SILENCE_S
         lost = sum(part.lost for part in self.chain.statistics)
-        self.view.refresh(LiveStatus(self.chain.guide.snapshot(), self.connected.link.name, state, lost))
+        self.view.refresh(self.chain.guide.snapshot(), self.connected.link.name, silent=silent, samples_lost=lost)
 
 
 def farewell(captured: Captured, view: ViewName, clock: HostClock) -> None:

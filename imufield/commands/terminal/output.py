@@ -1,4 +1,4 @@
-"""What a command gives away: files beside the parameter file (pages, tables, plots), and sentences for a person."""
+"""What a command gives away: files beside the parameter file, sentences for a person, and the clock that is told of."""
 
 from __future__ import annotations
 
@@ -11,8 +11,12 @@ from pathlib import Path
 
 import typer
 
+from imufield.acquire.link.host_clock import HostClock, ScaledClock, SystemClock
 from imufield.errors import UsageError
 from imufield.files import refuse_overwriting, typed_write_errors, write_atomically
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 _HEAD_BYTES = 512  # The mark stands in the first lines of every file of ours.
 
@@ -48,7 +52,7 @@ def write_output(path: Path, data: bytes) -> None:
         write_atomically(path, data)
 
 
-def replace_only(path: Path, mark: str, what: str) -> None:
+def replace_only(path: Path, mark: str, option: str, what: str) -> None:
     """Let an output go over nothing but an earlier one of its own kind.
 
     Parameters
@@ -57,8 +61,8 @@ def replace_only(path: Path, mark: str, what: str) -> None:
         It need not exist.
     mark : str
         What stands at the beginning of such a file.
-    what : str
-        Option and kind for the sentence, e.g. "--truth t.toml holds something else than the truth of an emulation".
+    option, what : str
+        For the sentence, e.g. "--truth" and "the truth of an emulation".
 
     Raises
     ------
@@ -73,20 +77,34 @@ def replace_only(path: Path, mark: str, what: str) -> None:
         return  # not there, or no file: writing says which
     # An empty file is nobody's work: touch and mktemp leave them.
     if head and mark.encode() not in head:
-        raise UsageError(f"{what}; choose a new file")
+        raise UsageError(sentence("output.something_else", option=option, path=path, what=what))
 
 
-def say(sentence: str, *, err: bool = False, indent: int = 0, color: str | None = None) -> None:
+def say(line: str, *, err: bool = False, indent: int = 0, color: str | None = None) -> None:
     """Print a sentence with its words whole; lines below the first are indented.
 
     A terminal breaks words in two; a pipe or a log gets the sentence as one line.
     """
     if (sys.stderr if err else sys.stdout).isatty():
-        sentence = textwrap.fill(
-            sentence,
+        line = textwrap.fill(
+            line,
             shutil.get_terminal_size().columns,
             subsequent_indent=" " * indent,
             break_long_words=False,
             break_on_hyphens=False,
         )
-    typer.echo(sentence if color is None else typer.style(sentence, fg=color), err=err)
+    typer.echo(line if color is None else typer.style(line, fg=color), err=err)
+
+
+def say_assumed(assumption: str) -> None:
+    """Tell what was found or assumed while connecting, beside the result of the command."""
+    say(assumption, err=True, indent=2)
+
+
+def host_clock(speed: float) -> HostClock:
+    """Return the clock to read an instrument with that runs ``speed`` times faster than real time, as emulated ones may."""
+    if speed == 1.0:
+        return SystemClock()
+    # Said each time: with a real instrument every rate would come out wrong by this factor.
+    say(sentence("output.fast_clock", speed=speed), err=True)
+    return ScaledClock(speed)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import sys
 import time
-from types import TracebackType
-from typing import Self
 
 from imufield.samples import Samples
 
@@ -15,7 +13,7 @@ EVERY_S = 0.2  # Fast enough to be seen to move, slow enough to be read.
 
 
 class ProgressLine:
-    """Counts what is read; used as a context, at whose end the line is gone.
+    """Counts what is read; closed, the line is gone.
 
     Parameters
     ----------
@@ -30,10 +28,8 @@ class ProgressLine:
         self._shown = False
         self._samples = 0
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None) -> None:
+    def close(self) -> None:
+        """Take the line away."""
         if self._shown:
             self._write("")
 

@@ -15,6 +15,9 @@ from imufield.commands.terminal.questions import confirm
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.guide.positions import scheme
 from imufield.pipeline.chain import Chain, ReadingPlan, replay_into
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 _IDENTITY = ("driver", "serial_number")
 # What a session keeps of the options of the guide: the option and how its value is said.
@@ -45,48 +48,35 @@ def find_unfinished(folder: Path | None, root: Path, *, resume: bool, interactiv
     RecordingError
         If ``folder`` holds an unfinished session and nobody said that it should go on, or one that cannot be read.
     UsageError
-        If there is nothing to resume.
+        If there is nothing to resume, or ``folder`` is finished and nothing left to measure.
     """
     if folder is None:
         return _newest_unfinished(root) if resume else None
     if not (folder / "session.toml").exists():
         if resume:
-            raise UsageError(f"there is no session in {folder} to resume; leave out --resume for a new one")
+            raise UsageError(sentence("resume.no_session", folder=folder))
         return None
     session = Session.open(folder)
     if session.finished:
-        _check_finished(session, resume=resume)
+        early = _finished_early(session)
+        if not (early and resume):
+            key = "resume.finished_early" if early else "resume.finished"
+            raise UsageError(sentence(key, folder=session.folder, quoted=shlex.quote(str(session.folder))))
         return session
     if not session.record.scheme:
-        raise UsageError(f"{session.folder} is a plain recording without a guide; name a new folder")
+        raise UsageError(sentence("resume.no_guide", folder=session.folder))
     if not resume and not (interactive and confirm(f"Go on with the unfinished session {session.folder}?")):
-        raise RecordingError(
-            f"{session.folder} holds an unfinished session; go on with --resume, or name a new folder",
-            Reason.UNFINISHED,
-            folder=str(session.folder),
-        )
+        raise RecordingError(sentence("resume.unfinished", folder=str(session.folder)), Reason.UNFINISHED)
     return session
 
 
-def _check_finished(session: Session, *, resume: bool) -> None:
-    """Refuse a finished session, but one that was finished early where it is to go on.
-
-    Raises
-    ------
-    UsageError
-        If nothing is left to measure, or nobody said that it should go on.
-    """
-    early = False
-    if session.record.scheme is not None:
-        # Only a replay tells whether something is left that was asked for.
-        chain = Chain(ReadingPlan.of(session))
-        replay_into(chain, session, [])
-        early = chain.guide is not None and chain.guide.finished_early
-    if early and resume:
-        return
-    command = f"imufield solve {shlex.quote(str(session.folder))}"
-    others = "go on with --resume" if early else "name a new folder"
-    raise UsageError(f"{session.folder} is finished{' early' if early else ''}; {others}, or solve it with: {command}")
+def _finished_early(session: Session) -> bool:
+    """Return whether something is left that was asked for, which only a replay tells."""
+    if session.record.scheme is None:
+        return False
+    chain = Chain(ReadingPlan.of(session))
+    replay_into(chain, session, [])
+    return chain.guide is not None and chain.guide.finished_early
 
 
 def _newest_unfinished(root: Path) -> Session:
@@ -96,10 +86,7 @@ def _newest_unfinished(root: Path) -> Session:
             session = Session.open(folder)
             if session.record.scheme and not session.finished:
                 return session
-    raise UsageError(
-        f"there is no unfinished session in {root} to resume; name its folder with --session, or "
-        "leave out --resume for a new one"
-    )
+    raise UsageError(sentence("resume.none_unfinished", root=root))
 
 
 def check_plan(session: Session, scheme_name: str | None, asked: GuideRecord) -> None:
@@ -120,13 +107,13 @@ def check_plan(session: Session, scheme_name: str | None, asked: GuideRecord) ->
     planned = str(ReadingPlan.of(session).scheme)
     # By what they ask for and not by name: a copy of a file of positions is the same plan.
     if scheme_name is not None and _positions(scheme_name) != _positions(planned):
-        raise UsageError(f"{session.folder} goes through {planned}, not {scheme_name}; leave out --positions, or begin anew")
-    for key, (option, words) in _KEPT.items():
-        wanted, begun = getattr(asked, key), getattr(session.record.guide, key)
+        raise UsageError(sentence("resume.other_positions", folder=session.folder, planned=planned, asked=scheme_name))
+    for name, (option, words) in _KEPT.items():
+        wanted, begun = getattr(asked, name), getattr(session.record.guide, name)
         if wanted is not None and wanted != begun:
-            now = words.format(wanted)
-            before = f"without {option}" if begun is None else f"with {words.format(begun)}, not {now}"
-            raise UsageError(f"{session.folder} was begun {before}; leave out {option}, or begin a new session with {now}")
+            now, before = words.format(wanted), "" if begun is None else words.format(begun)
+            key = "resume.begun_without" if begun is None else "resume.begun_otherwise"
+            raise UsageError(sentence(key, folder=session.folder, option=option, now=now, before=before))
 
 
 def _positions(name: str) -> list[tuple[str, list[float]]]:
@@ -172,10 +159,5 @@ def check_instrument(session: Session, connected: Connected) -> None:
     for key in _IDENTITY:
         before, now = getattr(session.record.instrument, key), found.get(key)
         if before and now and before != now:
-            raise RecordingError(
-                f"{session.folder} was begun with {key.replace('_', ' ')} {before}, but {now} is on {connected.link.name}; "
-                "connect that instrument, or begin a new session",
-                Reason.FOREIGN,
-                recorded=before,
-                found=now,
-            )
+            values = {"what": key.replace("_", " "), "recorded": before, "found": now, "place": connected.link.name}
+            raise RecordingError(sentence("resume.other_instrument", folder=session.folder, **values), Reason.FOREIGN)

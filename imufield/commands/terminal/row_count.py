@@ -7,6 +7,9 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from imufield.samples import Samples, SampleUnits, Status
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 
 class RowCount:
@@ -38,8 +41,6 @@ class RowCount:
         """Return a sentence on the rows that are flagged, in a file that has a column for it or not; empty where none is."""
         if not self._unusable:
             return ""
-        starting = f", {self._starting} of them from the instrument's start-up (16)" if self._starting else ""
-        if not has_status:
-            starting = starting.removesuffix(" (16)")
-            return f"{self._unusable} messages lack a value that is not usable{starting}: it is NaN, with a covariance of -1"
-        return f"{self._unusable} rows are marked as not usable in the column status{starting}: leave them out of means"
+        key = "row_count.flagged" if has_status else "row_count.lacking"
+        starting = sentence("row_count.starting", starting=self._starting) if self._starting else ""
+        return sentence(key, unusable=self._unusable, starting=starting, code=" (16)" if self._starting else "")

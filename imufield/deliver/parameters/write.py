@@ -65,8 +65,8 @@ def write_parameters(path: Path | str, calibration: Calibration, observations: O
     return write_document(path, to_document(calibration, observations, context))
 
 
-def write_document(path: Path | str, document: Document) -> Path | None:
-    """Write a document as ``write_parameters`` does.
+def write_document(path: Path | str, document: Document, *, advice: str = "") -> Path | None:
+    """Write a document as ``write_parameters`` does; ``advice`` is what else to do where it cannot be written.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def write_document(path: Path | str, document: Document) -> Path | None:
     path = Path(path)
     # Before the file is touched: a document that breaks the rules leaves the old file where it is.
     text = to_toml(document)
-    with typed_write_errors(path):
+    with typed_write_errors(path, advice=advice):
         return write_keeping(path, text.encode("utf-8"))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import sys
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_terminal_sees_one_line_that_goes_away(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
-    with ProgressLine("reading") as line:
+    with closing(ProgressLine("reading")) as line:
         line.feed(BLOCK)
         line.feed(BLOCK)
         line.say("solving")
@@ -46,7 +47,7 @@ def test_a_terminal_sees_one_line_that_goes_away(monkeypatch: pytest.MonkeyPatch
 def test_a_pipe_sees_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     pipe = io.StringIO()
     monkeypatch.setattr(sys, "stderr", pipe)
-    with ProgressLine("reading") as line:
+    with closing(ProgressLine("reading")) as line:
         line.feed(BLOCK)
         line.say("solving")
     assert pipe.getvalue() == ""
@@ -56,7 +57,7 @@ def test_a_short_task_shows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(progress, "FIRST_S", 600.0)
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
-    with ProgressLine("reading") as line:
+    with closing(ProgressLine("reading")) as line:
         line.feed(BLOCK)
         line.say("solving")
     assert terminal.getvalue() == ""
