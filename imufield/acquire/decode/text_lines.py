@@ -21,7 +21,7 @@ import numpy as np
 from imufield.acquire.decode.assembly import Keep, RawBlock
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.protocol import Protocol
-from imufield.acquire.protocol.samples_and_clock import Sentence, TextRule
+from imufield.acquire.protocol.samples_and_clock import SentenceRule, TextRule
 from imufield.errors import ProtocolError
 from imufield.samples import NO_COUNTER, FloatArray, IntArray
 
@@ -106,7 +106,7 @@ class SentenceReader:
             return None
 
 
-def _places(rule: TextRule, sentence: Sentence) -> tuple[int, list[tuple[int, float] | None]]:
+def _places(rule: TextRule, sentence: SentenceRule) -> tuple[int, list[tuple[int, float] | None]]:
     """Return how many columns a sentence has, and where each column of a sample stands and with what sign."""
     found: dict[str, tuple[int, float]] = {}
     for place, name in enumerate(sentence.columns):
