@@ -18,6 +18,9 @@ from imufield.acquire.protocol.toml import Table, near
 from imufield.acquire.protocol.units import TO_SI, UNITS_OF
 from imufield.errors import ProtocolError, Reason
 from imufield.samples import SampleUnits
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 ANY_ADDRESS = 255
 """Source address that stands for the first one heard; no node may send from it (J1939-81)."""
@@ -172,7 +175,7 @@ def read_can(top: Table) -> CanParts:
     units_of = {part: mapped.triad(part) for part in _PLACES}
     mapped.others()
     if not any(units_of.values()):
-        raise mapped.table.error("", f"maps neither accelerometer nor gyroscope; signals that may be meant: {_candidates(dbc)}")
+        raise mapped.table.error("", sentence("can_protocol.nothing_mapped", candidates=_candidates(dbc)))
     clock_rule = _read_clock(clock, mapped)
     units = sample_units(clock, clock_rule, units_of["accelerometer"] or "m/s^2", units_of["gyroscope"] or "rad/s")
     rule = CanRule(
@@ -196,7 +199,7 @@ def unit_name(text: str) -> str | None:
 def _read_dbc(top: Table, can: Table) -> DbcFile:
     name, embedded = can.text("dbc", "DBC file"), top.table("dbc")
     if not embedded.has("text"):
-        raise can.error("dbc", "the file it names is not part of the text; load the protocol by its name or path")
+        raise can.error("dbc", sentence("can_protocol.no_dbc"))
     identifiers = can.choice("identifiers", ("auto", "exact", "j1939"), "auto")
     dbc = DbcFile(embedded.text("text"), name, identifiers)
     embedded.finish()
@@ -228,10 +231,10 @@ class _Mapping:
             self.table.has(f"{part}_unit")
             return ""
         if len(names) != 3:
-            raise self.table.error(part, f"needs three signals, x, y and z, not {len(names)}: {', '.join(names)}")
+            raise self.table.error(part, sentence("can_protocol.three_signals", count=len(names), names=names))
         units = {self._axis(part, place, name) for place, name in enumerate(names)}
         if len(units) > 1:
-            raise self.table.error(part, f"the three signals are {' and '.join(sorted(units))}; all must be of one kind")
+            raise self.table.error(part, sentence("can_protocol.mixed_units", units=" and ".join(sorted(units))))
         return units.pop()
 
     def _axis(self, part: str, axis: int, name: str) -> str:
@@ -246,14 +249,10 @@ class _Mapping:
         written = given or signal.unit
         unit, factor = TO_SI.get(unit_name(written) or "", ("", 0.0))
         if unit not in allowed:
-            known = ", ".join(name for name, (si, _) in TO_SI.items() if si in allowed)
+            known = [name for name, (si, _) in TO_SI.items() if si in allowed]
             shown = f"{written!r}" if written else "no unit"
-            raise self.table.error(
-                f"{part}_unit" if given else part,
-                f"signal {signal.name} has {shown}, which is no unit of the {part}; choose another signal, or state its unit "
-                f"as {part}_unit (one of {known})",
-                reason=Reason.UNITS,
-            )
+            wrong = sentence("can_protocol.unit", signal=signal.name, unit=shown, part=part, known=known)
+            raise self.table.error(f"{part}_unit" if given else part, wrong, Reason.UNITS)
         return unit, factor
 
     def others(self) -> None:
@@ -283,7 +282,7 @@ class _Mapping:
         kinds = [kind for kind in self.kinds.values() if kind.message.name == found.name]
         kinds = [kind for kind in kinds if not found.selectors or kind.message.selectors == found.selectors]
         if not kinds:
-            raise table.error(key, f"message {found.name} of {name!r} has no signal in [map]")
+            raise table.error(key, sentence("can_protocol.group", message=found.name, name=name))
         self._modulus(key, signal)
         for kind in kinds:
             kind.group = signal
@@ -292,7 +291,9 @@ class _Mapping:
         kind, signal = self._find("temperature", name)
         unit = unit_name(self.table.text("temperature_unit", "") or signal.unit)
         if unit not in ("degC", "K"):
-            raise self.table.error("temperature", f"signal {signal.name} has unit {signal.unit!r}; use one in degC or K")
+            raise self.table.error(
+                "temperature", sentence("can_protocol.temperature_unit", signal=signal.name, unit=signal.unit)
+            )
         offset = signal.offset + (_ABSOLUTE_ZERO_DEGC if unit == "K" else 0.0)
         kind.columns.append(Column(TEMPERATURE, signal, signal.factor, offset))
 
@@ -303,14 +304,12 @@ class _Mapping:
             if forms:
                 return forms[0], signal
         elif (message.name, ()) in self.kinds:
-            raise self.table.error(
-                key, f"signal {name} is in some forms of {message.name} only, other signals mapped before it are in all of them"
-            )
+            raise self.table.error(key, sentence("can_protocol.some_forms", name=name, message=message.name))
         return self.kinds.setdefault((message.name, message.selectors), CanKind(message=message)), signal
 
     def _modulus(self, key: str, signal: CanSignal) -> int:
         if signal.is_float or signal.is_signed:
-            raise self.table.error(key, f"signal {signal.name} is not an unsigned whole number, so it cannot count")
+            raise self.table.error(key, sentence("can_protocol.no_counter", signal=signal.name))
         return 1 << min(signal.length, _MOST_BITS)
 
 
@@ -320,7 +319,7 @@ def _read_assembly(table: Table, mapped: _Mapping, dbc: DbcFile) -> AssemblyRule
     for name in counters:
         mapped.group("counters", table, name)
     if counters and any(kind.group is None for kind in kinds):
-        raise table.error("counters", "needs one counter in each message that [map] uses, or none")
+        raise table.error("counters", sentence("can_protocol.counters"))
     start = table.text("starts_with", "")
     return AssemblyRule(
         _kind_number(table, "starts_with", start, kinds, dbc=dbc) if start else None,
@@ -336,7 +335,7 @@ def _kind_number(table: Table, key: str, name: str, kinds: list[CanKind], *, dbc
             return number
     _in_file(table, key, dbc.message, name)
     names = [kind.name for kind in kinds]
-    raise table.error(key, f"message {name!r} has no signal in [map]{near(name, names)}; those that have: {', '.join(names)}")
+    raise table.error(key, sentence("can_protocol.not_mapped", name=name, near=near(name, names), known=names))
 
 
 def _read_clock(table: Table, mapped: _Mapping) -> ClockRule:

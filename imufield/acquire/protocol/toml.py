@@ -33,6 +33,7 @@ LARGEST = 1e300
 Path = tuple[str | int, ...]
 _Kind = TypeVar("_Kind")
 _BRACE = re.compile("[{}]")
+_DEEPEST = 32  # Levels of tables and arrays in each other; shipped protocols have six.
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,14 +85,17 @@ class Source:
         Raises
         ------
         ProtocolError
-            If it is no TOML; the message has the line.
+            If it is no TOML, then the message has the line, or nests too deeply.
         """
         try:
-            return tomllib.loads(self.text)
+            found: dict[str, object] | None = tomllib.loads(self.text)
         except tomllib.TOMLDecodeError as error:
             raise ProtocolError(sentence("toml.unreadable", label=self.label, error=error)) from error
-        except RecursionError as error:
-            raise ProtocolError(sentence("toml.nested", label=self.label)) from error
+        except RecursionError:
+            found = None
+        if found is None or _nests(found, _DEEPEST):
+            raise ProtocolError(sentence("toml.nested", label=self.label))
+        return found
 
 
 @dataclass(slots=True, kw_only=True)
@@ -240,6 +244,12 @@ def spell(value: object) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _nests(value: object, levels: int) -> bool:
+    """Whether tables and arrays stand in each other by more levels than that."""
+    inside = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return levels < 0 or any(_nests(inner, levels - 1) for inner in inside)
 
 
 def _shown(value: object) -> str:

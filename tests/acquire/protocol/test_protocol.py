@@ -166,8 +166,27 @@ def test_files_that_are_none(tmp_path: Path) -> None:
     with refused(ProtocolError, Reason.BAD_PROTOCOL, "stim30", "stim300") as caught:
         load_protocol("stim30")
     assert caught.value.reason is Reason.BAD_PROTOCOL
-    with refused(ProtocolError, Reason.BAD_PROTOCOL):
-        parse_protocol("a = " + "[" * 100_000)
+
+
+DEEP = {
+    "arrays": "a = " + "[" * 100_000,
+    "tables": "a = " + "{a = " * 100_000,
+    "a name": STIM300.replace('kind = "frames"', f"kind{'.a' * 5000} = 1"),
+    "a header": STIM300.replace("[nominal]", f"[settings{'.a' * 5000}]"),
+    "33 levels": STIM300.replace('kind = "frames"', "kind = " + "[" * 33 + "]" * 33),
+}
+
+
+@pytest.mark.parametrize("text", DEEP.values(), ids=list(DEEP))
+def test_tables_that_nest_too_deeply_are_refused(text: str) -> None:
+    with refused(ProtocolError, Reason.BAD_PROTOCOL, "mine.toml", "three levels", key="toml.nested") as caught:
+        parse_protocol(text, label="mine.toml")
+    assert caught.value.values == {"label": "mine.toml"}
+
+
+def test_a_few_levels_too_many_are_refused_where_they_stand() -> None:
+    error = wrong(STIM300, 'kind = "frames"', "kind = " + "[" * 32 + "]" * 32)
+    assert (error.message.key, error.values["key"]) == ("toml.choice", "kind")
 
 
 @settings(max_examples=150, deadline=None)
