@@ -26,6 +26,9 @@ from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
 from imufield.errors import ProtocolError, Reason
 from imufield.samples import NO_COUNTER, FloatArray, IntArray, Samples, SampleUnits, Status
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 _FREE_LAG_S = 0.25  # Lag that counts as loss where there is no counter: above the usual delays of a busy host.
 _HALF_A_SAMPLE = 0.5
@@ -163,12 +166,8 @@ class SampleClock:
         if interval_s is None or learned_from <= LEARN_FROM or step_s <= 0 or not (self._has_counter or self._has_time):
             return
         if abs(step_s / interval_s - 1) > _LARGEST_RATE_ERROR:
-            raise ProtocolError(
-                f"the instrument sends {1 / step_s:.4g} samples/s, but rate_hz is {1 / interval_s:.4g} and increments need "
-                f"the true one; set rate_hz={1 / step_s:.4g}",
-                Reason.UNITS,
-                rate_hz=1 / step_s,
-            )
+            wrong = sentence("sample_clock.rate", rate_hz=1 / step_s, stated_hz=1 / interval_s)
+            raise ProtocolError(wrong, Reason.UNITS)
 
     @property
     def _step_s(self) -> float:

@@ -137,7 +137,7 @@ class CanSource:
             lacking = self._drop_short(frames, kind, new_from)
         counts = np.bincount(kind[new_from:] + 2, minlength=len(self._kinds) + 2).tolist()
         for reader, count in zip(self._kinds, counts[2:], strict=True):
-            self._add(reader.kind.name, count)
+            self._statistics.count(reader.kind.name, count)
         self._statistics.frames += len(frames) - new_from - lacking
         self._statistics.frames_bad_checksum += lacking
         if counts[_NO_KIND + 2]:
@@ -151,7 +151,7 @@ class CanSource:
             if short.any():
                 kind[short] = _SHORT
                 here = int(np.count_nonzero(short[new_from:]))
-                self._add(f"{reader.kind.name}, too short", here)
+                self._statistics.count(f"{reader.kind.name}, too short", here)
                 lacking += here
         return lacking
 
@@ -159,7 +159,7 @@ class CanSource:
         can_id = frames.can_id[others]
         errors = (can_id & np.uint32(ERROR)) != 0
         if errors.any():
-            self._add("error frame", int(np.count_nonzero(errors)))
+            self._statistics.count("error frame", int(np.count_nonzero(errors)))
         taken = errors
         for message in self._rule.messages:
             bits = np.uint32(message.mask | ERROR | REMOTE)
@@ -167,19 +167,15 @@ class CanSource:
             taken = taken | hit
             for place in others[hit].tolist():
                 data = frames.data(np.array([place]), 64)[0, : int(frames.size[place])].tobytes()
-                self._add(message.name, 1)
+                self._statistics.count(message.name, 1)
                 # The lowest byte of an extended identifier of J1939 is who sent it.
                 can_id_here = int(frames.can_id[place])
                 address = {"source_address": can_id_here & 0xFF} if can_id_here & EXTENDED else {}
                 self._keep({"kind": message.name, **address, **self._rule.dbc.describe(message.name, data)})
-        self._add("other", int(len(others) - np.count_nonzero(taken)))
-
-    def _add(self, name: str, count: int) -> None:
-        if count:
-            self._statistics.by_kind[name] = self._statistics.by_kind.get(name, 0) + count
+        self._statistics.count("other", int(len(others) - np.count_nonzero(taken)))
 
     def _note_skipped(self, left_out: int) -> None:
-        self._add(LEFT_OUT, left_out)
+        self._statistics.count(LEFT_OUT, left_out)
         self._statistics.bytes_skipped = self._unpacker.bytes_skipped
 
     def _sample_frames(self, frames: CanFrames, kind: NDArray[np.int8], places: IntArray) -> SampleFrames:

@@ -95,7 +95,7 @@ class FrameSource:
 
     def _read_kind(self, block: FrameBlock, reader: _FrameReader, which: NDArray[np.intp] | None) -> RawBlock:
         rows = block.rows(which, reader.length)
-        self._count(reader.kind, len(rows))
+        self._statistics.count(reader.kind, len(rows))
         starts = block.starts + block.origin
         if which is None:
             return reader.read(rows, block.skipped_before, starts)
@@ -105,16 +105,12 @@ class FrameSource:
         """Count frames that are no samples; keep those that are messages, in the order of the stream."""
         layouts = {key: self._framer.layout(key) for key in keys}
         for key, layout in layouts.items():
-            self._count(layout.kind, int(np.count_nonzero(block.shapes == key)))
+            self._statistics.count(layout.kind, int(np.count_nonzero(block.shapes == key)))
         kept = [key for key, layout in layouts.items() if layout.is_message]
         which = np.isin(block.shapes, kept) if kept else np.zeros(len(block), dtype=np.bool_)
         for start, key in zip(block.starts[which].tolist(), block.shapes[which].tolist(), strict=True):
             layout = layouts[key]
             self._keep({"kind": layout.kind, **layout.describe(block.data[start : start + layout.length].tobytes())})
-
-    def _count(self, kind: str, number: int) -> None:
-        by_kind = self._statistics.by_kind
-        by_kind[kind] = by_kind.get(kind, 0) + number
 
 
 class _FrameReader:

@@ -24,6 +24,9 @@ from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.protocol.samples_and_clock import SentenceRule, TextRule
 from imufield.errors import ProtocolError
 from imufield.samples import NO_COUNTER, FloatArray, IntArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 LARGEST_NUMBER = 1e17
 """Above any counter (2**53) and any time stamp in ns of a century ago; larger numbers, infinity and NaN are garbage."""
@@ -66,7 +69,7 @@ class SentenceReader:
         name = body.split(b",", 1)[0].split(self._rule.header_end.encode() or b",", 1)[0]
         self._statistics.frames += 1
         kind = name.decode("ascii", "replace")
-        self._statistics.by_kind[kind] = self._statistics.by_kind.get(kind, 0) + 1
+        self._statistics.count(kind)
         known = self._by_name.get(name)
         if known is None:
             if self._keep is not None:
@@ -138,7 +141,7 @@ class LineReader:
 
     def __init__(self, protocol: Protocol, statistics: DecoderStatistics, keep: Keep | None = None) -> None:
         if protocol.lines is None:
-            raise ProtocolError(f"protocol {protocol.name} has no lines of numbers", name=protocol.name)
+            raise ProtocolError(sentence("text_lines.no_lines", name=protocol.name))
         rule = protocol.lines
         self._rule = rule
         self._prefix = rule.prefix.encode()
@@ -205,7 +208,7 @@ class LineReader:
             return None
         if self._sentences is None:
             self._statistics.frames += len(rows)
-            self._statistics.by_kind["line"] = self._statistics.by_kind.get("line", 0) + len(rows)
+            self._statistics.count("line", len(rows))
         return self._block(np.array(rows), np.array(lost, dtype=np.int64), np.array(ends, dtype=np.int64))
 
     def _numbers(self, text: bytes) -> list[float] | None:

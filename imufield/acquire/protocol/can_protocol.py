@@ -15,7 +15,7 @@ from typing import TypeVar
 from imufield.acquire.protocol.can_dbc import CanMessage, CanSignal, DbcFile, Selectors
 from imufield.acquire.protocol.samples_and_clock import ClockRule, FlagRule, read_flag, read_shift, sample_units
 from imufield.acquire.protocol.toml import Table, near
-from imufield.acquire.protocol.units import TO_SI, UNITS_OF
+from imufield.acquire.protocol.units import TO_SI, UNITS_OF, unit_name
 from imufield.errors import ProtocolError, Reason
 from imufield.samples import SampleUnits
 from imufield.sentences import Sentences
@@ -35,18 +35,6 @@ _LONG_TIME_BITS = 48  # A time stamp of so many bits runs for 8.9 years of micro
 _Found = TypeVar("_Found")
 _DBC_LINE = re.compile(r'^\s*dbc\s*=\s*"([^"\n]+)"', re.MULTILINE)
 _EMBEDDED = re.compile(r"^\[dbc\]", re.MULTILINE)
-_SPELLINGS = {
-    "m/s^2": ("m/s2", "m/s²", "m/s/s", "m/s**2", "m/(s^2)", "m/sec^2", "m/sec2", "m/s*s", "mps2", "m s-2", "m/ss"),
-    "g": ("gn", "g0", "gee", "grav"),
-    "mg": ("milli-g",),
-    "ft/s^2": ("ft/s2", "ft/s²"),
-    "deg/s": ("°/s", "º/s", "dps", "deg/sec", "degree/s", "degrees/s", "degps", "°/sec", "deg/second"),
-    "rad/s": ("rad/sec", "radian/s"),
-    "degC": ("°c", "ºc", "c", "deg c", "celsius", "degc", "°celsius"),
-    "K": ("k", "kelvin"),
-    "deg": ("°", "º", "degree"),
-}
-_UNIT_OF = {text: unit for unit, texts in _SPELLINGS.items() for text in texts} | {unit.lower(): unit for unit in TO_SI}
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,11 +177,6 @@ def read_can(top: Table) -> CanParts:
     for table in (can, assembly, clock, mapped.table):
         table.finish()
     return CanParts(rule, units, clock_rule)
-
-
-def unit_name(text: str) -> str | None:
-    """Return our name of a unit as DBC files write it; None where it is not known."""
-    return _UNIT_OF.get(re.sub(r"\s+", " ", text.strip().lower()).replace("[", "").replace("]", ""))
 
 
 def _read_dbc(top: Table, can: Table) -> DbcFile:

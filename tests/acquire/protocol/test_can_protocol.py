@@ -16,7 +16,6 @@ import pytest
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.instrument.can_map import parse_map, protocol_from_dbc, protocol_text
 from imufield.acquire.protocol.can_frames import Frame, pack_frame
-from imufield.acquire.protocol.can_protocol import unit_name
 from imufield.acquire.protocol.protocol import Protocol, load_protocol, parse_protocol
 from imufield.errors import ProtocolError, Reason, UsageError
 from imufield.samples import Samples, Status, concatenate
@@ -269,25 +268,6 @@ def test_parse_map() -> None:
         with pytest.raises(UsageError) as caught:
             parse_map(texts)
         assert wanted in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("text", "unit"),
-    [
-        ("m/s²", "m/s^2"),
-        ("m/s/s", "m/s^2"),
-        ("[m/s^2]", "m/s^2"),
-        ("G", "g"),
-        ("°/s", "deg/s"),
-        ("Deg/Sec", "deg/s"),
-        ("rad/s", "rad/s"),
-        ("°C", "degC"),
-        ("rps", None),
-        ("", None),
-    ],
-)
-def test_spellings_of_units(text: str, unit: str | None) -> None:
-    assert unit_name(text) == unit
 
 
 def test_missing_file() -> None:
