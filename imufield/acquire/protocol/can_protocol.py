@@ -6,14 +6,22 @@ from what the user typed. The DBC is appended to the text as table ``[dbc]``, so
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 from imufield.acquire.protocol.can_dbc import CanMessage, CanSignal, DbcFile, Selectors
-from imufield.acquire.protocol.samples_and_clock import ClockRule, FlagRule, read_flag, read_shift, sample_units
+from imufield.acquire.protocol.samples_and_clock import (
+    LEAST_TICKS_PER_S,
+    MOST_TICKS_PER_S,
+    ClockRule,
+    FlagRule,
+    read_flag,
+    read_shift,
+    read_steps,
+    sample_units,
+)
 from imufield.acquire.protocol.toml import Table, near
 from imufield.acquire.protocol.units import TO_SI, UNITS_OF, unit_name
 from imufield.errors import ProtocolError, Reason
@@ -116,15 +124,6 @@ class CanRule:
         return any(3 <= column.place < TEMPERATURE for kind in self.kinds for column in kind.columns)
 
 
-@dataclass(frozen=True, slots=True)
-class CanParts:
-    """What a CAN protocol adds to a ``Protocol``."""
-
-    rule: CanRule
-    units: SampleUnits
-    clock: ClockRule
-
-
 def embed_dbc(text: str, read: Callable[[str], str]) -> str:
     """Return a protocol's text with the DBC file it names appended; other texts as they are.
 
@@ -149,7 +148,7 @@ def dbc_table(content: str) -> str:
     return f"\n\n[dbc]\ntext = '''\n{content}'''\n"
 
 
-def read_can(top: Table) -> CanParts:
+def read_can(top: Table) -> tuple[CanRule, SampleUnits, ClockRule]:
     """Read ``[can]``, ``[map]``, ``[assembly]``, ``[clock]`` and ``[dbc]``.
 
     Raises
@@ -170,13 +169,13 @@ def read_can(top: Table) -> CanParts:
         dbc=dbc,
         kinds=tuple(mapped.kinds.values()),
         assembly=_read_assembly(assembly, mapped, dbc),
-        messages=tuple(_in_file(can, "messages", dbc.message, str(name)) for name in can.items("messages", [])),
+        messages=tuple(_in_file(can, "messages", dbc.message, name) for name in can.texts("messages")),
         source_address=can.integer("source_address", 0, ANY_ADDRESS, ANY_ADDRESS),
         bit_rate=can.optional_integer("bit_rate", 1, 20_000_000),
     )
     for table in (can, assembly, clock, mapped.table):
         table.finish()
-    return CanParts(rule, units, clock_rule)
+    return rule, units, clock_rule
 
 
 def _read_dbc(top: Table, can: Table) -> DbcFile:
@@ -209,7 +208,7 @@ class _Mapping:
 
     def triad(self, part: str) -> str:
         """Read three axes; return their unit in a sample, "" where the part is not mapped."""
-        names = [str(name) for name in self.table.items(part, [])]
+        names = self.table.texts(part)
         if not names:
             self.table.has(f"{part}_unit")
             return ""
@@ -241,7 +240,13 @@ class _Mapping:
     def others(self) -> None:
         """Read temperature, counter, time, flags and status."""
         if self.table.has("temperature"):
-            self._temperature(self.table.text("temperature"))
+            kind, signal = self._find("temperature", self.table.text("temperature"))
+            unit = unit_name(self.table.text("temperature_unit", "") or signal.unit)
+            if unit not in ("degC", "K"):
+                wrong = sentence("can_protocol.temperature_unit", signal=signal.name, unit=signal.unit)
+                raise self.table.error("temperature", wrong)
+            offset = signal.offset + (_ABSOLUTE_ZERO_DEGC if unit == "K" else 0.0)
+            kind.columns.append(Column(TEMPERATURE, signal, signal.factor, offset))
         if self.table.has("counter"):
             kind, signal = self._find("counter", self.table.text("counter"))
             kind.counter, self.counter_modulus = signal, self._modulus("counter", signal)
@@ -270,16 +275,6 @@ class _Mapping:
         for kind in kinds:
             kind.group = signal
 
-    def _temperature(self, name: str) -> None:
-        kind, signal = self._find("temperature", name)
-        unit = unit_name(self.table.text("temperature_unit", "") or signal.unit)
-        if unit not in ("degC", "K"):
-            raise self.table.error(
-                "temperature", sentence("can_protocol.temperature_unit", signal=signal.name, unit=signal.unit)
-            )
-        offset = signal.offset + (_ABSOLUTE_ZERO_DEGC if unit == "K" else 0.0)
-        kind.columns.append(Column(TEMPERATURE, signal, signal.factor, offset))
-
     def _find(self, key: str, name: str) -> tuple[CanKind, CanSignal]:
         message, signal = _in_file(self.table, key, self._dbc.find, name)
         if not message.selectors:
@@ -298,7 +293,7 @@ class _Mapping:
 
 def _read_assembly(table: Table, mapped: _Mapping, dbc: DbcFile) -> AssemblyRule:
     kinds = list(mapped.kinds.values())
-    counters = [str(name) for name in table.items("counters", [])]
+    counters = table.texts("counters")
     for name in counters:
         mapped.group("counters", table, name)
     if counters and any(kind.group is None for kind in kinds):
@@ -306,8 +301,8 @@ def _read_assembly(table: Table, mapped: _Mapping, dbc: DbcFile) -> AssemblyRule
     start = table.text("starts_with", "")
     return AssemblyRule(
         _kind_number(table, "starts_with", start, kinds, dbc=dbc) if start else None,
-        tuple(_kind_number(table, "needs", str(name), kinds, dbc=dbc) for name in table.items("needs", [])),
-        table.number("limit_s", 0.0) if 0 <= table.number("limit_s", 0.0) <= _LONGEST_LIMIT_S else _LONGEST_LIMIT_S,
+        tuple(_kind_number(table, "needs", name, kinds, dbc=dbc) for name in table.texts("needs")),
+        min(table.number("limit_s", 0.0, low=0), _LONGEST_LIMIT_S),
         bool(counters),
     )
 
@@ -322,16 +317,12 @@ def _kind_number(table: Table, key: str, name: str, kinds: list[CanKind], *, dbc
 
 
 def _read_clock(table: Table, mapped: _Mapping) -> ClockRule:
-    ticks_per_s = table.number("time_ticks_per_s", mapped.ticks_per_s)
-    rate_hz = table.number("rate_hz", 0.0)
-    if not (ticks_per_s > 0 and 0 <= rate_hz < math.inf):
-        raise table.error("rate_hz", "rates must be positive")
     return ClockRule(
         counter_modulus=mapped.counter_modulus,
-        counter_steps=tuple(step for step in table.items("counter_steps", [1]) if isinstance(step, int) and step > 0) or (1,),
+        counter_steps=read_steps(table, "counter_steps"),
         time_modulus=mapped.time_modulus,
-        time_ticks_per_s=ticks_per_s,
-        rate_hz=rate_hz,
+        time_ticks_per_s=table.number("time_ticks_per_s", mapped.ticks_per_s, low=LEAST_TICKS_PER_S, high=MOST_TICKS_PER_S),
+        rate_hz=table.number("rate_hz", 0.0, low=0, high=MOST_TICKS_PER_S),
     )
 
 

@@ -71,21 +71,17 @@ def read_frames(top: Table) -> FrameRule:
             trailer = table.hexadecimal("bytes")
             if trailer and not table.flag("optional"):
                 raise table.error("optional", sentence("frame_schema.trailer_needed"))
-    if trailer and any(trailer[0] in _first_bytes(form) for form in forms):
+    if trailer and any(form.first_bytes[trailer[0]] for form in forms):
         raise top.table("frame").error("trailer", sentence("frame_schema.trailer_like_frame"))
     for name in ("fields", "masks"):
         top.has(name)
-    return FrameRule(forms, trailer, _read_join(top.table("join")))
-
-
-def _read_join(table: Table) -> JoinRule | None:
-    if not table.values:
-        return None
-    with table:
-        starts_with, needs = table.text("starts_with"), tuple(str(kind) for kind in table.items("needs"))
-    if starts_with not in needs:
-        raise table.error("needs", sentence("frame_schema.join", starts_with=starts_with))
-    return JoinRule(starts_with, needs) if len(needs) > 1 else None
+    if not top.table("join").values:
+        return FrameRule(forms, trailer)
+    with top.table("join") as table:
+        starts_with, needs = table.text("starts_with"), table.texts("needs")
+        if starts_with not in needs:
+            raise table.error("needs", sentence("frame_schema.join", starts_with=starts_with))
+    return FrameRule(forms, trailer, JoinRule(starts_with, needs) if len(needs) > 1 else None)
 
 
 def _read_form(top: Table, frame: Table, parts: dict[str, tuple[Field, ...]], big_endian: bool) -> FrameForm:
@@ -125,12 +121,6 @@ def _read_form(top: Table, frame: Table, parts: dict[str, tuple[Field, ...]], bi
     return form
 
 
-def _first_bytes(form: FrameForm) -> set[int]:
-    if form.sync:
-        return {form.sync[0]}
-    return set(form.layouts) if form.key_size == 1 and form.key_at == 0 else set(range(256))
-
-
 def _byte_order(table: Table, default_big: bool) -> bool:
     return table.choice("byte_order", ("big", "little"), "big" if default_big else "little") == "big"
 
@@ -158,33 +148,34 @@ def _read_layouts(
     header = max(len(form.sync), form.key_at + form.key_size, form.length.header if form.length else 0)
     header = frame.integer("body_at", header, 256, header)
     if frame.has("content"):
-        fields = _fields_of(frame, "content", frame.items("content"), parts)
+        fields = _fields_of(frame, "content", parts)
         return {0: replace(_place(frame.text("name"), fields, header, form.tail), is_message=frame.flag("message"))}
     layouts: dict[int, Layout] = {}
     frames = top.table("frames")
     for name in frames.values:
-        fields = _fields_of(frames, name, frames.items(name), parts)
-        _add(layouts, frames, name, name, layout=_place(name, fields, header, form.tail), key_size=form.key_size)
+        layout = _place(name, _fields_of(frames, name, parts), header, form.tail)
+        _add(layouts, frames, name, name, layout=layout, key_size=form.key_size)
     messages = top.table("messages")
     for name in messages.values:
         with messages.table(name) as table:
             fields = _read_fields(table, "fields", big_endian) if form.length is None or table.has("fields") else ()
             layout = replace(_place(name, fields, header, form.tail), is_message=True)
-            for key in table.items("keys"):
+            for key in table.texts("keys"):
                 _add(layouts, table, "keys", key, layout=layout, key_size=form.key_size)
     if not (layouts or form.fields or form.masks):
         raise top.error("frames", sentence("frame_schema.no_frame"))
     return layouts
 
 
-def _fields_of(table: Table, key: str, used: list[object], parts: dict[str, tuple[Field, ...]]) -> tuple[Field, ...]:
-    unknown = next((part for part in used if part not in parts), None)
-    if unknown is not None:
-        raise table.error(key, sentence("frame_schema.part", part=unknown, parts=list(parts)))
-    return tuple(field for part in used for field in parts[str(part)])
+def _fields_of(table: Table, key: str, parts: dict[str, tuple[Field, ...]]) -> tuple[Field, ...]:
+    used = table.texts(key)
+    for part in used:
+        if part not in parts:
+            raise table.error(key, sentence("frame_schema.part", part=part, parts=list(parts)))
+    return tuple(field for part in used for field in parts[part])
 
 
-def _add(layouts: dict[int, Layout], table: Table, at: str, key: object, *, layout: Layout, key_size: int) -> None:
+def _add(layouts: dict[int, Layout], table: Table, at: str, key: str, *, layout: Layout, key_size: int) -> None:
     if not key_size:
         if key != ANY_KEY or layouts:
             raise table.error(at, sentence("frame_schema.any_key", key=ANY_KEY))
@@ -198,9 +189,9 @@ def _add(layouts: dict[int, Layout], table: Table, at: str, key: object, *, layo
     layouts[number] = layout
 
 
-def _hexadecimal_key(table: Table, at: str, key: object) -> int:
+def _hexadecimal_key(table: Table, at: str, key: str) -> int:
     try:
-        return int(str(key), 16)
+        return int(key, 16)
     except ValueError:
         raise table.error(at, sentence("frame_schema.key", key=key)) from None
 
@@ -217,8 +208,8 @@ def _read_fields_rule(top: Table, frame: Table, big_endian: bool) -> FieldsRule 
     if not frame.has("fields"):
         return None
     with frame.table("fields") as table, table.table("id") as number, table.table("size") as size:
-        keys = frozenset(_hexadecimal_key(table, "keys", key) for key in table.items("keys")) if table.has("keys") else None
-        kinds = tuple(_format_type(table, kind, big_endian) for kind in table.items("formats", []))
+        keys = frozenset(_hexadecimal_key(table, "keys", key) for key in table.texts("keys"))
+        kinds = tuple(_format_type(table, kind, big_endian) for kind in table.texts("formats"))
         messages = table.table("messages").values
         return FieldsRule(
             at=table.integer("at", 0, 64),
@@ -228,7 +219,7 @@ def _read_fields_rule(top: Table, frame: Table, big_endian: bool) -> FieldsRule 
             size_size=NUMBER_BYTES[size.choice("type", _UNSIGNED)],
             size_counts_header=size.flag("counts_header"),
             big_endian=big_endian,
-            keys=keys,
+            keys=keys if table.has("keys") else None,
             ignored_bits=table.integer("ignored_id_bits", 0, (1 << 32) - 1, 0),
             format_types=kinds,
             known=_known_fields(top, big_endian),
@@ -236,10 +227,10 @@ def _read_fields_rule(top: Table, frame: Table, big_endian: bool) -> FieldsRule 
         )
 
 
-def _format_type(table: Table, kind: object, big_endian: bool) -> Field:
-    if kind not in NUMBER_BYTES and kind not in _FIXED_POINT:
+def _format_type(table: Table, kind: str, big_endian: bool) -> Field:
+    name, bits = _FIXED_POINT.get(kind, (kind, 0))
+    if name not in NUMBER_BYTES:
         raise table.error("formats", sentence("frame_schema.format", type=kind))
-    name, bits = _FIXED_POINT.get(str(kind), (str(kind), 0))
     return Field(name="", type=name, at=0, size=NUMBER_BYTES[name], big_endian=big_endian, factor=1 / 2.0**bits)
 
 

@@ -217,8 +217,7 @@ def _build(top: Table, settings: dict[str, Setting]) -> Protocol:
             # cantools, which reads DBC files, is imported only where one is needed.
             from imufield.acquire.protocol.can_protocol import read_can
 
-            parts = read_can(top)
-            can, units, clock = parts.rule, parts.units, parts.clock
+            can, units, clock = read_can(top)
             samples = SampleRule()
             factors: dict[str, float] = dict.fromkeys(map(str, PARTS), 1.0)
         else:

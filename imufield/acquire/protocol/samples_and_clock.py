@@ -23,8 +23,8 @@ COLUMNS = ("time", "counter", "ax", "ay", "az", "gx", "gy", "gz", "temperature",
 
 
 # No instrument counts more slowly than every quarter of an hour, or faster than femtoseconds.
-_LEAST_TICKS_PER_S = 1e-3
-_MOST_TICKS_PER_S = 1e15
+LEAST_TICKS_PER_S = 1e-3
+MOST_TICKS_PER_S = 1e15
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +158,7 @@ def read_text(top: Table) -> TextRule:
             columns=columns,
             delimiter=table.choice("delimiter", ("auto", "comma", "semicolon", "whitespace"), "auto"),
             prefix=table.text("prefix", ""),
-            comments=tuple(str(comment) for comment in table.items("comments", [])),
+            comments=table.texts("comments"),
         )
 
 
@@ -221,7 +221,7 @@ def _read_quantity(table: Table) -> Quantity:
             with table.table("scale_when") as when:
                 scale_when = ScaleWhen(when.text("field"), when.integer("mask", 1, (1 << 63) - 1), when.number("scale"))
         return Quantity(
-            fields=tuple(str(name) for name in table.items("fields", [])),
+            fields=table.texts("fields"),
             unit=table.optional_text("unit"),
             increment=table.flag("increment"),
             scale=table.number("scale", 1.0),
@@ -265,12 +265,12 @@ def read_clock(top: Table) -> ClockRule:
         return ClockRule(
             counter_field=counter.text("field", ""),
             counter_modulus=counter.integer("modulus", 0, 1 << 53, 0),
-            counter_ticks_per_s=counter.number("ticks_per_s", 0.0, low=0, high=_MOST_TICKS_PER_S),
-            counter_steps=tuple(step for step in counter.items("steps", [1]) if isinstance(step, int) and step > 0),
+            counter_ticks_per_s=counter.number("ticks_per_s", 0.0, low=0, high=MOST_TICKS_PER_S),
+            counter_steps=read_steps(counter, "steps"),
             time_field=time.field,
             time_modulus=time.modulus,
             time_ticks_per_s=time.ticks_per_s,
-            rate_hz=table.number("rate_hz", 0.0, low=0, high=_MOST_TICKS_PER_S),
+            rate_hz=table.number("rate_hz", 0.0, low=0, high=MOST_TICKS_PER_S),
             counter_jitter=counter.integer("jitter", 0, 1 << 16, 0),
             counter_counts_others=counter.flag("counts_others"),
             times=tuple(times) if several else (),
@@ -278,12 +278,17 @@ def read_clock(top: Table) -> ClockRule:
         )
 
 
+def read_steps(table: Table, key: str) -> tuple[int, ...]:
+    """Read the steps that a counter may make from one sample to the next; 1 where none is given."""
+    return tuple(step for step in table.items(key, [1]) if isinstance(step, int) and step > 0) or (1,)
+
+
 def _read_time(table: Table) -> TimeRule:
     with table:
         return TimeRule(
             table.text("field", ""),
             table.integer("modulus", 0, 1 << 53, 0),
-            table.number("ticks_per_s", 1.0, low=_LEAST_TICKS_PER_S, high=_MOST_TICKS_PER_S),
+            table.number("ticks_per_s", 1.0, low=LEAST_TICKS_PER_S, high=MOST_TICKS_PER_S),
         )
 
 

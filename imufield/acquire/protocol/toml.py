@@ -178,6 +178,10 @@ class Table:
         """Return an array."""
         return self._of_kind(key, default, list, "toml.items")
 
+    def texts(self, key: str) -> tuple[str, ...]:
+        """Return an array of strings, empty where the key is absent; numbers as they are written."""
+        return tuple(map(str, self.items(key, [])))
+
     def hexadecimal(self, key: str, default: str = "") -> bytes:
         """Return bytes written as "0D 0A"."""
         found = self.text(key, default)
