@@ -18,7 +18,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.acquire.clock.clock import Arrivals, samples_of
+from imufield.acquire.clock.clock import Arrivals, Clock
 from imufield.acquire.clock.loss_watch import LossWatch, TimedBlock
 from imufield.acquire.clock.stamp_clock import LEARN_FROM, StampClock, StepRule
 from imufield.acquire.decode.assembly import NO_TICKS, RawBlock, join
@@ -38,22 +38,11 @@ _LARGEST_RATE_ERROR = 0.25
 _SLEW = 0.1  # Largest part by which steps are stretched to follow the host clock.
 
 
-class SampleClock:
-    """Gives samples their time, block by block.
-
-    Parameters
-    ----------
-    rule : ClockRule
-        With the moduli filled in; fields that the stream does not have are empty.
-    units : SampleUnits
-    statistics : DecoderStatistics
-        Counts of samples and losses are kept there.
-    """
+class SampleClock(Clock):
+    """Gives samples their time, block by block."""
 
     def __init__(self, rule: ClockRule, units: SampleUnits, statistics: DecoderStatistics) -> None:
-        self._rule = rule
-        self._units = units
-        self._statistics = statistics
+        super().__init__(rule, units, statistics)
         self._has_time = bool(rule.time_field)
         self._has_counter = bool(rule.counter_field)
         # Which of time stamp, counter and host clock to go by is settled: not every stream has what its protocol has.
@@ -267,9 +256,8 @@ class SampleClock:
         time_s = np.concatenate([self._follow_host(each) for each in done]) if len(done) > 1 else self._follow_host(done[0])
         block = join([each.block for each in done])
         flags = np.concatenate([each.flags for each in done]) if len(done) > 1 else done[0].flags
-        self._statistics.samples += len(block)
         self._measure()
-        return samples_of(block, time_s, flags, self._units)
+        return self._timed(block, time_s, flags)
 
     def _follow_host(self, timed: TimedBlock) -> FloatArray:
         """Bend even steps towards the line of earliest arrivals; device time is left as it is."""

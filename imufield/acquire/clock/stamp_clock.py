@@ -17,7 +17,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.acquire.clock.clock import Arrivals, samples_of
+from imufield.acquire.clock.clock import Arrivals, Clock, filled_in
 from imufield.acquire.decode.assembly import NO_TICKS, RawBlock, Ticks, join
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
@@ -220,21 +220,11 @@ def _steps(values: NDArray[_Number], before: float) -> NDArray[_Number]:
     return steps
 
 
-class DeviceClock:
-    """Gives the samples of a bus their time, by time stamps of the instrument in one of the messages.
-
-    Parameters
-    ----------
-    rule : ClockRule
-    units : SampleUnits
-    statistics : DecoderStatistics
-        Counts of samples and losses are kept there.
-    """
+class DeviceClock(Clock):
+    """Gives the samples of a bus their time, by time stamps of the instrument in one of the messages."""
 
     def __init__(self, rule: ClockRule, units: SampleUnits, statistics: DecoderStatistics) -> None:
-        self._rule = rule
-        self._units = units
-        self._statistics = statistics
+        super().__init__(rule, units, statistics)
         self._stamps = StampClock(rule)
         self._steps = StepRule()
         self._early: list[RawBlock] = []
@@ -268,20 +258,17 @@ class DeviceClock:
         flags = np.where(lost > 0, np.uint32(Status.AFTER_GAP), np.uint32(0))
         flags[stamped.reset] |= np.uint32(Status.GAP_ESTIMATED)
         statistics = self._statistics
-        statistics.samples += len(block)
         statistics.samples_lost += int(lost.sum())
         statistics.gaps += int(np.count_nonzero(flags))
         statistics.clock_resets += int(np.count_nonzero(stamped.reset))
         statistics.nominal_rate_hz = 1 / self._steps.step if self._steps.step else None
-        return samples_of(block, stamped.time_s, flags, self._units)
+        return self._timed(block, stamped.time_s, flags)
 
     def _filled(self, ticks: Ticks, step: float) -> Ticks:
         """Put a regular step where the message with the time was lost."""
         known = np.isfinite(ticks)
         if not known.all():
-            places = np.maximum.accumulate(np.where(known, np.arange(len(ticks)), -1))
-            before = np.where(places >= 0, ticks[np.maximum(places, 0)], self._last)
-            ticks = np.where(known, ticks, before + (np.arange(len(ticks)) - places) * step)
+            ticks = filled_in(ticks, known, self._last, step)
         if self._rule.time_modulus:
             ticks = ticks % self._rule.time_modulus
         self._last = float(ticks[-1])

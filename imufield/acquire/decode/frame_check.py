@@ -295,11 +295,12 @@ class FrameCheck:
             for length in different:
                 group = mine if len(different) == 1 else mine[ordered == length]
                 rows = rows_at(buffer, starts[group], length)
-                good = form.fits(rows)
-                if good.all() and form.have_first_key(rows).all():
+                fitting = form.fits(rows)
+                if fitting.all() and form.have_first_key(rows).all():
                     found[group] = self._match(form, self._family(form, rows), rows)
                 else:
-                    found[group[good]] = self.shapes(buffer, starts[group[good]], lengths[group[good]])
+                    good = group[fitting]
+                    found[good] = self.shapes(buffer, starts[good], lengths[good])
         return found
 
     def shapes(self, buffer: Bytes, starts: Positions, lengths: Positions) -> NDArray[np.int64]:

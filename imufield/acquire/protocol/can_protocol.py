@@ -6,6 +6,7 @@ from what the user typed. The DBC is appended to the text as table ``[dbc]``, so
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -253,7 +254,8 @@ class _Mapping:
         if self.table.has("time"):
             kind, signal = self._find("time", self.table.text("time"))
             kind.time = signal
-            self.ticks_per_s = _TICKS_PER_S.get(signal.unit.lower(), 1.0) / abs(signal.factor)
+            # A factor of 0 is refused with the other rates that no clock has.
+            self.ticks_per_s = _TICKS_PER_S.get(signal.unit.lower(), 1.0) / (abs(signal.factor) or math.inf)
             never_wraps = signal.is_float or signal.length >= _LONG_TIME_BITS
             self.time_modulus = 0 if never_wraps else self._modulus("time", signal)
         for each in self.table.tables("flags"):

@@ -150,11 +150,11 @@ class Crc(Checksum):
             padded = length + -length % self._pad_to
             self._grow(padded)
             # Half the size where it will do: the tables of a frame stay in cache.
-            kind = np.dtype(np.uint32 if self._width <= 32 else np.uint64)
-            flat = self._left[:padded, :_START][::-1][:length].ravel().astype(kind)
+            kind = np.uint32 if self._width <= 32 else np.uint64
+            flat: NDArray[np.unsignedinteger] = self._left[:padded, :_START][::-1][:length].ravel().astype(kind)
             if len(self._by_length) >= _TABLES_KEPT:
                 self._by_length.clear()
-            constant = kind.type(int(self._left[padded, _START]) ^ self._final)
+            constant = kind(int(self._left[padded, _START]) ^ self._final)
             found = self._by_length[length] = _Tables(flat, np.arange(length, dtype=np.intp) * 256, constant)
         return found
 
