@@ -95,8 +95,7 @@ class StepRule:
 
     def _odd(self, steps: FloatArray) -> NDArray[np.bool_]:
         tolerance = self._jitter if self._allowed else 2 * _TOLERANCE * self.step
-        odd: NDArray[np.bool_] = np.abs(steps - self.step) > tolerance
-        return odd
+        return np.abs(steps - self.step) > tolerance
 
     def _relearn(self, steps: FloatArray, odd_at: IntArray) -> tuple[int, bool]:
         """Return behind which of the steps another one becomes regular, and True; their number and False if none does."""
@@ -208,8 +207,7 @@ class StampClock:
             return stamps
         wraps = self._wraps + np.cumsum(_steps(stamps, before) < -(self._modulus // 2))
         self._wraps = int(wraps[-1])
-        unwrapped: Ticks = stamps + wraps * self._modulus
-        return unwrapped
+        return stamps + wraps * self._modulus
 
 
 def _steps(values: NDArray[_Number], before: float) -> NDArray[_Number]:

@@ -184,8 +184,7 @@ class CanSource:
 
         def is_repeated(which: IntArray) -> NDArray[np.bool_]:
             here, before = frames.data(places[which], 8), frames.data(places[which - 1], 8)
-            same: NDArray[np.bool_] = (here == before).all(axis=1) & (own[which] == own[which - 1])
-            return same
+            return np.asarray((here == before).all(axis=1) & (own[which] == own[which - 1]))
 
         group = None
         if self._rule.assembly.by_counter:

@@ -154,8 +154,7 @@ class FormCheck:
         if form.length:
             return self._lengths_by_field(form.length, buffer, starts)
         if self._by_byte is not None:
-            by_byte: Positions = self._by_byte[buffer[starts + form.key_at]]
-            return by_byte
+            return self._by_byte[buffer[starts + form.key_at]]
         keys = self.keys(buffer, starts)
         place = np.searchsorted(self._keys, keys).clip(max=len(self._keys) - 1)
         return np.where(self._keys[place] == keys, self._lengths[place], NONE)
@@ -204,14 +203,12 @@ class FrameCheck:
 
     def candidates(self, buffer: Bytes, positions: Positions) -> Positions:
         """Return those positions whose first byte can begin a frame."""
-        found: Positions = positions[self._can_begin[buffer[positions]]]
-        return found
+        return np.asarray(positions[self._can_begin[buffer[positions]]])
 
     def headers(self, buffer: Bytes, begin: int, end: int) -> Positions:
         """Return the positions from ``begin`` to ``end`` where sync bytes stand."""
         places = np.flatnonzero(self._can_begin[buffer[begin:end]]) + begin
-        found: Positions = places[self._form_of(buffer, places) >= 0]
-        return found
+        return places[self._form_of(buffer, places) >= 0]
 
     def length_at(self, buffer: Bytes, at: int) -> int:
         """Return the length of the frame whose header stands at ``at``; 0 where there is none or it is incomplete."""
@@ -225,10 +222,6 @@ class FrameCheck:
                     return length
                 break
         return max(int(self.lengths(buffer, np.array([at], dtype=np.intp))[0]), 0)
-
-    def lengths_of_headers(self, buffer: Bytes, places: Positions) -> Positions:
-        """Return the same as ``lengths`` for positions from ``headers``."""
-        return self._forms[0].lengths(buffer, places) if len(self._forms) == 1 else self.lengths(buffer, places)
 
     def lengths(self, buffer: Bytes, starts: Positions) -> Positions:
         """Return the lengths of frames whose headers stand at ``starts``; ``NONE`` or ``MORE`` where there is none."""
@@ -389,8 +382,7 @@ def rows_at(buffer: Bytes, starts: Positions, length: int) -> Rows:
 
 def _have(rows: Rows, shape: Shape) -> NDArray[np.bool_]:
     """Return which rows have the bytes of a shape, shape (n,)."""
-    same: NDArray[np.bool_] = (rows[:, shape.columns] == shape.values).all(axis=1)
-    return same
+    return np.asarray((rows[:, shape.columns] == shape.values).all(axis=1))
 
 
 def _order(big_endian: bool) -> Literal["big", "little"]:
@@ -399,11 +391,7 @@ def _order(big_endian: bool) -> Literal["big", "little"]:
 
 def _numbers(buffer: Bytes, at: Positions, size: int, big_endian: bool) -> NDArray[np.int64]:
     """Return the number of ``size`` bytes at each position; 0 for no bytes."""
-    numbers = np.zeros(len(at), dtype=np.int64)
-    for index in range(size):
-        shift = 8 * (size - 1 - index if big_endian else index)
-        numbers |= buffer[at + index].astype(np.int64) << shift
-    return numbers
+    return _numbers_of_rows(buffer[at[:, None] + np.arange(size)], big_endian).astype(np.int64)
 
 
 def _numbers_of_rows(columns: Rows, big_endian: bool) -> NDArray[np.unsignedinteger]:

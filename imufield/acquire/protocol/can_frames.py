@@ -126,8 +126,7 @@ class CanFrames:
         first = self.unit[which]
         if width <= _FIRST:
             # One number of 8 bytes for each frame is gathered several times faster than 8 of one.
-            eight: Units = self.units.view(np.uint64)[first, 2].view(np.uint8).reshape(-1, _FIRST)
-            return eight
+            return np.asarray(self.units.view(np.uint64)[first, 2].view(np.uint8).reshape(-1, _FIRST))
         rows = np.zeros((len(which), _FIRST + 3 * _FURTHER), dtype=np.uint8)
         rows[:, :_FIRST] = self.units[first, 16:]
         for number in range(3):
@@ -237,8 +236,7 @@ def _first_units(units: Units) -> NDArray[np.bool_] | None:
 
 
 def _further_units(size: Units) -> IntArray:
-    further: IntArray = np.maximum(size.astype(np.int64) - _FIRST + _FURTHER - 1, 0) // _FURTHER
-    return further
+    return np.maximum(size.astype(np.int64) - _FIRST + _FURTHER - 1, 0) // _FURTHER
 
 
 def _whole_units(units: Units) -> int:

@@ -140,8 +140,9 @@ class Crc(Checksum):
         pad = -lengths % self._pad_to
         self._grow(int((lengths + pad).max()))
         left = self._left[span.following + np.repeat(pad, lengths), span.values]
-        found: Values = np.bitwise_xor.reduceat(left, span.first) ^ self._left[lengths + pad, _START] ^ np.uint64(self._final)
-        return found
+        return np.asarray(
+            np.bitwise_xor.reduceat(left, span.first) ^ self._left[lengths + pad, _START] ^ np.uint64(self._final)
+        )
 
     def _tables_of(self, length: int) -> _Tables:
         """Return the flat table, the place of each column in it and the constant part for messages of one length."""
@@ -211,8 +212,7 @@ class Sum(Checksum):
         return self._finish(np.add.reduceat(weighted, span.first))
 
     def _finish(self, total: Values) -> Values:
-        finished: Values = (np.uint64(0) - total if self._negated else total) & self._mask
-        return finished
+        return (np.uint64(0) - total if self._negated else total) & self._mask
 
 
 class Xor(Checksum):
@@ -225,8 +225,7 @@ class Xor(Checksum):
         return np.asarray(np.bitwise_xor.reduce(rows, axis=1), dtype=np.uint64)
 
     def _spans(self, span: _Ragged, lengths: Positions) -> Values:  # noqa: ARG002  an XOR needs no length
-        found: Values = np.bitwise_xor.reduceat(span.values, span.first).astype(np.uint64)
-        return found
+        return np.bitwise_xor.reduceat(span.values, span.first).astype(np.uint64)
 
 
 class Fletcher(Checksum):
@@ -252,8 +251,7 @@ class Fletcher(Checksum):
     @staticmethod
     def _join(first: Values, second: Values) -> Values:
         low = np.uint64(0xFF)
-        joined: Values = (first & low) << np.uint64(8) | (second & low)
-        return joined
+        return (first & low) << np.uint64(8) | (second & low)
 
 
 _PLAIN = {

@@ -98,8 +98,7 @@ class Field:
         parts = np.ascontiguousarray(rows[:, self.at : self.at + self.size])
         words = parts.view(f"{'>' if self.big_endian else '<'}u2").reshape(len(rows), self.count, 3).astype(np.int64)
         whole = words[:, :, 2].astype(np.int16).astype(np.int64)
-        values: Numbers = whole << 32 | words[:, :, 0] << 16 | words[:, :, 1]
-        return values
+        return whole << 32 | words[:, :, 0] << 16 | words[:, :, 1]
 
     def _raw24(self, rows: Rows) -> Numbers:
         # Four bytes are read, of which one belongs to the neighbour and is shifted out: several times faster than
