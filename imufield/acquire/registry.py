@@ -40,7 +40,7 @@ def load_driver(name: str) -> type[Driver]:
     shipped = name in shipped_names()
     # Which of two is meant, nobody can tell; the order of installation must not decide.
     if shipped + len(points) > 1:
-        owners = [*(["imufield"] if shipped else []), *(_owner(point) for point in points)]
+        owners = [*(["imufield"] if shipped else []), *(point.dist.name if point.dist else point.value for point in points)]
         raise ProtocolError(sentence("registry.several", name=name, owners=owners, count=len(owners)), Reason.UNKNOWN_DRIVER)
     if shipped:
         return _load(EntryPoint(name, f"{GROUP}.{name}:DRIVER", GROUP))
@@ -55,10 +55,6 @@ def shipped_names() -> list[str]:
     """Return the names of the drivers that ship with imufield, sorted."""
     folder = importlib.import_module(GROUP).__path__
     return sorted(module.name for module in pkgutil.iter_modules(folder) if not module.name.startswith("_"))
-
-
-def _owner(point: EntryPoint) -> str:
-    return point.dist.name if point.dist else point.value
 
 
 def _load(point: EntryPoint) -> type[Driver]:

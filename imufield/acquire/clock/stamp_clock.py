@@ -77,7 +77,7 @@ class StepRule:
         inexact = np.zeros(len(steps), dtype=np.bool_)
         at = 0
         while at < len(steps) and self.step > 0:
-            odd = self._odd(steps[at:])
+            odd = np.abs(steps[at:] - self.step) > (self._jitter if self._allowed else 2 * _TOLERANCE * self.step)
             if not odd.any():
                 self._run_length = 0
                 break
@@ -93,16 +93,13 @@ class StepRule:
             at = until
         return Steps(lost, irregular, inexact)
 
-    def _odd(self, steps: FloatArray) -> NDArray[np.bool_]:
-        tolerance = self._jitter if self._allowed else 2 * _TOLERANCE * self.step
-        return np.abs(steps - self.step) > tolerance
-
     def _relearn(self, steps: FloatArray, odd_at: IntArray) -> tuple[int, bool]:
         """Return behind which of the steps another one becomes regular, and True; their number and False if none does."""
         previous = -1 if self._run_length else -2
         for place in odd_at.tolist():
             value = float(steps[place])
-            goes_on = place == previous + 1 and self._equal(value)
+            tolerance = self._jitter if self._allowed else _TOLERANCE * abs(self._run_value)
+            goes_on = place == previous + 1 and abs(value - self._run_value) <= tolerance
             self._run_length = self._run_length + 1 if goes_on else 1
             self._run_value = self._run_value if goes_on else value
             previous = place
@@ -111,11 +108,6 @@ class StepRule:
         if previous != len(steps) - 1:
             self._run_length = 0
         return len(steps), False
-
-    def _equal(self, value: float) -> bool:
-        if self._allowed:
-            return abs(value - self._run_value) <= self._jitter
-        return abs(value - self._run_value) <= _TOLERANCE * abs(self._run_value)
 
     def _may_be_step(self, value: float) -> bool:
         return any(abs(value - step) <= self._jitter for step in self._allowed) if self._allowed else value > _SHORTEST_S

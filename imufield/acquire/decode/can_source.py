@@ -17,14 +17,7 @@ from imufield.acquire.decode.can_assembly import Assembler, SampleFrames
 from imufield.acquire.decode.statistics import LEFT_OUT, DecoderStatistics
 from imufield.acquire.protocol.can_dbc import CanSignal
 from imufield.acquire.protocol.can_frames import ERROR, EXTENDED, REMOTE, CanFrames, Unpacker
-from imufield.acquire.protocol.can_protocol import (
-    ANY_ADDRESS,
-    TEMPERATURE,
-    CanKind,
-    CanRule,
-    Column,
-    with_source_address,
-)
+from imufield.acquire.protocol.can_protocol import ANY_ADDRESS, TEMPERATURE, CanKind, CanRule, Column
 from imufield.acquire.protocol.samples_and_clock import FlagRule
 from imufield.samples import NO_COUNTER, FloatArray, IntArray, Status
 
@@ -56,6 +49,9 @@ class CanSource:
         self._address = rule.source_address
         self._kinds = [_KindReader(kind) for kind in rule.kinds]
         self._match_address()
+        # Where the values of a triad stand that samples have, and the flag of those that lack one.
+        self._triads = [(_ACCELEROMETER, np.uint32(Status.ACCELEROMETER_INVALID))] * rule.has_accelerometer
+        self._triads += [(_GYROSCOPE, np.uint32(Status.GYROSCOPE_INVALID))] * rule.has_gyroscope
         self._has_time = any(kind.time for kind in rule.kinds)
         self._inertial = [
             number for number, kind in enumerate(rule.kinds) if any(column.place < TEMPERATURE for column in kind.columns)
@@ -127,8 +123,10 @@ class CanSource:
 
     def _match_address(self) -> None:
         for reader in self._kinds:
-            message = with_source_address(reader.kind.message, self._address)
-            reader.mask, reader.can_id = np.uint32(message.mask | ERROR | REMOTE), np.uint32(message.can_id)
+            message = reader.kind.message
+            is_chosen = message.is_j1939 and self._address != ANY_ADDRESS
+            reader.mask = np.uint32(message.mask | ERROR | REMOTE | (0xFF if is_chosen else 0))
+            reader.can_id = np.uint32(message.can_id | (self._address if is_chosen else 0))
 
     def _count(self, frames: CanFrames, kind: NDArray[np.int8], new_from: int) -> None:
         """Drop frames that are too short; count the new frames by kind and hand out messages."""
@@ -198,11 +196,12 @@ class CanSource:
     def _values(self, frames: CanFrames, rows: IntArray, is_complete: bool) -> RawBlock | None:
         """Read the frames of n samples; ``rows`` has one column per kind."""
         n = len(rows)
-        values = np.full((_VALUES, n), np.nan)
-        status = np.zeros(n, dtype=np.uint32)
-        counter = np.full(n, NO_COUNTER, dtype=np.int64)
-        ticks = np.full(n if self._has_time else 0, np.nan)
-        into = Rows(values, status, counter, ticks)
+        into = Rows(
+            values=np.full((_VALUES, n), np.nan),
+            status=np.zeros(n, dtype=np.uint32),
+            counter=np.full(n, NO_COUNTER, dtype=np.int64),
+            ticks=np.full(n if self._has_time else 0, np.nan),
+        )
         has_gaps = not is_complete
         for number, reader in enumerate(self._kinds):
             which = rows[:, number]
@@ -213,14 +212,15 @@ class CanSource:
             elif len(there := np.flatnonzero(which >= 0)):
                 reader.read(reader.data(frames, which[there]), into, there)
         if has_gaps:
-            self._flag_gaps(values, status)
+            for triad, flag in self._triads:
+                into.status[~np.isfinite(into.values[triad]).all(axis=0)] |= flag
         block = RawBlock(
-            accelerometer=values[_ACCELEROMETER].T,
-            gyroscope=values[_GYROSCOPE].T,
-            temperature_degc=values[TEMPERATURE],
-            status=status,
-            counter=counter,
-            ticks=ticks,
+            accelerometer=into.values[_ACCELEROMETER].T,
+            gyroscope=into.values[_GYROSCOPE].T,
+            temperature_degc=into.values[TEMPERATURE],
+            status=into.status,
+            counter=into.counter,
+            ticks=into.ticks,
             stamp_s=frames.time_s[rows[:, self._assembler.start]],
         )
         if is_complete:
@@ -248,14 +248,6 @@ class CanSource:
             self._statistics.samples_standing += len(standing)
         self._standing[number] = data[-1:], int(age_of[-1])
         return has_gaps
-
-    def _flag_gaps(self, values: FloatArray, status: NDArray[np.uint32]) -> None:
-        for has, rows, flag in (
-            (self._rule.has_accelerometer, _ACCELEROMETER, Status.ACCELEROMETER_INVALID),
-            (self._rule.has_gyroscope, _GYROSCOPE, Status.GYROSCOPE_INVALID),
-        ):
-            if has:
-                status[~np.isfinite(values[rows]).all(axis=0)] |= np.uint32(flag)
 
 
 @dataclass(frozen=True, slots=True)

@@ -161,7 +161,7 @@ class _TriadReader:
     """Reads three axes from one field of three values or from three fields of one."""
 
     def __init__(self, protocol: Protocol, layout: Layout, part: str) -> None:
-        quantity = protocol.quantity(part)
+        quantity = protocol.samples.quantity(part)
         self.fields = layout.fields_of(quantity.fields)
         self._is_whole = sum(field.count for field in self.fields[:3]) >= 3
         self._factor = protocol.factor(part, self.fields[0]) if self.fields else 1.0

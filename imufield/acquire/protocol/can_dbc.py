@@ -118,20 +118,14 @@ class CanSignal:
         window = rows[:, begin : begin + 8]
         if window.shape[1] < 8:
             window = np.pad(window, ((0, 0), (0, 8 - window.shape[1])))
-        ninth = self.bytes_needed - begin > 8
-        last = rows[:, begin + 8].astype(np.uint64) if ninth else None
-        if self.big_endian:
-            word = window.view(">u8")[:, 0].astype(np.uint64)
-            shift = 64 - self._first_bit_in_order % 8 - self.length
-            if last is not None:
-                return (word << np.uint64(-shift) | last >> np.uint64(8 + shift)) & mask
+        word = window.view(">u8" if self.big_endian else "<u8")[:, 0].astype(np.uint64, copy=False)
+        shift = 64 - self._first_bit_in_order % 8 - self.length if self.big_endian else self.start % 8
+        if self.bytes_needed - begin <= 8:
             return word >> np.uint64(shift) & mask
-        word = window.view("<u8")[:, 0].astype(np.uint64, copy=False)
-        shift = self.start % 8
-        bits = word >> np.uint64(shift)
-        if last is not None:
-            bits |= last << np.uint64(64 - shift)
-        return bits & mask
+        ninth = rows[:, begin + 8].astype(np.uint64)
+        if self.big_endian:
+            return (word << np.uint64(-shift) | ninth >> np.uint64(8 + shift)) & mask
+        return (word >> np.uint64(shift) | ninth << np.uint64(64 - shift)) & mask
 
     def values(self, rows: Rows) -> FloatArray:
         """Return the numbers in ``unit``, NaN where a code says that there is none. Shape (n,)."""

@@ -121,7 +121,7 @@ class CanFrames:
         which : ndarray of int64, shape (k,)
             Numbers of the frames.
         width : int
-            8 or 64.
+            At most 8 gives 8, anything above 64.
         """
         first = self.unit[which]
         if width <= _FIRST:
@@ -255,9 +255,7 @@ def _whole_units(units: Units) -> int:
 def unpack_frames(data: bytes) -> Iterator[Frame]:
     """Yield the frames of packed bytes one by one."""
     frames = Unpacker().feed(data, last=True)
-    rows = frames.data(np.arange(len(frames)), MOST_DATA) if len(frames) and frames.size.max() > _FIRST else None
-    for number in range(len(frames)):
-        row = frames.units[frames.unit[number], 16:] if rows is None else rows[number]
-        size = int(frames.size[number])
-        data_bytes = b"" if int(frames.can_id[number]) & REMOTE else row[:size].tobytes()
-        yield Frame(int(frames.can_id[number]), data_bytes, float(frames.time_s[number]), int(frames.flags[number]))
+    rows = frames.data(np.arange(len(frames)), int(frames.size.max(initial=0)))
+    numbers = (frames.can_id.tolist(), frames.size.tolist(), frames.time_s.tolist(), frames.flags.tolist())
+    for row, can_id, size, time_s, flags in zip(rows, *numbers, strict=True):
+        yield Frame(can_id, b"" if can_id & REMOTE else row[:size].tobytes(), time_s, flags)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TypeVar
 
 from imufield.acquire.protocol.can_dbc import CanMessage, CanSignal, DbcFile, Selectors
@@ -337,10 +337,3 @@ def _candidates(dbc: DbcFile) -> str:
         if TO_SI.get(unit_name(signal.unit) or "", ("", 0.0))[0] in units
     ]
     return ", ".join(found[:20]) or "none has such a unit"
-
-
-def with_source_address(message: CanMessage, address: int) -> CanMessage:
-    """Return a J1939 message that only frames from ``address`` match; others as they are."""
-    if not message.is_j1939 or address == ANY_ADDRESS:
-        return message
-    return replace(message, can_id=message.can_id | address, mask=message.mask | 0xFF)

@@ -55,13 +55,6 @@ class _Ragged(NamedTuple):
     first: Positions  # Where each span begins in the two arrays above.
 
 
-def _ragged(data: Bytes, starts: Positions, lengths: Positions) -> _Ragged:
-    ends = np.cumsum(lengths)
-    first = ends - lengths
-    within = np.arange(int(ends[-1])) - np.repeat(first, lengths)
-    return _Ragged(data[within + np.repeat(starts, lengths)], np.repeat(lengths, lengths) - 1 - within, first)
-
-
 class Checksum(ABC):
     """A checksum algorithm over frames of any length."""
 
@@ -90,7 +83,11 @@ class Checksum(ABC):
         """Return the values of n messages of different lengths (all at least 1) inside ``data``, shape (n,)."""
         if len(starts) == 0:
             return np.empty(0, dtype=np.uint64)
-        return self._spans(_ragged(data, starts, lengths), lengths)
+        ends = np.cumsum(lengths)
+        first = ends - lengths
+        within = np.arange(int(ends[-1])) - np.repeat(first, lengths)
+        following = np.repeat(lengths, lengths) - 1 - within
+        return self._spans(_Ragged(data[within + np.repeat(starts, lengths)], following, first), lengths)
 
     @abstractmethod
     def _spans(self, span: _Ragged, lengths: Positions) -> Values: ...

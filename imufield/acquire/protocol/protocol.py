@@ -20,7 +20,6 @@ from imufield.acquire.protocol.layout import Field
 from imufield.acquire.protocol.samples_and_clock import (
     PARTS,
     ClockRule,
-    Quantity,
     SampleRule,
     TextRule,
     read_clock,
@@ -91,13 +90,9 @@ class Protocol:
     status: str = VERIFIED
     """Or ``DOCUMENT_ONLY``: never tried on bytes of a real instrument."""
 
-    def quantity(self, part: str) -> Quantity:
-        """Return the rule of "accelerometer", "gyroscope" or "temperature"."""
-        return self.samples.quantity(part)
-
     def factor(self, part: str, field: Field) -> float:
         """Return what a value of one field is multiplied by: fields of one part may come in different units."""
-        quantity = self.quantity(part)
+        quantity = self.samples.quantity(part)
         if quantity.unit is not None or not field.unit:
             return self.factors[part]
         return TO_SI[field.unit][1] * quantity.scale
