@@ -180,19 +180,19 @@ class SampleClock(Clock):
             self._ticks = int(total[-1])
             time_s = total / self._tick_rate_hz + self._origin_s
         found = self._steps.examine(steps)
+        fault = np.zeros(len(block), dtype=np.bool_)
         if self._rule.gaps_told:
             self._count_told(block.status, found.lost)
-            no_fault = np.zeros(len(block), dtype=np.bool_)
-            return TimedBlock(block=block, time_s=time_s, flags=flags, fault=no_fault, arrival_s=math.nan)
-        flags[found.irregular & ~found.inexact] |= np.uint32(Status.AFTER_GAP)
-        flags[found.inexact] |= np.uint32(Status.GAP_ESTIMATED)
-        # A gap as long as the bytes that were passed over there needs no other explanation.
-        unaccounted = np.abs(block.skipped_before - found.lost) > _HALF_A_SAMPLE
-        fault = unaccounted & (found.irregular | (block.skipped_before > 0))
-        self._statistics.gaps += int(np.count_nonzero(flags))
-        self._statistics.samples_lost += int(found.lost.sum())
-        if not (self._has_time or self._has_counter):
-            flags |= np.uint32(Status.TIME_ESTIMATED)
+        else:
+            flags[found.irregular & ~found.inexact] |= np.uint32(Status.AFTER_GAP)
+            flags[found.inexact] |= np.uint32(Status.GAP_ESTIMATED)
+            # A gap as long as the bytes that were passed over there needs no other explanation.
+            unaccounted = np.abs(block.skipped_before - found.lost) > _HALF_A_SAMPLE
+            fault = unaccounted & (found.irregular | (block.skipped_before > 0))
+            self._statistics.gaps += int(np.count_nonzero(flags))
+            self._statistics.samples_lost += int(found.lost.sum())
+            if not (self._has_time or self._has_counter):
+                flags |= np.uint32(Status.TIME_ESTIMATED)
         return TimedBlock(block=block, time_s=time_s, flags=flags, fault=fault, arrival_s=math.nan)
 
     def _count_told(self, status: NDArray[np.uint32], lost: IntArray) -> None:

@@ -297,8 +297,10 @@ class _KindReader:
         """
         kind, status = self.kind, into.status
         has_gaps = False
-        for column in kind.columns:
-            has_gaps |= _read_column(column, data, into, rows)
+        with np.errstate(over="ignore", invalid="ignore"):
+            # Any bits may stand in a float; what is no number is a gap.
+            for column in kind.columns:
+                has_gaps |= _read_column(column, data, into, rows)
         for at, table in self._flag_tables:
             status[rows] |= table[data[:, at]]
         for flag in self._flags:
@@ -318,7 +320,8 @@ def _read_column(column: Column, data: NDArray[np.uint8], into: Rows, rows: slic
     """Write one value of each frame; tell whether some have none."""
     signal = column.signal
     raw = signal.raw(data)
-    scaled = signal.scale(raw, column.factor, into.values[column.place] if isinstance(rows, slice) else None)
+    out = into.values[column.place] if isinstance(rows, slice) else None
+    scaled: FloatArray = np.multiply(raw, column.factor, out=out, dtype=np.float64)
     if column.offset:
         scaled += column.offset
     # One comparison finds that there is nothing to do, which is nearly always so.

@@ -21,7 +21,6 @@ from imufield.acquire.protocol.can_frames import EXTENDED, ID_MASK
 from imufield.acquire.protocol.layout import MessageValue, Numbers
 from imufield.acquire.protocol.toml import near
 from imufield.errors import ProtocolError, Reason
-from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -126,25 +125,6 @@ class CanSignal:
         if self.big_endian:
             return (word << np.uint64(-shift) | ninth >> np.uint64(8 + shift)) & mask
         return (word >> np.uint64(shift) | ninth << np.uint64(64 - shift)) & mask
-
-    def values(self, rows: Rows) -> FloatArray:
-        """Return the numbers in ``unit``, NaN where a code says that there is none. Shape (n,)."""
-        raw = self.raw(rows)
-        scaled = self.scale(raw, self.factor)
-        scaled += self.offset
-        scaled[self.gaps(raw)[0]] = np.nan
-        return scaled
-
-    def scale(self, raw: Numbers, factor: float, out: FloatArray | None = None) -> FloatArray:
-        """Return raw numbers times ``factor``, written into ``out`` where given. Shape (n,)."""
-        scaled: FloatArray
-        if not self.is_float:
-            scaled = np.multiply(raw, factor, out=out, dtype=np.float64)
-            return scaled
-        with np.errstate(over="ignore", invalid="ignore"):
-            # Any bits may stand in a float; what is no number is a gap.
-            scaled = np.multiply(raw, factor, out=out, dtype=np.float64)
-        return scaled
 
     def gaps(self, raw: Numbers) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Return where there is no value, and where that is because of a fault. Shape (n,) each."""

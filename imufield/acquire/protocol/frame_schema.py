@@ -46,11 +46,6 @@ class FrameRule:
     """Bytes that may follow a frame and carry nothing."""
     join: JoinRule | None = None
 
-    @property
-    def layouts(self) -> dict[int, Layout]:
-        """Fixed layouts of the first form by key."""
-        return self.forms[0].layouts
-
     def all_fields(self) -> list[Field]:
         """Return every field a frame may have."""
         return [field for form in self.forms for field in form.all_fields()]

@@ -43,7 +43,7 @@ def test_shipped_protocols_load_by_name() -> None:
 def test_lengths_are_those_of_the_datasheet(lengths: dict[int, int]) -> None:
     frame = load_protocol("stim300").frame
     assert frame is not None
-    assert {key: layout.length for key, layout in frame.layouts.items()} == lengths
+    assert {key: layout.length for key, layout in frame.forms[0].layouts.items()} == lengths
 
 
 def test_settings_are_assumed_read_or_given() -> None:
