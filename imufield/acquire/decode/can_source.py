@@ -129,10 +129,14 @@ class CanSource:
             reader.can_id = np.uint32(message.can_id | (self._address if is_chosen else 0))
 
     def _count(self, frames: CanFrames, kind: NDArray[np.int8], new_from: int) -> None:
-        """Drop frames that are too short; count the new frames by kind and hand out messages."""
+        """Drop frames that end before their signals do; count the new frames by kind and hand out messages."""
         lacking = 0
-        if len(frames) and frames.size.min() < self._bytes_needed:
-            lacking = self._drop_short(frames, kind, new_from)
+        for number, reader in enumerate(self._kinds if len(frames) and frames.size.min() < self._bytes_needed else ()):
+            short = (kind == number) & (frames.size < reader.bytes_needed)
+            kind[short] = _SHORT
+            here = int(np.count_nonzero(short[new_from:]))
+            self._statistics.count(f"{reader.kind.name}, too short", here)
+            lacking += here
         counts = np.bincount(kind[new_from:] + 2, minlength=len(self._kinds) + 2).tolist()
         for reader, count in zip(self._kinds, counts[2:], strict=True):
             self._statistics.count(reader.kind.name, count)
@@ -140,18 +144,6 @@ class CanSource:
         self._statistics.frames_bad_checksum += lacking
         if counts[_NO_KIND + 2]:
             self._count_others(frames, np.flatnonzero(kind[new_from:] == _NO_KIND) + new_from)
-
-    def _drop_short(self, frames: CanFrames, kind: NDArray[np.int8], new_from: int) -> int:
-        """Mark frames that end before their signals do; return how many of them are new."""
-        lacking = 0
-        for number, reader in enumerate(self._kinds):
-            short = (kind == number) & (frames.size < reader.bytes_needed)
-            if short.any():
-                kind[short] = _SHORT
-                here = int(np.count_nonzero(short[new_from:]))
-                self._statistics.count(f"{reader.kind.name}, too short", here)
-                lacking += here
-        return lacking
 
     def _count_others(self, frames: CanFrames, others: IntArray) -> None:
         can_id = frames.can_id[others]

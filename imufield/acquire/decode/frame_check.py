@@ -255,16 +255,17 @@ class FrameCheck:
         only = len(self._forms) == 1
         form = self._forms[0 if only else int(self._form_of(rows[0], np.zeros(1, dtype=np.intp))[0])]
         good = form.same_length(rows)
+        number = NO_SHAPE
         if form.form.has_structure:
             number = self._shape_of_first(form, rows)
             if number == NO_SHAPE:
                 return np.zeros(len(rows), dtype=np.bool_), NO_SHAPE
             good &= _have(rows, self._shapes[number])
             good &= form.have_first_key(rows)
-            good &= form.fits(rows)
-            return good, number
         good &= form.fits(rows)
-        return good, self._shape_of_first(form, rows) if good[0] and form.have_first_key(rows).all() else NO_SHAPE
+        if number == NO_SHAPE and good[0] and form.have_first_key(rows).all():
+            number = self._shape_of_first(form, rows)
+        return good, number
 
     def _shape_of_first(self, form: FormCheck, rows: Rows) -> int:
         """Return the shape of the first of several frames of one length, ``NO_SHAPE`` where its parts do not add up."""
@@ -335,21 +336,19 @@ class FrameCheck:
             return np.full(len(rows), known[0] if known else self._learn(form, family, rows[0]), dtype=np.int64)
         found = np.full(len(rows), NO_SHAPE, dtype=np.int64)
         left = np.arange(len(rows))
-        for number in known[-1 : -_SHAPES_TRIED - 1 : -1]:
-            same = _have(rows if len(left) == len(rows) else rows[left], self._shapes[number])
-            found[left[same]] = number
-            left = left[~same]
-            if len(left) == 0:
-                return found
-        tries = 0
+        untried = known[-_SHAPES_TRIED:]
+        learned = 0
         while len(left):
-            number = self._learn(form, family, rows[left[0]])
-            tries += 1
-            if number == NO_SHAPE or tries > _SHAPES_TRIED:
+            if untried:
+                number = untried.pop()
+            else:
+                number = self._learn(form, family, rows[left[0]])
+                learned += 1
+            if number == NO_SHAPE or learned > _SHAPES_TRIED:
                 found[left[0]] = number
                 left = left[1:]
                 continue
-            same = _have(rows[left], self._shapes[number])
+            same = _have(rows if len(left) == len(rows) else rows[left], self._shapes[number])
             found[left[same]] = number
             left = left[~same]
         return found

@@ -206,7 +206,6 @@ def decode_dbc(content: bytes, name: str) -> str:
 def _build(top: Table, settings: dict[str, Setting]) -> Protocol:
     with top:
         kind = top.choice("kind", ("frames", "text", "can"))
-        name, title, manual = top.text("name"), top.text("title"), top.text("manual")
         frame, lines, can = None, None, None
         if kind == "can":
             # cantools, which reads DBC files, is imported only where one is needed.
@@ -231,9 +230,9 @@ def _build(top: Table, settings: dict[str, Setting]) -> Protocol:
         for key in ("emulate", *(("frame", "parts", "frames", "messages") if frame else ())):
             top.has(key)
         return Protocol(
-            name=name,
-            title=title,
-            manual=manual,
+            name=top.text("name"),
+            title=top.text("title"),
+            manual=top.text("manual"),
             text=top.source.text,
             sha256=hashlib.sha256(top.source.text.encode()).hexdigest(),
             settings=settings,
@@ -275,10 +274,10 @@ def _read_nominal(top: Table, units: SampleUnits, clock: ClockRule) -> Nominal:
     ranges: list[float | None] = []
     with top.table("nominal") as table:
         for part, unit in (("accelerometer", units.accelerometer), ("gyroscope", units.gyroscope)):
-            scale, largest = table.optional_number(f"{part}_scale"), table.optional_number(f"{part}_range")
+            perfect = 1.0 if unit in SI_UNITS else None
             _, factor = TO_SI[table.choice(f"{part}_range_unit", TO_SI, UNITS_OF[part][0])]
-            scales.append(1.0 if scale is None and unit in SI_UNITS else scale)
-            ranges.append(None if largest is None else largest * factor)
+            scales.append(table.number(f"{part}_scale") if table.has(f"{part}_scale") else perfect)
+            ranges.append(table.number(f"{part}_range") * factor if table.has(f"{part}_range") else None)
         return Nominal(
             accelerometer_scale=scales[0],
             gyroscope_scale=scales[1],

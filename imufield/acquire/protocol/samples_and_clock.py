@@ -222,7 +222,7 @@ def _read_quantity(table: Table) -> Quantity:
                 scale_when = ScaleWhen(when.text("field"), when.integer("mask", 1, (1 << 63) - 1), when.number("scale"))
         return Quantity(
             fields=table.texts("fields"),
-            unit=table.optional_text("unit"),
+            unit=table.text("unit") if table.has("unit") else None,
             increment=table.flag("increment"),
             scale=table.number("scale", 1.0),
             scale_when=scale_when,

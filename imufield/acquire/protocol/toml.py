@@ -190,14 +190,6 @@ class Table:
         except ValueError:
             raise self.error(key, sentence("toml.hexadecimal", found=_shown(found))) from None
 
-    def optional_text(self, key: str) -> str | None:
-        """Return a string, None where the key is absent."""
-        return self.text(key) if self.has(key) else None
-
-    def optional_number(self, key: str) -> float | None:
-        """Return a finite number, None where the key is absent."""
-        return self.number(key) if self.has(key) else None
-
     def optional_integer(self, key: str, low: int, high: int) -> int | None:
         """Return a whole number from ``low`` to ``high``, None where the key is absent."""
         return self.integer(key, low, high) if self.has(key) else None
