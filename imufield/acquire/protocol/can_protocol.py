@@ -157,36 +157,35 @@ def read_can(top: Table) -> tuple[CanRule, SampleUnits, ClockRule]:
     ProtocolError
         If something is missing, unknown or contradictory, with line and key.
     """
-    can, assembly, clock = top.table("can"), top.table("assembly"), top.table("clock")
-    dbc = _read_dbc(top, can)
+    can, assembly, clock, embedded = top.table("can"), top.table("assembly"), top.table("clock"), top.table("dbc")
+    name, identifiers = can.text("dbc", "DBC file"), can.choice("identifiers", ("auto", "exact", "j1939"), "auto")
+    if not embedded.has("text"):
+        raise can.error("dbc", sentence("can_protocol.no_dbc"))
+    dbc = DbcFile(embedded.text("text"), name, identifiers)
     mapped = _Mapping(top.table("map"), dbc)
     units_of = {part: mapped.triad(part) for part in _PLACES}
     mapped.others()
     if not any(units_of.values()):
         raise mapped.table.error("", sentence("can_protocol.nothing_mapped", candidates=_candidates(dbc)))
-    clock_rule = _read_clock(clock, mapped)
+    clock_rule = ClockRule(
+        counter_modulus=mapped.counter_modulus,
+        counter_steps=read_steps(clock, "counter_steps"),
+        time_modulus=mapped.time_modulus,
+        time_ticks_per_s=clock.number("time_ticks_per_s", mapped.ticks_per_s, low=LEAST_TICKS_PER_S, high=MOST_TICKS_PER_S),
+        rate_hz=clock.number("rate_hz", 0.0, low=0, high=MOST_TICKS_PER_S),
+    )
     units = sample_units(clock, clock_rule, units_of["accelerometer"] or "m/s^2", units_of["gyroscope"] or "rad/s")
     rule = CanRule(
         dbc=dbc,
         kinds=tuple(mapped.kinds.values()),
-        assembly=_read_assembly(assembly, mapped, dbc),
+        assembly=_read_assembly(assembly, mapped),
         messages=tuple(_in_file(can, "messages", dbc.message, name) for name in can.texts("messages")),
         source_address=can.integer("source_address", 0, ANY_ADDRESS, ANY_ADDRESS),
         bit_rate=can.optional_integer("bit_rate", 1, 20_000_000),
     )
-    for table in (can, assembly, clock, mapped.table):
+    for table in (can, assembly, clock, embedded, mapped.table):
         table.finish()
     return rule, units, clock_rule
-
-
-def _read_dbc(top: Table, can: Table) -> DbcFile:
-    name, embedded = can.text("dbc", "DBC file"), top.table("dbc")
-    if not embedded.has("text"):
-        raise can.error("dbc", sentence("can_protocol.no_dbc"))
-    identifiers = can.choice("identifiers", ("auto", "exact", "j1939"), "auto")
-    dbc = DbcFile(embedded.text("text"), name, identifiers)
-    embedded.finish()
-    return dbc
 
 
 def _in_file(table: Table, key: str, find: Callable[[str], _Found], name: str) -> _Found:
@@ -222,21 +221,17 @@ class _Mapping:
 
     def _axis(self, part: str, axis: int, name: str) -> str:
         kind, signal = self._find(part, name.lstrip("-"))
-        unit, factor = self._unit(part, signal, UNITS_OF[part])
-        factor = -factor if name.startswith("-") else factor
-        kind.columns.append(Column(_PLACES[part] + axis, signal, signal.factor * factor, signal.offset * factor))
-        return unit
-
-    def _unit(self, part: str, signal: CanSignal, allowed: tuple[str, ...]) -> tuple[str, float]:
         given = self.table.text(f"{part}_unit", "")
         written = given or signal.unit
         unit, factor = TO_SI.get(unit_name(written) or "", ("", 0.0))
-        if unit not in allowed:
-            known = [name for name, (si, _) in TO_SI.items() if si in allowed]
+        if unit not in UNITS_OF[part]:
+            known = [name for name, (si, _) in TO_SI.items() if si in UNITS_OF[part]]
             shown = f"{written!r}" if written else "no unit"
             wrong = sentence("can_protocol.unit", signal=signal.name, unit=shown, part=part, known=known)
             raise self.table.error(f"{part}_unit" if given else part, wrong, Reason.UNITS)
-        return unit, factor
+        factor = -factor if name.startswith("-") else factor
+        kind.columns.append(Column(_PLACES[part] + axis, signal, signal.factor * factor, signal.offset * factor))
+        return unit
 
     def others(self) -> None:
         """Read temperature, counter, time, flags and status."""
@@ -277,6 +272,15 @@ class _Mapping:
         for kind in kinds:
             kind.group = signal
 
+    def number_of(self, table: Table, key: str, name: str) -> int:
+        """Return the number of the kind of frame that a key of another table names."""
+        for number, kind in enumerate(self.kinds.values()):
+            if name in (kind.name, kind.message.name):
+                return number
+        _in_file(table, key, self._dbc.message, name)
+        names = [kind.name for kind in self.kinds.values()]
+        raise table.error(key, sentence("can_protocol.not_mapped", name=name, near=near(name, names), known=names))
+
     def _find(self, key: str, name: str) -> tuple[CanKind, CanSignal]:
         message, signal = _in_file(self.table, key, self._dbc.find, name)
         if not message.selectors:
@@ -293,38 +297,18 @@ class _Mapping:
         return 1 << min(signal.length, _MOST_BITS)
 
 
-def _read_assembly(table: Table, mapped: _Mapping, dbc: DbcFile) -> AssemblyRule:
-    kinds = list(mapped.kinds.values())
+def _read_assembly(table: Table, mapped: _Mapping) -> AssemblyRule:
     counters = table.texts("counters")
     for name in counters:
         mapped.group("counters", table, name)
-    if counters and any(kind.group is None for kind in kinds):
+    if counters and any(kind.group is None for kind in mapped.kinds.values()):
         raise table.error("counters", sentence("can_protocol.counters"))
     start = table.text("starts_with", "")
     return AssemblyRule(
-        _kind_number(table, "starts_with", start, kinds, dbc=dbc) if start else None,
-        tuple(_kind_number(table, "needs", name, kinds, dbc=dbc) for name in table.texts("needs")),
+        mapped.number_of(table, "starts_with", start) if start else None,
+        tuple(mapped.number_of(table, "needs", name) for name in table.texts("needs")),
         min(table.number("limit_s", 0.0, low=0), _LONGEST_LIMIT_S),
         bool(counters),
-    )
-
-
-def _kind_number(table: Table, key: str, name: str, kinds: list[CanKind], *, dbc: DbcFile) -> int:
-    for number, kind in enumerate(kinds):
-        if name in (kind.name, kind.message.name):
-            return number
-    _in_file(table, key, dbc.message, name)
-    names = [kind.name for kind in kinds]
-    raise table.error(key, sentence("can_protocol.not_mapped", name=name, near=near(name, names), known=names))
-
-
-def _read_clock(table: Table, mapped: _Mapping) -> ClockRule:
-    return ClockRule(
-        counter_modulus=mapped.counter_modulus,
-        counter_steps=read_steps(table, "counter_steps"),
-        time_modulus=mapped.time_modulus,
-        time_ticks_per_s=table.number("time_ticks_per_s", mapped.ticks_per_s, low=LEAST_TICKS_PER_S, high=MOST_TICKS_PER_S),
-        rate_hz=table.number("rate_hz", 0.0, low=0, high=MOST_TICKS_PER_S),
     )
 
 
