@@ -223,6 +223,10 @@ class FrameCheck:
                 break
         return max(int(self.lengths(buffer, np.array([at], dtype=np.intp))[0]), 0)
 
+    def lengths_of_headers(self, buffer: Bytes, places: Positions) -> Positions:
+        """Return the same as ``lengths`` for positions from ``headers``, where the sync bytes need no second look."""
+        return self._forms[0].lengths(buffer, places) if len(self._forms) == 1 else self.lengths(buffer, places)
+
     def lengths(self, buffer: Bytes, starts: Positions) -> Positions:
         """Return the lengths of frames whose headers stand at ``starts``; ``NONE`` or ``MORE`` where there is none."""
         if len(self._forms) == 1:

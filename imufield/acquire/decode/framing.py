@@ -196,7 +196,7 @@ class Framer:
     def _take_chain(self, buffer: Bytes, at: int, found: _Found) -> int:
         """Take frames of any length from ``at`` on, each beginning where the one before ends; return where that ends."""
         places = self._check.headers(buffer, at, min(at + self._chain, len(buffer)))
-        lengths = self._check.lengths(buffer, places)
+        lengths = self._check.lengths_of_headers(buffer, places)
         begun = lengths > 0
         whole = begun & (places + lengths <= len(buffer))
         cut = places[begun & ~whole]
