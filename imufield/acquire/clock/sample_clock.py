@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imufield.acquire.clock.clock import Arrivals, Clock
 from imufield.acquire.clock.loss_watch import LossWatch, TimedBlock
@@ -182,7 +181,12 @@ class SampleClock(Clock):
         found = self._steps.examine(steps)
         fault = np.zeros(len(block), dtype=np.bool_)
         if self._rule.gaps_told:
-            self._count_told(block.status, found.lost)
+            # The samples themselves tell of the losses; how many there are is in the time.
+            estimated = (block.status & np.uint32(Status.GAP_ESTIMATED)) != 0
+            counted = ((block.status & np.uint32(Status.AFTER_GAP)) != 0) & ~estimated
+            self._statistics.gaps += int(np.count_nonzero(estimated | counted))
+            self._statistics.samples_lost += int(found.lost[counted].sum())
+            self._statistics.losses_estimated += int(found.lost[estimated].sum())
         else:
             flags[found.irregular & ~found.inexact] |= np.uint32(Status.AFTER_GAP)
             flags[found.inexact] |= np.uint32(Status.GAP_ESTIMATED)
@@ -194,14 +198,6 @@ class SampleClock(Clock):
             if not (self._has_time or self._has_counter):
                 flags |= np.uint32(Status.TIME_ESTIMATED)
         return TimedBlock(block=block, time_s=time_s, flags=flags, fault=fault, arrival_s=math.nan)
-
-    def _count_told(self, status: NDArray[np.uint32], lost: IntArray) -> None:
-        """Count the losses that the samples themselves tell of; how many there are is in the time."""
-        estimated = (status & np.uint32(Status.GAP_ESTIMATED)) != 0
-        counted = ((status & np.uint32(Status.AFTER_GAP)) != 0) & ~estimated
-        self._statistics.gaps += int(np.count_nonzero(estimated | counted))
-        self._statistics.samples_lost += int(lost[counted].sum())
-        self._statistics.losses_estimated += int(lost[estimated].sum())
 
     def _counter_steps(self, block: RawBlock) -> IntArray:
         """Return how far the counter went to each sample; a standing one went round once. Shape (n,)."""

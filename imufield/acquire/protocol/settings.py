@@ -98,10 +98,7 @@ def _read_rule(name: str, table: Table) -> SettingRule:
 
 
 def choose_settings(
-    rules: Mapping[str, SettingRule],
-    given: Mapping[str, object],
-    read: Mapping[str, object],
-    source: Source,
+    rules: Mapping[str, SettingRule], given: Mapping[str, object], read: Mapping[str, object], source: Source
 ) -> dict[str, Setting]:
     """Return every setting: as given, else as read from the instrument, else its default.
 
