@@ -30,10 +30,12 @@ OTHER = "other"
 LARGEST = 1e300
 """Of numbers: infinity and NaN are none that a person means."""
 
+DEEPEST = 32
+"""Levels of tables and arrays in each other; shipped protocols have eight."""
+
 Path = tuple[str | int, ...]
 _Kind = TypeVar("_Kind")
 _BRACE = re.compile("[{}]")
-_DEEPEST = 32  # Levels of tables and arrays in each other; shipped protocols have six.
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +95,7 @@ class Source:
             raise ProtocolError(sentence("toml.unreadable", label=self.label, error=error)) from error
         except RecursionError:
             found = None
-        if found is None or _nests(found, _DEEPEST):
+        if found is None or _nests(found, DEEPEST):
             raise ProtocolError(sentence("toml.nested", label=self.label))
         return found
 

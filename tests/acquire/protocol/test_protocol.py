@@ -219,7 +219,7 @@ DEEP = {
 
 @pytest.mark.parametrize("text", DEEP.values(), ids=list(DEEP))
 def test_tables_that_nest_too_deeply_are_refused(text: str) -> None:
-    with refused(ProtocolError, Reason.BAD_PROTOCOL, "mine.toml", "three levels", key="toml.nested") as caught:
+    with refused(ProtocolError, Reason.BAD_PROTOCOL, "mine.toml", "ten levels", key="toml.nested") as caught:
         parse_protocol(text, label="mine.toml")
     assert caught.value.values == {"label": "mine.toml"}
 
