@@ -23,7 +23,7 @@ from imufield.acquire.clock.stamp_clock import DeviceClock
 from imufield.acquire.decode.assembly import Keep, Message, Source
 from imufield.acquire.decode.frame_source import FrameSource
 from imufield.acquire.decode.statistics import DecoderStatistics
-from imufield.acquire.decode.text_lines import LineReader
+from imufield.acquire.decode.text_lines import LineReader, SentenceReader
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.protocol.samples_and_clock import NANOSECONDS, ClockRule
 from imufield.samples import FloatArray, IntArray, Samples, Status, concatenate, no_samples
@@ -130,7 +130,8 @@ def _parts(protocol: Protocol, statistics: DecoderStatistics, keep: Keep) -> tup
     clock = SampleClock(_clock_rule(protocol), protocol.units, statistics)
     if protocol.frame is not None:
         return FrameSource(protocol, protocol.frame, statistics, keep), clock
-    return LineReader(protocol, statistics, keep), clock
+    reader = SentenceReader if protocol.lines and protocol.lines.sentences else LineReader
+    return reader(protocol, statistics, keep), clock
 
 
 def _clock_rule(protocol: Protocol) -> ClockRule:

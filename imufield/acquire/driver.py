@@ -8,6 +8,9 @@ from typing import Any, ClassVar, Literal
 
 from imufield.acquire.protocol.protocol import Protocol, load_protocol
 from imufield.errors import UsageError
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 Evidence = Literal["verified on real bytes", "document only"]
 Wire = Literal["serial", "can"]
@@ -157,7 +160,7 @@ class Driver:
         UsageError
             If the instrument cannot have this rate, or any.
         """
-        raise UsageError(f"the output rate of {cls.title} cannot be set: {cls.no_rate}; leave out --rate-hz")
+        raise UsageError(sentence("driver.fixed_rate", title=cls.title, cause=cls.no_rate))
 
     @classmethod
     def restore_orders(cls, state: Sequence[Message]) -> Sequence[Command]:
@@ -187,8 +190,7 @@ def choose_rate(title: str, rate_hz: float, rates_hz: Collection[float]) -> floa
     for rate in rates_hz:
         if abs(rate - rate_hz) <= 1e-3 * rate:
             return rate
-    known = ", ".join(f"{rate:g}" for rate in sorted(rates_hz))
-    raise UsageError(f"{title} has no output rate of {rate_hz:g} Hz; choose one of {known} Hz", rate_hz=rate_hz)
+    raise UsageError(sentence("driver.no_rate", title=title, rate_hz=rate_hz, rates_hz=sorted(rates_hz)))
 
 
 def choose_divisor(title: str, rate_hz: float, base_hz: float) -> int:
@@ -201,6 +203,6 @@ def choose_divisor(title: str, rate_hz: float, base_hz: float) -> int:
     """
     divisor = max(round(base_hz / rate_hz), 1)
     if abs(base_hz / divisor - rate_hz) > 1e-3 * rate_hz:
-        near = ", ".join(f"{base_hz / one:g}" for one in range(max(divisor - 1, 1), divisor + 2))
-        raise UsageError(f"{title} divides {base_hz:g} Hz by a whole number, which {rate_hz:g} Hz is not; near it: {near} Hz")
+        near_hz = [base_hz / number for number in range(max(divisor - 1, 1), divisor + 2)]
+        raise UsageError(sentence("driver.no_divisor", title=title, base_hz=base_hz, rate_hz=rate_hz, near_hz=near_hz))
     return divisor

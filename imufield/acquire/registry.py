@@ -14,6 +14,9 @@ from importlib.metadata import EntryPoint, EntryPoints, entry_points
 from imufield.acquire.driver import Driver
 from imufield.acquire.protocol.toml import near
 from imufield.errors import ProtocolError, Reason, UnknownNameError
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 GROUP = "imufield.drivers"
 # What every driver states of its instrument.
@@ -39,22 +42,15 @@ def load_driver(name: str) -> type[Driver]:
     shipped = name in shipped_names()
     # Which of two is meant, nobody can tell; the order of installation must not decide.
     if shipped + len(points) > 1:
-        owners = ", ".join([*(["imufield"] if shipped else []), *(_owner(point) for point in points)])
-        raise ProtocolError(
-            f"there are {shipped + len(points)} drivers called {name!r}, from {owners}; remove one of them",
-            Reason.UNKNOWN_DRIVER,
-            name=name,
-        )
+        owners = [*(["imufield"] if shipped else []), *(point.dist.name if point.dist else point.value for point in points)]
+        raise ProtocolError(sentence("registry.several", name=name, owners=owners, count=len(owners)), Reason.UNKNOWN_DRIVER)
     if shipped:
         return _load(EntryPoint(name, f"{GROUP}.{name}:DRIVER", GROUP))
     if points:
         return _load(points[0])
     names = driver_names()
-    raise UnknownNameError(
-        f"there is no driver {name!r}{near(name, names)}; there are: {', '.join(names)}",
-        Reason.UNKNOWN_DRIVER,
-        name=name,
-    )
+    unknown = sentence("registry.unknown", name=name, near=near(name, names), names=names)
+    raise UnknownNameError(unknown, Reason.UNKNOWN_DRIVER)
 
 
 def shipped_names() -> list[str]:
@@ -73,32 +69,17 @@ def _points_on(path: tuple[str, ...]) -> EntryPoints:  # noqa: ARG001  (where th
     return entry_points(group=GROUP)
 
 
-def _owner(point: EntryPoint) -> str:
-    return point.dist.name if point.dist else point.value
-
-
 def _load(point: EntryPoint) -> type[Driver]:
+    where = {"name": point.name, "place": point.value}
     try:
         found = point.load()
     except (Exception, SystemExit) as error:  # a module of somebody else, whose first run can fail in any way
-        raise ProtocolError(
-            f"driver {point.name!r} cannot be loaded from {point.value} ({type(error).__name__}: {error}); repair it or "
-            "install it anew",
-            Reason.DRIVER_FAILED,
-            name=point.name,
-        ) from error
+        failed = sentence("registry.failed", kind=type(error).__name__, cause=error, **where)
+        raise ProtocolError(failed, Reason.DRIVER_FAILED) from error
     if not (isinstance(found, type) and issubclass(found, Driver)):
-        raise ProtocolError(
-            f"driver {point.name!r} from {point.value} is a {type(found).__name__}, not a class derived from Driver",
-            Reason.DRIVER_FAILED,
-            name=point.name,
-        )
+        raise ProtocolError(sentence("registry.no_driver", kind=type(found).__name__, **where), Reason.DRIVER_FAILED)
     # Else it would fail later, in the middle of a session.
     missing = [name for name in _STATED if not hasattr(found, name)]
     if missing:
-        raise ProtocolError(
-            f"driver {point.name!r} from {point.value} does not state {', '.join(missing)}; complete it",
-            Reason.DRIVER_FAILED,
-            name=point.name,
-        )
+        raise ProtocolError(sentence("registry.incomplete", missing=missing, **where), Reason.DRIVER_FAILED)
     return found

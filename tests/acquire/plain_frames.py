@@ -5,9 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import Any
 
+import numpy as np
+
 from imufield.acquire.decode.framing import Framer
+from imufield.acquire.protocol.can_dbc import CanSignal
 from imufield.acquire.protocol.can_frames import EXTENDED, Frame, pack_frame
+from imufield.acquire.protocol.layout import Rows
 from imufield.acquire.protocol.protocol import Protocol
+from imufield.samples import FloatArray
 
 
 def pack_frames(frames: Iterable[Frame]) -> bytes:
@@ -33,3 +38,11 @@ def decode_fields(protocol: Protocol, data: bytes) -> Iterator[tuple[str, dict[s
         for start, key in zip(block.starts.tolist(), block.shapes.tolist(), strict=True):
             layout = framer.layout(key)
             yield layout.kind, layout.describe(block.data[start : start + layout.length].tobytes())
+
+
+def values_of(signal: CanSignal, rows: Rows) -> FloatArray:
+    """Return the numbers of a signal in its unit, NaN where a code says that there is none."""
+    raw = signal.raw(rows)
+    with np.errstate(over="ignore", invalid="ignore"):
+        values = raw.astype(np.float64) * signal.factor + signal.offset
+    return np.where(signal.gaps(raw)[0], np.nan, values)

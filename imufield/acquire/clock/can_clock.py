@@ -27,7 +27,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from imufield.acquire.clock.can_period import LEARN_S, LEARN_SAMPLES, learned_from, sample_period_s
-from imufield.acquire.clock.clock import Arrivals, samples_of
+from imufield.acquire.clock.clock import Arrivals, Clock, filled_in
 from imufield.acquire.decode.assembly import RawBlock, join
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
@@ -62,21 +62,11 @@ class _Phase:
     run: int = 0
 
 
-class CanClock:
-    """Gives samples their time, block by block.
-
-    Parameters
-    ----------
-    rule : ClockRule
-    units : SampleUnits
-    statistics : DecoderStatistics
-        Counts of samples and losses are kept there.
-    """
+class CanClock(Clock):
+    """Gives samples their time, block by block."""
 
     def __init__(self, rule: ClockRule, units: SampleUnits, statistics: DecoderStatistics) -> None:
-        self._rule = rule
-        self._units = units
-        self._statistics = statistics
+        super().__init__(rule, units, statistics)
         self._pending: list[RawBlock] = []
         self._phase: _Phase | None = None
         self._tried = LEARN_SAMPLES  # From so many samples no period could be learned yet.
@@ -165,12 +155,8 @@ class CanClock:
         if self._last_counter is None:
             return np.ones(len(counter))
         known = counter >= 0
-        filled = counter
-        if not known.all():
-            # A lost counter message: go on from the last one known.
-            places = np.maximum.accumulate(np.where(known, np.arange(len(counter)), -1))
-            before = np.where(places >= 0, counter[np.maximum(places, 0)], self._last_counter)
-            filled = before + (np.arange(len(counter)) - places) * self._counter_step * ~known
+        # A lost counter message: go on from the last one known.
+        filled = counter if known.all() else filled_in(counter, known, self._last_counter, self._counter_step)
         modulus = self._rule.counter_modulus
         steps = np.diff(filled, prepend=self._last_counter) % modulus / self._counter_step
         if remember:
@@ -222,7 +208,6 @@ class CanClock:
     def _samples(self, block: RawBlock, time_s: FloatArray, steps: FloatArray | None, estimated: IntArray | None) -> Samples:
         flags = np.full(len(block), np.uint32(Status.TIME_ESTIMATED), dtype=np.uint32)
         statistics = self._statistics
-        statistics.samples += len(block)
         gaps = np.zeros(len(block), dtype=np.bool_)
         if steps is not None and steps.max() > 1:
             gaps = steps > 1
@@ -233,7 +218,7 @@ class CanClock:
             statistics.losses_estimated += int(estimated.sum())
             gaps = gaps | (estimated > 0)
         statistics.gaps += int(np.count_nonzero(gaps))
-        return samples_of(block, time_s, flags, self._units)
+        return self._timed(block, time_s, flags)
 
     def _rate_changed(self, moved_s: FloatArray, phase: _Phase) -> bool:
         """Whether the phase runs away, which a wrong period makes it do."""

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.acquire.decode.assembly import RawBlock
+from imufield.acquire.decode.assembly import RawBlock, Ticks
+from imufield.acquire.decode.statistics import DecoderStatistics
+from imufield.acquire.protocol.samples_and_clock import ClockRule
 from imufield.samples import FloatArray, IntArray, Samples, SampleUnits
 
 
@@ -31,9 +33,24 @@ class Arrivals:
         return list(zip(until[with_rows].tolist(), self.arrival_s[with_rows].tolist(), strict=True))
 
 
-class Clock(Protocol):
-    """Gives the samples of one source their time, block by block."""
+class Clock(ABC):
+    """Gives the samples of one source their time, block by block.
 
+    Parameters
+    ----------
+    rule : ClockRule
+        With the moduli filled in; fields that the stream does not have are empty.
+    units : SampleUnits
+    statistics : DecoderStatistics
+        Counts of samples and losses are kept there.
+    """
+
+    def __init__(self, rule: ClockRule, units: SampleUnits, statistics: DecoderStatistics) -> None:
+        self._rule = rule
+        self._units = units
+        self._statistics = statistics
+
+    @abstractmethod
     def push(self, block: RawBlock, arrivals: Arrivals) -> Samples | None:
         """Return the samples whose time is settled now, None if there are none.
 
@@ -43,21 +60,27 @@ class Clock(Protocol):
         arrivals : Arrivals
             Of the reads that this block comes from; the frames of a bus have time stamps instead.
         """
-        ...
 
+    @abstractmethod
     def flush(self) -> Samples | None:
         """Return what is kept back; nothing will follow."""
-        ...
+
+    def _timed(self, block: RawBlock, time_s: FloatArray, flags: NDArray[np.uint32]) -> Samples:
+        """Return the samples of a block with their time, and with what the clock knows of gaps and of the time."""
+        self._statistics.samples += len(block)
+        return Samples(
+            time_s=time_s,
+            accelerometer=block.accelerometer,
+            gyroscope=block.gyroscope,
+            temperature_degc=block.temperature_degc,
+            counter=block.counter,
+            status=block.status | flags,
+            units=self._units,
+        )
 
 
-def samples_of(block: RawBlock, time_s: FloatArray, flags: NDArray[np.uint32], units: SampleUnits) -> Samples:
-    """Return the samples of a block with their time, and with what the clock knows of gaps and of the time."""
-    return Samples(
-        time_s=time_s,
-        accelerometer=block.accelerometer,
-        gyroscope=block.gyroscope,
-        temperature_degc=block.temperature_degc,
-        counter=block.counter,
-        status=block.status | flags,
-        units=units,
-    )
+def filled_in(values: Ticks, known: NDArray[np.bool_], before: float, step: float) -> Ticks:
+    """Return counts or stamps with those that are not known a step behind the one before; ``before`` is that of the first."""
+    places = np.maximum.accumulate(np.where(known, np.arange(len(values)), -1))
+    last = np.where(places >= 0, values[np.maximum(places, 0)], before)
+    return np.where(known, values, last + (np.arange(len(values)) - places) * step)

@@ -16,9 +16,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imufield.acquire.clock.clock import Arrivals, samples_of
+from imufield.acquire.clock.clock import Arrivals, Clock
 from imufield.acquire.clock.loss_watch import LossWatch, TimedBlock
 from imufield.acquire.clock.stamp_clock import LEARN_FROM, StampClock, StepRule
 from imufield.acquire.decode.assembly import NO_TICKS, RawBlock, join
@@ -26,6 +25,9 @@ from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
 from imufield.errors import ProtocolError, Reason
 from imufield.samples import NO_COUNTER, FloatArray, IntArray, Samples, SampleUnits, Status
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 _FREE_LAG_S = 0.25  # Lag that counts as loss where there is no counter: above the usual delays of a busy host.
 _HALF_A_SAMPLE = 0.5
@@ -35,22 +37,11 @@ _LARGEST_RATE_ERROR = 0.25
 _SLEW = 0.1  # Largest part by which steps are stretched to follow the host clock.
 
 
-class SampleClock:
-    """Gives samples their time, block by block.
-
-    Parameters
-    ----------
-    rule : ClockRule
-        With the moduli filled in; fields that the stream does not have are empty.
-    units : SampleUnits
-    statistics : DecoderStatistics
-        Counts of samples and losses are kept there.
-    """
+class SampleClock(Clock):
+    """Gives samples their time, block by block."""
 
     def __init__(self, rule: ClockRule, units: SampleUnits, statistics: DecoderStatistics) -> None:
-        self._rule = rule
-        self._units = units
-        self._statistics = statistics
+        super().__init__(rule, units, statistics)
         self._has_time = bool(rule.time_field)
         self._has_counter = bool(rule.counter_field)
         # Which of time stamp, counter and host clock to go by is settled: not every stream has what its protocol has.
@@ -163,12 +154,8 @@ class SampleClock:
         if interval_s is None or learned_from <= LEARN_FROM or step_s <= 0 or not (self._has_counter or self._has_time):
             return
         if abs(step_s / interval_s - 1) > _LARGEST_RATE_ERROR:
-            raise ProtocolError(
-                f"the instrument sends {1 / step_s:.4g} samples/s, but rate_hz is {1 / interval_s:.4g} and increments need "
-                f"the true one; set rate_hz={1 / step_s:.4g}",
-                Reason.UNITS,
-                rate_hz=1 / step_s,
-            )
+            wrong = sentence("sample_clock.rate", rate_hz=1 / step_s, stated_hz=1 / interval_s)
+            raise ProtocolError(wrong, Reason.UNITS)
 
     @property
     def _step_s(self) -> float:
@@ -192,28 +179,25 @@ class SampleClock:
             self._ticks = int(total[-1])
             time_s = total / self._tick_rate_hz + self._origin_s
         found = self._steps.examine(steps)
+        fault = np.zeros(len(block), dtype=np.bool_)
         if self._rule.gaps_told:
-            self._count_told(block.status, found.lost)
-            no_fault = np.zeros(len(block), dtype=np.bool_)
-            return TimedBlock(block=block, time_s=time_s, flags=flags, fault=no_fault, arrival_s=math.nan)
-        flags[found.irregular & ~found.inexact] |= np.uint32(Status.AFTER_GAP)
-        flags[found.inexact] |= np.uint32(Status.GAP_ESTIMATED)
-        # A gap as long as the bytes that were passed over there needs no other explanation.
-        unaccounted = np.abs(block.skipped_before - found.lost) > _HALF_A_SAMPLE
-        fault = unaccounted & (found.irregular | (block.skipped_before > 0))
-        self._statistics.gaps += int(np.count_nonzero(flags))
-        self._statistics.samples_lost += int(found.lost.sum())
-        if not (self._has_time or self._has_counter):
-            flags |= np.uint32(Status.TIME_ESTIMATED)
+            # The samples themselves tell of the losses; how many there are is in the time.
+            estimated = (block.status & np.uint32(Status.GAP_ESTIMATED)) != 0
+            counted = ((block.status & np.uint32(Status.AFTER_GAP)) != 0) & ~estimated
+            self._statistics.gaps += int(np.count_nonzero(estimated | counted))
+            self._statistics.samples_lost += int(found.lost[counted].sum())
+            self._statistics.losses_estimated += int(found.lost[estimated].sum())
+        else:
+            flags[found.irregular & ~found.inexact] |= np.uint32(Status.AFTER_GAP)
+            flags[found.inexact] |= np.uint32(Status.GAP_ESTIMATED)
+            # A gap as long as the bytes that were passed over there needs no other explanation.
+            unaccounted = np.abs(block.skipped_before - found.lost) > _HALF_A_SAMPLE
+            fault = unaccounted & (found.irregular | (block.skipped_before > 0))
+            self._statistics.gaps += int(np.count_nonzero(flags))
+            self._statistics.samples_lost += int(found.lost.sum())
+            if not (self._has_time or self._has_counter):
+                flags |= np.uint32(Status.TIME_ESTIMATED)
         return TimedBlock(block=block, time_s=time_s, flags=flags, fault=fault, arrival_s=math.nan)
-
-    def _count_told(self, status: NDArray[np.uint32], lost: IntArray) -> None:
-        """Count the losses that the samples themselves tell of; how many there are is in the time."""
-        estimated = (status & np.uint32(Status.GAP_ESTIMATED)) != 0
-        counted = ((status & np.uint32(Status.AFTER_GAP)) != 0) & ~estimated
-        self._statistics.gaps += int(np.count_nonzero(estimated | counted))
-        self._statistics.samples_lost += int(lost[counted].sum())
-        self._statistics.losses_estimated += int(lost[estimated].sum())
 
     def _counter_steps(self, block: RawBlock) -> IntArray:
         """Return how far the counter went to each sample; a standing one went round once. Shape (n,)."""
@@ -268,9 +252,8 @@ class SampleClock:
         time_s = np.concatenate([self._follow_host(each) for each in done]) if len(done) > 1 else self._follow_host(done[0])
         block = join([each.block for each in done])
         flags = np.concatenate([each.flags for each in done]) if len(done) > 1 else done[0].flags
-        self._statistics.samples += len(block)
         self._measure()
-        return samples_of(block, time_s, flags, self._units)
+        return self._timed(block, time_s, flags)
 
     def _follow_host(self, timed: TimedBlock) -> FloatArray:
         """Bend even steps towards the line of earliest arrivals; device time is left as it is."""

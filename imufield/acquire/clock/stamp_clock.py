@@ -17,7 +17,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.acquire.clock.clock import Arrivals, samples_of
+from imufield.acquire.clock.clock import Arrivals, Clock, filled_in
 from imufield.acquire.decode.assembly import NO_TICKS, RawBlock, Ticks, join
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
@@ -77,7 +77,7 @@ class StepRule:
         inexact = np.zeros(len(steps), dtype=np.bool_)
         at = 0
         while at < len(steps) and self.step > 0:
-            odd = self._odd(steps[at:])
+            odd = np.abs(steps[at:] - self.step) > (self._jitter if self._allowed else 2 * _TOLERANCE * self.step)
             if not odd.any():
                 self._run_length = 0
                 break
@@ -93,17 +93,13 @@ class StepRule:
             at = until
         return Steps(lost, irregular, inexact)
 
-    def _odd(self, steps: FloatArray) -> NDArray[np.bool_]:
-        tolerance = self._jitter if self._allowed else 2 * _TOLERANCE * self.step
-        odd: NDArray[np.bool_] = np.abs(steps - self.step) > tolerance
-        return odd
-
     def _relearn(self, steps: FloatArray, odd_at: IntArray) -> tuple[int, bool]:
         """Return behind which of the steps another one becomes regular, and True; their number and False if none does."""
         previous = -1 if self._run_length else -2
         for place in odd_at.tolist():
             value = float(steps[place])
-            goes_on = place == previous + 1 and self._equal(value)
+            tolerance = self._jitter if self._allowed else _TOLERANCE * abs(self._run_value)
+            goes_on = place == previous + 1 and abs(value - self._run_value) <= tolerance
             self._run_length = self._run_length + 1 if goes_on else 1
             self._run_value = self._run_value if goes_on else value
             previous = place
@@ -112,11 +108,6 @@ class StepRule:
         if previous != len(steps) - 1:
             self._run_length = 0
         return len(steps), False
-
-    def _equal(self, value: float) -> bool:
-        if self._allowed:
-            return abs(value - self._run_value) <= self._jitter
-        return abs(value - self._run_value) <= _TOLERANCE * abs(self._run_value)
 
     def _may_be_step(self, value: float) -> bool:
         return any(abs(value - step) <= self._jitter for step in self._allowed) if self._allowed else value > _SHORTEST_S
@@ -208,8 +199,7 @@ class StampClock:
             return stamps
         wraps = self._wraps + np.cumsum(_steps(stamps, before) < -(self._modulus // 2))
         self._wraps = int(wraps[-1])
-        unwrapped: Ticks = stamps + wraps * self._modulus
-        return unwrapped
+        return stamps + wraps * self._modulus
 
 
 def _steps(values: NDArray[_Number], before: float) -> NDArray[_Number]:
@@ -220,21 +210,11 @@ def _steps(values: NDArray[_Number], before: float) -> NDArray[_Number]:
     return steps
 
 
-class DeviceClock:
-    """Gives the samples of a bus their time, by time stamps of the instrument in one of the messages.
-
-    Parameters
-    ----------
-    rule : ClockRule
-    units : SampleUnits
-    statistics : DecoderStatistics
-        Counts of samples and losses are kept there.
-    """
+class DeviceClock(Clock):
+    """Gives the samples of a bus their time, by time stamps of the instrument in one of the messages."""
 
     def __init__(self, rule: ClockRule, units: SampleUnits, statistics: DecoderStatistics) -> None:
-        self._rule = rule
-        self._units = units
-        self._statistics = statistics
+        super().__init__(rule, units, statistics)
         self._stamps = StampClock(rule)
         self._steps = StepRule()
         self._early: list[RawBlock] = []
@@ -268,20 +248,17 @@ class DeviceClock:
         flags = np.where(lost > 0, np.uint32(Status.AFTER_GAP), np.uint32(0))
         flags[stamped.reset] |= np.uint32(Status.GAP_ESTIMATED)
         statistics = self._statistics
-        statistics.samples += len(block)
         statistics.samples_lost += int(lost.sum())
         statistics.gaps += int(np.count_nonzero(flags))
         statistics.clock_resets += int(np.count_nonzero(stamped.reset))
         statistics.nominal_rate_hz = 1 / self._steps.step if self._steps.step else None
-        return samples_of(block, stamped.time_s, flags, self._units)
+        return self._timed(block, stamped.time_s, flags)
 
     def _filled(self, ticks: Ticks, step: float) -> Ticks:
         """Put a regular step where the message with the time was lost."""
         known = np.isfinite(ticks)
         if not known.all():
-            places = np.maximum.accumulate(np.where(known, np.arange(len(ticks)), -1))
-            before = np.where(places >= 0, ticks[np.maximum(places, 0)], self._last)
-            ticks = np.where(known, ticks, before + (np.arange(len(ticks)) - places) * step)
+            ticks = filled_in(ticks, known, self._last, step)
         if self._rule.time_modulus:
             ticks = ticks % self._rule.time_modulus
         self._last = float(ticks[-1])

@@ -37,14 +37,6 @@ NO_FRAME = -1
 """Place of a frame that is missing."""
 
 
-def _nothing() -> FloatArray:
-    return np.empty(0)
-
-
-def _no_number() -> IntArray:
-    return np.empty(0, dtype=np.int64)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RawBlock:
     """n samples that have no time yet. NaN where a value is not available; shape (0,) for what the wire does not have."""
@@ -59,15 +51,15 @@ class RawBlock:
     """As sent; ``NO_COUNTER`` where there is none. Shape (n,)."""
     status: NDArray[np.uint32]
     """Shape (n,)."""
-    ticks: Ticks = field(default_factory=_nothing)
+    ticks: Ticks = field(default_factory=lambda: np.empty(0))
     """Time stamp of the instrument as sent. Shape (n,), or (0,) where the protocol has none."""
-    stamp_s: FloatArray = field(default_factory=_nothing)
+    stamp_s: FloatArray = field(default_factory=lambda: np.empty(0))
     """Time stamp that the host or the adapter gave to the frame the sample begins with. Shape (n,), of a bus only."""
-    lost_before: IntArray = field(default_factory=_no_number)
+    lost_before: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     """Samples known to be lost just before this one, whatever the counter says (bad lines). Shape (n,), not of a bus."""
-    skipped_before: FloatArray = field(default_factory=_nothing)
+    skipped_before: FloatArray = field(default_factory=lambda: np.empty(0))
     """Bytes passed over just before this sample, as a number of samples. Shape (n,), not of a bus."""
-    stream_end: IntArray = field(default_factory=_no_number)
+    stream_end: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     """Offset in the stream just behind the last byte of this sample. Shape (n,), not of a bus."""
 
     def __len__(self) -> int:
@@ -185,25 +177,20 @@ class FrameJoin:
         total = np.append(0, np.cumsum(failed) + self._lost)
         at = np.append(0, np.flatnonzero(complete) + 1)
         self._lost = int(total[-1] - total[at[-1]])
-        lost: IntArray = np.diff(total[at])
-        return lost
+        return np.asarray(np.diff(total[at]))
 
     def _samples(self, block: RawBlock, rows: IntArray, lost: IntArray) -> RawBlock:
         """Return one sample for each row: of each value the first frame that has it, flags of all."""
         first = block[rows[:, self._start]]
-        accelerometer, gyroscope, temperature_degc = first.accelerometer, first.gyroscope, first.temperature_degc
+        values = {name: getattr(first, name) for name in ("accelerometer", "gyroscope", "temperature_degc")}
         status = first.status
         for kind in range(len(self.kinds)):
             other = block[rows[:, kind]]
-            accelerometer = np.where(np.isnan(accelerometer), other.accelerometer, accelerometer)
-            gyroscope = np.where(np.isnan(gyroscope), other.gyroscope, gyroscope)
-            temperature_degc = np.where(np.isnan(temperature_degc), other.temperature_degc, temperature_degc)
+            values = {name: np.where(np.isnan(value), getattr(other, name), value) for name, value in values.items()}
             status = status | other.status
         return replace(
             first,
-            accelerometer=accelerometer,
-            gyroscope=gyroscope,
-            temperature_degc=temperature_degc,
+            **values,
             status=status,
             lost_before=lost,
             skipped_before=lost.astype(np.float64),

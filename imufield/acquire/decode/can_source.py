@@ -17,14 +17,7 @@ from imufield.acquire.decode.can_assembly import Assembler, SampleFrames
 from imufield.acquire.decode.statistics import LEFT_OUT, DecoderStatistics
 from imufield.acquire.protocol.can_dbc import CanSignal
 from imufield.acquire.protocol.can_frames import ERROR, EXTENDED, REMOTE, CanFrames, Unpacker
-from imufield.acquire.protocol.can_protocol import (
-    ANY_ADDRESS,
-    TEMPERATURE,
-    CanKind,
-    CanRule,
-    Column,
-    with_source_address,
-)
+from imufield.acquire.protocol.can_protocol import ANY_ADDRESS, TEMPERATURE, CanKind, CanRule, Column
 from imufield.acquire.protocol.samples_and_clock import FlagRule
 from imufield.samples import NO_COUNTER, FloatArray, IntArray, Status
 
@@ -56,6 +49,9 @@ class CanSource:
         self._address = rule.source_address
         self._kinds = [_KindReader(kind) for kind in rule.kinds]
         self._match_address()
+        # Where the values of a triad stand that samples have, and the flag of those that lack one.
+        self._triads = [(_ACCELEROMETER, np.uint32(Status.ACCELEROMETER_INVALID))] * rule.has_accelerometer
+        self._triads += [(_GYROSCOPE, np.uint32(Status.GYROSCOPE_INVALID))] * rule.has_gyroscope
         self._has_time = any(kind.time for kind in rule.kinds)
         self._inertial = [
             number for number, kind in enumerate(rule.kinds) if any(column.place < TEMPERATURE for column in kind.columns)
@@ -127,39 +123,33 @@ class CanSource:
 
     def _match_address(self) -> None:
         for reader in self._kinds:
-            message = with_source_address(reader.kind.message, self._address)
-            reader.mask, reader.can_id = np.uint32(message.mask | ERROR | REMOTE), np.uint32(message.can_id)
+            message = reader.kind.message
+            is_chosen = message.is_j1939 and self._address != ANY_ADDRESS
+            reader.mask = np.uint32(message.mask | ERROR | REMOTE | (0xFF if is_chosen else 0))
+            reader.can_id = np.uint32(message.can_id | (self._address if is_chosen else 0))
 
     def _count(self, frames: CanFrames, kind: NDArray[np.int8], new_from: int) -> None:
-        """Drop frames that are too short; count the new frames by kind and hand out messages."""
+        """Drop frames that end before their signals do; count the new frames by kind and hand out messages."""
         lacking = 0
-        if len(frames) and frames.size.min() < self._bytes_needed:
-            lacking = self._drop_short(frames, kind, new_from)
+        for number, reader in enumerate(self._kinds if len(frames) and frames.size.min() < self._bytes_needed else ()):
+            short = (kind == number) & (frames.size < reader.bytes_needed)
+            kind[short] = _SHORT
+            here = int(np.count_nonzero(short[new_from:]))
+            self._statistics.count(f"{reader.kind.name}, too short", here)
+            lacking += here
         counts = np.bincount(kind[new_from:] + 2, minlength=len(self._kinds) + 2).tolist()
         for reader, count in zip(self._kinds, counts[2:], strict=True):
-            self._add(reader.kind.name, count)
+            self._statistics.count(reader.kind.name, count)
         self._statistics.frames += len(frames) - new_from - lacking
         self._statistics.frames_bad_checksum += lacking
         if counts[_NO_KIND + 2]:
             self._count_others(frames, np.flatnonzero(kind[new_from:] == _NO_KIND) + new_from)
 
-    def _drop_short(self, frames: CanFrames, kind: NDArray[np.int8], new_from: int) -> int:
-        """Mark frames that end before their signals do; return how many of them are new."""
-        lacking = 0
-        for number, reader in enumerate(self._kinds):
-            short = (kind == number) & (frames.size < reader.bytes_needed)
-            if short.any():
-                kind[short] = _SHORT
-                here = int(np.count_nonzero(short[new_from:]))
-                self._add(f"{reader.kind.name}, too short", here)
-                lacking += here
-        return lacking
-
     def _count_others(self, frames: CanFrames, others: IntArray) -> None:
         can_id = frames.can_id[others]
         errors = (can_id & np.uint32(ERROR)) != 0
         if errors.any():
-            self._add("error frame", int(np.count_nonzero(errors)))
+            self._statistics.count("error frame", int(np.count_nonzero(errors)))
         taken = errors
         for message in self._rule.messages:
             bits = np.uint32(message.mask | ERROR | REMOTE)
@@ -167,19 +157,15 @@ class CanSource:
             taken = taken | hit
             for place in others[hit].tolist():
                 data = frames.data(np.array([place]), 64)[0, : int(frames.size[place])].tobytes()
-                self._add(message.name, 1)
+                self._statistics.count(message.name, 1)
                 # The lowest byte of an extended identifier of J1939 is who sent it.
                 can_id_here = int(frames.can_id[place])
                 address = {"source_address": can_id_here & 0xFF} if can_id_here & EXTENDED else {}
                 self._keep({"kind": message.name, **address, **self._rule.dbc.describe(message.name, data)})
-        self._add("other", int(len(others) - np.count_nonzero(taken)))
-
-    def _add(self, name: str, count: int) -> None:
-        if count:
-            self._statistics.by_kind[name] = self._statistics.by_kind.get(name, 0) + count
+        self._statistics.count("other", int(len(others) - np.count_nonzero(taken)))
 
     def _note_skipped(self, left_out: int) -> None:
-        self._add(LEFT_OUT, left_out)
+        self._statistics.count(LEFT_OUT, left_out)
         self._statistics.bytes_skipped = self._unpacker.bytes_skipped
 
     def _sample_frames(self, frames: CanFrames, kind: NDArray[np.int8], places: IntArray) -> SampleFrames:
@@ -188,8 +174,7 @@ class CanSource:
 
         def is_repeated(which: IntArray) -> NDArray[np.bool_]:
             here, before = frames.data(places[which], 8), frames.data(places[which - 1], 8)
-            same: NDArray[np.bool_] = (here == before).all(axis=1) & (own[which] == own[which - 1])
-            return same
+            return np.asarray((here == before).all(axis=1) & (own[which] == own[which - 1]))
 
         group = None
         if self._rule.assembly.by_counter:
@@ -203,11 +188,12 @@ class CanSource:
     def _values(self, frames: CanFrames, rows: IntArray, is_complete: bool) -> RawBlock | None:
         """Read the frames of n samples; ``rows`` has one column per kind."""
         n = len(rows)
-        values = np.full((_VALUES, n), np.nan)
-        status = np.zeros(n, dtype=np.uint32)
-        counter = np.full(n, NO_COUNTER, dtype=np.int64)
-        ticks = np.full(n if self._has_time else 0, np.nan)
-        into = Rows(values, status, counter, ticks)
+        into = Rows(
+            values=np.full((_VALUES, n), np.nan),
+            status=np.zeros(n, dtype=np.uint32),
+            counter=np.full(n, NO_COUNTER, dtype=np.int64),
+            ticks=np.full(n if self._has_time else 0, np.nan),
+        )
         has_gaps = not is_complete
         for number, reader in enumerate(self._kinds):
             which = rows[:, number]
@@ -218,14 +204,15 @@ class CanSource:
             elif len(there := np.flatnonzero(which >= 0)):
                 reader.read(reader.data(frames, which[there]), into, there)
         if has_gaps:
-            self._flag_gaps(values, status)
+            for triad, flag in self._triads:
+                into.status[~np.isfinite(into.values[triad]).all(axis=0)] |= flag
         block = RawBlock(
-            accelerometer=values[_ACCELEROMETER].T,
-            gyroscope=values[_GYROSCOPE].T,
-            temperature_degc=values[TEMPERATURE],
-            status=status,
-            counter=counter,
-            ticks=ticks,
+            accelerometer=into.values[_ACCELEROMETER].T,
+            gyroscope=into.values[_GYROSCOPE].T,
+            temperature_degc=into.values[TEMPERATURE],
+            status=into.status,
+            counter=into.counter,
+            ticks=into.ticks,
             stamp_s=frames.time_s[rows[:, self._assembler.start]],
         )
         if is_complete:
@@ -253,14 +240,6 @@ class CanSource:
             self._statistics.samples_standing += len(standing)
         self._standing[number] = data[-1:], int(age_of[-1])
         return has_gaps
-
-    def _flag_gaps(self, values: FloatArray, status: NDArray[np.uint32]) -> None:
-        for has, rows, flag in (
-            (self._rule.has_accelerometer, _ACCELEROMETER, Status.ACCELEROMETER_INVALID),
-            (self._rule.has_gyroscope, _GYROSCOPE, Status.GYROSCOPE_INVALID),
-        ):
-            if has:
-                status[~np.isfinite(values[rows]).all(axis=0)] |= np.uint32(flag)
 
 
 @dataclass(frozen=True, slots=True)
@@ -310,8 +289,10 @@ class _KindReader:
         """
         kind, status = self.kind, into.status
         has_gaps = False
-        for column in kind.columns:
-            has_gaps |= _read_column(column, data, into, rows)
+        with np.errstate(over="ignore", invalid="ignore"):
+            # Any bits may stand in a float; what is no number is a gap.
+            for column in kind.columns:
+                has_gaps |= _read_column(column, data, into, rows)
         for at, table in self._flag_tables:
             status[rows] |= table[data[:, at]]
         for flag in self._flags:
@@ -331,7 +312,8 @@ def _read_column(column: Column, data: NDArray[np.uint8], into: Rows, rows: slic
     """Write one value of each frame; tell whether some have none."""
     signal = column.signal
     raw = signal.raw(data)
-    scaled = signal.scale(raw, column.factor, into.values[column.place] if isinstance(rows, slice) else None)
+    out = into.values[column.place] if isinstance(rows, slice) else None
+    scaled: FloatArray = np.multiply(raw, column.factor, out=out, dtype=np.float64)
     if column.offset:
         scaled += column.offset
     # One comparison finds that there is nothing to do, which is nearly always so.

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from imufield.acquire.protocol.frame_forms import MORE, NONE, FrameForm, Shape
+from imufield.acquire.protocol.frame_forms import MORE, NONE, FrameForm, LengthRule, Shape
 from imufield.acquire.protocol.frame_schema import FrameRule
 from imufield.acquire.protocol.layout import Layout, Rows
 
@@ -27,6 +27,7 @@ _FEW = 256  # Numbers up to which a set is faster than a sort.
 # Bytes of frames of many lengths checked together: bounds memory to some 20 MB, 40 bytes for each.
 _BYTES_CHECKED_AT_ONCE = 1 << 19
 _LENGTH_BITS = 17
+_LENGTH_MASK = (1 << _LENGTH_BITS) - 1
 _KEY_BITS = 32
 
 
@@ -40,28 +41,15 @@ class FormCheck:
 
     def __init__(self, form: FrameForm) -> None:
         self.form = form
-        self._keys = np.array(sorted(form.layouts), dtype=np.int64)
-        fixed = form.length is None and form.masks is None
-        self._lengths = np.array([form.layouts[int(key)].length for key in self._keys] if fixed else [0], dtype=np.intp)
-        self._is_fixed = fixed
+        layouts = dict(sorted(form.layouts.items()))
+        self._keys = np.array(list(layouts), dtype=np.int64)
+        self._lengths = np.array([layout.length for layout in layouts.values()], dtype=np.intp)
         self._by_byte: Positions | None = None
-        if fixed and form.key_size == 1:
+        if form.is_fixed and form.key_size == 1:
             # Length of a frame by its key of one byte, 0 where there is no such key: a look-up in place of a search.
             self._by_byte = np.zeros(256, dtype=np.intp)
             self._by_byte[self._keys] = self._lengths
         self._shortest = form.header + form.tail
-
-    def first_bytes(self) -> NDArray[np.bool_]:
-        """Return which byte values can begin a frame, shape (256,)."""
-        form = self.form
-        table = np.zeros(256, dtype=np.bool_)
-        if form.sync:
-            table[form.sync[0]] = True
-        elif form.key_size == 1 and form.key_at == 0 and self._is_fixed:
-            table[self._keys] = True
-        else:
-            table[:] = True
-        return table
 
     def matches(self, buffer: Bytes, starts: Positions) -> NDArray[np.bool_]:
         """Return where the sync bytes stand, as far as the buffer reaches. Shape (n,)."""
@@ -86,28 +74,16 @@ class FormCheck:
         form = self.form
         return _numbers(buffer, starts + form.key_at, form.key_size, form.key_big_endian)
 
-    @property
-    def is_quick(self) -> bool:
-        """Whether the length of a single frame is told by its first bytes in a simple way."""
-        return self._by_byte is not None or (self.form.length is not None and self.form.length.extended_when < 0)
-
-    def quick_length(self, head: bytes) -> int:
-        """Return the length of one frame by its header; 0 where there is none or it is incomplete."""
-        form = self.form
-        if len(head) < form.header:
-            return 0
+    def quick_length(self, head: bytes) -> int | None:
+        """Return the length of one frame by its header, 0 where there is none or it is cut; None where it is not simple."""
+        form, rule = self.form, self.form.length
         if self._by_byte is not None:
-            return int(self._by_byte[head[form.key_at]])
-        rule = form.length
-        assert rule is not None  # noqa: S101  the caller looked
+            return int(self._by_byte[head[form.key_at]]) if len(head) >= form.header else 0
+        if rule is None or rule.extended_when >= 0:
+            return None
         number = int.from_bytes(head[rule.at : rule.header], _order(rule.big_endian))
         length = number + rule.add
-        return length if number <= rule.maximum and length >= self._shortest else 0
-
-    def key_of(self, rows: Rows) -> int:
-        """Return the key of the first of several frames."""
-        form = self.form
-        return int.from_bytes(rows[0, form.key_at : form.key_at + form.key_size].tobytes(), _order(form.key_big_endian))
+        return length if len(head) >= form.header and number <= rule.maximum and length >= self._shortest else 0
 
     def have_first_key(self, rows: Rows) -> NDArray[np.bool_]:
         """Return which rows have the key of the first one, shape (n,)."""
@@ -125,7 +101,7 @@ class FormCheck:
             same &= rows[:, offset] == byte
         if self._by_byte is not None:
             same &= (self._by_byte == length)[rows[:, form.key_at]]
-        elif self._is_fixed and form.key_size:
+        elif form.is_fixed and form.key_size:
             keys = _numbers_of_rows(rows[:, form.key_at : form.key_at + form.key_size], form.key_big_endian)
             same &= np.isin(keys, self._keys[self._lengths == length])
         elif form.length:
@@ -176,17 +152,14 @@ class FormCheck:
             # One by one: headers with masks are rare in a stream, as runs of them are checked together.
             return np.array([form.masks.length(buffer, start, form.tail) for start in starts.tolist()], dtype=np.intp)
         if form.length:
-            return self._lengths_by_field(buffer, starts)
+            return self._lengths_by_field(form.length, buffer, starts)
         if self._by_byte is not None:
-            by_byte: Positions = self._by_byte[buffer[starts + form.key_at]]
-            return by_byte
+            return self._by_byte[buffer[starts + form.key_at]]
         keys = self.keys(buffer, starts)
         place = np.searchsorted(self._keys, keys).clip(max=len(self._keys) - 1)
         return np.where(self._keys[place] == keys, self._lengths[place], NONE)
 
-    def _lengths_by_field(self, buffer: Bytes, starts: Positions) -> Positions:
-        rule = self.form.length
-        assert rule is not None  # noqa: S101  the caller looked
+    def _lengths_by_field(self, rule: LengthRule, buffer: Bytes, starts: Positions) -> Positions:
         numbers = _numbers(buffer, starts + rule.at, rule.size, rule.big_endian)
         found = np.where(numbers <= rule.maximum, numbers + rule.add, NONE).astype(np.intp)
         wide = np.flatnonzero(numbers == rule.extended_when)
@@ -211,7 +184,7 @@ class FrameCheck:
 
     def __init__(self, rule: FrameRule) -> None:
         self._forms = [FormCheck(form) for form in rule.forms]
-        self._can_begin = np.logical_or.reduce([form.first_bytes() for form in self._forms])
+        self._can_begin = np.logical_or.reduce([form.first_bytes for form in rule.forms])
         # Whether frames of several lengths are usual in one stream.
         self.mixes_lengths = any(form.form.length or form.form.masks for form in self._forms) or len(self._forms) > 1
         self._shapes: dict[int, Shape] = {}
@@ -230,14 +203,12 @@ class FrameCheck:
 
     def candidates(self, buffer: Bytes, positions: Positions) -> Positions:
         """Return those positions whose first byte can begin a frame."""
-        found: Positions = positions[self._can_begin[buffer[positions]]]
-        return found
+        return np.asarray(positions[self._can_begin[buffer[positions]]])
 
     def headers(self, buffer: Bytes, begin: int, end: int) -> Positions:
         """Return the positions from ``begin`` to ``end`` where sync bytes stand."""
         places = np.flatnonzero(self._can_begin[buffer[begin:end]]) + begin
-        found: Positions = places[self._form_of(buffer, places) >= 0]
-        return found
+        return places[self._form_of(buffer, places) >= 0]
 
     def length_at(self, buffer: Bytes, at: int) -> int:
         """Return the length of the frame whose header stands at ``at``; 0 where there is none or it is incomplete."""
@@ -245,14 +216,15 @@ class FrameCheck:
             return 0
         for form in self._forms:
             head = buffer[at : at + form.form.header].tobytes()
-            if head.startswith(form.form.sync) and form.is_quick:
-                return form.quick_length(head)
             if head.startswith(form.form.sync) or form.form.sync.startswith(head):
+                length = form.quick_length(head)
+                if length is not None:
+                    return length
                 break
         return max(int(self.lengths(buffer, np.array([at], dtype=np.intp))[0]), 0)
 
     def lengths_of_headers(self, buffer: Bytes, places: Positions) -> Positions:
-        """Return the same as ``lengths`` for positions from ``headers``."""
+        """Return the same as ``lengths`` for positions from ``headers``, where the sync bytes need no second look."""
         return self._forms[0].lengths(buffer, places) if len(self._forms) == 1 else self.lengths(buffer, places)
 
     def lengths(self, buffer: Bytes, starts: Positions) -> Positions:
@@ -287,16 +259,17 @@ class FrameCheck:
         only = len(self._forms) == 1
         form = self._forms[0 if only else int(self._form_of(rows[0], np.zeros(1, dtype=np.intp))[0])]
         good = form.same_length(rows)
+        number = NO_SHAPE
         if form.form.has_structure:
             number = self._shape_of_first(form, rows)
             if number == NO_SHAPE:
                 return np.zeros(len(rows), dtype=np.bool_), NO_SHAPE
             good &= _have(rows, self._shapes[number])
             good &= form.have_first_key(rows)
-            good &= form.fits(rows)
-            return good, number
         good &= form.fits(rows)
-        return good, self._shape_of_first(form, rows) if good[0] and form.have_first_key(rows).all() else NO_SHAPE
+        if number == NO_SHAPE and good[0] and form.have_first_key(rows).all():
+            number = self._shape_of_first(form, rows)
+        return good, number
 
     def _shape_of_first(self, form: FormCheck, rows: Rows) -> int:
         """Return the shape of the first of several frames of one length, ``NO_SHAPE`` where its parts do not add up."""
@@ -305,7 +278,7 @@ class FrameCheck:
     def _family(self, form: FormCheck, rows: Rows) -> int:
         """Return the number that stands for form, key and length of the first frame."""
         first = self._forms.index(form) << _KEY_BITS
-        return (first | form.key_of(rows)) << _LENGTH_BITS | int(rows.shape[1])
+        return (first | form.form.key_of(rows[0].tobytes())) << _LENGTH_BITS | int(rows.shape[1])
 
     def fit(self, buffer: Bytes, starts: Positions, lengths: Positions) -> NDArray[np.int64]:
         """Return the shapes of whole frames, ``NO_SHAPE`` where they are not good. Shape (n,)."""
@@ -319,23 +292,13 @@ class FrameCheck:
                 continue
             for length in different:
                 group = mine if len(different) == 1 else mine[ordered == length]
-                found[group] = self._fit_rows(form, rows_at(buffer, starts[group], length))
-        return found
-
-    def _fit_rows(self, form: FormCheck, rows: Rows) -> NDArray[np.int64]:
-        """Return the shapes of frames of one form and length, ``NO_SHAPE`` where they are not good. Shape (n,)."""
-        found = np.full(len(rows), NO_SHAPE, dtype=np.int64)
-        good = form.fits(rows)
-        if not good.all():
-            rows = rows[good]
-        if len(rows) == 0:
-            return found
-        if form.have_first_key(rows).all():
-            found[good] = self._match(form, self._family(form, rows), rows)
-            return found
-        whole = np.ascontiguousarray(rows)
-        starts = np.arange(len(whole), dtype=np.intp) * whole.shape[1]
-        found[good] = self.shapes(whole.reshape(-1), starts, np.full(len(whole), whole.shape[1], dtype=np.intp))
+                rows = rows_at(buffer, starts[group], length)
+                fitting = form.fits(rows)
+                if fitting.all() and form.have_first_key(rows).all():
+                    found[group] = self._match(form, self._family(form, rows), rows)
+                else:
+                    good = group[fitting]
+                    found[good] = self.shapes(buffer, starts[good], lengths[good])
         return found
 
     def shapes(self, buffer: Bytes, starts: Positions, lengths: Positions) -> NDArray[np.int64]:
@@ -344,7 +307,9 @@ class FrameCheck:
         for form, mine in self._by_form(buffer, starts):
             first = np.int64(self._forms.index(form)) << _KEY_BITS
             families = ((first | form.keys(buffer, starts[mine])) << _LENGTH_BITS) | lengths[mine]
-            found[mine] = self._shapes_of(form, families, buffer, starts[mine])
+            for family in distinct(families):
+                group = mine[families == family]
+                found[group] = self._match(form, family, rows_at(buffer, starts[group], family & _LENGTH_MASK))
         return found
 
     def _by_form(self, buffer: Bytes, starts: Positions) -> Iterator[tuple[FormCheck, Positions]]:
@@ -368,17 +333,6 @@ class FrameCheck:
             which[self._forms[number].matches(buffer, starts)] = number
         return which
 
-    def _shapes_of(self, form: FormCheck, families: NDArray[np.int64], buffer: Bytes, starts: Positions) -> NDArray[np.int64]:
-        length_mask = (1 << _LENGTH_BITS) - 1
-        if (families == families[0]).all():
-            family = int(families[0])
-            return self._match(form, family, rows_at(buffer, starts, family & length_mask))
-        found = np.empty(len(starts), dtype=np.int64)
-        for family in np.unique(families).tolist():
-            mine = np.flatnonzero(families == family)
-            found[mine] = self._match(form, family, rows_at(buffer, starts[mine], family & length_mask))
-        return found
-
     def _match(self, form: FormCheck, family: int, rows: Rows) -> NDArray[np.int64]:
         """Return the shapes of frames of one key and one length."""
         known = self._families.setdefault(family, [])
@@ -386,21 +340,19 @@ class FrameCheck:
             return np.full(len(rows), known[0] if known else self._learn(form, family, rows[0]), dtype=np.int64)
         found = np.full(len(rows), NO_SHAPE, dtype=np.int64)
         left = np.arange(len(rows))
-        for number in known[-1 : -_SHAPES_TRIED - 1 : -1]:
-            same = _have(rows if len(left) == len(rows) else rows[left], self._shapes[number])
-            found[left[same]] = number
-            left = left[~same]
-            if len(left) == 0:
-                return found
-        tries = 0
+        untried = known[-_SHAPES_TRIED:]
+        learned = 0
         while len(left):
-            number = self._learn(form, family, rows[left[0]])
-            tries += 1
-            if number == NO_SHAPE or tries > _SHAPES_TRIED:
+            if untried:
+                number = untried.pop()
+            else:
+                number = self._learn(form, family, rows[left[0]])
+                learned += 1
+            if number == NO_SHAPE or learned > _SHAPES_TRIED:
                 found[left[0]] = number
                 left = left[1:]
                 continue
-            same = _have(rows[left], self._shapes[number])
+            same = _have(rows if len(left) == len(rows) else rows[left], self._shapes[number])
             found[left[same]] = number
             left = left[~same]
         return found
@@ -410,15 +362,9 @@ class FrameCheck:
         shape = form.form.shape(row.tobytes())
         if shape is None:
             return NO_SHAPE
-        known = self._families[family]
-        for number in known[-_SHAPES_TRIED:]:
-            if np.array_equal(self._shapes[number].columns, shape.columns) and np.array_equal(
-                self._shapes[number].values, shape.values
-            ):
-                return number
         self._next += 1
         self._shapes[self._next] = shape
-        known.append(self._next)
+        self._families[family].append(self._next)
         return self._next
 
 
@@ -439,8 +385,7 @@ def rows_at(buffer: Bytes, starts: Positions, length: int) -> Rows:
 
 def _have(rows: Rows, shape: Shape) -> NDArray[np.bool_]:
     """Return which rows have the bytes of a shape, shape (n,)."""
-    same: NDArray[np.bool_] = (rows[:, shape.columns] == shape.values).all(axis=1)
-    return same
+    return np.asarray((rows[:, shape.columns] == shape.values).all(axis=1))
 
 
 def _order(big_endian: bool) -> Literal["big", "little"]:
@@ -449,11 +394,7 @@ def _order(big_endian: bool) -> Literal["big", "little"]:
 
 def _numbers(buffer: Bytes, at: Positions, size: int, big_endian: bool) -> NDArray[np.int64]:
     """Return the number of ``size`` bytes at each position; 0 for no bytes."""
-    numbers = np.zeros(len(at), dtype=np.int64)
-    for index in range(size):
-        shift = 8 * (size - 1 - index if big_endian else index)
-        numbers |= buffer[at + index].astype(np.int64) << shift
-    return numbers
+    return _numbers_of_rows(buffer[at[:, None] + np.arange(size)], big_endian).astype(np.int64)
 
 
 def _numbers_of_rows(columns: Rows, big_endian: bool) -> NDArray[np.unsignedinteger]:

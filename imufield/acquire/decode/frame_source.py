@@ -9,16 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.acquire.decode.assembly import (
-    NO_TICKS,
-    FrameJoin,
-    Keep,
-    RawBlock,
-    Ticks,
-    instrument_bits,
-    join,
-)
-from imufield.acquire.decode.frame_check import distinct
+from imufield.acquire.decode.assembly import NO_TICKS, FrameJoin, Keep, RawBlock, Ticks, instrument_bits, join
+from imufield.acquire.decode.frame_check import distinct, rows_at
 from imufield.acquire.decode.framing import FrameBlock, Framer
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.frame_schema import FrameRule
@@ -70,7 +62,7 @@ class FrameSource:
             self._read_others(block, [key for key in keys if key not in readers])
         # Nearly always: one kind of frame, whose rows are a view and need no sorting.
         if len(keys) == len(readers) == 1 and self._join is None:
-            return self._read_kind(block, readers[keys[0]], None)
+            return self._read_kind(block, readers[keys[0]], slice(None))
         if not readers:
             return None
         places = [np.flatnonzero(block.shapes == key) for key in readers]
@@ -93,28 +85,22 @@ class FrameSource:
             self._readers[key] = reader if reader is not None and reader.has_samples else None
         return self._readers[key]
 
-    def _read_kind(self, block: FrameBlock, reader: _FrameReader, which: NDArray[np.intp] | None) -> RawBlock:
-        rows = block.rows(which, reader.length)
-        self._count(reader.kind, len(rows))
-        starts = block.starts + block.origin
-        if which is None:
-            return reader.read(rows, block.skipped_before, starts)
-        return reader.read(rows, block.skipped_before[which], starts[which])
+    def _read_kind(self, block: FrameBlock, reader: _FrameReader, which: NDArray[np.intp] | slice) -> RawBlock:
+        starts = block.starts[which]
+        self._statistics.count(reader.kind, len(starts))
+        rows = rows_at(block.data, starts, reader.length)
+        return reader.read(rows, block.skipped_before[which], starts + block.origin)
 
     def _read_others(self, block: FrameBlock, keys: list[int]) -> None:
         """Count frames that are no samples; keep those that are messages, in the order of the stream."""
         layouts = {key: self._framer.layout(key) for key in keys}
         for key, layout in layouts.items():
-            self._count(layout.kind, int(np.count_nonzero(block.shapes == key)))
+            self._statistics.count(layout.kind, int(np.count_nonzero(block.shapes == key)))
         kept = [key for key, layout in layouts.items() if layout.is_message]
         which = np.isin(block.shapes, kept) if kept else np.zeros(len(block), dtype=np.bool_)
         for start, key in zip(block.starts[which].tolist(), block.shapes[which].tolist(), strict=True):
             layout = layouts[key]
             self._keep({"kind": layout.kind, **layout.describe(block.data[start : start + layout.length].tobytes())})
-
-    def _count(self, kind: str, number: int) -> None:
-        by_kind = self._statistics.by_kind
-        by_kind[kind] = by_kind.get(kind, 0) + number
 
 
 class _FrameReader:
@@ -175,7 +161,7 @@ class _TriadReader:
     """Reads three axes from one field of three values or from three fields of one."""
 
     def __init__(self, protocol: Protocol, layout: Layout, part: str) -> None:
-        quantity = protocol.quantity(part)
+        quantity = protocol.samples.quantity(part)
         self.fields = layout.fields_of(quantity.fields)
         self._is_whole = sum(field.count for field in self.fields[:3]) >= 3
         self._factor = protocol.factor(part, self.fields[0]) if self.fields else 1.0

@@ -23,9 +23,9 @@ import numpy as np
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
-from imufield.acquire.decode.frame_check import INVALID, NO_SHAPE, FrameCheck, rows_at
+from imufield.acquire.decode.frame_check import INVALID, NO_SHAPE, FrameCheck
 from imufield.acquire.protocol.frame_schema import FrameRule
-from imufield.acquire.protocol.layout import Layout, Rows
+from imufield.acquire.protocol.layout import Layout
 
 Bytes = NDArray[np.uint8]
 Positions = NDArray[np.intp]
@@ -58,11 +58,6 @@ class FrameBlock:
 
     def __len__(self) -> int:
         return len(self.starts)
-
-    def rows(self, which: Positions | None, length: int) -> Rows:
-        """Return frames of one length as an array, shape (m, length): a view where they are evenly spaced."""
-        starts = self.starts if which is None else self.starts[which]
-        return rows_at(self.data, starts, length) if len(starts) else np.empty((0, length), dtype=np.uint8)
 
 
 @dataclass(slots=True)

@@ -6,6 +6,9 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 
 from imufield.samples import Status
+from imufield.sentences import Sentence, Sentences
+
+sentence = Sentences(__package__)
 
 LEFT_OUT = "without a sample"
 """Kind under which frames of a bus are counted that belong to no sample."""
@@ -50,47 +53,37 @@ class DecoderStatistics:
         """Samples that are missing, counted and estimated."""
         return self.samples_lost + self.losses_estimated
 
+    def count(self, kind: str, number: int = 1) -> None:
+        """Count frames or lines of a kind."""
+        if number:
+            self.by_kind[kind] = self.by_kind.get(kind, 0) + number
+
     def to_dict(self) -> dict[str, object]:
         """Return plain values."""
         return asdict(self)
 
 
-def remarks(parts: Sequence[DecoderStatistics]) -> list[str]:
+def remarks(parts: Sequence[DecoderStatistics]) -> list[Sentence]:
     """Return sentences about what the numbers of samples and losses do not show; none where all is well."""
-    samples = sum(part.samples for part in parts)
-    incomplete = sum(part.samples_incomplete for part in parts)
-    resets = sum(part.clock_resets for part in parts)
+
+    def total(name: str) -> int:
+        return sum(getattr(part, name) for part in parts)
+
+    samples, incomplete, standing, resets = map(total, ("samples", "samples_incomplete", "samples_standing", "clock_resets"))
     found = []
     if incomplete:
         share = 100 * incomplete / max(samples, 1)
-        remedy = (
-            "; where one message comes less than about every twentieth time, or many are lost, samples that begin with the"
-            " rarer one (starts_with) are whole"
-        )
         percent = f"{share:.0f}" if share >= 10 else f"{share:.2g}"
-        found.append(
-            f"{incomplete} of {samples} samples ({percent} %) lack acceleration or rate, and enter no mean"
-            f"{remedy if share >= _MANY_PERCENT else ''}"
-        )
-    standing = sum(part.samples_standing for part in parts)
+        key = "statistics.many_incomplete" if share >= _MANY_PERCENT else "statistics.incomplete"
+        found.append(sentence(key, incomplete=incomplete, samples=samples, percent=percent))
     if standing:
-        found.append(
-            f"acceleration and rate come at different rates: in {standing} of {samples} samples the slower one stands at its"
-            f" last value (status {Status.STANDING.value})"
-        )
+        found.append(sentence("statistics.standing", standing=standing, samples=samples, status=Status.STANDING.value))
     left_out = sum(part.by_kind.get(LEFT_OUT, 0) for part in parts)
     if left_out > _FEW_LEFT_OUT and 100 * left_out >= samples:
-        found.append(
-            f"{left_out} frames belong to none of the {samples} samples and are left out: they came twice, what a sample begins"
-            " with was lost, or they come more often than that (starts_with names it)"
-        )
+        found.append(sentence("statistics.left_out", left_out=left_out, samples=samples))
     if resets:
-        times = "once" if resets == 1 else f"{resets} times"
-        found.append(f"counter or time of the instrument jumped {times} where nothing was lost, as a restart does")
+        found.append(sentence("statistics.resets", times="once" if resets == 1 else f"{resets} times"))
     least_loss_s = max((part.least_loss_s for part in parts), default=0.0)
     if least_loss_s:
-        found.append(
-            f"losses shorter than {1e3 * least_loss_s:.0f} ms cannot be seen here: the messages are not numbered, and their"
-            " time stamps are as uneven as that; a counter, or an adapter that stamps frames itself, would show single losses"
-        )
+        found.append(sentence("statistics.unseen", least_loss_ms=1e3 * least_loss_s))
     return found

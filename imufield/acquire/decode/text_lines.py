@@ -21,130 +21,38 @@ import numpy as np
 from imufield.acquire.decode.assembly import Keep, RawBlock
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.protocol import Protocol
-from imufield.acquire.protocol.samples_and_clock import Sentence, TextRule
-from imufield.errors import ProtocolError
-from imufield.samples import NO_COUNTER, FloatArray, IntArray
+from imufield.acquire.protocol.samples_and_clock import SentenceRule, TextRule
+from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, NO_COUNTER, FloatArray, IntArray
 
 LARGEST_NUMBER = 1e17
 """Above any counter (2**53) and any time stamp in ns of a century ago; larger numbers, infinity and NaN are garbage."""
-
-
-class SentenceReader:
-    """Reads one line at a time.
-
-    Parameters
-    ----------
-    rule : TextRule
-        With sentences.
-    statistics : DecoderStatistics
-    keep : callable or None
-        Takes sentences that are no samples.
-    """
-
-    def __init__(self, rule: TextRule, statistics: DecoderStatistics, keep: Keep | None) -> None:
-        self._rule = rule
-        self._statistics = statistics
-        self._keep = keep
-        self._by_name = {sentence.name.encode(): _places(rule, sentence) for sentence in rule.sentences}
-        self._checksums = {2 * checksum.size: checksum for checksum in rule.checksums}
-        self._markers = rule.markers.encode()
-        self.lost = 0  # Samples lost since the reader of lines last set it back.
-
-    def read(self, text: bytes, needed: list[int]) -> list[float] | None:
-        """Return the numbers of a sample in the order of the columns, None where the line is none.
-
-        Parameters
-        ----------
-        text : bytes
-            The line.
-        needed : list of int
-            Places of the columns that must be finite.
-        """
-        body = self._checked(text)
-        if body is None:
-            return None
-        name = body.split(b",", 1)[0].split(self._rule.header_end.encode() or b",", 1)[0]
-        self._statistics.frames += 1
-        kind = name.decode("ascii", "replace")
-        self._statistics.by_kind[kind] = self._statistics.by_kind.get(kind, 0) + 1
-        known = self._by_name.get(name)
-        if known is None:
-            if self._keep is not None:
-                self._keep({"kind": kind, "text": body.decode("ascii", "replace")})
-            return None
-        row = self._numbers(body, *known)
-        if row is None or not all(abs(row[place]) < LARGEST_NUMBER for place in needed):
-            self.lost += 1
-            return None
-        return row
-
-    def _checked(self, text: bytes) -> bytes | None:
-        """Return what stands between marker and star if the checksum fits."""
-        begin = max(text.rfind(marker) for marker in self._markers)
-        body, star, sent = text[begin + 1 :].rpartition(b"*")
-        if begin < 0 or not star:
-            return None
-        checksum = self._checksums.get(len(sent))
-        good = checksum is not None and len(body) > 0 and _is_hexadecimal(sent)
-        if checksum is not None and good:
-            row = np.frombuffer(body, dtype=np.uint8).reshape(1, -1)
-            good = int(checksum.of_rows(row)[0]) == int(sent, 16)
-        if not good:
-            self._statistics.frames_bad_checksum += 1
-            self.lost += any(body.startswith(name) for name in self._by_name)
-            return None
-        return body
-
-    def _numbers(self, body: bytes, count: int, places: list[tuple[int, float] | None]) -> list[float] | None:
-        end = self._rule.header_end.encode()
-        parts = body.partition(end)[2].split(b",") if end else body.split(b",")[1:]
-        if len(parts) != count:
-            return None
-        try:
-            return [math.nan if place is None else float(parts[place[0]]) * place[1] for place in places]
-        except ValueError:
-            return None
-
-
-def _places(rule: TextRule, sentence: Sentence) -> tuple[int, list[tuple[int, float] | None]]:
-    """Return how many columns a sentence has, and where each column of a sample stands and with what sign."""
-    found: dict[str, tuple[int, float]] = {}
-    for place, name in enumerate(sentence.columns):
-        found[name.removeprefix("-")] = (place, -1.0 if name.startswith("-") else 1.0)
-    return len(sentence.columns), [found.get(name) for name in rule.columns]
-
-
-def _is_hexadecimal(text: bytes) -> bool:
-    return all(character in b"0123456789abcdefABCDEF" for character in text)
-
-
 LONGEST_LINE = 4096
 """Forty columns of 100 characters; a longer line is no line but noise and is passed over up to its end."""
 
 _DELIMITERS = {"comma": b",", "semicolon": b";", "whitespace": None}
+_HEXADECIMAL = frozenset(b"0123456789abcdefABCDEF")
 
 
 class LineReader:
-    """Reads samples out of a stream of text.
+    """Reads samples out of a stream of text whose lines are all of one kind.
 
     Parameters
     ----------
     protocol : Protocol
         With ``lines``.
     statistics : DecoderStatistics
-    keep : callable, optional
+    keep : callable
         Takes sentences that are no samples, as dicts.
     """
 
-    def __init__(self, protocol: Protocol, statistics: DecoderStatistics, keep: Keep | None = None) -> None:
-        if protocol.lines is None:
-            raise ProtocolError(f"protocol {protocol.name} has no lines of numbers", name=protocol.name)
+    def __init__(self, protocol: Protocol, statistics: DecoderStatistics, keep: Keep) -> None:
         rule = protocol.lines
+        assert rule is not None  # noqa: S101  the decoder looked
         self._rule = rule
+        self._statistics = statistics
+        self._keep = keep
         self._prefix = rule.prefix.encode()
         self._comments = tuple(comment.encode() for comment in rule.comments)
-        self._statistics = statistics
-        self._sentences = SentenceReader(rule, statistics, keep) if rule.sentences else None
         self._factors = protocol.factors
         # What is needed for a sample: an instrument may leave its temperature out now and then.
         self._column = {name: index for index, name in enumerate(rule.columns) if name != "-"}
@@ -188,25 +96,16 @@ class LineReader:
         ends: list[int] = []
         for line in lines:
             text = line.strip()
-            self._offset += len(line) + 1
-            row = None
-            if text and not text.startswith(self._comments):
-                row = self._sentences.read(text, self._needed) if self._sentences else self._numbers(text)
+            row = self._numbers(text) if text and not text.startswith(self._comments) else None
             if row is None:
-                self._statistics.bytes_skipped += len(line) + 1
+                self._pass_over(len(line) + 1)
                 continue
+            self._offset += len(line) + 1
             rows.append(row)
-            lost.append(self._lost + (self._sentences.lost if self._sentences else 0))
+            lost.append(self._lost)
             ends.append(self._offset)
             self._lost = 0
-            if self._sentences:
-                self._sentences.lost = 0
-        if not rows:
-            return None
-        if self._sentences is None:
-            self._statistics.frames += len(rows)
-            self._statistics.by_kind["line"] = self._statistics.by_kind.get("line", 0) + len(rows)
-        return self._block(np.array(rows), np.array(lost, dtype=np.int64), np.array(ends, dtype=np.int64))
+        return self._block(np.array(rows), np.array(lost, dtype=np.int64), np.array(ends, dtype=np.int64)) if rows else None
 
     def _numbers(self, text: bytes) -> list[float] | None:
         """Return the numbers of one line, None for a line to pass over, which is counted as lost unless it is a header."""
@@ -220,31 +119,26 @@ class LineReader:
             return None
         self._seen_line = True
         # Python would read 1_000 as a number; no instrument writes that.
-        if len(row) == len(self._rule.columns) and all(abs(row[i]) < LARGEST_NUMBER for i in self._needed) and b"_" not in text:
+        if len(row) == len(self._rule.columns) and self._is_sample(row) and b"_" not in text:
             return row
         self._lost += 1
         return None
 
+    def _is_sample(self, row: list[float]) -> bool:
+        return all(abs(row[place]) < LARGEST_NUMBER for place in self._needed)
+
     def _body(self, text: bytes) -> bytes | None:
         """Return the line without prefix and checksum; None if either is wrong."""
         body, star, sent = text.rpartition(b"*")
-        if star:
-            # As in NMEA 0183, the mark that begins the line is not covered.
-            covered = body.removeprefix(b"$")
-            try:
-                good = int(sent, 16) == reduce(xor, covered, 0) and len(sent) == 2
-            except ValueError:
-                good = False
-            if not good:
-                self._statistics.frames_bad_checksum += 1
-                return None
-        else:
+        if not star:
             body = text
+        # As in NMEA 0183, the mark that begins the line is not covered.
+        elif len(sent) != 2 or not _HEXADECIMAL.issuperset(sent) or int(sent, 16) != reduce(xor, body.removeprefix(b"$"), 0):
+            self._statistics.frames_bad_checksum += 1
+            return None
         if not self._prefix:
             return body
-        if not body.startswith(self._prefix):
-            return None
-        return body[len(self._prefix) :].lstrip(b" \t,;")
+        return body.removeprefix(self._prefix).lstrip(b" \t,;") if body.startswith(self._prefix) else None
 
     def _split(self, body: bytes) -> list[bytes]:
         if not self._delimiter_known:
@@ -255,15 +149,16 @@ class LineReader:
         return [part.replace(b",", b".") for part in parts] if self._delimiter == b";" else parts
 
     def _block(self, rows: FloatArray, lost: IntArray, ends: IntArray) -> RawBlock:
-        column = self._column
-        counter = column.get("counter")
-        time = column.get("time")
+        if not self._rule.sentences:
+            self._statistics.frames += len(rows)
+            self._statistics.count("line", len(rows))
+        column, nothing = self._column, np.full(len(rows), np.nan)
         return RawBlock(
-            accelerometer=self._triad(rows, "accelerometer", ("ax", "ay", "az")),
-            gyroscope=self._triad(rows, "gyroscope", ("gx", "gy", "gz")),
-            temperature_degc=rows[:, column["temperature"]].copy() if "temperature" in column else np.full(len(rows), np.nan),
-            counter=np.full(len(rows), NO_COUNTER) if counter is None else rows[:, counter].astype(np.int64),
-            ticks=np.empty(0) if time is None else rows[:, time].copy(),
+            accelerometer=self._triad(rows, "accelerometer", ACCELEROMETER_COLUMNS),
+            gyroscope=self._triad(rows, "gyroscope", GYROSCOPE_COLUMNS),
+            temperature_degc=rows[:, column["temperature"]].copy() if "temperature" in column else nothing,
+            counter=rows[:, column["counter"]].astype(np.int64) if "counter" in column else np.full(len(rows), NO_COUNTER),
+            ticks=rows[:, column["time"]].copy() if "time" in column else np.empty(0),
             status=np.zeros(len(rows), dtype=np.uint32),
             lost_before=lost,
             skipped_before=lost.astype(np.float64),
@@ -274,6 +169,62 @@ class LineReader:
         if not all(name in self._column for name in names):
             return np.full((len(rows), 3), np.nan)
         return rows[:, [self._column[name] for name in names]] * self._factors[part]
+
+
+class SentenceReader(LineReader):
+    """Reads samples out of lines that begin with a name; parameters as for ``LineReader``."""
+
+    def __init__(self, protocol: Protocol, statistics: DecoderStatistics, keep: Keep) -> None:
+        super().__init__(protocol, statistics, keep)
+        rule = self._rule
+        self._by_name = {kind.name.encode(): _places(rule, kind) for kind in rule.sentences}
+        self._checksums = {2 * checksum.size: checksum for checksum in rule.checksums}
+        self._markers = rule.markers.encode()
+        self._header_end = rule.header_end.encode()
+
+    def _numbers(self, text: bytes) -> list[float] | None:
+        """Return the numbers of a sample in the order of the columns, None where the line is none."""
+        body = self._checked(text)
+        if body is None:
+            return None
+        name = body.split(b",", 1)[0].split(self._header_end or b",", 1)[0]
+        self._statistics.frames += 1
+        kind = name.decode("ascii", "replace")
+        self._statistics.count(kind)
+        if name not in self._by_name:
+            self._keep({"kind": kind, "text": body.decode("ascii", "replace")})
+            return None
+        count, places = self._by_name[name]
+        parts = body.partition(self._header_end)[2].split(b",") if self._header_end else body.split(b",")[1:]
+        try:
+            row = [math.nan if place is None else float(parts[place[0]]) * place[1] for place in places]
+        except (ValueError, IndexError):
+            row = []
+        if len(parts) == count and row and self._is_sample(row):
+            return row
+        self._lost += 1
+        return None
+
+    def _checked(self, text: bytes) -> bytes | None:
+        """Return what stands between marker and star if the checksum fits."""
+        begin = max(text.rfind(marker) for marker in self._markers)
+        body, star, sent = text[begin + 1 :].rpartition(b"*")
+        if begin < 0 or not star:
+            return None
+        checksum = self._checksums.get(len(sent))
+        if checksum is not None and body and _HEXADECIMAL.issuperset(sent) and checksum.of(body) == int(sent, 16):
+            return body
+        self._statistics.frames_bad_checksum += 1
+        self._lost += any(body.startswith(name) for name in self._by_name)
+        return None
+
+
+def _places(rule: TextRule, sentence: SentenceRule) -> tuple[int, list[tuple[int, float] | None]]:
+    """Return how many columns a sentence has, and where each column of a sample stands and with what sign."""
+    found: dict[str, tuple[int, float]] = {}
+    for place, name in enumerate(sentence.columns):
+        found[name.removeprefix("-")] = (place, -1.0 if name.startswith("-") else 1.0)
+    return len(sentence.columns), [found.get(name) for name in rule.columns]
 
 
 def _has_number(parts: list[bytes]) -> bool:

@@ -6,29 +6,10 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from imufield.acquire.protocol.protocol import (
-        DBC_LIMIT_BYTES,
-        FOLDER,
-        SCHEMA_VERSION,
-        Nominal,
-        Protocol,
-        decode_dbc,
-        load_protocol,
-        parse_protocol,
-        protocol_names,
-    )
+    from imufield.acquire.protocol.protocol import *  # noqa: F403  the names are listed below
 
-__all__ = [
-    "DBC_LIMIT_BYTES",
-    "FOLDER",
-    "SCHEMA_VERSION",
-    "Nominal",
-    "Protocol",
-    "decode_dbc",
-    "load_protocol",
-    "parse_protocol",
-    "protocol_names",
-]
+__all__ = ["DBC_LIMIT_BYTES", "FOLDER", "SCHEMA_VERSION", "Nominal", "Protocol"]  # noqa: F405
+__all__ += ["decode_dbc", "load_protocol", "parse_protocol", "protocol_names"]  # noqa: F405
 
 
 def __getattr__(name: str) -> Any:

@@ -21,7 +21,9 @@ from imufield.acquire.protocol.can_frames import EXTENDED, ID_MASK
 from imufield.acquire.protocol.layout import MessageValue, Numbers
 from imufield.acquire.protocol.toml import near
 from imufield.errors import ProtocolError, Reason
-from imufield.samples import FloatArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 Rows = NDArray[np.uint8]
 
@@ -115,39 +117,14 @@ class CanSignal:
         window = rows[:, begin : begin + 8]
         if window.shape[1] < 8:
             window = np.pad(window, ((0, 0), (0, 8 - window.shape[1])))
-        ninth = self.bytes_needed - begin > 8
-        last = rows[:, begin + 8].astype(np.uint64) if ninth else None
-        if self.big_endian:
-            word = window.view(">u8")[:, 0].astype(np.uint64)
-            shift = 64 - self._first_bit_in_order % 8 - self.length
-            if last is not None:
-                return (word << np.uint64(-shift) | last >> np.uint64(8 + shift)) & mask
+        word = window.view(">u8" if self.big_endian else "<u8")[:, 0].astype(np.uint64, copy=False)
+        shift = 64 - self._first_bit_in_order % 8 - self.length if self.big_endian else self.start % 8
+        if self.bytes_needed - begin <= 8:
             return word >> np.uint64(shift) & mask
-        word = window.view("<u8")[:, 0].astype(np.uint64, copy=False)
-        shift = self.start % 8
-        bits = word >> np.uint64(shift)
-        if last is not None:
-            bits |= last << np.uint64(64 - shift)
-        return bits & mask
-
-    def values(self, rows: Rows) -> FloatArray:
-        """Return the numbers in ``unit``, NaN where a code says that there is none. Shape (n,)."""
-        raw = self.raw(rows)
-        scaled = self.scale(raw, self.factor)
-        scaled += self.offset
-        scaled[self.gaps(raw)[0]] = np.nan
-        return scaled
-
-    def scale(self, raw: Numbers, factor: float, out: FloatArray | None = None) -> FloatArray:
-        """Return raw numbers times ``factor``, written into ``out`` where given. Shape (n,)."""
-        scaled: FloatArray
-        if not self.is_float:
-            scaled = np.multiply(raw, factor, out=out, dtype=np.float64)
-            return scaled
-        with np.errstate(over="ignore", invalid="ignore"):
-            # Any bits may stand in a float; what is no number is a gap.
-            scaled = np.multiply(raw, factor, out=out, dtype=np.float64)
-        return scaled
+        ninth = rows[:, begin + 8].astype(np.uint64)
+        if self.big_endian:
+            return (word << np.uint64(-shift) | ninth >> np.uint64(8 + shift)) & mask
+        return (word >> np.uint64(shift) | ninth << np.uint64(64 - shift)) & mask
 
     def gaps(self, raw: Numbers) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Return where there is no value, and where that is because of a fault. Shape (n,) each."""
@@ -181,14 +158,17 @@ class CanMessage:
     @classmethod
     def of(cls, message: Message, selectors: Selectors, is_j1939: bool) -> Self:
         """Return a message of cantools."""
-        number = message.frame_id
-        if not is_j1939:
-            mask, extended = EXTENDED | ID_MASK, EXTENDED if message.is_extended_frame else 0
-            return cls(name=message.name, can_id=number | extended, mask=mask, is_j1939=False, selectors=selectors)
-        # Priority and source address may be any; below PDU format 240 the destination too.
-        group = 0x03FFFF00 if number >> 8 & 0xFFFF >= _PDU1_BELOW else 0x03FF0000
+        number, extended = message.frame_id, EXTENDED if message.is_extended_frame else 0
+        mask = ID_MASK
+        if is_j1939:
+            # Priority and source address may be any; below PDU format 240 the destination too.
+            mask, extended = 0x03FFFF00 if number >> 8 & 0xFFFF >= _PDU1_BELOW else 0x03FF0000, EXTENDED
         return cls(
-            name=message.name, can_id=number & group | EXTENDED, mask=EXTENDED | group, is_j1939=True, selectors=selectors
+            name=message.name,
+            can_id=number & mask | extended,
+            mask=EXTENDED | mask,
+            is_j1939=is_j1939,
+            selectors=selectors,
         )
 
 
@@ -217,9 +197,10 @@ class DbcFile:
             found = cantools.database.load_string(text, database_format="dbc", strict=False)
         # cantools raises its own errors, and others where a file is damaged in a place it did not think of.
         except (cantools.Error, ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
-            raise ProtocolError(f"{label} is not a readable DBC file: {(str(error) or repr(error)).splitlines()[0]}") from error
+            cause = (str(error) or repr(error)).splitlines()[0]
+            raise ProtocolError(sentence("can_dbc.unreadable", label=label, cause=cause)) from error
         if not isinstance(found, Database) or not found.messages:
-            raise ProtocolError(f"{label} has no message; a DBC file describes them in lines that begin with BO_")
+            raise ProtocolError(sentence("can_dbc.no_message", label=label))
         self._database = found
 
     def find(self, name: str) -> tuple[CanMessage, CanSignal]:
@@ -233,14 +214,13 @@ class DbcFile:
         wanted_message, _, wanted = name.rpartition(".")
         candidates = [message for message in self._database.messages if wanted_message in ("", message.name)]
         if not candidates:
-            names = [message.name for message in self._database.messages]
-            raise self._unknown("message", wanted_message, names)
+            raise self._unknown("message", wanted_message, self._database.messages)
         found = [(message, signal) for message in candidates for signal in message.signals if signal.name == wanted]
         if not found:
-            raise self._unknown("signal", name, [signal.name for message in candidates for signal in message.signals])
+            raise self._unknown("signal", name, [signal for message in candidates for signal in message.signals])
         if len(found) > 1:
-            where = ", ".join(f"{message.name}.{wanted}" for message, _ in found)
-            raise ProtocolError(f"{self.label} has {len(found)} signals {wanted!r}; write which: {where}", name=name)
+            where = [f"{message.name}.{wanted}" for message, _ in found]
+            raise ProtocolError(sentence("can_dbc.several", label=self.label, count=len(found), name=wanted, where=where))
         return self._compile(*found[0])
 
     def message(self, name: str) -> CanMessage:
@@ -251,10 +231,10 @@ class DbcFile:
         ProtocolError
             If there is none.
         """
-        found = next((message for message in self._database.messages if message.name == name), None)
-        if found is None:
-            raise self._unknown("message", name, [message.name for message in self._database.messages])
-        return CanMessage.of(found, (), self._is_j1939(found))
+        for message in self._database.messages:
+            if message.name == name:
+                return CanMessage.of(message, (), self._is_j1939(message))
+        raise self._unknown("message", name, self._database.messages)
 
     def signals(self) -> list[tuple[CanMessage, CanSignal]]:
         """Return every signal of the file."""
@@ -296,19 +276,15 @@ class DbcFile:
         is_j1939 = self._is_j1939(message)
         compiled = compile_signal(signal, is_j1939)
         if compiled.bytes_needed > message.length:
-            raise ProtocolError(
-                f"{self.label}: signal {message.name}.{signal.name} ends in byte {compiled.bytes_needed}, but the message "
-                f"has {message.length}; correct the file",
-                signal=signal.name,
-            )
+            names = {"label": self.label, "message": message.name, "signal": signal.name}
+            raise ProtocolError(sentence("can_dbc.too_long", byte=compiled.bytes_needed, size=message.length, **names))
         return CanMessage.of(message, _selectors(message, signal), is_j1939), compiled
 
-    def _unknown(self, what: str, name: str, names: Iterable[str]) -> ProtocolError:
-        known = list(dict.fromkeys(names))
+    def _unknown(self, what: str, name: str, there: Iterable[Message | Signal]) -> ProtocolError:
+        known = list(dict.fromkeys(each.name for each in there))
         shown = ", ".join(known[:20]) + (f" and {len(known) - 20} more" if len(known) > 20 else "")
-        return ProtocolError(
-            f"{self.label} has no {what} {name!r}{near(name, known)}; it has: {shown}", Reason.UNKNOWN_KEY, name=name
-        )
+        unknown = sentence("can_dbc.unknown", label=self.label, what=what, name=name, near=near(name, known), known=shown)
+        return ProtocolError(unknown, Reason.UNKNOWN_KEY)
 
 
 def compile_signal(signal: Signal, is_j1939: bool = False) -> CanSignal:

@@ -69,8 +69,7 @@ def pack_frame(can_id: int, data: bytes, time_s: float = 0.0, flags: int = 0) ->
     size = len(data)
     if size > MOST_DATA:
         raise ValueError(f"a CAN frame has at most {MOST_DATA} bytes, not {size}")
-    header = (can_id, size, flags, MARK, time_s, data[:_FIRST])
-    first = _HEADER.pack(*header)
+    first = _HEADER.pack(can_id, size, flags, MARK, time_s, data[:_FIRST])
     if size <= _FIRST:
         return first
     more = (_MORE.pack(_CONTINUATION, data[at : at + _FURTHER]) for at in range(_FIRST, size, _FURTHER))
@@ -122,13 +121,12 @@ class CanFrames:
         which : ndarray of int64, shape (k,)
             Numbers of the frames.
         width : int
-            8 or 64.
+            At most 8 gives 8, anything above 64.
         """
         first = self.unit[which]
         if width <= _FIRST:
             # One number of 8 bytes for each frame is gathered several times faster than 8 of one.
-            eight: Units = self.units.view(np.uint64)[first, 2].view(np.uint8).reshape(-1, _FIRST)
-            return eight
+            return np.asarray(self.units.view(np.uint64)[first, 2].view(np.uint8).reshape(-1, _FIRST))
         rows = np.zeros((len(which), _FIRST + 3 * _FURTHER), dtype=np.uint8)
         rows[:, :_FIRST] = self.units[first, 16:]
         for number in range(3):
@@ -161,7 +159,7 @@ class Unpacker:
         units = _units_of(data)
         is_first = _first_units(units)
         if is_first is None:
-            data = self._only_units(data, last)
+            data = self._only_units(data)
             units = _units_of(data)
             is_first = _first_units(units)
         whole = len(units) if last else _whole_units(units)
@@ -169,9 +167,8 @@ class Unpacker:
         if last:
             self.bytes_skipped += len(self._rest)
             self._rest = b""
-        if is_first is None or is_first.all():
-            return self._short_frames(units[:whole])
-        return self._long_frames(units[:whole], np.flatnonzero(is_first[:whole]))
+        first = np.arange(whole) if is_first is None else np.flatnonzero(is_first[:whole])
+        return self._frames(units[:whole], first)
 
     def put_back(self, frames: CanFrames, first: int) -> None:
         """Take frames from ``first`` on back: the next call of ``feed`` returns them again."""
@@ -182,43 +179,30 @@ class Unpacker:
         pieces = (frames.units[at : at + length] for at, length in zip(frames.unit[first:], lengths, strict=True))
         self._rest = b"".join(piece.tobytes() for piece in pieces) + self._rest
 
-    def _short_frames(self, units: Units) -> CanFrames:
-        """Return frames of one unit each."""
-        unit, size = np.arange(len(units)), units[:, 4]
-        if len(units) and size.max() > _FIRST:
-            good = np.flatnonzero(size <= _FIRST)
-            self.bytes_skipped += UNIT_BYTES * (len(units) - len(good))
-            unit = good
-        return self._at(units, unit)
-
-    def _long_frames(self, units: Units, first: IntArray) -> CanFrames:
-        """Return frames of one or more units: those that as many follow as their length needs; others lost some."""
-        follow = np.diff(np.append(first, len(units))) - 1
-        good = follow == _further_units(units[first, 4])
-        self.bytes_skipped += int(UNIT_BYTES * (len(units) - np.sum(1 + follow[good])))
-        return self._at(units, first[good])
-
-    @staticmethod
-    def _at(units: Units, unit: IntArray) -> CanFrames:
-        words, times = units.view("<u4"), units.view("<f8")
-        if len(unit) == len(units):
-            return CanFrames(
-                can_id=words[:, 0], size=units[:, 4], flags=units[:, 5], time_s=_possible(times[:, 1]), units=units, unit=unit
-            )
+    def _frames(self, units: Units, first: IntArray) -> CanFrames:
+        """Return the frames whose first units are these, if as many follow as their length needs; others lost some."""
+        if len(first) and (len(first) < len(units) or units[:, 4].max() > _FIRST):
+            follow = np.diff(np.append(first, len(units))) - 1
+            good = follow == _further_units(units[first, 4])
+            self.bytes_skipped += int(UNIT_BYTES * (len(units) - np.sum(1 + follow[good])))
+            first = first[good]
+        # Where every unit begins a frame, which is nearly always so, the arrays are views.
+        rows = slice(None) if len(first) == len(units) else first
         return CanFrames(
-            can_id=words[unit, 0],
-            size=units[unit, 4],
-            flags=units[unit, 5],
-            time_s=_possible(times[unit, 1]),
+            can_id=units.view("<u4")[rows, 0],
+            size=units[rows, 4],
+            flags=units[rows, 5],
+            time_s=_possible(units.view("<f8")[rows, 1]),
             units=units,
-            unit=unit,
+            unit=first,
         )
 
-    def _only_units(self, data: bytes, last: bool) -> bytes:
+    def _only_units(self, data: bytes) -> bytes:
         """Keep what looks like units; step byte by byte over the rest until a mark stands where one should."""
         kept, at = [], 0
         while at + UNIT_BYTES <= len(data):
-            if _is_unit(data, at):
+            is_first = data[at + _MARK_AT : at + _MARK_AT + 2] == _MARK_BYTES and data[at + 4] <= MOST_DATA
+            if is_first or data[at : at + 4] == _CONTINUATION.to_bytes(4, "little"):
                 kept.append(data[at : at + UNIT_BYTES])
                 at += UNIT_BYTES
                 continue
@@ -226,11 +210,7 @@ class Unpacker:
             until = mark - _MARK_AT if mark >= 0 else max(len(data) - UNIT_BYTES + 1, at + 1)
             self.bytes_skipped += until - at
             at = until
-        rest = data[at:]
-        if last:
-            self.bytes_skipped += len(rest)
-            rest = b""
-        return b"".join(kept) + rest
+        return b"".join(kept) + data[at:]
 
 
 def _units_of(data: bytes) -> Units:
@@ -255,15 +235,8 @@ def _first_units(units: Units) -> NDArray[np.bool_] | None:
     return None
 
 
-def _is_unit(data: bytes, at: int) -> bool:
-    if data[at + _MARK_AT : at + _MARK_AT + 2] == _MARK_BYTES and data[at + 4] <= MOST_DATA:
-        return True
-    return data[at : at + 4] == b"\xff\xff\xff\xff"
-
-
 def _further_units(size: Units) -> IntArray:
-    further: IntArray = np.maximum(size.astype(np.int64) - _FIRST + _FURTHER - 1, 0) // _FURTHER
-    return further
+    return np.maximum(size.astype(np.int64) - _FIRST + _FURTHER - 1, 0) // _FURTHER
 
 
 def _whole_units(units: Units) -> int:
@@ -282,9 +255,7 @@ def _whole_units(units: Units) -> int:
 def unpack_frames(data: bytes) -> Iterator[Frame]:
     """Yield the frames of packed bytes one by one."""
     frames = Unpacker().feed(data, last=True)
-    rows = frames.data(np.arange(len(frames)), MOST_DATA) if len(frames) and frames.size.max() > _FIRST else None
-    for number in range(len(frames)):
-        row = frames.units[frames.unit[number], 16:] if rows is None else rows[number]
-        size = int(frames.size[number])
-        data_bytes = b"" if int(frames.can_id[number]) & REMOTE else row[:size].tobytes()
-        yield Frame(int(frames.can_id[number]), data_bytes, float(frames.time_s[number]), int(frames.flags[number]))
+    rows = frames.data(np.arange(len(frames)), int(frames.size.max(initial=0)))
+    numbers = (frames.can_id.tolist(), frames.size.tolist(), frames.time_s.tolist(), frames.flags.tolist())
+    for row, can_id, size, time_s, flags in zip(rows, *numbers, strict=True):
+        yield Frame(can_id, b"" if can_id & REMOTE else row[:size].tobytes(), time_s, flags)

@@ -9,15 +9,27 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TypeVar
 
 from imufield.acquire.protocol.can_dbc import CanMessage, CanSignal, DbcFile, Selectors
-from imufield.acquire.protocol.samples_and_clock import ClockRule, FlagRule, read_flag, read_shift, sample_units
+from imufield.acquire.protocol.samples_and_clock import (
+    LEAST_TICKS_PER_S,
+    MOST_TICKS_PER_S,
+    ClockRule,
+    FlagRule,
+    read_flag,
+    read_shift,
+    read_steps,
+    sample_units,
+)
 from imufield.acquire.protocol.toml import Table, near
-from imufield.acquire.protocol.units import TO_SI, UNITS_OF
+from imufield.acquire.protocol.units import TO_SI, UNITS_OF, unit_name
 from imufield.errors import ProtocolError, Reason
 from imufield.samples import SampleUnits
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 ANY_ADDRESS = 255
 """Source address that stands for the first one heard; no node may send from it (J1939-81)."""
@@ -32,18 +44,6 @@ _LONG_TIME_BITS = 48  # A time stamp of so many bits runs for 8.9 years of micro
 _Found = TypeVar("_Found")
 _DBC_LINE = re.compile(r'^\s*dbc\s*=\s*"([^"\n]+)"', re.MULTILINE)
 _EMBEDDED = re.compile(r"^\[dbc\]", re.MULTILINE)
-_SPELLINGS = {
-    "m/s^2": ("m/s2", "m/s²", "m/s/s", "m/s**2", "m/(s^2)", "m/sec^2", "m/sec2", "m/s*s", "mps2", "m s-2", "m/ss"),
-    "g": ("gn", "g0", "gee", "grav"),
-    "mg": ("milli-g",),
-    "ft/s^2": ("ft/s2", "ft/s²"),
-    "deg/s": ("°/s", "º/s", "dps", "deg/sec", "degree/s", "degrees/s", "degps", "°/sec", "deg/second"),
-    "rad/s": ("rad/sec", "radian/s"),
-    "degC": ("°c", "ºc", "c", "deg c", "celsius", "degc", "°celsius"),
-    "K": ("k", "kelvin"),
-    "deg": ("°", "º", "degree"),
-}
-_UNIT_OF = {text: unit for unit, texts in _SPELLINGS.items() for text in texts} | {unit.lower(): unit for unit in TO_SI}
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,15 +125,6 @@ class CanRule:
         return any(3 <= column.place < TEMPERATURE for kind in self.kinds for column in kind.columns)
 
 
-@dataclass(frozen=True, slots=True)
-class CanParts:
-    """What a CAN protocol adds to a ``Protocol``."""
-
-    rule: CanRule
-    units: SampleUnits
-    clock: ClockRule
-
-
 def embed_dbc(text: str, read: Callable[[str], str]) -> str:
     """Return a protocol's text with the DBC file it names appended; other texts as they are.
 
@@ -158,7 +149,7 @@ def dbc_table(content: str) -> str:
     return f"\n\n[dbc]\ntext = '''\n{content}'''\n"
 
 
-def read_can(top: Table) -> CanParts:
+def read_can(top: Table) -> tuple[CanRule, SampleUnits, ClockRule]:
     """Read ``[can]``, ``[map]``, ``[assembly]``, ``[clock]`` and ``[dbc]``.
 
     Raises
@@ -166,41 +157,35 @@ def read_can(top: Table) -> CanParts:
     ProtocolError
         If something is missing, unknown or contradictory, with line and key.
     """
-    can, assembly, clock = top.table("can"), top.table("assembly"), top.table("clock")
-    dbc = _read_dbc(top, can)
+    can, assembly, clock, embedded = top.table("can"), top.table("assembly"), top.table("clock"), top.table("dbc")
+    name, identifiers = can.text("dbc", "DBC file"), can.choice("identifiers", ("auto", "exact", "j1939"), "auto")
+    if not embedded.has("text"):
+        raise can.error("dbc", sentence("can_protocol.no_dbc"))
+    dbc = DbcFile(embedded.text("text"), name, identifiers)
     mapped = _Mapping(top.table("map"), dbc)
     units_of = {part: mapped.triad(part) for part in _PLACES}
     mapped.others()
     if not any(units_of.values()):
-        raise mapped.table.error("", f"maps neither accelerometer nor gyroscope; signals that may be meant: {_candidates(dbc)}")
-    clock_rule = _read_clock(clock, mapped)
+        raise mapped.table.error("", sentence("can_protocol.nothing_mapped", candidates=_candidates(dbc)))
+    clock_rule = ClockRule(
+        counter_modulus=mapped.counter_modulus,
+        counter_steps=read_steps(clock, "counter_steps"),
+        time_modulus=mapped.time_modulus,
+        time_ticks_per_s=clock.number("time_ticks_per_s", mapped.ticks_per_s, low=LEAST_TICKS_PER_S, high=MOST_TICKS_PER_S),
+        rate_hz=clock.number("rate_hz", 0.0, low=0, high=MOST_TICKS_PER_S),
+    )
     units = sample_units(clock, clock_rule, units_of["accelerometer"] or "m/s^2", units_of["gyroscope"] or "rad/s")
     rule = CanRule(
         dbc=dbc,
         kinds=tuple(mapped.kinds.values()),
-        assembly=_read_assembly(assembly, mapped, dbc),
-        messages=tuple(_in_file(can, "messages", dbc.message, str(name)) for name in can.items("messages", [])),
+        assembly=_read_assembly(assembly, mapped),
+        messages=tuple(_in_file(can, "messages", dbc.message, name) for name in can.texts("messages")),
         source_address=can.integer("source_address", 0, ANY_ADDRESS, ANY_ADDRESS),
         bit_rate=can.optional_integer("bit_rate", 1, 20_000_000),
     )
-    for table in (can, assembly, clock, mapped.table):
+    for table in (can, assembly, clock, embedded, mapped.table):
         table.finish()
-    return CanParts(rule, units, clock_rule)
-
-
-def unit_name(text: str) -> str | None:
-    """Return our name of a unit as DBC files write it; None where it is not known."""
-    return _UNIT_OF.get(re.sub(r"\s+", " ", text.strip().lower()).replace("[", "").replace("]", ""))
-
-
-def _read_dbc(top: Table, can: Table) -> DbcFile:
-    name, embedded = can.text("dbc", "DBC file"), top.table("dbc")
-    if not embedded.has("text"):
-        raise can.error("dbc", "the file it names is not part of the text; load the protocol by its name or path")
-    identifiers = can.choice("identifiers", ("auto", "exact", "j1939"), "auto")
-    dbc = DbcFile(embedded.text("text"), name, identifiers)
-    embedded.finish()
-    return dbc
+    return rule, units, clock_rule
 
 
 def _in_file(table: Table, key: str, find: Callable[[str], _Found], name: str) -> _Found:
@@ -223,50 +208,49 @@ class _Mapping:
 
     def triad(self, part: str) -> str:
         """Read three axes; return their unit in a sample, "" where the part is not mapped."""
-        names = [str(name) for name in self.table.items(part, [])]
+        names = self.table.texts(part)
         if not names:
             self.table.has(f"{part}_unit")
             return ""
         if len(names) != 3:
-            raise self.table.error(part, f"needs three signals, x, y and z, not {len(names)}: {', '.join(names)}")
+            raise self.table.error(part, sentence("can_protocol.three_signals", count=len(names), names=names))
         units = {self._axis(part, place, name) for place, name in enumerate(names)}
         if len(units) > 1:
-            raise self.table.error(part, f"the three signals are {' and '.join(sorted(units))}; all must be of one kind")
+            raise self.table.error(part, sentence("can_protocol.mixed_units", units=" and ".join(sorted(units))))
         return units.pop()
 
     def _axis(self, part: str, axis: int, name: str) -> str:
         kind, signal = self._find(part, name.lstrip("-"))
-        unit, factor = self._unit(part, signal, UNITS_OF[part])
+        given = self.table.text(f"{part}_unit", "")
+        written = given or signal.unit
+        unit, factor = TO_SI.get(unit_name(written) or "", ("", 0.0))
+        if unit not in UNITS_OF[part]:
+            known = [name for name, (si, _) in TO_SI.items() if si in UNITS_OF[part]]
+            shown = f"{written!r}" if written else "no unit"
+            wrong = sentence("can_protocol.unit", signal=signal.name, unit=shown, part=part, known=known)
+            raise self.table.error(f"{part}_unit" if given else part, wrong, Reason.UNITS)
         factor = -factor if name.startswith("-") else factor
         kind.columns.append(Column(_PLACES[part] + axis, signal, signal.factor * factor, signal.offset * factor))
         return unit
 
-    def _unit(self, part: str, signal: CanSignal, allowed: tuple[str, ...]) -> tuple[str, float]:
-        given = self.table.text(f"{part}_unit", "")
-        written = given or signal.unit
-        unit, factor = TO_SI.get(unit_name(written) or "", ("", 0.0))
-        if unit not in allowed:
-            known = ", ".join(name for name, (si, _) in TO_SI.items() if si in allowed)
-            shown = f"{written!r}" if written else "no unit"
-            raise self.table.error(
-                f"{part}_unit" if given else part,
-                f"signal {signal.name} has {shown}, which is no unit of the {part}; choose another signal, or state its unit "
-                f"as {part}_unit (one of {known})",
-                reason=Reason.UNITS,
-            )
-        return unit, factor
-
     def others(self) -> None:
         """Read temperature, counter, time, flags and status."""
         if self.table.has("temperature"):
-            self._temperature(self.table.text("temperature"))
+            kind, signal = self._find("temperature", self.table.text("temperature"))
+            unit = unit_name(self.table.text("temperature_unit", "") or signal.unit)
+            if unit not in ("degC", "K"):
+                wrong = sentence("can_protocol.temperature_unit", signal=signal.name, unit=signal.unit)
+                raise self.table.error("temperature", wrong)
+            offset = signal.offset + (_ABSOLUTE_ZERO_DEGC if unit == "K" else 0.0)
+            kind.columns.append(Column(TEMPERATURE, signal, signal.factor, offset))
         if self.table.has("counter"):
             kind, signal = self._find("counter", self.table.text("counter"))
             kind.counter, self.counter_modulus = signal, self._modulus("counter", signal)
         if self.table.has("time"):
             kind, signal = self._find("time", self.table.text("time"))
             kind.time = signal
-            self.ticks_per_s = _TICKS_PER_S.get(signal.unit.lower(), 1.0) / abs(signal.factor)
+            # A factor of 0 is refused with the other rates that no clock has.
+            self.ticks_per_s = _TICKS_PER_S.get(signal.unit.lower(), 1.0) / (abs(signal.factor) or math.inf)
             never_wraps = signal.is_float or signal.length >= _LONG_TIME_BITS
             self.time_modulus = 0 if never_wraps else self._modulus("time", signal)
         for each in self.table.tables("flags"):
@@ -283,18 +267,19 @@ class _Mapping:
         kinds = [kind for kind in self.kinds.values() if kind.message.name == found.name]
         kinds = [kind for kind in kinds if not found.selectors or kind.message.selectors == found.selectors]
         if not kinds:
-            raise table.error(key, f"message {found.name} of {name!r} has no signal in [map]")
+            raise table.error(key, sentence("can_protocol.group", message=found.name, name=name))
         self._modulus(key, signal)
         for kind in kinds:
             kind.group = signal
 
-    def _temperature(self, name: str) -> None:
-        kind, signal = self._find("temperature", name)
-        unit = unit_name(self.table.text("temperature_unit", "") or signal.unit)
-        if unit not in ("degC", "K"):
-            raise self.table.error("temperature", f"signal {signal.name} has unit {signal.unit!r}; use one in degC or K")
-        offset = signal.offset + (_ABSOLUTE_ZERO_DEGC if unit == "K" else 0.0)
-        kind.columns.append(Column(TEMPERATURE, signal, signal.factor, offset))
+    def number_of(self, table: Table, key: str, name: str) -> int:
+        """Return the number of the kind of frame that a key of another table names."""
+        for number, kind in enumerate(self.kinds.values()):
+            if name in (kind.name, kind.message.name):
+                return number
+        _in_file(table, key, self._dbc.message, name)
+        names = [kind.name for kind in self.kinds.values()]
+        raise table.error(key, sentence("can_protocol.not_mapped", name=name, near=near(name, names), known=names))
 
     def _find(self, key: str, name: str) -> tuple[CanKind, CanSignal]:
         message, signal = _in_file(self.table, key, self._dbc.find, name)
@@ -303,53 +288,27 @@ class _Mapping:
             if forms:
                 return forms[0], signal
         elif (message.name, ()) in self.kinds:
-            raise self.table.error(
-                key, f"signal {name} is in some forms of {message.name} only, other signals mapped before it are in all of them"
-            )
+            raise self.table.error(key, sentence("can_protocol.some_forms", name=name, message=message.name))
         return self.kinds.setdefault((message.name, message.selectors), CanKind(message=message)), signal
 
     def _modulus(self, key: str, signal: CanSignal) -> int:
         if signal.is_float or signal.is_signed:
-            raise self.table.error(key, f"signal {signal.name} is not an unsigned whole number, so it cannot count")
+            raise self.table.error(key, sentence("can_protocol.no_counter", signal=signal.name))
         return 1 << min(signal.length, _MOST_BITS)
 
 
-def _read_assembly(table: Table, mapped: _Mapping, dbc: DbcFile) -> AssemblyRule:
-    kinds = list(mapped.kinds.values())
-    counters = [str(name) for name in table.items("counters", [])]
+def _read_assembly(table: Table, mapped: _Mapping) -> AssemblyRule:
+    counters = table.texts("counters")
     for name in counters:
         mapped.group("counters", table, name)
-    if counters and any(kind.group is None for kind in kinds):
-        raise table.error("counters", "needs one counter in each message that [map] uses, or none")
+    if counters and any(kind.group is None for kind in mapped.kinds.values()):
+        raise table.error("counters", sentence("can_protocol.counters"))
     start = table.text("starts_with", "")
     return AssemblyRule(
-        _kind_number(table, "starts_with", start, kinds, dbc=dbc) if start else None,
-        tuple(_kind_number(table, "needs", str(name), kinds, dbc=dbc) for name in table.items("needs", [])),
-        table.number("limit_s", 0.0) if 0 <= table.number("limit_s", 0.0) <= _LONGEST_LIMIT_S else _LONGEST_LIMIT_S,
+        mapped.number_of(table, "starts_with", start) if start else None,
+        tuple(mapped.number_of(table, "needs", name) for name in table.texts("needs")),
+        min(table.number("limit_s", 0.0, low=0), _LONGEST_LIMIT_S),
         bool(counters),
-    )
-
-
-def _kind_number(table: Table, key: str, name: str, kinds: list[CanKind], *, dbc: DbcFile) -> int:
-    for number, kind in enumerate(kinds):
-        if name in (kind.name, kind.message.name):
-            return number
-    _in_file(table, key, dbc.message, name)
-    names = [kind.name for kind in kinds]
-    raise table.error(key, f"message {name!r} has no signal in [map]{near(name, names)}; those that have: {', '.join(names)}")
-
-
-def _read_clock(table: Table, mapped: _Mapping) -> ClockRule:
-    ticks_per_s = table.number("time_ticks_per_s", mapped.ticks_per_s)
-    rate_hz = table.number("rate_hz", 0.0)
-    if not (ticks_per_s > 0 and 0 <= rate_hz < math.inf):
-        raise table.error("rate_hz", "rates must be positive")
-    return ClockRule(
-        counter_modulus=mapped.counter_modulus,
-        counter_steps=tuple(step for step in table.items("counter_steps", [1]) if isinstance(step, int) and step > 0) or (1,),
-        time_modulus=mapped.time_modulus,
-        time_ticks_per_s=ticks_per_s,
-        rate_hz=rate_hz,
     )
 
 
@@ -362,10 +321,3 @@ def _candidates(dbc: DbcFile) -> str:
         if TO_SI.get(unit_name(signal.unit) or "", ("", 0.0))[0] in units
     ]
     return ", ".join(found[:20]) or "none has such a unit"
-
-
-def with_source_address(message: CanMessage, address: int) -> CanMessage:
-    """Return a J1939 message that only frames from ``address`` match; others as they are."""
-    if not message.is_j1939 or address == ANY_ADDRESS:
-        return message
-    return replace(message, can_id=message.can_id | address, mask=message.mask | 0xFF)

@@ -13,14 +13,17 @@ from __future__ import annotations
 
 import difflib
 from abc import ABC, abstractmethod
-from functools import cache, cached_property
-from typing import NamedTuple, Protocol
+from functools import cache
+from typing import NamedTuple
 
 import crccheck.crc
 import numpy as np
 from numpy.typing import NDArray
 
 from imufield.errors import ProtocolError
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 Bytes = NDArray[np.uint8]
 Values = NDArray[np.uint64]
@@ -33,18 +36,7 @@ _LONGEST_TABLE = 2048
 _TABLES_KEPT = 32  # Noise makes false frames of any length, each with its table.
 # Rows looked up together: keeps the index array (8 bytes for each byte of a frame) in the second-level cache.
 _ROWS_AT_ONCE = 1024
-
-
-class _Parameters(Protocol):
-    """A class of ``crccheck.crc``."""
-
-    _names: tuple[str, ...]
-    _width: int
-    _poly: int
-    _initvalue: int
-    _reflect_input: bool
-    _reflect_output: bool
-    _xor_output: int
+_START = 256  # Column of the start value in the table of what each byte value leaves.
 
 
 class _Tables(NamedTuple):
@@ -61,13 +53,6 @@ class _Ragged(NamedTuple):
     values: Bytes
     following: Positions  # How many bytes of the same span follow this one.
     first: Positions  # Where each span begins in the two arrays above.
-
-
-def _ragged(data: Bytes, starts: Positions, lengths: Positions) -> _Ragged:
-    ends = np.cumsum(lengths)
-    first = ends - lengths
-    within = np.arange(int(ends[-1])) - np.repeat(first, lengths)
-    return _Ragged(data[within + np.repeat(starts, lengths)], np.repeat(lengths, lengths) - 1 - within, first)
 
 
 class Checksum(ABC):
@@ -98,7 +83,11 @@ class Checksum(ABC):
         """Return the values of n messages of different lengths (all at least 1) inside ``data``, shape (n,)."""
         if len(starts) == 0:
             return np.empty(0, dtype=np.uint64)
-        return self._spans(_ragged(data, starts, lengths), lengths)
+        ends = np.cumsum(lengths)
+        first = ends - lengths
+        within = np.arange(int(ends[-1])) - np.repeat(first, lengths)
+        following = np.repeat(lengths, lengths) - 1 - within
+        return self._spans(_Ragged(data[within + np.repeat(starts, lengths)], following, first), lengths)
 
     @abstractmethod
     def _spans(self, span: _Ragged, lengths: Positions) -> Values: ...
@@ -117,18 +106,17 @@ class Crc(Checksum):
         Start value and final XOR instead of those of the catalogue.
     """
 
-    def __init__(self, parameters: _Parameters, pad_to: int = 1, start: int | None = None, final: int | None = None) -> None:
-        self._width = int(parameters._width)  # noqa: SLF001  crccheck publishes its catalogue only so
-        self._polynomial = int(parameters._poly)  # noqa: SLF001
-        value = int(parameters._initvalue) if start is None else start  # noqa: SLF001
-        self._reflected = bool(parameters._reflect_input)  # noqa: SLF001
-        self._final = int(parameters._xor_output) if final is None else final  # noqa: SLF001
+    def __init__(
+        self, parameters: type[crccheck.crc.CrcBase], pad_to: int = 1, start: int | None = None, final: int | None = None
+    ) -> None:
+        self._width = int(parameters.width())
+        self._reflected = bool(parameters.reflect_input())
+        self._final = int(parameters.xor_output()) if final is None else final
         self._pad_to = pad_to
         self.size = self._width // 8
-        self._left = np.empty((0, 256), dtype=np.uint64)
-        # A reflected register has its bits mirrored; crccheck gives the start value as the catalogue prints it.
-        register = _reversed(value, self._width) if self._reflected else value
-        self._start_left = np.array([register], dtype=np.uint64)
+        alone = [parameters.calc(bytes([value]), 0) for value in range(256)]
+        # Row d: what each byte value, and last the start value, leaves when d bytes follow. The final XOR is no part of it.
+        self._left = np.array([[*alone, parameters(start).final()]], dtype=np.uint64) ^ np.uint64(parameters.xor_output())
         self._by_length: dict[int, _Tables] = {}
 
     def of_rows(self, rows: Bytes) -> Values:
@@ -149,8 +137,9 @@ class Crc(Checksum):
         pad = -lengths % self._pad_to
         self._grow(int((lengths + pad).max()))
         left = self._left[span.following + np.repeat(pad, lengths), span.values]
-        found: Values = np.bitwise_xor.reduceat(left, span.first) ^ self._start_left[lengths + pad] ^ np.uint64(self._final)
-        return found
+        return np.asarray(
+            np.bitwise_xor.reduceat(left, span.first) ^ self._left[lengths + pad, _START] ^ np.uint64(self._final)
+        )
 
     def _tables_of(self, length: int) -> _Tables:
         """Return the flat table, the place of each column in it and the constant part for messages of one length."""
@@ -159,55 +148,30 @@ class Crc(Checksum):
             padded = length + -length % self._pad_to
             self._grow(padded)
             # Half the size where it will do: the tables of a frame stay in cache.
-            flat = self._left[:padded][::-1][:length].ravel()
-            table: NDArray[np.unsignedinteger] = flat.astype(np.uint32 if self._width <= 32 else np.uint64)
+            kind = np.uint32 if self._width <= 32 else np.uint64
+            flat: NDArray[np.unsignedinteger] = self._left[:padded, :_START][::-1][:length].ravel().astype(kind)
             if len(self._by_length) >= _TABLES_KEPT:
                 self._by_length.clear()
-            found = _Tables(
-                table, np.arange(length, dtype=np.intp) * 256, table.dtype.type(int(self._start_left[padded]) ^ self._final)
-            )
-            self._by_length[length] = found
+            constant = kind(int(self._left[padded, _START]) ^ self._final)
+            found = self._by_length[length] = _Tables(flat, np.arange(length, dtype=np.intp) * 256, constant)
         return found
 
     def _grow(self, length: int) -> None:
-        """Extend the tables to messages of ``length`` bytes; more than needed, as longer ones may follow."""
-        if length <= len(self._left):
+        """Extend the table to messages of ``length`` bytes; more than needed, as longer ones may follow."""
+        if length < len(self._left):
             return
-        wanted = max(length, min(2 * len(self._left), len(self._left) + _LONGEST_TABLE))
-        left = [self._first] if len(self._left) == 0 else [*self._left]
-        start = [*self._start_left]
-        while len(left) < wanted:
-            left.append(self._after_zero_byte(left[-1]))
-        while len(start) < wanted + 1:
-            start.append(self._after_zero_byte(start[-1].reshape(1))[0])
-        self._left = np.array(left, dtype=np.uint64)
-        self._start_left = np.array(start, dtype=np.uint64)
-
-    @cached_property
-    def _first(self) -> Values:
-        """What each byte value leaves when no byte follows it: 8 steps of the shift register, shape (256,)."""
-        bit = np.uint64(1)
-        if self._reflected:
-            register = np.arange(256, dtype=np.uint64)
-            polynomial = np.uint64(_reversed(self._polynomial, self._width))
-            for _ in range(8):
-                register = (register >> bit) ^ (register & bit) * polynomial
-            return register
-        top = np.uint64(self._width - 1)
-        register = np.arange(256, dtype=np.uint64) << np.uint64(self._width - 8)
-        mask = np.uint64((1 << self._width) - 1)
-        for _ in range(8):
-            register = ((register << bit) & mask) ^ (register >> top) * np.uint64(self._polynomial)
-        return register
+        wanted = max(length + 1, min(2 * len(self._left), len(self._left) + _LONGEST_TABLE))
+        rows = [*self._left]
+        while len(rows) < wanted:
+            rows.append(self._after_zero_byte(rows[-1]))
+        self._left = np.array(rows, dtype=np.uint64)
 
     def _after_zero_byte(self, register: Values) -> Values:
-        eight = np.uint64(8)
+        eight, width, first = np.uint64(8), np.uint64(self._width), self._left[0]
         if self._reflected:
-            shifted: Values = (register >> eight) ^ self._first[register & np.uint64(0xFF)]
-            return shifted
+            return np.asarray((register >> eight) ^ first[register & np.uint64(0xFF)])
         mask = np.uint64((1 << self._width) - 1)
-        moved: Values = ((register << eight) & mask) ^ self._first[register >> np.uint64(self._width - 8)]
-        return moved
+        return np.asarray(((register << eight) & mask) ^ first[register >> (width - eight)])
 
 
 class Sum(Checksum):
@@ -245,8 +209,7 @@ class Sum(Checksum):
         return self._finish(np.add.reduceat(weighted, span.first))
 
     def _finish(self, total: Values) -> Values:
-        finished: Values = (np.uint64(0) - total if self._negated else total) & self._mask
-        return finished
+        return (np.uint64(0) - total if self._negated else total) & self._mask
 
 
 class Xor(Checksum):
@@ -259,8 +222,7 @@ class Xor(Checksum):
         return np.asarray(np.bitwise_xor.reduce(rows, axis=1), dtype=np.uint64)
 
     def _spans(self, span: _Ragged, lengths: Positions) -> Values:  # noqa: ARG002  an XOR needs no length
-        found: Values = np.bitwise_xor.reduceat(span.values, span.first).astype(np.uint64)
-        return found
+        return np.bitwise_xor.reduceat(span.values, span.first).astype(np.uint64)
 
 
 class Fletcher(Checksum):
@@ -286,12 +248,7 @@ class Fletcher(Checksum):
     @staticmethod
     def _join(first: Values, second: Values) -> Values:
         low = np.uint64(0xFF)
-        joined: Values = (first & low) << np.uint64(8) | (second & low)
-        return joined
-
-
-def _reversed(value: int, width: int) -> int:
-    return int(f"{value:0{width}b}"[::-1], 2)
+        return (first & low) << np.uint64(8) | (second & low)
 
 
 _PLAIN = {
@@ -306,14 +263,14 @@ _PLAIN = {
 
 
 @cache
-def _catalogue() -> dict[str, _Parameters]:
+def _catalogue() -> dict[str, type[crccheck.crc.CrcBase]]:
     """Return every CRC of the catalogue that works on whole bytes, by name."""
-    found: dict[str, _Parameters] = {}
-    for parameters in crccheck.crc.ALLCRCCLASSES:
-        whole_bytes = parameters._width % 8 == 0 and parameters._width <= 64  # noqa: SLF001
-        if whole_bytes and parameters._reflect_input == parameters._reflect_output:  # noqa: SLF001
-            found.update(dict.fromkeys(parameters._names, parameters))  # noqa: SLF001
-    return found
+    return {
+        name: parameters
+        for parameters in crccheck.crc.ALLCRCCLASSES
+        if parameters.width() in range(8, 65, 8) and parameters.reflect_input() == parameters.reflect_output()
+        for name in parameters._names  # noqa: SLF001  crccheck publishes the names only so
+    }
 
 
 def checksum_names() -> list[str]:
@@ -340,16 +297,16 @@ def make_checksum(algorithm: str, pad_to: int = 1, *, start: int | None = None, 
     """
     if algorithm in _PLAIN:
         if pad_to != 1:
-            raise ProtocolError(f"checksum {algorithm} cannot be padded to {pad_to} bytes; leave `pad_to` out", pad_to=pad_to)
+            raise ProtocolError(sentence("checksum.padded", algorithm=algorithm, pad_to=pad_to))
         if (start, final) != (None, None):
-            raise ProtocolError(f"checksum {algorithm} takes neither `start` nor `final`; leave them out", start=start)
+            raise ProtocolError(sentence("checksum.started", algorithm=algorithm), start=start)
         return _PLAIN[algorithm]()
     parameters = _catalogue().get(algorithm)
     if parameters is None:
         near = difflib.get_close_matches(algorithm.upper(), checksum_names(), n=1, cutoff=0.4)
-        hint = f"did you mean {near[0]!r}" if near else "use a catalogue name such as 'CRC-32/MPEG-2'"
-        raise ProtocolError(f"checksum algorithm {algorithm!r} is not known; {hint}", algorithm=algorithm)
-    largest = (1 << int(parameters._width)) - 1  # noqa: SLF001
+        example = near[0] if near else "CRC-32/MPEG-2"
+        raise ProtocolError(sentence("checksum.unknown", algorithm=algorithm, example=example))
+    largest = (1 << int(parameters.width())) - 1
     if max(start or 0, final or 0) > largest:
-        raise ProtocolError(f"`start` and `final` of {algorithm} are at most {largest:#x}; write them shorter", start=start)
+        raise ProtocolError(sentence("checksum.too_wide", algorithm=algorithm, largest=largest), start=start)
     return Crc(parameters, pad_to, start, final)

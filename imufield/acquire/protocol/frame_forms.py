@@ -196,6 +196,21 @@ class FrameForm:
         return max(*parts, self.masks.at + 1 if self.masks else 0)
 
     @property
+    def is_fixed(self) -> bool:
+        """Whether the key alone tells the length."""
+        return self.length is None and self.masks is None
+
+    @property
+    def first_bytes(self) -> NDArray[np.bool_]:
+        """Which byte values can begin a frame, shape (256,)."""
+        known = set(range(256))
+        if self.sync:
+            known = {self.sync[0]}
+        elif self.key_size == 1 and self.key_at == 0 and self.is_fixed:
+            known = set(self.layouts)
+        return np.isin(np.arange(256), list(known))
+
+    @property
     def has_structure(self) -> bool:
         """Whether frames of one key and length may still differ in shape."""
         return self.fields is not None or self.masks is not None
@@ -264,17 +279,14 @@ class FrameForm:
             if behind > until or behind < at + rule.header:
                 return None
             columns += range(at, at + rule.header)
-            _put(placed, rule.fields_of(key, number, behind - at - rule.header), at + rule.header)
+            at += rule.header
+            for field in rule.fields_of(key, number, behind - at):
+                # Of fields of one name the first counts.
+                placed.setdefault(field.name, replace(field, at=at))
+                at += field.size
             at = behind
         kind = rule.messages.get(key, self._name(key))
         return _shape(Layout(kind, tuple(placed.values()), len(row), key in rule.messages), columns, row)
-
-
-def _put(placed: dict[str, Field], fields: tuple[Field, ...], at: int) -> None:
-    """Place fields one behind another; of fields of one name the first counts."""
-    for field in fields:
-        placed.setdefault(field.name, replace(field, at=at))
-        at += field.size
 
 
 def _shape(layout: Layout, columns: list[int], row: bytes) -> Shape:

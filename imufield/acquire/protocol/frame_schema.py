@@ -12,6 +12,9 @@ from imufield.acquire.protocol.frame_forms import FieldsRule, FrameForm, LengthR
 from imufield.acquire.protocol.layout import NUMBER_BYTES, TEXT_TYPES, Bits, Field, Layout
 from imufield.acquire.protocol.samples_and_clock import read_checksum
 from imufield.acquire.protocol.toml import Table
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 LONGEST_FRAME = 65536
 ANY_KEY = "any"
@@ -43,11 +46,6 @@ class FrameRule:
     """Bytes that may follow a frame and carry nothing."""
     join: JoinRule | None = None
 
-    @property
-    def layouts(self) -> dict[int, Layout]:
-        """Fixed layouts of the first form by key."""
-        return self.forms[0].layouts
-
     def all_fields(self) -> list[Field]:
         """Return every field a frame may have."""
         return [field for form in self.forms for field in form.all_fields()]
@@ -61,28 +59,24 @@ def read_frames(top: Table) -> FrameRule:
     tables = top.tables("frame") if several else [top.table("frame")]
     forms = tuple(_read_form(top, table, parts, big_endian) for table in tables if table.flag("enabled", True))
     if not 1 <= len(forms) <= _FORMS:
-        raise top.error("frame", f"a protocol needs 1 to {_FORMS} forms of frames, not {len(forms)}")
+        raise top.error("frame", sentence("frame_schema.forms", most=_FORMS, forms=len(forms)))
     trailer = b""
     if not several:
         with top.table("frame").table("trailer") as table:
             trailer = table.hexadecimal("bytes")
             if trailer and not table.flag("optional"):
-                raise table.error("optional", "a trailer that must be there is not supported; write optional = true")
-    if trailer and any(trailer[0] in _first_bytes(form) for form in forms):
-        raise top.table("frame").error("trailer", "the trailer begins like a frame, so the two cannot be told apart")
+                raise table.error("optional", sentence("frame_schema.trailer_needed"))
+    if trailer and any(form.first_bytes[trailer[0]] for form in forms):
+        raise top.table("frame").error("trailer", sentence("frame_schema.trailer_like_frame"))
     for name in ("fields", "masks"):
         top.has(name)
-    return FrameRule(forms, trailer, _read_join(top.table("join")))
-
-
-def _read_join(table: Table) -> JoinRule | None:
-    if not table.values:
-        return None
-    with table:
-        starts_with, needs = table.text("starts_with"), tuple(str(kind) for kind in table.items("needs"))
-    if starts_with not in needs:
-        raise table.error("needs", f"the kind a sample starts with, {starts_with!r}, must be among those it needs")
-    return JoinRule(starts_with, needs) if len(needs) > 1 else None
+    if not top.table("join").values:
+        return FrameRule(forms, trailer)
+    with top.table("join") as table:
+        starts_with, needs = table.text("starts_with"), table.texts("needs")
+        if starts_with not in needs:
+            raise table.error("needs", sentence("frame_schema.join", starts_with=starts_with))
+    return FrameRule(forms, trailer, JoinRule(starts_with, needs) if len(needs) > 1 else None)
 
 
 def _read_form(top: Table, frame: Table, parts: dict[str, tuple[Field, ...]], big_endian: bool) -> FrameForm:
@@ -98,7 +92,7 @@ def _read_form(top: Table, frame: Table, parts: dict[str, tuple[Field, ...]], bi
             covered_from, checksum_big_endian = table.integer("from", 0, 64, 0), _byte_order(table, big_endian)
     length = _read_length(frame, big_endian)
     if key_size and key_at < len(sync):
-        raise frame.error("key", f"the key begins at byte {key_at}, inside the {len(sync)} sync bytes")
+        raise frame.error("key", sentence("frame_schema.key_in_sync", key_at=key_at, sync_size=len(sync)))
     form = FrameForm(
         sync=sync,
         key_at=key_at,
@@ -115,17 +109,11 @@ def _read_form(top: Table, frame: Table, parts: dict[str, tuple[Field, ...]], bi
     )
     form = replace(form, layouts=_read_layouts(top, frame, form, parts, big_endian=big_endian))
     if length is None and form.masks is None and form.fields is not None:
-        raise frame.error("length", "frames made of fields need a field that tells their length")
+        raise frame.error("length", sentence("frame_schema.no_length"))
     for known in ("trailer", "enabled", "name", "message"):
         frame.has(known)
     frame.finish()
     return form
-
-
-def _first_bytes(form: FrameForm) -> set[int]:
-    if form.sync:
-        return {form.sync[0]}
-    return set(form.layouts) if form.key_size == 1 and form.key_at == 0 else set(range(256))
 
 
 def _byte_order(table: Table, default_big: bool) -> bool:
@@ -155,51 +143,52 @@ def _read_layouts(
     header = max(len(form.sync), form.key_at + form.key_size, form.length.header if form.length else 0)
     header = frame.integer("body_at", header, 256, header)
     if frame.has("content"):
-        fields = _fields_of(frame, "content", frame.items("content"), parts)
+        fields = _fields_of(frame, "content", parts)
         return {0: replace(_place(frame.text("name"), fields, header, form.tail), is_message=frame.flag("message"))}
     layouts: dict[int, Layout] = {}
     frames = top.table("frames")
     for name in frames.values:
-        fields = _fields_of(frames, name, frames.items(name), parts)
-        _add(layouts, frames, name, name, layout=_place(name, fields, header, form.tail), key_size=form.key_size)
+        layout = _place(name, _fields_of(frames, name, parts), header, form.tail)
+        _add(layouts, frames, name, name, layout=layout, key_size=form.key_size)
     messages = top.table("messages")
     for name in messages.values:
         with messages.table(name) as table:
             fields = _read_fields(table, "fields", big_endian) if form.length is None or table.has("fields") else ()
             layout = replace(_place(name, fields, header, form.tail), is_message=True)
-            for key in table.items("keys"):
+            for key in table.texts("keys"):
                 _add(layouts, table, "keys", key, layout=layout, key_size=form.key_size)
     if not (layouts or form.fields or form.masks):
-        raise top.error("frames", "a protocol needs at least one frame")
+        raise top.error("frames", sentence("frame_schema.no_frame"))
     return layouts
 
 
-def _fields_of(table: Table, key: str, used: list[object], parts: dict[str, tuple[Field, ...]]) -> tuple[Field, ...]:
-    unknown = next((part for part in used if part not in parts), None)
-    if unknown is not None:
-        raise table.error(key, f"there is no part {unknown!r}; [parts] has: {', '.join(parts)}")
-    return tuple(field for part in used for field in parts[str(part)])
+def _fields_of(table: Table, key: str, parts: dict[str, tuple[Field, ...]]) -> tuple[Field, ...]:
+    used = table.texts(key)
+    for part in used:
+        if part not in parts:
+            raise table.error(key, sentence("frame_schema.part", part=part, parts=list(parts)))
+    return tuple(field for part in used for field in parts[part])
 
 
-def _add(layouts: dict[int, Layout], table: Table, at: str, key: object, *, layout: Layout, key_size: int) -> None:
+def _add(layouts: dict[int, Layout], table: Table, at: str, key: str, *, layout: Layout, key_size: int) -> None:
     if not key_size:
         if key != ANY_KEY or layouts:
-            raise table.error(at, f"without a key there is one kind of frame, called {ANY_KEY!r}")
+            raise table.error(at, sentence("frame_schema.any_key", key=ANY_KEY))
         layouts[0] = layout
         return
     number = _hexadecimal_key(table, at, key)
     if not 0 <= number < 1 << 8 * key_size or number in layouts:
-        raise table.error(at, f"key {key} does not fit into {key_size} bytes or is given twice")
+        raise table.error(at, sentence("frame_schema.key_size", key=key, size=key_size))
     if layout.length > LONGEST_FRAME:
-        raise table.error(at, f"this frame has {layout.length} bytes, more than the limit of {LONGEST_FRAME}")
+        raise table.error(at, sentence("frame_schema.frame_size", size=layout.length, limit=LONGEST_FRAME))
     layouts[number] = layout
 
 
-def _hexadecimal_key(table: Table, at: str, key: object) -> int:
+def _hexadecimal_key(table: Table, at: str, key: str) -> int:
     try:
-        return int(str(key), 16)
+        return int(key, 16)
     except ValueError:
-        raise table.error(at, f"a frame is called by its key in hexadecimal such as 0x93, not {key!r}") from None
+        raise table.error(at, sentence("frame_schema.key", key=key)) from None
 
 
 def _place(kind: str, fields: tuple[Field, ...], header: int, tail: int) -> Layout:
@@ -214,8 +203,8 @@ def _read_fields_rule(top: Table, frame: Table, big_endian: bool) -> FieldsRule 
     if not frame.has("fields"):
         return None
     with frame.table("fields") as table, table.table("id") as number, table.table("size") as size:
-        keys = frozenset(_hexadecimal_key(table, "keys", key) for key in table.items("keys")) if table.has("keys") else None
-        kinds = tuple(_format_type(table, kind, big_endian) for kind in table.items("formats", []))
+        keys = frozenset(_hexadecimal_key(table, "keys", key) for key in table.texts("keys"))
+        kinds = tuple(_format_type(table, kind, big_endian) for kind in table.texts("formats"))
         messages = table.table("messages").values
         return FieldsRule(
             at=table.integer("at", 0, 64),
@@ -225,7 +214,7 @@ def _read_fields_rule(top: Table, frame: Table, big_endian: bool) -> FieldsRule 
             size_size=NUMBER_BYTES[size.choice("type", _UNSIGNED)],
             size_counts_header=size.flag("counts_header"),
             big_endian=big_endian,
-            keys=keys,
+            keys=keys if table.has("keys") else None,
             ignored_bits=table.integer("ignored_id_bits", 0, (1 << 32) - 1, 0),
             format_types=kinds,
             known=_known_fields(top, big_endian),
@@ -233,10 +222,10 @@ def _read_fields_rule(top: Table, frame: Table, big_endian: bool) -> FieldsRule 
         )
 
 
-def _format_type(table: Table, kind: object, big_endian: bool) -> Field:
-    if kind not in NUMBER_BYTES and kind not in _FIXED_POINT:
-        raise table.error("formats", f"{kind!r} is no number type")
-    name, bits = _FIXED_POINT.get(str(kind), (str(kind), 0))
+def _format_type(table: Table, kind: str, big_endian: bool) -> Field:
+    name, bits = _FIXED_POINT.get(kind, (kind, 0))
+    if name not in NUMBER_BYTES:
+        raise table.error("formats", sentence("frame_schema.format", type=kind))
     return Field(name="", type=name, at=0, size=NUMBER_BYTES[name], big_endian=big_endian, factor=1 / 2.0**bits)
 
 
@@ -259,7 +248,7 @@ def _read_masks(top: Table, frame: Table, big_endian: bool) -> MasksRule | None:
     groups: dict[int, tuple[tuple[Field, ...], ...]] = {}
     for bit in masks.values:
         if bit not in tuple("01234567"):
-            raise masks.error(bit, "a group is called by the number of its bit, 0 to 7")
+            raise masks.error(bit, sentence("frame_schema.mask_bit"))
         # A bit stands for one field or for several.
         bits = [found if isinstance(found, list) else [found] for found in masks.items(bit)]
         groups[int(bit)] = tuple(
@@ -272,7 +261,7 @@ def _read_masks(top: Table, frame: Table, big_endian: bool) -> MasksRule | None:
 def _read_fields(table: Table, key: str, big_endian: bool) -> tuple[Field, ...]:
     fields = tuple(_read_field(each, big_endian) for each in table.tables(key))
     if not fields:
-        raise table.error(key, "needs at least one field")
+        raise table.error(key, sentence("frame_schema.no_field"))
     return fields
 
 
@@ -297,7 +286,7 @@ def _read_field(table: Table, default_big: bool) -> Field:
             bits=tuple(_read_bits(each) for each in table.tables("bits")),
         )
         if field.bits and (count != 1 or kind[0] != "u"):
-            raise table.error("bits", f"bits belong to one unsigned number, not to {count} of type {kind}")
+            raise table.error("bits", sentence("frame_schema.bits", count=count, type=kind))
         return field
 
 

@@ -20,21 +20,7 @@ Numbers = NDArray[np.number]
 MessageValue = str | int | float | list[int] | list[float] | None
 """Value of a field in a message, for people and programs."""
 
-NUMBER_BYTES = {
-    "u8": 1,
-    "i8": 1,
-    "u16": 2,
-    "i16": 2,
-    "u24": 3,
-    "i24": 3,
-    "u32": 4,
-    "i32": 4,
-    "u64": 8,
-    "i64": 8,
-    "f32": 4,
-    "f64": 8,
-    "fp16.32": 6,
-}
+NUMBER_BYTES = {f"{kind}{8 * size}": size for size in (1, 2, 3, 4, 8) for kind in "ui"} | {"f32": 4, "f64": 8, "fp16.32": 6}
 """Number types and their size."""
 TEXT_TYPES = ("ascii", "bcd", "bytes")
 """Types that are no numbers: characters, one digit per half byte, anything else (shown in hexadecimal)."""
@@ -112,8 +98,7 @@ class Field:
         parts = np.ascontiguousarray(rows[:, self.at : self.at + self.size])
         words = parts.view(f"{'>' if self.big_endian else '<'}u2").reshape(len(rows), self.count, 3).astype(np.int64)
         whole = words[:, :, 2].astype(np.int16).astype(np.int64)
-        values: Numbers = whole << 32 | words[:, :, 0] << 16 | words[:, :, 1]
-        return values
+        return whole << 32 | words[:, :, 0] << 16 | words[:, :, 1]
 
     def _raw24(self, rows: Rows) -> Numbers:
         # Four bytes are read, of which one belongs to the neighbour and is shifted out: several times faster than

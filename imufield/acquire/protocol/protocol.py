@@ -20,7 +20,6 @@ from imufield.acquire.protocol.layout import Field
 from imufield.acquire.protocol.samples_and_clock import (
     PARTS,
     ClockRule,
-    Quantity,
     SampleRule,
     TextRule,
     read_clock,
@@ -33,6 +32,9 @@ from imufield.acquire.protocol.toml import FILE_LIMIT_BYTES, Source, Table, near
 from imufield.acquire.protocol.units import SI_UNITS, TO_SI, UNITS_OF
 from imufield.errors import ProtocolError, Reason, UnknownNameError
 from imufield.samples import FloatArray, SampleUnits
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 if TYPE_CHECKING:
     from imufield.acquire.protocol.can_protocol import CanRule
@@ -88,13 +90,9 @@ class Protocol:
     status: str = VERIFIED
     """Or ``DOCUMENT_ONLY``: never tried on bytes of a real instrument."""
 
-    def quantity(self, part: str) -> Quantity:
-        """Return the rule of "accelerometer", "gyroscope" or "temperature"."""
-        return self.samples.quantity(part)
-
     def factor(self, part: str, field: Field) -> float:
         """Return what a value of one field is multiplied by: fields of one part may come in different units."""
-        quantity = self.quantity(part)
+        quantity = self.samples.quantity(part)
         if quantity.unit is not None or not field.unit:
             return self.factors[part]
         return TO_SI[field.unit][1] * quantity.scale
@@ -144,10 +142,10 @@ def parse_protocol(
     source = Source(label, text)
     top = Table(values=source.parse(), path=(), source=source)
     if top.text("format", "") != "imufield-protocol":
-        raise top.error("format", 'the file does not begin with format = "imufield-protocol", so it is no protocol')
+        raise top.error("format", sentence("protocol.format"))
     version = top.integer("version", 1, 1 << 31)
     if version > SCHEMA_VERSION:
-        raise top.error("version", f"version {version} is newer than {SCHEMA_VERSION}, the newest known; update imufield")
+        raise top.error("version", sentence("protocol.version", version=version, newest=SCHEMA_VERSION))
     # Settings first: every other value of the file may be taken from one.
     chosen = choose_settings(read_rules(top.table("settings")), settings or {}, read or {}, source)
     top.settings = {name: setting.value for name, setting in chosen.items()}
@@ -161,24 +159,19 @@ def _find_text(name_or_path: str | Path) -> tuple[str, str]:
         return f"protocol {name_or_path}", shipped.read_text(encoding="utf-8")
     path = Path(name_or_path)
     if not (path.suffix or path.parent.name or path.exists()):
-        raise UnknownNameError(
-            f"there is no protocol {str(name_or_path)!r}{near(name_or_path, names)}; "
-            f"shipped are {', '.join(names)}, your own is given by its path, ending in .toml",
-            reason=Reason.BAD_PROTOCOL,
-            name=str(name_or_path),
-        )
+        name = str(name_or_path)
+        unknown = sentence("protocol.unknown_name", name=name, near=near(name, names), names=names)
+        raise UnknownNameError(unknown, Reason.BAD_PROTOCOL)
     try:
         with path.open("rb") as file:
             content = file.read(FILE_LIMIT_BYTES + 1)
         if len(content) > FILE_LIMIT_BYTES:
-            raise ProtocolError(f"{path.name} is larger than {FILE_LIMIT_BYTES} bytes, the limit for a protocol", path=path)
+            raise ProtocolError(sentence("protocol.size", name=path.name, limit=FILE_LIMIT_BYTES), path=path)
         return path.name, content.decode("utf-8-sig")
     except OSError as error:
-        raise ProtocolError(f"protocol file {path} cannot be read: {error.strerror}; check the path", path=path) from error
+        raise ProtocolError(sentence("protocol.cannot_read", path=path, cause=error.strerror)) from error
     except UnicodeDecodeError as error:
-        raise ProtocolError(
-            f"{path.name} is no UTF-8 text (byte {error.start}); a protocol is a TOML file", path=path
-        ) from error
+        raise ProtocolError(sentence("protocol.no_text", name=path.name, byte=error.start), path=path) from error
 
 
 def _read_beside(name_or_path: str | Path, name: str) -> str:
@@ -189,7 +182,8 @@ def _read_beside(name_or_path: str | Path, name: str) -> str:
         with (folder / name).open("rb") as file:
             content = file.read(DBC_LIMIT_BYTES + 1)
     except OSError as error:
-        raise ProtocolError(f"DBC file {name} of {name_or_path} cannot be read: {error.strerror}", path=name) from error
+        missing = sentence("protocol.no_dbc", path=name, protocol=name_or_path, cause=error.strerror)
+        raise ProtocolError(missing) from error
     return decode_dbc(content, name)
 
 
@@ -202,10 +196,7 @@ def decode_dbc(content: bytes, name: str) -> str:
         If it is too large.
     """
     if len(content) > DBC_LIMIT_BYTES:
-        raise ProtocolError(
-            f"{name} has {len(content)} bytes, more than the limit of {DBC_LIMIT_BYTES}; cut it down to the messages needed",
-            path=name,
-        )
+        raise ProtocolError(sentence("protocol.dbc_size", path=name, size=len(content), limit=DBC_LIMIT_BYTES))
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -215,16 +206,13 @@ def decode_dbc(content: bytes, name: str) -> str:
 def _build(top: Table, settings: dict[str, Setting]) -> Protocol:
     with top:
         kind = top.choice("kind", ("frames", "text", "can"))
-        name, title, manual = top.text("name"), top.text("title"), top.text("manual")
         frame, lines, can = None, None, None
         if kind == "can":
             # cantools, which reads DBC files, is imported only where one is needed.
             from imufield.acquire.protocol.can_protocol import read_can
 
-            parts = read_can(top)
-            can, units, clock = parts.rule, parts.units, parts.clock
-            nothing = Quantity(fields=())
-            samples = SampleRule(accelerometer=nothing, gyroscope=nothing, temperature=nothing, flags=(), instrument_status=())
+            can, units, clock = read_can(top)
+            samples = SampleRule()
             factors: dict[str, float] = dict.fromkeys(map(str, PARTS), 1.0)
         else:
             frame = read_frames(top) if kind == "frames" else None
@@ -242,9 +230,9 @@ def _build(top: Table, settings: dict[str, Setting]) -> Protocol:
         for key in ("emulate", *(("frame", "parts", "frames", "messages") if frame else ())):
             top.has(key)
         return Protocol(
-            name=name,
-            title=title,
-            manual=manual,
+            name=top.text("name"),
+            title=top.text("title"),
+            manual=top.text("manual"),
             text=top.source.text,
             sha256=hashlib.sha256(top.source.text.encode()).hexdigest(),
             settings=settings,
@@ -271,13 +259,13 @@ def _unit_of(top: Table, part: str, frame: FrameRule | None, samples: SampleRule
     table = top.table("samples")
     unit, factor = TO_SI.get(written, ("", 0.0))
     if unit not in UNITS_OF[part]:
-        known = ", ".join(name for name, (si, _) in TO_SI.items() if si in UNITS_OF[part])
-        raise table.error(part, f"{written!r} is no unit of this{near(written, TO_SI)}; use one of {known}")
+        known = [name for name, (si, _) in TO_SI.items() if si in UNITS_OF[part]]
+        raise table.error(part, sentence("protocol.unit", unit=written, near=near(written, TO_SI), known=known))
     other = next((name for name in units if TO_SI.get(name, ("",))[0] != unit), None) if quantity.unit is None else None
     if other is not None:
-        raise table.error(part, f"its fields are in {written!r} and {other!r}, which cannot be one sample")
+        raise table.error(part, sentence("protocol.two_units", unit=written, other=other))
     if quantity.increment and unit in ("m/s^2", "rad/s"):
-        raise table.error(part, f"increments cannot have the unit {written!r}; use m/s, rad, count or pulse")
+        raise table.error(part, sentence("protocol.increment", unit=written))
     return unit, factor * quantity.scale
 
 
@@ -286,10 +274,10 @@ def _read_nominal(top: Table, units: SampleUnits, clock: ClockRule) -> Nominal:
     ranges: list[float | None] = []
     with top.table("nominal") as table:
         for part, unit in (("accelerometer", units.accelerometer), ("gyroscope", units.gyroscope)):
-            scale, largest = table.optional_number(f"{part}_scale"), table.optional_number(f"{part}_range")
+            perfect = 1.0 if unit in SI_UNITS else None
             _, factor = TO_SI[table.choice(f"{part}_range_unit", TO_SI, UNITS_OF[part][0])]
-            scales.append(1.0 if scale is None and unit in SI_UNITS else scale)
-            ranges.append(None if largest is None else largest * factor)
+            scales.append(table.number(f"{part}_scale") if table.has(f"{part}_scale") else perfect)
+            ranges.append(table.number(f"{part}_range") * factor if table.has(f"{part}_range") else None)
         return Nominal(
             accelerometer_scale=scales[0],
             gyroscope_scale=scales[1],
@@ -311,4 +299,4 @@ def _check_fields(top: Table, frame: FrameRule, samples: SampleRule, clock: Cloc
     used += [(times, "", name) for name in stamps if name]
     for where, key, name in used:
         if name not in known:
-            raise where.error(key, f"no frame has a field {name!r}{near(name, known)}")
+            raise where.error(key, sentence("protocol.field", name=name, near=near(name, known)))

@@ -11,6 +11,9 @@ from imufield.acquire.protocol.checksum import Checksum, make_checksum
 from imufield.acquire.protocol.toml import Table
 from imufield.errors import ProtocolError
 from imufield.samples import INSTRUMENT_STATUS_SHIFT, IntArray, SampleUnits, Status
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 NANOSECONDS = 1e9
 PARTS = ("accelerometer", "gyroscope", "temperature")
@@ -20,12 +23,12 @@ COLUMNS = ("time", "counter", "ax", "ay", "az", "gx", "gy", "gz", "temperature",
 
 
 # No instrument counts more slowly than every quarter of an hour, or faster than femtoseconds.
-_LEAST_TICKS_PER_S = 1e-3
-_MOST_TICKS_PER_S = 1e15
+LEAST_TICKS_PER_S = 1e-3
+MOST_TICKS_PER_S = 1e15
 
 
 @dataclass(frozen=True, slots=True)
-class Sentence:
+class SentenceRule:
     """A line that begins with a name."""
 
     name: str
@@ -39,10 +42,10 @@ class TextRule:
 
     columns: tuple[str, ...]
     """Names in the order of the line; "-" is passed over."""
-    delimiter: str
-    prefix: str
-    comments: tuple[str, ...]
-    sentences: tuple[Sentence, ...] = ()
+    delimiter: str = "comma"
+    prefix: str = ""
+    comments: tuple[str, ...] = ()
+    sentences: tuple[SentenceRule, ...] = ()
     """Kinds of lines that begin with a name of their own; empty: all lines are of one kind."""
     markers: str = "$"
     """Characters a sentence may begin with; its name stands behind."""
@@ -74,7 +77,7 @@ class TimeRule:
 class Quantity:
     """A part of a sample: the first of these fields that a frame has (or three of one value each)."""
 
-    fields: tuple[str, ...]
+    fields: tuple[str, ...] = ()
     unit: str | None = None
     """None: the unit of the field."""
     increment: bool = False
@@ -106,16 +109,17 @@ class FlagRule:
 class SampleRule:
     """What fields mean in a sample."""
 
-    accelerometer: Quantity
-    gyroscope: Quantity
-    temperature: Quantity
-    flags: tuple[FlagRule, ...]
-    instrument_status: tuple[tuple[str, int], ...]
+    accelerometer: Quantity = Quantity()
+    gyroscope: Quantity = Quantity()
+    temperature: Quantity = Quantity()
+    flags: tuple[FlagRule, ...] = ()
+    instrument_status: tuple[tuple[str, int], ...] = ()
     """Fields and by how many bits they are shifted inside the upper 16 bits of the status."""
 
     def quantity(self, part: str) -> Quantity:
         """Return the rule of "accelerometer", "gyroscope" or "temperature"."""
-        return {"accelerometer": self.accelerometer, "gyroscope": self.gyroscope, "temperature": self.temperature}[part]
+        found: Quantity = getattr(self, part)
+        return found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -147,50 +151,47 @@ def read_text(top: Table) -> TextRule:
     with top.table("text") as table:
         if table.has("sentences"):
             return _read_sentences(table)
-        names = tuple(name.strip() for name in table.text("columns").split(","))
-        for name in names:
-            if name not in COLUMNS or (name != "-" and names.count(name) > 1):
-                raise table.error("columns", f"{name!r} is not known or stands there twice; columns are: {', '.join(COLUMNS)}")
-        if not {"ax", "ay", "az"} <= set(names):
-            raise table.error("columns", f"ax, ay and az must be among the columns, but these are: {', '.join(names)}")
+        columns = _read_columns(table, COLUMNS, once=True)
+        if not {"ax", "ay", "az"} <= set(columns):
+            raise table.error("columns", sentence("samples_and_clock.no_acceleration", columns=columns))
         return TextRule(
-            columns=names,
+            columns=columns,
             delimiter=table.choice("delimiter", ("auto", "comma", "semicolon", "whitespace"), "auto"),
             prefix=table.text("prefix", ""),
-            comments=tuple(str(comment) for comment in table.items("comments", [])),
+            comments=table.texts("comments"),
         )
 
 
 def _read_sentences(table: Table) -> TextRule:
-    sentences = []
+    known = ("", *COLUMNS, *(f"-{name}" for name in COLUMNS))
+    sentences, checksums = [], []
     for each in table.tables("sentences"):
         with each:
-            columns = tuple(name.strip() for name in each.text("columns").split(","))
-            for name in columns:
-                if name.removeprefix("-") not in (*COLUMNS, ""):
-                    known = f"columns are: {', '.join(COLUMNS)}, a minus before turns them"
-                    raise each.error("columns", f"{name!r} is not known; {known}")
-            sentences.append(Sentence(each.text("name"), columns))
-    used = {name.lstrip("-") for sentence in sentences for name in sentence.columns}
-    checksums = []
+            sentences.append(SentenceRule(each.text("name"), _read_columns(each, known)))
     for each in table.tables("checksums"):
         with each:
             checksums.append(read_checksum(each))
-    rule = TextRule(
+    used = {name.lstrip("-") for rule in sentences for name in rule.columns}
+    markers = table.text("markers", "$")
+    if not markers:
+        raise table.error("markers", sentence("samples_and_clock.no_marker"))
+    if not checksums:
+        raise table.error("checksums", sentence("samples_and_clock.no_checksum"))
+    return TextRule(
         columns=tuple(name for name in COLUMNS if name in used and name != "-"),
-        delimiter="comma",
-        prefix="",
-        comments=(),
         sentences=tuple(sentences),
-        markers=table.text("markers", "$"),
+        markers=markers,
         header_end=table.text("header_end", ""),
         checksums=tuple(checksums),
     )
-    if not rule.markers:
-        raise table.error("markers", "a sentence begins with a marker, e.g. $, but there is none")
-    if not rule.checksums:
-        raise table.error("checksums", "sentences need at least one checksum, e.g. XOR-8")
-    return rule
+
+
+def _read_columns(table: Table, known: tuple[str, ...], *, once: bool = False) -> tuple[str, ...]:
+    columns = tuple(name.strip() for name in table.text("columns").split(","))
+    for name in columns:
+        if name not in known or (once and name != "-" and columns.count(name) > 1):
+            raise table.error("columns", sentence("samples_and_clock.column", column=name, columns=COLUMNS))
+    return columns
 
 
 def read_checksum(table: Table, pad_to: int = 1) -> Checksum:
@@ -206,13 +207,10 @@ def read_checksum(table: Table, pad_to: int = 1) -> Checksum:
 def read_samples(top: Table) -> SampleRule:
     """Read ``[samples]``."""
     with top.table("samples") as table:
-        status = tuple(read_shift(each, "field") for each in table.tables("instrument_status"))
         return SampleRule(
-            accelerometer=_read_quantity(table.table("accelerometer")),
-            gyroscope=_read_quantity(table.table("gyroscope")),
-            temperature=_read_quantity(table.table("temperature")),
+            **{part: _read_quantity(table.table(part)) for part in PARTS},
             flags=tuple(read_flag(each, "field") for each in table.tables("flags")),
-            instrument_status=status,
+            instrument_status=tuple(read_shift(each, "field") for each in table.tables("instrument_status")),
         )
 
 
@@ -223,8 +221,8 @@ def _read_quantity(table: Table) -> Quantity:
             with table.table("scale_when") as when:
                 scale_when = ScaleWhen(when.text("field"), when.integer("mask", 1, (1 << 63) - 1), when.number("scale"))
         return Quantity(
-            fields=tuple(str(name) for name in table.items("fields", [])),
-            unit=table.optional_text("unit"),
+            fields=table.texts("fields"),
+            unit=table.text("unit") if table.has("unit") else None,
             increment=table.flag("increment"),
             scale=table.number("scale", 1.0),
             scale_when=scale_when,
@@ -234,18 +232,17 @@ def _read_quantity(table: Table) -> Quantity:
 def read_flag(table: Table, source: str) -> FlagRule:
     """Read a flag; key ``source`` names the field or signal. Signals of a bus may have values instead of a mask."""
     names = {flag.name.lower(): flag for flag in Status if flag.name}
-    may_have_values = source == "signal"
-    values = table.items("values", []) if may_have_values else []
+    values = table.items("values", []) if source == "signal" else []
     with table:
         rule = FlagRule(
             field=table.text(source),
-            mask=0 if may_have_values and not table.has("mask") else table.integer("mask", 1, (1 << 64) - 1),
+            mask=0 if source == "signal" and not table.has("mask") else table.integer("mask", 1, (1 << 64) - 1),
             flag=names[table.choice("flag", names)],
             when_clear=table.choice("when", ("set", "clear"), "set") == "clear",
             values=tuple(int(value) for value in values if isinstance(value, int | float | str)),
         )
         if bool(rule.values) == bool(rule.mask):
-            raise table.error("values", "a flag needs either values or a mask")
+            raise table.error("values", sentence("samples_and_clock.flag"))
         return rule
 
 
@@ -261,36 +258,38 @@ def read_clock(top: Table) -> ClockRule:
         several = isinstance(table.plain("time"), list)
         times = [_read_time(each) for each in (table.tables("time") if several else [table.table("time")])]
         if several and not all(each.field for each in times):
-            raise table.error("time", "each of several time stamps needs its field")
+            raise table.error("time", sentence("samples_and_clock.time_field"))
         # What several have in common: the first field, the longest wrap, ns.
         longest = max(round(each.modulus * NANOSECONDS / each.ticks_per_s) for each in times)
         time = TimeRule(times[0].field, longest, NANOSECONDS) if several else times[0]
-        rule = ClockRule(
+        return ClockRule(
             counter_field=counter.text("field", ""),
             counter_modulus=counter.integer("modulus", 0, 1 << 53, 0),
-            counter_ticks_per_s=counter.number("ticks_per_s", 0.0),
-            counter_steps=tuple(step for step in counter.items("steps", [1]) if isinstance(step, int) and step > 0),
+            counter_ticks_per_s=counter.number("ticks_per_s", 0.0, low=0, high=MOST_TICKS_PER_S),
+            counter_steps=read_steps(counter, "steps"),
             time_field=time.field,
             time_modulus=time.modulus,
             time_ticks_per_s=time.ticks_per_s,
-            rate_hz=table.number("rate_hz", 0.0),
+            rate_hz=table.number("rate_hz", 0.0, low=0, high=MOST_TICKS_PER_S),
             counter_jitter=counter.integer("jitter", 0, 1 << 16, 0),
             counter_counts_others=counter.flag("counts_others"),
             times=tuple(times) if several else (),
             gaps_told=table.flag("gaps_told"),
         )
-        if rule.counter_ticks_per_s < 0 or rule.rate_hz < 0:
-            raise table.error("ticks_per_s", "rates must be positive")
-        return rule
+
+
+def read_steps(table: Table, key: str) -> tuple[int, ...]:
+    """Read the steps that a counter may make from one sample to the next; 1 where none is given."""
+    return tuple(step for step in table.items(key, [1]) if isinstance(step, int) and step > 0) or (1,)
 
 
 def _read_time(table: Table) -> TimeRule:
     with table:
-        rule = TimeRule(table.text("field", ""), table.integer("modulus", 0, 1 << 53, 0), table.number("ticks_per_s", 1.0))
-        if not _LEAST_TICKS_PER_S <= rule.ticks_per_s <= _MOST_TICKS_PER_S:
-            limits = f"{_LEAST_TICKS_PER_S:g} and {_MOST_TICKS_PER_S:g} ticks per second"
-            raise table.error("ticks_per_s", f"{rule.ticks_per_s:g} is not between {limits}")
-        return rule
+        return TimeRule(
+            table.text("field", ""),
+            table.integer("modulus", 0, 1 << 53, 0),
+            table.number("ticks_per_s", 1.0, low=LEAST_TICKS_PER_S, high=MOST_TICKS_PER_S),
+        )
 
 
 def sample_units(
@@ -309,7 +308,7 @@ def sample_units(
     """
     by_velocity, by_angle = accelerometer == "m/s" or increments[0], gyroscope == "rad" or increments[1]
     if (by_velocity or by_angle) and not clock.rate_hz:
-        raise table.error("rate_hz", "increments need the sample rate, which is 0 (not known); give it, e.g. --set rate_hz=100")
+        raise table.error("rate_hz", sentence("samples_and_clock.no_rate"))
     return SampleUnits(
         accelerometer=accelerometer,
         gyroscope=gyroscope,

@@ -6,8 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, cast
 
-from imufield.acquire.protocol.toml import Source, Table, near, spell
+from imufield.acquire.protocol.toml import LARGEST, Source, Table, near, spell
 from imufield.errors import ProtocolError, Reason, SettingError
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 Origin = Literal["assumed", "read", "given"]
 Value = str | int | float | bool
@@ -20,8 +23,8 @@ class SettingRule:
     name: str
     default: Value
     choices: tuple[Value, ...] = ()
-    minimum: float | None = None
-    maximum: float | None = None
+    minimum: float = -LARGEST
+    maximum: float = LARGEST
     help: str = ""
 
     def convert(self, given: object) -> Value:
@@ -33,11 +36,8 @@ class SettingRule:
             With what is allowed, if it is of another type, out of range or not among the choices.
         """
         value = self._typed(given)
-        if value is None:
-            raise ValueError(self.allowed)
-        if self.choices and value not in self.choices:
-            raise ValueError(self.allowed)
-        if isinstance(value, (int, float)) and not isinstance(value, bool) and not self._in_range(value):
+        in_range = not isinstance(value, (int, float)) or self.minimum <= value <= self.maximum
+        if value is None or not in_range or (self.choices and value not in self.choices):
             raise ValueError(self.allowed)
         return value
 
@@ -45,14 +45,10 @@ class SettingRule:
     def allowed(self) -> str:
         """What may be given, in words."""
         if self.choices:
-            return "one of " + ", ".join(spell(choice) for choice in self.choices)
-        if isinstance(self.default, bool):
-            return "true or false"
-        if isinstance(self.default, str):
-            return "a text"
-        kind = "a whole number" if isinstance(self.default, int) else "a number"
-        low = "" if self.minimum is None else f" from {self.minimum:g}"
-        return kind + low + ("" if self.maximum is None else f" to {self.maximum:g}")
+            return sentence("settings.choices", choices=[spell(choice) for choice in self.choices])
+        words = {bool: "true or false", str: "a text", int: "a whole number", float: "a number"}[type(self.default)]
+        low = "" if self.minimum == -LARGEST else f" from {self.minimum:g}"
+        return words + low + ("" if self.maximum == LARGEST else f" to {self.maximum:g}")
 
     def _typed(self, given: object) -> Value | None:
         if isinstance(self.default, str):
@@ -64,16 +60,11 @@ class SettingRule:
             return None
         try:
             number = float(given)
-        except ValueError:
+        except (ValueError, OverflowError):
             return None
         if isinstance(self.default, float):
             return number
         return int(number) if number.is_integer() else None
-
-    def _in_range(self, value: float) -> bool:
-        low = float("-inf") if self.minimum is None else self.minimum
-        high = 1e300 if self.maximum is None else self.maximum  # Infinity and NaN are no setting.
-        return low <= value <= high
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,40 +77,28 @@ class Setting:
 
 def read_rules(table: Table) -> dict[str, SettingRule]:
     """Read ``[settings.*]`` of a protocol."""
-    rules: dict[str, SettingRule] = {}
-    for name in table.values:
-        rules[name] = _read_rule(name, table.table(name))
-    return rules
+    return {name: _read_rule(name, table.table(name)) for name in table.values}
 
 
 def _read_rule(name: str, table: Table) -> SettingRule:
-    default = table.plain("default")
-    if not isinstance(default, (str, int, float, bool)):
-        raise table.error("default", "needs a default: a text, a number, or true or false")
-    choices = cast("tuple[Value, ...]", tuple(table.items("choices", [])))
-    rule = SettingRule(
-        name=name,
-        default=default,
-        choices=choices,
-        minimum=table.number("minimum") if table.has("minimum") else None,
-        maximum=table.number("maximum") if table.has("maximum") else None,
-        help=table.text("help", ""),
-    )
-    table.finish()
+    with table:
+        default = table.plain("default")
+        if not isinstance(default, (str, int, float, bool)):
+            raise table.error("default", sentence("settings.no_default"))
+        choices = cast("tuple[Value, ...]", tuple(table.items("choices", [])))
+        low, high = table.number("minimum", -LARGEST), table.number("maximum", LARGEST)
+        rule = SettingRule(name=name, default=default, choices=choices, minimum=low, maximum=high, help=table.text("help", ""))
     if any(type(choice) is not type(default) for choice in choices):
-        raise table.error("choices", "every choice must be of the type of the default")
+        raise table.error("choices", sentence("settings.mixed_choices"))
     try:
         rule.convert(default)
     except ValueError as error:
-        raise table.error("default", f"must itself be allowed: {error}") from None
+        raise table.error("default", sentence("settings.default", allowed=error)) from None
     return rule
 
 
 def choose_settings(
-    rules: Mapping[str, SettingRule],
-    given: Mapping[str, object],
-    read: Mapping[str, object],
-    source: Source,
+    rules: Mapping[str, SettingRule], given: Mapping[str, object], read: Mapping[str, object], source: Source
 ) -> dict[str, Setting]:
     """Return every setting: as given, else as read from the instrument, else its default.
 
@@ -131,19 +110,15 @@ def choose_settings(
     for name in (*given, *read):
         if name not in rules:
             known = ", ".join(rules) or "none"
-            raise (SettingError if name in given else ProtocolError)(
-                f"{source.label} has no setting {name!r}{near(name, rules)}; it has: {known}",
-                Reason.UNKNOWN_KEY,
-                name=name,
-            )
+            unknown = sentence("settings.unknown", label=source.label, name=name, near=near(name, rules), known=known)
+            raise (SettingError if name in given else ProtocolError)(unknown, Reason.UNKNOWN_KEY)
     chosen: dict[str, Setting] = {}
     for name, rule in rules.items():
         origin: Origin = "given" if name in given else "read" if name in read else "assumed"
-        wanted = given.get(name, read.get(name, rule.default))
+        value = given.get(name, read.get(name, rule.default))
         try:
-            chosen[name] = Setting(rule.convert(wanted), origin)
+            chosen[name] = Setting(rule.convert(value), origin)
         except ValueError as error:
-            raise (SettingError if name in given else ProtocolError)(
-                f"setting {name} of {source.label} is {wanted!r}, but must be {error}", name=name, value=wanted
-            ) from None
+            refused = sentence("settings.value", name=name, label=source.label, value=value, allowed=error)
+            raise (SettingError if name in given else ProtocolError)(refused) from None
     return chosen

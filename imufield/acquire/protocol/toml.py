@@ -16,9 +16,12 @@ import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Self
+from typing import Self, TypeVar
 
 from imufield.errors import ProtocolError, Reason
+from imufield.sentences import Sentence, Sentences, shortened
+
+sentence = Sentences(__package__)
 
 FILE_LIMIT_BYTES = 1 << 20
 """The largest shipped protocol is below 20 kB; 1 MiB leaves room and keeps a wrong file from filling memory."""
@@ -26,7 +29,15 @@ FILE_LIMIT_BYTES = 1 << 20
 OTHER = "other"
 """In a look-up by a setting: for every value that is not listed."""
 
+LARGEST = 1e300
+"""Of numbers: infinity and NaN are none that a person means."""
+
+DEEPEST = 32
+"""Levels of tables and arrays in each other; shipped protocols have eight."""
+
 Path = tuple[str | int, ...]
+_Kind = TypeVar("_Kind")
+_BRACE = re.compile("[{}]")
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,20 +48,40 @@ class Source:
     text: str
 
     def error(self, path: Path, problem: str, reason: Reason | None = None) -> ProtocolError:
-        """Return the error for the value at ``path``."""
-        key = ".".join(str(part) for part in path) or "(whole file)"
-        return ProtocolError(f"{self.label} line {self.line_of(path)}, key `{key}`: {problem}", reason, key=key)
+        """Return the error for the value at ``path``; its key and values are those of the problem."""
+        key = ".".join(map(str, path)) or "(whole file)"
+        message = sentence("toml.place", label=self.label, line=self.line_of(path), key=key, problem=problem)
+        if isinstance(problem, Sentence):
+            message.key, message.values = problem.key, {**problem.values, "key": key}
+        return ProtocolError(message, reason)
 
     def line_of(self, path: Path) -> int:
         """Return the number of the line, from 1, where the value at ``path`` is written, as near as it can be found."""
-        lines = self.text.splitlines()
-        at, column = 0, 0
+        at = 0
         for part in path:
-            found = _find(lines, at, column, part)
-            if found is None:
+            behind = self._behind_element(at, part) if isinstance(part, int) else self._behind_key(at, part)
+            if behind is None:
                 break
-            at, column = found
-        return at + 1
+            at = behind
+        return 1 + self.text.count("\n", 0, at)
+
+    def _behind_key(self, at: int, name: str) -> int | None:
+        key = re.compile(rf"(?<![\w-])[\"']?{re.escape(name)}[\"']?[^\S\n]*[=.\]]")
+        for found in key.finditer(self.text, at):
+            line = self.text[self.text.rfind("\n", 0, found.start()) + 1 : found.start()]
+            if not line.lstrip().startswith("#"):
+                return found.end()
+        return None
+
+    def _behind_element(self, at: int, index: int) -> int | None:
+        """Find the element ``index`` of an array: by its opening brace, nested ones passed over."""
+        depth, seen = 0, -1
+        for brace in _BRACE.finditer(self.text, at):
+            depth += 1 if brace[0] == "{" else -1
+            seen += brace[0] == "{" and depth == 1
+            if seen == index:
+                return brace.end()
+        return None
 
     def parse(self) -> dict[str, object]:
         """Parse the text as TOML.
@@ -58,44 +89,23 @@ class Source:
         Raises
         ------
         ProtocolError
-            If it is no TOML; the message has the line.
+            If it is no TOML, then the message has the line, or nests too deeply.
         """
         try:
-            return copy.deepcopy(_loaded(self.text))
+            found: dict[str, object] | None = copy.deepcopy(_loaded(self.text))
         except tomllib.TOMLDecodeError as error:
-            raise ProtocolError(f"{self.label} is not a readable TOML file: {error}") from error
-        except RecursionError as error:
-            raise ProtocolError(f"{self.label} nests its tables too deeply; a protocol needs three levels") from error
+            raise ProtocolError(sentence("toml.unreadable", label=self.label, error=error)) from error
+        except RecursionError:
+            found = None
+        if found is None or _nests(found, DEEPEST):
+            raise ProtocolError(sentence("toml.nested", label=self.label))
+        return found
 
 
 # Recognising an instrument reads each protocol several times, and reading the text is most of the work.
 @lru_cache(maxsize=64)
 def _loaded(text: str) -> dict[str, object]:
     return tomllib.loads(text)
-
-
-def _find(lines: list[str], at: int, column: int, part: str | int) -> tuple[int, int] | None:
-    if isinstance(part, int):
-        return _find_element(lines, at, column, part)
-    key = re.compile(rf"(?<![\w-])[\"']?{re.escape(part)}[\"']?\s*[=.\]]")
-    for number in range(at, len(lines)):
-        found = key.search(lines[number], column if number == at else 0)
-        if found and not lines[number].lstrip().startswith("#"):
-            return number, found.end()
-    return None
-
-
-def _find_element(lines: list[str], at: int, column: int, index: int) -> tuple[int, int] | None:
-    """Find the element ``index`` of an array: by its opening brace, nested ones passed over."""
-    depth, seen = 0, -1
-    for number in range(at, len(lines)):
-        for place in range(column if number == at else 0, len(lines[number])):
-            character = lines[number][place]
-            depth += {"{": 1, "}": -1}.get(character, 0)
-            seen += character == "{" and depth == 1
-            if character == "{" and depth == 1 and seen == index:
-                return number, place + 1
-    return None
 
 
 @dataclass(slots=True, kw_only=True)
@@ -132,59 +142,55 @@ class Table:
             return found
         name = found["setting"]
         if not isinstance(name, str) or name not in self.settings:
-            raise self.error(key, f"there is no setting {name!r}; declare it as [settings.{name}]")
+            raise self.error(key, sentence("toml.setting", setting=name))
         chosen = self.settings[name]
-        lookup = {k: v for k, v in found.items() if k != "setting"}
+        lookup = {spelled: value for spelled, value in found.items() if spelled != "setting"}
         if not lookup:
             return chosen
-        if spell(chosen) not in lookup and OTHER in lookup:
-            return lookup[OTHER]
-        if spell(chosen) not in lookup:
-            raise self.error(key, f"nothing is given for setting {name} = {spell(chosen)}; add it")
-        return lookup[spell(chosen)]
+        listed = spell(chosen) if spell(chosen) in lookup else OTHER
+        if listed not in lookup:
+            raise self.error(key, sentence("toml.not_listed", setting=name, value=spell(chosen)))
+        return lookup[listed]
 
     def text(self, key: str, default: str | None = None) -> str:
         """Return a string."""
-        found = self.value(key, default)
-        if not isinstance(found, str):
-            raise self.error(key, f"needs a text in quotes, not {_shown(found)}")
-        return found
+        return self._of_kind(key, default, str, "toml.text")
 
-    def number(self, key: str, default: float | None = None) -> float:
-        """Return a finite number."""
+    def number(self, key: str, default: float | None = None, *, low: float = -LARGEST, high: float = LARGEST) -> float:
+        """Return a finite number from ``low`` to ``high``."""
         found = self.value(key, default)
-        if isinstance(found, bool) or not isinstance(found, (int, float)) or not abs(found) < 1e300:
-            raise self.error(key, f"needs a number, not {_shown(found)}")
+        if isinstance(found, bool) or not isinstance(found, (int, float)) or not abs(found) <= LARGEST:
+            raise self.error(key, sentence("toml.number", found=_shown(found)))
+        if not low <= found <= high:
+            raise self.error(key, sentence("toml.range", low=low, high=high, found=_shown(found)))
         return float(found)
 
     def integer(self, key: str, low: int, high: int, default: int | None = None) -> int:
         """Return a whole number from ``low`` to ``high``."""
         found = self.value(key, default)
         if isinstance(found, bool) or not isinstance(found, int) or not low <= found <= high:
-            raise self.error(key, f"needs a whole number from {low} to {high}, not {_shown(found)}")
+            raise self.error(key, sentence("toml.integer", low=low, high=high, found=_shown(found)))
         return found
 
     def flag(self, key: str, default: bool = False) -> bool:
         """Return true or false."""
-        found = self.value(key, default)
-        if not isinstance(found, bool):
-            raise self.error(key, f"needs true or false, not {_shown(found)}")
-        return found
+        return self._of_kind(key, default, bool, "toml.flag")
 
     def choice(self, key: str, allowed: Iterable[str], default: str | None = None) -> str:
         """Return one of the allowed strings."""
         found = self.value(key, default)
         options = tuple(allowed)
         if not isinstance(found, str) or found not in options:
-            raise self.error(key, f"needs one of {', '.join(options)}, not {_shown(found)}{near(found, options)}")
+            raise self.error(key, sentence("toml.choice", options=options, found=_shown(found), near=near(found, options)))
         return found
 
     def items(self, key: str, default: list[object] | None = None) -> list[object]:
         """Return an array."""
-        found = self.value(key, default)
-        if not isinstance(found, list):
-            raise self.error(key, f"needs an array in brackets, not {_shown(found)}")
-        return found
+        return self._of_kind(key, default, list, "toml.items")
+
+    def texts(self, key: str) -> tuple[str, ...]:
+        """Return an array of strings, empty where the key is absent; numbers as they are written."""
+        return tuple(map(str, self.items(key, [])))
 
     def hexadecimal(self, key: str, default: str = "") -> bytes:
         """Return bytes written as "0D 0A"."""
@@ -192,15 +198,7 @@ class Table:
         try:
             return bytes.fromhex(found)
         except ValueError:
-            raise self.error(key, f'needs bytes in hexadecimal such as "0D 0A", not {_shown(found)}') from None
-
-    def optional_text(self, key: str) -> str | None:
-        """Return a string, None where the key is absent."""
-        return self.text(key) if self.has(key) else None
-
-    def optional_number(self, key: str) -> float | None:
-        """Return a finite number, None where the key is absent."""
-        return self.number(key) if self.has(key) else None
+            raise self.error(key, sentence("toml.hexadecimal", found=_shown(found))) from None
 
     def optional_integer(self, key: str, low: int, high: int) -> int | None:
         """Return a whole number from ``low`` to ``high``, None where the key is absent."""
@@ -218,8 +216,14 @@ class Table:
     def below(self, found: object, *path: str | int) -> Table:
         """Return a table from a value that must be one."""
         if not isinstance(found, dict):
-            raise self.source.error((*self.path, *path), f"needs a table in braces, not {_shown(found)}")
+            raise self.source.error((*self.path, *path), sentence("toml.table", found=_shown(found)))
         return Table(values=found, path=(*self.path, *path), source=self.source, settings=self.settings)
+
+    def _of_kind(self, key: str, default: object, kind: type[_Kind], needs: str) -> _Kind:
+        found = self.value(key, default)
+        if not isinstance(found, kind):
+            raise self.error(key, sentence(needs, found=_shown(found)))
+        return found
 
     def __enter__(self) -> Self:
         return self
@@ -232,7 +236,7 @@ class Table:
         """Refuse keys that nobody took."""
         for key in self.values:
             if key not in self._known:
-                raise self.error(key, f"this key is not known here{near(key, self._known)}; remove it")
+                raise self.error(key, sentence("toml.unknown", near=near(key, self._known)))
 
 
 def near(word: object, known: Iterable[str]) -> str:
@@ -248,8 +252,11 @@ def spell(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
+def _nests(value: object, levels: int) -> bool:
+    """Whether tables and arrays stand in each other by more levels than that."""
+    inside = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return levels < 0 or any(_nests(inner, levels - 1) for inner in inside)
+
+
 def _shown(value: object) -> str:
-    if value is None:
-        return "nothing"
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
+    return "nothing" if value is None else shortened(repr(value))

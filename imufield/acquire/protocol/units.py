@@ -2,34 +2,17 @@
 
 from __future__ import annotations
 
-import math
+import re
+import tomllib
+from pathlib import Path
 
-from imufield.earth import STANDARD_GRAVITY_M_S2
-
-TO_SI = {
-    "m/s^2": ("m/s^2", 1.0),
-    "g": ("m/s^2", STANDARD_GRAVITY_M_S2),
-    "mg": ("m/s^2", STANDARD_GRAVITY_M_S2 / 1e3),
-    "ft/s^2": ("m/s^2", 0.3048),
-    "m/s": ("m/s", 1.0),
-    "g*s": ("m/s", STANDARD_GRAVITY_M_S2),
-    "ft/s": ("m/s", 0.3048),
-    "rad/s": ("rad/s", 1.0),
-    "deg/s": ("rad/s", math.pi / 180),
-    "rad": ("rad", 1.0),
-    "deg": ("rad", math.pi / 180),
-    "arcsec": ("rad", math.pi / 648000),
-    "count": ("count", 1.0),
-    "pulse": ("pulse", 1.0),
-    "degC": ("degC", 1.0),
-}
+_TABLES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+TO_SI: dict[str, tuple[str, float]] = {name: (si, factor) for name, (si, factor) in _TABLES["to_si"].items()}
 """Units a protocol may name: what a sample holds, and by what the number is multiplied."""
-UNITS_OF = {
-    "accelerometer": ("m/s^2", "m/s", "count", "pulse"),
-    "gyroscope": ("rad/s", "rad", "count", "pulse"),
-    "temperature": ("degC",),
-}
+UNITS_OF: dict[str, tuple[str, ...]] = {part: tuple(units) for part, units in _TABLES["units_of"].items()}
 """What each part of a sample may be in; the first where nothing else is known."""
+_SPELLED: dict[str, str] = {text: name for name, texts in _TABLES["spellings"].items() for text in texts}
+_SPELLED |= {name.lower(): name for name in TO_SI}
 SI_UNITS = ("m/s^2", "m/s", "rad/s", "rad")
 
 
@@ -37,3 +20,8 @@ def nominal_scale(unit: str) -> float | None:
     """Return the scale of an instrument that sends this unit and is perfect; None where only the maker knows it."""
     si, factor = TO_SI.get(unit, ("", 1.0))
     return 1 / factor if si in SI_UNITS else None
+
+
+def unit_name(text: str) -> str | None:
+    """Return our name of a unit as DBC files write it; None where it is not known."""
+    return _SPELLED.get(re.sub(r"\s+", " ", text.strip().lower()).replace("[", "").replace("]", ""))

@@ -43,7 +43,7 @@ def test_shipped_protocols_load_by_name() -> None:
 def test_lengths_are_those_of_the_datasheet(lengths: dict[int, int]) -> None:
     frame = load_protocol("stim300").frame
     assert frame is not None
-    assert {key: layout.length for key, layout in frame.layouts.items()} == lengths
+    assert {key: layout.length for key, layout in frame.forms[0].layouts.items()} == lengths
 
 
 def test_settings_are_assumed_read_or_given() -> None:
@@ -77,64 +77,104 @@ def test_wrong_settings_name_what_is_allowed(given: dict[str, object], reason: R
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "at", "key", "says"),
+    ("old", "new", "at", "key", "problem", "says"),
     [
-        ('kind = "frames"', 'kind = "frame"', 'kind = "frames"', "kind", "frames, text"),
-        ('byte_order = "big"', "", None, "byte_order", "byte_order"),
-        ("default = 10\n", "default = 11\n", "default = 10\n", "settings.accelerometer_range_g.default", "2, 5, 10, 30, 80"),
+        ('kind = "frames"', 'kind = "frame"', 'kind = "frames"', "kind", "toml.choice", "frames, text"),
+        ('byte_order = "big"', "", None, "byte_order", "toml.choice", "big, little"),
+        (
+            "default = 10\n",
+            "default = 11\n",
+            "default = 10\n",
+            "settings.accelerometer_range_g.default",
+            "settings.default",
+            "2, 5, 10, 30, 80",
+        ),
         (
             'type = "i24", count = 3, fraction_bits = 22',
             'type = "i25", count = 3, fraction_bits = 22',
             "fraction_bits = 22",
             "parts.inclinometer.0.type",
-            "i25",
+            "toml.choice",
+            "'i25'",
         ),
-        ("fraction_bits = 22", "fraction_bit = 22", "fraction_bits = 22", "parts.inclinometer.0.fraction_bit", "fraction_bit"),
+        (
+            "fraction_bits = 22",
+            "fraction_bit = 22",
+            "fraction_bits = 22",
+            "parts.inclinometer.0.fraction_bit",
+            "toml.unknown",
+            "'fraction_bits'",
+        ),
         (
             '0x92 = ["gyroscope", "inclinometer"',
             '0x92 = ["gyroscope", "inclination"',
             "0x92 =",
             "frames.0x92",
-            "inclination",
+            "frame_schema.part",
+            "'inclination'",
         ),
-        ("0x92 =", "0x91 =", None, "", "TOML"),
-        ("0x92 =", "ninety =", "0x92 =", "frames.ninety", "hexadecimal"),
-        ("CRC-32/MPEG-2", "CRC-32/MPEG", "CRC-32/MPEG-2", "frame.checksum.algorithm", "CRC-32/MPEG-2"),
-        ('"0D 0A"', '"0D 0"', '"0D 0A"', "frame.trailer.bytes", "hexadecimal"),
-        ('flag = "start_up"', 'flag = "startup"', 'flag = "start_up"', "samples.flags.0.flag", "start_up"),
+        ("0x92 =", "0x91 =", None, None, "toml.unreadable", "line "),
+        ("0x92 =", "ninety =", "0x92 =", "frames.ninety", "frame_schema.key", "'ninety'"),
+        (
+            "CRC-32/MPEG-2",
+            "CRC-32/MPEG",
+            "CRC-32/MPEG-2",
+            "frame.checksum.algorithm",
+            "checksum.unknown",
+            "'CRC-32/MPEG-2'",
+        ),
+        ('"0D 0A"', '"0D 0"', '"0D 0A"', "frame.trailer.bytes", "toml.hexadecimal", "'0D 0'"),
+        ('flag = "start_up"', 'flag = "startup"', 'flag = "start_up"', "samples.flags.0.flag", "toml.choice", "'start_up'"),
         (
             'accelerometer = { fields = ["accelerometer"] }',
             'accelerometer = { fields = ["acceleration"] }',
             "accelerometer = { fields",
             "samples.accelerometer",
+            "protocol.field",
             "'acceleration'",
         ),
-        ("[nominal]", "[nominals]", "[nominal]", "nominals", "'nominal'"),
-        ("version = 1", "version = 2", "version = 1", "version", "2"),
-        ("10 = 19, ", "", "10 = 19", "parts.accelerometer.0.fraction_bits", "accelerometer_range_g = 10"),
-        ('setting = "rate_hz"', 'setting = "rate"', "rate_hz = { setting", "clock.rate_hz", "'rate'"),
-        ('format = "imufield-protocol"', 'format = "other"', "format", "format", "imufield-protocol"),
-        ('keys = ["0xB1", "0xB3"]', 'keys = ["0xB1", "0x93"]', "keys = [", "messages.part_number.keys", "0x93"),
+        ("[nominal]", "[nominals]", "[nominal]", "nominals", "toml.unknown", "'nominal'"),
+        ("version = 1", "version = 2", "version = 1", "version", "protocol.version", "2"),
+        (
+            "10 = 19, ",
+            "",
+            "10 = 19",
+            "parts.accelerometer.0.fraction_bits",
+            "toml.not_listed",
+            "accelerometer_range_g = 10",
+        ),
+        ('setting = "rate_hz"', 'setting = "rate"', "rate_hz = { setting", "clock.rate_hz", "toml.setting", "'rate'"),
+        ('format = "imufield-protocol"', 'format = "other"', "format", "format", "protocol.format", "imufield-protocol"),
+        (
+            'keys = ["0xB1", "0xB3"]',
+            'keys = ["0xB1", "0x93"]',
+            "keys = [",
+            "messages.part_number.keys",
+            "frame_schema.key_size",
+            "0x93",
+        ),
     ],
 )
-def test_errors_name_line_and_key(old: str, new: str, at: str | None, key: str, says: str) -> None:
+def test_errors_name_line_and_key(old: str, new: str, at: str | None, key: str | None, problem: str, says: str) -> None:
     error = wrong(STIM300, old, new)
+    assert (error.reason, getattr(error.message, "key", None), error.values.get("key")) == (Reason.BAD_PROTOCOL, problem, key)
     assert says in error.message
-    assert key in error.message
+    assert key is None or f"`{key}`" in error.message
     if at is not None:
         assert f"mine.toml line {line_of(STIM300, at)}," in error.message
 
 
 @pytest.mark.parametrize(
-    ("name", "old", "new", "key"),
+    ("name", "old", "new", "key", "problem"),
     [
-        ("microstrain_mip", "ticks_per_s = 1e9", "ticks_per_s = 0e9", "clock.time.0.ticks_per_s"),
-        ("microstrain_mip", "ticks_per_s = 1e9", "ticks_per_s = 1e-320", "clock.time.0.ticks_per_s"),
-        ("vectornav_ascii", 'markers = "$"', 'markers = ""', "text.markers"),
+        ("microstrain_mip", "ticks_per_s = 1e9", "ticks_per_s = 0e9", "clock.time.0.ticks_per_s", "toml.range"),
+        ("microstrain_mip", "ticks_per_s = 1e9", "ticks_per_s = 1e-320", "clock.time.0.ticks_per_s", "toml.range"),
+        ("vectornav_ascii", 'markers = "$"', 'markers = ""', "text.markers", "samples_and_clock.no_marker"),
     ],
 )
-def test_what_would_break_at_the_first_bytes_is_refused(name: str, old: str, new: str, key: str) -> None:
-    assert key in wrong(load_protocol(name).text, old, new).message
+def test_what_would_break_at_the_first_bytes_is_refused(name: str, old: str, new: str, key: str, problem: str) -> None:
+    error = wrong(load_protocol(name).text, old, new)
+    assert (getattr(error.message, "key", None), error.values["key"]) == (problem, key)
 
 
 def test_a_unit_that_is_none() -> None:
@@ -155,19 +195,38 @@ def test_files_that_are_none(tmp_path: Path) -> None:
     binary.write_bytes(b"\x93\xff\xfe")
     large.write_bytes(b"#" * (FILE_LIMIT_BYTES + 1))
     folder.mkdir()
-    for path, *facts in (
-        (binary, "a.toml", "UTF-8"),
-        (large, "b.toml", str(FILE_LIMIT_BYTES)),
-        (folder, str(folder), os.strerror(errno.EISDIR)),
-        (tmp_path / "d.toml", "d.toml", os.strerror(errno.ENOENT)),
+    for path, key, *facts in (
+        (binary, "no_text", "a.toml", "UTF-8"),
+        (large, "size", "b.toml", str(FILE_LIMIT_BYTES)),
+        (folder, "cannot_read", str(folder), os.strerror(errno.EISDIR)),
+        (tmp_path / "d.toml", "cannot_read", "d.toml", os.strerror(errno.ENOENT)),
     ):
-        with refused(ProtocolError, Reason.BAD_PROTOCOL, *facts):
+        with refused(ProtocolError, Reason.BAD_PROTOCOL, *facts, key=f"protocol.{key}"):
             load_protocol(path)
-    with refused(ProtocolError, Reason.BAD_PROTOCOL, "stim30", "stim300") as caught:
+    with refused(ProtocolError, Reason.BAD_PROTOCOL, "stim30", "stim300", key="protocol.unknown_name") as caught:
         load_protocol("stim30")
-    assert caught.value.reason is Reason.BAD_PROTOCOL
-    with refused(ProtocolError, Reason.BAD_PROTOCOL):
-        parse_protocol("a = " + "[" * 100_000)
+    assert caught.value.values["name"] == "stim30"
+
+
+DEEP = {
+    "arrays": "a = " + "[" * 100_000,
+    "tables": "a = " + "{a = " * 100_000,
+    "a name": STIM300.replace('kind = "frames"', f"kind{'.a' * 5000} = 1"),
+    "a header": STIM300.replace("[nominal]", f"[settings{'.a' * 5000}]"),
+    "33 levels": STIM300.replace('kind = "frames"', "kind = " + "[" * 33 + "]" * 33),
+}
+
+
+@pytest.mark.parametrize("text", DEEP.values(), ids=list(DEEP))
+def test_tables_that_nest_too_deeply_are_refused(text: str) -> None:
+    with refused(ProtocolError, Reason.BAD_PROTOCOL, "mine.toml", "ten levels", key="toml.nested") as caught:
+        parse_protocol(text, label="mine.toml")
+    assert caught.value.values == {"label": "mine.toml"}
+
+
+def test_a_few_levels_too_many_are_refused_where_they_stand() -> None:
+    error = wrong(STIM300, 'kind = "frames"', "kind = " + "[" * 32 + "]" * 32)
+    assert (getattr(error.message, "key", None), error.values["key"]) == ("toml.choice", "kind")
 
 
 @settings(max_examples=150, deadline=None)
