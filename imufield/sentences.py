@@ -10,6 +10,7 @@ from __future__ import annotations
 import string
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 _LONGEST_SHOWN = 40
 
@@ -30,7 +31,7 @@ class Sentence(str):
     __slots__ = ("key", "values")
 
     key: str
-    values: dict[str, object]
+    values: dict[str, Any]
 
 
 class _Format(string.Formatter):

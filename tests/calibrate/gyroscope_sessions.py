@@ -69,7 +69,7 @@ class Turner(Operator):
         if not self._turns:
             return end_s
         last = self._pieces.pop()
-        self.stills[-1] = replace(self._stills[-1], end_s=last.start_s)
+        self.stills[-1] = replace(self.stills[-1], end_s=last.start_s)
         rng = np.random.default_rng([self._seed, 303])
         at, end_s = last.quaternion_nb, last.start_s
         for turn in self._turns:

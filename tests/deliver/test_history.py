@@ -19,8 +19,8 @@ from imufield.deliver.parameters.context import Context
 from imufield.deliver.parameters.file import write_parameters
 from imufield.deliver.parameters.gauge_free import numbers_of
 from imufield.errors import ParameterFileError, Reason
-from tests.deliver.told import key_of, keys
 from tests.refused import refused
+from tests.told import key_of, keys
 
 NOW = datetime(2026, 9, 1, tzinfo=UTC)
 

@@ -98,7 +98,7 @@ def slcan() -> Iterator[SlcanDevice]:
 
 
 def test_slcan_on_a_pseudo_terminal(slcan: SlcanDevice) -> None:
-    link = open_can_link(f"slcan:{slcan.address.port}@115200?sleep_after_open=0", bit_rate=250_000)
+    link = open_can_link(f"slcan:{slcan.port.address}@115200?sleep_after_open=0", bit_rate=250_000)
     deadline_s = time.monotonic() + 60
     while not slcan.is_open and time.monotonic() < deadline_s:
         slcan.receive()
@@ -121,7 +121,7 @@ def test_slcan_on_a_pseudo_terminal(slcan: SlcanDevice) -> None:
 
 
 def test_a_vanished_adapter_is_a_link_error(slcan: SlcanDevice) -> None:
-    link = open_can_link(f"slcan:{slcan.address.port}?sleep_after_open=0")
+    link = open_can_link(f"slcan:{slcan.port.address}?sleep_after_open=0")
     slcan.close()
     with pytest.raises(LinkError) as caught:
         read_all(link, 1)
@@ -133,7 +133,7 @@ def test_a_vanished_adapter_is_a_link_error(slcan: SlcanDevice) -> None:
 
 
 def test_a_garbled_line_is_borne(slcan: SlcanDevice) -> None:
-    link = open_can_link(f"slcan:{slcan.address.port}?sleep_after_open=0")
+    link = open_can_link(f"slcan:{slcan.port.address}?sleep_after_open=0")
     slcan.receive()
     slcan.send([Frame(1, b"a")])
     slcan.port.write(b"tXYZ\r")

@@ -18,8 +18,8 @@ from imufield.calibrate.solvers.registry import METHODS
 from imufield.earth import Gravity
 from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.sentences import Sentences
-from tests.calibrate.told import told
 from tests.refused import refused
+from tests.told import told
 
 KNOWN_GRAVITY = Gravity(gravity_m_s2=GRAVITY, sigma_m_s2=0.018, source="assumed")
 

@@ -26,9 +26,9 @@ from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import FloatArray, Samples, SampleUnits, make_samples
 from imufield.sentences import Sentences
 from imufield.simulate.truth.motion import Site
-from tests.calibrate.told import told
 from tests.guide.guided import find_still_intervals
 from tests.refused import refused
+from tests.told import key_of, told
 
 sentence = Sentences("imufield.calibrate.gyroscope")
 
@@ -292,7 +292,7 @@ def test_lost_samples_are_bridged_or_named() -> None:
 def test_static_bias_where_there_are_no_moves(session: Session) -> None:
     nothing = collect_moves([], session.given.observations.start_s[:1], session.given.observations.duration_s[:1])
     result = calibrate_gyroscope(replace(session.given, moves=nothing))
-    assert result.calibration.path.key.startswith("static.bias")
+    assert key_of(result.calibration.path).startswith("static.bias")
     joined = result.join(session.calibration)
     assert joined.gyroscope is not None
     assert np.isnan(joined.gyroscope.sigma.scale).all()
@@ -302,7 +302,7 @@ def test_static_norm_for_an_instrument_that_sees_the_earth() -> None:
     fine = simulate(2, grade="navigation", hold_s=20.0)
     nothing = collect_moves([], fine.given.observations.start_s[:1], fine.given.observations.duration_s[:1])
     result = calibrate_gyroscope(replace(fine.given, moves=nothing, preset=fine.truth))
-    assert result.calibration.path.key == "report.norm_bias"
+    assert key_of(result.calibration.path) == "report.norm_bias"
     assert np.abs(np.degrees(result.calibration.parameters.bias - fine.truth.bias) * 3600).max() < 0.05
     everything = calibrate_gyroscope(replace(fine.given, moves=nothing, static_free="all"))
     assert np.isfinite(everything.calibration.sigma.scale).all()
@@ -365,7 +365,7 @@ def test_a_fit_that_does_not_end_makes_the_whole_usable_at_most(monkeypatch: pyt
     joined = found.join(still.calibration).quality
     assert still.calibration.quality.verdict == "good"
     assert joined.verdict == "usable"
-    assert joined.main_reason.key == "report.unsettled"
+    assert key_of(joined.main_reason) == "report.unsettled"
     assert "--gravity" in joined.main_reason
     assert "--latitude" in joined.main_reason
     remedied = calibrate_gyroscope(replace(still.given, latitude_deg=None))

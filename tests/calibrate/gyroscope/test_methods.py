@@ -19,6 +19,7 @@ from imufield.calibrate.model.result import GyroscopeParameters
 from imufield.errors import Reason, UsageError
 from imufield.sentences import Sentences
 from tests.refused import refused
+from tests.told import key_of
 
 sentence = Sentences("imufield.calibrate.gyroscope")
 
@@ -82,7 +83,7 @@ def test_a_polished_method_ends_where_the_fit_does(result: GyroscopeResult, meth
     assert solved.converged, solved.message
     assert np.all(np.abs(values(found) - values(result)) <= 0.01 * sigmas(result))
     assert found.moves.rms_after_deg == pytest.approx(result.moves.rms_after_deg, rel=1e-3)
-    assert solved.message.key == "base.polished"
+    assert key_of(solved.message) == "base.polished"
 
 
 def test_without_polish_the_swarm_keeps_the_minimum_of_its_own_cost(result: GyroscopeResult) -> None:
@@ -113,7 +114,7 @@ def test_a_method_that_stops_short_says_so(result: GyroscopeResult) -> None:
 @pytest.mark.parametrize("free", ["bias", "all"])
 def test_methods_prove_one_another_on_the_norm_of_the_earth_rate(still: GyroscopeInput, free: str) -> None:
     found = calibrate_gyroscope(replace(still, static_free=free))  # type: ignore[arg-type]
-    assert found.calibration.path.key == f"report.norm_{free}"
+    assert key_of(found.calibration.path) == f"report.norm_{free}"
     check = cross_check_gyroscope(found, rng=np.random.default_rng(0))
     assert check is not None
     assert check.agree, check.sentence

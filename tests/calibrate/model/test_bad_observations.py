@@ -12,8 +12,8 @@ from imufield.errors import CalibrationError, Reason
 from imufield.guide.positions import scheme
 from imufield.samples import FloatArray, SampleUnits
 from imufield.sentences import Sentences
-from tests.calibrate.told import told
 from tests.refused import refused
+from tests.told import told
 
 GRAVITY = 9.81
 sentence = Sentences("imufield.calibrate.accelerometer")

@@ -19,8 +19,8 @@ from imufield.calibrate.noise.noise_fit import FLICKER, identify, terms
 from imufield.calibrate.noise.noise_texts import draw_plot, noise_text
 from imufield.errors import CalibrationError, Reason, RecordingError, UsageError
 from imufield.samples import FloatArray, Samples, SampleUnits, make_samples
-from tests.calibrate.told import told
 from tests.refused import refused
+from tests.told import told
 
 pytest.importorskip("allantools")
 RATE_HZ = 20.0

@@ -12,6 +12,7 @@ from imufield.calibrate.solvers.costs import NormProblem
 from imufield.samples import FloatArray
 from imufield.study.instruments import BSAS_AXES, BSAS_GRAVITY_M_S2, bsas_outputs, bsas_preset
 from imufield.study.optimum import exact_absolute_minimum
+from tests.told import key_of
 
 
 @dataclass
@@ -78,7 +79,7 @@ def test_one_beetle_stalls_there_and_says_so() -> None:
     problem, rng = _table_3_problem(0)
     found = solve_bas(problem, rng=rng)
     assert found.status is SolverStatus.STALLED
-    assert found.message.key == "population.stalled"
+    assert key_of(found.message) == "population.stalled"
     assert found.cost > 10 * exact_absolute_minimum(problem)[0]
 
 

@@ -9,6 +9,7 @@ from imufield.errors import Reason, UsageError
 from imufield.study.instruments import ide_problem
 from imufield.study.optimum import squares_optimum
 from tests.refused import refused
+from tests.told import key_of
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -32,7 +33,7 @@ def test_the_order_of_the_strategies_is_the_papers() -> None:
 def test_what_has_not_converged_says_so() -> None:
     found = solve_de_rand_1(ide_problem(np.random.default_rng(0)), rng=np.random.default_rng(0))
     assert not found.converged
-    assert found.message.key == "population.generation_limit"
+    assert key_of(found.message) == "population.generation_limit"
     assert "1200 generations" in found.message
 
 

@@ -17,8 +17,8 @@ from imufield.deliver.exports import ExportOptions, export_parameters
 from imufield.deliver.exports.binary import SIZE, unpack
 from imufield.deliver.parameters.file import Parameters
 from imufield.errors import ParameterFileError, Reason, UsageError
-from tests.deliver.told import keys
 from tests.refused import refused
+from tests.told import keys
 
 pytestmark = pytest.mark.numerical
 

@@ -19,8 +19,8 @@ from imufield.deliver.exports.microstrain import packet
 from imufield.deliver.exports.text import number, yaml_lines
 from imufield.deliver.exports.vectornav import with_checksum
 from imufield.errors import ImufieldError, ParameterFileError, Reason, UsageError
-from tests.deliver.told import keys, with_key
 from tests.refused import refused
+from tests.told import keys, with_key
 
 SI_ONLY = sorted(set(TARGETS) - {"c", "binary", "json", "yaml", "imu_tk", "imucal"})
 ONE_FRAME = ("kalibr", "openvins", "basalt", "imu_tk", "psins")

@@ -37,8 +37,8 @@ from imufield.deliver.parameters.file import Parameters
 from imufield.errors import ParameterFileError, Reason
 from imufield.guide.positions import scheme
 from imufield.sentences import Sentences
-from tests.deliver.told import key_of, keys, with_key
 from tests.refused import refused
+from tests.told import key_of, keys, with_key
 
 pytestmark = pytest.mark.numerical
 

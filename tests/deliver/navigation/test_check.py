@@ -14,8 +14,8 @@ from imufield.deliver.navigation.alignment import Heading, rotation
 from imufield.deliver.navigation.check import CheckSettings, NavigationResult, StaticNavigation
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.samples import Samples, Status, concatenate
-from tests.deliver.told import keys
 from tests.refused import refused
+from tests.told import keys
 
 SETTINGS = CheckSettings(latitude_deg=LATITUDE_DEG, gravity_m_s2=GRAVITY_M_S2, align_s=300.0, runs=200)
 

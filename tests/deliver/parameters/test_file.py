@@ -31,8 +31,8 @@ from imufield.deliver.parameters.file import (
 )
 from imufield.deliver.parameters.read import parse_document, read_document
 from imufield.errors import ImufieldError, ParameterFileError, Reason
-from tests.deliver.told import key_of
 from tests.refused import refused
+from tests.told import key_of
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from imufield.deliver.parameters.context import Context
 from imufield.deliver.parameters.document import to_document
 from imufield.deliver.parameters.schema import KEYWORDS, first_fault, json_ready, parameter_schema
 from imufield.errors import Reason
-from tests.deliver.told import key_of
+from tests.told import key_of
 
 
 @pytest.fixture

@@ -18,8 +18,8 @@ from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.guide.positions import scheme
 from imufield.samples import FloatArray, SampleUnits
 from imufield.sentences import Sentences
-from tests.deliver.told import key_of
 from tests.refused import refused
+from tests.told import key_of
 
 GRAVITY = Gravity(gravity_m_s2=9.81, sigma_m_s2=5e-4, source="normal", latitude_deg=48.0, height_m=300.0)
 TRUTH = AccelerometerParameters(

@@ -30,8 +30,8 @@ from imufield.deliver.verification.result import (
     write_verification,
 )
 from imufield.errors import Reason, UsageError
-from tests.deliver.told import key_of
 from tests.refused import refused
+from tests.told import key_of
 
 pytestmark = pytest.mark.numerical
 
