@@ -28,6 +28,26 @@ settings.load_profile("same")
 PROJECT = Path(__file__).resolve().parent.parent
 
 
+# Files of a minute and more. They begin first, or one process works on alone when the others are done.
+LONG = (
+    "torture/test_claims.py",
+    "test_honesty.py",
+    "torture/test_killed.py",
+    "study/test_studies.py",
+    "commands/test_desk.py",
+    "commands/test_bad_input.py",
+    "commands/test_solve_many.py",
+    "commands/test_capture.py",
+    "torture/test_faults.py",
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the long files first; within a file and among the others the order stays."""
+    places = {PROJECT / "tests" / name: place for place, name in enumerate(LONG)}
+    items.sort(key=lambda item: places.get(item.path, len(LONG)))
+
+
 @pytest.fixture(scope="session")
 def shared_folder() -> Path:
     """Return the folder of real recordings and test vectors beside the project; skip where it is absent."""
