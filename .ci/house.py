@@ -25,7 +25,7 @@ CODE = ("imufield", "drivers")
 ROOMS = (
     ("version", "sentences"),
     ("errors",),
-    ("samples", "earth", "files"),
+    ("samples", "earth", "files", "toml_files"),
     ("acquire/protocol",),
     ("acquire/decode",),
     ("acquire/clock",),

@@ -33,6 +33,7 @@ from imufield.acquire.protocol.units import SI_UNITS, TO_SI, UNITS_OF
 from imufield.errors import ProtocolError, Reason, UnknownNameError
 from imufield.samples import FloatArray, SampleUnits
 from imufield.sentences import Sentences
+from imufield.toml_files import decode_toml
 
 sentence = Sentences(__package__)
 
@@ -167,11 +168,9 @@ def _find_text(name_or_path: str | Path) -> tuple[str, str]:
             content = file.read(FILE_LIMIT_BYTES + 1)
         if len(content) > FILE_LIMIT_BYTES:
             raise ProtocolError(sentence("protocol.size", name=path.name, limit=FILE_LIMIT_BYTES), path=path)
-        return path.name, content.decode("utf-8-sig")
+        return path.name, decode_toml(content, path.name, ProtocolError)
     except OSError as error:
         raise ProtocolError(sentence("protocol.cannot_read", path=path, cause=error.strerror)) from error
-    except UnicodeDecodeError as error:
-        raise ProtocolError(sentence("protocol.no_text", name=path.name, byte=error.start), path=path) from error
 
 
 def _read_beside(name_or_path: str | Path, name: str) -> str:

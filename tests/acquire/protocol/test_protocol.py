@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from imufield.acquire.protocol.protocol import load_protocol, parse_protocol, protocol_names
 from imufield.acquire.protocol.toml import FILE_LIMIT_BYTES
 from imufield.errors import ProtocolError, Reason
+from imufield.toml_files import DEEPEST
 from tests.refused import refused
 
 STIM300 = load_protocol("stim300").text
@@ -113,7 +114,7 @@ def test_wrong_settings_name_what_is_allowed(given: dict[str, object], reason: R
             "frame_schema.part",
             "'inclination'",
         ),
-        ("0x92 =", "0x91 =", None, None, "toml.unreadable", "line "),
+        ("0x92 =", "0x91 =", None, None, "toml_files.no_toml", "line "),
         ("0x92 =", "ninety =", "0x92 =", "frames.ninety", "frame_schema.key", "'ninety'"),
         (
             "CRC-32/MPEG-2",
@@ -196,12 +197,12 @@ def test_files_that_are_none(tmp_path: Path) -> None:
     large.write_bytes(b"#" * (FILE_LIMIT_BYTES + 1))
     folder.mkdir()
     for path, key, *facts in (
-        (binary, "no_text", "a.toml", "UTF-8"),
-        (large, "size", "b.toml", str(FILE_LIMIT_BYTES)),
-        (folder, "cannot_read", str(folder), os.strerror(errno.EISDIR)),
-        (tmp_path / "d.toml", "cannot_read", "d.toml", os.strerror(errno.ENOENT)),
+        (binary, "toml_files.no_text", "a.toml line 1", "UTF-8"),
+        (large, "protocol.size", "b.toml", str(FILE_LIMIT_BYTES)),
+        (folder, "protocol.cannot_read", str(folder), os.strerror(errno.EISDIR)),
+        (tmp_path / "d.toml", "protocol.cannot_read", "d.toml", os.strerror(errno.ENOENT)),
     ):
-        with refused(ProtocolError, Reason.BAD_PROTOCOL, *facts, key=f"protocol.{key}"):
+        with refused(ProtocolError, Reason.BAD_PROTOCOL, *facts, key=key):
             load_protocol(path)
     with refused(ProtocolError, Reason.BAD_PROTOCOL, "stim30", "stim300", key="protocol.unknown_name") as caught:
         load_protocol("stim30")
@@ -219,9 +220,9 @@ DEEP = {
 
 @pytest.mark.parametrize("text", DEEP.values(), ids=list(DEEP))
 def test_tables_that_nest_too_deeply_are_refused(text: str) -> None:
-    with refused(ProtocolError, Reason.BAD_PROTOCOL, "mine.toml", "ten levels", key="toml.nested") as caught:
+    with refused(ProtocolError, Reason.BAD_PROTOCOL, "mine.toml line", "32 levels", key="toml_files.nested") as caught:
         parse_protocol(text, label="mine.toml")
-    assert caught.value.values == {"label": "mine.toml"}
+    assert caught.value.values["deepest"] == DEEPEST
 
 
 def test_a_few_levels_too_many_are_refused_where_they_stand() -> None:
