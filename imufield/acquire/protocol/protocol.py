@@ -28,7 +28,7 @@ from imufield.acquire.protocol.samples_and_clock import (
     sample_units,
 )
 from imufield.acquire.protocol.settings import Setting, choose_settings, read_rules
-from imufield.acquire.protocol.toml import FILE_LIMIT_BYTES, Source, Table, near
+from imufield.acquire.protocol.toml import FILE_LIMIT_BYTES, LEAST_SCALE, Source, Table, near
 from imufield.acquire.protocol.units import SI_UNITS, TO_SI, UNITS_OF
 from imufield.errors import ProtocolError, Reason, UnknownNameError
 from imufield.samples import FloatArray, SampleUnits
@@ -275,8 +275,8 @@ def _read_nominal(top: Table, units: SampleUnits, clock: ClockRule) -> Nominal:
         for part, unit in (("accelerometer", units.accelerometer), ("gyroscope", units.gyroscope)):
             perfect = 1.0 if unit in SI_UNITS else None
             _, factor = TO_SI[table.choice(f"{part}_range_unit", TO_SI, UNITS_OF[part][0])]
-            scales.append(table.number(f"{part}_scale") if table.has(f"{part}_scale") else perfect)
-            ranges.append(table.number(f"{part}_range") * factor if table.has(f"{part}_range") else None)
+            scales.append(table.scale(f"{part}_scale") if table.has(f"{part}_scale") else perfect)
+            ranges.append(table.number(f"{part}_range", low=LEAST_SCALE) * factor if table.has(f"{part}_range") else None)
         return Nominal(
             accelerometer_scale=scales[0],
             gyroscope_scale=scales[1],

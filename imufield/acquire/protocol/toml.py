@@ -28,8 +28,11 @@ FILE_LIMIT_BYTES = 1 << 20
 OTHER = "other"
 """In a look-up by a setting: for every value that is not listed."""
 
-LARGEST = 1e300
-"""Of numbers: infinity and NaN are none that a person means."""
+LARGEST = 1e30
+"""Of numbers: nobody means more, and squares and products of what is smaller are numbers."""
+
+LEAST_SCALE = 1e-30
+"""Of factors, whatever their sign: nothing can be told from what is multiplied by 0."""
 
 _Kind = TypeVar("_Kind")
 
@@ -111,18 +114,44 @@ class Table:
     def number(self, key: str, default: float | None = None, *, low: float = -LARGEST, high: float = LARGEST) -> float:
         """Return a finite number from ``low`` to ``high``."""
         found = self.value(key, default)
-        if isinstance(found, bool) or not isinstance(found, (int, float)) or not abs(found) <= LARGEST:
+        if isinstance(found, bool) or not isinstance(found, (int, float)):
             raise self.error(key, sentence("toml.number", found=_shown(found)))
+        # Written so that nan is outside.
         if not low <= found <= high:
             raise self.error(key, sentence("toml.range", low=low, high=high, found=_shown(found)))
         return float(found)
 
+    def known_number(self, key: str, *, low: float, high: float) -> float:
+        """Return a number from ``low`` to ``high``, 0 where it is not known: by no key, or by a setting that is 0."""
+        return 0.0 if self._is_unknown(key) else self.number(key, low=low, high=high)
+
+    def scale(self, key: str, default: float | None = None) -> float:
+        """Return a factor, which is not 0."""
+        found = self.number(key, default)
+        if abs(found) < LEAST_SCALE:
+            raise self.error(key, sentence("toml.scale", least=LEAST_SCALE, found=_shown(found)))
+        return found
+
     def integer(self, key: str, low: int, high: int, default: int | None = None) -> int:
         """Return a whole number from ``low`` to ``high``."""
-        found = self.value(key, default)
+        return self._integer(key, self.value(key, default), low, high)
+
+    def integers(self, key: str, low: int, high: int, default: tuple[int, ...]) -> tuple[int, ...]:
+        """Return an array of at least one whole number from ``low`` to ``high``."""
+        return tuple(self._integer(key, found, low, high) for found in self.items(key, [*default]) or [None])
+
+    def known_integer(self, key: str, *, low: int, high: int) -> int:
+        """Return a whole number from ``low`` to ``high``, 0 where it is not known: by no key, or by a setting that is 0."""
+        return 0 if self._is_unknown(key) else self.integer(key, low, high)
+
+    def _integer(self, key: str, found: object, low: int, high: int) -> int:
         if isinstance(found, bool) or not isinstance(found, int) or not low <= found <= high:
             raise self.error(key, sentence("toml.integer", low=low, high=high, found=_shown(found)))
         return found
+
+    def _is_unknown(self, key: str) -> bool:
+        # What the file itself states must make sense: who does not know a number leaves its key out.
+        return not self.has(key) or (isinstance(self.plain(key), dict) and self.value(key) == 0)
 
     def flag(self, key: str, default: bool = False) -> bool:
         """Return true or false."""

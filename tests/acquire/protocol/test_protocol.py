@@ -170,6 +170,18 @@ def test_errors_name_line_and_key(old: str, new: str, at: str | None, key: str |
     [
         ("microstrain_mip", "ticks_per_s = 1e9", "ticks_per_s = 0e9", "clock.time.0.ticks_per_s", "toml.range"),
         ("microstrain_mip", "ticks_per_s = 1e9", "ticks_per_s = 1e-320", "clock.time.0.ticks_per_s", "toml.range"),
+        ("stim300", "ticks_per_s = 2000", "ticks_per_s = 0", "clock.counter.ticks_per_s", "toml.range"),
+        ("stim300", "ticks_per_s = 2000", "ticks_per_s = 5e-324", "clock.counter.ticks_per_s", "toml.range"),
+        ("stim300", "steps = [1, 2, 4, 8, 16]", "steps = [0, -1]", "clock.counter.steps", "toml.integer"),
+        ("stim300", "steps = [1, 2, 4, 8, 16]", "steps = []", "clock.counter.steps", "toml.integer"),
+        ("stim300", 'rate_hz = { setting = "rate_hz" }', "rate_hz = 1e-300", "clock.rate_hz", "toml.range"),
+        ("stim300", 'rate_hz = { setting = "rate_hz" }', "rate_hz = nan", "clock.rate_hz", "toml.range"),
+        ("kvh_17xx", "modulus = 128", "modulus = 0", "clock.counter.modulus", "toml.integer"),
+        ("novatel_oem7_ascii", "modulus = 604800", "modulus = 0", "clock.time.modulus", "toml.integer"),
+        ("stim300", "fraction_bits = 22", f"fraction_bits = {'9' * 18}", "parts.inclinometer.0.fraction_bits", "toml.integer"),
+        ("aceinna_serial", "scale = 1260", "scale = 0", "parts.dmu.1.scale", "toml.scale"),
+        ("aceinna_serial", "scale = 1260", "scale = -5e-324", "parts.dmu.1.scale", "toml.scale"),
+        ("aceinna_serial", "scale = 1260", "scale = 1e400", "parts.dmu.1.scale", "toml.range"),
         ("vectornav_ascii", 'markers = "$"', 'markers = ""', "text.markers", "samples_and_clock.no_marker"),
     ],
 )
