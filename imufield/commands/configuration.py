@@ -56,7 +56,8 @@ def default_map() -> dict[str, dict[str, object]]:
             if key in _TABLES and not isinstance(value, dict):
                 raise UsageError(sentence("configuration.no_table", name=key, file=FILE_NAME, example=_TABLES[key]))
             # A table as it is typed: an option for each row.
-            default = [f"{name}={entry}" for name, entry in value.items()] if key in _TABLES else value
+            rows = value.items() if isinstance(value, dict) else ()
+            default = [f"{name}={entry}" for name, entry in rows] if key in _TABLES else value
             for command in KEYS[key]:
                 commands.setdefault(command, {})[key] = default
     return commands

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from enum import Enum
 from pathlib import Path, PurePath
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -39,7 +39,10 @@ _HUGE = 1e30
 _TYPES: Mapping[str, type] = {"str": str, "bool": bool, "int": int, "float": float}
 
 
-def _number(low: float, high: float) -> Any:
+_Number = TypeVar("_Number", int, float)
+
+
+def _number(low: _Number, high: _Number) -> _Number | None:
     """Declare a number that a person may edit and a program computes with; the limits are part of the sentence."""
     return field(default=None, metadata={"low": low, "high": high})
 

@@ -128,7 +128,7 @@ def test_a_damaged_table_is_refused(table: dict[str, object], reason: Reason) ->
     assert caught.value.reason is reason
 
 
-ANYTHING = (
+ANYTHING: tuple[object, ...] = (
     *(True, -1, 0, 2**63, 1e308, 5e-324, -5e-324, 1e400, float("nan")),
     *("", "x", [], [[1]], {}, {"a": 1}, datetime(2026, 1, 1, tzinfo=UTC)),
 )
