@@ -23,9 +23,9 @@ CODE = ("imufield", "drivers")
 
 # From the lowest room to the highest: an import may point to a room above it in this list, or into its own.
 ROOMS = (
-    ("version", "sentences"),
+    ("version", "sentences", "limits"),
     ("errors",),
-    ("samples", "earth", "files"),
+    ("samples", "earth", "files", "toml_files"),
     ("acquire/protocol",),
     ("acquire/decode",),
     ("acquire/clock",),

@@ -142,6 +142,24 @@ def test_standard_output_on_a_full_disk(tmp_path: Path) -> None:
     assert ended.stderr.count("\n") == 1
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full, which Linux has")
+@pytest.mark.parametrize(
+    ("command", "code"), [("solve nowhere", 4), ("bogus", 2), ("solve --seed x", 2), ("devices --json", 0), ("--version", 0)]
+)
+@pytest.mark.parametrize("number", [1, 2, 3], ids=["output", "error", "both"])
+def test_a_stream_that_takes_nothing_changes_no_code(command: str, code: int, number: int, tmp_path: Path) -> None:
+    with Path("/dev/full").open("w") as full:
+        ended = subprocess.run(
+            [sys.executable, "-m", "imufield", *command.split()],
+            stdout=full if number & 1 else subprocess.DEVNULL,
+            stderr=full if number & 2 else subprocess.DEVNULL,
+            check=False,
+            cwd=tmp_path,
+        )
+    # What happened, whoever could be told of it; 4 where the output itself was what was asked for.
+    assert ended.returncode == (4 if number & 1 and not code else code)
+
+
 @pytest.mark.parametrize(
     "command",
     [("export", "{}", "--to", "c"), ("solve", "--observations", "{}"), ("report", "{}"), ("import", "a", "--dbc", "{}")],

@@ -82,6 +82,7 @@ def test_options_are_light(modules: list[Any]) -> None:
         "imufield.errors",
         "imufield.sentences",
         "imufield.files",
+        "imufield.limits",
         "imufield.commands.configuration",
         "imufield.commands.options",
     )

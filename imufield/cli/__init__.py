@@ -5,10 +5,15 @@ Nothing heavy is imported here: each command imports its own room, so that a pro
 
 from __future__ import annotations
 
+import io
 import os
 import sys
+from typing import TYPE_CHECKING
 
 from imufield.errors import EXIT_INTERRUPTED
+
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer
 
 
 def main() -> None:
@@ -17,6 +22,7 @@ def main() -> None:
     for library in ("OPENBLAS", "MKL", "OMP"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     _open_closed_streams()
+    _let_standard_error_fail()
     try:
         # Imported here, so that a Ctrl-C in the first tenth of a second is one like any other.
         from imufield.cli.run import run
@@ -34,3 +40,22 @@ def _open_closed_streams() -> None:
             # The lowest number that is free is this stream's own, as those below it are open by now.
             descriptor = os.open(os.devnull, os.O_RDWR)
             setattr(sys, name, os.fdopen(descriptor, "w" if number else "r", encoding="utf-8"))
+
+
+class _Forgiving(io.FileIO):
+    """A file whose failed writes are lost and nothing else: the disk is full, or the reader went away."""
+
+    def write(self, data: ReadableBuffer, /) -> int:
+        try:
+            return super().write(data)
+        except OSError:
+            return memoryview(data).nbytes
+
+
+def _let_standard_error_fail() -> None:
+    """Let what cannot be said on standard error end nothing: no recording, and no exit code that says something else."""
+    # A terminal is never full; one that was closed is handled where commands are run.
+    if not sys.stderr.isatty():
+        raw = _Forgiving(sys.stderr.fileno(), "w", closefd=False)
+        encoding, errors = sys.stderr.encoding, sys.stderr.errors
+        sys.stderr = io.TextIOWrapper(io.BufferedWriter(raw), encoding, errors, line_buffering=True, write_through=True)

@@ -7,12 +7,12 @@ before both, options before everything.
 from __future__ import annotations
 
 import math
-import tomllib
 from pathlib import Path
 
 from imufield.errors import Reason, UsageError
 from imufield.files import read_small_file
 from imufield.sentences import Sentences
+from imufield.toml_files import decode_toml, parse_toml
 
 sentence = Sentences(__package__)
 
@@ -45,9 +45,10 @@ def default_map() -> dict[str, dict[str, object]]:
         if not path.is_file():
             continue
         try:
-            content = tomllib.loads(read_small_file(path).decode())
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
-            raise UsageError(sentence("configuration.no_toml", path=str(path), error=str(error))) from error
+            text = decode_toml(read_small_file(path), str(path), UsageError)
+        except OSError as error:
+            raise UsageError(sentence("configuration.unreadable", path=str(path), cause=error.strerror)) from error
+        content = parse_toml(text, str(path), UsageError)
         for key, value in sorted(content.items()):
             if key not in KEYS:
                 unknown = sentence("configuration.unknown_key", path=str(path), unknown=key, known=[*KEYS])
@@ -55,7 +56,8 @@ def default_map() -> dict[str, dict[str, object]]:
             if key in _TABLES and not isinstance(value, dict):
                 raise UsageError(sentence("configuration.no_table", name=key, file=FILE_NAME, example=_TABLES[key]))
             # A table as it is typed: an option for each row.
-            default = [f"{name}={entry}" for name, entry in value.items()] if key in _TABLES else value
+            rows = value.items() if isinstance(value, dict) else ()
+            default = [f"{name}={entry}" for name, entry in rows] if key in _TABLES else value
             for command in KEYS[key]:
                 commands.setdefault(command, {})[key] = default
     return commands

@@ -19,6 +19,7 @@ from imufield.errors import UsageError
 from imufield.files import read_small_file
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentence, Sentences
+from imufield.toml_files import decode_toml, parse_toml
 
 sentence = Sentences(__package__)
 
@@ -175,12 +176,10 @@ def read_positions(path: Path) -> tuple[tuple[Position, ...], str]:
     if not path.is_file():
         raise UsageError(sentence("positions.no_scheme", path=str(path), schemes=SCHEMES))
     try:
-        text = read_small_file(path).decode()
-        content = tomllib.loads(text)
+        text = decode_toml(read_small_file(path), path.name, UsageError)
     except OSError as error:
         raise UsageError(sentence("positions.cannot_read", path=str(path), cause=error.strerror)) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UsageError(sentence("positions.no_toml", file=path.name, cause=error)) from error
+    content = parse_toml(text, path.name, UsageError)
     tables = content.get("position", [])
     if unknown := sorted(set(content) - {"name", "position"}):
         raise UsageError(sentence("positions.unknown_key_of_file", file=path.name, key=unknown[0]))
@@ -202,7 +201,8 @@ def _read_position(table: object, where: str, taken: set[str]) -> Position:
     up = table.get("up")
     numbers = isinstance(up, list) and len(up) == 3 and all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in up)
     vector = np.array(up if numbers else [np.nan] * 3, dtype=np.float64)
-    norm = float(np.linalg.norm(vector))
+    # As numpy.linalg.norm, which is infinite or zero where squares are no numbers.
+    norm = math.hypot(*vector)
     if not math.isfinite(norm) or norm == 0:
         raise UsageError(sentence("positions.no_direction", where=where, up=up, key="up"))
     direction = vector / norm

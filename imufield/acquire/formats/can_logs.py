@@ -26,7 +26,7 @@ from imufield.acquire.formats.tables import ChunkWriter
 from imufield.acquire.link.can import make_message, open_bus, pack_message, parse_bus
 from imufield.acquire.link.host_clock import NANOSECONDS
 from imufield.acquire.link.serial import WRITE_TIMEOUT_S, Chunk
-from imufield.acquire.protocol.can_frames import ERROR, SENT, Frame, Unpacker, unpack_frames
+from imufield.acquire.protocol.can_frames import ERROR, LATEST_S, MOST_DATA, SENT, Frame, Unpacker, unpack_frames
 from imufield.acquire.recording.reader import EndOfRecordingError, Pacer, RecordingLink
 from imufield.errors import LinkError, Reason, RecordingError, UsageError
 from imufield.sentences import Sentences
@@ -134,7 +134,8 @@ def import_log(path: str | Path, recorder: ChunkWriter, *, channel: str | None =
 
 
 def _chunk(pieces: list[bytes], last_s: float) -> Chunk:
-    return Chunk(b"".join(pieces), last_s, max(0, round(last_s * NANOSECONDS)) if last_s > _EPOCH_S else 0)
+    is_time_of_day = _EPOCH_S < last_s < LATEST_S
+    return Chunk(b"".join(pieces), last_s, round(last_s * NANOSECONDS) if is_time_of_day else 0)
 
 
 def _messages(path: Path, channel: str | None, losses: list[str] | None) -> Iterator[can.Message]:
@@ -145,8 +146,8 @@ def _messages(path: Path, channel: str | None, losses: list[str] | None) -> Iter
     try:
         with contextlib.closing(_Reader(path)) as reader:
             for message in _of_channel(reader, path, channel):
-                if not math.isfinite(message.timestamp):
-                    raise ValueError(f"a frame at {message.timestamp} s")
+                if not math.isfinite(message.timestamp) or len(message.data) > MOST_DATA:
+                    raise ValueError(f"a frame at {message.timestamp} s, of {len(message.data)} bytes")
                 count += 1
                 yield message
             lost = reader.cut(count)

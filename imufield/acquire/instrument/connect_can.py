@@ -7,7 +7,6 @@ the same frames, the user says which it is.
 
 from __future__ import annotations
 
-import logging
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -127,8 +126,6 @@ def probe_bus(options: ConnectOptions, clock: HostClock, say: Say, *, ask: bool)
 
 def _recognised(options: ConnectOptions, clock: HostClock, say: Say) -> tuple[CanLink, list[Chunk], Listener]:
     """Return the open bus, what arrived, and who understood it; raises as ``connect_bus``."""
-    # python-can logs every driver that is not installed; the error of the bus has it in one sentence.
-    logging.getLogger("can").setLevel(logging.CRITICAL)
     bus = options.bus or ""
     address = parse_bus(bus)
     candidates = bus_candidates(options, say)

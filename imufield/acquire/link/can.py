@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import logging
 import re
 import socket
 import time
@@ -45,6 +46,8 @@ from imufield.errors import LinkError, Reason, UsageError
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
+# python-can logs lines of a file as they are, and every driver that is not installed; what it means is said in a sentence.
+logging.getLogger("can").setLevel(logging.CRITICAL)
 
 MOST_FRAMES = 4096
 """Most frames of one chunk: 0.2 s of the busiest bus of 1 Mbit/s; what remains is the next chunk."""

@@ -7,6 +7,7 @@ bit, big-endian ("Motorola") ones at their most significant.
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -17,9 +18,9 @@ import numpy as np
 from cantools.database import Database, Message, Signal
 from numpy.typing import NDArray
 
-from imufield.acquire.protocol.can_frames import EXTENDED, ID_MASK
+from imufield.acquire.protocol.can_frames import EXTENDED, ID_MASK, MOST_DATA
 from imufield.acquire.protocol.layout import MessageValue, Numbers
-from imufield.acquire.protocol.toml import near
+from imufield.acquire.protocol.toml import LARGEST, LEAST_SCALE, near
 from imufield.errors import ProtocolError, Reason
 from imufield.sentences import Sentences
 
@@ -28,6 +29,10 @@ sentence = Sentences(__package__)
 Rows = NDArray[np.uint8]
 
 CLASSICAL_BYTES = 8
+_MOST_BITS = 64
+_FLOAT_BITS = (16, 32, 64)
+# cantools logs names of a file as they are; what it finds is checked below.
+logging.getLogger("cantools").setLevel(logging.CRITICAL)
 # J1939: below this PDU format 240 the lower byte is a destination address and no part of the group number.
 _PDU1_BELOW = 0xF000
 _NOT_AVAILABLE = re.compile(
@@ -274,11 +279,22 @@ class DbcFile:
 
     def _compile(self, message: Message, signal: Signal) -> tuple[CanMessage, CanSignal]:
         is_j1939 = self._is_j1939(message)
-        compiled = compile_signal(signal, is_j1939)
-        if compiled.bytes_needed > message.length:
-            names = {"label": self.label, "message": message.name, "signal": signal.name}
-            raise ProtocolError(sentence("can_dbc.too_long", byte=compiled.bytes_needed, size=message.length, **names))
-        return CanMessage.of(message, _selectors(message, signal), is_j1939), compiled
+        compiled, selectors = compile_signal(signal, is_j1939), _selectors(message, signal)
+        for each in (compiled, *(selector for selector, _ in selectors)):
+            self._check(message, each)
+        return CanMessage.of(message, selectors, is_j1939), compiled
+
+    def _check(self, message: Message, signal: CanSignal) -> None:
+        """Refuse a signal that no frame can hold, or that nothing can be computed with."""
+        names = {"label": self.label, "message": message.name, "signal": signal.name}
+        if not 1 <= signal.length <= _MOST_BITS or signal.start < 0 or (signal.is_float and signal.length not in _FLOAT_BITS):
+            raise ProtocolError(sentence("can_dbc.bits", start=signal.start, length=signal.length, most=_MOST_BITS, **names))
+        size = min(message.length, MOST_DATA)
+        if signal.bytes_needed > size:
+            raise ProtocolError(sentence("can_dbc.too_long", byte=signal.bytes_needed, size=size, **names))
+        # Written so that nan is outside.
+        if not (LEAST_SCALE <= abs(signal.factor) <= LARGEST and abs(signal.offset) <= LARGEST):
+            raise ProtocolError(sentence("can_dbc.factor", factor=signal.factor, offset=signal.offset, **names))
 
     def _unknown(self, what: str, name: str, there: Iterable[Message | Signal]) -> ProtocolError:
         known = list(dict.fromkeys(each.name for each in there))
@@ -297,8 +313,9 @@ def compile_signal(signal: Signal, is_j1939: bool = False) -> CanSignal:
         big_endian=signal.byte_order == "big_endian",
         is_signed=bool(signal.is_signed),
         is_float=bool(signal.is_float),
-        factor=float(signal.scale),
-        offset=float(signal.offset),
+        # By their text, as the float of a whole number of 400 digits is an error and that of its text is infinite.
+        factor=float(str(signal.scale)),
+        offset=float(str(signal.offset)),
         unit=signal.unit or "",
         codes=tuple(codes),
     )
@@ -331,6 +348,8 @@ def _codes_of_table(signal: Signal) -> list[Code]:
     """Return the values that the file's value table calls invalid, not available or an error."""
     codes = []
     for value, text in (signal.choices or {}).items():
+        if abs(value) >> _MOST_BITS:
+            continue  # No signal has it.
         is_error = bool(_ERROR.search(str(text)) and not _NO_ERROR.search(str(text)))
         if is_error or _NOT_AVAILABLE.search(str(text)):
             codes.append(Code(value, value, is_error))

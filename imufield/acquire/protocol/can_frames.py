@@ -45,7 +45,8 @@ _CONTINUATION = 0xFFFFFFFF
 _MORE = struct.Struct("<I20s")
 _MARK_BYTES = MARK.to_bytes(2, "little")
 _MARK_AT = 6
-_LATEST_S = 1e11  # In the year 5138, if seconds since 1970.
+LATEST_S = 1e11
+"""In the year 5138, if seconds since 1970."""
 # Data bytes in the unit of a frame, and in each continuation.
 _FIRST = 8
 _FURTHER = 20
@@ -220,9 +221,9 @@ def _units_of(data: bytes) -> Units:
 
 def _possible(time_s: FloatArray) -> FloatArray:
     """Replace time stamps that are none, which a damaged recording may hold, by the one before."""
-    if not len(time_s) or np.abs(time_s).max() < _LATEST_S:
+    if not len(time_s) or np.abs(time_s).max() < LATEST_S:
         return time_s
-    good = np.abs(time_s) < _LATEST_S
+    good = np.abs(time_s) < LATEST_S
     place = np.maximum.accumulate(np.where(good, np.arange(len(time_s)), -1))
     return np.where(place >= 0, time_s[place], 0.0)
 

@@ -19,13 +19,15 @@ from imufield.acquire.protocol.samples_and_clock import (
     ClockRule,
     FlagRule,
     read_flag,
+    read_rate,
     read_shift,
     read_steps,
     sample_units,
 )
-from imufield.acquire.protocol.toml import Table, near
+from imufield.acquire.protocol.toml import LARGEST, Table, near
 from imufield.acquire.protocol.units import TO_SI, UNITS_OF, unit_name
 from imufield.errors import ProtocolError, Reason
+from imufield.limits import BAUD_RANGE
 from imufield.samples import SampleUnits
 from imufield.sentences import Sentences
 
@@ -39,6 +41,7 @@ _PLACES = {"accelerometer": 0, "gyroscope": 3}
 _TICKS_PER_S = {"s": 1.0, "sec": 1.0, "ms": 1e3, "us": 1e6, "µs": 1e6, "ns": 1e9}
 _ABSOLUTE_ZERO_DEGC = -273.15
 _LONGEST_LIMIT_S = 10.0
+_SHORTEST_LIMIT_S = 1e-6  # Below the time of one frame on the fastest bus.
 _MOST_BITS = 62  # Of a counter: arithmetic is done in 64 bits with a sign.
 _LONG_TIME_BITS = 48  # A time stamp of so many bits runs for 8.9 years of microseconds before it wraps.
 _Found = TypeVar("_Found")
@@ -172,7 +175,7 @@ def read_can(top: Table) -> tuple[CanRule, SampleUnits, ClockRule]:
         counter_steps=read_steps(clock, "counter_steps"),
         time_modulus=mapped.time_modulus,
         time_ticks_per_s=clock.number("time_ticks_per_s", mapped.ticks_per_s, low=LEAST_TICKS_PER_S, high=MOST_TICKS_PER_S),
-        rate_hz=clock.number("rate_hz", 0.0, low=0, high=MOST_TICKS_PER_S),
+        rate_hz=read_rate(clock),
     )
     units = sample_units(clock, clock_rule, units_of["accelerometer"] or "m/s^2", units_of["gyroscope"] or "rad/s")
     rule = CanRule(
@@ -181,7 +184,7 @@ def read_can(top: Table) -> tuple[CanRule, SampleUnits, ClockRule]:
         assembly=_read_assembly(assembly, mapped),
         messages=tuple(_in_file(can, "messages", dbc.message, name) for name in can.texts("messages")),
         source_address=can.integer("source_address", 0, ANY_ADDRESS, ANY_ADDRESS),
-        bit_rate=can.optional_integer("bit_rate", 1, 20_000_000),
+        bit_rate=can.optional_integer("bit_rate", *BAUD_RANGE),
     )
     for table in (can, assembly, clock, embedded, mapped.table):
         table.finish()
@@ -307,7 +310,7 @@ def _read_assembly(table: Table, mapped: _Mapping) -> AssemblyRule:
     return AssemblyRule(
         mapped.number_of(table, "starts_with", start) if start else None,
         tuple(mapped.number_of(table, "needs", name) for name in table.texts("needs")),
-        min(table.number("limit_s", 0.0, low=0), _LONGEST_LIMIT_S),
+        min(table.known_number("limit_s", low=_SHORTEST_LIMIT_S, high=LARGEST), _LONGEST_LIMIT_S),
         bool(counters),
     )
 

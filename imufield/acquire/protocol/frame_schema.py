@@ -280,7 +280,7 @@ def _read_field(table: Table, default_big: bool) -> Field:
             count=count,
             size=(1 if kind == FORMAT else NUMBER_BYTES[kind]) * count,
             big_endian=_byte_order(table, default_big),
-            factor=table.number("scale", 1.0) / 2.0 ** table.integer("fraction_bits", 0, 64, fraction_bits),
+            factor=table.scale("scale", 1.0) / 2.0 ** table.integer("fraction_bits", 0, 64, fraction_bits),
             offset=table.number("offset", 0.0),
             unit=table.text("unit", ""),
             bits=tuple(_read_bits(each) for each in table.tables("bits")),

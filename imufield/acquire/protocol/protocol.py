@@ -28,11 +28,12 @@ from imufield.acquire.protocol.samples_and_clock import (
     sample_units,
 )
 from imufield.acquire.protocol.settings import Setting, choose_settings, read_rules
-from imufield.acquire.protocol.toml import FILE_LIMIT_BYTES, Source, Table, near
+from imufield.acquire.protocol.toml import FILE_LIMIT_BYTES, LEAST_SCALE, Source, Table, near
 from imufield.acquire.protocol.units import SI_UNITS, TO_SI, UNITS_OF
 from imufield.errors import ProtocolError, Reason, UnknownNameError
 from imufield.samples import FloatArray, SampleUnits
 from imufield.sentences import Sentences
+from imufield.toml_files import decode_toml
 
 sentence = Sentences(__package__)
 
@@ -167,11 +168,9 @@ def _find_text(name_or_path: str | Path) -> tuple[str, str]:
             content = file.read(FILE_LIMIT_BYTES + 1)
         if len(content) > FILE_LIMIT_BYTES:
             raise ProtocolError(sentence("protocol.size", name=path.name, limit=FILE_LIMIT_BYTES), path=path)
-        return path.name, content.decode("utf-8-sig")
+        return path.name, decode_toml(content, path.name, ProtocolError)
     except OSError as error:
         raise ProtocolError(sentence("protocol.cannot_read", path=path, cause=error.strerror)) from error
-    except UnicodeDecodeError as error:
-        raise ProtocolError(sentence("protocol.no_text", name=path.name, byte=error.start), path=path) from error
 
 
 def _read_beside(name_or_path: str | Path, name: str) -> str:
@@ -276,8 +275,8 @@ def _read_nominal(top: Table, units: SampleUnits, clock: ClockRule) -> Nominal:
         for part, unit in (("accelerometer", units.accelerometer), ("gyroscope", units.gyroscope)):
             perfect = 1.0 if unit in SI_UNITS else None
             _, factor = TO_SI[table.choice(f"{part}_range_unit", TO_SI, UNITS_OF[part][0])]
-            scales.append(table.number(f"{part}_scale") if table.has(f"{part}_scale") else perfect)
-            ranges.append(table.number(f"{part}_range") * factor if table.has(f"{part}_range") else None)
+            scales.append(table.scale(f"{part}_scale") if table.has(f"{part}_scale") else perfect)
+            ranges.append(table.number(f"{part}_range", low=LEAST_SCALE) * factor if table.has(f"{part}_range") else None)
         return Nominal(
             accelerometer_scale=scales[0],
             gyroscope_scale=scales[1],

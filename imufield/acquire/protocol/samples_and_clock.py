@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from imufield.acquire.protocol.checksum import Checksum, make_checksum
 from imufield.acquire.protocol.toml import Table
 from imufield.errors import ProtocolError
+from imufield.limits import RATE_RANGE_HZ
 from imufield.samples import INSTRUMENT_STATUS_SHIFT, IntArray, SampleUnits, Status
 from imufield.sentences import Sentences
 
@@ -25,6 +26,7 @@ COLUMNS = ("time", "counter", "ax", "ay", "az", "gx", "gy", "gz", "temperature",
 # No instrument counts more slowly than every quarter of an hour, or faster than femtoseconds.
 LEAST_TICKS_PER_S = 1e-3
 MOST_TICKS_PER_S = 1e15
+_MOST_TICKS = 1 << 53  # A float tells all smaller numbers of ticks apart.
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,12 +221,12 @@ def _read_quantity(table: Table) -> Quantity:
         scale_when = None
         if table.has("scale_when"):
             with table.table("scale_when") as when:
-                scale_when = ScaleWhen(when.text("field"), when.integer("mask", 1, (1 << 63) - 1), when.number("scale"))
+                scale_when = ScaleWhen(when.text("field"), when.integer("mask", 1, (1 << 63) - 1), when.scale("scale"))
         return Quantity(
             fields=table.texts("fields"),
             unit=table.text("unit") if table.has("unit") else None,
             increment=table.flag("increment"),
-            scale=table.number("scale", 1.0),
+            scale=table.scale("scale", 1.0),
             scale_when=scale_when,
         )
 
@@ -264,13 +266,13 @@ def read_clock(top: Table) -> ClockRule:
         time = TimeRule(times[0].field, longest, NANOSECONDS) if several else times[0]
         return ClockRule(
             counter_field=counter.text("field", ""),
-            counter_modulus=counter.integer("modulus", 0, 1 << 53, 0),
-            counter_ticks_per_s=counter.number("ticks_per_s", 0.0, low=0, high=MOST_TICKS_PER_S),
+            counter_modulus=counter.known_integer("modulus", low=2, high=_MOST_TICKS),
+            counter_ticks_per_s=counter.known_number("ticks_per_s", low=LEAST_TICKS_PER_S, high=MOST_TICKS_PER_S),
             counter_steps=read_steps(counter, "steps"),
             time_field=time.field,
             time_modulus=time.modulus,
             time_ticks_per_s=time.ticks_per_s,
-            rate_hz=table.number("rate_hz", 0.0, low=0, high=MOST_TICKS_PER_S),
+            rate_hz=read_rate(table),
             counter_jitter=counter.integer("jitter", 0, 1 << 16, 0),
             counter_counts_others=counter.flag("counts_others"),
             times=tuple(times) if several else (),
@@ -280,14 +282,19 @@ def read_clock(top: Table) -> ClockRule:
 
 def read_steps(table: Table, key: str) -> tuple[int, ...]:
     """Read the steps that a counter may make from one sample to the next; 1 where none is given."""
-    return tuple(step for step in table.items(key, [1]) if isinstance(step, int) and step > 0) or (1,)
+    return table.integers(key, 1, _MOST_TICKS, (1,))
+
+
+def read_rate(table: Table) -> float:
+    """Read the nominal sample rate in Hz of ``[clock]``; 0 where it is not known."""
+    return table.known_number("rate_hz", low=RATE_RANGE_HZ[0], high=RATE_RANGE_HZ[1])
 
 
 def _read_time(table: Table) -> TimeRule:
     with table:
         return TimeRule(
             table.text("field", ""),
-            table.integer("modulus", 0, 1 << 53, 0),
+            table.known_integer("modulus", low=2, high=_MOST_TICKS),
             table.number("ticks_per_s", 1.0, low=LEAST_TICKS_PER_S, high=MOST_TICKS_PER_S),
         )
 

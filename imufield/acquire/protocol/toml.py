@@ -11,8 +11,6 @@ from __future__ import annotations
 
 import copy
 import difflib
-import re
-import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -20,6 +18,7 @@ from typing import Self, TypeVar
 
 from imufield.errors import ProtocolError, Reason
 from imufield.sentences import Sentence, Sentences, shortened
+from imufield.toml_files import Place, line_of, parse_toml
 
 sentence = Sentences(__package__)
 
@@ -29,15 +28,13 @@ FILE_LIMIT_BYTES = 1 << 20
 OTHER = "other"
 """In a look-up by a setting: for every value that is not listed."""
 
-LARGEST = 1e300
-"""Of numbers: infinity and NaN are none that a person means."""
+LARGEST = 1e30
+"""Of numbers: nobody means more, and squares and products of what is smaller are numbers."""
 
-DEEPEST = 32
-"""Levels of tables and arrays in each other; shipped protocols have eight."""
+LEAST_SCALE = 1e-30
+"""Of factors, whatever their sign: nothing can be told from what is multiplied by 0."""
 
-Path = tuple[str | int, ...]
 _Kind = TypeVar("_Kind")
-_BRACE = re.compile("[{}]")
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,65 +44,23 @@ class Source:
     label: str
     text: str
 
-    def error(self, path: Path, problem: str, reason: Reason | None = None) -> ProtocolError:
+    def error(self, path: Place, problem: str, reason: Reason | None = None) -> ProtocolError:
         """Return the error for the value at ``path``; its key and values are those of the problem."""
         key = ".".join(map(str, path)) or "(whole file)"
-        message = sentence("toml.place", label=self.label, line=self.line_of(path), key=key, problem=problem)
+        message = sentence("toml.place", label=self.label, line=line_of(self.text, path), key=key, problem=problem)
         if isinstance(problem, Sentence):
             message.key, message.values = problem.key, {**problem.values, "key": key}
         return ProtocolError(message, reason)
 
-    def line_of(self, path: Path) -> int:
-        """Return the number of the line, from 1, where the value at ``path`` is written, as near as it can be found."""
-        at = 0
-        for part in path:
-            behind = self._behind_element(at, part) if isinstance(part, int) else self._behind_key(at, part)
-            if behind is None:
-                break
-            at = behind
-        return 1 + self.text.count("\n", 0, at)
-
-    def _behind_key(self, at: int, name: str) -> int | None:
-        key = re.compile(rf"(?<![\w-])[\"']?{re.escape(name)}[\"']?[^\S\n]*[=.\]]")
-        for found in key.finditer(self.text, at):
-            line = self.text[self.text.rfind("\n", 0, found.start()) + 1 : found.start()]
-            if not line.lstrip().startswith("#"):
-                return found.end()
-        return None
-
-    def _behind_element(self, at: int, index: int) -> int | None:
-        """Find the element ``index`` of an array: by its opening brace, nested ones passed over."""
-        depth, seen = 0, -1
-        for brace in _BRACE.finditer(self.text, at):
-            depth += 1 if brace[0] == "{" else -1
-            seen += brace[0] == "{" and depth == 1
-            if seen == index:
-                return brace.end()
-        return None
-
     def parse(self) -> dict[str, object]:
-        """Parse the text as TOML.
-
-        Raises
-        ------
-        ProtocolError
-            If it is no TOML, then the message has the line, or nests too deeply.
-        """
-        try:
-            found: dict[str, object] | None = copy.deepcopy(_loaded(self.text))
-        except tomllib.TOMLDecodeError as error:
-            raise ProtocolError(sentence("toml.unreadable", label=self.label, error=error)) from error
-        except RecursionError:
-            found = None
-        if found is None or _nests(found, DEEPEST):
-            raise ProtocolError(sentence("toml.nested", label=self.label))
-        return found
+        """Parse the text as TOML; raises ProtocolError as ``parse_toml``."""
+        return copy.deepcopy(_parsed(self.text, self.label))
 
 
 # Recognising an instrument reads each protocol several times, and reading the text is most of the work.
 @lru_cache(maxsize=64)
-def _loaded(text: str) -> dict[str, object]:
-    return tomllib.loads(text)
+def _parsed(text: str, label: str) -> dict[str, object]:
+    return parse_toml(text, label, ProtocolError)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -116,7 +71,7 @@ class Table:
     """
 
     values: dict[str, object]
-    path: Path
+    path: Place
     source: Source
     settings: Mapping[str, object] = field(default_factory=dict)
     _known: set[str] = field(default_factory=set)
@@ -159,18 +114,44 @@ class Table:
     def number(self, key: str, default: float | None = None, *, low: float = -LARGEST, high: float = LARGEST) -> float:
         """Return a finite number from ``low`` to ``high``."""
         found = self.value(key, default)
-        if isinstance(found, bool) or not isinstance(found, (int, float)) or not abs(found) <= LARGEST:
+        if isinstance(found, bool) or not isinstance(found, (int, float)):
             raise self.error(key, sentence("toml.number", found=_shown(found)))
+        # Written so that nan is outside.
         if not low <= found <= high:
             raise self.error(key, sentence("toml.range", low=low, high=high, found=_shown(found)))
         return float(found)
 
+    def known_number(self, key: str, *, low: float, high: float) -> float:
+        """Return a number from ``low`` to ``high``, 0 where it is not known: by no key, or by a setting that is 0."""
+        return 0.0 if self._is_unknown(key) else self.number(key, low=low, high=high)
+
+    def scale(self, key: str, default: float | None = None) -> float:
+        """Return a factor, which is not 0."""
+        found = self.number(key, default)
+        if abs(found) < LEAST_SCALE:
+            raise self.error(key, sentence("toml.scale", least=LEAST_SCALE, found=_shown(found)))
+        return found
+
     def integer(self, key: str, low: int, high: int, default: int | None = None) -> int:
         """Return a whole number from ``low`` to ``high``."""
-        found = self.value(key, default)
+        return self._integer(key, self.value(key, default), low, high)
+
+    def integers(self, key: str, low: int, high: int, default: tuple[int, ...]) -> tuple[int, ...]:
+        """Return an array of at least one whole number from ``low`` to ``high``."""
+        return tuple(self._integer(key, found, low, high) for found in self.items(key, [*default]) or [None])
+
+    def known_integer(self, key: str, *, low: int, high: int) -> int:
+        """Return a whole number from ``low`` to ``high``, 0 where it is not known: by no key, or by a setting that is 0."""
+        return 0 if self._is_unknown(key) else self.integer(key, low, high)
+
+    def _integer(self, key: str, found: object, low: int, high: int) -> int:
         if isinstance(found, bool) or not isinstance(found, int) or not low <= found <= high:
             raise self.error(key, sentence("toml.integer", low=low, high=high, found=_shown(found)))
         return found
+
+    def _is_unknown(self, key: str) -> bool:
+        # What the file itself states must make sense: who does not know a number leaves its key out.
+        return not self.has(key) or (isinstance(self.plain(key), dict) and self.value(key) == 0)
 
     def flag(self, key: str, default: bool = False) -> bool:
         """Return true or false."""
@@ -250,12 +231,6 @@ def spell(value: object) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _nests(value: object, levels: int) -> bool:
-    """Whether tables and arrays stand in each other by more levels than that."""
-    inside = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-    return levels < 0 or any(_nests(inner, levels - 1) for inner in inside)
 
 
 def _shown(value: object) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import sys
-import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime, timedelta
@@ -18,6 +17,7 @@ from imufield.acquire.recording.session_record import FORMAT, VERSION, SessionRe
 from imufield.errors import Reason, RecordingError
 from imufield.files import DEFAULT_ROOT, read_small_file, sync_folder, typed_write_errors, write_atomically
 from imufield.sentences import Sentences
+from imufield.toml_files import decode_toml, parse_toml
 from imufield.version import __version__
 
 sentence = Sentences(__package__)
@@ -114,13 +114,13 @@ class Session:
             folder = folder.parent
         path = folder / SETTINGS_FILE
         try:
-            content = tomllib.loads(read_small_file(path).decode())
+            content = read_small_file(path)
         except (FileNotFoundError, NotADirectoryError) as error:
             raise RecordingError(sentence("session.no_session", folder=str(folder)), Reason.NOT_A_RECORDING) from error
-        except (OSError, ValueError) as error:
-            unreadable = sentence("session.unreadable", path=str(path), cause=getattr(error, "strerror", error))
+        except OSError as error:
+            unreadable = sentence("session.unreadable", path=str(path), cause=error.strerror)
             raise RecordingError(unreadable, Reason.DAMAGED) from error
-        return cls(folder, content)
+        return cls(folder, parse_toml(decode_toml(content, str(path), RecordingError), str(path), RecordingError))
 
     @classmethod
     def newest(cls, root: str | Path = DEFAULT_ROOT) -> Self:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from enum import Enum
 from pathlib import Path, PurePath
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
-from imufield.earth import GRAVITY_RANGE_M_S2, HEIGHT_RANGE_M
+from imufield.earth import GRAVITY_RANGE_M_S2, HEIGHT_RANGE_M, MEASURED_GRAVITY_SIGMA_M_S2
 from imufield.errors import Reason, RecordingError
+from imufield.limits import BAUD_RANGE, HOLD_RANGE_S, RATE_RANGE_HZ, TARGET_RANGE
 from imufield.samples import ACCELEROMETER_COLUMNS, LARGEST_OUTPUT
 from imufield.sentences import Sentences
 
@@ -33,10 +33,16 @@ KEYS: Mapping[str, type] = {
 Table = dict[str, Any]  # Of a TOML document, whose values have every type that TOML knows.
 
 
-_POSITIVE = math.ulp(0.0)  # The smallest number above 0, as a lower limit.
+# Squares and quotients of what stands between them are numbers.
+_TINY = 1e-30
+_HUGE = 1e30
+_TYPES: Mapping[str, type] = {"str": str, "bool": bool, "int": int, "float": float}
 
 
-def _number(low: float = -math.inf, high: float = math.inf) -> float | None:
+_Number = TypeVar("_Number", int, float)
+
+
+def _number(low: _Number, high: _Number) -> _Number | None:
     """Declare a number that a person may edit and a program computes with; the limits are part of the sentence."""
     return field(default=None, metadata={"low": low, "high": high})
 
@@ -57,10 +63,11 @@ class LinkRecord:
 
     port: str | None = None
     bus: str | None = None
-    baud: int | None = None
-    bit_rate: int | None = None
-    rate_hz: float | None = None
-    rate_before_hz: float | None = None  # What a person sets again where a killed program did not.
+    baud: int | None = _number(*BAUD_RANGE)
+    bit_rate: int | None = _number(*BAUD_RANGE)
+    rate_hz: float | None = _number(*RATE_RANGE_HZ)
+    # What a person sets again where a killed program did not: 0 where the output was off.
+    rate_before_hz: float | None = _number(0.0, RATE_RANGE_HZ[1])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,12 +100,12 @@ class NominalRecord:
 class GuideRecord:
     """Table ``guide``: what was chosen when a guided session began, in the order in which it is written."""
 
-    hold_s: float | None = _number(_POSITIVE)
-    target_bias_ug: float | None = _number(_POSITIVE)
-    target_scale_ppm: float | None = _number(_POSITIVE)
+    hold_s: float | None = _number(*HOLD_RANGE_S)
+    target_bias_ug: float | None = _number(*TARGET_RANGE)
+    target_scale_ppm: float | None = _number(*TARGET_RANGE)
     rotations: str | None = None
-    earlier_scale_raw: float | None = _number(_POSITIVE)
-    earlier_scale_sigma: float | None = _number(_POSITIVE)
+    earlier_scale_raw: float | None = _number(_TINY, _HUGE)
+    earlier_scale_sigma: float | None = _number(_TINY, _HUGE)
     revisit_first: bool | None = None
 
 
@@ -107,7 +114,8 @@ class SiteRecord:
     """Table ``site``: what was typed, nothing computed."""
 
     gravity_m_s2: float | None = _number(*GRAVITY_RANGE_M_S2)
-    gravity_sigma_m_s2: float | None = _number()  # By the digits typed; None where gravity has none of its own.
+    # By the digits typed; None where gravity has none of its own.
+    gravity_sigma_m_s2: float | None = _number(MEASURED_GRAVITY_SIGMA_M_S2, GRAVITY_RANGE_M_S2[1])
     latitude_deg: float | None = _number(-90.0, 90.0)
     height_m: float | None = _number(*HEIGHT_RANGE_M)
 
@@ -167,7 +175,7 @@ class SessionRecord:
         tables = {name: _read_table(kind, name, content, path) for name, kind in _TABLES.items()}
         zero = content.get("nominal", {}).get("raw_zero")
         zeros: list[Any] = zero if isinstance(zero, list) and len(zero) == len(ACCELEROMETER_COLUMNS) else [zero]
-        for value in zeros:
+        for value in zeros if zero is not None else ():
             _check_number("nominal.raw_zero", value, path, low=-LARGEST_OUTPUT, high=LARGEST_OUTPUT)
         # One number stands for all axes.
         raw_zero = None if zero is None else tuple(float(value) for value in zeros * (3 // len(zeros)))
@@ -210,27 +218,29 @@ def _plain(value: object) -> object:
 
 
 def _read_table(kind: type, name: str, content: Table, path: Path) -> Any:
-    """Return a table as a record; its numbers are checked, keys that nothing reads stay in the file."""
+    """Return a table as a record; its values are of the types declared, keys that nothing reads stay in the file."""
     table = content.get(name, {})
     values = {}
     for entry in fields(kind):
         if entry.name in table:
-            value = table[entry.name]
+            value, key = table[entry.name], f"{name}.{entry.name}"
+            wanted = _TYPES[str(entry.type).partition(" ")[0]]
             if entry.metadata:
-                _check_number(f"{name}.{entry.name}", value, path, **entry.metadata)
-                # Typed by hand it may be a whole number.
-                value = float(value)
+                _check_number(key, value, path, **entry.metadata)
+                # Typed by hand a rate may be a whole number.
+                value = wanted(value)
+            elif not isinstance(value, wanted):
+                raise _refused("session_record.type", path, key=key, value=value)
             values[entry.name] = value
     return kind(**values)
 
 
-def _check_number(key: str, value: object, path: Path, *, low: float = -math.inf, high: float = math.inf) -> None:
+def _check_number(key: str, value: object, path: Path, *, low: float, high: float) -> None:
     """Refuse what nothing can be computed with."""
-    # To Python a bool is an integer, and TOML can spell nan and inf.
-    is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    if value is not None and not (is_number and low <= value <= high):  # type: ignore[operator]  # a number by now
-        text = "session_record.number" if high < math.inf else "session_record.value"
-        raise _refused(text, path, key=key, value=value, low=low, high=high)
+    # To Python a bool is an integer. Written so that nan, which TOML can spell, is outside.
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not (is_number and low <= value <= high):  # type: ignore[operator]  # a number by now
+        raise _refused("session_record.number", path, key=key, value=value, low=low, high=high)
 
 
 def _check_keys(content: Table, path: Path) -> None:

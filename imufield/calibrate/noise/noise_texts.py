@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import importlib
 import io
+import os
+import re
 from typing import Literal
 
 import numpy as np
@@ -15,7 +17,7 @@ import numpy as np
 from imufield.calibrate.noise.noise import NoiseResult
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import Reason, UsageError
-from imufield.sentences import Sentences
+from imufield.sentences import Sentences, shortened
 
 sentence = Sentences(__package__)
 
@@ -90,8 +92,13 @@ def draw_plot(result: NoiseResult, kind: str) -> bytes:
     Raises
     ------
     UsageError
-        If matplotlib is not installed, or does not write such files.
+        If matplotlib is not installed, or does not write such files, or takes their date from an environment variable that is
+        none.
     """
+    date = os.environ.get("SOURCE_DATE_EPOCH")
+    # Of 11 digits, in the year 5138, is the last that every system makes a date of.
+    if date and not re.fullmatch("[0-9]{1,11}", date):
+        raise UsageError(sentence("noise_texts.source_date", date=shortened(date)))
     try:
         figure = importlib.import_module("matplotlib.figure").Figure(figsize=(9.0, 4.5), layout="constrained")
     except ImportError as error:

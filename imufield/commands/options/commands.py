@@ -28,6 +28,7 @@ from imufield.commands.options.shared import (
 )
 from imufield.errors import UsageError
 from imufield.files import DEFAULT_ROOT
+from imufield.limits import BAUD_RANGE, HOLD_RANGE_S, RATE_RANGE_HZ, TARGET_RANGE
 from imufield.sentences import Sentences
 
 if TYPE_CHECKING:
@@ -95,17 +96,19 @@ class CaptureOptions:
 
     connect: ConnectionOptions
     positions: Annotated[str | None, option(help="Scheme: paper24, paper36, corners24, faces6 or a TOML list.")] = None
-    # More than ten minutes is a slip of the finger: 24 positions would take a working day.
-    hold_s: Annotated[float | None, option(help="Seconds to hold each position.", low=1, high=600)] = None
+    hold_s: Annotated[float | None, option(help="Seconds to hold each position.", within=HOLD_RANGE_S)] = None
     session: SessionFolder = None
     resume: Annotated[bool, option("--resume", help="Go on with an unfinished session.")] = False
     site: PlaceOptions = field(default_factory=unknown_site)
     plain: Plain = False
     as_json: EventsAsJson = False
     target_bias_ug: Annotated[
-        float | None, option("--target-bias-ug", help="Hold and go on until biases are known so well, 1 sigma.", low=0.1)
+        float | None,
+        option("--target-bias-ug", help="Hold and go on until biases are known so well, 1 sigma.", within=TARGET_RANGE),
     ] = None
-    target_scale_ppm: Annotated[float | None, option("--target-scale-ppm", help="The same for scale factors.", low=0.1)] = None
+    target_scale_ppm: Annotated[
+        float | None, option("--target-scale-ppm", help="The same for scale factors.", within=TARGET_RANGE)
+    ] = None
     preset: Annotated[Path | None, option(help="Parameter file in force before: shows a wrong gravity.")] = None
     rotations: Annotated[
         str | None, option(help="Whole turns for the gyroscope: rolled (edge over edge) or table (against a stop).")
@@ -183,7 +186,9 @@ class ReplayOptions:
     session: NewestSession = None
     to_pty: Annotated[bool, option("--to-pty", help="Replay the bytes to a virtual serial port.")] = False
     bus: Annotated[str | None, option(help="Replay the frames to a CAN bus, e.g. socketcan:vcan0.")] = None
-    bit_rate: Annotated[int | None, option("--baud", help="Bit rate of the bus, where it is set on opening.", low=50)] = None
+    bit_rate: Annotated[
+        int | None, option("--baud", help="Bit rate of the bus, where it is set on opening.", within=BAUD_RANGE)
+    ] = None
     speed: Annotated[float, option(help="Times real time for --to-pty and --bus; 0 is as fast as possible.", low=0)] = 1.0
     as_json: EventsAsJson = False
 
@@ -199,7 +204,9 @@ class EmulateOptions:
     form: Annotated[str | None, option(help="What it sends, e.g. RAWIMUX; a wrong name lists all.")] = None
     settings: Settings = field(default_factory=dict)
     bus: Annotated[str | None, option(help="CAN bus, e.g. udp_multicast:239.0.0.1 (default: slcan on a port).")] = None
-    rate_hz: Annotated[float | None, option(help="Sample rate (default: the instrument's usual one).", low=1)] = None
+    rate_hz: Annotated[
+        float | None, option(help="Sample rate (default: the instrument's usual one).", low=1, high=RATE_RANGE_HZ[1])
+    ] = None
     speed: Annotated[float, option(help="Times real time.", low=0.1)] = 1.0
     grade: Annotated[str, option(help="navigation, tactical, industrial or mems.")] = "tactical"
     seed: Annotated[int, option(help="Seed of instrument, operator and faults.", low=0, high=LARGEST_SEED)] = 1
@@ -210,7 +217,7 @@ class EmulateOptions:
     ] = None
     style: Annotated[str, option(help="placed (on a surface) or held (in the hand).")] = "placed"
     rotations: Annotated[str | None, option(help="Whole turns after the positions: rolled or table.")] = None
-    hold_s: Annotated[float, option(help="Seconds the virtual operator holds each position.", low=1)] = 14.0
+    hold_s: Annotated[float, option(help="Seconds the virtual operator holds each position.", within=HOLD_RANGE_S)] = 14.0
     wait: Annotated[
         bool | None,
         option("--wait/--no-wait", help="Begin when a program opens the port (default without --json, --duration-s)."),

@@ -5,7 +5,6 @@ A field of an options class is an option where its annotation carries ``typer.Op
 and annotations are not postponed, because the command line is made from them.
 """
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -15,6 +14,7 @@ import typer
 
 from imufield.commands.configuration import parse_settings
 from imufield.errors import UsageError
+from imufield.limits import BAUD_RANGE, RATE_RANGE_HZ
 from imufield.sentences import Sentences
 
 if TYPE_CHECKING:
@@ -25,6 +25,8 @@ sentence = Sentences(__package__)
 
 LARGEST_SEED = 2**63 - 1
 """What a parameter file can hold."""
+# 30 years of seconds: whatever an option is in, what is larger is a slip, and its square may be no number.
+_LARGEST = 1e9
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,14 +54,21 @@ class Group:
 
 
 def option(
-    *names: str, low: float | None = None, high: float = math.inf, check: Callable[[Any], Any] | None = None, **more: Any
+    *names: str,
+    low: float | None = None,
+    high: float = _LARGEST,
+    within: tuple[float, float] | None = None,
+    check: Callable[[Any], Any] | None = None,
+    **more: Any,
 ) -> Any:
     """Return ``typer.Option``; the value of a number is checked against its limits, another by ``check``, which returns it.
 
     The limits of typer itself are printed in every help, where those of a seed leave no room for words.
     """
+    if low is not None:
+        within = low, high
     # Files are opened by the commands, which say what is wrong with one and how to go on.
-    return typer.Option(*names, callback=check if low is None else _within(low, high), readable=False, **more)
+    return typer.Option(*names, callback=check if within is None else _within(*within), readable=False, **more)
 
 
 def argument(**more: Any) -> Any:
@@ -71,8 +80,7 @@ def _within(low: float, high: float) -> Callable[[Any], Any]:
     def check(value: Any) -> Any:
         # Written so that NaN is outside.
         if value is not None and not low <= value <= high:
-            key = "shared.between" if high < math.inf else "shared.at_least"
-            raise typer.BadParameter(sentence(key, value=value, low=low, high=high))
+            raise typer.BadParameter(sentence("shared.between", value=value, low=low, high=high))
         return value
 
     return check
@@ -119,8 +127,10 @@ SignalMap = Annotated[
 DriverName = Annotated[
     str | None, option("--driver", help="Instrument family, see `imufield devices`.", envvar="IMUFIELD_DRIVER")
 ]
-# The lowest rate that serial ports know is 50.
-Baud = Annotated[int | None, option(help="Baud rate of the port, or bit rate of the bus.", low=50, envvar="IMUFIELD_BAUD")]
+Baud = Annotated[
+    int | None,
+    option(help="Baud rate of the port, or bit rate of the bus.", within=BAUD_RANGE, envvar="IMUFIELD_BAUD"),
+]
 Settings = Annotated[
     Mapping[str, str],
     Converted(
@@ -128,7 +138,10 @@ Settings = Annotated[
         parse_settings,
     ),
 ]
-TableRateHz = Annotated[float | None, option("--rate-hz", help="Sample rate of a table without a time column.", low=1e-3)]
+TableRateHz = Annotated[
+    float | None,
+    option("--rate-hz", help="Sample rate of a table without a time column.", within=RATE_RANGE_HZ),
+]
 NewestSession = Annotated[Path | None, argument(help="Session folder (default: the newest).")]
 SessionFolder = Annotated[Path | None, option("--session", help="Folder of the session (default: a new one).")]
 AsJson = Annotated[bool, option("--json", help="JSON on standard output and nothing else.")]
@@ -171,7 +184,7 @@ class Connection:
     settings: Settings
     rate_hz: Annotated[
         float | None,
-        option(help="Set the output rate of the instrument, where its driver can; put back at the end.", low=0.1),
+        option(help="Set the output rate of the instrument, where its driver can; put back at the end.", within=RATE_RANGE_HZ),
     ] = None
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,6 +12,7 @@ from imufield.deliver.parameters.write import EDITED, content_sha256
 from imufield.errors import ParameterFileError, Reason
 from imufield.files import read_small_file
 from imufield.sentences import Sentences
+from imufield.toml_files import decode_toml, parse_toml
 
 sentence = Sentences(__package__)
 
@@ -35,9 +35,7 @@ def read_document(path: Path | str) -> VersionedDocument:
     """
     where = str(path)
     try:
-        text = read_small_file(path).decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise ParameterFileError(sentence("read.no_text", where=where)) from error
+        text = decode_toml(read_small_file(path), where, ParameterFileError)
     except OSError as error:
         raise ParameterFileError(sentence("read.not_there", where=where, cause=error.strerror), Reason.FOREIGN) from error
     return parse_document(text, where)
@@ -45,22 +43,15 @@ def read_document(path: Path | str) -> VersionedDocument:
 
 def parse_document(text: str, where: str = "parameter file") -> VersionedDocument:
     """Return the content of a parameter file's text; ``where`` names it in errors, which are those of ``read_document``."""
-    try:
-        document: Document = tomllib.loads(text)
-        version = _trusted_version(document, where)
-        if version != VERSION:
-            try:
-                document = to_current(document, version)
-            except ParameterFileError as error:
-                refused = sentence("read.older", where=where, what=error.message)
-                raise ParameterFileError(refused, error.reason, **error.values) from error
-        _check(document, where)
-    except ParameterFileError:
-        raise
-    except (ValueError, RecursionError) as error:
-        # Besides bad TOML: nesting and whole numbers so large that Python gives up on them.
-        cause = " ".join(str(error).split())
-        raise ParameterFileError(sentence("read.no_toml", where=where, cause=cause)) from error
+    document: Document = parse_toml(text, where, ParameterFileError)
+    version = _trusted_version(document, where)
+    if version != VERSION:
+        try:
+            document = to_current(document, version)
+        except ParameterFileError as error:
+            refused = sentence("read.older", where=where, what=error.message)
+            raise ParameterFileError(refused, error.reason, **error.values) from error
+    _check(document, where)
     return VersionedDocument(document, version)
 
 

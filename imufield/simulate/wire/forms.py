@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.protocol.toml import Source, Table, near, spell
 from imufield.errors import UsageError
+from imufield.limits import RATE_RANGE_HZ
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS
 from imufield.sentences import Sentences
 
@@ -127,7 +128,7 @@ def _first_frame(protocol: Protocol) -> WireFrame:
 
 def _read_form(table: Table) -> WireForm:
     frames = []
-    name, rate_hz = table.text("name"), table.number("rate_hz", DEFAULT_RATE_HZ)
+    name, rate_hz = table.text("name"), table.number("rate_hz", DEFAULT_RATE_HZ, low=RATE_RANGE_HZ[0], high=RATE_RANGE_HZ[1])
     settings: Mapping[str, object] = table.table("settings").values
     for each in table.tables("frames"):
         values = {name: value for name, value in each.table("values").values.items() if isinstance(value, int | float)}

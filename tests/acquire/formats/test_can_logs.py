@@ -22,7 +22,7 @@ from imufield.acquire.protocol.protocol import load_protocol
 from imufield.acquire.recording.reader import RecordingLink, read_part
 from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import Session
-from imufield.errors import Reason, RecordingError, UsageError
+from imufield.errors import ImufieldError, Reason, RecordingError, UsageError
 from imufield.samples import concatenate
 from imufield.sentences import Sentence
 from tests.refused import refused
@@ -85,9 +85,10 @@ def test_import_makes_a_session_that_decodes(tmp_path: Path) -> None:
 def test_a_damaged_time_stamp_costs_no_frame_or_is_said(tmp_path: Path) -> None:
     path = tmp_path / "drive.log"
     session = Session.create(tmp_path / "sessions", "drive")
-    path.write_text("(1700000000.005) can0 100#00\n(1700000000005000000.0) can0 100#01\n")
-    with Recorder(session.add_part(), {}) as recorder:
-        assert import_log(path, recorder) == 2
+    for stamp in ("1700000000005000000.0", "1" + "0" * 300 + ".0", "-1" + "0" * 300 + ".0"):
+        path.write_text(f"(1700000000.005) can0 100#00\n({stamp}) can0 100#01\n")
+        with Recorder(session.add_part(), {}) as recorder:
+            assert import_log(path, recorder) == 2
     path.write_text("(1700000000.005) can0 100#00\n(nan) can0 100#01\n(1700000000.015) can0 100#02\n")
     losses: list[str] = []
     assert sum(1 for chunk in read_log(path, losses=losses) for _ in unpack_frames(chunk.data)) == 1
@@ -95,6 +96,25 @@ def test_a_damaged_time_stamp_costs_no_frame_or_is_said(tmp_path: Path) -> None:
     assert isinstance(lost, Sentence)
     assert (lost.key, lost.values["frames"]) == ("can_logs.damaged", 1)
     assert "nan" in lost
+
+
+BAD = {
+    "65 bytes in a frame.log": "(1.0) can0 100#01\n(1.1) can0 100##1" + "00" * 65 + "\n",
+    "a remote frame of 5000 digits.log": "(1.0) can0 100#01\n(1.1) can0 100#R" + "9" * 5000 + "\n",
+    "an infinite start.trc": ";$FILEVERSION=1.1\n;$STARTTIME=1e400\n;\n     1)      1059.9  Rx         0300  1  00 \n",
+    "a start beyond all dates.trc": ";$FILEVERSION=1.1\n;$STARTTIME=1e300\n;\n     1)      1059.9  Rx         0300  1  00 \n",
+    "a start of nan.trc": ";$FILEVERSION=1.1\n;$STARTTIME=nan\n;\n     1)      1059.9  Rx         0300  1  00 \n",
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_what_no_bus_sends_is_damage(name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / name
+    path.write_text(BAD[name])
+    with pytest.raises(ImufieldError) as caught:
+        list(read_log(path))
+    assert name in caught.value.message
+    assert capfd.readouterr().err == ""
 
 
 def test_a_cut_blf_says_what_is_missing(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from imufield.acquire.protocol.protocol import load_protocol, parse_protocol, protocol_names
 from imufield.acquire.protocol.toml import FILE_LIMIT_BYTES
 from imufield.errors import ProtocolError, Reason
+from imufield.toml_files import DEEPEST
 from tests.refused import refused
 
 STIM300 = load_protocol("stim300").text
@@ -113,7 +114,7 @@ def test_wrong_settings_name_what_is_allowed(given: dict[str, object], reason: R
             "frame_schema.part",
             "'inclination'",
         ),
-        ("0x92 =", "0x91 =", None, None, "toml.unreadable", "line "),
+        ("0x92 =", "0x91 =", None, None, "toml_files.no_toml", "line "),
         ("0x92 =", "ninety =", "0x92 =", "frames.ninety", "frame_schema.key", "'ninety'"),
         (
             "CRC-32/MPEG-2",
@@ -169,6 +170,18 @@ def test_errors_name_line_and_key(old: str, new: str, at: str | None, key: str |
     [
         ("microstrain_mip", "ticks_per_s = 1e9", "ticks_per_s = 0e9", "clock.time.0.ticks_per_s", "toml.range"),
         ("microstrain_mip", "ticks_per_s = 1e9", "ticks_per_s = 1e-320", "clock.time.0.ticks_per_s", "toml.range"),
+        ("stim300", "ticks_per_s = 2000", "ticks_per_s = 0", "clock.counter.ticks_per_s", "toml.range"),
+        ("stim300", "ticks_per_s = 2000", "ticks_per_s = 5e-324", "clock.counter.ticks_per_s", "toml.range"),
+        ("stim300", "steps = [1, 2, 4, 8, 16]", "steps = [0, -1]", "clock.counter.steps", "toml.integer"),
+        ("stim300", "steps = [1, 2, 4, 8, 16]", "steps = []", "clock.counter.steps", "toml.integer"),
+        ("stim300", 'rate_hz = { setting = "rate_hz" }', "rate_hz = 1e-300", "clock.rate_hz", "toml.range"),
+        ("stim300", 'rate_hz = { setting = "rate_hz" }', "rate_hz = nan", "clock.rate_hz", "toml.range"),
+        ("kvh_17xx", "modulus = 128", "modulus = 0", "clock.counter.modulus", "toml.integer"),
+        ("novatel_oem7_ascii", "modulus = 604800", "modulus = 0", "clock.time.modulus", "toml.integer"),
+        ("stim300", "fraction_bits = 22", f"fraction_bits = {'9' * 18}", "parts.inclinometer.0.fraction_bits", "toml.integer"),
+        ("aceinna_serial", "scale = 1260", "scale = 0", "parts.dmu.1.scale", "toml.scale"),
+        ("aceinna_serial", "scale = 1260", "scale = -5e-324", "parts.dmu.1.scale", "toml.scale"),
+        ("aceinna_serial", "scale = 1260", "scale = 1e400", "parts.dmu.1.scale", "toml.range"),
         ("vectornav_ascii", 'markers = "$"', 'markers = ""', "text.markers", "samples_and_clock.no_marker"),
     ],
 )
@@ -196,12 +209,12 @@ def test_files_that_are_none(tmp_path: Path) -> None:
     large.write_bytes(b"#" * (FILE_LIMIT_BYTES + 1))
     folder.mkdir()
     for path, key, *facts in (
-        (binary, "no_text", "a.toml", "UTF-8"),
-        (large, "size", "b.toml", str(FILE_LIMIT_BYTES)),
-        (folder, "cannot_read", str(folder), os.strerror(errno.EISDIR)),
-        (tmp_path / "d.toml", "cannot_read", "d.toml", os.strerror(errno.ENOENT)),
+        (binary, "toml_files.no_text", "a.toml line 1", "UTF-8"),
+        (large, "protocol.size", "b.toml", str(FILE_LIMIT_BYTES)),
+        (folder, "protocol.cannot_read", str(folder), os.strerror(errno.EISDIR)),
+        (tmp_path / "d.toml", "protocol.cannot_read", "d.toml", os.strerror(errno.ENOENT)),
     ):
-        with refused(ProtocolError, Reason.BAD_PROTOCOL, *facts, key=f"protocol.{key}"):
+        with refused(ProtocolError, Reason.BAD_PROTOCOL, *facts, key=key):
             load_protocol(path)
     with refused(ProtocolError, Reason.BAD_PROTOCOL, "stim30", "stim300", key="protocol.unknown_name") as caught:
         load_protocol("stim30")
@@ -219,9 +232,9 @@ DEEP = {
 
 @pytest.mark.parametrize("text", DEEP.values(), ids=list(DEEP))
 def test_tables_that_nest_too_deeply_are_refused(text: str) -> None:
-    with refused(ProtocolError, Reason.BAD_PROTOCOL, "mine.toml", "ten levels", key="toml.nested") as caught:
+    with refused(ProtocolError, Reason.BAD_PROTOCOL, "mine.toml line", "32 levels", key="toml_files.nested") as caught:
         parse_protocol(text, label="mine.toml")
-    assert caught.value.values == {"label": "mine.toml"}
+    assert caught.value.values["deepest"] == DEEPEST
 
 
 def test_a_few_levels_too_many_are_refused_where_they_stand() -> None:

@@ -1,11 +1,23 @@
+import math
 import tomllib
+from contextlib import suppress
+from dataclasses import Field, fields
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import get_type_hints
 
 import pytest
 import tomli_w
 
 from imufield.acquire.recording.session import Session
-from imufield.acquire.recording.session_record import GuideRecord, SessionRecord, SettingRecord, SiteRecord
+from imufield.acquire.recording.session_record import (
+    GuideRecord,
+    LinkRecord,
+    ProtocolRecord,
+    SessionRecord,
+    SettingRecord,
+    SiteRecord,
+)
 from imufield.errors import Reason, RecordingError
 from tests.refused import refused
 
@@ -114,3 +126,32 @@ def test_a_damaged_table_is_refused(table: dict[str, object], reason: Reason) ->
     with refused(RecordingError, reason, name) as caught:
         SessionRecord.read({**tomllib.loads(WHOLE), **table}, PATH)
     assert caught.value.reason is reason
+
+
+ANYTHING: tuple[object, ...] = (
+    *(True, -1, 0, 2**63, 1e308, 5e-324, -5e-324, 1e400, float("nan")),
+    *("", "x", [], [[1]], {}, {"a": 1}, datetime(2026, 1, 1, tzinfo=UTC)),
+)
+
+
+@pytest.mark.parametrize("value", ANYTHING, ids=repr)
+@pytest.mark.parametrize(
+    ("name", "kind"), [("link", LinkRecord), ("protocol", ProtocolRecord), ("guide", GuideRecord), ("site", SiteRecord)]
+)
+def test_whatever_is_read_is_of_its_type_and_can_be_computed_with(name: str, kind: type, value: object) -> None:
+    for entry, declared in get_type_hints(kind).items():
+        # A record that can be read is one that arithmetic gets through: squares and quotients are numbers.
+        with suppress(RecordingError):
+            record = getattr(SessionRecord.read({**tomllib.loads(WHOLE), name: {entry: value}}, PATH), name)
+            found = getattr(record, entry)
+            assert isinstance(found, declared), (entry, found)
+            if isinstance(found, float) and found:
+                assert math.isfinite(found**2 / (1 / found) ** 2), (entry, found)
+
+
+@pytest.mark.parametrize(("entry", "limits"), [(entry, entry.metadata) for entry in fields(GuideRecord) if entry.metadata])
+def test_what_an_option_takes_a_session_can_hold(entry: Field[object], limits: dict[str, float]) -> None:
+    # The guide writes what was typed: were the limits of an option wider, no session could be made.
+    for value in limits.values():
+        record = SessionRecord.read({**tomllib.loads(WHOLE), "guide": {entry.name: value}}, PATH)
+        assert getattr(record.guide, entry.name) == value

@@ -187,7 +187,7 @@ def test_raw_units_need_a_scale() -> None:
         noise_text(raw, "vins")
 
 
-def test_texts_hold_what_filters_read(tmp_path: Path) -> None:
+def test_texts_hold_what_filters_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     result = measure_noise(standstill(0.5))
     kalibr, openvins, vins = (noise_text(result, form) for form in ("kalibr", "openvins", "vins"))
     for text in (kalibr, openvins):
@@ -209,7 +209,12 @@ def test_texts_hold_what_filters_read(tmp_path: Path) -> None:
     assert draw_plot(result, "png")[:4] == b"\x89PNG"
     with refused(UsageError, Reason.USAGE, ".exe", ".png") as caught:
         draw_plot(result, "exe")
+
     assert caught.value.values["kind"] == "exe"
+    for date in ("99999999999999999999", "9" * 5000, "-1", "x"):
+        monkeypatch.setenv("SOURCE_DATE_EPOCH", date)
+        with refused(UsageError, Reason.USAGE, "SOURCE_DATE_EPOCH", key="noise_texts.source_date"):
+            draw_plot(result, "pdf")
 
 
 def test_missing_allantools_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
