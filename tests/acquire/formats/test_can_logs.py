@@ -269,12 +269,12 @@ def test_a_small_log_that_unpacks_to_gigabytes(tmp_path: Path, suffix: str) -> N
         for message in make_messages(2):
             logger(message)
     lines = path.read_bytes().splitlines(keepends=True)
-    with gzip.open(text, "wb", compresslevel=1) as packed:
+    with gzip.open(text, "wb") as packed:
         packed.write(b"".join(lines[:-2]))
-        for _ in range(20):
+        for _ in range(30):
             packed.write(lines[-2] * 20_000)
     losses: list[str] = []
-    assert 0 < sum(len(chunk.data) // 24 for chunk in read_log(text, losses=losses)) < 300_000
+    assert 0 < sum(len(chunk.data) // 24 for chunk in read_log(text, losses=losses)) < 500_000
     assert [getattr(lost, "key", None) for lost in losses] == ["can_logs.damaged"]
     assert "MiB" in losses[0]
 
