@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-import contextlib
-import gzip
 import importlib.util
+import json
 import math
 import re
-import subprocess
-import sys
 import zlib
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
-from functools import partial
-from io import TextIOWrapper
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from contextlib import closing
 from pathlib import Path
-from typing import IO, cast
+from typing import IO, Any, TextIO, cast
 
 import can
-from can.io.blf import BLFParseError
 
 from imufield.acquire.formats import array_file_reader
-from imufield.acquire.formats.table_arrays import missing_package
+from imufield.acquire.formats.table_arrays import missing_package, start_reader
 from imufield.acquire.formats.tables import ChunkWriter
 from imufield.acquire.link.can import make_message, open_bus, pack_message, parse_bus
 from imufield.acquire.link.host_clock import NANOSECONDS
@@ -38,31 +32,20 @@ CHUNK_S = 0.05
 CHUNK_FRAMES = 2048
 
 
-@dataclass(frozen=True, slots=True)
-class _Kind:
-    """A kind of log: what reads it, and what it begins with."""
-
-    reader: Callable[..., Iterable[can.Message]]
-    head: bytes
-    is_binary: bool = False
-
-
+_CANDUMP = ".log"
 _TABLE = ".csv"
-_KINDS = {
-    ".log": _Kind(can.CanutilsLogReader, rb"\s*\(\d+\.\d+\)\s"),
-    # ASC counts from its start unless told otherwise; the date in its head makes it a time of day.
-    ".asc": _Kind(partial(can.ASCReader, relative_timestamp=False), rb"(?i)\s*(date|base)\s"),
-    ".blf": _Kind(can.BLFReader, rb"LOGG", is_binary=True),
-    ".trc": _Kind(can.TRCReader, rb"\s*;"),
-    # A process of its own makes candump's text of it.
-    ".mf4": _Kind(can.CanutilsLogReader, rb"MDF"),
-    _TABLE: _Kind(can.CSVReader, rb"timestamp,arbitration_id,"),
+# What each kind begins with.
+_HEADS = {
+    _CANDUMP: rb"\s*\(\d+\.\d+\)\s",
+    ".asc": rb"(?i)\s*(date|base)\s",
+    ".blf": rb"LOGG",
+    ".trc": rb"\s*;",
+    ".mf4": rb"MDF",
+    _TABLE: rb"timestamp,arbitration_id,",
 }
-SUFFIXES = tuple(suffix for suffix in _KINDS if suffix != _TABLE)
+SUFFIXES = tuple(suffix for suffix in _HEADS if suffix != _TABLE)
 """Logs this module reads, packed with gzip too; besides, tables of python-can."""
 _HEAD_BYTES = 256
-# What python-can's readers raise in files that are cut short or of another kind.
-_DAMAGE = (*array_file_reader.DAMAGE, can.CanError, BLFParseError)
 _LONGEST_WAIT_S = 5.0  # Parts have clocks of their own: a jump of the stamps beyond this begins anew.
 _EPOCH_S = 1e8  # Time stamps below 1973 count from the start of the log, not from 1970.
 
@@ -75,20 +58,15 @@ def is_can_log(path: str | Path) -> bool:
 def begins_as_can_log(path: str | Path) -> bool:
     """Tell by name and first lines whether a file is a log of a CAN bus: others' logs and grids have the same suffixes."""
     suffixes = Path(path).suffixes[-2:]
-    heads = [kind.head for suffix, kind in _KINDS.items() if suffix in suffixes]
+    heads = [head for suffix, head in _HEADS.items() if suffix in suffixes]
     if not heads:
         return False
     try:
-        with _opened(Path(path)) as file:
+        with array_file_reader.open_log(Path(path)) as file:
             begin = file.read(_HEAD_BYTES)
     except (OSError, EOFError, zlib.error):
         return False
     return any(re.match(head, begin) for head in heads)
-
-
-def _opened(path: Path) -> IO[bytes]:
-    """Open a file that may be packed."""
-    return cast("IO[bytes]", gzip.open(path)) if path.suffix == ".gz" else path.open("rb")
 
 
 def read_log(path: str | Path, *, channel: str | None = None, losses: list[str] | None = None) -> Iterator[Chunk]:
@@ -143,17 +121,18 @@ def _messages(path: Path, channel: str | None, losses: list[str] | None) -> Iter
     if not path.is_file():
         raise RecordingError(sentence("can_logs.no_file", path=str(path)), Reason.NOT_A_RECORDING)
     count, lost = 0, ""
+    end: dict[str, Any] = {}
     try:
-        with contextlib.closing(_Reader(path)) as reader:
-            for message in _of_channel(reader, path, channel):
+        with closing(_frames(path, end)) as frames:
+            for message in _of_channel(frames, path, channel):
                 if not math.isfinite(message.timestamp) or len(message.data) > MOST_DATA:
                     raise ValueError(f"a frame at {message.timestamp} s, of {len(message.data)} bytes")
                 count += 1
                 yield message
-            lost = reader.cut(count)
+        lost = _missing(path, end, count)
     except (UsageError, RecordingError):
         raise
-    except _DAMAGE as error:
+    except array_file_reader.DAMAGE as error:
         if not count:
             foreign = sentence("can_logs.from_the_first", path=str(path), cause=error, frames=0)
             raise RecordingError(foreign, Reason.DAMAGED) from error
@@ -179,65 +158,76 @@ def _of_channel(reader: Iterable[can.Message], path: Path, channel: str | None) 
             yield message
 
 
-class _Reader:
-    """A reader of python-can on a file of ours, which is closed in any case."""
-
-    def __init__(self, path: Path) -> None:
-        suffixes = path.suffixes[-2:]
-        suffix = next((suffix for suffix in reversed(suffixes) if suffix in _KINDS), "")
-        if not suffix:
-            raise UsageError(sentence("can_logs.suffix", path=str(path), known=[*_KINDS]))
-        kind = _KINDS[suffix]
-        self._path = path
-        self._size = None if path.suffix == ".gz" else path.stat().st_size
-        self._process: subprocess.Popen[bytes] | None = None
-        if suffix == ".mf4":
-            if importlib.util.find_spec("asammdf") is None:
-                raise missing_package(f"{path} is MF4, which", "asammdf", "mf4")
-            # A process of its own, which writes what candump would have. -P: what stands in the present folder is nothing to
-            # import.
-            command = [sys.executable, "-P", array_file_reader.__file__, "mf4", str(path)]
-            quiet = subprocess.DEVNULL
-            self._process = subprocess.Popen(command, stdin=quiet, stdout=subprocess.PIPE, stderr=quiet)  # noqa: S603  (our own)
-        content = _opened(path) if self._process is None else cast("IO[bytes]", self._process.stdout)
-        self._file = content if kind.is_binary else TextIOWrapper(content, encoding="utf-8", errors="replace")
+def _frames(path: Path, end: dict[str, Any]) -> Generator[can.Message, None, None]:
+    """Yield the frames of a log; note in ``end`` what ``array_file_reader`` says of its end."""
+    suffix = next((suffix for suffix in reversed(path.suffixes[-2:]) if suffix in _HEADS), "")
+    if not suffix:
+        raise UsageError(sentence("can_logs.suffix", path=str(path), known=[*_HEADS]))
+    if suffix == _CANDUMP:
+        # Its reader looks at one line after the other and makes nothing of a length that stands there.
+        with array_file_reader.open_log(path) as file:
+            yield from can.CanutilsLogReader(cast("TextIO", array_file_reader.text_lines(file)))
+        return
+    if suffix == ".mf4" and importlib.util.find_spec("asammdf") is None:
+        raise missing_package(f"{path} is MF4, which", "asammdf", "mf4")
+    with start_reader(suffix, path) as process:
         try:
-            self._reader = kind.reader(self._file)
-        except BaseException:
-            self._file.close()
-            raise
+            for line in cast("IO[bytes]", process.stdout):
+                if line.startswith(b"{"):
+                    end |= json.loads(line)
+                    return
+                # The last line of a reader that breaks down may be cut.
+                if line.endswith(b"\n"):
+                    yield _message(line.decode())
+        finally:
+            process.kill()
+    end["code"] = process.returncode
 
-    def __iter__(self) -> Iterator[can.Message]:
-        return iter(self._reader)
 
-    def cut(self, count: int) -> str:
-        """Say what is missing at the end of a BLF or MF4 file that was read to its end with ``count`` frames; "" for nothing.
+def _message(line: str) -> can.Message:
+    """Return a frame as ``array_file_reader`` writes it."""
+    stamp, identifier, flags, data, bus = line.rstrip().split(" ", 4)
+    extended, error, remote, received, is_fd, bit_rate_switch, error_state = (flag == "1" for flag in flags)
+    return can.Message(
+        timestamp=float(stamp),
+        arbitration_id=int(identifier),
+        is_extended_id=extended,
+        is_error_frame=error,
+        is_remote_frame=remote,
+        is_rx=received,
+        is_fd=is_fd,
+        bitrate_switch=bit_rate_switch,
+        error_state_indicator=error_state,
+        data=bytes.fromhex(data),
+        channel=bus,
+    )
 
-        The reader stops without an error where a file ends in the middle. What the whole file holds stands in its head, or
-        nothing does where the logger was never stopped.
-        """
-        here: dict[str, object] = {"path": str(self._path), "frames": count}
-        ended = 0 if self._process is None else self._process.wait()
-        if ended == array_file_reader.TOO_LARGE:
-            limit = array_file_reader.memory_limit_bytes(self._path.stat().st_size) >> 20
-            raise RecordingError(sentence("can_logs.memory", limit_mib=limit, **here), Reason.DAMAGED)
-        if ended:
-            return sentence("can_logs.broken", **here)
-        reader = self._reader
-        if not isinstance(reader, can.BLFReader):
-            return ""
-        if not reader.object_count:
-            return sentence("can_logs.never_closed", **here)
-        # A packed file that is cut cannot be unpacked to its end, which is an error of its own.
-        if self._size is None or self._size >= reader.file_size:
-            return ""
-        return sentence("can_logs.cut", size=self._size, whole=reader.file_size, most=reader.object_count, **here)
 
-    def close(self) -> None:
-        self._file.close()
-        if self._process is not None:
-            self._process.kill()
-            self._process.wait()
+def _missing(path: Path, end: Mapping[str, Any], count: int) -> str:
+    """Say what is missing at the end of a log that was read to its ``end`` with ``count`` frames; "" for nothing.
+
+    What a whole BLF file holds stands in its head, or nothing does where the logger was never stopped; its reader stops without
+    an error where a file ends in the middle.
+
+    Raises
+    ------
+    ValueError
+        What is wrong, as the reader says.
+    """
+    here: dict[str, object] = {"path": str(path), "frames": count}
+    size = path.stat().st_size
+    if "cause" in end:
+        raise ValueError(end["cause"])
+    if end.get("code") == array_file_reader.TOO_LONG:
+        return sentence("can_logs.stuck", limit_s=array_file_reader.longest_s(size), **here)
+    if "code" in end:
+        return sentence("can_logs.broken", **here)
+    if end.get("frames") == 0:
+        return sentence("can_logs.never_closed", **here)
+    # A packed file that is cut cannot be unpacked to its end, which is an error of its own.
+    if "bytes" not in end or path.suffix == ".gz" or size >= end["bytes"]:
+        return ""
+    return sentence("can_logs.cut", size=size, whole=end["bytes"], most=end["frames"], **here)
 
 
 def replay_to_bus(

@@ -5,31 +5,24 @@ By REP 103 and REP 145 values are in m/s^2 and rad/s, and a covariance that begi
 
 from __future__ import annotations
 
-import sqlite3
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from imufield.acquire.formats.array_file_reader import DAMAGE, first_line
-from imufield.acquire.formats.table_arrays import ArrayTable, missing_package
+from imufield.acquire.formats.array_file_reader import DAMAGE, IMU_TYPE, first_line
+from imufield.acquire.formats.table_arrays import ArrayTable, handed_over, missing_package, start_reader
 from imufield.acquire.link.host_clock import NANOSECONDS
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.samples import SAMPLE_COLUMNS, FloatArray, Status
 from imufield.sentences import Sentences
 
-if TYPE_CHECKING:
-    from rosbags.highlevel import AnyReader
-    from rosbags.interfaces import Connection
-
 sentence = Sentences(__package__)
 
-IMU_TYPE = "sensor_msgs/msg/Imu"
 _MAGIC = (b"#ROSBAG V", b"\x89MCAP0\r\n", b"SQLite format 3\0")
 # Stamps beyond 1973 count from 1970: whole seconds of the first are subtracted, since a float holds only 0.2 us there.
 _EPOCH_S = 100_000_000
-_BATCH = 1 << 14
 
 
 def is_bag(path: Path) -> bool:
@@ -66,70 +59,33 @@ def read_bag(path: Path, topic: str | None = None) -> ArrayTable:
     UsageError
         There are several topics and none is chosen, or the package for it is not installed.
     """
+    chosen = () if topic is None else (topic,)
     try:
-        import rosbags.highlevel
-        import rosbags.typesys
-        from rosbags.rosbag1 import ReaderError as Rosbag1Error
-        from rosbags.rosbag2 import ReaderError as Rosbag2Error
+        # rosbags unpacks some recordings into a file.
+        with TemporaryDirectory() as folder, start_reader("ros", path, *chosen, TMPDIR=folder) as process:
+            arrays, stated = handed_over(process)
     except ImportError as error:
-        raise missing_package(f"{path} is a recording of ROS, which", "rosbags", "ros") from error
-    store = rosbags.typesys.get_typestore(rosbags.typesys.Stores.ROS2_HUMBLE)
-    # rosbags checks with assertions, too; the rest comes from the libraries that unpack for it.
-    errors = (rosbags.highlevel.AnyReaderError, Rosbag1Error, Rosbag2Error, rosbags.typesys.TypesysError)
-    failures = (*errors, *DAMAGE, AssertionError, sqlite3.Error)
-    batches: list[FloatArray] = []
-    said: list[str] = []
-    try:
-        with rosbags.highlevel.AnyReader([path], default_typestore=store) as reader:
-            _collect(reader, _connections(path, reader.connections, topic), batches)
-    except (RecordingError, UsageError):
-        raise
-    except failures as error:
-        cause = first_line(error)
-        if not batches:
-            raise RecordingError(sentence("ros_bags.damaged", path=str(path), cause=cause), Reason.DAMAGED) from error
-        said.append(sentence("ros_bags.lost", name=path.name, count=sum(map(len, batches)), cause=cause))
-    if not batches:
+        raise missing_package(f"{path} is a recording of ROS, which", "rosbags", "ros", str(error)) from error
+    except DAMAGE as error:
+        raise RecordingError(sentence("ros_bags.damaged", path=str(path), cause=first_line(error)), Reason.DAMAGED) from error
+    rows, cause = arrays["rows"], stated["cause"]
+    if cause and not len(rows):
+        raise RecordingError(sentence("ros_bags.damaged", path=str(path), cause=cause), Reason.DAMAGED)
+    _check_topics(path, stated["topics"], topic)
+    if not len(rows):
         raise RecordingError(sentence("ros_bags.no_message", path=str(path)), Reason.BAD_DATA)
-    return _table(path, np.concatenate(batches), said)
+    return _table(path, rows, [sentence("ros_bags.lost", name=path.name, count=len(rows), cause=cause)] if cause else [])
 
 
-def _connections(path: Path, connections: Sequence[Connection], topic: str | None) -> list[Connection]:
-    """Return the connections of the one topic that is read."""
-    chosen = [each for each in connections if each.msgtype == IMU_TYPE and (topic is None or each.topic == topic)]
-    topics = sorted({each.topic for each in chosen})
+def _check_topics(path: Path, there: Sequence[tuple[str, str]], topic: str | None) -> None:
+    """Refuse a recording of which no topic or several could be read."""
+    topics = [name for name, kind in there if kind == IMU_TYPE and topic in (None, name)]
     if len(topics) > 1:
         raise UsageError(sentence("ros_bags.several_topics", path=str(path), kind=IMU_TYPE, topics=topics))
     if not topics:
-        there = sorted({f"{each.topic} ({each.msgtype})" for each in connections}) or "nothing"
+        listed = [f"{name} ({kind})" for name, kind in there] or "nothing"
         wanted = IMU_TYPE if topic is None else f"{IMU_TYPE} on {topic}"
-        raise RecordingError(sentence("ros_bags.no_topic", path=str(path), wanted=wanted, there=there), Reason.BAD_DATA)
-    return chosen
-
-
-def _collect(reader: AnyReader, connections: list[Connection], batches: list[FloatArray]) -> None:
-    """Append arrays of shape (k, 9): stamp in s and ns, specific force, rate, status."""
-    rows: list[tuple[float, ...]] = []
-    try:
-        for connection, bag_ns, raw in reader.messages(connections):
-            # Its class is made from the definition in the file.
-            message: Any = reader.deserialize(raw, connection.msgtype)
-            stamp, force, rate = message.header.stamp, message.linear_acceleration, message.angular_velocity
-            second, nanosecond = stamp.sec, stamp.nanosec
-            if not (second or nanosecond):
-                # Nobody stamped it; the recorder did.
-                second, nanosecond = divmod(bag_ns, NANOSECONDS)
-            no_force = message.linear_acceleration_covariance[0] == -1
-            no_rate = message.angular_velocity_covariance[0] == -1
-            status = no_force * int(Status.ACCELEROMETER_INVALID) | no_rate * int(Status.GYROSCOPE_INVALID)
-            rows.append((second, nanosecond, force.x, force.y, force.z, rate.x, rate.y, rate.z, status))
-            if len(rows) == _BATCH:
-                batches.append(np.array(rows))
-                rows = []
-    finally:
-        # What was read before a damage counts, too.
-        if rows:
-            batches.append(np.array(rows))
+        raise RecordingError(sentence("ros_bags.no_topic", path=str(path), wanted=wanted, there=listed), Reason.BAD_DATA)
 
 
 def _table(path: Path, rows: FloatArray, said: list[str]) -> ArrayTable:
@@ -140,13 +96,12 @@ def _table(path: Path, rows: FloatArray, said: list[str]) -> ArrayTable:
     values = np.full((n, len(SAMPLE_COLUMNS)), np.nan)
     values[:, 0] = rows[:, 0] - from_s + rows[:, 1] / NANOSECONDS
     values[:, 1:7] = rows[:, 2:8]
-    values[:, -1] = rows[:, 8]
-    for flag, columns in ((Status.ACCELEROMETER_INVALID, slice(1, 4)), (Status.GYROSCOPE_INVALID, slice(4, 7))):
-        gone = (rows[:, 8].astype(int) & flag) != 0
-        # A stretch without a value is a gap; a triad that never has one is not there.
+    values[:, -1] = 0.0
+    triads = ((Status.ACCELEROMETER_INVALID, slice(1, 4)), (Status.GYROSCOPE_INVALID, slice(4, 7)))
+    for (flag, columns), gone in zip(triads, rows[:, 8:].T != 0, strict=True):
         values[gone, columns] = np.nan
-        if gone.all():
-            values[:, -1] -= int(flag)
+        # A stretch without a value is a gap; a triad that never has one is not there.
+        values[:, -1] += 0 if gone.all() else gone * int(flag)
     # The flags are those of values: of gaps a recording of ROS says nothing.
     settings: dict[str, str | float] = {"accelerometer_unit": "m/s^2", "gyroscope_unit": "rad/s", "status": "true"}
     units = ("s", *[""] * (len(SAMPLE_COLUMNS) - 1))

@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import IO, cast
+from typing import IO, Any, cast
 
 import numpy as np
 
@@ -122,12 +122,9 @@ def read_arrays(kind: ArrayKind, path: Path) -> ArrayTable:
     UsageError
         The package for it is not installed, or cannot be imported.
     """
-    # -P: what stands in the present folder is nothing to import.
-    command = [sys.executable, "-P", array_file_reader.__file__, kind.name, str(path)]
-    quiet, environment = subprocess.DEVNULL, {**os.environ, **_QUIET}
     try:
-        with subprocess.Popen(command, stdin=quiet, stdout=subprocess.PIPE, stderr=quiet, env=environment) as process:  # noqa: S603  (our own)
-            arrays, stated = _handed_over(process)
+        with start_reader(kind.name, path) as process:
+            arrays, stated = handed_over(process)
         return _table(path, arrays, stated)
     except ImportError as error:
         raise missing_package(f"{kind.words} {path}", kind.package, kind.extra, str(error)) from error
@@ -141,7 +138,16 @@ def read_arrays(kind: ArrayKind, path: Path) -> ArrayTable:
         raise RecordingError(damaged, Reason.DAMAGED) from error
 
 
-def _handed_over(reader: subprocess.Popen[bytes]) -> tuple[Arrays, dict[str, str]]:
+def start_reader(kind: str, path: Path, *topic: str, **environment: str) -> subprocess.Popen[bytes]:
+    """Start ``array_file_reader``, which ends by itself where a file makes it take too much."""
+    # -P: what stands in the present folder is nothing to import.
+    command = [sys.executable, "-P", array_file_reader.__file__, kind, str(path), *topic]
+    quiet = subprocess.DEVNULL
+    together = {**os.environ, **_QUIET, **environment}
+    return subprocess.Popen(command, stdin=quiet, stdout=subprocess.PIPE, stderr=quiet, env=together)  # noqa: S603  (our own)
+
+
+def handed_over(reader: subprocess.Popen[bytes]) -> tuple[Arrays, dict[str, Any]]:
     """Return the arrays that ``array_file_reader`` sends and what the file states.
 
     Raises
@@ -156,7 +162,9 @@ def _handed_over(reader: subprocess.Popen[bytes]) -> tuple[Arrays, dict[str, str
     if "missing" in head:
         raise ImportError(head["missing"])
     if "names" not in head:
-        raise ValueError(head.get("error", f"its reader broke down with {reader.wait()}"))
+        is_long = reader.wait() == array_file_reader.TOO_LONG
+        broken = f"its reader {'took too long for a file of its size' if is_long else 'broke down'} ({reader.returncode})"
+        raise ValueError(head.get("error", broken))
     # An object with this method alone: NumPy would seek in a real file.
     pipe = cast("IO[bytes]", SimpleNamespace(read=output.read))
     arrays: Arrays = {name: np.lib.format.read_array(pipe, allow_pickle=False) for name in head["names"]}

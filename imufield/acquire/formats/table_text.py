@@ -16,6 +16,7 @@ from typing import BinaryIO, cast
 
 import numpy as np
 
+from imufield.acquire.formats.array_file_reader import SoundGzip
 from imufield.errors import Reason, RecordingError
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences, shortened
@@ -270,9 +271,11 @@ def read_pieces(path: Path, size: int) -> Iterator[bytes]:
         with path.open("rb") as raw:
             packed = raw.read(len(_GZIP_MAGIC)) == _GZIP_MAGIC
             raw.seek(0)
-            file = cast("BinaryIO", gzip.GzipFile(fileobj=raw)) if packed else raw
+            file = cast("BinaryIO", SoundGzip(fileobj=raw)) if packed else raw
             while piece := file.read(size):
                 yield piece
+    except OverflowError as error:
+        raise RecordingError(sentence("table_text.too_packed", path=str(path), cause=error), Reason.DAMAGED) from error
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise RecordingError(sentence("table_text.bad_gzip", path=str(path), cause=error), Reason.DAMAGED) from error
     except OSError as error:

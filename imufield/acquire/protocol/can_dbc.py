@@ -33,11 +33,21 @@ _MOST_BITS = 64
 _FLOAT_BITS = (16, 32, 64)
 # cantools logs names of a file as they are; what it finds is checked below.
 logging.getLogger("cantools").setLevel(logging.CRITICAL)
+MOST_ENTRIES = 20_000
+"""Messages and signals: twice those of whole vehicles. cantools takes 0.1 ms for each."""
+MOST_FORMS = 1 << 16
+"""Of multiplexed messages, all together: a selector of 16 bits. cantools makes each of them, in 20 us and 2 kB."""
+_DEEPEST = 8  # Multiplexers in each other: files of vehicles have two or three.
+_STRING_OR_COMMENT = re.compile(r'"(?:\\"|[^"])*?"|//[^\n]*')
+_ENTRY = re.compile(r"\b(?:BO_\s+\d+\s*\w+|SG_\s+\w+(?:\s+\w+)?)\s*:")
+_MULTIPLEXED = re.compile(r"\bSG_MUL_VAL_\s+\+?(\d+)\s*(\w+)\s+(\w+)\s*([^;]*);")
+_CHOICES = re.compile(r"\bVAL_\s+\+?(\d+)\s*(\w+)([^;]*);")
 # J1939: below this PDU format 240 the lower byte is a destination address and no part of the group number.
 _PDU1_BELOW = 0xF000
 _NOT_AVAILABLE = re.compile(
     r"not[ _-]?(avail|valid)|n/?a\b|invalid|\bsna\b|unavail|undefined|reserved|no[ _-]?(data|signal)", re.IGNORECASE
 )
+_DAMAGE = (ValueError, KeyError, TypeError, AttributeError, IndexError, AssertionError, RecursionError)
 _ERROR = re.compile(r"err|fault|fail|defect", re.IGNORECASE)
 _NO_ERROR = re.compile(r"\b(no|without|ok)\b|not?[ _-]err|no[ _-]?fault", re.IGNORECASE)
 
@@ -198,10 +208,14 @@ class DbcFile:
         self.label = label
         self._identifiers = identifiers
         try:
+            _check_extent(text, label)
             # Makers' files often have signals that overlap or end behind their message: what is used of them is checked below.
-            found = cantools.database.load_string(text, database_format="dbc", strict=False)
+            # Without a line end behind the last comment it looks for one from each of its slashes on.
+            found = cantools.database.load_string(f"{text}\n", database_format="dbc", strict=False)
+        except ProtocolError:
+            raise
         # cantools raises its own errors, and others where a file is damaged in a place it did not think of.
-        except (cantools.Error, ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
+        except (cantools.Error, *_DAMAGE) as error:
             cause = (str(error) or repr(error)).splitlines()[0]
             raise ProtocolError(sentence("can_dbc.unreadable", label=label, cause=cause)) from error
         if not isinstance(found, Database) or not found.messages:
@@ -279,7 +293,7 @@ class DbcFile:
 
     def _compile(self, message: Message, signal: Signal) -> tuple[CanMessage, CanSignal]:
         is_j1939 = self._is_j1939(message)
-        compiled, selectors = compile_signal(signal, is_j1939), _selectors(message, signal)
+        compiled, selectors = compile_signal(signal, is_j1939), _selectors(message, signal, self.label)
         for each in (compiled, *(selector for selector, _ in selectors)):
             self._check(message, each)
         return CanMessage.of(message, selectors, is_j1939), compiled
@@ -321,11 +335,43 @@ def compile_signal(signal: Signal, is_j1939: bool = False) -> CanSignal:
     )
 
 
-def _selectors(message: Message, signal: Signal) -> Selectors:
+def _check_extent(text: str, label: str) -> None:
+    """Refuse too many messages and signals, and multiplexers in a circle, or in each other so that there are too many forms."""
+    bare = _STRING_OR_COMMENT.sub(lambda found: '""' if found[0].startswith('"') else " ", text)
+    entries = sum(1 for _ in _ENTRY.finditer(bare))
+    if entries > MOST_ENTRIES:
+        raise ProtocolError(sentence("can_dbc.many_entries", label=label, entries=entries, limit=MOST_ENTRIES))
+    above: dict[tuple[int, str], tuple[str, int]] = {}
+    for frame, signal, multiplexer, ranges in _MULTIPLEXED.findall(bare):
+        # The second of a range has the sign that parts them.
+        ends = [abs(int(number)) for number in re.findall(r"[-+]?\d+", ranges)]
+        values = sum(max(0, last - first + 1) for first, last in zip(ends[::2], ends[1::2], strict=False))
+        earlier, known = above.get((int(frame), signal), (multiplexer, 0))
+        if earlier != multiplexer:
+            raise ProtocolError(sentence("can_dbc.two_multiplexers", label=label, signal=signal, names=[earlier, multiplexer]))
+        above[int(frame), signal] = multiplexer, known + values
+    named = {(int(frame), signal): texts.count('""') for frame, signal, texts in _CHOICES.findall(bare)} if above else {}
+    total = 0
+    for frame, signal in above:
+        forms, name, depth = named.get((frame, signal), 0) + 1, signal, 0
+        while (frame, name) in above:
+            name, values = above[frame, name]
+            forms, depth = forms * values, depth + 1
+            if depth > _DEEPEST:
+                raise ProtocolError(sentence("can_dbc.multiplexed_deep", label=label, signal=signal, limit=_DEEPEST))
+        total += forms
+    if total > MOST_FORMS:
+        raise ProtocolError(sentence("can_dbc.many_forms", label=label, forms=total, limit=MOST_FORMS))
+
+
+def _selectors(message: Message, signal: Signal, label: str) -> Selectors:
     """Return the multiplexers above a signal, outermost last."""
     found = []
     while signal.multiplexer_signal and signal.multiplexer_ids is not None:
-        above = message.get_signal_by_name(signal.multiplexer_signal)
+        above = next((each for each in message.signals if each.name == signal.multiplexer_signal), None)
+        if above is None:
+            names = {"message": message.name, "signal": signal.name, "multiplexer": signal.multiplexer_signal}
+            raise ProtocolError(sentence("can_dbc.no_multiplexer", label=label, **names))
         found.append((compile_signal(above), tuple(signal.multiplexer_ids)))
         signal = above
     return tuple(found)

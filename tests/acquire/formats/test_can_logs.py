@@ -10,12 +10,14 @@ import sys
 import time
 import zlib
 from pathlib import Path
+from typing import Any
 
 import can
 import pytest
 
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.formats.can_logs import begins_as_can_log, import_log, is_can_log, read_log, replay_to_bus
+from imufield.acquire.link.can import pack_message
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.can_frames import ERROR, Frame, pack_frame, unpack_frames
 from imufield.acquire.protocol.protocol import load_protocol
@@ -218,7 +220,7 @@ def test_mf4_that_asks_for_too_much_memory_is_refused(tmp_path: Path) -> None:
     struct.pack_into("<Q", content, group_at + 24 + 6 * 8 + 8, size // row_bytes)
     content += b"##DZ" + bytes(4) + struct.pack("<QQ2sBBIQQ", 48 + len(packed), 0, b"DT", 0, 0, 0, size, len(packed)) + packed
     path.write_bytes(content)
-    with refused(RecordingError, Reason.DAMAGED, str(path), "MiB", key="can_logs.memory"):
+    with refused(RecordingError, Reason.DAMAGED, str(path), "MiB", key="can_logs.from_the_first"):
         list(read_log(path))
 
 
@@ -227,6 +229,83 @@ def test_mf4_without_its_package_says_what_to_install(tmp_path: Path, monkeypatc
     path.write_bytes(b"MDF     4.10")
     monkeypatch.setitem(sys.modules, "asammdf", None)
     with refused(UsageError, Reason.MISSING_PACKAGE, "asammdf", "pip install 'imufield[mf4]'"):
+        list(read_log(path))
+
+
+def test_every_frame_comes_as_python_can_reads_it(tmp_path: Path) -> None:
+    kinds: list[dict[str, Any]] = [
+        {"arbitration_id": 0x123, "is_extended_id": False, "data": b""},
+        {"arbitration_id": 0x1ABCDEF0, "data": bytes(range(8)), "is_rx": False},
+        {"arbitration_id": 0x123, "is_extended_id": False, "is_remote_frame": True, "dlc": 8},
+        {
+            "arbitration_id": 0x456,
+            "is_fd": True,
+            "bitrate_switch": True,
+            "error_state_indicator": True,
+            "data": bytes(range(64)),
+        },
+        {"arbitration_id": 0x40, "is_error_frame": True, "data": bytes(range(8))},
+    ]
+    for reader, name in ((can.BLFReader, "bench.blf"), (can.ASCReader, "bench.asc"), (can.CSVReader, "bench.csv")):
+        path = tmp_path / name
+        with can.Logger(path) as logger:
+            # The clock steps back once, as in logs that were joined.
+            for number, kind in enumerate(kinds * 4):
+                logger(can.Message(timestamp=START_S + number * 1e-3 + 1 / 3 - 60 * (number > 12), channel=0, **kind))
+        options: dict[str, Any] = {"relative_timestamp": False} if reader is can.ASCReader else {}
+        plain = b"".join(pack_message(message, message.timestamp) for message in reader(path, **options))
+        assert b"".join(chunk.data for chunk in read_log(path)) == plain, name
+
+
+def blf(*objects: bytes) -> bytes:
+    """Return a BLF file with one container that is not packed."""
+    body = struct.pack("<H6xL4x", 0, 0) + b"".join(objects)
+    head = struct.pack("<4sL8BQQLL16H", b"LOGG", 144, *[0] * 8, 0, 0, len(objects), 0, *[0] * 16).ljust(144, b"\0")
+    return head + struct.pack("<4sHHLL", b"LOBJ", 16, 1, 16 + len(body), 10) + body
+
+
+def blf_frame(number: int, *, size: int = 48, kind: int = 1) -> bytes:
+    """Return a frame as an object of a BLF file; its size says where the next one stands."""
+    head = struct.pack("<4sHHLLLHHQ", b"LOBJ", 32, 1, size, kind, 2, 0, 0, number * 5_000_000)
+    return head + struct.pack("<HBBL8s", 1, 0, 8, 256, bytes(8))
+
+
+@pytest.mark.parametrize("kind", [1, 99], ids=["frame", "other"])
+def test_a_blf_that_leads_back_to_itself(tmp_path: Path, kind: int) -> None:
+    path = tmp_path / "circle.blf"
+    path.write_bytes(blf(blf_frame(0, size=0, kind=kind)))
+    with refused(RecordingError, Reason.DAMAGED, str(path), key="can_logs.from_the_first"):
+        list(read_log(path))
+    path.write_bytes(blf(*map(blf_frame, range(3)), blf_frame(3, size=0, kind=kind), blf_frame(4)))
+    losses: list[str] = []
+    assert sum(1 for chunk in read_log(path, losses=losses) for _ in unpack_frames(chunk.data)) == 3
+    assert [getattr(lost, "key", None) for lost in losses] == ["can_logs.damaged"]
+
+
+@pytest.mark.parametrize("suffix", ["log", "asc"])
+def test_a_small_log_that_unpacks_to_gigabytes(tmp_path: Path, suffix: str) -> None:
+    path, text = tmp_path / f"drive.{suffix}", tmp_path / f"drive.{suffix}.gz"
+    with can.Logger(path) as logger:
+        for message in make_messages(2):
+            logger(message)
+    lines = path.read_bytes().splitlines(keepends=True)
+    with gzip.open(text, "wb") as packed:
+        packed.write(b"".join(lines[:-2]))
+        for _ in range(30):
+            packed.write(lines[-2] * 20_000)
+    losses: list[str] = []
+    assert 0 < sum(len(chunk.data) // 24 for chunk in read_log(text, losses=losses)) < 500_000
+    assert [getattr(lost, "key", None) for lost in losses] == ["can_logs.damaged"]
+    assert "MiB" in losses[0]
+
+
+@pytest.mark.parametrize("suffix", ["log", "asc", "trc", "csv"])
+def test_a_line_without_end(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"drive.{suffix}.gz"
+    with gzip.open(path, "wb", compresslevel=1) as packed:
+        for _ in range(100):
+            packed.write(b"1" * 1_000_000)
+    with refused(RecordingError, Reason.DAMAGED, str(path), "65536", key="can_logs.from_the_first"):
         list(read_log(path))
 
 

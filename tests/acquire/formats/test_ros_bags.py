@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import struct
+import sys
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import zstandard
 
 from imufield.acquire.formats.ros_bags import is_bag
 from imufield.acquire.formats.tables import read_tables
@@ -129,3 +132,16 @@ def test_other_files_are_none(tmp_path: Path) -> None:
     (tmp_path / "head.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(100))
     with refused(RecordingError, Reason.DAMAGED, "head.bag"):
         read_tables([tmp_path / "head.bag"])
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not limit the memory of a process")
+def test_a_small_recording_that_unpacks_to_gigabytes(tmp_path: Path) -> None:
+    path = tmp_path / "trap.mcap"
+    packed = zstandard.ZstdCompressor().compress(bytes(1 << 20))
+    # A frame says in its head what it unpacks to; the chunk states a thousand times as much as there is.
+    chunk = struct.pack("<QQQII", 0, 1, 1 << 30, 0, 4) + b"zstd" + struct.pack("<Q", 1000 * len(packed)) + packed * 1000
+    records = (1, struct.pack("<II", 0, 0)), (6, chunk), (2, bytes(20))
+    content = b"".join(struct.pack("<BQ", kind, len(body)) + body for kind, body in records)
+    path.write_bytes(b"\x89MCAP0\r\n" + content + b"\x89MCAP0\r\n")
+    with refused(RecordingError, Reason.DAMAGED, str(path), key="ros_bags.damaged"):
+        read_tables([path])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import signal
 import struct
 import subprocess
 import sys
@@ -14,7 +15,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from imufield.acquire.formats.table_arrays import _handed_over
+from imufield.acquire.formats.table_arrays import handed_over
 from imufield.acquire.formats.tables import read_tables
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.samples import FloatArray
@@ -150,6 +151,21 @@ def numpy_trap(path: Path) -> None:
             member.write(bytes(8_000_000))
 
 
+def mat_trap(path: Path) -> None:
+    savemat(path, {"acc": np.zeros((5_000_000, 3), dtype=np.uint8)}, do_compression=True)
+
+
+def numpy_trap_of_truth(path: Path) -> None:
+    # A byte each, and eight as the numbers that are made of them.
+    with path.open("wb") as file:
+        np.savez_compressed(file, acc=np.zeros((5_000_000, 3), dtype=np.bool_))
+
+
+def numpy_trap_of_many(path: Path) -> None:
+    with path.open("wb") as file:
+        np.savez(file, *[np.zeros(2)] * 5000)
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems do not limit the memory of a process")
 @pytest.mark.parametrize("write", [hdf5_trap, parquet_trap, numpy_trap])
 def test_a_small_file_that_unpacks_to_gigabytes(tmp_path: Path, write: Writer) -> None:
@@ -159,13 +175,28 @@ def test_a_small_file_that_unpacks_to_gigabytes(tmp_path: Path, write: Writer) -
         read_tables([path])
 
 
+@pytest.mark.parametrize(("write", "fact"), [(mat_trap, "MiB"), (numpy_trap_of_truth, "MiB"), (numpy_trap_of_many, "4096")])
+def test_more_than_the_reader_would_hand_over(tmp_path: Path, write: Writer, fact: str) -> None:
+    path = written(tmp_path, write)
+    with refused(RecordingError, Reason.DAMAGED, str(path), fact, key="table_arrays.damaged"):
+        read_tables([path])
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGPROF"), reason="other systems do not limit the time of a process")
+def test_a_reader_that_computes_for_ever(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "scipy.py").write_text("import signal\nsignal.setitimer(signal.ITIMER_PROF, 0.1)\nwhile True: pass\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    with refused(RecordingError, Reason.DAMAGED, "too long", key="table_arrays.damaged"):
+        read_tables([written(tmp_path, mat_matrix)])
+
+
 def test_a_reader_that_dies_is_said_to() -> None:
     command = [sys.executable, "-c", "import os; os.kill(os.getpid(), 9)"]
     with (
         subprocess.Popen(command, stdout=subprocess.PIPE) as process,
         pytest.raises(ValueError, match="-9"),
     ):
-        _handed_over(process)
+        handed_over(process)
 
 
 def test_what_lies_in_the_folder_is_not_imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from itertools import pairwise
 
 import cantools
 import numpy as np
@@ -133,6 +134,44 @@ def test_j1939_codes() -> None:
 def test_errors_of_names(name: str, key: str, reason: Reason, facts: tuple[str, ...]) -> None:
     with refused(ProtocolError, reason, "test.dbc", *facts, key=f"can_dbc.{key}"):
         DbcFile(DBC, "test.dbc").find(name)
+
+
+def multiplexed(*statements: str) -> str:
+    """Return a DBC file whose signals A to L select each other as the statements say."""
+    signals = "".join(f' SG_ {name} m0M : {8 * place}|8@1+ (1,0) [0|0] "" R\n' for place, name in enumerate("ABCDEFGHIJKL"))
+    return f'VERSION ""\nBU_: R\nBO_ 100 Force: 12 R\n{signals}' + "".join(f"SG_MUL_VAL_ 100 {each};\n" for each in statements)
+
+
+@pytest.mark.parametrize(
+    ("text", "key"),
+    [
+        (multiplexed("A B 0-0", "B A 0-0"), "multiplexed_deep"),
+        (multiplexed("A A 0-0"), "multiplexed_deep"),
+        (multiplexed(*(f"{below} {above} 0-0" for above, below in pairwise("ABCDEFGHIJKL"))), "multiplexed_deep"),
+        (multiplexed("B A 0-0", "B C 1-1"), "two_multiplexers"),
+        # Each would be made: four thousand million values, and all combinations of eight bytes.
+        (multiplexed("B A 0-4000000000"), "many_forms"),
+        (multiplexed("B A 0-1 // of a; comment\n, 2-4000000000"), "many_forms"),
+        (multiplexed(*(f"{below} {above} 0-255" for above, below in pairwise("ABCDEFGH"))), "many_forms"),
+        (multiplexed("B A 0-65000").replace("SG_MUL", 'VAL_ 100 B 0 "" 1 "";\nSG_MUL'), "many_forms"),
+        ("BU_: R\n" + "".join(f"BO_ {2**31 + number} M{number}: 8 R\n" for number in range(40_000)), "many_entries"),
+        # Behind each slash of a comment without an end cantools looks for one.
+        ("/" * 1_000_000, "unreadable"),
+    ],
+)
+def test_traps_are_refused_before_they_close(text: str, key: str) -> None:
+    with refused(ProtocolError, Reason.BAD_PROTOCOL, "trap.dbc", key=f"can_dbc.{key}"):
+        DbcFile(text, "trap.dbc")
+
+
+def test_a_multiplexer_that_is_not_there() -> None:
+    with refused(ProtocolError, Reason.BAD_PROTOCOL, "Force.B", "Z", key="can_dbc.no_multiplexer"):
+        DbcFile(multiplexed("B Z 0-1"), "lone.dbc").find("B")
+
+
+def test_multiplexers_in_each_other() -> None:
+    message, _ = DbcFile(multiplexed("B A 0-3", "C B 7-9"), "nested.dbc").find("C")
+    assert [(signal.name, {*values}) for signal, values in message.selectors] == [("B", {7, 8, 9}), ("A", {0, 1, 2, 3})]
 
 
 @pytest.mark.parametrize(
