@@ -25,7 +25,7 @@ CODE = ("imufield", "drivers")
 ROOMS = (
     ("version", "sentences"),
     ("errors",),
-    ("samples", "earth", "files"),
+    ("samples", "earth", "files", "console"),
     ("acquire/protocol",),
     ("acquire/decode",),
     ("acquire/clock",),

@@ -18,7 +18,7 @@ import numpy as np
 
 from imufield.errors import Reason, RecordingError
 from imufield.samples import FloatArray
-from imufield.sentences import Sentences, shortened
+from imufield.sentences import Sentences, printable, shortened
 
 sentence = Sentences(__package__)
 
@@ -190,7 +190,7 @@ def open_table(path: str | Path) -> TextTable:
                     decimal_comma=decimal_comma,
                 )
             # Lines before the first number are the heading.
-            names.append([cell.strip('" ') for cell in cells])
+            names.append([printable(cell.strip('" ')) for cell in cells])
     raise _bad("table_text.no_rows", path)
 
 

@@ -12,7 +12,7 @@ from imufield.deliver.parameters.versions import CONVERTERS, to_current
 from imufield.deliver.parameters.write import EDITED, content_sha256
 from imufield.errors import ParameterFileError, Reason
 from imufield.files import read_small_file
-from imufield.sentences import Sentences
+from imufield.sentences import Sentences, printable_values
 
 sentence = Sentences(__package__)
 
@@ -61,7 +61,7 @@ def parse_document(text: str, where: str = "parameter file") -> VersionedDocumen
         # Besides bad TOML: nesting and whole numbers so large that Python gives up on them.
         cause = " ".join(str(error).split())
         raise ParameterFileError(sentence("read.no_toml", where=where, cause=cause)) from error
-    return VersionedDocument(document, version)
+    return VersionedDocument({key: printable_values(value) for key, value in document.items()}, version)
 
 
 def _check(document: Document, where: str) -> None:
