@@ -25,7 +25,7 @@ CODE = ("imufield", "drivers")
 ROOMS = (
     ("version", "sentences", "limits"),
     ("errors",),
-    ("samples", "earth", "files", "toml_files"),
+    ("samples", "earth", "files", "toml_files", "console"),
     ("acquire/protocol",),
     ("acquire/decode",),
     ("acquire/clock",),

@@ -2,17 +2,23 @@
 
 ``sentence = Sentences(__package__)`` at the top of a module, ``sentence("module.key", value=...)`` where one is needed. A text
 is a format with named values, its line breaks mean nothing. Beside the formats of Python, ``{found:#position}`` counts
-("1 position", "2 positions"), and the values of a list are joined by commas.
+("1 position", "2 positions"), and the values of a list are joined by commas. Values come from wires and files of others: their
+control characters are shown and not sent to the terminal (``printable``).
 """
 
 from __future__ import annotations
 
+import re
 import string
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 _LONGEST_SHOWN = 40
+# C0 with the ends of lines, DEL and C1 move cursors and set titles; line and paragraph separators end lines; overrides,
+# embeddings and isolates show text in another order than it has; a lone surrogate, of a file name that is no UTF-8, cannot be
+# encoded. All other characters stay, the marks that Arabic and Hebrew need among them.
+_UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 
 
 def counted(number: int, noun: str) -> str:
@@ -23,6 +29,25 @@ def counted(number: int, noun: str) -> str:
 def shortened(text: str) -> str:
     """Return the beginning of a long text out of somebody's file, for sentences."""
     return text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}..."
+
+
+def printable(text: str) -> str:
+    r"""Return a text of somebody else as one line that a terminal or a page shows as it is: ``\x1b`` for an escape."""
+    return _UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text)
+
+
+def printable_lines(text: str) -> str:
+    """Return a text whose lines are ours in the form of ``printable``."""
+    return "\n".join(map(printable, text.split("\n")))
+
+
+def printable_values(value: object) -> object:
+    """Return a value of a document with the texts in it in the form of ``printable``."""
+    if isinstance(value, dict):
+        return {key: printable_values(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [printable_values(entry) for entry in value]
+    return printable(value) if isinstance(value, str) else value
 
 
 class Sentence(str):
@@ -40,7 +65,7 @@ class _Format(string.Formatter):
             return ", ".join(self.format_field(entry, format_spec) for entry in value)
         if format_spec.startswith("#") and isinstance(value, int):
             return counted(value, format_spec[1:])
-        return format(value, format_spec)
+        return printable(format(value, format_spec))
 
 
 class Sentences:

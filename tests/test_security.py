@@ -121,3 +121,19 @@ def test_the_limits_named_are_those_of_the_code() -> None:
     for place, value in rows:
         module, _, constant = place.rpartition(".")
         assert getattr(importlib.import_module(module), constant) == float(value), place
+
+
+MAY_PRINT = {
+    "imufield/commands/terminal/output.py",
+    "imufield/commands/terminal/progress.py",  # A line of our own words and numbers.
+    "imufield/console.py",
+    "imufield/cli/app.py",  # The version.
+}
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(PROJECT)))
+def test_all_that_is_printed_goes_through_one_place(path: Path) -> None:
+    calls = [node.func for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)]
+    ways = {"print", "Console", "typer.echo", "typer.secho", "sys.stdout.write", "sys.stderr.write"}
+    found = {ast.unparse(call) for call in calls} & ways
+    assert not found or path.relative_to(PROJECT).as_posix() in MAY_PRINT

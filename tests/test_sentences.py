@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from imufield.errors import Reason, RecordingError
-from imufield.sentences import Sentence, Sentences, counted, shortened
+from imufield.sentences import Sentence, Sentences, counted, printable, printable_lines, shortened
 
 sentence = Sentences("imufield")
 
@@ -59,3 +59,19 @@ def test_numbers_are_counted_and_lists_joined(tmp_path: Path, monkeypatch: pytes
 def test_what_is_long_is_shortened_and_what_is_one_counts_as_one() -> None:
     assert shortened("x" * 41) == "x" * 40 + "..."
     assert counted(1, "hold") == "1 hold"
+
+
+def test_control_characters_of_values_are_shown() -> None:
+    made = sentence("files.is_input", output="a\x1b[2J\x9b\n\t\u202e\u2066\u2028\udcff.csv")
+    assert r"a\x1b[2J\x9b\n\t\u202e\u2066\u2028\udcff.csv" in made
+    assert printable(made) == made
+    assert sentence("files.is_input", output=Path("\x1b")) != sentence("files.is_input", output=Path("x1b"))
+
+
+def test_letters_of_any_language_stay() -> None:
+    words = "Zürich 東京 القاهرة\u200f नई\u200d दिल्ली 👍"
+    assert printable(words) == words
+
+
+def test_ends_of_lines_of_ours_stay() -> None:
+    assert printable_lines("a\n\tb\r\n") == "a\n\\tb\\r\n"

@@ -5,13 +5,31 @@ from __future__ import annotations
 from typing import Annotated
 
 import typer
+from typer.core import TyperGroup
 
 from imufield.cli.command import make_command
 from imufield.commands.options import commands
+from imufield.errors import ImufieldError
+from imufield.sentences import printable_lines
 from imufield.version import __version__
+
+
+class _Commands(TyperGroup):
+    def invoke(self, ctx: typer.Context) -> object:  # type: ignore[override]  # typer names the base of it
+        try:
+            return super().invoke(ctx)
+        except ImufieldError:
+            raise
+        except Exception as error:
+            # typer prints its own errors, whose class has no public name: what they quote may be a name that a shell filled in.
+            if hasattr(error, "message"):
+                error.message = printable_lines(error.message)
+            raise
+
 
 app = typer.Typer(
     name="imufield",
+    cls=_Commands,
     help="Calibrate an IMU in the field: no turntable, 24 hand-held positions, a parameter file for your INS.",
     no_args_is_help=True,
     add_completion=False,

@@ -91,7 +91,9 @@ def _run(arguments: list[str]) -> int:
             # typer leaves with 1 then, which is kept for defects.
             raise leave.__context__ from None
         if leave.code == EXIT_INTERRUPTED or isinstance(leave.__context__, typer.Abort):
-            typer.secho(f"imufield: {_interrupted_words(arguments, leave)}.", err=True)
+            from imufield.commands.terminal.output import say
+
+            say(f"imufield: {_interrupted_words(arguments, leave)}.", err=True)
             return EXIT_INTERRUPTED
         return leave.code if isinstance(leave.code, int) else 0
     return 0

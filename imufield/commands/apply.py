@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import typer
-
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
 from imufield.commands.options.commands import ApplyOptions
-from imufield.commands.terminal.output import say
+from imufield.commands.terminal.output import echo, say
 from imufield.commands.terminal.row_count import RowCount
 from imufield.deliver.parameters.file import load
 from imufield.deliver.parameters.numbers import beside, hanging
@@ -45,7 +43,7 @@ def run_apply(options: ApplyOptions) -> None:
     # On the other stream: the rows say nothing of what is missing between them.
     for entry in damage:
         say(entry.what, err=True)
-    typer.echo(beside(f"{rows} corrected samples in", output))
+    echo(beside(f"{rows} corrected samples in", output))
     say("time in s, specific force in m/s^2, angular rate in rad/s, temperature in degC")
     for note in filter(None, (parameters.edited_note, count.flags())):
-        typer.echo(hanging("", note))
+        echo(hanging("", note))

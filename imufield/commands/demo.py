@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import typer
 
 from imufield.acquire.instrument.connect import connect
 from imufield.acquire.instrument.connected import ConnectOptions
@@ -26,7 +25,7 @@ from imufield.calibrate.model.models import to_vector
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration
 from imufield.commands.options.commands import CaptureOptions, DemoOptions
 from imufield.commands.terminal.guided import Captured, guided_session, new_session
-from imufield.commands.terminal.output import before_recording, say_assumed
+from imufield.commands.terminal.output import before_recording, echo, say_assumed
 from imufield.deliver.parameters.file import PARAMETER_FILE, write_document
 from imufield.deliver.report.summary import Outcome, print_summary
 from imufield.errors import LinkError, Reason
@@ -129,17 +128,17 @@ def _errors_in_sigma(calibration: Calibration, truth: dict[str, Any]) -> FloatAr
 
 
 def _print_comparison(captured: Captured, errors_in_sigma: FloatArray, seed: int) -> None:
-    typer.echo()
-    typer.echo("Against the simulator's truth, in units of the stated sigma:")
+    echo()
+    echo("Against the simulator's truth, in units of the stated sigma:")
     cells = [
         f"{name:<12}{error:+6.2f}" if np.isfinite(error) else f"{name:<12}     -"
         for name, error in zip(INTRINSIC_NAMES, errors_in_sigma, strict=True)
     ]
     for first in range(0, len(cells), 3):
-        typer.echo("   " + "     ".join(cells[first : first + 3]))
+        echo("   " + "     ".join(cells[first : first + 3]))
     largest = float(np.nanmax(np.abs(errors_in_sigma)))
     within = "within" if largest <= LIMIT_SIGMA else "NOT within"
     passed = captured.finished and captured.accepted == captured.planned and largest <= LIMIT_SIGMA
     word = "as it should be" if passed else "NOT as it should be"
-    typer.echo(f"{captured.accepted} of {captured.planned} positions, seed {seed}: {word},")
-    typer.echo(f"{within} {LIMIT_SIGMA:g} sigma of the simulator's truth: largest {largest:.1f}")
+    echo(f"{captured.accepted} of {captured.planned} positions, seed {seed}: {word},")
+    echo(f"{within} {LIMIT_SIGMA:g} sigma of the simulator's truth: largest {largest:.1f}")

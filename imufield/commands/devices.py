@@ -6,11 +6,10 @@ import json
 from dataclasses import asdict
 from typing import Any
 
-import typer
-
 from imufield.acquire.link.ports import can_channels, serial_ports
 from imufield.acquire.registry import driver_names, load_driver
 from imufield.commands.options.commands import DevicesOptions
+from imufield.commands.terminal.output import echo
 from imufield.deliver.parameters.numbers import hanging
 from imufield.errors import ProtocolError
 
@@ -23,13 +22,14 @@ def list_devices(options: DevicesOptions) -> None:
     buses = can_channels()
     drivers = [_describe(name) for name in driver_names()]
     if options.as_json:
-        typer.echo(json.dumps({"ports": ports, "buses": [asdict(bus) for bus in buses], "drivers": drivers}))
+        echo(json.dumps({"ports": ports, "buses": [asdict(bus) for bus in buses], "drivers": drivers}))
         return
     # Slow to import, and not needed by a program that reads JSON.
-    from rich.console import Console
     from rich.table import Table
 
-    console = Console()
+    from imufield.console import PlainTextConsole
+
+    console = PlainTextConsole()
     table = Table(title="serial ports", title_justify="left", box=None, padding=(0, 2, 0, 0))
     table.add_column("port", no_wrap=True, min_width=max((len(port["device"]) for port in ports), default=0))
     table.add_column("what the system says of it")
@@ -38,15 +38,15 @@ def list_devices(options: DevicesOptions) -> None:
     console.print(table if ports else "no serial ports found: plug the instrument in, or give --port socket://host:port")
     for bus in buses:
         console.print(f"CAN bus {bus.bus} ({bus.state})", highlight=False)
-    typer.echo("\ninstruments: bit rate, how it was tried, what it can be told to")
+    echo("\ninstruments: bit rate, how it was tried, what it can be told to")
     width = max(len(driver["name"]) for driver in drivers) + 2
     for driver in drivers:
         # A table of five columns would break every name at 80 columns.
-        typer.echo(hanging(f"{driver['name']:<{width}}", driver["title"]))
+        echo(hanging(f"{driver['name']:<{width}}", driver["title"]))
         told = ", ".join(f"{name}{'' if tried == _TRIED else '*'}" for name, tried in driver["abilities"].items())
         rate = f"{driver['default_baud']} bit/s" if driver["default_baud"] else ""
-        typer.echo(hanging(" " * width, "; ".join(filter(None, (rate, driver["status"], told)))))
-    typer.echo(hanging("* ", "experimental: commands and answers from documents, never seen on a real instrument"))
+        echo(hanging(" " * width, "; ".join(filter(None, (rate, driver["status"], told)))))
+    echo(hanging("* ", "experimental: commands and answers from documents, never seen on a real instrument"))
 
 
 def _describe(name: str) -> dict[str, Any]:

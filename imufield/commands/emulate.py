@@ -8,12 +8,10 @@ import shlex
 from dataclasses import fields
 from typing import Any, get_args
 
-import typer
-
 from imufield.acquire.protocol.toml import spell
 from imufield.acquire.registry import driver_names, load_driver
 from imufield.commands.options.commands import EmulateOptions
-from imufield.commands.terminal.output import replace_only
+from imufield.commands.terminal.output import echo, replace_only
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import UsageError
 from imufield.guide.positions import scheme
@@ -41,7 +39,7 @@ def run_emulate(options: EmulateOptions) -> None:
     emulation = make_emulation(options)
     emulator = emulate(emulation, on_start=lambda running: _announce(options, emulation, running))
     if not options.as_json:
-        typer.echo(f"stopped after {emulator.samples_sent} samples")
+        echo(f"stopped after {emulator.samples_sent} samples")
 
 
 def make_emulation(options: EmulateOptions) -> Emulation:
@@ -121,10 +119,10 @@ def _announce(options: EmulateOptions, emulation: Emulation, emulator: EmulatorC
     address = emulator.address if wire.form is None else str(options.link or emulator.address)
     if options.as_json:
         facts = {"event": "started", kind: address, "driver": options.driver, "rate_hz": rate_hz, "speed": options.speed}
-        typer.echo(json.dumps(facts | {"settings": wire.settings}))
+        echo(json.dumps(facts | {"settings": wire.settings}))
         return
     form = f" ({wire.form.name})" if wire.form and wire.form.name not in ("", "default") else ""
-    typer.echo(beside(f"{options.driver}{form} at {rate_hz:.0f} Hz, {options.speed:g} times real time, on", address))
+    echo(beside(f"{options.driver}{form} at {rate_hz:.0f} Hz, {options.speed:g} times real time, on", address))
     # Slower than real time the host needs no other clock.
     clock = "" if options.speed == 1 else f"IMUFIELD_CLOCK_SPEED={max(options.speed, 1):g} "
     # The right latitude matters: the scale of the accelerometer is as good as the gravity it is given.
@@ -132,7 +130,7 @@ def _announce(options: EmulateOptions, emulation: Emulation, emulator: EmulatorC
     # A protocol file of the user's own is no driver that another command knows by name.
     which = f"{'--driver' if wire.driver else '--protocol'} {options.driver}"
     told = "".join(f"--set {name}={spell(value)} " for name, value in wire.settings.items())
-    typer.echo("read it with:")
-    typer.echo(f"  {clock}imufield capture --{kind} {shlex.quote(address)} {which} {told}{latitude}")
+    echo("read it with:")
+    echo(f"  {clock}imufield capture --{kind} {shlex.quote(address)} {which} {told}{latitude}")
     waits = "it begins when a program opens the port; " if options.waits_for_reader and kind == "port" else ""
-    typer.echo(f"{waits}Ctrl-C ends it")
+    echo(f"{waits}Ctrl-C ends it")

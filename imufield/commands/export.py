@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 
-import typer
-
 from imufield.commands.options.commands import ExportOptions
+from imufield.commands.terminal.output import echo
 from imufield.deliver.exports import TARGETS, export_options, export_parameters, write_exported
 from imufield.deliver.parameters.file import load
 from imufield.deliver.parameters.numbers import hanging
-from imufield.sentences import Sentences
+from imufield.sentences import Sentences, printable
 
 sentence = Sentences(__package__)
 
@@ -25,7 +24,7 @@ def run_export(options: ExportOptions) -> None:
     """
     if options.to is None:
         for target in TARGETS.values():
-            typer.echo(hanging(f"{target.name:<12} ", f"{target.title}: {target.holds}"))
+            echo(hanging(f"{target.name:<12} ", f"{target.title}: {target.holds}"))
         return
     parameters = load(options.parameters)
     exported = export_parameters(parameters, options.to, export_options(dict(options.settings)))
@@ -34,13 +33,13 @@ def run_export(options: ExportOptions) -> None:
     # What the target cannot hold is part of the answer: a program must not take the file for all there is.
     if options.as_json:
         files, kept = [str(file.path) for file in written], [str(file.kept) for file in written if file.kept is not None]
-        typer.echo(json.dumps({"files": files, "kept": kept, "losses": list(exported.losses), "notes": notes}))
+        echo(json.dumps({"files": files, "kept": kept, "losses": list(exported.losses), "notes": notes}))
         return
     for file in written:
-        typer.echo(f"written: {file.path}")
+        echo(printable(f"written: {file.path}"))
         if file.kept is not None:
-            typer.echo(hanging("         ", sentence("export.kept", name=file.kept.name)))
+            echo(hanging("         ", sentence("export.kept", name=file.kept.name)))
     for loss in exported.losses:
-        typer.echo(hanging("lost:    ", loss))
+        echo(hanging("lost:    ", loss))
     for note in notes:
-        typer.echo(hanging("note:    ", note))
+        echo(hanging("note:    ", note))

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import typer
 
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import open_or_newest
 from imufield.commands.options.commands import ExportDataOptions
-from imufield.commands.terminal.output import say
+from imufield.commands.terminal.output import echo, say
 from imufield.commands.terminal.row_count import RowCount
 from imufield.deliver.parameters.numbers import beside, hanging
 from imufield.deliver.samples.export_data import FORMATS, export_samples, facts_of
@@ -47,11 +46,11 @@ def run_export_data(options: ExportDataOptions) -> None:
     rows = export_samples(blocks, path, to, facts_of(protocol, raw_zero))
     for entry in damage:
         say(entry.what, err=True)
-    typer.echo(beside(f"{rows} samples in", path))
+    echo(beside(f"{rows} samples in", path))
     if FORMATS[to].lacks:
         say(f"time in s, accelerometer in m/s^2, gyroscope in rad/s; {FORMATS[to].lacks}")
     else:
         say(f"time in s, {count.units()}, temperature in degC")
     flags = count.flags(has_status=not FORMATS[to].lacks)
     if flags:
-        typer.echo(hanging("", flags))
+        echo(hanging("", flags))

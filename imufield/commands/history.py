@@ -10,10 +10,8 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
-import typer
-
 from imufield.commands.options.commands import HistoryOptions
-from imufield.commands.terminal.output import say, write_output
+from imufield.commands.terminal.output import echo, say, write_output
 from imufield.deliver.history import (
     Change,
     History,
@@ -29,7 +27,7 @@ from imufield.deliver.parameters.gauge_free import Number
 from imufield.deliver.parameters.numbers import WIDTH, beside, hanging, to_ascii, with_sigma
 from imufield.errors import UsageError
 from imufield.files import refuse_overwriting
-from imufield.sentences import Sentences, counted
+from imufield.sentences import Sentences, counted, printable
 
 sentence = Sentences(__package__)
 
@@ -62,11 +60,11 @@ def run_history(options: HistoryOptions, now: datetime | None = None) -> History
         write_output(path, plot_history(instrument))
     if options.as_json:
         instruments = [_instrument(instrument, options, now) for instrument in history.instruments]
-        typer.echo(json.dumps({"folder": str(history.folder), "instruments": instruments, "faults": list(history.faults)}))
+        echo(json.dumps({"folder": str(history.folder), "instruments": instruments, "faults": list(history.faults)}))
     else:
         _print(history, options, now)
         for path in plots if len(plots) > 1 else ():
-            typer.echo(beside("drawn:", path))
+            echo(beside("drawn:", path))
     for fault in history.faults:
         say(f"left out: {fault}", err=True, indent=2)
     return history
@@ -95,7 +93,7 @@ def _print_nearest(history: History, options: HistoryOptions) -> None:
         raise UsageError(sentence("history.no_date", at=options.at)) from error
     instrument = one_instrument(history)
     entry = instrument.nearest(at)
-    typer.echo(str(options.folder / entry.path))
+    echo(printable(str(options.folder / entry.path)))
     days = abs((entry.time - at).total_seconds()) / 86400
     old = sentence("history.old", stale_days=options.stale_days) if days > options.stale_days else ""
     # In whole days between the dates, as a person counts them: from evening to morning is a day.
@@ -108,23 +106,24 @@ def _print_nearest(history: History, options: HistoryOptions) -> None:
 def _print(history: History, options: HistoryOptions, now: datetime) -> None:
     for instrument in history.instruments:
         count = len(instrument.entries)
-        typer.echo(f"{instrument.title}: {count} calibration{'s' if count > 1 else ''}")
+        echo(f"{instrument.title}: {count} calibration{'s' if count > 1 else ''}")
         for entry in instrument.entries:
-            line = f"  {entry.created[:10]}  {entry.verdict:<7} {entry.path}"
+            path = printable(entry.path)
+            line = f"  {entry.created[:10]}  {entry.verdict:<7} {path}"
             # A path that is broken in two cannot be copied.
-            typer.echo(line if len(line) <= WIDTH else f"{line.removesuffix(entry.path).rstrip()}\n    {entry.path}")
+            echo(line if len(line) <= WIDTH else f"{line.removesuffix(path).rstrip()}\n    {path}")
         changes = {change.name: change for change in instrument.changes()}
         # One calibration has nothing to compare, and its numbers are in its file.
         numbers = instrument.entries[-1].numbers if changes else ()
         headings = [("parameter", "value ± sigma", "unit", "since the one before")] if numbers else []
         for line in _table(headings + [_cells(number, changes.get(number.name)) for number in numbers]):
-            typer.echo(line)
+            echo(line)
         for line in sentences(instrument, now, options.stale_days):
-            typer.echo(hanging("  - ", line))
+            echo(hanging("  - ", line))
     alone = sum(len(instrument.entries) == 1 for instrument in history.instruments)
     if alone:
         what = "It has" if len(history.instruments) == 1 else f"{counted(alone, 'instrument')} with"
-        typer.echo(hanging("", sentence("history.nothing_to_compare", what=what)))
+        echo(hanging("", sentence("history.nothing_to_compare", what=what)))
 
 
 def _cells(number: Number, change: Change | None) -> tuple[str, str, str, str]:

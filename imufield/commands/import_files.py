@@ -10,8 +10,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import typer
-
 from imufield.acquire.decode.statistics import remarks
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.formats.ros_bags import is_bag
@@ -28,12 +26,12 @@ from imufield.acquire.recording.session import LOCK_FILE, SETTINGS_FILE, Session
 from imufield.acquire.recording.session_record import SettingRecord
 from imufield.acquire.registry import load_driver
 from imufield.commands.options.commands import ImportOptions
-from imufield.commands.terminal.output import say
+from imufield.commands.terminal.output import echo, say
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.pipeline.chain import part_metadata
 from imufield.pipeline.table_samples import refuse_endless
-from imufield.sentences import Sentences
+from imufield.sentences import Sentences, printable
 
 sentence = Sentences(__package__)
 
@@ -50,12 +48,12 @@ def run_import(options: ImportOptions) -> Session:
     """
     session, assumptions = import_session(options)
     if options.as_json:
-        typer.echo(json.dumps({"event": "imported", "session": str(session.folder), "assumptions": assumptions}))
+        echo(json.dumps({"event": "imported", "session": str(session.folder), "assumptions": assumptions}))
         return session
     for assumption in assumptions:
         say(assumption, err=True, indent=2)
-    typer.echo(beside("session", session.folder))
-    typer.echo(beside("next: ", f"imufield solve {shlex.quote(str(session.folder))}"))
+    echo(beside("session", session.folder))
+    echo(beside("next: ", f"imufield solve {shlex.quote(str(session.folder))}"))
     return session
 
 
@@ -242,7 +240,7 @@ def _whole_or_nothing(session: Session, protocol: Protocol) -> Iterator[tuple[Se
 
 
 def _new_session(options: ImportOptions, protocol: Protocol, table: ImportedTable | None) -> Session:
-    model = options.files[0].name.split(".")[0]
+    model = printable(options.files[0].name.split(".")[0])
     metadata: dict[str, object] = {
         "kind": "import",
         "instrument": {"driver": options.driver or protocol.name, "model": model},

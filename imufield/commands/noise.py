@@ -7,15 +7,13 @@ import math
 from pathlib import Path
 from typing import get_args
 
-import typer
-
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import open_or_newest
 from imufield.calibrate.noise.noise import NoiseResult, measure_noise
 from imufield.calibrate.noise.noise_fit import NoiseFigure
 from imufield.calibrate.noise.noise_texts import NoiseFormat, draw_plot, noise_text
 from imufield.commands.options.commands import NoiseOptions
-from imufield.commands.terminal.output import say, write_output
+from imufield.commands.terminal.output import echo, say, write_output
 from imufield.deliver.parameters.document import noise_table
 from imufield.deliver.parameters.file import Noise, Parameters, load, write_document
 from imufield.files import refuse_overwriting
@@ -58,7 +56,7 @@ def run_noise(options: NoiseOptions) -> None:
     if options.parameters is not None and parameters is not None:
         _write_into(parameters.path or options.parameters, parameters, result)
     if options.as_json:
-        typer.echo(json.dumps(_document(result)))
+        echo(json.dumps(_document(result)))
         return
     _print(result)
 
@@ -80,9 +78,9 @@ def _write_into(path: Path, parameters: Parameters, result: NoiseResult) -> None
 def _print(result: NoiseResult) -> None:
     say(f"{result.source} ({result.samples} samples, {result.bridged} lost ones bridged)")
     for name, (title, per) in _FIGURES.items():
-        typer.echo(f"{title:<18}{'value':>12}   {'95 % interval':<23} unit")
+        echo(f"{title:<18}{'value':>12}   {'95 % interval':<23} unit")
         for axis in result.axes:
-            typer.echo(f"  {axis.name:<16}{_value_and_limits(getattr(axis, name))} {axis.unit}{per}".rstrip())
+            echo(f"  {axis.name:<16}{_value_and_limits(getattr(axis, name))} {axis.unit}{per}".rstrip())
     for sentence in (*result.sentences, *(sentence for axis in result.axes for sentence in axis.sentences)):
         say(f" · {sentence}", indent=3)
 

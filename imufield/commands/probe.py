@@ -8,15 +8,14 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import asdict, dataclass, field
 
-import typer
-
+from imufield.acquire.instrument.connected import read_identity
 from imufield.acquire.instrument.instrument import Instrument
 from imufield.acquire.instrument.listen import Search, bauds_to_try, has_no_baud, nothing_recognised, search, serial_candidates
 from imufield.acquire.instrument.recognise import Candidate, Finding, Listener
 from imufield.acquire.link.host_clock import HostClock
 from imufield.acquire.link.ports import serial_ports
 from imufield.commands.options.commands import ProbeOptions
-from imufield.commands.terminal.output import host_clock, say
+from imufield.commands.terminal.output import echo, host_clock, say
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import ImufieldError, LinkError, Reason
 from imufield.sentences import Sentences
@@ -97,7 +96,7 @@ def _probe_ports(options: ProbeOptions, clock: HostClock) -> None:
         candidates = serial_candidates(say=_tell)
         results = list(pool.map(lambda port: probe_port(port, baud, clock, ask=options.ask, candidates=candidates), ports))
     if options.as_json:
-        typer.echo(json.dumps({"ports": [probed.to_dict() for probed in results]}))
+        echo(json.dumps({"ports": [probed.to_dict() for probed in results]}))
     else:
         for probed in results:
             _show(probed, alone=len(results) == 1)
@@ -119,7 +118,7 @@ def _probe_bus(options: ProbeOptions, bus: str, clock: HostClock) -> None:
     words = ["imufield", "capture", "--bus", bus, *([] if baud is None else ["--baud", str(baud)])]
     command = shlex.join([*words, "--driver", found.name])
     if options.as_json:
-        typer.echo(json.dumps({"buses": [{"bus": bus, "found": asdict(found), "command": command}]}))
+        echo(json.dumps({"buses": [{"bus": bus, "found": asdict(found), "command": command}]}))
         return
     say(f"{bus}: {found.title}", indent=2)
     say(f"  evidence    {found.frames} frames with its identifiers, {found.samples} samples", indent=_SECOND_COLUMN)
@@ -160,11 +159,12 @@ def _identity(result: Search, listener: Listener, clock: HostClock, *, ask: bool
     driver = listener.candidate.driver
     if driver is None:
         return {}
-    identity = driver.identity(listener.messages())
+    identity = read_identity(driver, listener.messages())
     if identity or not ask or "identify" not in driver.abilities:
         return identity
     try:
-        return driver.identity(Instrument(driver, clock, set(listener.decoder.statistics.by_kind)).identify(result.link))
+        instrument = Instrument(driver, clock, set(listener.decoder.statistics.by_kind))
+        return read_identity(driver, instrument.identify(result.link))
     except LinkError:
         # No answer takes nothing from what was recognised.
         return {}
@@ -191,7 +191,7 @@ def _show(probed: Probed, *, alone: bool) -> None:
         say(f"{probed.port}: {probed.found.title}", indent=2)
         say(f"  evidence    {probed.found.evidence()}", indent=_SECOND_COLUMN)
         if probed.baud is not None:
-            typer.echo(f"  baud rate   {probed.baud}")
+            echo(f"  baud rate   {probed.baud}")
         _show_rest(probed.identity, probed.command)
     elif not alone and probed.error is not None:
         # Of one port alone the command ends with this sentence.
@@ -208,4 +208,4 @@ def _show_rest(identity: dict[str, str], command: str) -> None:
         told = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in identity.items())
         say(f"  instrument  {told}", indent=_SECOND_COLUMN)
     # The word in capitals is for the reader to fill in; programs are given the command without it.
-    typer.echo(beside("  command    ", f"{command} --latitude LATITUDE"))
+    echo(beside("  command    ", f"{command} --latitude LATITUDE"))

@@ -6,8 +6,6 @@ import json
 import sys
 from contextlib import ExitStack, nullcontext, suppress
 
-import typer
-
 from imufield.acquire.decode.statistics import remarks
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.instrument.connect import connect
@@ -18,7 +16,7 @@ from imufield.acquire.link.serial import Chunk
 from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import Session, create_session
 from imufield.commands.options.commands import RecordOptions
-from imufield.commands.terminal.output import host_clock, say, say_assumed
+from imufield.commands.terminal.output import echo, host_clock, say, say_assumed
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import RecordingError
 from imufield.pipeline.chain import part_metadata
@@ -98,10 +96,10 @@ def _take(chunks: list[Chunk], decoder: Decoder, recorder: Recorder) -> None:
 
 def _tell_progress(decoder: Decoder, elapsed_s: float, as_json: bool) -> None:
     if as_json:
-        typer.echo(json.dumps({"event": "recording", "elapsed_s": round(elapsed_s, 3), **decoder.statistics.to_dict()}))
+        echo(json.dumps({"event": "recording", "elapsed_s": round(elapsed_s, 3), **decoder.statistics.to_dict()}))
     elif sys.stdout.isatty():
         counts = decoder.statistics
-        typer.echo(f"\r{elapsed_s:8.0f} s  {counts.samples} samples  {counts.lost} lost  (Ctrl-C ends)", nl=False)
+        echo(f"{elapsed_s:8.0f} s  {counts.samples} samples  {counts.lost} lost  (Ctrl-C ends)", begin="\r", end="")
 
 
 def _tell_end(session: Session, decoder: Decoder, as_json: bool) -> None:
@@ -111,10 +109,10 @@ def _tell_end(session: Session, decoder: Decoder, as_json: bool) -> None:
     decoder.flush()
     counts = decoder.statistics
     if as_json:
-        typer.echo(json.dumps({"event": "recorded", "session": str(session.folder), **counts.to_dict()}))
+        echo(json.dumps({"event": "recorded", "session": str(session.folder), **counts.to_dict()}))
         return
     if sys.stdout.isatty():
-        typer.echo()
-    typer.echo(beside(f"{counts.samples} samples, {counts.lost} lost, session", session.folder))
+        echo()
+    echo(beside(f"{counts.samples} samples, {counts.lost} lost, session", session.folder))
     for remark in remarks([counts]):
         say(remark)

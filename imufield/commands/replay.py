@@ -5,12 +5,10 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING
 
-import typer
-
 from imufield.acquire.recording.reader import Damage, EndOfRecordingError, RecordingLink
 from imufield.acquire.recording.session import Session, open_or_newest
 from imufield.commands.options.commands import ReplayOptions
-from imufield.commands.terminal.output import say
+from imufield.commands.terminal.output import echo, say
 from imufield.errors import UsageError
 from imufield.guide.view.plain import JsonLinesView, PlainView
 from imufield.pipeline.chain import Chain, ReadingPlan, recorded_protocol, replay_into
@@ -46,7 +44,7 @@ def run_replay(options: ReplayOptions) -> None:
     # Asked before reading: a recording that ends meanwhile was read while it went on.
     goes_on = session.is_being_recorded
     chain = Chain(ReadingPlan.of(session))
-    view = JsonLinesView(typer.echo) if options.as_json else PlainView(say, origin_s=chain.origin_s)
+    view = JsonLinesView(echo) if options.as_json else PlainView(say, origin_s=chain.origin_s)
     replay_into(chain, session, damage, view.show)
     for entry in without_end_under_way(damage, session) if goes_on else damage:
         say(entry.what, err=True)
@@ -65,7 +63,7 @@ def _tell(chain: Chain) -> None:
     say(f"{samples} samples of {frames} frames; {lost} lost, {bad} with a bad checksum, {skipped} bytes skipped")
     if chain.finder is not None:
         found = chain.still_intervals()
-        typer.echo(f"{len(found.observations)} still intervals, {len(found.refused)} refused")
+        echo(f"{len(found.observations)} still intervals, {len(found.refused)} refused")
 
 
 def _replay_to_others(session: Session, options: ReplayOptions) -> None:
@@ -78,10 +76,10 @@ def _replay_to_others(session: Session, options: ReplayOptions) -> None:
         raise UsageError(sentence("replay.no_bus", folder=session.folder))
     from imufield.acquire.formats.can_logs import replay_to_bus
 
-    typer.echo(f"sending to {options.bus}  (Ctrl-C ends)")
+    echo(f"sending to {options.bus}  (Ctrl-C ends)")
     pace, bit_rate = options.speed or None, options.bit_rate or can.bit_rate
     sent = replay_to_bus(RecordingLink(session), options.bus, pace=pace, bit_rate=bit_rate)
-    typer.echo(f"{sent} frames sent")
+    echo(f"{sent} frames sent")
 
 
 def _replay_to_slcan(session: Session, speed: float) -> None:
@@ -101,12 +99,12 @@ def _replay_to_slcan(session: Session, speed: float) -> None:
             device.port.write(b"")
 
     try:
-        typer.echo(f"waiting for a reader of slcan:{device.port.address}  (Ctrl-C ends)")
+        echo(f"waiting for a reader of slcan:{device.port.address}  (Ctrl-C ends)")
         while not device.is_open:
             device.receive()
             time.sleep(WAIT_S)
         sent = replay_frames(RecordingLink(session), send, pace=speed or None, on_chunk=answer)
-        typer.echo(f"{sent - device.frames_dropped} frames sent")
+        echo(f"{sent - device.frames_dropped} frames sent")
         time.sleep(LINGER_S)
     finally:
         device.close()
@@ -120,7 +118,7 @@ def _replay_to_pty(session: Session, speed: float) -> None:
     port = PseudoTerminal()
     sent, said = 0, False
     try:
-        typer.echo(f"waiting for a reader of {port.address}  (Ctrl-C ends)")
+        echo(f"waiting for a reader of {port.address}  (Ctrl-C ends)")
         while not port.has_reader():
             time.sleep(WAIT_S)
         while True:
@@ -137,7 +135,7 @@ def _replay_to_pty(session: Session, speed: float) -> None:
                 said = True
                 say(sentence("replay.no_times"))
     except EndOfRecordingError:
-        typer.echo(f"{sent} bytes sent")
+        echo(f"{sent} bytes sent")
         time.sleep(LINGER_S)
     finally:
         port.close()

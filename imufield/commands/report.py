@@ -10,12 +10,11 @@ from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
-import typer
 
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session, open_or_newest
 from imufield.commands.options.commands import ReportOptions
-from imufield.commands.terminal.output import write_output
+from imufield.commands.terminal.output import echo, write_output
 from imufield.deliver.parameters.document import VERSION
 from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, load
 from imufield.deliver.parameters.numbers import beside
@@ -71,7 +70,7 @@ def run_report(options: ReportOptions) -> tuple[Path, Path]:
         refuse_overwriting(path, inputs)
     for path, text in zip(pages, (render_report(data), render_record(data)), strict=True):
         write_output(path, text.encode())
-        typer.echo(beside("written to", path))
+        echo(beside("written to", path))
     return pages
 
 

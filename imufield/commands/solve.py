@@ -14,14 +14,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import typer
-from rich.console import Console
 from rich.table import Table
 
 from imufield.acquire.recording.session import Session
 from imufield.commands.options.commands import SolveOptions
-from imufield.commands.terminal.output import say
+from imufield.commands.terminal.output import echo, say
 from imufield.commands.terminal.progress import ProgressLine
+from imufield.console import PlainTextConsole
 from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, json_ready, write_document
 from imufield.deliver.parameters.numbers import hanging
 from imufield.deliver.parameters.schema import Document
@@ -31,7 +30,7 @@ from imufield.errors import ImufieldError, UsageError
 from imufield.files import refuse_overwriting
 from imufield.pipeline.solving import better_gravity, solve_observations, solve_session
 from imufield.samples import FloatArray
-from imufield.sentences import Sentences
+from imufield.sentences import Sentences, printable
 
 sentence = Sentences(__package__)
 
@@ -62,11 +61,11 @@ def run_solve(options: SolveOptions) -> int:
     better = better_gravity(path, solved.parameters.calibration.gravity)
     kept = write_document(path, solved.parameters.document, advice=sentence("solve.elsewhere"))
     if options.as_json:
-        typer.echo(json.dumps(json_ready(solved.parameters.document)))
+        echo(json.dumps(json_ready(solved.parameters.document)))
         return 0
     print_summary(solved.parameters, Outcome(path, kept, None if session is None else session.folder))
     for note in (*solved.notes, *better):
-        typer.echo(hanging("", note))
+        echo(hanging("", note))
     return 0
 
 
@@ -82,6 +81,11 @@ class SessionOutcome:
     written: Path | None = None
     kept: Path | None = None
     """Where the parameter file that stood there before is kept."""
+
+    @property
+    def name(self) -> str:
+        """Name of the folder, to be shown."""
+        return printable(self.session.name)
 
     @property
     def verdict(self) -> str:
@@ -114,7 +118,7 @@ def run_solve_many(sessions: Sequence[Path], options: SolveOptions) -> int:
 
     def tell(outcome: SessionOutcome) -> None:
         done.append(outcome)
-        say(f"{len(done)} of {len(jobs)}: {outcome.session.name}, {outcome.verdict}", err=True)
+        say(f"{len(done)} of {len(jobs)}: {outcome.name}, {outcome.verdict}", err=True)
 
     # Dask is looked for only where there are several sessions.
     from imufield.study.campaign import run_campaign
@@ -131,7 +135,7 @@ def run_solve_many(sessions: Sequence[Path], options: SolveOptions) -> int:
     # Written here and not by the workers: one that is killed and started again would write twice.
     outcomes = [_write(outcome) for outcome in found]
     if options.as_json:
-        typer.echo(json.dumps([_as_json(outcome) for outcome in outcomes]))
+        echo(json.dumps([_as_json(outcome) for outcome in outcomes]))
     else:
         _print(outcomes)
     return max(outcome.exit_code for outcome in outcomes)
@@ -171,13 +175,13 @@ def _write(outcome: SessionOutcome) -> SessionOutcome:
 
 
 def _print(outcomes: list[SessionOutcome]) -> None:
-    console = Console() if sys.stdout.isatty() else Console(width=WIDTH, color_system=None, legacy_windows=False)
+    console = PlainTextConsole(width=None if sys.stdout.isatty() else WIDTH)
     table = Table(box=None, pad_edge=False)
     table.add_column("session", overflow="fold")
     for heading in ("verdict", "positions", "residual", "bias sigma", "scale sigma"):
         table.add_column(heading, justify="left" if heading == "verdict" else "right", no_wrap=True)
     for outcome in outcomes:
-        table.add_row(outcome.session.name, outcome.verdict, *_figures(outcome))
+        table.add_row(outcome.name, outcome.verdict, *_figures(outcome))
     console.print(table)
     for outcome in outcomes:
         # What is to be read beside its row: an error alone, or why it is not good before the rest.
@@ -185,7 +189,7 @@ def _print(outcomes: list[SessionOutcome]) -> None:
         if outcome.found is not None and outcome.verdict not in (FAILED, "good"):
             said = (outcome.found.calibration.quality.main_reason, *outcome.notes)
         for note in said:
-            say(f"{outcome.session.name}: {note}", indent=2)
+            say(f"{outcome.name}: {note}", indent=2)
     failed = sum(outcome.error != "" for outcome in outcomes)
     key = "solve.all_solved" if not failed else "solve.some_solved" if failed < len(outcomes) else "solve.none_solved"
     say(sentence(key, solved=len(outcomes) - failed, sessions=len(outcomes), file=PARAMETER_FILE, failed=failed))

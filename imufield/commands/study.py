@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import sys
 
-import typer
-
 from imufield.commands.options.commands import StudyOptions
-from imufield.commands.terminal.output import replace_only
+from imufield.commands.terminal.output import echo, replace_only
 from imufield.errors import UsageError
 from imufield.files import typed_write_errors
-from imufield.sentences import Sentences
+from imufield.sentences import Sentences, printable
 from imufield.study.context import StudyContext
 from imufield.study.report import StudyReport, as_text
 from imufield.study.run import TITLE, run_study, write_document
@@ -44,14 +42,14 @@ def run_study_command(options: StudyOptions) -> None:
     )
     reports: list[StudyReport] = []
     for report in run_study(options.name, context, folder=folder):
-        typer.echo(as_text(report), nl=False)
+        echo(as_text(report), end="")
         reports.append(report)
     if document is not None:
         write_document(reports, document, context)
-        typer.echo(f"written: {document}")
+        echo(printable(f"written: {document}"))
 
 
 def _tell(done: int, total: int) -> None:
     # One line that is written over; a log would get a thousand of them.
     if sys.stderr.isatty():
-        typer.echo(f"\r{done} of {total} runs", nl=done == total, err=True)
+        echo(f"{done} of {total} runs", begin="\r", end="\n" if done == total else "", err=True)

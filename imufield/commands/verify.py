@@ -6,8 +6,6 @@ import json
 from collections.abc import Iterator
 
 import numpy as np
-import typer
-from rich.console import Console
 
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.recording.reader import Damage
@@ -15,6 +13,8 @@ from imufield.acquire.recording.session import open_or_newest
 from imufield.acquire.recording.session_record import SiteRecord
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters
 from imufield.commands.options.commands import VerifyOptions
+from imufield.commands.terminal.output import echo
+from imufield.console import PlainTextConsole
 from imufield.deliver.navigation.alignment import Heading
 from imufield.deliver.navigation.check import Apply, CheckSettings, NavigationResult, StaticNavigation
 from imufield.deliver.parameters.apply import correct_accelerometer, correct_gyroscope
@@ -105,9 +105,9 @@ def run_verify(options: VerifyOptions) -> Verification:
     document = to_document(found)
     write_verification(output, document)
     if options.as_json:
-        typer.echo(json.dumps(json_ready(document)))
+        echo(json.dumps(json_ready(document)))
     else:
-        text, console = verification_text(found), Console()
+        text, console = verification_text(found), PlainTextConsole()
         console.out(to_ascii(text) if console.options.ascii_only else text, end="", highlight=False)
     # An objection goes first: parameters that contradict the data are refused whatever the limits.
     if found.objections:

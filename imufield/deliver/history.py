@@ -30,7 +30,7 @@ from imufield.sentences import Sentences
 sentence = Sentences(__package__)
 
 INDEX_FILE = ".imufield-history.sqlite"
-INDEX_VERSION = 5  # Of the index alone, which is made anew when it changes.
+INDEX_VERSION = 6  # Of the index alone, which is made anew when it changes.
 STALE_DAYS = 365.0  # The usual interval of calibration; --stale-days says another.
 MOVED_SIGMA = 3.0
 """A larger change is reported: by chance it comes in 1 of 370 numbers."""

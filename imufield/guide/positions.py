@@ -18,7 +18,7 @@ import numpy as np
 from imufield.errors import UsageError
 from imufield.files import read_small_file
 from imufield.samples import AXES, FloatArray
-from imufield.sentences import Sentence, Sentences
+from imufield.sentences import Sentence, Sentences, printable
 from imufield.toml_files import decode_toml, parse_toml
 
 sentence = Sentences(__package__)
@@ -190,7 +190,7 @@ def read_positions(path: Path) -> tuple[tuple[Position, ...], str]:
     for i, table in enumerate(tables):
         where = f"{path.name}, line {lines[i] if i < len(lines) else '?'}"
         found.append(_read_position(table, where, {position.name for position in found}))
-    return tuple(found), str(content.get("name", path.stem))
+    return tuple(found), printable(str(content.get("name", path.stem)))
 
 
 def _read_position(table: object, where: str, taken: set[str]) -> Position:
@@ -210,6 +210,7 @@ def _read_position(table: object, where: str, taken: set[str]) -> Position:
     words = table.get("words", describe(direction))
     if not isinstance(name, str) or not isinstance(words, str) or not name:
         raise UsageError(sentence("positions.no_text", where=where, name=name, words=words, key="name"))
+    name, words = printable(name), printable(words)
     if name in taken:
         raise UsageError(sentence("positions.name_twice", where=where, name=name, key="name"))
     return Position(name, direction, words)

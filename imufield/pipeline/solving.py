@@ -26,7 +26,7 @@ from imufield.pipeline.calibration import FEWEST_POSITIONS, Measured, MoveListen
 from imufield.pipeline.chain import Chain, ReadingPlan, SamplesListener, replay_into
 from imufield.pipeline.damage import naming_damage, without_end_under_way
 from imufield.pipeline.site import SiteOptions
-from imufield.sentences import Sentences
+from imufield.sentences import Sentences, printable
 
 sentence = Sentences(__package__)
 
@@ -132,7 +132,7 @@ def solve_session(
 def solve_observations(path: Path, settings: SolveSettings, site: SiteOptions) -> Solved:
     """Solve position means from a file."""
     observations, repeats = count_repeats_once(read_observations(path))
-    facts = SessionFacts(path.name, _sha256([path]))
+    facts = SessionFacts(printable(path.name), _sha256([path]))
     measured = Measured(observations=observations, gravity=site.gravity(), context=Context(session=facts), reasons=repeats)
     return Solved(calibrate(measured, settings), ())
 

@@ -24,7 +24,7 @@ from imufield.acquire.formats.array_file_reader import Array, Arrays
 from imufield.acquire.formats.table_columns import named_column
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.samples import AXES, FloatArray
-from imufield.sentences import Sentences, shortened
+from imufield.sentences import Sentences, printable, shortened
 
 sentence = Sentences(__package__)
 
@@ -167,7 +167,7 @@ def handed_over(reader: subprocess.Popen[bytes]) -> tuple[Arrays, dict[str, Any]
         raise ValueError(head.get("error", broken))
     # An object with this method alone: NumPy would seek in a real file.
     pipe = cast("IO[bytes]", SimpleNamespace(read=output.read))
-    arrays: Arrays = {name: np.lib.format.read_array(pipe, allow_pickle=False) for name in head["names"]}
+    arrays: Arrays = {printable(name): np.lib.format.read_array(pipe, allow_pickle=False) for name in head["names"]}
     # Arrays of other things are not transferred; their names are reported as ignored.
     return arrays | dict.fromkeys(head["others"], np.empty(0, "U1")), head["stated"]
 

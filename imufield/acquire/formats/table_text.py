@@ -19,7 +19,7 @@ import numpy as np
 from imufield.acquire.formats.array_file_reader import SoundGzip
 from imufield.errors import Reason, RecordingError
 from imufield.samples import FloatArray
-from imufield.sentences import Sentences, shortened
+from imufield.sentences import Sentences, printable, shortened
 
 sentence = Sentences(__package__)
 
@@ -191,7 +191,7 @@ def open_table(path: str | Path) -> TextTable:
                     decimal_comma=decimal_comma,
                 )
             # Lines before the first number are the heading.
-            names.append([cell.strip('" ') for cell in cells])
+            names.append([printable(cell.strip('" ')) for cell in cells])
     raise _bad("table_text.no_rows", path)
 
 

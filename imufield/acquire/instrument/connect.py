@@ -8,7 +8,16 @@ from __future__ import annotations
 
 from contextlib import suppress
 
-from imufield.acquire.instrument.connected import Connected, ConnectOptions, ask_identity, assumed, keep, untried, with_settings
+from imufield.acquire.instrument.connected import (
+    Connected,
+    ConnectOptions,
+    ask_identity,
+    assumed,
+    keep,
+    read_identity,
+    untried,
+    with_settings,
+)
 from imufield.acquire.instrument.instrument import Instrument
 from imufield.acquire.instrument.listen import (
     SEARCH_S,
@@ -164,7 +173,7 @@ def _introduced(
         # Which questions it understands may depend on what it sends.
         instrument.heard = set(listener.decoder.statistics.by_kind)
         messages = ask_identity(instrument, result.link, chunks, listener.messages())
-        identity = instrument.driver.identity(messages)
+        identity = read_identity(instrument.driver, messages)
         if options.rate_hz is not None:
             rate_before_hz = _set_rate(instrument, result, listener, options.rate_hz, say=say)
             messages += instrument.state

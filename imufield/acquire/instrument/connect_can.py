@@ -14,7 +14,15 @@ from dataclasses import dataclass
 from imufield.acquire.decode.statistics import LEFT_OUT
 from imufield.acquire.driver import Message
 from imufield.acquire.instrument.can_map import bus_candidate
-from imufield.acquire.instrument.connected import Connected, ConnectOptions, ask_identity, assumed, untried, with_settings
+from imufield.acquire.instrument.connected import (
+    Connected,
+    ConnectOptions,
+    ask_identity,
+    assumed,
+    read_identity,
+    untried,
+    with_settings,
+)
 from imufield.acquire.instrument.instrument import Instrument
 from imufield.acquire.instrument.listen import LISTEN_S, Say, driver_candidates, usable
 from imufield.acquire.instrument.recognise import CERTAIN_SAMPLES, FEWEST_SAMPLES, Candidate, Listener
@@ -67,7 +75,7 @@ def connect_bus(options: ConnectOptions, clock: HostClock, say: Say) -> Connecte
         if driver is not None:
             instrument = Instrument(driver, clock, set(listener.decoder.statistics.by_kind))
             messages = ask_identity(instrument, link, chunks, listener.messages())
-            identity = driver.identity(messages)
+            identity = read_identity(driver, messages)
             protocol = with_settings(driver, protocol, messages)
         if driver is not None and options.driver is None:
             frames = _known_frames(listener)
@@ -112,7 +120,7 @@ def probe_bus(options: ConnectOptions, clock: HostClock, say: Say, *, ask: bool)
             if ask:
                 instrument = Instrument(candidate.driver, clock, set(listener.decoder.statistics.by_kind))
                 messages = ask_identity(instrument, link, chunks, messages)
-            identity = candidate.driver.identity(messages)
+            identity = read_identity(candidate.driver, messages)
     finally:
         link.close()
     return BusFinding(

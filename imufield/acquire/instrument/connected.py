@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from imufield.acquire.link.background import BackgroundLink, ReopenableLink
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.errors import LinkError
-from imufield.sentences import Sentences
+from imufield.sentences import Sentences, printable
 
 sentence = Sentences(__package__)
 
@@ -99,6 +99,11 @@ class Connected:
             "units": asdict(protocol.units),
             "nominal": {"raw_zero": nominal.raw_zero, "rate_hz": nominal.rate_hz},
         }
+
+
+def read_identity(driver: type[Driver], messages: Iterable[Message]) -> dict[str, str]:
+    """Return what an instrument said of itself; its texts come from a wire and go to terminals, files and pages."""
+    return {name: printable(text) for name, text in driver.identity(messages).items()}
 
 
 def ask_identity(

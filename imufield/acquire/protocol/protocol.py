@@ -32,7 +32,7 @@ from imufield.acquire.protocol.toml import FILE_LIMIT_BYTES, LEAST_SCALE, Source
 from imufield.acquire.protocol.units import SI_UNITS, TO_SI, UNITS_OF
 from imufield.errors import ProtocolError, Reason, UnknownNameError
 from imufield.samples import FloatArray, SampleUnits
-from imufield.sentences import Sentences
+from imufield.sentences import Sentences, printable
 from imufield.toml_files import decode_toml
 
 sentence = Sentences(__package__)
@@ -229,8 +229,8 @@ def _build(top: Table, settings: dict[str, Setting]) -> Protocol:
         for key in ("emulate", *(("frame", "parts", "frames", "messages") if frame else ())):
             top.has(key)
         return Protocol(
-            name=top.text("name"),
-            title=top.text("title"),
+            name=printable(top.text("name")),
+            title=printable(top.text("title")),
             manual=top.text("manual"),
             text=top.source.text,
             sha256=hashlib.sha256(top.source.text.encode()).hexdigest(),

@@ -16,7 +16,7 @@ import tomli_w
 from imufield.acquire.recording.session_record import FORMAT, VERSION, SessionRecord, Table, plain_table
 from imufield.errors import Reason, RecordingError
 from imufield.files import DEFAULT_ROOT, read_small_file, sync_folder, typed_write_errors, write_atomically
-from imufield.sentences import Sentences
+from imufield.sentences import Sentences, printable
 from imufield.toml_files import decode_toml, parse_toml
 from imufield.version import __version__
 
@@ -145,8 +145,8 @@ class Session:
 
     @property
     def name(self) -> str:
-        """Name of the folder."""
-        return self.folder.resolve().name
+        """Name of the folder, to be shown."""
+        return printable(self.folder.resolve().name)
 
     @property
     def parts(self) -> list[Path]:

@@ -14,7 +14,7 @@ from imufield.earth import GRAVITY_RANGE_M_S2, HEIGHT_RANGE_M, MEASURED_GRAVITY_
 from imufield.errors import Reason, RecordingError
 from imufield.limits import BAUD_RANGE, HOLD_RANGE_S, RATE_RANGE_HZ, TARGET_RANGE
 from imufield.samples import ACCELEROMETER_COLUMNS, LARGEST_OUTPUT
-from imufield.sentences import Sentences
+from imufield.sentences import Sentences, printable
 
 sentence = Sentences(__package__)
 
@@ -171,7 +171,7 @@ class SessionRecord:
             if name not in known:
                 raise _refused("session_record.unknown_instrument_key", path, Reason.UNKNOWN_KEY, key=name, known=known)
         # A serial number of digits alone is a number in a file that a person has edited.
-        instrument = {key: str(value) for key, value in content.get("instrument", {}).items()}
+        instrument = {key: printable(str(value)) for key, value in content.get("instrument", {}).items()}
         tables = {name: _read_table(kind, name, content, path) for name, kind in _TABLES.items()}
         zero = content.get("nominal", {}).get("raw_zero")
         zeros: list[Any] = zero if isinstance(zero, list) and len(zero) == len(ACCELEROMETER_COLUMNS) else [zero]
@@ -184,8 +184,11 @@ class SessionRecord:
             if not isinstance(value, dict) or "value" not in value:
                 raise _refused("session_record.setting", path, key=key, value=value)
             settings[key] = SettingRecord(value["value"], str(value.get("origin", "")))
+        texts: Table = {key: printable(content[key]) for key in ("created", "model", "software", "kind") if key in content}
         return cls(
-            **{key: content[key] for key in ("created", "model", "finished", "software", "kind", "scheme") if key in content},
+            **texts,
+            finished=content["finished"],
+            scheme=content.get("scheme"),
             instrument=InstrumentRecord(**instrument),
             settings=settings,
             nominal=NominalRecord(raw_zero=raw_zero),

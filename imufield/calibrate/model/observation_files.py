@@ -19,7 +19,7 @@ from imufield.calibrate.model.observations import Observations
 from imufield.errors import Reason, RecordingError
 from imufield.files import read_small_file
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, LARGEST_OUTPUT, FloatArray, SampleUnits
-from imufield.sentences import Sentences
+from imufield.sentences import Sentences, printable
 
 sentence = Sentences(__package__)
 
@@ -69,7 +69,7 @@ def read_observations(path: str | Path, *, units: SampleUnits | None = None) -> 
     table = _read_table(Path(path))
     mean = _triad(table, ACCELEROMETER_COLUMNS)
     m = len(table.rows)
-    names = tuple(row[table.header.index(NAME)].strip() for row in table.rows) if NAME in table.header else ("",) * m
+    names = tuple(printable(row[table.header.index(NAME)].strip()) for row in table.rows) if NAME in table.header else ("",) * m
     unknown = np.full(m, np.nan)
     return Observations(
         name=tuple(name or f"p{row + 1:02d}" for row, name in enumerate(names)),

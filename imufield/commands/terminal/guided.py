@@ -10,7 +10,6 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 
 import numpy as np
-import typer
 
 from imufield.acquire.decode.statistics import remarks
 from imufield.acquire.instrument.connected import Connected
@@ -21,7 +20,7 @@ from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import Session, create_session
 from imufield.acquire.recording.session_record import GuideRecord
 from imufield.commands.options.commands import CaptureOptions, ViewName
-from imufield.commands.terminal.output import say
+from imufield.commands.terminal.output import echo, say
 from imufield.commands.terminal.views import View, make_view
 from imufield.deliver.parameters.file import load
 from imufield.deliver.parameters.numbers import beside
@@ -303,10 +302,10 @@ def farewell(captured: Captured, view: ViewName, clock: HostClock) -> None:
     for line in captured.remarks:
         say(line)
     if captured.finished and captured.accepted >= min(FEWEST_POSITIONS, captured.planned):
-        typer.echo(beside(f"{captured.accepted} of {captured.planned} positions measured, session", folder))
-        typer.echo(beside("next: ", f"imufield solve {shlex.quote(str(folder))}"))
+        echo(beside(f"{captured.accepted} of {captured.planned} positions measured, session", folder))
+        echo(beside("next: ", f"imufield solve {shlex.quote(str(folder))}"))
     else:
-        typer.echo(beside(f"{captured.accepted} of {captured.planned} positions measured so far, all on disk in", folder))
+        echo(beside(f"{captured.accepted} of {captured.planned} positions measured so far, all on disk in", folder))
         # An emulated instrument that runs faster than real must be read as fast again.
         speed = f"IMUFIELD_CLOCK_SPEED={clock.speed:g} " if isinstance(clock, ScaledClock) else ""
-        typer.echo(beside("go on:", f"{speed}imufield capture --resume --session {shlex.quote(str(folder))}"))
+        echo(beside("go on:", f"{speed}imufield capture --resume --session {shlex.quote(str(folder))}"))

@@ -14,7 +14,7 @@ import typer
 from imufield.acquire.link.host_clock import HostClock, ScaledClock, SystemClock
 from imufield.errors import UsageError
 from imufield.files import refuse_overwriting, typed_write_errors, write_atomically
-from imufield.sentences import Sentences
+from imufield.sentences import Sentences, printable_lines
 
 sentence = Sentences(__package__)
 
@@ -80,11 +80,20 @@ def replace_only(path: Path, mark: str, option: str, what: str) -> None:
         raise UsageError(sentence("output.something_else", option=option, path=path, what=what))
 
 
+def echo(text: str = "", *, begin: str = "", end: str = "\n", err: bool = False) -> None:
+    """Print lines; all that commands print goes through here, ``say`` or ``imufield.console``.
+
+    What controls a terminal in ``text`` came from somebody else and is shown instead; ``begin`` and ``end`` are ours.
+    """
+    typer.echo(f"{begin}{printable_lines(text)}{end}", nl=False, err=err)
+
+
 def say(line: str, *, err: bool = False, indent: int = 0, color: str | None = None) -> None:
     """Print a sentence with its words whole; lines below the first are indented.
 
     A terminal breaks words in two; a pipe or a log gets the sentence as one line.
     """
+    line = printable_lines(line)
     if (sys.stderr if err else sys.stdout).isatty():
         line = textwrap.fill(
             line,

@@ -8,6 +8,8 @@ import sys
 
 import typer
 
+from imufield.commands.terminal.output import echo
+
 LOOK_S = 0.1
 """How long an interrupt may go unnoticed."""
 
@@ -23,7 +25,7 @@ def ask(question: str) -> str:
     typer.Abort
         At the end of the input.
     """
-    typer.echo(f"{question}: ", nl=False)
+    echo(f"{question}: ", end="")
     _wait_for_line()
     line = sys.stdin.readline()
     if not line:
@@ -40,7 +42,7 @@ def confirm(question: str) -> bool:
         At the end of the input.
     """
     while (answer := ask(f"{question} [Y/n]").lower()) not in ("", "y", "yes", "n", "no"):
-        typer.echo("Please answer y or n.")
+        echo("Please answer y or n.")
     return not answer.startswith("n")
 
 

@@ -9,10 +9,8 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import typer
-
 from imufield.commands.options.commands import CaptureOptions
-from imufield.commands.terminal.output import say
+from imufield.commands.terminal.output import echo, say
 from imufield.deliver.parameters.numbers import beside
 from imufield.guide.events import EVENT_VERSION, Event
 from imufield.guide.lead.guide import Snapshot
@@ -74,10 +72,10 @@ def make_view(options: CaptureOptions, session: Path, positions: Scheme, origin_
     with ExitStack() as stack:
         if options.view == "json":
             # The version first: a reader must know it before it reads anything else.
-            typer.echo(json.dumps({"version": EVENT_VERSION, "event": "session", "session": str(session)}))
-            view = View(lines=JsonLinesView(typer.echo))
+            echo(json.dumps({"version": EVENT_VERSION, "event": "session", "session": str(session)}))
+            view = View(lines=JsonLinesView(echo))
         elif options.view == "plain" or not sys.stdout.isatty():
-            typer.echo(beside("session", session))
+            echo(beside("session", session))
             view = View(lines=PlainView(lambda line: say(line, indent=PLAIN_INDENT), origin_s=origin_s))
         else:
             from imufield.guide.view.terminal import TerminalView

@@ -7,6 +7,7 @@ import re
 import textwrap
 
 from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2
+from imufield.sentences import printable
 
 ARC_MINUTE_RAD = math.pi / (180 * 60)
 DEG_PER_HOUR_RAD_S = math.pi / 180 / 3600
@@ -57,8 +58,9 @@ def hanging(start: str, sentence: str) -> str:
 
 def beside(words: str, path: object) -> str:
     """Return words and a path, the path on a line of its own where both are too long for one: broken it cannot be copied."""
-    line = f"{words} {path}"
-    return line if len(line) <= WIDTH else f"{words.rstrip()}\n{path}"
+    shown = printable(str(path))
+    line = f"{words} {shown}"
+    return line if len(line) <= WIDTH else f"{words.rstrip()}\n{shown}"
 
 
 def bar(share: float, width: int) -> str:

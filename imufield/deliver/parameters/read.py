@@ -11,7 +11,7 @@ from imufield.deliver.parameters.versions import CONVERTERS, to_current
 from imufield.deliver.parameters.write import EDITED, content_sha256
 from imufield.errors import ParameterFileError, Reason
 from imufield.files import read_small_file
-from imufield.sentences import Sentences
+from imufield.sentences import Sentences, printable_values
 from imufield.toml_files import decode_toml, parse_toml
 
 sentence = Sentences(__package__)
@@ -52,7 +52,7 @@ def parse_document(text: str, where: str = "parameter file") -> VersionedDocumen
             refused = sentence("read.older", where=where, what=error.message)
             raise ParameterFileError(refused, error.reason, **error.values) from error
     _check(document, where)
-    return VersionedDocument(document, version)
+    return VersionedDocument({key: printable_values(value) for key, value in document.items()}, version)
 
 
 def _check(document: Document, where: str) -> None:

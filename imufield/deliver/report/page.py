@@ -18,7 +18,7 @@ from imufield.deliver.report.data import ReportData
 from imufield.deliver.report.rows import VERDICT_WORDS, parameter_rows
 from imufield.deliver.verification.result import duration_words
 from imufield.earth import MICRO_G_M_S2, height_words
-from imufield.sentences import Sentences
+from imufield.sentences import Sentences, printable
 
 sentence = Sentences(__package__)
 
@@ -66,15 +66,21 @@ def _render(template: str, values: Document) -> str:
         import jinja2
     except ImportError as error:
         raise plots.missing_package("jinja2") from error
-    # A name misspelt in a template is an error, and no empty cell; an instrument's name is text, and no HTML.
+    # A name misspelt in a template is an error, and no empty cell; an instrument's name is text, no HTML, and in one order.
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("imufield.deliver.report"),
         autoescape=True,
+        finalize=_shown,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
     return str(environment.get_template(template).render(values))
+
+
+def _shown(value: object) -> object:
+    # What has markup is a drawing of ours.
+    return printable(value) if isinstance(value, str) and not hasattr(value, "__html__") else value
 
 
 def _facts(data: ReportData) -> Document:

@@ -18,6 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from imufield.calibrate.model.result import Calibration
+from imufield.console import PlainTextConsole
 from imufield.deliver.parameters.document import VERSION
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.numbers import (
@@ -32,7 +33,7 @@ from imufield.deliver.parameters.numbers import (
 from imufield.deliver.report.rows import VERDICT_WORDS, Quantity, quantities
 from imufield.earth import MICRO_G_M_S2, height_words
 from imufield.samples import AXES, FloatArray
-from imufield.sentences import Sentences
+from imufield.sentences import Sentences, printable
 
 sentence = Sentences(__package__)
 
@@ -62,7 +63,7 @@ class Outcome:
 
 def print_summary(parameters: Parameters, outcome: Outcome | None = None, console: Console | None = None) -> None:
     """Print the summary; without a terminal as plain text of 80 columns, without Unicode in ASCII."""
-    console = console or Console()
+    console = console or PlainTextConsole()
     if console.is_terminal and not console.options.ascii_only:
         # Not cropped: a path longer than the line is still to be copied.
         console.print(summary(parameters, outcome), crop=False)
@@ -73,7 +74,7 @@ def print_summary(parameters: Parameters, outcome: Outcome | None = None, consol
 
 def summary_text(parameters: Parameters, outcome: Outcome | None = None) -> str:
     """Return the summary as plain text of 80 columns."""
-    console = Console(width=WIDTH, color_system=None, file=io.StringIO(), legacy_windows=False)
+    console = PlainTextConsole(width=WIDTH, file=io.StringIO())
     with console.capture() as capture:
         console.print(summary(parameters, outcome), crop=False)
     # rich fills columns with blanks; in a file or a mail they are only noise.
@@ -259,4 +260,4 @@ def _next_steps(parameters: Parameters, outcome: Outcome) -> Iterator[Renderable
 
 def _unbroken(text: str) -> Text:
     """Return a path or a command on a line of its own: in two pieces it cannot be copied."""
-    return Text(text, overflow="ignore", no_wrap=True)
+    return Text(printable(text), overflow="ignore", no_wrap=True)

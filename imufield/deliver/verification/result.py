@@ -27,7 +27,7 @@ from imufield.deliver.verification.left_out import LeftOutPositions
 from imufield.earth import MICRO_G_M_S2
 from imufield.errors import UsageError
 from imufield.files import read_small_file, typed_write_errors, write_atomically
-from imufield.sentences import Sentences
+from imufield.sentences import Sentences, printable_values
 
 sentence = Sentences(__package__)
 
@@ -224,7 +224,9 @@ def read_verification(path: Path, parameters_sha256: str) -> Document | None:
         return None
     # The hash covers the rest, as in the parameter file.
     whole = document.pop("integrity", None) == {"sha256": content_sha256(document)}
-    return document if whole and document.get("parameters_sha256") == parameters_sha256 else None
+    if not whole or document.get("parameters_sha256") != parameters_sha256:
+        return None
+    return {key: printable_values(value) for key, value in document.items()}
 
 
 def verification_note(path: Path, parameters_sha256: str) -> str:

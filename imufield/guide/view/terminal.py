@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
+from imufield.console import PlainTextConsole
 from imufield.guide.events import Event
 from imufield.guide.lead.guide import Snapshot
 from imufield.guide.positions import Scheme
@@ -92,7 +93,9 @@ class TerminalView:
         self.big = big  # Big letters instead of pictures.
         self._scheme = scheme
         self._screen = Screen()
-        self._live = Live(Text(), console=console, auto_refresh=False, screen=True, vertical_overflow="crop")
+        self._live = Live(
+            Text(), console=console or PlainTextConsole(), auto_refresh=False, screen=True, vertical_overflow="crop"
+        )
 
     def __enter__(self) -> Self:
         self._live.start()

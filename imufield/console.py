@@ -1,0 +1,34 @@
+"""The terminal as rich draws on it: tables, summaries and the live view."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import IO
+
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
+
+from imufield.sentences import printable_lines
+
+
+class PlainTextConsole(Console):
+    """A console on which text is text: it has no markup, and what controls a terminal in it is shown.
+
+    Parameters
+    ----------
+    width : int, optional
+        Characters of a line where this is no terminal: without colour then.
+    file : file of text, optional
+        Where it goes instead of standard output.
+    """
+
+    def __init__(self, *, width: int | None = None, file: IO[str] | None = None) -> None:
+        if width is None:
+            super().__init__(file=file, markup=False, emoji=False)
+        else:
+            super().__init__(width=width, file=file, color_system=None, legacy_windows=False, markup=False, emoji=False)
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """Yield the pieces of a renderable; the sequences for colour and cursor are rich's own, added behind this."""
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else segment._replace(text=printable_lines(segment.text))
