@@ -128,7 +128,7 @@ Settings = Annotated[
         parse_settings,
     ),
 ]
-TableRateHz = Annotated[float | None, option("--rate-hz", help="Sample rate of a table without a time column.", low=1e-3)]
+TableRateHz = Annotated[float | None, option("--rate-hz", help="Sample rate, where the file has no time.", low=1e-3)]
 NewestSession = Annotated[Path | None, argument(help="Session folder (default: the newest).")]
 SessionFolder = Annotated[Path | None, option("--session", help="Folder of the session (default: a new one).")]
 AsJson = Annotated[bool, option("--json", help="JSON on standard output and nothing else.")]
