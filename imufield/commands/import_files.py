@@ -12,7 +12,7 @@ from pathlib import Path
 
 import typer
 
-from imufield.acquire.decode.statistics import remarks
+from imufield.acquire.decode.statistics import remarks, without_samples
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.formats.ros_bags import is_bag
 from imufield.acquire.formats.table_columns import TIME_UNIT
@@ -157,8 +157,10 @@ def _import_bytes(options: ImportOptions, protocol: Protocol) -> tuple[Session, 
     decoder.flush()
     counts = decoder.statistics
     if not counts.samples:
+        foreign = "import_files.dump_without_samples" if protocol.can is None else "import_files.log_without_samples"
         none = sentence(
-            "import_files.dump_without_samples" if protocol.can is None else "import_files.log_without_samples",
+            "import_files.frames_without_samples" if protocol.can is None and counts.is_understood else foreign,
+            why=without_samples(protocol, [counts]),
             names=options.files,
             protocol=protocol.name,
             bytes=counts.bytes_total,
@@ -168,8 +170,9 @@ def _import_bytes(options: ImportOptions, protocol: Protocol) -> tuple[Session, 
         )
         raise RecordingError(none, Reason.NO_FRAMES)
     if decoder.time_is_assumed:
-        key = "dump_without_time" if "rate_hz" in protocol.settings else "protocol_without_time"
-        raise UsageError(sentence(f"import_files.{key}", names=options.files, protocol=protocol.name), Reason.UNITS)
+        has_setting = "rate_hz" in protocol.settings
+        key = "import_files.dump_without_time" if has_setting else "import_files.protocol_without_time"
+        raise UsageError(sentence(key, names=options.files, protocol=protocol.name), Reason.UNITS)
     said = f"{counts.samples} samples of {counts.frames} frames, {counts.lost} lost"
     if protocol.can is None:
         said = f"{counts.samples} samples, {counts.bytes_skipped} of {counts.bytes_total} bytes skipped"

@@ -16,19 +16,22 @@ import pytest
 from scipy.io import savemat
 
 from imufield.acquire.instrument.can_map import parse_map, protocol_from_dbc
+from imufield.acquire.link.serial import Chunk
+from imufield.acquire.protocol.checksum import make_checksum
 from imufield.acquire.protocol.protocol import Protocol
-from imufield.acquire.recording.session import Session
+from imufield.acquire.recording.recorder import Recorder
+from imufield.acquire.recording.session import Session, create_session
 from imufield.acquire.registry import load_driver
 from imufield.cli.run import run
 from imufield.commands import import_files
 from imufield.commands.options.commands import ImportOptions
 from imufield.deliver.samples.export_data import export_samples
 from imufield.errors import Reason, RecordingError, UsageError
-from imufield.pipeline.chain import Chain, ReadingPlan, replay_into, session_samples
+from imufield.pipeline.chain import Chain, ReadingPlan, part_metadata, replay_into, session_samples
 from imufield.pipeline.table_samples import table_samples
 from imufield.samples import NO_COUNTER, Samples, Status, concatenate, make_samples
 from imufield.simulate.wire.can_frames import CanEncoder
-from tests.commands.told import fails
+from tests.commands.told import fails, says
 from tests.refused import refused
 from tests.simulate.accounting import Wire, random_samples
 
@@ -273,6 +276,52 @@ def test_a_protocol_of_ones_own_says_its_rate(tmp_path: Path) -> None:
     protocol.write_text(head + "rate_hz = 50\n")
     assert typed(*command) == 0
     assert imported(tmp_path / "session").time_s[50] == 1.0
+
+
+def of_other_kinds(path: Path) -> Path:
+    """Write what a receiver sends whose corrected data are logged instead of raw ones."""
+    dump_of(Wire("novatel_oem7", "IMURATECORRIMUS"), path, 766)
+    # Short header of an INSPVAS: length 88, number 508.
+    frame = bytes.fromhex("AA 44 13 58 FC 01") + bytes(6 + 88)
+    crc = make_checksum("CRC-32/ISO-HDLC", start=0, final=0)
+    path.write_bytes((frame + int(crc.of(frame)).to_bytes(4, "little")) * 62 + path.read_bytes())
+    return path
+
+
+def test_frames_without_samples_are_named_and_counted(tmp_path: Path) -> None:
+    path = of_other_kinds(tmp_path / "dump.bin")
+    command = ["import", str(path), "--driver", "novatel_oem7", "-o", str(tmp_path / "mine")]
+    facts = ("828 good frames", "766 IMURATECORRIMUS, 62 INSPVAS", "log RAWIMUSX", "imu=corrected")
+    fails(command, 4, Reason.NO_FRAMES, str(path), *facts, key="import_files.frames_without_samples")
+    assert not (tmp_path / "mine").exists()
+    # A session of the same bytes, as a recording makes it whose instrument was told otherwise meanwhile.
+    protocol = load_driver("novatel_oem7").load_protocol()
+    told = {"name": protocol.name, "sha256": protocol.sha256, "text": protocol.text}
+    session = create_session(tmp_path / "recorded", tmp_path, "oem7", {"kind": "record", "protocol": told})
+    with Recorder(session.add_part(), part_metadata(protocol, {})) as recorder:
+        recorder.write_chunk(Chunk(path.read_bytes(), 1.0, 1))
+    for name in ("solve", "export-data", "replay"):
+        fails([name, str(session.folder)], 4, Reason.BAD_DATA, str(session.folder), *facts, key="damage.other_frames")
+
+
+def test_what_an_instrument_has_corrected_is_read_and_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = of_other_kinds(tmp_path / "dump.bin")
+    folder = tmp_path / "mine"
+    assert typed("import", path, "--driver", "novatel_oem7", "--set", "imu=corrected", "-o", folder) == 0
+    advice = load_driver("novatel_oem7").load_protocol({"imu": "corrected"}).samples.advice
+    assert says(capsys.readouterr().err, "acquire.instrument", "connected.corrected", advice=advice)
+    assert len(imported(folder)) == 766
+    assert Session.open(folder).record.settings["imu"].value == "corrected"
+    assert typed("export-data", folder) == 0
+    for name in ("solve", "replay"):
+        fails([name, str(folder)], 6, Reason.GRAVITY, "RAWIMUSX", key="chain.corrected")
+
+
+def test_a_real_recording_of_other_frames(tmp_path: Path, shared_folder: Path) -> None:
+    path = shared_folder / "captures" / "novatel_oem7" / "oem7_ins1_inspvas_corrimus.bin"
+    command = ["import", str(path), "--driver", "novatel_oem7", "-o", str(tmp_path / "mine")]
+    kinds = "243 INSPVAS, 29 INSSTDEV, 10 CORRIMUS, 2 INSCONFIG"
+    fails(command, 4, Reason.NO_FRAMES, kinds, key="import_files.frames_without_samples")
 
 
 def test_sentences_about_cells_are_short_and_have_a_remedy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -32,7 +32,17 @@ from imufield.guide.positions import SCHEMES, scheme
 from imufield.guide.view.plain import known_words, words
 from imufield.guide.view.terminal import Keyboard
 from imufield.pipeline.calibration import FEWEST_POSITIONS, one_of
-from imufield.pipeline.chain import MARK, REVISIT_FROM, ROTATIONS, SCHEME_FILE, Chain, ReadingPlan, part_metadata, replay_into
+from imufield.pipeline.chain import (
+    MARK,
+    REVISIT_FROM,
+    ROTATIONS,
+    SCHEME_FILE,
+    Chain,
+    ReadingPlan,
+    part_metadata,
+    replay_into,
+    require_gravity,
+)
 from imufield.pipeline.site import SiteOptions
 from imufield.sentences import Sentences
 
@@ -101,7 +111,10 @@ def new_session(options: CaptureOptions, connected: Connected, site: SiteOptions
     ------
     ParameterFileError
         If the earlier calibration is of another instrument or in another unit.
+    CalibrationError
+        If the instrument sends no gravity.
     """
+    require_gravity(connected.protocol)
     if options.preset is not None:
         preset = load(options.preset)
         preset.check_instrument(connected.identity.get("serial_number", ""))
