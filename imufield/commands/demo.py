@@ -7,11 +7,13 @@ that does the same. Nothing else differs from a real session.
 from __future__ import annotations
 
 import json
+import queue
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +30,7 @@ from imufield.commands.terminal.guided import Captured, guided_session, new_sess
 from imufield.commands.terminal.output import before_recording, echo, say_assumed
 from imufield.deliver.parameters.file import PARAMETER_FILE, write_document
 from imufield.deliver.report.summary import Outcome, print_summary
-from imufield.errors import LinkError, Reason
+from imufield.errors import LinkError, Reason, UsageError
 from imufield.pipeline.calibration import SolveSettings
 from imufield.pipeline.site import SiteOptions
 from imufield.pipeline.solving import solve_session
@@ -60,12 +62,14 @@ def run_demo(options: DemoOptions) -> None:
     Raises
     ------
     LinkError
-        If the emulator does not start.
+        If the emulator does not start, or ends too soon.
+    UsageError
+        If it does not keep the speed.
     """
     with tempfile.TemporaryDirectory(prefix="imufield-demo-") as folder:
         truth_file = Path(folder) / "truth.json"
-        with _emulator(options.seed, options.speed, truth_file) as port:
-            captured = _capture(port, options)
+        with _emulator(options.seed, options.speed, truth_file) as (port, check):
+            captured = _capture(port, options, check)
         # After the emulator has ended, and before its folder goes.
         truth: dict[str, Any] = json.loads(truth_file.read_text())
     solved = solve_session(captured.session, SolveSettings())
@@ -75,7 +79,7 @@ def run_demo(options: DemoOptions) -> None:
     _print_comparison(captured, _errors_in_sigma(solved.parameters.calibration, truth), truth["seed"])
 
 
-def _capture(port: str, options: DemoOptions) -> Captured:
+def _capture(port: str, options: DemoOptions, check: Callable[[], None]) -> Captured:
     """Capture as ``imufield capture`` does, at the place and with the clock of the simulation."""
     site, clock = Site(), ScaledClock(options.speed)
     capture = CaptureOptions(
@@ -91,25 +95,44 @@ def _capture(port: str, options: DemoOptions) -> Captured:
         stack.callback(connected.close)
         session = new_session(capture, connected, capture.site)
         stack.enter_context(session.lock())
-        return guided_session(session, connected, clock, capture)
+        return guided_session(session, connected, clock, capture, check)
 
 
 @contextmanager
-def _emulator(seed: int, speed: float, truth: Path) -> Iterator[str]:
-    """Run ``imufield emulate`` in a process of its own; yield the port."""
+def _emulator(seed: int, speed: float, truth: Path) -> Iterator[tuple[str, Callable[[], None]]]:
+    """Run ``imufield emulate`` in a process of its own; yield the port, and what raises where it is slow or has ended."""
     command = [sys.executable, "-P", "-m", "imufield", "emulate", "stim300", "--json", "--wait", "--truth", str(truth)]
     numbers = {"seed": seed, "speed": speed, "rate-hz": RATE_HZ, "hold-s": OPERATOR_HOLD_S, "duration-s": LONGEST_S}
     command += [f"--{name}={value}" for name, value in numbers.items()]
     # What it says when it is ended is nobody's concern here; that it did not start is said below.
     quiet = subprocess.DEVNULL
+    words: queue.SimpleQueue[str] = queue.SimpleQueue()
+
+    def listen(output: Iterable[str]) -> None:
+        for line in output:
+            words.put(line)
+        words.put("")
+
+    def check() -> None:
+        with suppress(queue.Empty):
+            line = words.get_nowait()
+            # Behind the start it has one thing to say, or it ends.
+            if not line:
+                raise LinkError(sentence("demo.ended"))
+            raise UsageError(sentence("demo.slow", **json.loads(line)))
+
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=quiet, text=True) as process:  # noqa: S603  (our own program)
+        # In a thread: a line may never come, and the guide must not wait for it.
+        listener = threading.Thread(target=listen, args=(process.stdout,), name="words of the emulator", daemon=True)
+        listener.start()
         try:
-            line = process.stdout.readline() if process.stdout is not None else ""
+            line = words.get()
             if not line:
                 raise LinkError(sentence("demo.no_emulator"), Reason.PORT_NOT_FOUND)
-            yield str(json.loads(line)["port"])
+            yield str(json.loads(line)["port"]), check
         finally:
             process.terminate()
+            listener.join()
 
 
 def _errors_in_sigma(calibration: Calibration, truth: dict[str, Any]) -> FloatArray:

@@ -11,7 +11,7 @@ from typing import Any, get_args
 from imufield.acquire.protocol.toml import spell
 from imufield.acquire.registry import driver_names, load_driver
 from imufield.commands.options.commands import EmulateOptions
-from imufield.commands.terminal.output import echo, replace_only
+from imufield.commands.terminal.output import echo, replace_only, say
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import UsageError
 from imufield.guide.positions import scheme
@@ -37,7 +37,11 @@ def run_emulate(options: EmulateOptions) -> None:
     if options.truth is not None:
         replace_only(options.truth, TRUTH_FORMAT, "--truth", "the truth of an emulation")
     emulation = make_emulation(options)
-    emulator = emulate(emulation, on_start=lambda running: _announce(options, emulation, running))
+    emulator = emulate(
+        emulation,
+        on_start=lambda running: _announce(options, emulation, running),
+        on_slow=lambda reached: _tell_slow(options, reached),
+    )
     if not options.as_json:
         echo(f"stopped after {emulator.samples_sent} samples")
 
@@ -110,6 +114,13 @@ def parse_faults(texts: list[str], kind: type[WireFaults] = Faults) -> WireFault
         # A cable can be pulled several times; of every other fault the last one typed stands.
         values[name] = (*values.get(name, ()), number) if name == "disconnect_at_s" else number
     return kind(**values)
+
+
+def _tell_slow(options: EmulateOptions, reached: float) -> None:
+    if options.as_json:
+        echo(json.dumps({"event": "slow", "speed": options.speed, "reached": reached}))
+    else:
+        say(sentence("emulate.slow", speed=options.speed, reached=reached), err=True)
 
 
 def _announce(options: EmulateOptions, emulation: Emulation, emulator: EmulatorCore) -> None:

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from imufield.acquire.decode.statistics import remarks
+from imufield.acquire.decode.statistics import remarks, without_samples
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.formats.ros_bags import is_bag
 from imufield.acquire.formats.table_columns import TIME_UNIT
@@ -75,7 +75,7 @@ def _protocol(options: ImportOptions) -> Protocol | None:
     Raises
     ------
     UsageError
-        If protocol and DBC file are both given, or a mapping without a DBC file.
+        If protocol and DBC file are both given, or a mapping without a DBC file, or two rates.
     """
     if options.protocol is not None and options.dbc is not None:
         raise UsageError(sentence("import_files.protocol_and_dbc"))
@@ -87,8 +87,17 @@ def _protocol(options: ImportOptions) -> Protocol | None:
 
         return protocol_from_dbc(options.dbc, options.mapping, options.settings)
     if options.protocol is not None:
-        return load_protocol(options.protocol, options.settings)
-    return None if options.driver is None else load_driver(options.driver).load_protocol(options.settings)
+        return load_protocol(options.protocol, _with_rate(options))
+    return None if options.driver is None else load_driver(options.driver).load_protocol(_with_rate(options))
+
+
+def _with_rate(options: ImportOptions) -> dict[str, object]:
+    """Return the settings of a protocol, the rate that was given by an option of its own among them."""
+    if options.rate_hz is None:
+        return {**options.settings}
+    if "rate_hz" in options.settings:
+        raise UsageError(sentence("import_files.two_rates", option_hz=options.rate_hz, setting_hz=options.settings["rate_hz"]))
+    return {**options.settings, "rate_hz": options.rate_hz}
 
 
 def _refuse_ignored(options: ImportOptions, protocol: Protocol | None) -> None:
@@ -100,7 +109,7 @@ def _refuse_ignored(options: ImportOptions, protocol: Protocol | None) -> None:
         raise UsageError(sentence("import_files.topic"))
     if options.protocol is not None and options.driver is not None:
         raise UsageError(sentence("import_files.protocol_and_driver", protocol=options.protocol, driver=options.driver))
-    if protocol is not None and (options.columns or options.rate_hz or options.zero):
+    if protocol is not None and (options.columns or options.zero or (options.rate_hz and is_log)):
         raise UsageError(sentence("import_files.log_as_table" if is_log else "import_files.dump_as_table"))
 
 
@@ -146,8 +155,10 @@ def _import_bytes(options: ImportOptions, protocol: Protocol) -> tuple[Session, 
     decoder.flush()
     counts = decoder.statistics
     if not counts.samples:
+        foreign = "import_files.dump_without_samples" if protocol.can is None else "import_files.log_without_samples"
         none = sentence(
-            "import_files.dump_without_samples" if protocol.can is None else "import_files.log_without_samples",
+            "import_files.frames_without_samples" if protocol.can is None and counts.is_understood else foreign,
+            why=without_samples(protocol, [counts]),
             names=options.files,
             protocol=protocol.name,
             bytes=counts.bytes_total,
@@ -156,6 +167,10 @@ def _import_bytes(options: ImportOptions, protocol: Protocol) -> tuple[Session, 
             kinds=[f"{name}: {count}" for name, count in counts.by_kind.items()],
         )
         raise RecordingError(none, Reason.NO_FRAMES)
+    if decoder.time_is_assumed:
+        has_setting = "rate_hz" in protocol.settings
+        key = "import_files.dump_without_time" if has_setting else "import_files.protocol_without_time"
+        raise UsageError(sentence(key, names=options.files, protocol=protocol.name), Reason.UNITS)
     said = f"{counts.samples} samples of {counts.frames} frames, {counts.lost} lost"
     if protocol.can is None:
         said = f"{counts.samples} samples, {counts.bytes_skipped} of {counts.bytes_total} bytes skipped"

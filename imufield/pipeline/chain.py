@@ -19,7 +19,7 @@ from imufield.acquire.recording.reader import Damage, PartStart, RecordedBlock, 
 from imufield.acquire.recording.session import Session
 from imufield.calibrate.model.observations import Observations
 from imufield.earth import choose_gravity
-from imufield.errors import ProtocolError, Reason, RecordingError, SettingError
+from imufield.errors import CalibrationError, ProtocolError, Reason, RecordingError, SettingError
 from imufield.guide.events import Event, LinkLost
 from imufield.guide.lead.guide import Guide
 from imufield.guide.lead.settings import GuideSettings
@@ -102,11 +102,15 @@ class Chain:
         ------
         ProtocolError
             If its samples have other units than those of the parts before.
+        CalibrationError
+            If the instrument has taken gravity out of them.
         """
         if self.protocol is not None and protocol.units != self.protocol.units:
             units = [self.protocol.units.accelerometer, protocol.units.accelerometer]
             raise ProtocolError(sentence("chain.units", units=units), Reason.UNITS)
         self.protocol = protocol
+        if self._judging:
+            require_gravity(protocol)
         # Not before the first part: the judge needs the units and the rough scale, which its protocol tells.
         if self._judging and self.guide is None and self.finder is None:
             nominal = protocol.nominal
@@ -222,6 +226,19 @@ class Chain:
         return replace(samples, time_s=samples.time_s + self._offset_s) if self._offset_s else samples
 
 
+def require_gravity(protocol: Protocol) -> None:
+    """Refuse values that an instrument has corrected itself: without gravity there is nothing to calibrate by.
+
+    Raises
+    ------
+    CalibrationError
+        With what to set the instrument to.
+    """
+    if protocol.samples.corrected:
+        corrected = sentence("chain.corrected", title=protocol.title, advice=protocol.samples.advice)
+        raise CalibrationError(corrected, Reason.GRAVITY)
+
+
 def part_metadata(protocol: Protocol, extra: Mapping[str, object]) -> dict[str, object]:
     """Return what a part must hold to be decoded without the outside."""
     return {
@@ -315,7 +332,7 @@ def _replayed(chain: Chain, session: Session, damage: list[Damage], *, ended: bo
     # Where a capture goes on, what the decoder holds back is completed by what comes, and no sample yet is no fault.
     if ended:
         yield chain.finish()
-        require_samples(session, chain.statistics, damage)
+        require_samples(session, chain.protocol, chain.statistics, damage)
 
 
 def session_samples(session: Session, damage: list[Damage]) -> Iterator[Samples]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
-from imufield.acquire.decode.statistics import DecoderStatistics
+from imufield.acquire.decode.statistics import DecoderStatistics, without_samples
+from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
 from imufield.errors import CalibrationError, Reason, RecordingError
@@ -17,8 +18,10 @@ NAMED = 2  # Places of damage that one sentence names; a recording with many hol
 _BY_LOSS = (Reason.TOO_FEW, Reason.UNOBSERVABLE)  # What a recording with all its bytes might have been enough for.
 
 
-def require_samples(session: Session, statistics: Sequence[DecoderStatistics], damage: Sequence[Damage]) -> None:
-    """Refuse a session that was read to its end without a single sample.
+def require_samples(
+    session: Session, protocol: Protocol | None, statistics: Sequence[DecoderStatistics], damage: Sequence[Damage]
+) -> None:
+    """Refuse a session that was read to its end without a single sample; ``protocol`` is that of its last part.
 
     Raises
     ------
@@ -27,10 +30,18 @@ def require_samples(session: Session, statistics: Sequence[DecoderStatistics], d
     """
     if any(part.samples for part in statistics):
         return
-    # Three causes, each with a remedy of its own: the files are gone, of another instrument, or cut.
+    # Four causes, each with a remedy of its own: the files are gone, hold other frames, are of another instrument, or cut.
     total = sum(part.bytes_total for part in statistics)
+    understood = protocol is not None and any(part.is_understood for part in statistics)
     empty = sentence(
-        "damage.gone" if not session.parts else "damage.foreign" if total else "damage.lost",
+        "damage.gone"
+        if not session.parts
+        else "damage.other_frames"
+        if understood
+        else "damage.foreign"
+        if total
+        else "damage.lost",
+        why="" if protocol is None else without_samples(protocol, statistics),
         folder=str(session.folder),
         bytes=total,
         frames_bad_checksum=sum(part.frames_bad_checksum for part in statistics),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import re
 import shutil
 import signal
@@ -17,13 +18,16 @@ import pytest
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.recording.reader import read_session
 from imufield.acquire.recording.session import Session
+from imufield.commands import demo
 from imufield.commands.emulate import make_emulation
-from imufield.commands.options.commands import EmulateOptions
+from imufield.commands.options.commands import DemoOptions, EmulateOptions
+from imufield.errors import LinkError
 from imufield.guide.positions import scheme
 from imufield.pipeline.chain import Chain, ReadingPlan, replay_into, session_samples
 from imufield.samples import AXES, SAMPLE_COLUMNS, concatenate
 from imufield.sentences import Sentences
 from tests.commands.told import missing, says
+from tests.refused import refused
 
 if TYPE_CHECKING:
     from tests.commands.conftest import Program
@@ -265,6 +269,33 @@ def test_demo(program: Program) -> None:
     assert "NOT" not in ended.stdout
     session = Session.newest(program.folder / "imufield-sessions")
     assert (session.folder / "parameters.toml").is_file()
+
+
+def test_a_demo_that_is_faster_than_the_machine_says_so(program: Program) -> None:
+    # The fastest there is: no machine keeps up with it.
+    ended = program.run("demo", "--plain", "--speed", 1000)
+    assert ended.returncode == 2, ended.stdout + ended.stderr
+    assert not missing(ended.stderr, "--speed 1000", "times real time", "smaller")
+
+
+def test_a_demo_whose_instrument_ends_does_not_wait_for_it(program: Program, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(demo, "LONGEST_S", 60.0)
+    with refused(LinkError, key="demo.ended"):
+        demo.run_demo(DemoOptions(speed=12.0, plain=True, root=program.folder))
+
+
+def test_an_emulated_instrument_says_that_it_is_slow(program: Program) -> None:
+    process = program.start("emulate", "stim300", "--json", "--wait")
+    assert process.stdout is not None
+    port = json.loads(process.stdout.readline())["port"]
+    # Opened and never read: what it sends is lost, as by a reader that is too slow.
+    descriptor = os.open(port, os.O_RDWR | os.O_NOCTTY)
+    try:
+        event = json.loads(process.stdout.readline())
+    finally:
+        os.close(descriptor)
+    assert (event["event"], event["speed"]) == ("slow", 1.0)
+    assert 0 <= event["reached"] < 0.5
 
 
 def test_an_emulated_operator_begins_again_and_ends_where_he_began() -> None:

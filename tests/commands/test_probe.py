@@ -33,6 +33,7 @@ from imufield.simulate.instruments.microstrain import MicroStrainInstrument
 from imufield.simulate.instruments.protocol_device import ProtocolDevice
 from imufield.simulate.instruments.text import TextDevice
 from tests.acquire.streams import INSTRUMENTS as STREAMS
+from tests.commands.told import missing
 
 if TYPE_CHECKING:
     from tests.commands.conftest import Program
@@ -129,6 +130,25 @@ def test_silence_and_noise_are_told_apart() -> None:
     assert noisy.error is not None
     assert (noisy.found, noisy.error.reason) == (None, Reason.NO_FRAMES)
     assert noisy.command == ""
+
+
+def test_frames_without_samples_are_named_on_a_port(program: Program) -> None:
+    # What a receiver sends whose corrected data are logged, and not the raw ones.
+    with emulated("novatel_oem7", form="IMURATECORRIMUS") as there:
+        port = there.port
+        error = probe_port(port, None, SystemClock()).error
+        assert error is not None
+        assert getattr(error.message, "key", "") == "listen.without_samples"
+        assert not missing(error.message, port, " IMURATECORRIMUS)", "RAWIMUSX")
+        for command in ("record", "capture"):
+            ended = program.run(command, "--port", port, "--driver", "novatel_oem7", "--session", "mine")
+            assert (ended.returncode, missing(ended.stderr, "IMURATECORRIMUS", "RAWIMUSX")) == (3, [])
+        given = ("--port", port, "--driver", "novatel_oem7", "--set", "imu=corrected", "--session", "mine")
+        refused = program.run("capture", *given, "--latitude", "48")
+        assert (refused.returncode, missing(refused.stderr, "RAWIMUSX")) == (6, [])
+        assert not (program.folder / "mine").exists()
+        recorded = program.run("record", *given, "--duration-s", "0.5")
+        assert (recorded.returncode, missing(recorded.stderr, "RAWIMUSX")) == (0, [])
 
 
 def test_several_bit_rates_are_tried_on_a_port_that_stays_open() -> None:

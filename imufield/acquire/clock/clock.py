@@ -43,7 +43,14 @@ class Clock(ABC):
     units : SampleUnits
     statistics : DecoderStatistics
         Counts of samples and losses are kept there.
+
+    Attributes
+    ----------
+    by_rate : bool
+        Time is counted at the stated rate: neither the stream nor its arrival tells it.
     """
+
+    by_rate = False
 
     def __init__(self, rule: ClockRule, units: SampleUnits, statistics: DecoderStatistics) -> None:
         self._rule = rule

@@ -108,7 +108,9 @@ class SampleClock(Clock):
         self._has_time = self._has_time and bool(2 * np.count_nonzero(~missing) > len(first))
         counted = bool(2 * np.count_nonzero(first.counter != NO_COUNTER) > len(first))
         others = self._has_time and self._rule.counter_counts_others
-        self._has_counter = self._has_counter and counted and not others
+        # A counter whose rate nobody told counts samples and tells no time: the clock of the host does.
+        paced = self._has_time or bool(self._rule.counter_ticks_per_s or self._rule.rate_hz)
+        self._has_counter = self._has_counter and counted and paced and not others
         by_stamps = self._has_time and not self._has_counter
         self._steps = StepRule() if by_stamps else StepRule(self._rule.counter_steps, self._rule.counter_jitter)
 
@@ -124,6 +126,7 @@ class SampleClock(Clock):
             self._last_counter = int(first.counter[0]) - int(self._steps.step)
             self._stamped_step_s = _usual(first_steps_s)
             self._tick_rate_hz = self._rule.counter_ticks_per_s or self._rule.rate_hz or 1.0
+            self.by_rate = not self._has_time and self._tick_rate_hz == self._rule.rate_hz
         elif self._has_time:
             self._steps.learn(first_steps_s)
         else:
@@ -145,6 +148,7 @@ class SampleClock(Clock):
         # Near the nominal rate the first half second measures worse than the maker's crystal.
         self._tick_rate_hz = nominal if abs(measured / nominal - 1) < 2 * _SLEW else measured
         self._steps.step = 1.0
+        self.by_rate = not math.isfinite(begin_s)
         if math.isfinite(begin_s):
             self._origin_s = begin_s - (len(first) - 1) / self._tick_rate_hz
 

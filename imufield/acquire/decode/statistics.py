@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 
+from imufield.acquire.protocol.protocol import Protocol
 from imufield.samples import Status
-from imufield.sentences import Sentence, Sentences
+from imufield.sentences import Sentence, Sentences, shortened
 
 sentence = Sentences(__package__)
 
 LEFT_OUT = "without a sample"
 """Kind under which frames of a bus are counted that belong to no sample."""
 _FEW_LEFT_OUT = 10  # A stream begins and ends within a sample, and a bus sends a frame again now and then.
+_KINDS_NAMED = 8  # An instrument sends a few kinds of frames; thousands would fill a page.
 _MANY_PERCENT = 25.0  # Of the samples incomplete: more than a bus loses that works.
 
 
@@ -53,6 +56,11 @@ class DecoderStatistics:
         """Samples that are missing, counted and estimated."""
         return self.samples_lost + self.losses_estimated
 
+    @property
+    def is_understood(self) -> bool:
+        """Whether most of the bytes are in good frames, so that they are of the protocol they were read by."""
+        return self.frames > 0 and 2 * self.bytes_skipped <= self.bytes_total
+
     def count(self, kind: str, number: int = 1) -> None:
         """Count frames or lines of a kind."""
         if number:
@@ -61,6 +69,23 @@ class DecoderStatistics:
     def to_dict(self) -> dict[str, object]:
         """Return plain values."""
         return asdict(self)
+
+
+def without_samples(protocol: Protocol, parts: Sequence[DecoderStatistics]) -> Sentence:
+    """Return which good frames came where no sample did, the most frequent first, and what to set the instrument to."""
+    counts: Counter[str] = Counter()
+    for part in parts:
+        counts.update(part.by_kind)
+    kinds = [f"{number} {protocol.kind_names.get(kind, shortened(kind))}" for kind, number in counts.most_common(_KINDS_NAMED)]
+    if len(counts) > _KINDS_NAMED:
+        kinds.append(f"{len(counts) - _KINDS_NAMED} other kinds")
+    return sentence(
+        "statistics.without_samples",
+        protocol=protocol.name,
+        frames=sum(part.frames for part in parts),
+        kinds=kinds,
+        advice=protocol.samples.advice or sentence("statistics.advice"),
+    )
 
 
 def remarks(parts: Sequence[DecoderStatistics]) -> list[Sentence]:

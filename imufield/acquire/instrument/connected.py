@@ -148,9 +148,13 @@ def untried(driver: type[Driver] | None) -> list[str]:
 
 
 def assumed(protocol: Protocol) -> list[str]:
-    """Return a sentence for each setting that was assumed and changes every number."""
+    """Return a sentence for each setting that was assumed and changes every number, and for values that are no raw ones."""
+    samples = protocol.samples
     return [
-        sentence("connected.assumed", name=name, value=setting.value)
-        for name, setting in protocol.settings.items()
-        if setting.origin == "assumed" and name in _WORTH_SAYING
+        *([sentence("connected.corrected", advice=samples.advice)] if samples.corrected else []),
+        *(
+            sentence("connected.assumed", name=name, value=setting.value)
+            for name, setting in protocol.settings.items()
+            if setting.origin == "assumed" and name in _WORTH_SAYING
+        ),
     ]

@@ -217,6 +217,9 @@ def nothing_recognised(port: str, result: Search) -> LinkError:
         "samples": closest.samples,
         "needed": FEWEST_SAMPLES,
     }
+    if closest.holds_no_sample:
+        other = sentence("listen.without_samples", port=port, title=closest.title, why=closest.reason)
+        return LinkError(other, Reason.NO_FRAMES)
     if closest.frames:
         return LinkError(sentence("listen.closest", **heard, closest=closest.name, why=closest.reason), Reason.NO_FRAMES)
     return LinkError(sentence("listen.nothing", **heard), Reason.NO_FRAMES)

@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 
+from imufield.acquire.decode.statistics import without_samples
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.driver import Driver, Message
 from imufield.acquire.link.serial import Chunk
@@ -107,6 +108,11 @@ class Finding:
     def is_strong(self) -> bool:
         """Whether a handful of its frames is proof."""
         return self.checked_bits >= STRONG_BITS
+
+    @property
+    def holds_no_sample(self) -> bool:
+        """Whether it is the instrument without a doubt, and sends other things than samples."""
+        return self.samples == 0 and self.frames >= FEWEST_SAMPLES and self.is_strong and self.share >= STRONG_SHARE
 
     @property
     def checksum_ratio(self) -> float | None:
@@ -254,8 +260,13 @@ class Listener:
         if self._fault:
             return self._fault
         if counts.samples < FEWEST_SAMPLES:
-            if counts.frames >= FEWEST_SAMPLES and self._checked_bits >= STRONG_BITS and share >= STRONG_SHARE:
-                return sentence("recognise.no_samples", kinds=sorted(counts.by_kind))
+            if (
+                not counts.samples
+                and counts.frames >= FEWEST_SAMPLES
+                and self._checked_bits >= STRONG_BITS
+                and share >= STRONG_SHARE
+            ):
+                return without_samples(self.candidate.protocol, [counts])
             return sentence("recognise.few_samples", samples=counts.samples, needed=FEWEST_SAMPLES)
         if share < STRONG_SHARE:
             return sentence("recognise.share", percent=100 * share, needed_percent=100 * STRONG_SHARE)

@@ -9,7 +9,7 @@ import hashlib
 import importlib.resources
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -88,6 +88,8 @@ class Protocol:
     nominal: Nominal
     can: CanRule | None = None
     """For frames of a CAN bus, which have neither ``frame`` nor ``lines``."""
+    kind_names: Mapping[str, str] = field(default_factory=dict)
+    """What the manual calls kinds of frames, by their key as ``[frames]`` writes it."""
     status: str = VERIFIED
     """Or ``DOCUMENT_ONLY``: never tried on bytes of a real instrument."""
 
@@ -225,6 +227,8 @@ def _build(top: Table, settings: dict[str, Setting]) -> Protocol:
         nominal = _read_nominal(top, units, clock)
         if frame is not None:
             _check_fields(top, frame, samples, clock)
+        with top.table("names") as table:
+            kind_names = {key: table.text(key) for key in table.values}
         # What the emulator reads, and frames of instruments whose protocol has only fields or masks.
         for key in ("emulate", *(("frame", "parts", "frames", "messages") if frame else ())):
             top.has(key)
@@ -243,6 +247,7 @@ def _build(top: Table, settings: dict[str, Setting]) -> Protocol:
             factors=factors,
             nominal=nominal,
             can=can,
+            kind_names=kind_names,
             status=top.choice("status", (VERIFIED, DOCUMENT_ONLY), VERIFIED),
         )
 

@@ -117,6 +117,10 @@ class SampleRule:
     flags: tuple[FlagRule, ...] = ()
     instrument_status: tuple[tuple[str, int], ...] = ()
     """Fields and by how many bits they are shifted inside the upper 16 bits of the status."""
+    corrected: bool = False
+    """The instrument has corrected the values itself and taken gravity out of them."""
+    advice: str = ""
+    """What to set the instrument to where it sends no sample that can be calibrated from."""
 
     def quantity(self, part: str) -> Quantity:
         """Return the rule of "accelerometer", "gyroscope" or "temperature"."""
@@ -213,6 +217,8 @@ def read_samples(top: Table) -> SampleRule:
             **{part: _read_quantity(table.table(part)) for part in PARTS},
             flags=tuple(read_flag(each, "field") for each in table.tables("flags")),
             instrument_status=tuple(read_shift(each, "field") for each in table.tables("instrument_status")),
+            corrected=table.flag("corrected"),
+            advice=table.text("advice", ""),
         )
 
 

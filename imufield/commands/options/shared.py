@@ -139,8 +139,7 @@ Settings = Annotated[
     ),
 ]
 TableRateHz = Annotated[
-    float | None,
-    option("--rate-hz", help="Sample rate of a table without a time column.", within=RATE_RANGE_HZ),
+    float | None, option("--rate-hz", help="Sample rate, where the file has no time.", within=RATE_RANGE_HZ)
 ]
 NewestSession = Annotated[Path | None, argument(help="Session folder (default: the newest).")]
 SessionFolder = Annotated[Path | None, option("--session", help="Folder of the session (default: a new one).")]

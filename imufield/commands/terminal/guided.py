@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 
@@ -14,7 +14,7 @@ import numpy as np
 from imufield.acquire.decode.statistics import remarks
 from imufield.acquire.instrument.connected import Connected
 from imufield.acquire.link.background import PatientLink
-from imufield.acquire.link.host_clock import HostClock, ScaledClock
+from imufield.acquire.link.host_clock import HostClock, ScaledClock, patience_s
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import Session, create_session
@@ -31,7 +31,17 @@ from imufield.guide.positions import SCHEMES, scheme
 from imufield.guide.view.plain import known_words, words
 from imufield.guide.view.terminal import Keyboard
 from imufield.pipeline.calibration import FEWEST_POSITIONS, one_of
-from imufield.pipeline.chain import MARK, REVISIT_FROM, ROTATIONS, SCHEME_FILE, Chain, ReadingPlan, part_metadata, replay_into
+from imufield.pipeline.chain import (
+    MARK,
+    REVISIT_FROM,
+    ROTATIONS,
+    SCHEME_FILE,
+    Chain,
+    ReadingPlan,
+    part_metadata,
+    replay_into,
+    require_gravity,
+)
 from imufield.pipeline.site import SiteOptions
 from imufield.sentences import Sentences
 
@@ -39,7 +49,7 @@ sentence = Sentences(__package__)
 
 DEFAULT_SCHEME = "paper24"  # What the README promises: 24 positions, hand-held.
 SILENCE_S = 2.0
-"""Host time without a byte after which the screen says so: the slowest instruments send ten times a second."""
+"""Real time without a byte after which the screen says so: the slowest instruments send ten times a second."""
 REFRESH_EVERY_S = 0.1  # Ten pictures a second: a person sees a turn without delay, and the decoder keeps its time.
 KEYS = {"r": "retake", "s": "skip", "u": "undo", "p": "pause", "f": "finish", "g": "go_on"}
 BIG = "b"
@@ -100,7 +110,10 @@ def new_session(options: CaptureOptions, connected: Connected, site: SiteOptions
     ------
     ParameterFileError
         If the earlier calibration is of another instrument or in another unit.
+    CalibrationError
+        If the instrument sends no gravity.
     """
+    require_gravity(connected.protocol)
     if options.preset is not None:
         preset = load(options.preset)
         preset.check_instrument(connected.identity.get("serial_number", ""))
@@ -127,8 +140,17 @@ def new_session(options: CaptureOptions, connected: Connected, site: SiteOptions
     return session
 
 
-def guided_session(session: Session, connected: Connected, clock: HostClock, options: CaptureOptions) -> Captured:
-    """Run the loop and say what there is and how to go on, also where it is broken off; the reason is passed on."""
+def guided_session(
+    session: Session,
+    connected: Connected,
+    clock: HostClock,
+    options: CaptureOptions,
+    check: Callable[[], None] = lambda: None,
+) -> Captured:
+    """Run the loop and say what there is and how to go on, also where it is broken off; the reason is passed on.
+
+    ``check`` is called again and again, and may break it off by an ``ImufieldError``.
+    """
     chain = Chain(ReadingPlan.of(session))
     # Of a session that goes on, so that the guide knows again what it knew; of a new one there is nothing.
     replay_into(chain, session, [], ended=False)
@@ -148,6 +170,7 @@ def guided_session(session: Session, connected: Connected, clock: HostClock, opt
                 view=view,
                 keyboard=keyboard,
                 clock=clock,
+                check=check,
             )
             captured = loop.run()
     except (KeyboardInterrupt, ImufieldError):
@@ -169,6 +192,7 @@ class CaptureLoop:
     view: View
     keyboard: Keyboard
     clock: HostClock
+    check: Callable[[], None]
 
     def __post_init__(self) -> None:
         self._last_byte_s = self.clock.monotonic_s()
@@ -193,6 +217,7 @@ class CaptureLoop:
                     self._take(chunk)
                 quitting = self._follow_keys()
                 self._refresh()
+                self.check()
         except KeyboardInterrupt:
             # What waits to be decoded is recorded all the same.
             for chunk in self.connected.link.drain():
@@ -241,10 +266,11 @@ class CaptureLoop:
         return chunk
 
     def _take(self, chunk: Chunk) -> None:
-        self._last_byte_s = self.clock.monotonic_s()
         # To the disk first: what fails behind it can be done again from there.
         self.recorder.write_chunk(chunk)
         self._publish(self.chain.feed(chunk.data, chunk.monotonic_s, chunk.utc_ns))
+        # Behind the work: what arrives meanwhile waits, and the wire is not silent.
+        self._last_byte_s = self.clock.monotonic_s()
 
     def _follow_keys(self) -> bool:
         for key in self.keyboard.read():
@@ -286,7 +312,7 @@ class CaptureLoop:
         if now_s - self._last_refresh_s < REFRESH_EVERY_S or self.chain.guide is None:
             return
         self._last_refresh_s = now_s
-        silent = self._link.lost is None and now_s - self._last_byte_s > SILENCE_S
+        silent = self._link.lost is None and now_s - self._last_byte_s > patience_s(self.clock, SILENCE_S)
         lost = sum(part.lost for part in self.chain.statistics)
         self.view.refresh(self.chain.guide.snapshot(), self.connected.link.name, silent=silent, samples_lost=lost)
 

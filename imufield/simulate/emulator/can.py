@@ -37,6 +37,8 @@ _VERSION = {"VersionMajor": 19, "VersionMinor": 1, "VersionPatch": 51, "VersionS
 class BusPort:
     """A bus of python-can, with the methods of ``SlcanDevice``."""
 
+    share_taken = 1.0  # A bus does not tell what its listeners take.
+
     def __init__(self, bus: str) -> None:
         self.address = bus
         self._bus = open_bus(parse_bus(bus))

@@ -32,6 +32,9 @@ MAXIMUM_SPEED = 1000.0
 LINGER_S = 0.5
 """The port outlives the last sample by this."""
 _ROUNDING = 1e-6  # Of a sample number at another rate.
+_PACE_OVER_S = 1.0  # Wall time over which the pace is measured: far above a write, so that its grain does not count.
+_SLOW_FOR_S = 5.0  # A machine that stops for a moment catches up, one that is slow for so long does not.
+_SLOW_BELOW = 0.95  # Of the speed asked for; a capture takes such a lag for lost samples.
 _LARGEST_BLOCK_S = 1.0  # Instrument's time made at once after a delay; keeps stop() prompt when the machine cannot keep up.
 
 
@@ -67,12 +70,48 @@ class Port(Protocol):
         """What a host opens."""
         ...
 
+    @property
+    def share_taken(self) -> float:
+        """Of what was sent to a host, the part that it did not lose by taking it too late."""
+        ...
+
     def has_reader(self) -> bool:
         """Return whether a host is there."""
         ...
 
     def close(self) -> None:
         """Take the port away."""
+
+
+class PaceWatch:
+    """Finds out that an emulated instrument is slower than asked, for seconds on end.
+
+    Parameters
+    ----------
+    speed : float
+        Times real time, as asked.
+
+    Attributes
+    ----------
+    reached : float or None
+        Times real time, as measured when it had been slow for too long; None while it has not.
+    """
+
+    def __init__(self, speed: float) -> None:
+        self.reached: float | None = None
+        self._speed = speed
+        self._checked_s = self._delivered_s = self._slow_s = 0.0
+
+    def check(self, wall_s: float, delivered_s: float) -> None:
+        """Take the wall time since power-on, and for how much of the instrument's time samples were delivered."""
+        span_s = wall_s - self._checked_s
+        if span_s < _PACE_OVER_S:
+            return
+        reached = (delivered_s - self._delivered_s) / span_s
+        self._checked_s, self._delivered_s = wall_s, delivered_s
+        self._slow_s = max(self._slow_s + (span_s if reached < _SLOW_BELOW * self._speed else -span_s), 0.0)
+        if self._slow_s >= _SLOW_FOR_S:
+            self.reached = max(reached, 0.0)
 
 
 class EmulatorCore(ABC):
@@ -102,6 +141,7 @@ class EmulatorCore(ABC):
         self.settings = settings
         self.on_progress: Callable[[], None] | None = None
         self.samples_sent = 0
+        self.pace = PaceWatch(settings.speed)
         self.failure: BaseException | None = None  # What ended the thread, if it did not end by itself.
         self._chances = chances
         asked_s = chances.common.start_up_s
@@ -196,6 +236,7 @@ class EmulatorCore(ABC):
             elapsed_s = (time.monotonic() - started_s) * self.settings.speed
             # Several blocks where this thread was late; a stop is heard between them.
             while self._advance(elapsed_s):
+                self.pace.check(time.monotonic() - started_s, self.time_s * self._port.share_taken)
                 if self._stopping.is_set():
                     return
             if self._samples_made >= self._last_sample:

@@ -216,7 +216,11 @@ def make_emulator(options: Emulation) -> EmulatorCore:
     return emulator
 
 
-def emulate(options: Emulation, on_start: Callable[[EmulatorCore], None] | None = None) -> EmulatorCore:
+def emulate(
+    options: Emulation,
+    on_start: Callable[[EmulatorCore], None] | None = None,
+    on_slow: Callable[[float], None] | None = None,
+) -> EmulatorCore:
     """Run a virtual instrument until its time is over; Ctrl-C ends it too and is passed on.
 
     Parameters
@@ -224,6 +228,8 @@ def emulate(options: Emulation, on_start: Callable[[EmulatorCore], None] | None 
     options : Emulation
     on_start : callable, optional
         Called with the running emulator, which knows its address.
+    on_slow : callable, optional
+        Called once with the speed that is reached where it stays below the one asked for.
 
     Returns
     -------
@@ -235,7 +241,9 @@ def emulate(options: Emulation, on_start: Callable[[EmulatorCore], None] | None 
             on_start(emulator)
         # A wait without limit would not let Ctrl-C through on every system.
         while not emulator.wait(0.5):
-            pass
+            if on_slow is not None and emulator.pace.reached is not None:
+                on_slow(emulator.pace.reached)
+                on_slow = None
     if emulator.failure is not None:
         raise emulator.failure
     return emulator

@@ -44,6 +44,8 @@ class PseudoTerminal:
         self._master = -1
         self._waiting = b""
         self.bytes_dropped = 0
+        self._bytes_for_host = 0
+        self._bytes_too_late = 0  # Of these, dropped as the host did not take them in time.
         self.device = ""  # Path of the port at present.
         self.open()
 
@@ -56,6 +58,11 @@ class PseudoTerminal:
     def bytes_waiting(self) -> int:
         """Bytes kept for a reader who is late."""
         return len(self._waiting)
+
+    @property
+    def share_taken(self) -> float:
+        """Of the bytes for a host that holds the port, the part that was not dropped as it took them too late."""
+        return 1.0 - self._bytes_too_late / max(self._bytes_for_host, 1)
 
     def open(self) -> None:
         """Bring the port into being, under a new device path."""
@@ -108,6 +115,8 @@ class PseudoTerminal:
                     sent += os.write(self._master, waiting[sent:])
             waiting = waiting[sent:]
             kept = BUFFER_BYTES
+            self._bytes_for_host += len(data)
+            self._bytes_too_late += max(len(waiting) - kept, 0)
         self._waiting = waiting[:kept]
         self.bytes_dropped += len(waiting) - len(self._waiting)
 

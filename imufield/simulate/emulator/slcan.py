@@ -26,7 +26,14 @@ class SlcanDevice:
         self.is_open = False  # Whether the host has opened the channel.
         self.bit_rate_code = ""
         self.frames_dropped = 0  # Frames that came while the channel was closed, or the host did not read.
+        self._frames_for_host = 0
+        self._frames_too_late = 0
         self._line = b""
+
+    @property
+    def share_taken(self) -> float:
+        """Of the frames for a host that has opened the channel, the part that it took in time."""
+        return 1.0 - self._frames_too_late / max(self._frames_for_host, 1)
 
     @property
     def address(self) -> str:
@@ -52,8 +59,10 @@ class SlcanDevice:
             line = format_frame(frame).encode("ascii")
             # An adapter whose host is late drops frames, never parts of one.
             room -= len(line)
+            self._frames_for_host += 1
             if room < 0:
                 self.frames_dropped += 1
+                self._frames_too_late += 1
             else:
                 lines.append(line)
         self.port.write(b"".join(lines))

@@ -65,6 +65,16 @@ def test_whole_wraps_are_estimated_from_the_host_clock(step: int, lost: int) -> 
     assert samples.status[place] & np.uint32(Status.GAP_ESTIMATED)
 
 
+@pytest.mark.parametrize("rule", [ClockRule(counter_field="counter", counter_modulus=256), ClockRule()])
+def test_a_rate_that_nobody_told_is_that_of_arrival(rule: ClockRule) -> None:
+    # A counter tells how many samples, and no time, where its rate is not known: the clock of the host does.
+    numbers = np.arange(4000)
+    samples, statistics = run(rule, counter_blocks(numbers, 20, 50 + numbers / 100, 4))
+    assert statistics.nominal_rate_hz == pytest.approx(100, rel=0.02)
+    np.testing.assert_allclose(np.diff(samples.time_s), 0.01, rtol=0.1)
+    assert statistics.gaps == 0
+
+
 def test_a_burst_of_late_data_is_no_loss() -> None:
     numbers = np.arange(8000)
     arrival_s = 10 + numbers / 2000

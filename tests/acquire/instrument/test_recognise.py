@@ -84,8 +84,11 @@ def test_frames_without_samples_are_named_but_are_no_finding(shared_folder: Path
     data = (shared_folder / "captures" / "novatel_oem7" / "oem7_ins1_inspvas_corrimus.bin").read_bytes()
     listeners = listeners_of(data, 8000)
     assert best(listeners) is None
-    reasons = {listener.candidate.name: listener.finding().reason for listener in listeners}
-    assert "acceleration or rate" in reasons["novatel_oem7"]
+    novatel = next(listener.finding() for listener in listeners if listener.candidate.name == "novatel_oem7")
+    assert novatel.holds_no_sample
+    assert getattr(novatel.reason, "key", "") == "statistics.without_samples"
+    assert "243 INSPVAS, 29 INSSTDEV, 10 CORRIMUS, 2 INSCONFIG" in novatel.reason
+    assert not [each for each in listeners if each.finding().holds_no_sample and each.candidate.name != "novatel_oem7"]
 
 
 def test_lines_in_g_are_doubted_unless_the_user_says_so() -> None:

@@ -107,6 +107,24 @@ def test_nobody_reading_blocks_nothing_and_drops_are_counted(held: bool) -> None
     assert emulator.failure is None
 
 
+def test_what_a_host_takes_too_late_is_known() -> None:
+    terminal = PseudoTerminal()
+    try:
+        # Nobody is there: nothing is taken too late.
+        terminal.write(bytes(200000))
+        assert terminal.share_taken == 1.0
+        descriptor = open_port(terminal.address)
+        terminal.write(bytes(1000))
+        assert terminal.share_taken == 1.0
+        terminal.write(bytes(999000))
+        lost = terminal.bytes_dropped - 200000
+        assert lost > 500000
+        assert terminal.share_taken == pytest.approx(1 - lost / 1e6)
+        os.close(descriptor)
+    finally:
+        terminal.close()
+
+
 def test_late_opener_finds_no_old_bytes() -> None:
     with Emulator(stim300(), source(), EmulatorSettings(speed=4.0)) as emulator:
         until(lambda: emulator.time_s > 1.0)
