@@ -165,7 +165,7 @@ def _held(
     read = [name for name in after if after[name] != before.get(name) and (folder / name).is_file()]
     if read and not written and not reads_on_purpose:
         found.append(f"read outside: {read}")
-    if any(work.rglob(FORGED)):
+    if any(FORGED in files for _, _, files in os.walk(work)):
         found.append("a command of the file was run")
     return found
 
@@ -180,7 +180,8 @@ def _ended(ran: _Ran, plain: str, codes: tuple[int, ...]) -> list[str]:
         return [f"more than {LONGEST_S} s of processor time, or killed ({ran.code})"]
     if ran.code not in codes:
         return [f"exit code {ran.code}: {plain[-300:]!r}"]
-    sentences = len(re.findall(r"(?m)^imufield: ", plain))
+    # Several sessions have a table, and a sentence each.
+    sentences = len(re.findall(r"(?m)(?:^|\r)imufield:\s|sessions solved", plain))
     if ran.code in CODES[1:] and sentences != 1 and "Usage:" not in plain:
         return [f"{sentences} sentences with exit code {ran.code}: {plain[-300:]!r}"]
     return []
@@ -203,7 +204,8 @@ def _shown(ran: _Ran, plain: str) -> list[str]:
 def _left(folder: Path, work: Path, said: str) -> list[str]:
     """Return where the secret is, and what pages hold that no page should."""
     found = [f"the secret is told: {secret}" for secret in SECRET_AS_TEXT if secret in said]
-    for path in work.rglob("*"):
+    # What is too deep for a path is left out by ``walk``.
+    for path in (Path(at) / name for at, _, names in os.walk(work) for name in names):
         about = path.lstat()
         if not stat.S_ISREG(about.st_mode) or about.st_nlink > 1 or about.st_size > 20 << 20:
             continue

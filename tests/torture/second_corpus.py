@@ -78,7 +78,7 @@ def protocol(sound: Sound, random: Random) -> HostileFile:
         data, what = bosch.replace('"bosch_mm510.dbc"', escaped(door)).encode(), f"dbc = {door!r}"
     else:
         what, data = hostile_toml(random, text)
-    command = ("import", "stream.bin", "--protocol", "p.toml", "-o", "o")
+    command: tuple[str, ...] = ("import", "stream.bin", "--protocol", "p.toml", "-o", "o")
     # Devices and drivers meet it, too.
     if random.random() < 0.15:
         command = random.choice(
@@ -201,7 +201,7 @@ def table(sound: Sound, random: Random) -> HostileFile:
                 ("1.6 GB in a line", gzip_bomb(text.encode(), b"1")),
             )
         )
-    command = ("import", f"./{name}" if name.startswith("-") else name, "-o", "o")
+    command: tuple[str, ...] = ("import", f"./{name}" if name.startswith("-") else name, "-o", "o")
     make: Make = write(name, data) if len(name) < 300 else write("t", data)
     if random.random() < 0.15:
         command = ("apply", f"{SESSION}/parameters.toml", command[1], "-o", "o.csv")

@@ -234,6 +234,7 @@ def _h5_records(folder: Path) -> None:
 def parquet(sound: Sound, random: Random) -> HostileFile:
     """A hostile Parquet file."""
     way = random.random()
+    make: Make
     if way < 0.1:
         what, make = "1.6 GB of one value", _parquet_bomb
     elif way < 0.3:

@@ -13,19 +13,29 @@ import socket
 import threading
 import time
 import tty
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from random import Random
 
 from imufield.acquire.protocol.can_frames import Frame
-from imufield.simulate.emulator.emulate import OWN_RATE_HZ, SCRIPTS, Emulation, choose_wire, make_device, make_virtual_imu
+from imufield.simulate.emulator.emulate import (
+    OWN_RATE_HZ,
+    SCRIPTS,
+    Emulation,
+    WireChoice,
+    choose_wire,
+    make_device,
+    make_virtual_imu,
+)
 from imufield.simulate.emulator.slcan import format_frame
 from imufield.simulate.instruments.protocol_device import InProtocolUnits
 from imufield.simulate.instruments.vectornav import sentence
+from imufield.simulate.truth.source import SampleSource
 from imufield.simulate.wire.can_frames import CanEncoder
 from tests.torture.hostile_values import ESCAPES, MEBIBYTE, NUMBERS, hostile_bytes
 
+Script = Sequence[bytes | None]
 PIECE_S = 0.02
 PIECES = 100
 CAN = ("bosch_mm510", "aceinna_can", "racelogic_can", "xsens_can")
@@ -45,7 +55,7 @@ DURATION_S = 2
 GROUP = "239.74.45.83"
 
 
-def _source(driver: str, rate_hz: float | None):  # type: ignore[no-untyped-def]
+def _source(driver: str, rate_hz: float | None) -> tuple[Emulation, WireChoice, SampleSource]:
     options = Emulation(device=driver, rate_hz=rate_hz)
     wire = choose_wire(options)
     virtual = make_virtual_imu(options, wire.rate_hz)
@@ -110,7 +120,7 @@ def hostile_link(number: int) -> HostileLink:
         return _can_link(random, kind, driver)
     # Two seconds of it, at most as much as a port of a megabit a second brings.
     data = stream_of(driver, 200)
-    ways = {
+    ways: dict[str, Callable[[Random, bytes], tuple[Script, str]]] = {
         "escapes": _escapes,
         "foreign": _foreign,
         "frozen": _frozen,
@@ -155,7 +165,7 @@ def _command(random: Random, driver: str, *, asked: bool, address: str = "--port
     return random.choice(options)
 
 
-def _escapes(random: Random, data: bytes) -> tuple[list[bytes | None], str]:
+def _escapes(random: Random, data: bytes) -> tuple[Script, str]:
     escape = random.choice(ESCAPES)
     pieces: list[bytes | None] = []
     for piece in _pieces(data):
@@ -164,7 +174,7 @@ def _escapes(random: Random, data: bytes) -> tuple[list[bytes | None], str]:
     return pieces, f"{escape!r} in between"
 
 
-def _foreign(random: Random, data: bytes) -> tuple[list[bytes | None], str]:
+def _foreign(random: Random, data: bytes) -> tuple[Script, str]:
     others = [
         stream_of(random.choice((*FRAMED, *LINES)), 100),
         random.randbytes(4000),
@@ -178,7 +188,7 @@ def _foreign(random: Random, data: bytes) -> tuple[list[bytes | None], str]:
     return [*pieces[:at], *other[:40], *pieces[at:]], f"another instrument or garbage from piece {at}"
 
 
-def _frozen(random: Random, data: bytes) -> tuple[list[bytes | None], str]:
+def _frozen(random: Random, data: bytes) -> tuple[Script, str]:
     pieces = _pieces(data)
     at = random.choice((0, 1, 20, 50))
     if random.random() < 0.5:
@@ -186,12 +196,12 @@ def _frozen(random: Random, data: bytes) -> tuple[list[bytes | None], str]:
     return [*pieces[:at], *[pieces[at]] * 200], f"the same again and again from piece {at}"
 
 
-def _flood(random: Random, data: bytes) -> tuple[list[bytes | None], str]:
+def _flood(random: Random, data: bytes) -> tuple[Script, str]:
     times = random.choice((50, 400))
     return [data * times] * 20, f"{times} times at once"
 
 
-def _cut(random: Random, data: bytes) -> tuple[list[bytes | None], str]:
+def _cut(random: Random, data: bytes) -> tuple[Script, str]:
     if random.random() < 0.5:
         what, damaged = "", data
         for _ in range(20):
@@ -200,7 +210,7 @@ def _cut(random: Random, data: bytes) -> tuple[list[bytes | None], str]:
     return [piece[: random.randrange(len(piece) + 1)] for piece in _pieces(data)], "cut in each piece"
 
 
-def _numbers(random: Random, data: bytes) -> tuple[list[bytes | None], str]:
+def _numbers(random: Random, data: bytes) -> tuple[Script, str]:
     value = random.choice((*NUMBERS, "1" * 100_000, "-" * 100, "0x10", "1_0")).encode()
     lines = data.split(b"\n")
     if len(lines) < 50 or b"," not in lines[1]:
@@ -218,12 +228,12 @@ def _numbers(random: Random, data: bytes) -> tuple[list[bytes | None], str]:
     return [*_pieces(b"\n".join(changed))], f"{value[:20]!r} as field {field + 1}"
 
 
-def _endless(random: Random, data: bytes) -> tuple[list[bytes | None], str]:
+def _endless(random: Random, data: bytes) -> tuple[Script, str]:
     piece = random.choice((b"1", b"1,", b"$", b"\xfa\xff", data[:4] + b"\xff\xff", b"$VNIMU,"))
     return [piece * (MEBIBYTE // len(piece) // 4)] * 16 + [*_pieces(data)], f"4 MiB of {piece!r}"
 
 
-def _clock(random: Random, data: bytes) -> tuple[list[bytes | None], str]:
+def _clock(random: Random, data: bytes) -> tuple[Script, str]:
     pieces = _pieces(data)
     ways = {
         "backwards": pieces[::-1],
@@ -235,7 +245,7 @@ def _clock(random: Random, data: bytes) -> tuple[list[bytes | None], str]:
     return [*ways[way]], f"its clock goes {way}"
 
 
-def _unplugged(random: Random, data: bytes) -> tuple[list[bytes | None], str]:
+def _unplugged(random: Random, data: bytes) -> tuple[Script, str]:
     at = random.choice((0, 1, 10, 40))
     return [*_pieces(data)[:at], HANG_UP], f"hangs up at piece {at}"
 
@@ -361,9 +371,9 @@ def _datagram(frame: Frame) -> bytes:
 
 
 def _hostile_datagram(random: Random, sound: bytes) -> bytes:
-    import msgpack
+    import msgpack  # type: ignore[import-untyped]
 
-    table = {
+    table: dict[str, object] = {
         "timestamp": 0.0,
         "arbitration_id": 372,
         "is_extended_id": False,
@@ -379,7 +389,7 @@ def _hostile_datagram(random: Random, sound: bytes) -> bytes:
         "error_state_indicator": False,
     }
     key = random.choice([*table])
-    value = random.choice(
+    value: object = random.choice(
         (None, -1, 1 << 62, 1e300, float("nan"), float("inf"), "\x1b]0;pwn\x07", b"\0" * 5000, [], {}, True, [1] * 999)
     )
     ways = (
@@ -427,19 +437,16 @@ class Peer(threading.Thread):
     def run(self) -> None:
         with contextlib.suppress(OSError):
             if self._udp is not None:
-                self._play(lambda data: self._udp.sendto(data[:60_000], (GROUP, self._port)), lambda: b"")
+                self._play(partial(self._tell, self._udp), lambda: b"")
             elif self._server is not None:
                 while not self._closed.is_set():
                     with contextlib.suppress(TimeoutError):
                         connection, _ = self._server.accept()
                         with connection, contextlib.suppress(ConnectionError):
                             connection.setblocking(False)
-                            self._play(
-                                lambda data, to=connection: self._send(to.fileno(), data),
-                                lambda at=connection: self._receive(at.fileno()),
-                            )
+                            self._play(partial(self._send, connection.fileno()), partial(self._receive, connection.fileno()))
             else:
-                self._play(lambda data: self._send(self._files[0], data), lambda: self._receive(self._files[0]))
+                self._play(partial(self._send, self._files[0]), partial(self._receive, self._files[0]))
 
     def _play(self, send: Callable[[bytes], object], receive: Callable[[], bytes]) -> None:
         while not self._closed.is_set():
@@ -456,6 +463,9 @@ class Peer(threading.Thread):
                     send(piece)
                 if self._closed.wait(PIECE_S):
                     return
+
+    def _tell(self, group: socket.socket, data: bytes) -> None:
+        group.sendto(data[:60_000], (GROUP, self._port))
 
     def _send(self, file: int, data: bytes) -> None:
         """Write what is taken within a second; what nobody reads is lost, as on a serial line."""

@@ -71,6 +71,11 @@ def _replaced(name: str, put: Callable[[Path], object]) -> Make:
     return change
 
 
+def _sparse(path: Path) -> None:
+    with path.open("wb") as file:
+        file.truncate(1 << 40)
+
+
 def _socket(path: Path) -> None:
     with socket.socket(socket.AF_UNIX) as server:
         here = os.open(path.parent, os.O_RDONLY)
@@ -100,7 +105,7 @@ def session_folder(sound: Sound, random: Random) -> HostileFile:
     )
     target = random.choice(("secret.txt", "secret.toml", "secret.mcap", "victim.txt"))
     puts: tuple[tuple[str, Callable[[Path], object]], ...] = (
-        (f"a link to {target} outside", lambda path: path.symlink_to(OUTSIDE / ".." / OUTSIDE / target)),
+        (f"a link to {target} outside", lambda path: path.symlink_to(Path("..") / OUTSIDE / target)),
         (f"a link to {target} outside", lambda path: path.symlink_to((path.parents[2] / "outside" / target).resolve())),
         ("a hard link to victim.txt outside", lambda path: path.hardlink_to(path.parents[2] / "outside" / "victim.txt")),
         ("a link to itself", lambda path: path.symlink_to(path.name)),
@@ -113,9 +118,9 @@ def session_folder(sound: Sound, random: Random) -> HostileFile:
         ("a socket", _socket),
         ("a folder", lambda path: path.mkdir()),
         ("empty", lambda path: path.write_bytes(b"")),
-        ("as large as a disk", lambda path: (path.touch(), os.truncate(path, 1 << 40))),
+        ("as large as a disk", _sparse),
     )
-    odd: tuple[tuple[str, Make], ...] = (
+    odd: tuple[tuple[str, Callable[[Path], object]], ...] = (
         ("beside it a folder that links to its parent", lambda folder: (folder / "loop").symlink_to("..")),
         ("beside it a file whose name is an escape", lambda folder: (folder / random_name).write_text("x")),
         (

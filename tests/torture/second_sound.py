@@ -17,7 +17,7 @@ SESSION = "s"
 AXES = ("ax", "ay", "az", "gx", "gy", "gz")
 OUTSIDE = Path("..") / "outside"
 
-Make = Callable[[Path], None]
+Make = Callable[[Path], object]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
