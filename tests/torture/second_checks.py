@@ -20,8 +20,9 @@ from tests.torture.second_sound import HostileFile
 
 LONGEST_S = 10
 """Of processor time, for each process that a command starts."""
-HANG_S = 30.0
-"""A command that waits, or is on a busy machine, takes less."""
+IDLE_S = 20.0
+"""A command that takes no processor time for so long waits for something that does not come."""
+WAIT_S = 0.5
 MOST_BYTES = 500 << 20
 CODES = (0, 2, 3, 4, 5, 6, 7)
 INTERRUPTED = 130
@@ -100,40 +101,62 @@ def _run(
     limits = ("limit_and_measure", str(folder / "work" / "home" / "peak"), LONGEST_S)
     # Lines as they are: a pipe has no width.
     variables = {"TMPDIR": str(folder / "work" / "tmp"), **({} if on_terminal else {"COLUMNS": "5000"})}
-    said = ""
+    said, code = "", None
     if on_terminal:
         terminal = Terminal(program, *command, variables=variables, at_start=limits)
         process = terminal.process
-        interrupt_s, until_s = (begin_s + (interrupt_after_s or 1e9)), begin_s + HANG_S
-        while process.poll() is None and time.monotonic() < until_s:
+        patience = _Patience(process, interrupt_after_s)
+        while process.poll() is None and not patience.is_over():
             with contextlib.suppress(OSError):
                 terminal.read()
-            if time.monotonic() > interrupt_s:
-                process.send_signal(signal.SIGINT)
-                interrupt_s = begin_s + 1e9
         code = _end(process)
         with contextlib.suppress(OSError):
             terminal.read(0)
         said = terminal.raw
         terminal.close()
     else:
-        process = program.start(
-            *command, variables=variables, at_start=limits, start_new_session=True, errors="replace", stderr=subprocess.STDOUT
-        )
-        code = None
-        try:
-            said, _ = process.communicate(timeout=interrupt_after_s or HANG_S)
-            code = process.returncode
-        except subprocess.TimeoutExpired:
-            if interrupt_after_s:
-                process.send_signal(signal.SIGINT)
-                with contextlib.suppress(subprocess.TimeoutExpired):
-                    said, _ = process.communicate(timeout=HANG_S)
-                    code = process.returncode
-            if code is None:
+        streams = {"stderr": subprocess.STDOUT, "errors": "replace"}
+        process = program.start(*command, variables=variables, at_start=limits, start_new_session=True, **streams)
+        patience = _Patience(process, interrupt_after_s)
+        while code is None:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                said, _ = process.communicate(timeout=WAIT_S)
+                code = process.returncode
+            if code is None and patience.is_over():
                 _end(process)
                 said, _ = process.communicate()
+                break
     return _Ran(code, said, on_terminal=on_terminal, took_s=time.monotonic() - begin_s)
+
+
+class _Patience:
+    """How long a command is waited for: on a busy machine as long as it takes, and not where it does nothing."""
+
+    def __init__(self, process: subprocess.Popen[str], interrupt_after_s: float) -> None:
+        self._process = process
+        self._began_s = self._changed_s = time.monotonic()
+        self._used = 0
+        self._interrupt_s = self._began_s + interrupt_after_s if interrupt_after_s else float("inf")
+
+    def is_over(self) -> bool:
+        """Whether the command has done nothing for too long; a command that has no end of its own is interrupted here."""
+        now_s, used = time.monotonic(), _ticks_used(self._process.pid)
+        if now_s > self._interrupt_s:
+            self._process.send_signal(signal.SIGINT)
+            self._interrupt_s = float("inf")
+        if used != self._used:
+            self._used, self._changed_s = used, now_s
+        return now_s > self._changed_s + IDLE_S
+
+
+def _ticks_used(process: int) -> int:
+    """Return the processor time that a process and its children have taken, in ticks."""
+    try:
+        fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+        children = Path(f"/proc/{process}/task/{process}/children").read_text().split()
+    except OSError:
+        return 0
+    return sum(map(int, fields[11:15])) + sum(_ticks_used(int(child)) for child in children)
 
 
 def _end(process: subprocess.Popen[str]) -> int | None:
@@ -142,7 +165,7 @@ def _end(process: subprocess.Popen[str]) -> int | None:
     if code is None:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
-        process.wait(10)
+        process.wait(60)
     return code
 
 

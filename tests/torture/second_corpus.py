@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import shutil
-from collections.abc import Callable, Iterator
+import sys
+from collections.abc import Callable
 from pathlib import Path
 from random import Random
 
@@ -24,6 +26,7 @@ from tests.torture.hostile_values import (
     hostile_bytes,
     hostile_text,
     hostile_toml,
+    plant_outside,
 )
 from tests.torture.second_can import can_log, dbc
 from tests.torture.second_formats import arrays, hdf5, matlab, parquet, ros
@@ -240,7 +243,16 @@ def hostile_file(sound: Sound, number: int) -> HostileFile:
     return family(sound, Random(f"{family.__name__} {of_family}"))
 
 
-def hostile_files(sound: Sound, numbers: range) -> Iterator[tuple[int, HostileFile]]:
-    """Yield some of the corpus, with their numbers."""
-    for number in numbers:
-        yield number, hostile_file(sound, number)
+def show(number: int, folder: Path) -> None:
+    """Make file ``number`` in ``folder/work``, and say the command that is to be run there."""
+    plant_outside(folder / "outside")
+    (folder / "sound").mkdir()
+    (folder / "work").mkdir()
+    hostile = hostile_file(Sound(folder / "sound"), number)
+    hostile.make(folder / "work")
+    print(f"{hostile.name}\ncd {folder / 'work'} && {shlex.join(('imufield', *hostile.command))}")
+
+
+if __name__ == "__main__":
+    # python -m tests.torture.second_corpus NUMBER FOLDER
+    show(int(sys.argv[1]), Path(sys.argv[2]))

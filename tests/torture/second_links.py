@@ -276,10 +276,9 @@ def _answer(random: Random, driver: str) -> tuple[Answer, str]:
             )
 
         return tell, f"a model and number with {escape!r}"
-    script = SCRIPTS.get(driver)
-    if script is None:
+    script, wire = SCRIPTS.get(driver), choose_wire(Emulation(device=driver))
+    if script is None or wire.form is None:
         return lambda data: escape.encode() * 10, f"answers {escape!r}"
-    _options, wire, _ = _source(driver, None)
     instrument = script(wire.rate_hz, wire.form)
 
     def damage(data: bytes) -> bytes:
@@ -454,6 +453,8 @@ class Peer(threading.Thread):
                 asked = receive()
                 answer = self._link.answer(asked) if asked else b""
                 if piece is HANG_UP:
+                    # The number of a port that is gone is given to the next one: the command's own terminal, before it starts.
+                    self._closed.wait(1.0)
                     self._hang_up()
                     return
                 if answer:

@@ -237,9 +237,9 @@ def _told(random: Random, part: bytes) -> tuple[str, bytes]:
         builder = RecordBuilder()
         told = {"format": "imufield-recording", "version": "1", "json": text, "crc32": str(zlib.crc32(text.encode()))}
         Metadata(name="imufield", metadata=told).write(builder)
-        return f"metadata: {value[:30]} ({len(value)} characters) as byte {place.start()}", part[:begin] + builder.end() + part[
-            first:
-        ]
+        made: bytes = builder.end()  # type: ignore[no-untyped-call]  # the mcap package leaves it out here alone
+        what = f"metadata: {value[:30]} ({len(value)} characters) as byte {place.start()}"
+        return what, part[:begin] + made + part[first:]
     kind, name = random.choice(("accepted", "mark", "fault", "position")), escaped(random.choice(ESCAPES))
     event = f'{{"event": "{kind}", "time_s": {value}, "name": {name}}}'.encode()
     message = MESSAGE.pack(5, MESSAGE.size - 9 + len(event), 2, 0, 0, 0) + event

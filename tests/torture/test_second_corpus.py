@@ -23,7 +23,18 @@ EVERY = 50
 """Which of the files CI takes, each fiftieth; and which of the links."""
 EVERY_LINK = 33
 CAME = "no traceback, no hang, one sentence, nothing read or written outside, no control character on the terminal"
-KNOWN: dict[str, str] = {}
+KNOWN: dict[str, str] = {
+    "RecursionError": "TOML of thousands of nested arrays or tables",
+    "Exceeds the limit .4300 digits": "TOML with a number of thousands of digits",
+    "a control character|a forged line": "escapes of names, keys, identities and lines are printed",
+    "surrogates not allowed": "a file name that is no UTF-8",
+    "a FIFO.*: hangs": "a FIFO is waited for",
+    "1.6 GB.*: hangs|a bomb.*: hangs|MiB of memory": "packed files that hold more than a computer",
+    "read outside|the secret is": "HDF5, ROS folders and protocols that name files elsewhere",
+    "multiplexed in a circle": "a DBC whose multiplexing is a circle",
+    "a CAN frame has at most 64 bytes": "a log with a longer CAN frame",
+    "FileNotFoundError": "a part that is a link to nowhere",
+}
 """What is found and not mended yet: an expression that finds it in a finding, and its cause. Empty when all is mended."""
 
 
