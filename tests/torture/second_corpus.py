@@ -250,7 +250,7 @@ def show(number: int, folder: Path) -> None:
     (folder / "work").mkdir()
     hostile = hostile_file(Sound(folder / "sound"), number)
     hostile.make(folder / "work")
-    print(f"{hostile.name}\ncd {folder / 'work'} && {shlex.join(('imufield', *hostile.command))}")
+    sys.stdout.write(f"{hostile.name}\ncd {folder / 'work'} && {shlex.join(('imufield', *hostile.command))}\n")
 
 
 if __name__ == "__main__":
