@@ -38,10 +38,8 @@ Entry = tuple[object, ...]
 def listing(folder: Path, *, but: str) -> dict[str, Entry]:
     """Return everything in a folder, ``but`` one folder: kind, size, times, content."""
     found: dict[str, Entry] = {}
-    for path in sorted(folder.rglob("*")):
+    for path in sorted(below for top in folder.iterdir() if top.name != but for below in (top, *top.rglob("*"))):
         name = str(path.relative_to(folder))
-        if name.split("/", maxsplit=1)[0] == but:
-            continue
         about = path.lstat()
         # The time of reading before the content is read here.
         content = hashlib.sha256(path.read_bytes()).hexdigest() if stat.S_ISREG(about.st_mode) else ""
