@@ -29,11 +29,11 @@ KNOWN: dict[str, str] = {
     "a control character|a forged line": "escapes of names, keys, identities and lines are printed",
     "surrogates not allowed": "a file name that is no UTF-8",
     "a FIFO.*: hangs": "a FIFO is waited for",
-    "1.6 GB.*: hangs|a bomb.*: hangs|MiB of memory": "packed files that hold more than a computer",
+    "1.6 GB.*: (hangs|more than)|a bomb.*: (hangs|more than)|MiB of memory": "packed files that hold more than a computer",
     "read outside|the secret is": "HDF5, ROS folders and protocols that name files elsewhere",
     "multiplexed in a circle": "a DBC whose multiplexing is a circle",
     "a CAN frame has at most 64 bytes": "a log with a longer CAN frame",
-    "FileNotFoundError": "a part that is a link to nowhere",
+    "FileNotFoundError|Too many levels": "a part that is a link to nowhere or to itself",
 }
 """What is found and not mended yet: an expression that finds it in a finding, and its cause. Empty when all is mended."""
 
