@@ -33,6 +33,7 @@ KNOWN: dict[str, str] = {
     "read outside|the secret is": "HDF5, ROS folders and protocols that name files elsewhere",
     "multiplexed in a circle": "a DBC whose multiplexing is a circle",
     "a CAN frame has at most 64 bytes": "a log with a longer CAN frame",
+    "MemoryError": "an earlier parameters.toml of any size is read by solve",
     "FileNotFoundError|Too many levels": "a part that is a link to nowhere or to itself",
 }
 """What is found and not mended yet: an expression that finds it in a finding, and its cause. Empty when all is mended."""
