@@ -14,6 +14,7 @@ import typer
 
 from imufield.acquire.decode.statistics import remarks
 from imufield.acquire.instrument.connected import Connected
+from imufield.acquire.instrument.same_stream import SameStream
 from imufield.acquire.link.background import PatientLink
 from imufield.acquire.link.host_clock import HostClock, ScaledClock
 from imufield.acquire.link.serial import Chunk
@@ -32,7 +33,17 @@ from imufield.guide.positions import SCHEMES, scheme
 from imufield.guide.view.plain import known_words, words
 from imufield.guide.view.terminal import Keyboard
 from imufield.pipeline.calibration import FEWEST_POSITIONS, one_of
-from imufield.pipeline.chain import MARK, REVISIT_FROM, ROTATIONS, SCHEME_FILE, Chain, ReadingPlan, part_metadata, replay_into
+from imufield.pipeline.chain import (
+    MARK,
+    REVISIT_FROM,
+    ROTATIONS,
+    SCHEME_FILE,
+    Chain,
+    ReadingPlan,
+    part_metadata,
+    replay_into,
+)
+from imufield.pipeline.intake import Intake
 from imufield.pipeline.site import SiteOptions
 from imufield.sentences import Sentences
 
@@ -130,9 +141,11 @@ def new_session(options: CaptureOptions, connected: Connected, site: SiteOptions
 
 def guided_session(session: Session, connected: Connected, clock: HostClock, options: CaptureOptions) -> Captured:
     """Run the loop and say what there is and how to go on, also where it is broken off; the reason is passed on."""
-    chain = Chain(ReadingPlan.of(session))
+    stream = SameStream(connected.link.name)
+    chain = Chain(ReadingPlan.of(session), listeners=(stream.hear,))
     # Of a session that goes on, so that the guide knows again what it knew; of a new one there is nothing.
     replay_into(chain, session, [], ended=False)
+    stream.begin()
     metadata = part_metadata(connected.protocol, connected.session_tables())
     loop = None
     try:
@@ -144,8 +157,7 @@ def guided_session(session: Session, connected: Connected, clock: HostClock, opt
             loop = CaptureLoop(
                 session=session,
                 connected=connected,
-                chain=chain,
-                recorder=recorder,
+                intake=Intake(recorder=recorder, chain=chain, stream=stream),
                 view=view,
                 keyboard=keyboard,
                 clock=clock,
@@ -165,16 +177,16 @@ class CaptureLoop:
 
     session: Session
     connected: Connected
-    chain: Chain
-    recorder: Recorder
+    intake: Intake
     view: View
     keyboard: Keyboard
     clock: HostClock
 
     def __post_init__(self) -> None:
+        self.chain, self.recorder = self.intake.chain, self.intake.recorder
         self._last_byte_s = self.clock.monotonic_s()
         self._last_refresh_s = float("-inf")
-        self._link = PatientLink(self.connected.link, self.clock)  # When to try the port again; None while it is there.
+        self._link = PatientLink(self.connected.link, self.clock, self.connected.ask_again)
         self._finish_until_s = float("-inf")  # Until then the key that finishes is believed.
         self._advice: dict[Topic, Advice] = {}  # The newest of those that are for the end.
 
@@ -238,14 +250,12 @@ class CaptureLoop:
             # The time without a link is no silence of the instrument.
             self._last_byte_s = self.clock.monotonic_s()
         elif self._link.lost is not None:
-            self._publish(self.chain.link_lost())
+            self._publish(self.intake.link_lost())
         return chunk
 
     def _take(self, chunk: Chunk) -> None:
         self._last_byte_s = self.clock.monotonic_s()
-        # To the disk first: what fails behind it can be done again from there.
-        self.recorder.write_chunk(chunk)
-        self._publish(self.chain.feed(chunk.data, chunk.monotonic_s, chunk.utc_ns))
+        self._publish(self.intake.take(chunk))
 
     def _follow_keys(self) -> bool:
         for key in self.keyboard.read():
