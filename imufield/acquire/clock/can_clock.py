@@ -74,6 +74,7 @@ class CanClock(Clock):
         self._offset_s = 0.0
         self._last_time_s = -np.inf
         self._last_stamp_s: float | None = None
+        self._step_s = 0.0  # The last step of the stamps that was no jump.
         self._last_counter: int | None = None
         self._counter_step = 1
         self._begin: tuple[float, float] | None = None
@@ -93,11 +94,16 @@ class CanClock(Clock):
             self._last_stamp_s = float(stamp_s[0])
         step_s = np.diff(stamp_s, prepend=self._last_stamp_s)
         self._last_stamp_s = float(stamp_s[-1])
+        before_s, self._step_s = self._step_s, max(float(step_s[-1]), 0.0)
         if not (step_s.min() >= -_RESET_S and step_s.max() <= _LONGEST_PAUSE_S):
             jumps = ~((step_s >= -_RESET_S) & (step_s <= _LONGEST_PAUSE_S))
             self._statistics.clock_resets += int(np.count_nonzero(jumps))
             step_s = np.where(np.isfinite(step_s), step_s, 0.0)
-            offset_s = self._offset_s - np.cumsum(np.where(jumps, step_s, 0.0))
+            # The step before takes the place of a jump: it is the same in whatever pieces the frames come.
+            usual_s = np.append(before_s, np.where(jumps, 0.0, np.maximum(step_s, 0.0)))
+            self._step_s = float(usual_s[-1])
+            moved_s = np.where(jumps, usual_s[:-1] - step_s, 0.0)
+            offset_s = np.cumsum(np.append(self._offset_s, moved_s))[1:]
             self._offset_s = float(offset_s[-1])
             return np.nan_to_num(stamp_s) + offset_s
         return stamp_s + self._offset_s if self._offset_s else stamp_s
