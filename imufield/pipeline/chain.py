@@ -28,7 +28,7 @@ from imufield.guide.lead.unguided import StillIntervalFinder, StillIntervals
 from imufield.guide.positions import scheme
 from imufield.guide.stillness.scale import RoughScale
 from imufield.pipeline.damage import require_samples
-from imufield.samples import FloatArray, Samples
+from imufield.samples import FloatArray, Samples, Status
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -230,6 +230,9 @@ class Chain:
         """Shift the samples of a later part behind those of the parts before, as far as the host's clock says."""
         if self._offset_s is None and self._last_s is not None and self._pause_s is not None:
             self._offset_s = self._last_s + self._pause_s - float(samples.time_s[0])
+            # How many are missing meanwhile, nobody has counted.
+            samples = replace(samples, status=samples.status.copy())
+            samples.status[0] |= np.uint32(Status.GAP_ESTIMATED)
         return replace(samples, time_s=samples.time_s + self._offset_s) if self._offset_s else samples
 
 
