@@ -103,9 +103,9 @@ class CanClock(Clock):
             usual_s = np.append(before_s, np.where(jumps, 0.0, np.maximum(step_s, 0.0)))
             self._step_s = float(usual_s[-1])
             moved_s = np.where(jumps, usual_s[:-1] - step_s, 0.0)
-            offset_s = np.cumsum(np.append(self._offset_s, moved_s))[1:]
+            offset_s: FloatArray = np.cumsum(np.append(self._offset_s, moved_s))[1:]
             self._offset_s = float(offset_s[-1])
-            return np.nan_to_num(stamp_s) + offset_s
+            return np.asarray(np.nan_to_num(stamp_s) + offset_s)
         return stamp_s + self._offset_s if self._offset_s else stamp_s
 
     def _release(self, *, last: bool) -> Samples | None:
