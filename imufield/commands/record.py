@@ -6,10 +6,10 @@ import json
 import sys
 from contextlib import ExitStack, nullcontext, suppress
 
-from imufield.acquire.decode.statistics import remarks
-from imufield.acquire.decoder import Decoder
+from imufield.acquire.decode.statistics import DecoderStatistics, combined, remarks
 from imufield.acquire.instrument.connect import connect
 from imufield.acquire.instrument.connected import Connected
+from imufield.acquire.instrument.same_stream import SameStream
 from imufield.acquire.link.background import PatientLink
 from imufield.acquire.link.host_clock import HostClock
 from imufield.acquire.link.serial import Chunk
@@ -19,7 +19,8 @@ from imufield.commands.options.commands import RecordOptions
 from imufield.commands.terminal.output import echo, host_clock, say, say_assumed
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import RecordingError
-from imufield.pipeline.chain import part_metadata
+from imufield.pipeline.chain import Chain, ReadingPlan, part_metadata
+from imufield.pipeline.intake import Intake
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -46,73 +47,76 @@ def run_record(options: RecordOptions, clock: HostClock | None = None) -> Sessio
         stack.enter_context(session.lock())
         of_part = part_metadata(connected.protocol, connected.session_tables())
         recorder = stack.enter_context(Recorder(session.add_part(), of_part, clock=clock))
-        decoder = Decoder(connected.protocol)
+        stream = SameStream(connected.link.name)
+        chain = Chain(ReadingPlan(None), listeners=(stream.hear,), judging=False)
+        chain.start_part(connected.protocol)
+        stream.begin()
+        intake = Intake(recorder=recorder, chain=chain, stream=stream)
         try:
             try:
-                _record(connected, decoder, recorder, clock, options=options)
+                _record(connected, intake, clock, options=options)
             except KeyboardInterrupt:
                 # What was read before Ctrl-C still waits in the link.
-                _take(connected.link.drain(), decoder, recorder)
+                _take(connected.link.drain(), intake)
                 raise
-            _take(connected.link.drain(), decoder, recorder)
+            _take(connected.link.drain(), intake)
         finally:
             # Ctrl-C and a pulled cable end a recording, too: whatever it is, it is complete up to here.
             # Where nothing could be recorded (the folder is gone), that is what has to be told, not what follows from it.
             with suppress(RecordingError) if isinstance(sys.exception(), RecordingError) else nullcontext():
                 session.update(finished=True)
-            _tell_end(session, decoder, options.as_json)
+            _tell_end(session, chain, options.as_json)
     return session
 
 
-def _record(connected: Connected, decoder: Decoder, recorder: Recorder, clock: HostClock, *, options: RecordOptions) -> None:
+def _record(connected: Connected, intake: Intake, clock: HostClock, *, options: RecordOptions) -> None:
     # What was heard while connecting is recorded, so its time is part of what was asked for.
-    _take(connected.chunks, decoder, recorder)
+    _take(connected.chunks, intake)
     told_s = clock.monotonic_s()
     start_s, is_silent = (connected.chunks[0].monotonic_s, False) if connected.chunks else (told_s, True)
-    link, was_lost = PatientLink(connected.link, clock), False
+    link, was_lost = PatientLink(connected.link, clock, connected.ask_again), False
     while options.duration_s is None or clock.monotonic_s() - start_s < options.duration_s:
         chunk = link.read()
         if link.lost is not None and not was_lost:
             say(sentence("record.waiting", lost=link.lost.message), err=True)
+            intake.link_lost()
         elif was_lost and link.lost is None:
             say("the link is back", err=True)
         was_lost = link.lost is not None
         if chunk is not None:
             start_s, is_silent = (chunk.monotonic_s if is_silent else start_s), False
-            _take([chunk], decoder, recorder)
+            intake.take(chunk)
         now_s = clock.monotonic_s()
         if now_s - told_s >= TELL_EVERY_S:
             told_s = now_s
-            _tell_progress(decoder, now_s - start_s, options.as_json)
+            _tell_progress(combined(intake.chain.statistics), now_s - start_s, options.as_json)
     if link.lost is not None:
         raise link.lost
 
 
-def _take(chunks: list[Chunk], decoder: Decoder, recorder: Recorder) -> None:
+def _take(chunks: list[Chunk], intake: Intake) -> None:
     for chunk in chunks:
-        recorder.write_chunk(chunk)
-        decoder.feed(chunk.data, chunk.monotonic_s)
+        intake.take(chunk)
 
 
-def _tell_progress(decoder: Decoder, elapsed_s: float, as_json: bool) -> None:
+def _tell_progress(counts: DecoderStatistics, elapsed_s: float, as_json: bool) -> None:
     if as_json:
-        echo(json.dumps({"event": "recording", "elapsed_s": round(elapsed_s, 3), **decoder.statistics.to_dict()}))
+        echo(json.dumps({"event": "recording", "elapsed_s": round(elapsed_s, 3), **counts.to_dict()}))
     elif sys.stdout.isatty():
-        counts = decoder.statistics
         echo(f"{elapsed_s:8.0f} s  {counts.samples} samples  {counts.lost} lost  (Ctrl-C ends)", begin="\r", end="")
 
 
-def _tell_end(session: Session, decoder: Decoder, as_json: bool) -> None:
+def _tell_end(session: Session, chain: Chain, as_json: bool) -> None:
     if not session.folder.exists():
         return
     # What the decoder holds back until it is sure of its time counts as well.
-    decoder.flush()
-    counts = decoder.statistics
+    chain.finish()
+    counts = combined(chain.statistics)
     if as_json:
         echo(json.dumps({"event": "recorded", "session": str(session.folder), **counts.to_dict()}))
         return
     if sys.stdout.isatty():
         echo()
     echo(beside(f"{counts.samples} samples, {counts.lost} lost, session", session.folder))
-    for remark in remarks([counts]):
+    for remark in remarks(chain.statistics):
         say(remark)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING
 
+from imufield.acquire.decode.statistics import combined
 from imufield.acquire.recording.reader import Damage, EndOfRecordingError, RecordingLink
 from imufield.acquire.recording.session import Session, open_or_newest
 from imufield.commands.options.commands import ReplayOptions
@@ -56,11 +57,11 @@ def run_replay(options: ReplayOptions) -> None:
 
 
 def _tell(chain: Chain) -> None:
-    parts = chain.statistics
-    samples, frames = sum(part.samples for part in parts), sum(part.frames for part in parts)
-    lost = sum(part.lost for part in parts)
-    bad, skipped = sum(part.frames_bad_checksum for part in parts), sum(part.bytes_skipped for part in parts)
-    say(f"{samples} samples of {frames} frames; {lost} lost, {bad} with a bad checksum, {skipped} bytes skipped")
+    counts = combined(chain.statistics)
+    say(
+        f"{counts.samples} samples of {counts.frames} frames; {counts.lost} lost, "
+        f"{counts.frames_bad_checksum} with a bad checksum, {counts.bytes_skipped} bytes skipped"
+    )
     if chain.finder is not None:
         found = chain.still_intervals()
         echo(f"{len(found.observations)} still intervals, {len(found.refused)} refused")

@@ -28,7 +28,7 @@ from imufield.guide.lead.unguided import StillIntervalFinder, StillIntervals
 from imufield.guide.positions import scheme
 from imufield.guide.stillness.scale import RoughScale
 from imufield.pipeline.damage import require_samples
-from imufield.samples import FloatArray, Samples
+from imufield.samples import FloatArray, Samples, Status
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -41,6 +41,9 @@ ROTATIONS = {"rolled": HORIZONTAL, "table": VERTICAL}
 """Kinds of whole turns, as ``--rotations`` names them, and the axis they are about."""
 SCHEME_FILE = "positions.toml"
 """Copy, in the session's folder, of positions that are not shipped: the session must be solved again without their file."""
+UNPLUGGED = "unplugged"
+"""Name of a recorded event: the link was lost, and what comes behind it is read anew. Recordings that are older have only what
+the guide said of it, ``link_lost``."""
 PART_GAP_S = 1.0
 """Least time between the samples of two parts, whatever the clocks of the host say of them."""
 
@@ -93,7 +96,8 @@ class Chain:
         self._offset_s: float | None = 0.0  # None from the start of a later part to its first samples, which tell it.
         self._first_s: float | None = None
         self._last_s: float | None = None
-        self._last_utc_ns = 0
+        self._last_utc_ns = 0  # Of the newest read.
+        self._pause_s: float | None = None  # From the last read of a decoder to the first of the next one.
 
     def start_part(self, protocol: Protocol) -> list[Event]:
         """Begin a part: clocks, counters and half frames do not carry over.
@@ -127,24 +131,32 @@ class Chain:
 
     def feed_block(self, block: RecordedBlock) -> list[Event]:
         """Take many recorded reads at once, as if they came one by one."""
-        return self._take(self._started().feed_chunks(block.data, block.end, block.monotonic_s), block.utc_ns)
+        self._note_arrival(block.first_utc_ns, block.utc_ns)
+        return self._take(self._started().feed_chunks(block.data, block.end, block.monotonic_s))
 
     def feed(self, data: bytes, arrival_s: float, utc_ns: int) -> list[Event]:
         """Take the bytes of one read and return what the guide has to say."""
-        return self._take(self._started().feed(data, arrival_s), utc_ns)
+        self._note_arrival(utc_ns, utc_ns)
+        return self._take(self._started().feed(data, arrival_s))
+
+    def _note_arrival(self, first_utc_ns: int, last_utc_ns: int) -> None:
+        """Measure the pause behind which a new decoder begins: by reads, which are the same however they are joined."""
+        if self._offset_s is None and self._pause_s is None:
+            self._pause_s = max((first_utc_ns - self._last_utc_ns) / 1e9, PART_GAP_S)
+        self._last_utc_ns = last_utc_ns
 
     def _started(self) -> Decoder:
         if self.decoder is None:
             raise RecordingError(sentence("chain.no_part"), Reason.DAMAGED)
         return self.decoder
 
-    def _take(self, samples: Samples, utc_ns: int) -> list[Event]:
+    def _take(self, samples: Samples) -> list[Event]:
         if not len(samples):
             return []
-        samples = self._on_session_clock(samples, utc_ns)
+        samples = self._on_session_clock(samples)
         if self._first_s is None:
             self._first_s = float(samples.time_s[0])
-        self._last_s, self._last_utc_ns = float(samples.time_s[-1]), utc_ns
+        self._last_s = float(samples.time_s[-1])
         known = samples.temperature_degc[np.isfinite(samples.temperature_degc)]
         if len(known):
             low, high = self.temperature_degc
@@ -168,7 +180,9 @@ class Chain:
 
     def link_lost(self) -> list[Event]:
         """Say that nothing arrives any more; what comes later is read anew."""
-        return [] if self.protocol is None else self._start_decoder(self.protocol)
+        # A decoder that has read nothing is a new one: to say it twice, as recordings do, changes nothing.
+        is_new = self.decoder is None or not self.decoder.statistics.bytes_total
+        return [] if is_new or self.protocol is None else self._start_decoder(self.protocol)
 
     def finish(self) -> list[Event]:
         """Take what the decoder held back; nothing will follow."""
@@ -210,19 +224,19 @@ class Chain:
         # At the very first there is nothing to be behind of, and no link that was lost.
         if self._last_s is None:
             return events
-        self._offset_s = None
+        self._offset_s = self._pause_s = None
         return events + self.guide.link_lost() if self.guide is not None else events
 
     def _flush_decoder(self) -> list[Event]:
-        return [] if self.decoder is None else self._take(self.decoder.flush(), self._last_utc_ns)
+        return [] if self.decoder is None else self._take(self.decoder.flush())
 
-    def _on_session_clock(self, samples: Samples, utc_ns: int) -> Samples:
+    def _on_session_clock(self, samples: Samples) -> Samples:
         """Shift the samples of a later part behind those of the parts before, as far as the host's clock says."""
-        if self._offset_s is None and self._last_s is not None:
-            pause_s = max((utc_ns - self._last_utc_ns) / 1e9, PART_GAP_S)
-            # What was held back may reach further back than the pause, by clocks of the host that were set meanwhile.
-            ends_s, begins_s = self._last_s + pause_s - samples.time_s[-1], self._last_s + PART_GAP_S - samples.time_s[0]
-            self._offset_s = float(max(ends_s, begins_s))
+        if self._offset_s is None and self._last_s is not None and self._pause_s is not None:
+            self._offset_s = self._last_s + self._pause_s - float(samples.time_s[0])
+            # How many are missing meanwhile, nobody has counted.
+            samples = replace(samples, status=samples.status.copy())
+            samples.status[0] |= np.uint32(Status.GAP_ESTIMATED)
         return replace(samples, time_s=samples.time_s + self._offset_s) if self._offset_s else samples
 
 
@@ -356,4 +370,4 @@ def _say_again(chain: Chain, event: Mapping[str, object]) -> list[Event]:
             time_s if isinstance(time_s, int | float) else None,
             position if isinstance(position, str) else None,
         )
-    return chain.link_lost() if kind == "link_lost" else []
+    return chain.link_lost() if kind in (UNPLUGGED, "link_lost") else []

@@ -93,9 +93,13 @@ class Loose(Simulated):
     """The same, with a plug that is out from the second to the fifth second, or for good."""
 
     back_s: float = 5.0
+    again: list[Chunk] = field(default_factory=list)
+
+    def put_back(self, chunks: list[Chunk]) -> None:
+        self.again += chunks
 
     def read(self) -> Chunk | None:
-        got = super().read()
+        got = self.again.pop(0) if self.again else super().read()
         if 2.0 < self.now_s < self.back_s:
             raise LinkError("line is gone", Reason.DISCONNECTED)
         return got

@@ -31,7 +31,7 @@ from imufield.acquire.clock.clock import Arrivals, Clock, filled_in
 from imufield.acquire.decode.assembly import RawBlock, join
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
-from imufield.samples import FloatArray, IntArray, Samples, SampleUnits, Status
+from imufield.samples import FloatArray, IntArray, Samples, SampleUnits, Status, concatenate
 
 _WINDOW_S = 0.25  # Longer than the delays of a busy host, as for serial ports.
 _LEAST_WINDOW = 2  # Periods; slow instruments send less than that in a quarter second.
@@ -42,6 +42,7 @@ _LONGEST_PAUSE_S = 3600.0
 # So many samples in a row that each move the phase by this part of a period: the rate has changed.
 _DRIFT = 0.1
 _DRIFT_RUN = 64
+_LEAST_STEP = 0.25  # Part of a period by which time goes on from one sample to the next.
 
 
 @dataclass(slots=True, kw_only=True)
@@ -73,6 +74,7 @@ class CanClock(Clock):
         self._offset_s = 0.0
         self._last_time_s = -np.inf
         self._last_stamp_s: float | None = None
+        self._step_s = 0.0  # The last step of the stamps that was no jump.
         self._last_counter: int | None = None
         self._counter_step = 1
         self._begin: tuple[float, float] | None = None
@@ -92,17 +94,31 @@ class CanClock(Clock):
             self._last_stamp_s = float(stamp_s[0])
         step_s = np.diff(stamp_s, prepend=self._last_stamp_s)
         self._last_stamp_s = float(stamp_s[-1])
+        before_s, self._step_s = self._step_s, max(float(step_s[-1]), 0.0)
         if not (step_s.min() >= -_RESET_S and step_s.max() <= _LONGEST_PAUSE_S):
             jumps = ~((step_s >= -_RESET_S) & (step_s <= _LONGEST_PAUSE_S))
             self._statistics.clock_resets += int(np.count_nonzero(jumps))
             step_s = np.where(np.isfinite(step_s), step_s, 0.0)
-            regular_s = self._phase.period_s if self._phase else 0.0
-            offset_s = self._offset_s - np.cumsum(np.where(jumps, step_s - regular_s, 0.0))
+            # The step before takes the place of a jump: it is the same in whatever pieces the frames come.
+            usual_s = np.append(before_s, np.where(jumps, 0.0, np.maximum(step_s, 0.0)))
+            self._step_s = float(usual_s[-1])
+            moved_s = np.where(jumps, usual_s[:-1] - step_s, 0.0)
+            offset_s: FloatArray = np.cumsum(np.append(self._offset_s, moved_s))[1:]
             self._offset_s = float(offset_s[-1])
-            return np.nan_to_num(stamp_s) + offset_s
+            return np.asarray(np.nan_to_num(stamp_s) + offset_s)
         return stamp_s + self._offset_s if self._offset_s else stamp_s
 
     def _release(self, *, last: bool) -> Samples | None:
+        done: list[Samples] = []
+        # A period ends with the very sample that shows that it is wrong, in whatever pieces the samples come.
+        while self._pending and (samples := self._release_period(last=last)) is not None:
+            done.append(samples)
+            if self._phase is not None:
+                break
+        return concatenate(done) if done else None
+
+    def _release_period(self, *, last: bool) -> Samples | None:
+        """Return the samples that are settled now, up to where the period is to be learned anew."""
         block = join(self._pending)
         self._pending = [block]
         if self._phase is None:
@@ -117,7 +133,7 @@ class CanClock(Clock):
         if ready <= 0:
             return None
         done = self._time(block, ready, phase)
-        self._pending = [block[ready:]] if ready < len(block) else []
+        self._pending = [block[len(done) :]] if len(done) < len(block) else []
         return done
 
     def _learn(self, block: RawBlock) -> _Phase:
@@ -166,19 +182,22 @@ class CanClock(Clock):
         return np.where(back, 1.0, np.rint(steps))
 
     def _time(self, block: RawBlock, ready: int, phase: _Phase) -> Samples:
-        """Give the first ``ready`` samples of the block their time."""
-        number, steps = self._numbers(block, ready, phase)
+        """Give the first ``ready`` samples of the block their time, fewer where the rate has changed behind them."""
+        number = self._numbers(block, phase)
         lag_s = block.stamp_s - number * phase.period_s
         envelope_s = np.zeros(ready) if phase.is_blind else _minimum_ahead(lag_s, block.stamp_s, phase.window_s)[:ready]
-        time_s = envelope_s + number[:ready] * phase.period_s
         moved_s = np.diff(envelope_s, prepend=phase.base_s)
+        ready = _until_rate_changes(moved_s, phase)
+        envelope_s, moved_s = envelope_s[:ready], moved_s[:ready]
+        time_s = envelope_s + number[:ready] * phase.period_s
+        steps = None if self._last_counter is None else self._steps(block.counter[:ready])
         least_s, most_s = float(moved_s.min()), float(moved_s.max())
         phase.base_s, phase.number = float(envelope_s[-1]), float(number[ready - 1])
         stands = least_s > -_DRIFT * phase.period_s and most_s < min(phase.visible_s, _DRIFT * phase.period_s)
         repeated = steps is not None and bool((steps < 1).any())
-        if stands and not repeated and time_s[0] > phase.last_time_s:
-            # No loss by time, no change of rate, and time runs forward, from the end of a period learned before as well.
-            phase.run, phase.last_time_s = 0, float(time_s[-1])
+        if stands and not repeated and time_s[0] >= phase.last_time_s + _LEAST_STEP * phase.period_s:
+            # No loss by time, and time runs forward, from the end of a period learned before as well.
+            phase.last_time_s = float(time_s[-1])
             estimated = None
         else:
             estimated = _losses(envelope_s, moved_s, phase)
@@ -193,17 +212,15 @@ class CanClock(Clock):
             self._statistics.rate_hz = (phase.number + self._statistics.losses_estimated - self._begin[0]) / span_s
         self._last_time_s = phase.last_time_s
         # A wrong period moves the phase at every sample; it is learned anew, with time going on where it was.
-        if estimated is not None and self._rate_changed(moved_s, phase):
-            self._phase = None
+        if phase.run >= _DRIFT_RUN:
+            self._phase = self._begin = None
         return samples
 
-    def _numbers(self, block: RawBlock, ready: int, phase: _Phase) -> tuple[FloatArray, FloatArray | None]:
-        """Return the numbers of all samples of the block, and the steps of the first ``ready`` where there is a counter."""
+    def _numbers(self, block: RawBlock, phase: _Phase) -> FloatArray:
+        """Return the numbers of all samples of the block; what is not ready is counted again in the next call."""
         if self._last_counter is None:
-            return np.arange(phase.number + 1, phase.number + len(block) + 0.5), None
-        number = phase.number + np.cumsum(self._steps(block.counter, remember=False))
-        # What is not ready is counted again in the next call.
-        return number, self._steps(block.counter[:ready])
+            return np.arange(phase.number + 1, phase.number + len(block) + 0.5)
+        return np.asarray(phase.number + np.cumsum(self._steps(block.counter, remember=False)))
 
     def _samples(self, block: RawBlock, time_s: FloatArray, steps: FloatArray | None, estimated: IntArray | None) -> Samples:
         flags = np.full(len(block), np.uint32(Status.TIME_ESTIMATED), dtype=np.uint32)
@@ -220,19 +237,16 @@ class CanClock(Clock):
         statistics.gaps += int(np.count_nonzero(gaps))
         return self._timed(block, time_s, flags)
 
-    def _rate_changed(self, moved_s: FloatArray, phase: _Phase) -> bool:
-        """Whether the phase runs away, which a wrong period makes it do."""
-        moves = np.abs(moved_s) > _DRIFT * phase.period_s
-        still = np.flatnonzero(~moves)
-        if len(still):
-            longest = max(phase.run + int(still[0]), int(np.diff(still).max(initial=1)) - 1)
-            phase.run = len(moves) - 1 - int(still[-1])
-        else:
-            phase.run = longest = phase.run + len(moves)
-        if max(longest, phase.run) < _DRIFT_RUN:
-            return False
-        self._begin = None
-        return True
+
+def _until_rate_changes(moved_s: FloatArray, phase: _Phase) -> int:
+    """Return how many samples there are before the phase has run away, which a wrong period makes it do: all if it has not."""
+    place = np.arange(len(moved_s))
+    # Where the phase last stood still, at or before each sample.
+    stood = np.maximum.accumulate(np.where(np.abs(moved_s) > _DRIFT * phase.period_s, -1 - phase.run, place))
+    run = place - stood
+    count = int(np.argmax(run >= _DRIFT_RUN)) + 1 if run.max() >= _DRIFT_RUN else len(run)
+    phase.run = int(run[count - 1])
+    return count
 
 
 def _losses(envelope_s: FloatArray, moved_s: FloatArray, phase: _Phase) -> IntArray:
@@ -271,11 +285,8 @@ def _minimum_ahead(values: FloatArray, stamp_s: FloatArray, window_s: float) -> 
 
 def _forward(time_s: FloatArray, phase: _Phase) -> FloatArray:
     """Keep time from running backwards: by a quarter of a period at least from one sample to the next."""
-    least_s = phase.period_s / 4
-    if float(time_s[0]) >= phase.last_time_s + least_s and (np.diff(time_s) >= least_s).all():
-        phase.last_time_s = float(time_s[-1])
-        return time_s
-    ramp = np.arange(1, len(time_s) + 1) * least_s
-    kept: FloatArray = np.asarray(np.maximum.accumulate(np.maximum(time_s - ramp, phase.last_time_s)) + ramp, dtype=np.float64)
-    phase.last_time_s = float(kept[-1])
-    return kept
+    least_s, kept = _LEAST_STEP * phase.period_s, time_s.tolist()
+    # One by one: sums over a block would round otherwise with every way to cut it.
+    for place, wanted_s in enumerate(kept):
+        kept[place] = phase.last_time_s = max(wanted_s, phase.last_time_s + least_s)
+    return np.array(kept)

@@ -14,6 +14,7 @@ Time never runs backwards. A time stamp that does (the instrument restarted, or 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -85,7 +86,7 @@ class SampleClock(Clock):
     def flush(self) -> Samples | None:
         """Return what is still kept back; nothing will follow."""
         done = [] if self._started or not self._early else self._start_blocks()
-        done += self._watch.finish()
+        done += self._following_host(self._watch.finish())
         self._count_losses(np.empty(0))
         return self._emit(done)
 
@@ -232,7 +233,7 @@ class SampleClock(Clock):
                 continue
             if at > begin:
                 settled.append(timed.part(begin, at, math.nan))
-            settled += self._watch.push(timed.part(at, end, arrival_s))
+            settled += self._following_host(self._watch.push(timed.part(at, end, arrival_s)))
             self._count_losses(timed.time_s[end:])
             begin = at = end
         return [*settled, timed.part(begin, at, math.nan)] if at > begin else settled
@@ -253,15 +254,21 @@ class SampleClock(Clock):
     def _emit(self, done: list[TimedBlock]) -> Samples | None:
         if not done:
             return None
-        time_s = np.concatenate([self._follow_host(each) for each in done]) if len(done) > 1 else self._follow_host(done[0])
+        time_s = np.concatenate([each.time_s for each in done]) if len(done) > 1 else done[0].time_s
         block = join([each.block for each in done])
         flags = np.concatenate([each.flags for each in done]) if len(done) > 1 else done[0].flags
         self._measure()
         return self._timed(block, time_s, flags)
 
+    def _following_host(self, released: list[TimedBlock]) -> list[TimedBlock]:
+        """Return blocks with the time they get; at once, as the line of arrivals is another after the next read."""
+        if self._has_time or self._has_counter:
+            return released
+        return [replace(timed, time_s=self._follow_host(timed)) for timed in released]
+
     def _follow_host(self, timed: TimedBlock) -> FloatArray:
         """Bend even steps towards the line of earliest arrivals; device time is left as it is."""
-        if self._has_time or self._has_counter or not math.isfinite(timed.arrival_s):
+        if not math.isfinite(timed.arrival_s):
             return timed.time_s
         if self._watch.baseline.slope is None:
             # Everything at once (a dump) or too early to tell: the rate learned at the start is the best there is.

@@ -235,10 +235,11 @@ class DeviceClock(Clock):
     def _start(self) -> Samples:
         """Learn the regular step from the first stamps, then time their samples like all others."""
         block, self._early, self._started = join(self._early), [], True
-        known = block.ticks[np.isfinite(block.ticks)]
-        known = known if len(known) else np.zeros(1)
+        # Of as many in any case, so that it does not matter in what pieces they come.
+        first = block.ticks[: LEARN_FROM + 1]
+        known = first[np.isfinite(first)] if np.isfinite(first).any() else np.zeros(1)
         self._last = float(known[0])
-        self._steps.learn(self._stamps.start(self._whole(known[: LEARN_FROM + 1])))
+        self._steps.learn(self._stamps.start(self._whole(known)))
         return self._time(block)
 
     def _time(self, block: RawBlock) -> Samples:

@@ -60,7 +60,7 @@ class RawBlock:
     skipped_before: FloatArray = field(default_factory=lambda: np.empty(0))
     """Bytes passed over just before this sample, as a number of samples. Shape (n,), not of a bus."""
     stream_end: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
-    """Offset in the stream just behind the last byte of this sample. Shape (n,), not of a bus."""
+    """Offset in the stream just behind the last byte that must be there to know this sample. Shape (n,), not of a bus."""
 
     def __len__(self) -> int:
         return len(self.status)

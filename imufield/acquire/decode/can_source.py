@@ -116,7 +116,8 @@ class CanSource:
         heard = np.zeros(len(frames), dtype=np.bool_)
         for reader in self._kinds:
             if reader.kind.message.is_j1939:
-                heard |= (frames.can_id & reader.mask) == reader.can_id
+                # A frame that is too short for its signals is nobody's.
+                heard |= ((frames.can_id & reader.mask) == reader.can_id) & (frames.size >= reader.bytes_needed)
         if heard.any():
             self._address = int(frames.can_id[int(np.argmax(heard))]) & 0xFF
             self._match_address()

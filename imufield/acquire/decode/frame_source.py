@@ -89,7 +89,8 @@ class FrameSource:
         starts = block.starts[which]
         self._statistics.count(reader.kind, len(starts))
         rows = rows_at(block.data, starts, reader.length)
-        return reader.read(rows, block.skipped_before[which], starts + block.origin)
+        ends = np.maximum(starts + (block.origin + reader.length), block.seen_until[which])
+        return reader.read(rows, block.skipped_before[which], ends)
 
     def _read_others(self, block: FrameBlock, keys: list[int]) -> None:
         """Count frames that are no samples; keep those that are messages, in the order of the stream."""
@@ -124,8 +125,8 @@ class _FrameReader:
             if (field := layout.field(name)) is not None
         ]
 
-    def read(self, rows: Rows, skipped_before: IntArray, starts: IntArray) -> RawBlock:
-        """Return the samples of n frames, which begin at offsets ``starts`` of the stream."""
+    def read(self, rows: Rows, skipped_before: IntArray, ends: IntArray) -> RawBlock:
+        """Return the samples of n frames, which are known at offsets ``ends`` of the stream."""
         n = len(rows)
         temperature_degc = np.full(n, np.nan)
         with np.errstate(over="ignore", invalid="ignore"):
@@ -153,7 +154,7 @@ class _FrameReader:
             status=status,
             lost_before=np.zeros(n, dtype=np.int64),
             skipped_before=skipped_before / self.length,
-            stream_end=starts + self.length,
+            stream_end=ends,
         )
 
 

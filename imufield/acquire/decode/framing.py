@@ -53,6 +53,9 @@ class FrameBlock:
     """Numbers of their shapes; ``Framer.layout`` has the layout. Shape (n,)."""
     skipped_before: NDArray[np.int64]
     """Bytes passed over just before this frame. Shape (n,)."""
+    seen_until: NDArray[np.int64]
+    """Offset in the stream of what must be there to know that each is a frame: beside its own bytes those of the header before
+    it, which promised a longer frame and was none. Shape (n,)."""
     origin: int
     """Offset of ``data`` in the stream."""
 
@@ -68,6 +71,8 @@ class _Found:
     shapes: list[NDArray[np.int64]] = field(default_factory=list)
     # Offsets of frames that follow skipped bytes, and how many.
     skipped_before: list[tuple[Positions, NDArray[np.int64]]] = field(default_factory=list)
+    # Offsets of headers that were none, and where the frames that they promised would have ended.
+    promises: list[tuple[Positions, Positions]] = field(default_factory=list)
 
 
 class Framer:
@@ -90,6 +95,7 @@ class Framer:
         self._cut_at = -1  # Where in the buffer a frame is known to begin that is not complete yet.
         self._behind_frame = False  # The last byte passed belongs to a frame, so a trailer may follow.
         self._skipped_here = 0  # Bytes passed over since the last frame.
+        self._seen_until = 0  # In the stream, where the last false promise ends.
         self.bytes_skipped = 0
         self.frames_bad_checksum = 0  # Headers of a known kind, right behind a good frame, whose checksum does not fit.
 
@@ -120,7 +126,7 @@ class Framer:
                 take = self._take_chain if self._is_mixed else self._take_run
                 behind = take(buffer, start, found)
                 if behind == start and (last or self._cut_at != start):
-                    behind = self._search(buffer, start, last)
+                    behind = self._search(buffer, start, found, last=last)
             if behind == at:
                 break
             at = behind
@@ -166,7 +172,7 @@ class Framer:
 
     def _take_broken_run(self, buffer: Bytes, run: _Run, found: _Found) -> int:
         """Take the good frames of a run up to where it ends, single bad ones between them left out."""
-        limit = self._end_of_run(buffer, run)
+        limit = self._end_of_run(buffer, run, found)
         taken = np.flatnonzero(run.good[:limit])
         if not run.good[0] or len(taken) == 0:
             self._run = _FIRST_RUN
@@ -217,7 +223,7 @@ class Framer:
         self._cut_at = behind if behind in cut else -1
         return behind
 
-    def _end_of_run(self, buffer: Bytes, run: _Run) -> int:
+    def _end_of_run(self, buffer: Bytes, run: _Run, found: _Found) -> int:
         """Return how many frames of the run to look at: up to two bad ones in a row, or to another frame in a bad one."""
         bad = ~run.good
         ends = np.flatnonzero(bad & np.append(bad[1:], True))
@@ -225,7 +231,9 @@ class Framer:
         gaps = run.starts[:limit][bad[:limit], None] + np.arange(run.step)
         loose = run.starts[: max(limit - 1, 0)][~run.joined[: max(limit - 1, 0)], None] + np.arange(run.length, run.step)
         inside = self._check.candidates(buffer, np.concatenate([gaps.ravel(), loose.ravel()]))
-        others = inside[self._check.judge(buffer, inside, last=False) != INVALID]
+        judged = self._check.judge(buffer, inside, last=False)
+        self._note_promises(buffer, inside[judged == INVALID], found)
+        others = inside[judged != INVALID]
         if self._rule.trailer and run.step == run.length:
             # A stream that sends no trailers does not begin a bad frame with one; leave such a place to the search.
             others = np.concatenate([others, gaps[buffer[gaps[:, 0]] == self._rule.trailer[0], 0]])
@@ -242,7 +250,11 @@ class Framer:
         found.shapes.append(shapes)
         return int(starts[-1]) + last_length
 
-    def _search(self, buffer: Bytes, at: int, last: bool) -> int:
+    def _note_promises(self, buffer: Bytes, rejected: Positions, found: _Found) -> None:
+        if len(rejected):
+            found.promises.append((rejected, rejected + np.maximum(self._check.lengths(buffer, rejected), 0)))
+
+    def _search(self, buffer: Bytes, at: int, found: _Found, *, last: bool) -> int:
         """Go to the next position that is a frame or may become one, at most to the end of the window."""
         until = min(at + self._window, len(buffer))
         candidates = self._check.headers(buffer, at, until)
@@ -253,6 +265,7 @@ class Framer:
             until = int(hits[0])
         else:
             self._window = min(2 * self._window, _LONGEST_WINDOW)
+        self._note_promises(buffer, candidates[candidates < until], found)
         if until > at:
             if self._skipped_here == 0 and self._check.length_at(buffer, at):
                 self.frames_bad_checksum += 1
@@ -268,7 +281,23 @@ class Framer:
         skipped_before = np.zeros(len(starts), dtype=np.int64)
         for offsets, skipped in found.skipped_before:
             skipped_before[np.searchsorted(starts, offsets)] = skipped
-        return FrameBlock(data=buffer, starts=starts, shapes=shapes, skipped_before=skipped_before, origin=self._origin)
+        return FrameBlock(
+            data=buffer,
+            starts=starts,
+            shapes=shapes,
+            skipped_before=skipped_before,
+            seen_until=self._promised(starts, found),
+            origin=self._origin,
+        )
+
+    def _promised(self, starts: Positions, found: _Found) -> NDArray[np.int64]:
+        """Return how far the false promises before each frame reach in the stream, and keep the last one for the next block."""
+        until = np.full(len(starts) + 1, self._seen_until, dtype=np.int64)
+        for offsets, ends in found.promises:
+            np.maximum.at(until, np.searchsorted(starts, offsets), ends + self._origin)
+        until = np.maximum.accumulate(until) if found.promises else until
+        self._seen_until = int(until[-1])
+        return until[:-1]
 
 
 def _follow(starts: Positions, ends: Positions) -> list[int]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields, replace
 
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.samples import Status
@@ -86,6 +86,18 @@ def without_samples(protocol: Protocol, parts: Sequence[DecoderStatistics]) -> S
         kinds=kinds,
         advice=protocol.samples.advice or sentence("statistics.advice"),
     )
+
+
+def combined(parts: Sequence[DecoderStatistics]) -> DecoderStatistics:
+    """Return the counts of decoders, one for each time that a link was opened, as if one had read all; rates of the last."""
+    total = replace(parts[-1], by_kind=dict(sum((Counter(part.by_kind) for part in parts), Counter())))
+    for name in _COUNTS:
+        setattr(total, name, sum(getattr(part, name) for part in parts))
+    total.least_loss_s = max(part.least_loss_s for part in parts)
+    return total
+
+
+_COUNTS = tuple(each.name for each in fields(DecoderStatistics) if each.type == "int")
 
 
 def remarks(parts: Sequence[DecoderStatistics]) -> list[Sentence]:

@@ -30,6 +30,7 @@ LONGEST_LINE = 4096
 """Forty columns of 100 characters; a longer line is no line but noise and is passed over up to its end."""
 
 _DELIMITERS = {"comma": b",", "semicolon": b";", "whitespace": None}
+_MARKS = (b";", b",")  # Where semicolons separate, a comma can only be the decimal sign.
 _HEXADECIMAL = frozenset(b"0123456789abcdefABCDEF")
 
 
@@ -57,13 +58,13 @@ class LineReader:
         # What is needed for a sample: an instrument may leave its temperature out now and then.
         self._column = {name: index for index, name in enumerate(rule.columns) if name != "-"}
         self._needed = [index for name, index in self._column.items() if name != "temperature"]
+        self._finds_delimiter = rule.delimiter == "auto"
         self._delimiter = _DELIMITERS.get(rule.delimiter)
-        self._delimiter_known = rule.delimiter != "auto"
         self._rest = b""
         self._too_long = False
         self._offset = 0  # Of the bytes that are done with, in the stream.
         self._lost = 0  # Bad lines since the last good one.
-        self._seen_line = False  # Numbers were seen, so a line of words is no header any more.
+        self._seen_row = False  # A line of words behind the first row is no header any more.
 
     def feed(self, data: bytes) -> RawBlock | None:
         """Return the samples of the lines that are complete now."""
@@ -95,7 +96,10 @@ class LineReader:
         lost: list[int] = []
         ends: list[int] = []
         for line in lines:
-            text = line.strip()
+            # However it comes: of one that is not whole yet, the beginning is passed over before its end is there.
+            is_too_long = len(line) > LONGEST_LINE
+            self._lost += is_too_long
+            text = b"" if is_too_long else line.strip()
             row = self._numbers(text) if text and not text.startswith(self._comments) else None
             if row is None:
                 self._pass_over(len(line) + 1)
@@ -114,12 +118,12 @@ class LineReader:
         try:
             row = [float(part) if part.strip() else math.nan for part in parts]
         except ValueError:
-            is_header = not self._seen_line and not _has_number(parts)
+            is_header = not self._seen_row and not _has_number(parts)
             self._lost += not is_header
             return None
-        self._seen_line = True
         # Python would read 1_000 as a number; no instrument writes that.
         if len(row) == len(self._rule.columns) and self._is_sample(row) and b"_" not in text:
+            self._seen_row = True
             return row
         self._lost += 1
         return None
@@ -141,12 +145,10 @@ class LineReader:
         return body.removeprefix(self._prefix).lstrip(b" \t,;") if body.startswith(self._prefix) else None
 
     def _split(self, body: bytes) -> list[bytes]:
-        if not self._delimiter_known:
-            self._delimiter = next((mark for mark in (b";", b",") if mark in body), None)
-            self._delimiter_known = _has_number(body.split(self._delimiter))
-        parts = body.split(self._delimiter)
-        # Where semicolons separate, a comma can only be the decimal sign.
-        return [part.replace(b",", b".") for part in parts] if self._delimiter == b";" else parts
+        # Of each line by itself: what was learned of one line would be wrong for all others if that one is garbage.
+        delimiter = next((mark for mark in _MARKS if mark in body), None) if self._finds_delimiter else self._delimiter
+        parts = body.split(delimiter)
+        return [part.replace(b",", b".") for part in parts] if delimiter == b";" else parts
 
     def _block(self, rows: FloatArray, lost: IntArray, ends: IntArray) -> RawBlock:
         if not self._rule.sentences:

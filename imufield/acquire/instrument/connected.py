@@ -15,7 +15,7 @@ from imufield.acquire.instrument.listen import Say
 from imufield.acquire.link.background import BackgroundLink, ReopenableLink
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.protocol import Protocol
-from imufield.errors import LinkError
+from imufield.errors import LinkError, Reason
 from imufield.sentences import Sentences, printable
 
 sentence = Sentences(__package__)
@@ -82,6 +82,27 @@ class Connected:
             self.say(sentence("connected.not_put_back", cause=error.message))
         finally:
             self.link.close()
+
+    def ask_again(self, first: Chunk) -> list[Chunk]:
+        """Ask behind a reconnection who is there; return what is to be read in the place of the first chunk that came.
+
+        Raises
+        ------
+        LinkError
+            The instrument has another serial number than before (``FOREIGN``), or the link is gone again.
+        """
+        known, chunks = self.identity.get("serial_number"), [first]
+        if self.instrument is None or not known:
+            return chunks
+        messages = self.instrument.identify(self.link)
+        keep(self.instrument, chunks)
+        found = self.instrument.driver.identity(messages).get("serial_number", known)
+        if found != known:
+            # What was changed in the one before must not be undone in this one.
+            self.instrument.forget_changes()
+            other = sentence("connected.other_instrument", port=self.link.name, known=known, found=found)
+            raise LinkError(other, Reason.FOREIGN)
+        return chunks
 
     def session_tables(self) -> dict[str, dict[str, object]]:
         """Return the tables of ``session.toml`` that describe instrument, link and protocol."""

@@ -122,6 +122,10 @@ class Instrument:
         """Whether there is something to undo."""
         return bool(self._undo)
 
+    def forget_changes(self) -> None:
+        """Leave as it is what was changed: another instrument is connected now."""
+        self._undo, self._rate_before_hz = [], None
+
     def restore(self, link: Link) -> None:
         """Undo everything, newest first; a second call does nothing.
 

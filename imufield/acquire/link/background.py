@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import queue
 import threading
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Protocol
 
 from imufield.acquire.link.host_clock import HostClock
 from imufield.acquire.link.serial import WAIT_S, Chunk, Link
-from imufield.errors import LinkError
+from imufield.errors import LinkError, Reason
 
 LONGEST_BACKLOG = 50 * 600
 """Chunks: ten minutes of 50 a second; beyond it the thread waits, and the system's buffer overflows as it would without."""
@@ -42,6 +43,7 @@ class BackgroundLink:
         self.name = link.name
         self._link = link
         self._arrived: queue.Queue[Chunk | Exception] = queue.Queue(LONGEST_BACKLOG)
+        self._put_back: list[Chunk] = []
         self._stopping = threading.Event()
         self._thread = self._started()
 
@@ -53,6 +55,8 @@ class BackgroundLink:
         LinkError
             The link is gone; everything that arrived before was returned.
         """
+        if self._put_back:
+            return self._put_back.pop(0)
         try:
             item = self._arrived.get(timeout=WAIT_S)
         except queue.Empty:
@@ -63,13 +67,17 @@ class BackgroundLink:
 
     def drain(self) -> list[Chunk]:
         """Return at once what has arrived and was not read yet; an error among it is left out."""
-        chunks: list[Chunk] = []
+        chunks, self._put_back = self._put_back, []
         with suppress(queue.Empty):
             while True:
                 item = self._arrived.get_nowait()
                 if isinstance(item, Chunk):
                     chunks.append(item)
         return chunks
+
+    def put_back(self, chunks: list[Chunk]) -> None:
+        """Return these again, in front of what follows."""
+        self._put_back = chunks + self._put_back
 
     def write(self, data: bytes) -> None:
         """Send a command; raises as the link does."""
@@ -123,11 +131,15 @@ class PatientLink:
     ----------
     link : BackgroundLink
     clock : HostClock
+    ask : callable
+        Called with the first chunk behind a reconnection, returns what is to be read in its place; refuses another instrument.
     """
 
-    def __init__(self, link: BackgroundLink, clock: HostClock) -> None:
+    def __init__(self, link: BackgroundLink, clock: HostClock, ask: Callable[[Chunk], list[Chunk]]) -> None:
         self._link = link
         self._clock = clock
+        self._ask = ask
+        self._is_new = False  # Nothing was read since it was opened again.
         self._next_try_s = 0.0
         self.lost: LinkError | None = None  # Why nothing arrives; None while the link is there.
 
@@ -137,19 +149,26 @@ class PatientLink:
         Raises
         ------
         LinkError
-            The port is there again and cannot be used: waiting would not help.
+            The port is there again and cannot be used, or another instrument is on it: waiting would not help.
         """
         if self.lost is None:
             try:
-                return self._link.read()
+                chunk = self._link.read()
+                if chunk is None or not self._is_new:
+                    return chunk
+                # When it sends, and not before: an instrument that starts hears nothing yet.
+                self._link.put_back(self._ask(chunk))
+                self._is_new = False
             except LinkError as error:
+                if error.reason is Reason.FOREIGN:
+                    raise
                 self.lost, self._next_try_s = error, self._clock.monotonic_s()
-                return None
+            return None
         now_s = self._clock.monotonic_s()
         if now_s < self._next_try_s:
             self._clock.sleep(_BETWEEN_TRIES_S)
         elif self._link.reopen():
-            self.lost = None
+            self.lost, self._is_new = None, True
         else:
             self._next_try_s = now_s + RECONNECT_EVERY_S
         return None

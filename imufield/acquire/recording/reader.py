@@ -68,13 +68,14 @@ class RecordedBlock:
         Where each chunk ends in ``data``; the last is ``len(data)``.
     monotonic_s : ndarray, shape (k,)
         Arrival of the last byte of each chunk.
-    utc_ns : int
-        Arrival of the last chunk.
+    first_utc_ns, utc_ns : int
+        Arrival of the first and of the last chunk.
     """
 
     data: bytes
     end: IntArray
     monotonic_s: FloatArray
+    first_utc_ns: int
     utc_ns: int
 
 
@@ -162,6 +163,7 @@ class _Joiner:
     pieces: list[bytes] = field(default_factory=list)
     times: list[float] = field(default_factory=list)
     size: int = 0
+    first_utc_ns: int = 0
     utc_ns: int = 0
 
     def must_end_before(self, monotonic_s: float, size: int) -> bool:
@@ -173,6 +175,8 @@ class _Joiner:
         )
 
     def add(self, data: bytes, monotonic_s: float, utc_ns: int) -> None:
+        if not self.pieces:
+            self.first_utc_ns = utc_ns
         self.pieces.append(data)
         self.times.append(monotonic_s)
         self.size += len(data)
@@ -180,7 +184,7 @@ class _Joiner:
 
     def take(self) -> RecordedBlock:
         ends = np.cumsum(np.fromiter(map(len, self.pieces), dtype=np.int64, count=len(self.pieces)))
-        block = RecordedBlock(b"".join(self.pieces), ends, np.array(self.times), self.utc_ns)
+        block = RecordedBlock(b"".join(self.pieces), ends, np.array(self.times), self.first_utc_ns, self.utc_ns)
         self.pieces, self.times, self.size = [], [], 0
         return block
 

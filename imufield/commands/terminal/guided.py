@@ -13,6 +13,7 @@ import numpy as np
 
 from imufield.acquire.decode.statistics import remarks
 from imufield.acquire.instrument.connected import Connected
+from imufield.acquire.instrument.same_stream import SameStream
 from imufield.acquire.link.background import PatientLink
 from imufield.acquire.link.host_clock import HostClock, ScaledClock, patience_s
 from imufield.acquire.link.serial import Chunk
@@ -42,6 +43,7 @@ from imufield.pipeline.chain import (
     replay_into,
     require_gravity,
 )
+from imufield.pipeline.intake import Intake
 from imufield.pipeline.site import SiteOptions
 from imufield.sentences import Sentences
 
@@ -151,9 +153,11 @@ def guided_session(
 
     ``check`` is called again and again, and may break it off by an ``ImufieldError``.
     """
-    chain = Chain(ReadingPlan.of(session))
+    stream = SameStream(connected.link.name)
+    chain = Chain(ReadingPlan.of(session), listeners=(stream.hear,))
     # Of a session that goes on, so that the guide knows again what it knew; of a new one there is nothing.
     replay_into(chain, session, [], ended=False)
+    stream.begin()
     metadata = part_metadata(connected.protocol, connected.session_tables())
     loop = None
     try:
@@ -165,8 +169,7 @@ def guided_session(
             loop = CaptureLoop(
                 session=session,
                 connected=connected,
-                chain=chain,
-                recorder=recorder,
+                intake=Intake(recorder=recorder, chain=chain, stream=stream),
                 view=view,
                 keyboard=keyboard,
                 clock=clock,
@@ -187,17 +190,17 @@ class CaptureLoop:
 
     session: Session
     connected: Connected
-    chain: Chain
-    recorder: Recorder
+    intake: Intake
     view: View
     keyboard: Keyboard
     clock: HostClock
     check: Callable[[], None]
 
     def __post_init__(self) -> None:
+        self.chain, self.recorder = self.intake.chain, self.intake.recorder
         self._last_byte_s = self.clock.monotonic_s()
         self._last_refresh_s = float("-inf")
-        self._link = PatientLink(self.connected.link, self.clock)  # When to try the port again; None while it is there.
+        self._link = PatientLink(self.connected.link, self.clock, self.connected.ask_again)
         self._finish_until_s = float("-inf")  # Until then the key that finishes is believed.
         self._advice: dict[Topic, Advice] = {}  # The newest of those that are for the end.
 
@@ -262,13 +265,11 @@ class CaptureLoop:
             # The time without a link is no silence of the instrument.
             self._last_byte_s = self.clock.monotonic_s()
         elif self._link.lost is not None:
-            self._publish(self.chain.link_lost())
+            self._publish(self.intake.link_lost())
         return chunk
 
     def _take(self, chunk: Chunk) -> None:
-        # To the disk first: what fails behind it can be done again from there.
-        self.recorder.write_chunk(chunk)
-        self._publish(self.chain.feed(chunk.data, chunk.monotonic_s, chunk.utc_ns))
+        self._publish(self.intake.take(chunk))
         # Behind the work: what arrives meanwhile waits, and the wire is not silent.
         self._last_byte_s = self.clock.monotonic_s()
 

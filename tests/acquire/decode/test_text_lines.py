@@ -193,3 +193,26 @@ def test_a_real_logger(shared_folder: Path) -> None:
     reference = np.array(data.split(), dtype=np.float64).reshape(-1, 6)
     np.testing.assert_array_equal(np.hstack([samples.accelerometer, samples.gyroscope]), reference)
     assert samples.time_s[-1] - samples.time_s[0] == pytest.approx((len(reference) - 1) / 100)
+
+
+@pytest.mark.parametrize("garbage", [b"3\n", b"7;\xff\x00;1\n", b"a;b 5\n", bytes(range(256)) + b"\n", b"1;2;3;4;5;6\n" * 3])
+def test_foreign_bytes_teach_no_delimiter(garbage: bytes) -> None:
+    line = b"0.01,0.1,0.2,9.8,0.0,0.0,0.0\n"
+    decoder = Decoder(load_protocol("text"))
+    decoder.feed(garbage + 50 * line + garbage + 50 * line, 0.0)
+    decoder.flush()
+    assert decoder.statistics.samples == 100
+
+
+@pytest.mark.parametrize("size", [LONGEST_LINE, LONGEST_LINE + 1, 2 * LONGEST_LINE])
+def test_a_long_line_is_the_same_in_pieces(size: int) -> None:
+    data = b"0.01,0.1,0.2,9.8,0.0,0.0,0.0\n" * 20
+    data += b"x" * size + b"\n" + data
+    lost = []
+    for step in (len(data), 7):
+        decoder = Decoder(load_protocol("text", {"columns": "-,ax,ay,az,gx,gy,gz"}))
+        for at in range(0, len(data), step):
+            decoder.feed(data[at : at + step], 0.0)
+        decoder.flush()
+        lost.append((decoder.statistics.samples, decoder.statistics.samples_lost))
+    assert lost[0] == lost[1]

@@ -1,0 +1,98 @@
+"""Whether what comes behind a reconnection is of the instrument that was there before."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imufield.acquire.instrument.connected import Connected
+from imufield.acquire.instrument.same_stream import SameStream
+from imufield.acquire.link.serial import Chunk
+from imufield.acquire.protocol.protocol import load_protocol
+from imufield.errors import LinkError, Reason
+from imufield.samples import Samples, SampleUnits, make_samples
+from tests.refused import refused
+
+
+def samples(rate_hz: float, begin_s: float, duration_s: float) -> Samples:
+    time_s = begin_s + np.arange(round(rate_hz * duration_s)) / rate_hz
+    return make_samples(time_s, np.tile([0.0, 0.0, 9.8], (len(time_s), 1)), None, units=SampleUnits())
+
+
+def run(stream: SameStream, rate_hz: float, begin_s: float, duration_s: float) -> None:
+    """Open the link and hear what comes in reads of 0.1 s; nothing but bytes at a rate of 0."""
+    stream.begin()
+    for now_s in np.arange(begin_s, begin_s + duration_s, 0.1).tolist():
+        stream.check(Chunk(b"?", now_s, 0))
+        if rate_hz:
+            stream.hear(samples(rate_hz, now_s, 0.1))
+
+
+@pytest.mark.parametrize("rate_hz", [50.0, 125.0, 200.0])
+def test_another_rate_is_another_instrument(rate_hz: float) -> None:
+    stream = SameStream("port")
+    run(stream, 100.0, 0.0, 5.0)
+    with refused(LinkError, Reason.FOREIGN, "port", key="same_stream.rate"):
+        run(stream, rate_hz, 20.0, 5.0)
+
+
+def test_a_slow_crystal_is_the_same_instrument() -> None:
+    stream = SameStream("port")
+    for number, rate_hz in enumerate((100.0, 96.0, 104.0, 100.0)):
+        run(stream, rate_hz, 20.0 * number, 5.0)
+
+
+def test_bytes_without_samples_are_borne_for_a_while() -> None:
+    stream = SameStream("port")
+    run(stream, 100.0, 0.0, 5.0)
+    run(stream, 0.0, 20.0, 9.0)
+    run(stream, 100.0, 40.0, 5.0)
+    with refused(LinkError, Reason.FOREIGN, "port", key="same_stream.kind"):
+        run(stream, 0.0, 60.0, 12.0)
+
+
+class AskedInstrument:
+    """Answers with a serial number."""
+
+    interrupted = False
+
+    def __init__(self, found: dict[str, str]) -> None:
+        self.driver = SimpleNamespace(identity=lambda _: found)
+        self.chunks = [Chunk(b"while asked", 1.1, 0)]
+        self.is_changed = True
+
+    def identify(self, _: Any) -> list[Any]:
+        return []
+
+    def forget_changes(self) -> None:
+        self.is_changed = False
+
+
+def connected(found: dict[str, str]) -> Connected:
+    return Connected(
+        link=SimpleNamespace(name="port"),  # type: ignore[arg-type]
+        protocol=load_protocol("stim300"),
+        driver="stim300",
+        model="m",
+        baud=None,
+        chunks=[],
+        identity={"serial_number": "N1"},
+        instrument=AskedInstrument(found),  # type: ignore[arg-type]
+    )
+
+
+@pytest.mark.parametrize("found", [{"serial_number": "N1"}, {}])
+def test_who_answers_the_same_or_nothing_goes_on(found: dict[str, str]) -> None:
+    first = Chunk(b"first", 1.0, 0)
+    assert [chunk.data for chunk in connected(found).ask_again(first)] == [b"first", b"while asked"]
+
+
+def test_another_serial_number_ends_the_session_and_nothing_is_put_back_there() -> None:
+    one = connected({"serial_number": "N2"})
+    with refused(LinkError, Reason.FOREIGN, "port", "N1", "N2", key="connected.other_instrument"):
+        one.ask_again(Chunk(b"first", 1.0, 0))
+    assert one.instrument is not None
+    assert not one.instrument.is_changed
