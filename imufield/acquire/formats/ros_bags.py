@@ -16,6 +16,7 @@ from imufield.acquire.formats.array_file_reader import DAMAGE, first_line
 from imufield.acquire.formats.table_arrays import ArrayTable, missing_package
 from imufield.acquire.link.host_clock import NANOSECONDS
 from imufield.errors import Reason, RecordingError, UsageError
+from imufield.files import Origin, open_to_read
 from imufield.samples import SAMPLE_COLUMNS, FloatArray, Status
 from imufield.sentences import Sentences
 
@@ -30,14 +31,15 @@ _MAGIC = (b"#ROSBAG V", b"\x89MCAP0\r\n", b"SQLite format 3\0")
 # Stamps beyond 1973 count from 1970: whole seconds of the first are subtracted, since a float holds only 0.2 us there.
 _EPOCH_S = 100_000_000
 _BATCH = 1 << 14
+_CONTENTS = "metadata.yaml"
 
 
 def is_bag(path: Path) -> bool:
     """Tell whether a path is a bag of ROS, by what it starts with or, for a folder, by what is in it."""
     if path.is_dir():
-        return (path / "metadata.yaml").is_file()
+        return (path / _CONTENTS).is_file()
     try:
-        with path.open("rb") as file:
+        with open_to_read(path) as file:
             return file.read(16).startswith(_MAGIC)
     except OSError:
         return False
@@ -73,6 +75,7 @@ def read_bag(path: Path, topic: str | None = None) -> ArrayTable:
         from rosbags.rosbag2 import ReaderError as Rosbag2Error
     except ImportError as error:
         raise missing_package(f"{path} is a recording of ROS, which", "rosbags", "ros") from error
+    _refuse_links(path)
     store = rosbags.typesys.get_typestore(rosbags.typesys.Stores.ROS2_HUMBLE)
     # rosbags checks with assertions, too; the rest comes from the libraries that unpack for it.
     errors = (rosbags.highlevel.AnyReaderError, Rosbag1Error, Rosbag2Error, rosbags.typesys.TypesysError)
@@ -92,6 +95,16 @@ def read_bag(path: Path, topic: str | None = None) -> ArrayTable:
     if not batches:
         raise RecordingError(sentence("ros_bags.no_message", path=str(path)), Reason.BAD_DATA)
     return _table(path, np.concatenate(batches), said)
+
+
+def _refuse_links(path: Path) -> None:
+    """Refuse links, pipes and devices in the folder of a bag, whose files rosbags opens by itself."""
+    for file in path.iterdir() if path.is_dir() else ():
+        try:
+            if not file.is_dir() or file.is_symlink():
+                open_to_read(file, Origin.INSIDE).close()
+        except OSError as error:
+            raise RecordingError(sentence("ros_bags.no_file", path=str(file), cause=error.strerror), Reason.FOREIGN) from error
 
 
 def _connections(path: Path, connections: Sequence[Connection], topic: str | None) -> list[Connection]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -129,3 +130,24 @@ def test_other_files_are_none(tmp_path: Path) -> None:
     (tmp_path / "head.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(100))
     with refused(RecordingError, Reason.DAMAGED, "head.bag"):
         read_tables([tmp_path / "head.bag"])
+
+
+@pytest.mark.parametrize("what", ["link", "pipe"])
+def test_a_folder_with_a_link_or_pipe_is_refused(tmp_path: Path, what: str) -> None:
+    bag = write(tmp_path, "mcap")
+    (bag / "bench.mcap").rename(tmp_path / "outside.mcap")
+    if what == "link":
+        (bag / "bench.mcap").symlink_to(tmp_path / "outside.mcap")
+    else:
+        os.mkfifo(bag / "bench.mcap")
+    with refused(RecordingError, Reason.FOREIGN, "bench.mcap", what, key="ros_bags.no_file"):
+        read_tables([bag])
+
+
+def test_a_folder_reads_no_file_elsewhere(tmp_path: Path) -> None:
+    bag = write(tmp_path, "mcap")
+    (bag / "bench.mcap").rename(tmp_path / "outside.mcap")
+    contents = bag / "metadata.yaml"
+    contents.write_text(contents.read_text().replace("bench.mcap", "../outside.mcap"))
+    with refused(RecordingError, Reason.DAMAGED, key="ros_bags.damaged"):
+        read_tables([bag])
