@@ -11,7 +11,7 @@ import tomllib
 from pathlib import Path
 
 from imufield.errors import Reason, UsageError
-from imufield.files import read_small_file
+from imufield.files import Origin, read_small_file
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -45,7 +45,7 @@ def default_map() -> dict[str, dict[str, object]]:
         if not path.is_file():
             continue
         try:
-            content = tomllib.loads(read_small_file(path).decode())
+            content = tomllib.loads(read_small_file(path, Origin.FOUND).decode())
         except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
             raise UsageError(sentence("configuration.no_toml", path=str(path), error=str(error))) from error
         for key, value in sorted(content.items()):
