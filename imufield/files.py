@@ -3,6 +3,9 @@
 ``write_atomically`` guarantees, on a local file system: after a crash at any moment the path holds the whole old or the
 whole new content; after it returns, the new content survives a power cut. It does not guard against a file system that
 ignores fsync (some network and FUSE file systems do); the hash inside the file is what finds that out.
+
+``open_regular`` is the one place where files are opened that people or other programs made: nothing blocks there, and no link
+leads out of a folder that may come from somebody else.
 """
 
 from __future__ import annotations
@@ -10,9 +13,13 @@ from __future__ import annotations
 import errno
 import os
 import re
+import stat
 import tempfile
+import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from enum import Enum
+from io import BufferedReader
 from pathlib import Path
 from typing import TypeVar
 
@@ -31,6 +38,26 @@ DEFAULT_ROOT = Path("imufield-sessions")
 """Folder of sessions, in the working folder, where no other is named."""
 SMALL_FILE_LIMIT_BYTES = 1 << 24
 """A thousand positions take half a mebibyte; what is read whole is never larger than this."""
+PIPE_LIMIT_S = 60.0
+"""A pipe that a person names may wait for a password or a slow network; a minute is longer than either."""
+
+# Windows has none of the first two: names are looked at before the opening there, and what was opened after it everywhere.
+_NO_LINK = getattr(os, "O_NOFOLLOW", 0)
+_NO_WAIT = getattr(os, "O_NONBLOCK", 0)
+_BINARY = getattr(os, "O_BINARY", 0)
+_NAME_KEPT = 32  # Characters of a name that its temporary file repeats: at four bytes each both fit into the 255 of a name.
+_NO_UTF8 = re.compile("[\ud800-\udfff]")  # What Python makes of bytes in names that are no UTF-8.
+
+
+class Origin(Enum):
+    """Who chose the name of a file that is read: what nobody chose may not block, and not lead elsewhere."""
+
+    TYPED = "typed"
+    """A person: links are followed, and a small file may be a pipe, as ``<(...)`` of a shell is one."""
+    FOUND = "found"
+    """The program, in a place of the user's own: a regular file, or a link to one."""
+    INSIDE = "inside"
+    """The program, in a folder that may come from somebody else: a regular file and no link."""
 
 
 # What a failed write means: error numbers of the system, the reason, and the sentence.
@@ -44,6 +71,8 @@ _WRITE_FAULTS: tuple[tuple[frozenset[int], Reason, str], ...] = (
     (frozenset({errno.ENOENT, errno.ENOTDIR}), Reason.FOREIGN, "files.no_folder"),
     (frozenset({errno.EEXIST, errno.EISDIR}), Reason.FOREIGN, "files.exists"),
     (frozenset({errno.ENAMETOOLONG}), Reason.USAGE, "files.long_name"),
+    # Of ``open_regular``: a link, pipe or device stands where a file belongs.
+    (frozenset({errno.ELOOP, errno.ENXIO}), Reason.FOREIGN, "files.no_file"),
 )
 
 
@@ -76,19 +105,98 @@ def typed_write_errors(path: str | Path, kind: type[ImufieldError] = ParameterFi
         raise write_error(path, error, kind, advice=advice) from error
 
 
-def read_small_file(path: str | Path) -> bytes:
+def open_regular(path: str | Path, flags: int, *, follow: bool) -> int:
+    """Return the descriptor of a regular file.
+
+    Parameters
+    ----------
+    path : str or Path
+    flags : int
+        Those of ``os.open``.
+    follow : bool
+        Whether ``path`` may be a link.
+
+    Raises
+    ------
+    OSError
+        As the system reports it, or it is a link (ELOOP), a pipe or a device (ENXIO).
+    """
+    # Looked at before: to open a device may do something. Looked at after: another file may stand there by then.
+    with suppress(FileNotFoundError):
+        _refuse_irregular(Path(path).stat(follow_symlinks=follow).st_mode, path)
+    file = os.open(path, flags | _NO_WAIT | _BINARY | (0 if follow else _NO_LINK), 0o666)
+    try:
+        _refuse_irregular(os.fstat(file).st_mode, path)
+    except OSError:
+        os.close(file)
+        raise
+    return file
+
+
+def _refuse_irregular(mode: int, path: str | Path) -> None:
+    if stat.S_ISLNK(mode):
+        raise OSError(errno.ELOOP, "it is a link, which may lead elsewhere", str(path))
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    if not stat.S_ISREG(mode):
+        raise OSError(errno.ENXIO, "it is a pipe or device, not a file", str(path))
+
+
+def open_to_read(path: str | Path, origin: Origin = Origin.TYPED) -> BufferedReader:
+    """Open a regular file; raises as ``open_regular``."""
+    return os.fdopen(open_regular(path, os.O_RDONLY, follow=origin is not Origin.INSIDE), "rb")
+
+
+def read_start(path: str | Path, size: int, origin: Origin = Origin.TYPED) -> bytes:
+    """Return the first ``size`` bytes of a file, or of a pipe that a person named.
+
+    Raises
+    ------
+    OSError
+        As ``open_regular``, or the pipe has not ended after ``PIPE_LIMIT_S``.
+    """
+    if origin is Origin.TYPED and stat.S_ISFIFO(Path(path).stat().st_mode):
+        return _read_pipe(path, size)
+    with open_to_read(path, origin) as file:
+        return file.read(size)
+
+
+def _read_pipe(path: str | Path, size: int) -> bytes:
+    import selectors  # Here, as nearly no run reads a pipe.
+
+    content = bytearray()
+    end_s = time.monotonic() + PIPE_LIMIT_S
+    pipe = os.fdopen(os.open(path, os.O_RDONLY | _NO_WAIT), "rb", buffering=0)
+    with pipe, selectors.DefaultSelector() as selector:
+        selector.register(pipe, selectors.EVENT_READ)
+        while len(content) < size:
+            left_s = end_s - time.monotonic()
+            if left_s <= 0 or not selector.select(left_s):
+                raise TimeoutError(errno.ETIMEDOUT, f"the pipe has not ended after {PIPE_LIMIT_S:g} s", str(path))
+            piece = os.read(pipe.fileno(), size - len(content))
+            if not piece:
+                break
+            content += piece
+    return bytes(content)
+
+
+def read_small_file(path: str | Path, origin: Origin = Origin.TYPED) -> bytes:
     """Return the content of a file that is read whole.
 
     Raises
     ------
     OSError
-        As the system reports it, or the file is larger than ``SMALL_FILE_LIMIT_BYTES``: a device may have no end.
+        As ``read_start``, or the file is larger than ``SMALL_FILE_LIMIT_BYTES``.
     """
-    with Path(path).open("rb") as file:
-        content = file.read(SMALL_FILE_LIMIT_BYTES + 1)
+    content = read_start(path, SMALL_FILE_LIMIT_BYTES + 1, origin)
     if len(content) > SMALL_FILE_LIMIT_BYTES:
         raise OSError(errno.EFBIG, f"it is larger than {SMALL_FILE_LIMIT_BYTES} bytes", str(path))
     return content
+
+
+def utf8_text(name: object) -> str:
+    """Return a name for a text that is written: bytes of it that are no UTF-8 become U+FFFD."""
+    return _NO_UTF8.sub("\ufffd", str(name))
 
 
 def sync_folder(folder: Path) -> None:
@@ -115,9 +223,7 @@ def write_atomically(path: str | Path, data: bytes) -> None:
         As the system reports it (disk full, no permission), or ``path`` is a folder or device; it is untouched then.
     """
     path = Path(path)
-    refuse_what_is_no_file(path)
-    # The same folder, because a rename is only atomic inside one file system.
-    descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".new", dir=path.parent)
+    descriptor, name = make_beside(path)
     try:
         with os.fdopen(descriptor, "wb") as file:
             file.write(data)
@@ -132,8 +238,23 @@ def write_atomically(path: str | Path, data: bytes) -> None:
     sync_folder(path.parent)
 
 
-def refuse_overwriting(output: Path, inputs: Iterable[Path] = ()) -> None:
-    """Keep a result from replacing what it comes from, or any file of a recording.
+def make_beside(path: Path) -> tuple[int, str]:
+    """Make the temporary file that takes the name of ``path`` later; return its descriptor and name.
+
+    Raises
+    ------
+    OSError
+        As the system reports it, or ``path`` is a folder or device.
+    """
+    refuse_what_is_no_file(path)
+    # The same folder, because a rename is only atomic inside one file system.
+    return tempfile.mkstemp(prefix=f".{path.name[:_NAME_KEPT]}.", suffix=".new", dir=path.parent)
+
+
+def refuse_overwriting(
+    output: Path, inputs: Iterable[Path] = (), kind: type[ImufieldError] = ParameterFileError, *, advice: str = ""
+) -> None:
+    """Keep a result from replacing what it comes from or any file of a recording, and from being computed for no place.
 
     Parameters
     ----------
@@ -141,11 +262,15 @@ def refuse_overwriting(output: Path, inputs: Iterable[Path] = ()) -> None:
         Where the result is to go; it need not exist.
     inputs : iterable of Path
         Files it is computed from. Other names and links of the same file count.
+    kind, advice
+        As ``write_error`` takes them.
 
     Raises
     ------
     UsageError
         If it would.
+    ImufieldError
+        Of the given kind, where nothing can be written.
     """
     if any(_RECORDED.fullmatch(name) for name in (output.name, Path(os.path.realpath(output)).name)):
         raise UsageError(sentence("files.name_of_recording", output=output))
@@ -154,6 +279,10 @@ def refuse_overwriting(output: Path, inputs: Iterable[Path] = ()) -> None:
         with suppress(OSError):
             if output.samefile(path):
                 raise UsageError(sentence("files.is_input", output=output))
+    with typed_write_errors(output, kind, advice=advice):
+        descriptor, name = make_beside(output)
+        os.close(descriptor)
+        Path(name).unlink()
 
 
 def refuse_what_is_no_file(path: Path) -> None:
@@ -186,7 +315,7 @@ def write_keeping(path: str | Path, data: bytes) -> Path | None:
         As the system reports it; what stood there stands there again.
     """
     path = Path(path)
-    kept = None if path.is_file() and path.read_bytes() == data else keep_previous(path)
+    kept = None if _holds(path, data) else keep_previous(path)
     try:
         write_atomically(path, data)
     except OSError:
@@ -194,6 +323,12 @@ def write_keeping(path: str | Path, data: bytes) -> Path | None:
             kept.rename(path)
         raise
     return kept
+
+
+def _holds(path: Path, data: bytes) -> bool:
+    with suppress(OSError):
+        return read_start(path, len(data) + 1, Origin.INSIDE) == data
+    return False
 
 
 def keep_previous(path: str | Path) -> Path | None:

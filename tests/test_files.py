@@ -1,12 +1,29 @@
 import errno
 import os
 import stat
+import threading
+import time
 from pathlib import Path
 
 import pytest
 
+from imufield import files
 from imufield.errors import ParameterFileError, Reason, RecordingError
-from imufield.files import keep_previous, read_small_file, typed_write_errors, write_atomically, write_error
+from imufield.files import (
+    Origin,
+    keep_previous,
+    open_regular,
+    open_to_read,
+    read_small_file,
+    refuse_overwriting,
+    typed_write_errors,
+    utf8_text,
+    write_atomically,
+    write_error,
+)
+from tests.refused import refused
+
+NEEDS_PIPES = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes with a name")
 
 
 def test_content_is_replaced_and_nothing_else_stays(tmp_path: Path) -> None:
@@ -55,7 +72,7 @@ def test_previous_results_are_numbered(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(not Path("/dev/zero").exists(), reason="needs a file without end")
 def test_a_file_without_end_is_not_read_whole() -> None:
-    with pytest.raises(OSError, match="16777216 bytes"):
+    with pytest.raises(OSError, match="device"):
         read_small_file("/dev/zero")
 
 
@@ -112,3 +129,92 @@ def test_a_real_place_in_each_state(tmp_path: Path) -> None:
         with pytest.raises(RecordingError) as caught, typed_write_errors(place, RecordingError):
             write_atomically(place, b"x")
         assert caught.value.reason is reason, place
+
+
+@NEEDS_PIPES
+@pytest.mark.parametrize("origin", Origin)
+def test_only_regular_files_are_opened(tmp_path: Path, origin: Origin) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to("pipe")
+    for path in (tmp_path / "pipe", tmp_path / "link", Path("/dev/zero"), tmp_path):
+        with pytest.raises(OSError, match=r"pipe or device|link|directory"):
+            open_to_read(path, origin)
+
+
+def test_a_link_is_followed_where_a_person_or_the_user_s_own_place_has_it(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"content")
+    (tmp_path / "link").symlink_to("file")
+    for origin in (Origin.TYPED, Origin.FOUND):
+        assert read_small_file(tmp_path / "link", origin) == b"content"
+    with pytest.raises(OSError, match="link") as caught:
+        read_small_file(tmp_path / "link", Origin.INSIDE)
+    assert caught.value.errno == errno.ELOOP
+
+
+@pytest.mark.parametrize("flags", [os.O_RDWR, os.O_RDWR | os.O_CREAT, os.O_WRONLY | os.O_TRUNC])
+def test_nothing_is_written_through_a_link(tmp_path: Path, flags: int) -> None:
+    (tmp_path / "victim").write_bytes(b"kept")
+    (tmp_path / "link").symlink_to("victim")
+    (tmp_path / "dangling").symlink_to("not there")
+    for name in ("link", "dangling"):
+        with pytest.raises(OSError, match="link"):
+            open_regular(tmp_path / name, flags, follow=False)
+    assert (tmp_path / "victim").read_bytes() == b"kept"
+    assert not (tmp_path / "not there").exists()
+
+
+@NEEDS_PIPES
+def test_a_pipe_that_a_person_names_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+
+    def write() -> None:
+        time.sleep(0.05)  # The reader is there first, as it may be in a shell.
+        with path.open("wb") as pipe:
+            for _ in range(3):
+                pipe.write(b"abc" * 40000)
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    assert read_small_file(path) == b"abc" * 120000
+    writer.join()
+
+
+@NEEDS_PIPES
+def test_a_silent_or_endless_pipe_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    monkeypatch.setattr(files, "PIPE_LIMIT_S", 0.1)
+    with pytest.raises(TimeoutError, match=r"0\.1 s"):
+        read_small_file(path)
+    # One that is open for writing and says nothing.
+    both = os.open(path, os.O_RDWR)
+    try:
+        with pytest.raises(TimeoutError):
+            read_small_file(path)
+    finally:
+        os.close(both)
+    for origin in (Origin.FOUND, Origin.INSIDE):
+        with pytest.raises(OSError, match="pipe"):
+            read_small_file(path, origin)
+
+
+def test_a_name_as_long_as_the_system_allows_is_written(tmp_path: Path) -> None:
+    for name in ("n" * 255, "é" * 127):
+        write_atomically(tmp_path / name, b"x")
+        assert (tmp_path / name).read_bytes() == b"x"
+
+
+def test_what_cannot_be_written_is_refused_before_it_is_computed(tmp_path: Path) -> None:
+    with refused(ParameterFileError, Reason.FOREIGN, key="files.no_folder"):
+        refuse_overwriting(tmp_path / "nowhere" / "a.toml")
+    deep = tmp_path / "/".join(["d" * 200] * 25) / "a.toml"
+    with refused(RecordingError, Reason.USAGE, key="files.long_name"):
+        refuse_overwriting(deep, [], RecordingError)
+    refuse_overwriting(tmp_path / "a.toml")
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_name_of_any_bytes_becomes_text() -> None:
+    name = os.fsdecode(b"caf\xe9-\xc3\xa9")
+    assert utf8_text(name).encode() == "caf\ufffd-é".encode()

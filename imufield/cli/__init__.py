@@ -23,6 +23,9 @@ def main() -> None:
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     _open_closed_streams()
     _let_standard_error_fail()
+    # Names of files may be no UTF-8. A pipe gets their bytes, as a shell would use them; a terminal gets them spelt out.
+    if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
+        sys.stdout.reconfigure(errors="backslashreplace" if sys.stdout.isatty() else "surrogateescape")
     try:
         # Imported here, so that a Ctrl-C in the first tenth of a second is one like any other.
         from imufield.cli.run import run

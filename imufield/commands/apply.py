@@ -10,7 +10,7 @@ from imufield.commands.terminal.row_count import RowCount
 from imufield.deliver.parameters.file import load
 from imufield.deliver.parameters.numbers import beside, hanging
 from imufield.deliver.samples.apply_session import apply_session
-from imufield.errors import UsageError
+from imufield.errors import RecordingError, UsageError
 from imufield.files import refuse_overwriting
 from imufield.pipeline.chain import session_samples
 from imufield.pipeline.table_samples import table_samples
@@ -33,10 +33,10 @@ def run_apply(options: ApplyOptions) -> None:
         if options.rate_hz is not None:
             raise UsageError(sentence("apply.rate_of_session"))
         session = Session.open(source)
-        refuse_overwriting(output, [options.parameters, *session.parts])
+        refuse_overwriting(output, [options.parameters, *session.parts], RecordingError)
         serial_number, blocks = session.serial_number, session_samples(session, damage)
     else:
-        refuse_overwriting(output, [options.parameters, source])
+        refuse_overwriting(output, [options.parameters, source], RecordingError)
         serial_number, blocks = "", table_samples(source, options.rate_hz)
     count = RowCount()
     rows = apply_session(parameters, count.through(blocks), output, serial_number=serial_number)

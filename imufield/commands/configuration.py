@@ -10,7 +10,7 @@ import math
 from pathlib import Path
 
 from imufield.errors import Reason, UsageError
-from imufield.files import read_small_file
+from imufield.files import Origin, read_small_file
 from imufield.sentences import Sentences
 from imufield.toml_files import decode_toml, parse_toml
 
@@ -45,7 +45,7 @@ def default_map() -> dict[str, dict[str, object]]:
         if not path.is_file():
             continue
         try:
-            text = decode_toml(read_small_file(path), str(path), UsageError)
+            text = decode_toml(read_small_file(path, Origin.FOUND), str(path), UsageError)
         except OSError as error:
             raise UsageError(sentence("configuration.unreadable", path=str(path), cause=error.strerror)) from error
         content = parse_toml(text, str(path), UsageError)

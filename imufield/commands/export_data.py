@@ -11,9 +11,9 @@ from imufield.commands.terminal.output import echo, say
 from imufield.commands.terminal.row_count import RowCount
 from imufield.deliver.parameters.numbers import beside, hanging
 from imufield.deliver.samples.export_data import FORMATS, export_samples, facts_of
-from imufield.errors import UsageError
+from imufield.errors import RecordingError, UsageError
 from imufield.files import refuse_overwriting
-from imufield.pipeline.chain import recorded_protocol, session_samples
+from imufield.pipeline.chain import session_protocol, session_samples
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -35,8 +35,8 @@ def run_export_data(options: ExportDataOptions) -> None:
         raise UsageError(sentence("export_data.unknown_format", to=to, listed=listed))
     session = open_or_newest(options.session)
     path = options.output or session.folder / f"samples.{FORMATS[to].suffix}"
-    refuse_overwriting(path, session.parts)
-    protocol = recorded_protocol({}, session)
+    refuse_overwriting(path, session.parts, RecordingError)
+    protocol = session_protocol(session)
     # What was typed at the import goes before what the protocol assumes.
     stated = session.record.nominal.raw_zero
     raw_zero = protocol.nominal.raw_zero if stated is None else np.array(stated)

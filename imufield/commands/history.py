@@ -26,7 +26,7 @@ from imufield.deliver.history import (
 from imufield.deliver.parameters.gauge_free import Number
 from imufield.deliver.parameters.numbers import WIDTH, beside, hanging, to_ascii, with_sigma
 from imufield.errors import UsageError
-from imufield.files import refuse_overwriting
+from imufield.files import refuse_overwriting, utf8_text
 from imufield.sentences import Sentences, counted, printable
 
 sentence = Sentences(__package__)
@@ -55,7 +55,7 @@ def run_history(options: HistoryOptions, now: datetime | None = None) -> History
             path, (options.folder / entry.path for instrument in history.instruments for entry in instrument.entries)
         )
     if options.csv is not None:
-        write_output(options.csv, to_csv(history).encode())
+        write_output(options.csv, utf8_text(to_csv(history)).encode())
     for path, instrument in plots.items():
         write_output(path, plot_history(instrument))
     if options.as_json:

@@ -18,7 +18,7 @@ from imufield.deliver.parameters.document import noise_table
 from imufield.deliver.parameters.file import Noise, Parameters, load, write_document
 from imufield.files import refuse_overwriting
 from imufield.pipeline.calibration import one_of
-from imufield.pipeline.chain import recorded_protocol, session_samples
+from imufield.pipeline.chain import session_protocol, session_samples
 from imufield.pipeline.damage import naming_damage
 
 # Title of each figure, and what its unit has behind that of the axis.
@@ -40,7 +40,7 @@ def run_noise(options: NoiseOptions) -> None:
     form: NoiseFormat = one_of("to", options.to, get_args(NoiseFormat))
     parameters = None if options.parameters is None else load(options.parameters)
     session = open_or_newest(options.session)
-    nominal = recorded_protocol({}, session).nominal
+    nominal = session_protocol(session).nominal
     # Before an hour of samples is read for nothing.
     for path in filter(None, (options.output, options.plot)):
         refuse_overwriting(path, [*session.parts, *filter(None, [options.parameters])])

@@ -12,7 +12,7 @@ from imufield.commands.options.commands import ReplayOptions
 from imufield.commands.terminal.output import echo, say
 from imufield.errors import UsageError
 from imufield.guide.view.plain import JsonLinesView, PlainView
-from imufield.pipeline.chain import Chain, ReadingPlan, recorded_protocol, replay_into
+from imufield.pipeline.chain import Chain, ReadingPlan, replay_into, session_protocol
 from imufield.pipeline.damage import without_end_under_way
 from imufield.sentences import Sentences
 
@@ -69,7 +69,7 @@ def _tell(chain: Chain) -> None:
 
 def _replay_to_others(session: Session, options: ReplayOptions) -> None:
     """Send what was recorded to other programs: bytes to a port, frames to a bus or to an adapter on a port."""
-    can = recorded_protocol({}, session).can
+    can = session_protocol(session).can
     if options.bus is None:
         (_replay_to_pty if can is None else _replay_to_slcan)(session, options.speed)
         return

@@ -33,7 +33,7 @@ from imufield.deliver.report.page import render_record, render_report
 from imufield.deliver.report.plots import load_matplotlib
 from imufield.deliver.verification.result import read_verification, verification_note, verification_path
 from imufield.errors import ParameterFileError, Reason
-from imufield.files import refuse_overwriting
+from imufield.files import refuse_overwriting, utf8_text
 from imufield.pipeline.calibration import MoveListener
 from imufield.pipeline.chain import Chain, ReadingPlan, replay_into
 from imufield.pipeline.solving import session_sha256
@@ -69,7 +69,7 @@ def run_report(options: ReportOptions) -> tuple[Path, Path]:
     for path in pages:
         refuse_overwriting(path, inputs)
     for path, text in zip(pages, (render_report(data), render_record(data)), strict=True):
-        write_output(path, text.encode())
+        write_output(path, utf8_text(text).encode())
         echo(beside("written to", path))
     return pages
 
@@ -78,9 +78,9 @@ def gather(options: ReportOptions) -> tuple[ReportData, Path]:
     """Return what the report shows, and the folder it belongs into; raises as ``run_report``."""
     # Parameters alone have a report, too: without what only their recording tells.
     session = None if options.session is None and options.parameters is not None else open_or_newest(options.session)
-    path = options.parameters or (session.folder / PARAMETER_FILE if session is not None else Path(PARAMETER_FILE))
-    parameters = load(path)
-    path = parameters.path or path
+    # A folder, not a name in it: what stands there may come from somebody else.
+    parameters = load(options.parameters or (session.folder if session is not None else Path()))
+    path = parameters.path or Path(PARAMETER_FILE)
     preset = None if options.preset is None else load(options.preset)
     _check_belongs(parameters, session, preset)
     trace, closed, damage = (None, None, []) if session is None else _replay(session, parameters, preset)

@@ -49,12 +49,12 @@ def run_solve(options: SolveOptions) -> int:
             raise UsageError(sentence("solve.session_and_observations"))
         session = None
         path = options.output or Path(PARAMETER_FILE)
-        refuse_overwriting(path, [options.observations])
+        refuse_overwriting(path, [options.observations], advice=sentence("solve.elsewhere"))
         solved = solve_observations(options.observations, settings, options.site)
     else:
         session = Session.open(sessions[0]) if sessions else Session.newest()
         path = options.output or session.folder / PARAMETER_FILE
-        refuse_overwriting(path, session.parts)
+        refuse_overwriting(path, session.parts, advice=sentence("solve.elsewhere"))
         with closing(ProgressLine("reading")) as line:
             solved = solve_session(session, settings, options.site, listener=line.feed, on_read=lambda: line.say("solving"))
     # Asked before the file that stands there is replaced.

@@ -34,7 +34,7 @@ from imufield.deliver.verification.result import (
 from imufield.earth import MICRO_G_M_S2
 from imufield.errors import CalibrationError, ImufieldError, ParameterFileError, Reason, UsageError, VerificationError
 from imufield.files import refuse_overwriting
-from imufield.pipeline.chain import Chain, ReadingPlan, recorded_protocol, replay_into
+from imufield.pipeline.chain import Chain, ReadingPlan, replay_into, session_protocol
 from imufield.pipeline.damage import naming_damage
 from imufield.pipeline.solving import session_sha256
 from imufield.samples import Samples
@@ -276,7 +276,7 @@ class _Navigation:
 
 def _nominal(task: _Task) -> Apply | None:
     """Return the instrument's own output with nothing but its nominal scale; None where only the maker knows that."""
-    protocol = recorded_protocol({}, task.session)
+    protocol = session_protocol(task.session)
     accelerometer, scale = _before_accelerometer(task, protocol), protocol.nominal.gyroscope_scale
     gyroscope = task.parameters.calibration.gyroscope
     if accelerometer is None or scale is None or gyroscope is None:

@@ -1,6 +1,6 @@
-"""Parameters of instruments over time, from a folder of parameter files: an SQLite index, changes in sigma, staleness.
+"""Parameters of instruments over time, from a folder of parameter files: an index, changes in sigma, staleness.
 
-The index (``.imufield-history.sqlite`` in the folder) holds what was read of each file and its size and time of change, so
+The index (``.imufield-history.json`` in the folder) holds what was read of each file and its size and time of change, so
 that a thousand files are read once. It can be deleted at any time.
 
 The gauge-free numbers are compared, because the same instrument has other parameters in another gauge. Where both
@@ -13,23 +13,24 @@ import csv
 import io
 import json
 import math
-import sqlite3
+import os
 from collections.abc import Iterator
-from contextlib import closing
-from dataclasses import asdict, dataclass, field
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field, fields
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
-from imufield.deliver.parameters.file import Parameters, load
+from imufield.deliver.parameters.file import Parameters, load_found
 from imufield.deliver.parameters.gauge_free import Number, numbers_of
 from imufield.errors import ImufieldError, ParameterFileError, Reason, UsageError
+from imufield.files import Origin, read_small_file, write_atomically
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
 
-INDEX_FILE = ".imufield-history.sqlite"
+INDEX_FILE = ".imufield-history.json"
 INDEX_VERSION = 6  # Of the index alone, which is made anew when it changes.
 STALE_DAYS = 365.0  # The usual interval of calibration; --stale-days says another.
 MOVED_SIGMA = 3.0
@@ -51,12 +52,12 @@ _SAME_GRAVITY_M_S2 = 1e-7  # Rounding of the figures in a file: a larger differe
 _COLORS = ("#111111", "#0b5394", "#b45f06")
 # Shape and line style tell the curves apart on grey paper; nine of a kind at most (g-sensitivity).
 _MARKERS = "osD^v<>Px"
-# One row for each TOML file; ``fault`` says why it is no entry, and is empty where it was never meant to be one.
-_SCHEMA = """
-CREATE TABLE IF NOT EXISTS entry (
-    path TEXT PRIMARY KEY, size INTEGER, changed_ns INTEGER, fault TEXT, content TEXT
-);
-"""
+# Of the fields that an index holds.
+_TYPES: dict[object, type | tuple[type, ...]] = {
+    "str": str,
+    "bool": bool,
+    "float": (int, float),
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,15 +96,35 @@ class Entry:
         )
 
     @classmethod
-    def from_json(cls, text: str) -> Entry:
-        """Return the entry that the index holds as JSON."""
-        values = json.loads(text)
-        return cls(**values | {"numbers": tuple(Number(**number) for number in values["numbers"])})
+    def from_index(cls, values: dict[str, object]) -> Entry:
+        """Return the entry that an index holds; ValueError or TypeError where it is none of ours."""
+        numbers = values["numbers"]
+        if not isinstance(numbers, list):
+            raise TypeError("numbers")
+        entry = cls(**values | {"numbers": tuple(Number(**number) for number in numbers)})  # type: ignore[arg-type]  # checked next
+        records: tuple[Entry | Number, ...] = (entry, *entry.numbers)
+        for record in records:
+            for each in fields(record):
+                if not isinstance(getattr(record, each.name), _TYPES.get(each.type, object)):
+                    raise TypeError(each.name)
+        # What is no date is none of ours, either.
+        _ = entry.time
+        return entry
 
     @property
     def time(self) -> datetime:
         """When it was calibrated."""
         return datetime.strptime(self.created, "%Y-%m-%dT%H:%M:%SZ").replace(tzinfo=UTC)
+
+
+@dataclass(frozen=True, slots=True)
+class _Row:
+    """What the index holds of a TOML file."""
+
+    size: int
+    changed_ns: int
+    fault: str  # Why it is no entry; empty where it was never meant to be one.
+    entry: Entry | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +201,7 @@ def find(folder: Path | str, serial_number: str, at: datetime | None = None) -> 
     """
     history = read_history(Path(folder), serial_number)
     entry = one_instrument(history).nearest(as_utc(at or datetime.now(UTC)))
-    return load(history.folder / entry.path)
+    return load_found(history.folder / entry.path, Origin.FOUND)
 
 
 def one_instrument(history: History) -> InstrumentHistory:
@@ -213,12 +234,9 @@ def read_history(folder: Path, serial_number: str | None = None) -> History:
     """
     if not folder.is_dir():
         raise ParameterFileError(sentence("history.no_folder", folder=str(folder)), Reason.FOREIGN)
-    if next(folder.rglob("*.toml"), None) is None:  # an index of nothing is not left behind
-        raise ParameterFileError(sentence("history.none", folder=str(folder), first_fault=""), Reason.FOREIGN)
-    with closing(_open_index(folder)) as index, index:
-        read = _refresh(index, folder)
-        faults = tuple(fault for (fault,) in index.execute("SELECT fault FROM entry WHERE fault != ''"))
-        entries = [Entry.from_json(text) for (text,) in index.execute("SELECT content FROM entry WHERE content IS NOT NULL")]
+    rows, unread, read = _read_files(folder)
+    faults = (*(row.fault for row in rows if row.fault), *unread)
+    entries = [row.entry for row in rows if row.entry is not None]
     chosen = [entry for entry in entries if serial_number in (None, entry.serial_number)]
     if not chosen:
         key = "history.none" if serial_number is None else "history.none_of_serial"
@@ -245,51 +263,65 @@ def compare(old: Entry, new: Entry) -> tuple[Change, ...]:
     return tuple(changes)
 
 
-def _open_index(folder: Path) -> sqlite3.Connection:
-    """Open the index; in memory where the folder is read-only or the file is not an index."""
-    for place in (folder / INDEX_FILE, ":memory:"):
-        connection = None
-        try:
-            connection = sqlite3.connect(place)
-            # A file of another version, or of another program: its content is dropped, as the index can be made anew.
-            version = connection.execute("PRAGMA user_version").fetchone()[0]
-            if version != INDEX_VERSION:
-                connection.execute("DROP TABLE IF EXISTS entry")
-            connection.executescript(_SCHEMA)
-            connection.execute(f"PRAGMA user_version = {INDEX_VERSION}")
-            connection.execute("SELECT COUNT(*) FROM entry").fetchone()
-        except sqlite3.Error:
-            if connection is not None:
-                connection.close()
-        else:
-            return connection
-    raise UsageError(sentence("history.no_index", folder=folder))
+def _read_index(folder: Path) -> dict[str, _Row]:
+    """Return what was read before, by the path in the folder; nothing where the file is no index of ours."""
+    try:
+        document = json.loads(read_small_file(folder / INDEX_FILE, Origin.INSIDE))
+        if document["version"] != INDEX_VERSION:
+            return {}
+        return {
+            str(name): _Row(size, changed_ns, str(fault), None if entry is None else Entry.from_index(entry))
+            for name, (size, changed_ns, fault, entry) in document["files"].items()
+        }
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        return {}
 
 
-def _refresh(index: sqlite3.Connection, folder: Path) -> int:
-    """Bring the index up to date; return the number of files read."""
-    known = {row[0]: row[1:] for row in index.execute("SELECT path, size, changed_ns FROM entry")}
-    read, there = 0, set()
-    for path in sorted(folder.rglob("*.toml")):
+def _write_index(folder: Path, rows: dict[str, _Row]) -> None:
+    listed = {name: (row.size, row.changed_ns, row.fault, row.entry and asdict(row.entry)) for name, row in rows.items()}
+    # Where the folder is read-only, or full, it is read again the next time.
+    with suppress(OSError):
+        # ASCII, so that names of any bytes come back as they were.
+        write_atomically(folder / INDEX_FILE, json.dumps({"version": INDEX_VERSION, "files": listed}).encode("ascii"))
+
+
+def _read_files(folder: Path) -> tuple[list[_Row], list[str], int]:
+    """Return what all TOML files say, sentences about what cannot be looked at, and the number of files read now."""
+    before, rows = _read_index(folder), dict[str, _Row]()
+    unread: list[str] = []
+    read = 0
+
+    def leave_out(error: OSError) -> None:
+        unread.append(sentence("history.unreadable", path=error.filename, cause=error.strerror))
+
+    walk = os.walk(folder, onerror=leave_out)
+    for path in sorted(Path(below, name) for below, _, names in walk for name in names if name.endswith(".toml")):
         name = path.relative_to(folder).as_posix()
         try:
             state = path.stat()
-        except OSError:
+        except FileNotFoundError:
             continue  # it went away meanwhile
-        there.add(name)
-        if known.get(name) == (state.st_size, state.st_mtime_ns):
+        except OSError as error:
+            leave_out(error)
             continue
-        read += 1
-        fault, content = "", None
-        try:
-            content = json.dumps(asdict(Entry.of(name, load(path))))
-        except ImufieldError as error:
-            # Session files and configurations are TOML too, and nobody's fault.
-            fault = "" if error.reason is Reason.FOREIGN else error.message
-        row = (name, state.st_size, state.st_mtime_ns, fault, content)
-        index.execute("INSERT OR REPLACE INTO entry VALUES (?, ?, ?, ?, ?)", row)
-    index.executemany("DELETE FROM entry WHERE path = ?", [(name,) for name in set(known) - there])
-    return read
+        row = before.get(name)
+        if row is None or (row.size, row.changed_ns) != (state.st_size, state.st_mtime_ns):
+            read += 1
+            row = _Row(state.st_size, state.st_mtime_ns, *_read_file(name, path))
+        rows[name] = row
+    # An index of nothing is not left behind.
+    if rows and rows != before:
+        _write_index(folder, rows)
+    return list(rows.values()), unread, read
+
+
+def _read_file(name: str, path: Path) -> tuple[str, Entry | None]:
+    """Return what is wrong with a file, and what it holds."""
+    try:
+        return "", Entry.of(name, load_found(path, Origin.FOUND))
+    except ImufieldError as error:
+        # Session files and configurations are TOML too, and nobody's fault.
+        return "" if error.reason is Reason.FOREIGN else error.message, None
 
 
 def _by_instrument(entries: list[Entry]) -> tuple[InstrumentHistory, ...]:

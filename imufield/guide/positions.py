@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from imufield.errors import UsageError
-from imufield.files import read_small_file
+from imufield.files import Origin, read_small_file
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentence, Sentences, printable
 from imufield.toml_files import decode_toml, parse_toml
@@ -138,7 +138,7 @@ def _shipped_direction(name: str) -> FloatArray:
     return direction
 
 
-def scheme(name_or_path: str | Path, *, revisit_first: bool = False) -> Scheme:
+def scheme(name_or_path: str | Path, origin: Origin = Origin.TYPED, *, revisit_first: bool = False) -> Scheme:
     """Return a shipped scheme, or the user's own from a TOML file.
 
     Parameters
@@ -146,6 +146,8 @@ def scheme(name_or_path: str | Path, *, revisit_first: bool = False) -> Scheme:
     name_or_path : str or Path
         One of ``SCHEMES``, or a file with a table ``[[position]]`` for each: ``up`` (three numbers), ``name``, ``words``
         (optional). A file's positions keep their order.
+    origin : Origin
+        Who chose the file.
     revisit_first : bool
         Append the first position again: a check for drift over the session.
 
@@ -158,14 +160,14 @@ def scheme(name_or_path: str | Path, *, revisit_first: bool = False) -> Scheme:
         name = str(name_or_path)
         positions = _shipped(name)
     else:
-        positions, name = read_positions(Path(name_or_path))
+        positions, name = read_positions(Path(name_or_path), origin)
     if revisit_first:
         first = positions[0]
         positions = (*positions, Position(f"{first.name} again", first.direction, first.words))
     return Scheme(name, positions)
 
 
-def read_positions(path: Path) -> tuple[tuple[Position, ...], str]:
+def read_positions(path: Path, origin: Origin = Origin.TYPED) -> tuple[tuple[Position, ...], str]:
     """Return the positions of a user's TOML file and the name of its scheme.
 
     Raises
@@ -176,7 +178,7 @@ def read_positions(path: Path) -> tuple[tuple[Position, ...], str]:
     if not path.is_file():
         raise UsageError(sentence("positions.no_scheme", path=str(path), schemes=SCHEMES))
     try:
-        text = decode_toml(read_small_file(path), path.name, UsageError)
+        text = decode_toml(read_small_file(path, origin), path.name, UsageError)
     except OSError as error:
         raise UsageError(sentence("positions.cannot_read", path=str(path), cause=error.strerror)) from error
     content = parse_toml(text, path.name, UsageError)

@@ -15,17 +15,18 @@ import numpy as np
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.protocol.protocol import Protocol, parse_protocol
-from imufield.acquire.recording.reader import Damage, PartStart, RecordedBlock, RecordedEvent, read_blocks
-from imufield.acquire.recording.session import Session
+from imufield.acquire.recording.reader import Damage, PartStart, RecordedBlock, RecordedEvent, read_blocks, read_session
+from imufield.acquire.recording.session import SETTINGS_FILE, Session
 from imufield.calibrate.model.observations import Observations
 from imufield.earth import choose_gravity
 from imufield.errors import CalibrationError, ProtocolError, Reason, RecordingError, SettingError
+from imufield.files import Origin
 from imufield.guide.events import Event, LinkLost
 from imufield.guide.lead.guide import Guide
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.lead.turns import HORIZONTAL, VERTICAL
 from imufield.guide.lead.unguided import StillIntervalFinder, StillIntervals
-from imufield.guide.positions import scheme
+from imufield.guide.positions import SCHEMES, scheme
 from imufield.guide.stillness.scale import RoughScale
 from imufield.pipeline.damage import require_samples
 from imufield.samples import FloatArray, Samples, Status
@@ -63,6 +64,10 @@ class ReadingPlan:
     def of(cls, session: Session) -> ReadingPlan:
         """Return the plan written in ``session.toml``; positions of the user's own stand beside it."""
         record, site = session.record, session.record.site
+        # No other name: it would be one of a file anywhere.
+        if record.scheme not in (*SCHEMES, SCHEME_FILE, "", None):
+            path = session.folder / SETTINGS_FILE
+            raise RecordingError(sentence("chain.scheme", path=path, scheme=record.scheme, known=[*SCHEMES, SCHEME_FILE]))
         scheme = str(session.folder / SCHEME_FILE) if record.scheme == SCHEME_FILE else record.scheme or None
         gravity = choose_gravity(site.gravity_m_s2, site.latitude_deg, site.height_m)
         # The settings have the names that they have in the file; what it does not state keeps its default.
@@ -122,7 +127,9 @@ class Chain:
             if self.plan.scheme is None:
                 self.finder = StillIntervalFinder(protocol.units, scale)
             else:
-                self.guide = Guide(scheme(self.plan.scheme), protocol.units, scale=scale, settings=self.plan.guide)
+                self.guide = Guide(
+                    scheme(self.plan.scheme, Origin.INSIDE), protocol.units, scale=scale, settings=self.plan.guide
+                )
         events = self._start_decoder(protocol)
         # Whoever stopped and goes on wanted the pause: to call it a lost link would alarm for nothing.
         return [
@@ -282,6 +289,12 @@ def recorded_protocol(metadata: Mapping[str, object], session: Session) -> Proto
     except SettingError as error:
         # Nobody typed it: it stands in the recording.
         raise ProtocolError(error.message, error.reason, **error.values) from error
+
+
+def session_protocol(session: Session) -> Protocol:
+    """Return the protocol of a session's first part, which is what its samples are decoded with; as ``recorded_protocol``."""
+    part = next((item for item in read_session(session) if isinstance(item, PartStart)), None)
+    return recorded_protocol({} if part is None else part.metadata, session)
 
 
 def _recorded_settings(metadata: Mapping[str, object]) -> Mapping[str, object]:

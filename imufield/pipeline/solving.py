@@ -11,13 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
+from imufield.acquire.recording.part_file import open_part
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
-from imufield.calibrate.model.observation_files import read_observations
+from imufield.calibrate.model.observation_files import parse_observations, read_content
 from imufield.calibrate.model.observations import Observations, count_repeats_once
-from imufield.deliver.parameters.file import Context, InstrumentFacts, Parameters, SessionFacts, load
+from imufield.deliver.parameters.file import Context, InstrumentFacts, Parameters, SessionFacts, load_found
 from imufield.earth import Gravity
 from imufield.errors import CalibrationError, ImufieldError, Reason
+from imufield.files import Origin, utf8_text
 from imufield.guide.cross_checks.axes import AxesCheck
 from imufield.guide.events import Event, RefusalCode, Rejected
 from imufield.guide.lead.guide import Guide
@@ -131,8 +133,10 @@ def solve_session(
 
 def solve_observations(path: Path, settings: SolveSettings, site: SiteOptions) -> Solved:
     """Solve position means from a file."""
-    observations, repeats = count_repeats_once(read_observations(path))
-    facts = SessionFacts(printable(path.name), _sha256([path]))
+    # Once, for numbers and hash: what a pipe held is gone afterwards.
+    content = read_content(path)
+    observations, repeats = count_repeats_once(parse_observations(content, path))
+    facts = SessionFacts(printable(utf8_text(path.name)), hashlib.sha256(content).hexdigest())
     measured = Measured(observations=observations, gravity=site.gravity(), context=Context(session=facts), reasons=repeats)
     return Solved(calibrate(measured, settings), ())
 
@@ -225,7 +229,7 @@ def _loss_sentences(chain: Chain, damage: list[Damage], *, is_import: bool) -> t
 def better_gravity(path: Path, now: Gravity) -> tuple[str, ...]:
     """Return a sentence where the parameter file that stands at ``path`` knows gravity much better than it is known now."""
     try:
-        before = load(path).calibration.gravity
+        before = load_found(path, Origin.INSIDE).calibration.gravity
     except ImufieldError:
         return ()
     if not before.sigma_m_s2 * _BETTER_KNOWN < now.sigma_m_s2:
@@ -238,12 +242,8 @@ def better_gravity(path: Path, now: Gravity) -> tuple[str, ...]:
 
 def session_sha256(session: Session) -> str:
     """Return the hash of the session's parts, in their order."""
-    return _sha256(session.parts)
-
-
-def _sha256(paths: list[Path]) -> str:
     digest = hashlib.sha256()
-    for path in paths:
-        with path.open("rb") as file:
+    for path in session.parts:
+        with open_part(path) as file:
             hashlib.file_digest(file, lambda: digest)
     return digest.hexdigest()

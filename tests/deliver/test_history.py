@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-import sqlite3
+import json
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -171,22 +171,36 @@ def test_damaged_files_are_named_and_left_out(tmp_path: Path, write) -> None:  #
     assert "a/parameters.toml" in history.faults[0]
 
 
-@pytest.mark.parametrize("content", [b"", b"no database at all, and long enough to be looked at" * 20])
+@pytest.mark.parametrize("content", [b"", b"\xff no index at all", b"[]", b'{"version": 6}', b"[" * 100_000])
 def test_a_spoilt_index_does_no_harm(tmp_path: Path, write, content: bytes) -> None:  # type: ignore[no-untyped-def]
     write("a", "2026-03-04")
     (tmp_path / INDEX_FILE).write_bytes(content)
     assert len(read_history(tmp_path).instruments) == 1
 
 
-def test_an_index_of_another_version_is_made_anew(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("version", 99),
+        ("created", "yesterday"),
+        ("numbers", 1),
+        ("numbers", [{"name": "bias x"}]),
+        ("gravity_m_s2", "g"),
+        ("more", 1),
+    ],
+)
+def test_an_index_of_another_version_or_program_is_made_anew(  # type: ignore[no-untyped-def]
+    tmp_path: Path, write, key: str, value: object
+) -> None:
     write("a", "2026-03-04")
-    read_history(tmp_path)
-    with sqlite3.connect(tmp_path / INDEX_FILE) as index:
-        index.execute("PRAGMA user_version = 99")
-        index.execute("DROP TABLE entry")
-        index.execute("CREATE TABLE entry (other TEXT)")
-    index.close()
-    assert read_history(tmp_path).read == 1
+    before = read_history(tmp_path)
+    document = json.loads((tmp_path / INDEX_FILE).read_text())
+    (document if key in document else document["files"]["a/parameters.toml"][3])[key] = value
+    (tmp_path / INDEX_FILE).write_text(json.dumps(document))
+    again = read_history(tmp_path)
+    assert again.read == 1
+    assert again.instruments == before.instruments
+    assert read_history(tmp_path).read == 0
 
 
 def test_empty_and_missing_folders_are_refused(tmp_path: Path) -> None:

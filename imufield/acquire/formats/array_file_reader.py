@@ -111,7 +111,12 @@ def read_hdf5(path: Path) -> Content:
         for name in names:
             item = file[name]
             # "#refs#" is where MATLAB keeps what has no name.
-            if name.startswith("#") or not isinstance(item, h5py.Dataset) or item.size == 0:
+            if name.startswith("#") or not isinstance(item, h5py.Dataset):
+                continue
+            # Asked before its size: that of a virtual dataset may be looked up in the other files.
+            if item.external or item.is_virtual:
+                raise ValueError(f"the numbers of {name} are in other files, which are not read")
+            if item.size == 0:
                 continue
             if item.dtype.names:
                 arrays |= {f"{name}.{part}": item[part] for part in item.dtype.names}

@@ -15,6 +15,7 @@ from imufield.acquire.formats.array_file_reader import DAMAGE, IMU_TYPE, first_l
 from imufield.acquire.formats.table_arrays import ArrayTable, handed_over, missing_package, start_reader
 from imufield.acquire.link.host_clock import NANOSECONDS
 from imufield.errors import Reason, RecordingError, UsageError
+from imufield.files import Origin, open_to_read
 from imufield.samples import SAMPLE_COLUMNS, FloatArray, Status
 from imufield.sentences import Sentences
 
@@ -23,14 +24,15 @@ sentence = Sentences(__package__)
 _MAGIC = (b"#ROSBAG V", b"\x89MCAP0\r\n", b"SQLite format 3\0")
 # Stamps beyond 1973 count from 1970: whole seconds of the first are subtracted, since a float holds only 0.2 us there.
 _EPOCH_S = 100_000_000
+_CONTENTS = "metadata.yaml"
 
 
 def is_bag(path: Path) -> bool:
     """Tell whether a path is a bag of ROS, by what it starts with or, for a folder, by what is in it."""
     if path.is_dir():
-        return (path / "metadata.yaml").is_file()
+        return (path / _CONTENTS).is_file()
     try:
-        with path.open("rb") as file:
+        with open_to_read(path) as file:
             return file.read(16).startswith(_MAGIC)
     except OSError:
         return False
@@ -59,6 +61,7 @@ def read_bag(path: Path, topic: str | None = None) -> ArrayTable:
     UsageError
         There are several topics and none is chosen, or the package for it is not installed.
     """
+    _refuse_links(path)
     chosen = () if topic is None else (topic,)
     try:
         # rosbags unpacks some recordings into a file.
@@ -75,6 +78,16 @@ def read_bag(path: Path, topic: str | None = None) -> ArrayTable:
     if not len(rows):
         raise RecordingError(sentence("ros_bags.no_message", path=str(path)), Reason.BAD_DATA)
     return _table(path, rows, [sentence("ros_bags.lost", name=path.name, count=len(rows), cause=cause)] if cause else [])
+
+
+def _refuse_links(path: Path) -> None:
+    """Refuse links, pipes and devices in the folder of a bag, whose files rosbags opens by itself."""
+    for file in path.iterdir() if path.is_dir() else ():
+        try:
+            if not file.is_dir() or file.is_symlink():
+                open_to_read(file, Origin.INSIDE).close()
+        except OSError as error:
+            raise RecordingError(sentence("ros_bags.no_file", path=str(file), cause=error.strerror), Reason.FOREIGN) from error
 
 
 def _check_topics(path: Path, there: Sequence[tuple[str, str]], topic: str | None) -> None:

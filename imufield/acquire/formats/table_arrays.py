@@ -23,6 +23,7 @@ from imufield.acquire.formats import array_file_reader
 from imufield.acquire.formats.array_file_reader import Array, Arrays
 from imufield.acquire.formats.table_columns import named_column
 from imufield.errors import Reason, RecordingError, UsageError
+from imufield.files import open_to_read
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentences, printable, shortened
 
@@ -102,7 +103,7 @@ _KINDS = {
 def array_kind(path: Path) -> ArrayKind | None:
     """Return the kind of a file of arrays, None for files of another kind or none."""
     try:
-        with path.open("rb") as file:
+        with open_to_read(path) as file:
             head = file.read(_MAGIC_BYTES)
     except OSError:
         return None

@@ -18,6 +18,7 @@ import numpy as np
 
 from imufield.acquire.formats.array_file_reader import SoundGzip
 from imufield.errors import Reason, RecordingError
+from imufield.files import open_to_read
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences, printable, shortened
 
@@ -268,7 +269,7 @@ def read_pieces(path: Path, size: int) -> Iterator[bytes]:
         The file cannot be read, or its packing is damaged.
     """
     try:
-        with path.open("rb") as raw:
+        with open_to_read(path) as raw:
             packed = raw.read(len(_GZIP_MAGIC)) == _GZIP_MAGIC
             raw.seek(0)
             file = cast("BinaryIO", SoundGzip(fileobj=raw)) if packed else raw

@@ -22,6 +22,7 @@ from imufield.acquire.protocol.protocol import DBC_LIMIT_BYTES, Protocol, decode
 from imufield.acquire.protocol.toml import near
 from imufield.acquire.registry import load_driver
 from imufield.errors import ProtocolError, Reason, UsageError
+from imufield.files import read_start
 from imufield.samples import AXES
 from imufield.sentences import Sentences
 
@@ -85,9 +86,8 @@ def protocol_from_dbc(path: str | Path, mapping: Mapping[str, str], settings: Ma
     """
     path = Path(path)
     try:
-        with path.open("rb") as file:
-            # One byte more than allowed, so that a file which is too long shows.
-            content = file.read(DBC_LIMIT_BYTES + 1)
+        # One byte more than allowed, so that a file which is too long shows.
+        content = read_start(path, DBC_LIMIT_BYTES + 1)
     except OSError as error:
         raise ProtocolError(sentence("can_map.unreadable", path=str(path), cause=error.strerror)) from error
     text = protocol_text(path.stem, path.name, mapping) + dbc_table(decode_dbc(content, path.name))

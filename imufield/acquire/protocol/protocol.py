@@ -31,6 +31,7 @@ from imufield.acquire.protocol.settings import Setting, choose_settings, read_ru
 from imufield.acquire.protocol.toml import FILE_LIMIT_BYTES, LEAST_SCALE, Source, Table, near
 from imufield.acquire.protocol.units import SI_UNITS, TO_SI, UNITS_OF
 from imufield.errors import ProtocolError, Reason, UnknownNameError
+from imufield.files import Origin, read_start
 from imufield.samples import FloatArray, SampleUnits
 from imufield.sentences import Sentences, printable
 from imufield.toml_files import decode_toml
@@ -166,8 +167,7 @@ def _find_text(name_or_path: str | Path) -> tuple[str, str]:
         unknown = sentence("protocol.unknown_name", name=name, near=near(name, names), names=names)
         raise UnknownNameError(unknown, Reason.BAD_PROTOCOL)
     try:
-        with path.open("rb") as file:
-            content = file.read(FILE_LIMIT_BYTES + 1)
+        content = read_start(path, FILE_LIMIT_BYTES + 1)
         if len(content) > FILE_LIMIT_BYTES:
             raise ProtocolError(sentence("protocol.size", name=path.name, limit=FILE_LIMIT_BYTES), path=path)
         return path.name, decode_toml(content, path.name, ProtocolError)
@@ -177,13 +177,17 @@ def _find_text(name_or_path: str | Path) -> tuple[str, str]:
 
 def _read_beside(name_or_path: str | Path, name: str) -> str:
     """Return the text of a DBC file that stands beside a protocol; most are written on Windows, in its code page."""
-    shipped = str(name_or_path) in protocol_names()
-    folder = importlib.resources.files(FOLDER) if shipped else Path(name_or_path).parent
+    if str(name_or_path) in protocol_names():
+        return decode_dbc((importlib.resources.files(FOLDER) / name).read_bytes(), name)
+    # The protocol may come from somebody else, and so may what stands beside it.
+    if Path(name).name != name:
+        raise ProtocolError(sentence("protocol.dbc_elsewhere", path=name, protocol=name_or_path))
     try:
-        with (folder / name).open("rb") as file:
-            content = file.read(DBC_LIMIT_BYTES + 1)
-    except OSError as error:
-        missing = sentence("protocol.no_dbc", path=name, protocol=name_or_path, cause=error.strerror)
+        content = read_start(Path(name_or_path).parent / name, DBC_LIMIT_BYTES + 1, Origin.INSIDE)
+    except (OSError, ValueError) as error:
+        # A name with a null character is none to Python.
+        cause = getattr(error, "strerror", error)
+        missing = sentence("protocol.no_dbc", path=name, protocol=name_or_path, cause=cause)
         raise ProtocolError(missing) from error
     return decode_dbc(content, name)
 

@@ -28,6 +28,7 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, DataEnd, Footer, Header, Metadata
 
+from imufield.files import utf8_text
 from imufield.sentences import Sentences
 from imufield.version import __version__
 
@@ -207,7 +208,7 @@ def read_metadata(body: bytes) -> tuple[int, dict[str, object]]:
 
 def to_json(value: object) -> str:
     """Return JSON text; NumPy values, paths and enumerations as plain values."""
-    return json.dumps(value, default=_plain, ensure_ascii=False)
+    return utf8_text(json.dumps(value, default=_plain, ensure_ascii=False))
 
 
 def _plain(value: object) -> object:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
+from io import BufferedReader
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO, Self
+from typing import Self
 
 from mcap.opcode import Opcode
 
@@ -26,6 +27,7 @@ from imufield.acquire.recording.mcap_format import (
     unpack_chunk,
 )
 from imufield.errors import Reason, RecordingError
+from imufield.files import Origin, open_to_read
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -43,11 +45,26 @@ _BYTES_MAY_DIFFER = 2  # Damaged bytes at which the start of a file is still tak
 def is_part(path: str | Path) -> bool:
     """Tell by its first bytes whether a file is a recording of ours."""
     try:
-        with Path(path).open("rb") as file:
+        with open_to_read(path) as file:
             start = file.read(_START_BYTES)
     except OSError:
         return False
     return start.startswith(MAGIC) and start[_PROFILE_AT : _PROFILE_AT + len(_PROFILE)] == _PROFILE
+
+
+def open_part(path: Path) -> BufferedReader:
+    """Open a part of a session for reading.
+
+    Raises
+    ------
+    RecordingError
+        It is not there, no regular file, or cannot be opened.
+    """
+    try:
+        return open_to_read(path, Origin.INSIDE)
+    except OSError as error:
+        unreadable = sentence("part_file.unreadable", path=str(path), cause=error.strerror)
+        raise RecordingError(unreadable, Reason.NOT_A_RECORDING) from error
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,10 +112,7 @@ class PartFile:
         self.damage: list[Damage] = []
         self.finished = False
         self._in_head = True
-        try:
-            self._file: BinaryIO = path.open("rb")
-        except OSError as error:
-            raise self._refused("part_file.unreadable", cause=error.strerror) from error
+        self._file = open_part(path)
         try:
             # As it is now: a part that is being recorded grows, and what comes later is not read.
             self._size = os.fstat(self._file.fileno()).st_size

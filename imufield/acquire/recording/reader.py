@@ -10,6 +10,7 @@ import filecmp
 import itertools
 import json
 import math
+import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,8 +22,8 @@ from imufield.acquire.link.host_clock import HostClock, SystemClock
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.recording.mcap_format import ARRIVAL, EVENTS_CHANNEL, LINK_CHANNEL, DamageError, messages
 from imufield.acquire.recording.part_file import Damage as Damage  # noqa: PLC0414  (handed on)
-from imufield.acquire.recording.part_file import PartFile
-from imufield.errors import LinkError, Reason, RecordingError, UsageError
+from imufield.acquire.recording.part_file import PartFile, open_part
+from imufield.errors import LinkError, Reason, UsageError
 from imufield.samples import FloatArray, IntArray
 from imufield.sentences import Sentences
 
@@ -207,11 +208,8 @@ def _parts_begun(session: Parts, damage: list[Damage] | None) -> Iterator[Path]:
                 what = sentence("reader.part_gone" if first == last else "reader.parts_gone", path=first, last=last.name)
                 found.append(Damage(path=first, offset=0, length_bytes=0, what=what))
             before = int(digits)
-        try:
-            size = path.stat().st_size
-        except OSError as error:
-            unreadable = sentence("reader.unreadable", path=str(path), cause=error.strerror)
-            raise RecordingError(unreadable, Reason.NOT_A_RECORDING) from error
+        with open_part(path) as file:
+            size = os.fstat(file.fileno()).st_size
         # Bytes are compared only where the sizes agree, so that sound sessions are not read twice.
         original = next((other for other in begun if begun[other] == size and filecmp.cmp(path, other, shallow=False)), None)
         if original is not None:

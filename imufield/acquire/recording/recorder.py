@@ -29,7 +29,7 @@ from imufield.acquire.recording.mcap_format import (
     start_of_part,
 )
 from imufield.errors import RecordingError
-from imufield.files import sync_folder, write_error
+from imufield.files import open_regular, sync_folder, write_error
 
 SYNC_INTERVAL_S = 0.3
 """With the time of one fsync, well below the one second that a crash may cost."""
@@ -183,7 +183,7 @@ class Recorder:
 def _create(path: Path, content: bytes) -> int:
     """Create a file that does not exist yet, make it durable and return its descriptor."""
     try:
-        file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
+        file = open_regular(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, follow=False)
     except OSError as error:
         raise _cannot_write(path, error) from error
     try:

@@ -15,7 +15,16 @@ import tomli_w
 
 from imufield.acquire.recording.session_record import FORMAT, VERSION, SessionRecord, Table, plain_table
 from imufield.errors import Reason, RecordingError
-from imufield.files import DEFAULT_ROOT, read_small_file, sync_folder, typed_write_errors, write_atomically
+from imufield.files import (
+    DEFAULT_ROOT,
+    Origin,
+    open_regular,
+    read_small_file,
+    sync_folder,
+    typed_write_errors,
+    utf8_text,
+    write_atomically,
+)
 from imufield.sentences import Sentences, printable
 from imufield.toml_files import decode_toml, parse_toml
 from imufield.version import __version__
@@ -114,7 +123,7 @@ class Session:
             folder = folder.parent
         path = folder / SETTINGS_FILE
         try:
-            content = read_small_file(path)
+            content = read_small_file(path, Origin.INSIDE)
         except (FileNotFoundError, NotADirectoryError) as error:
             raise RecordingError(sentence("session.no_session", folder=str(folder)), Reason.NOT_A_RECORDING) from error
         except OSError as error:
@@ -146,7 +155,7 @@ class Session:
     @property
     def name(self) -> str:
         """Name of the folder, to be shown."""
-        return printable(self.folder.resolve().name)
+        return printable(utf8_text(self.folder.resolve().name))
 
     @property
     def parts(self) -> list[Path]:
@@ -194,7 +203,8 @@ class Session:
         """
         path = self.folder / LOCK_FILE
         with typed_write_errors(path, RecordingError):
-            file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+            # No link: what it leads to would be emptied.
+            file = open_regular(path, os.O_RDWR | os.O_CREAT, follow=False)
         try:
             if not _lock(file):
                 # Where there is no pread, as on Windows, the holder stays without a number.
@@ -213,7 +223,7 @@ class Session:
     def is_being_recorded(self) -> bool:
         """Whether a program holds the lock now."""
         try:
-            file = os.open(self.folder / LOCK_FILE, os.O_RDWR)
+            file = open_regular(self.folder / LOCK_FILE, os.O_RDWR, follow=False)
         except OSError:
             # Never recorded here, or not ours to write: whoever records made it for all.
             return False

@@ -12,6 +12,7 @@ import numpy as np
 
 from imufield.earth import GRAVITY_RANGE_M_S2, HEIGHT_RANGE_M, MEASURED_GRAVITY_SIGMA_M_S2
 from imufield.errors import Reason, RecordingError
+from imufield.files import utf8_text
 from imufield.limits import BAUD_RANGE, HOLD_RANGE_S, RATE_RANGE_HZ, TARGET_RANGE
 from imufield.samples import ACCELEROMETER_COLUMNS, LARGEST_OUTPUT
 from imufield.sentences import Sentences, printable
@@ -198,7 +199,7 @@ class SessionRecord:
 
 def plain_table(table: Mapping[str, object]) -> Table:
     """Return the table with values TOML knows: no NumPy types, no records, and no None, which is left out."""
-    return {str(key): _plain(value) for key, value in table.items() if value is not None}
+    return {utf8_text(key): _plain(value) for key, value in table.items() if value is not None}
 
 
 def plain_record(record: object) -> Table:
@@ -217,7 +218,7 @@ def _plain(value: object) -> object:
         return [_plain(entry) for entry in value]
     if isinstance(value, Enum):
         return value.value
-    return str(value) if isinstance(value, PurePath) else value
+    return utf8_text(value) if isinstance(value, str | PurePath) else value
 
 
 def _read_table(kind: type, name: str, content: Table, path: Path) -> Any:

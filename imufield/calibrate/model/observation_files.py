@@ -46,11 +46,27 @@ class _Table:
 
 
 def read_observations(path: str | Path, *, units: SampleUnits | None = None) -> Observations:
-    """Read position means from a CSV file.
+    """Read position means from a CSV file; as ``parse_observations``, or it cannot be read."""
+    return parse_observations(read_content(path), path, units=units)
+
+
+def read_content(path: str | Path) -> bytes:
+    """Return the content of a file or pipe of position means; raises RecordingError."""
+    try:
+        return read_small_file(path)
+    except OSError as error:
+        unreadable = sentence("observation_files.unreadable", path=str(path), cause=error.strerror)
+        raise RecordingError(unreadable, Reason.NOT_A_RECORDING) from error
+
+
+def parse_observations(content: bytes, path: str | Path, *, units: SampleUnits | None = None) -> Observations:
+    """Return the position means that a CSV file holds.
 
     Parameters
     ----------
+    content : bytes
     path : str or Path
+        Where they come from, for sentences.
     units : SampleUnits, optional
         Raw units of the means. Default: m/s^2 where the outputs span 2 g of that (rad/s with it), g where they span 2, else
         count.
@@ -63,10 +79,10 @@ def read_observations(path: str | Path, *, units: SampleUnits | None = None) -> 
     Raises
     ------
     RecordingError
-        If the file cannot be read, a column is unknown, missing or twice there, or a value is not a number or not finite;
+        If a column is unknown, missing or twice there, or a value is not a number or not finite;
         names file, line and column.
     """
-    table = _read_table(Path(path))
+    table = _read_table(content, Path(path))
     mean = _triad(table, ACCELEROMETER_COLUMNS)
     m = len(table.rows)
     names = tuple(printable(row[table.header.index(NAME)].strip()) for row in table.rows) if NAME in table.header else ("",) * m
@@ -85,12 +101,9 @@ def read_observations(path: str | Path, *, units: SampleUnits | None = None) -> 
     )
 
 
-def _read_table(path: Path) -> _Table:
+def _read_table(content: bytes, path: Path) -> _Table:
     try:
-        whole = read_small_file(path).decode("utf-8-sig")
-    except OSError as error:
-        unreadable = sentence("observation_files.unreadable", path=str(path), cause=error.strerror)
-        raise RecordingError(unreadable, Reason.NOT_A_RECORDING) from error
+        whole = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise _refused("observation_files.not_utf8", path, byte=error.start) from error
     numbered = [(k, line) for k, line in enumerate(whole.splitlines(), 1) if line.strip() and not line.lstrip().startswith("#")]

@@ -13,7 +13,7 @@ import typer
 
 from imufield.acquire.link.host_clock import HostClock, ScaledClock, SystemClock
 from imufield.errors import UsageError
-from imufield.files import refuse_overwriting, typed_write_errors, write_atomically
+from imufield.files import open_to_read, refuse_overwriting, typed_write_errors, write_atomically
 from imufield.sentences import Sentences, printable_lines
 
 sentence = Sentences(__package__)
@@ -71,7 +71,7 @@ def replace_only(path: Path, mark: str, option: str, what: str) -> None:
     """
     refuse_overwriting(path)
     try:
-        with path.open("rb") as file:
+        with open_to_read(path) as file:
             head = file.read(_HEAD_BYTES)
     except OSError:
         return  # not there, or no file: writing says which

@@ -13,6 +13,7 @@ from imufield.acquire.recording.session_record import GuideRecord
 from imufield.acquire.registry import driver_names
 from imufield.commands.terminal.questions import confirm
 from imufield.errors import Reason, RecordingError, UsageError
+from imufield.files import Origin
 from imufield.guide.positions import scheme
 from imufield.pipeline.chain import Chain, ReadingPlan, replay_into
 from imufield.sentences import Sentences
@@ -20,6 +21,7 @@ from imufield.sentences import Sentences
 sentence = Sentences(__package__)
 
 _IDENTITY = ("driver", "serial_number")
+_ADDRESSES = ("socket://", "rfc2217://")
 # What a session keeps of the options of the guide: the option and how its value is said.
 _KEPT = {
     "hold_s": ("--hold-s", "holds of {:g} s"),
@@ -106,7 +108,7 @@ def check_plan(session: Session, scheme_name: str | None, asked: GuideRecord) ->
     """
     planned = str(ReadingPlan.of(session).scheme)
     # By what they ask for and not by name: a copy of a file of positions is the same plan.
-    if scheme_name is not None and _positions(scheme_name) != _positions(planned):
+    if scheme_name is not None and _positions(scheme_name, Origin.TYPED) != _positions(planned, Origin.INSIDE):
         raise UsageError(sentence("resume.other_positions", folder=session.folder, planned=planned, asked=scheme_name))
     for name, (option, words) in _KEPT.items():
         wanted, begun = getattr(asked, name), getattr(session.record.guide, name)
@@ -116,8 +118,8 @@ def check_plan(session: Session, scheme_name: str | None, asked: GuideRecord) ->
             raise UsageError(sentence(key, folder=session.folder, option=option, now=now, before=before))
 
 
-def _positions(name: str) -> list[tuple[str, list[float]]]:
-    return [(position.name, position.direction.tolist()) for position in scheme(name).positions]
+def _positions(name: str, origin: Origin) -> list[tuple[str, list[float]]]:
+    return [(position.name, position.direction.tolist()) for position in scheme(name, origin).positions]
 
 
 def connect_as_before(options: ConnectOptions, session: Session) -> ConnectOptions:
@@ -132,6 +134,9 @@ def connect_as_before(options: ConnectOptions, session: Session) -> ConnectOptio
             text = record.protocol.text or None
     given = {name: str(setting.value) for name, setting in record.settings.items() if setting.origin == "given"}
     elsewhere = options.port is not None or options.bus is not None
+    # Other kinds of pyserial's addresses write files or load code: those a person types.
+    if not elsewhere and (link.port or "").partition("://")[1] and not (link.port or "").startswith(_ADDRESSES):
+        raise UsageError(sentence("resume.port", folder=session.folder, port=link.port, known=_ADDRESSES))
     same_place = (options.port, options.bus) == (link.port, link.bus)
     return replace(
         options,

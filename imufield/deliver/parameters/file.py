@@ -19,6 +19,7 @@ from imufield.deliver.parameters.read import read_document
 from imufield.deliver.parameters.schema import Document, json_ready, parameter_schema
 from imufield.deliver.parameters.write import EDITED, to_toml, write_document, write_parameters
 from imufield.errors import ParameterFileError, Reason
+from imufield.files import Origin
 from imufield.samples import FloatArray, Samples
 from imufield.sentences import Sentences
 
@@ -223,6 +224,12 @@ def load(path: str | Path) -> Parameters:
         saying so.
     """
     path = Path(path)
-    path = path / PARAMETER_FILE if path.is_dir() else path
-    content = read_document(path)
+    if path.is_dir():
+        return load_found(path / PARAMETER_FILE, Origin.INSIDE)
+    return load_found(path, Origin.TYPED)
+
+
+def load_found(path: Path, origin: Origin) -> Parameters:
+    """Load a parameter file that this program looked for; raises as ``load``."""
+    content = read_document(path, origin)
     return replace(from_document(content.document, path=path), version=content.version)

@@ -10,7 +10,7 @@ from imufield.deliver.parameters.schema import Document, first_fault, shown
 from imufield.deliver.parameters.versions import CONVERTERS, to_current
 from imufield.deliver.parameters.write import EDITED, content_sha256
 from imufield.errors import ParameterFileError, Reason
-from imufield.files import read_small_file
+from imufield.files import Origin, read_small_file
 from imufield.sentences import Sentences, printable_values
 from imufield.toml_files import decode_toml, parse_toml
 
@@ -24,7 +24,7 @@ class VersionedDocument(NamedTuple):
     version: int
 
 
-def read_document(path: Path | str) -> VersionedDocument:
+def read_document(path: Path | str, origin: Origin = Origin.TYPED) -> VersionedDocument:
     """Return the content of a parameter file that passed every check, converted where it is of an older version.
 
     Raises
@@ -35,7 +35,7 @@ def read_document(path: Path | str) -> VersionedDocument:
     """
     where = str(path)
     try:
-        text = decode_toml(read_small_file(path), where, ParameterFileError)
+        text = decode_toml(read_small_file(path, origin), where, ParameterFileError)
     except OSError as error:
         raise ParameterFileError(sentence("read.not_there", where=where, cause=error.strerror), Reason.FOREIGN) from error
     return parse_document(text, where)

@@ -6,7 +6,6 @@ Raw units (in ``session.toml``), what is not available is left empty.
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ from imufield.acquire.protocol.protocol import Protocol
 from imufield.deliver.samples.export_ros2 import write_ros2
 from imufield.deliver.samples.export_tables import write_hdf5, write_parquet
 from imufield.errors import RecordingError
-from imufield.files import refuse_what_is_no_file, typed_write_errors
+from imufield.files import make_beside, typed_write_errors
 from imufield.samples import NO_COUNTER, SAMPLE_COLUMNS, FloatArray, Samples, concatenate
 
 _ROWS_AT_ONCE = 8192  # Text made at a time: about 1 MB, however large the blocks are.
@@ -65,8 +64,7 @@ def export_samples(blocks: Iterable[Samples], path: str | Path, to: str = "csv",
     """
     path = Path(path)
     with typed_write_errors(path, RecordingError):
-        refuse_what_is_no_file(path)
-        descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".new", dir=path.parent)
+        descriptor, name = make_beside(path)
         os.close(descriptor)
         try:
             rows = FORMATS[to].write(in_large_blocks(blocks), Path(name), facts or {})

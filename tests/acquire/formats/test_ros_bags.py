@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 import sys
 from contextlib import suppress
@@ -145,3 +146,24 @@ def test_a_small_recording_that_unpacks_to_gigabytes(tmp_path: Path) -> None:
     path.write_bytes(b"\x89MCAP0\r\n" + content + b"\x89MCAP0\r\n")
     with refused(RecordingError, Reason.DAMAGED, str(path), key="ros_bags.damaged"):
         read_tables([path])
+
+
+@pytest.mark.parametrize("what", ["link", "pipe"])
+def test_a_folder_with_a_link_or_pipe_is_refused(tmp_path: Path, what: str) -> None:
+    bag = write(tmp_path, "mcap")
+    (bag / "bench.mcap").rename(tmp_path / "outside.mcap")
+    if what == "link":
+        (bag / "bench.mcap").symlink_to(tmp_path / "outside.mcap")
+    else:
+        os.mkfifo(bag / "bench.mcap")
+    with refused(RecordingError, Reason.FOREIGN, "bench.mcap", what, key="ros_bags.no_file"):
+        read_tables([bag])
+
+
+def test_a_folder_reads_no_file_elsewhere(tmp_path: Path) -> None:
+    bag = write(tmp_path, "mcap")
+    (bag / "bench.mcap").rename(tmp_path / "outside.mcap")
+    contents = bag / "metadata.yaml"
+    contents.write_text(contents.read_text().replace("bench.mcap", "../outside.mcap"))
+    with refused(RecordingError, Reason.DAMAGED, key="ros_bags.damaged"):
+        read_tables([bag])

@@ -240,3 +240,42 @@ def test_a_broken_scipy_comes_with_imufield_itself(tmp_path: Path, monkeypatch: 
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     with refused(UsageError, Reason.MISSING_PACKAGE, "scipy", "no libopenblas", "pip install imufield"):
         read_tables([written(tmp_path, mat_matrix)])
+
+
+@pytest.mark.parametrize("kind", ["external", "records", "virtual", "endless virtual", "MATLAB 7.3"])
+def test_numbers_of_another_file_are_not_read(tmp_path: Path, kind: str) -> None:
+    h5py = pytest.importorskip("h5py", reason="extra hdf5")
+    secret, path = tmp_path / "secret", tmp_path / "table.h5"
+    secret.write_bytes(bytes(range(256)) * 9)
+    with h5py.File(tmp_path / "other.h5", "w") as other:
+        other.create_dataset("data", data=np.ones((30, 7)), maxshape=(None, 7))
+    with h5py.File(path, "w", userblock_size=512 if kind == "MATLAB 7.3" else 0) as file:
+        if "virtual" in kind:
+            rows = None if kind == "endless virtual" else 30
+            layout = h5py.VirtualLayout((30, 7), "f8", maxshape=(rows, 7))
+            source = h5py.VirtualSource(tmp_path / "other.h5", "data", (30, 7), maxshape=(rows, 7))
+            if rows is None:
+                layout[: h5py.h5s.UNLIMITED] = source[: h5py.h5s.UNLIMITED]
+            else:
+                layout[:] = source
+            file.create_virtual_dataset("data", layout)
+        else:
+            record = np.dtype([(name, "f4") for name in ("t", "ax", "ay", "az")])
+            dtype = record if kind == "records" else "u1"
+            shape = (64,) if kind == "records" else (64, 7)
+            file.create_dataset("data", shape, dtype, external=[(str(secret), 0, 2048)])
+    if kind == "MATLAB 7.3":
+        with path.open("r+b") as raw:
+            raw.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
+    with refused(RecordingError, Reason.DAMAGED, "data", "other files", key="table_arrays.damaged"):
+        read_tables([path], rate_hz=100)
+
+
+def test_links_to_other_files_are_not_followed(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py", reason="extra hdf5")
+    with h5py.File(tmp_path / "other.h5", "w") as other:
+        other["data"] = np.ones((30, 7))
+    with h5py.File(tmp_path / "table.h5", "w") as file:
+        file["data"] = h5py.ExternalLink(str(tmp_path / "other.h5"), "data")
+    with refused(RecordingError, Reason.BAD_DATA, key="table_arrays.no_columns"):
+        read_tables([tmp_path / "table.h5"], rate_hz=100)

@@ -1,0 +1,244 @@
+"""Sessions and folders of somebody else: links, pipes, names that are no UTF-8. Nothing hangs, nothing outside is touched."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from types import FrameType
+
+import pytest
+import tomli_w
+
+from imufield.acquire.instrument.connected import ConnectOptions
+from imufield.acquire.recording.session import LOCK_FILE, Session
+from imufield.cli.run import run
+from imufield.commands.terminal.resume import connect_as_before
+from imufield.errors import ProtocolError, Reason, RecordingError, UsageError
+from imufield.pipeline.chain import SCHEME_FILE
+from tests.commands.told import fails, failure
+from tests.refused import refused
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes with a name and links")
+
+RESULTS = "parameters.verification.json"
+LONGEST_S = 20
+NOT_UTF8 = os.fsdecode(b"caf\xe9")
+READERS = (
+    "solve S -o out.toml",
+    "export-data S -o out.csv",
+    "replay S",
+    "noise S -o out.csv",
+    "report S --output out.html --record record.html",
+    "verify S S -o out.json",
+    "export S --to c -o out.h",
+)
+
+
+@pytest.fixture
+def session(solved_session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    shutil.copytree(solved_session, tmp_path / "S")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path / "S"
+
+
+@pytest.fixture(autouse=True)
+def _in_time() -> Iterator[None]:
+    def too_late(number: int, frame: FrameType | None) -> None:
+        raise AssertionError("it hangs")
+
+    before = signal.signal(signal.SIGALRM, too_late)
+    # Several commands a test, on a busy machine.
+    signal.alarm(10 * LONGEST_S)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+def refuses(line: str) -> None:
+    """Run a command that must end with the code of an error, or be content without the file; never with a traceback."""
+    assert run(line.split()) in (0, 2, 4, 5, 6, 7), line
+
+
+@pytest.mark.parametrize(
+    "name", ["session.toml", "part-001.mcap", "parameters.toml", LOCK_FILE, "parameters.verification.json"]
+)
+def test_a_pipe_in_a_session_hangs_nothing(session: Path, name: str) -> None:
+    (session / name).unlink(missing_ok=True)
+    os.mkfifo(session / name)
+    for line in READERS:
+        refuses(line)
+    if name in ("session.toml", "part-001.mcap"):
+        fails("solve S -o out.toml", 4, Reason.DAMAGED if name == "session.toml" else Reason.NOT_A_RECORDING, "pipe")
+        fails("export-data S -o out.csv", 4, Reason.DAMAGED if name == "session.toml" else Reason.NOT_A_RECORDING, "pipe")
+
+
+@pytest.mark.parametrize("name", ["session.toml", "part-001.mcap", "parameters.toml"])
+def test_a_link_in_a_session_is_not_followed(session: Path, name: str) -> None:
+    (session / name).rename(session.parent / "outside")
+    (session / name).symlink_to("../outside")
+    line = "export S --to c -o out.h" if name == "parameters.toml" else "solve S -o out.toml"
+    error = failure(*line.split())
+    assert "link" in error.message
+
+
+def test_a_lock_that_is_a_link_destroys_nothing(session: Path) -> None:
+    victim = session.parent / "victim"
+    for content in (b"precious", None):
+        if content is None:
+            victim.unlink()
+        else:
+            victim.write_bytes(content)
+        (session / LOCK_FILE).unlink(missing_ok=True)
+        (session / LOCK_FILE).symlink_to("../victim")
+        opened = Session.open(session)
+        assert not opened.is_being_recorded
+        with refused(RecordingError, Reason.FOREIGN, LOCK_FILE, "link", key="files.no_file"), opened.lock():
+            pass
+        assert (victim.read_bytes() if victim.exists() else None) == content
+
+
+def test_no_file_of_a_session_is_written_through_a_link(session: Path) -> None:
+    victim = session.parent / "victim"
+    made = ["samples.csv", "report.html", "calibration-record.html", "parameters.toml", RESULTS]
+    for name in made:
+        (session / name).unlink(missing_ok=True)
+        (session / name).symlink_to("../victim")
+    victim.write_bytes(b"precious")
+    for line in ("solve S", "export-data S", "report S", "verify S S"):
+        run(line.split())
+        assert victim.read_bytes() == b"precious", line
+    for name in ("session.toml", "part-002.mcap"):
+        (session / name).unlink(missing_ok=True)
+        (session / name).symlink_to("../victim")
+    run(["capture", "--resume", "--session", "S"])
+    assert victim.read_bytes() == b"precious"
+
+
+def edit(session: Path, **changes: object) -> None:
+    content = tomllib.loads((session / "session.toml").read_text())
+    (session / "session.toml").write_text(tomli_w.dumps(content | changes))
+
+
+def test_a_session_names_no_file_elsewhere(session: Path) -> None:
+    (session.parent / "mine.toml").write_text("[[position]]\nup = [0, 0, 1]\n")
+    edit(session, scheme=str(session.parent / "mine.toml"))
+    fails("solve S -o out.toml", 4, Reason.DAMAGED, "session.toml", "scheme", key="chain.scheme")
+    edit(session, scheme=SCHEME_FILE)
+    (session / SCHEME_FILE).symlink_to("../mine.toml")
+    fails("solve S -o out.toml", 2, Reason.USAGE, SCHEME_FILE, "link", key="positions.cannot_read")
+
+
+def test_a_session_opens_no_address_that_writes_files(session: Path) -> None:
+    victim = session.parent / "victim"
+    edit(session, link={"port": f"spy:///dev/null?file={victim}"})
+    with refused(UsageError, Reason.USAGE, "--port", key="resume.port"):
+        connect_as_before(ConnectOptions(), Session.open(session))
+    assert not victim.exists()
+    for port in ("/dev/ttyUSB0", "COM3", "socket://192.168.1.5:4001"):
+        edit(session, link={"port": port})
+        assert connect_as_before(ConnectOptions(), Session.open(session)).port == port
+
+
+@pytest.mark.parametrize("name", ["/etc/hosts", "../outside.dbc", "beside.dbc"])
+def test_a_protocol_reads_no_dbc_elsewhere(tmp_path: Path, name: str) -> None:
+    from imufield.acquire.protocol.protocol import load_protocol
+
+    (tmp_path / "outside.dbc").write_text("")
+    (tmp_path / "P").mkdir()
+    (tmp_path / "P" / "beside.dbc").symlink_to("../outside.dbc")
+    path = tmp_path / "P" / "p.toml"
+    path.write_text(f'format = "imufield-protocol"\nversion = 1\nkind = "can"\n[can]\ndbc = "{name}"\n')
+    key = "protocol.no_dbc" if name == "beside.dbc" else "protocol.dbc_elsewhere"
+    with refused(ProtocolError, Reason.BAD_PROTOCOL, name, key=key):
+        load_protocol(path)
+
+
+def test_history_writes_and_reads_through_no_link(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from imufield.deliver.history import INDEX_FILE
+
+    victim = session.parent / "victim.json"
+    victim.write_text(json.dumps({"version": 6, "files": {}}))
+    (session / INDEX_FILE).symlink_to("../victim.json")
+    os.mkfifo(session / "pipe.toml")
+    assert run(["history", "S"]) == 0
+    assert json.loads(victim.read_text()) == {"version": 6, "files": {}}
+    (session / INDEX_FILE).unlink()
+    os.mkfifo(session / INDEX_FILE)
+    assert run(["history", "S"]) == 0
+    assert "STIM" in capsys.readouterr().out.upper()
+
+
+def test_means_come_through_a_pipe(session: Path) -> None:
+    rows = tomllib.loads((session / "parameters.toml").read_text())["position"]
+    means = "ax,ay,az\n" + "".join(",".join(map(str, row["mean_raw"])) + "\n" for row in rows)
+    Path("means.csv").write_text(means)
+    os.mkfifo("means")
+    writer = threading.Thread(target=lambda: Path("means").write_text(means), daemon=True)
+    writer.start()
+    assert run(["solve", "--observations", "means", "-o", "piped.toml", "--latitude", "48"]) == 0
+    writer.join()
+    assert run(["solve", "--observations", "means.csv", "-o", "file.toml", "--latitude", "48"]) == 0
+    piped, file = (tomllib.loads(Path(name).read_text()) for name in ("piped.toml", "file.toml"))
+    assert piped["session"]["sha256"] == file["session"]["sha256"]
+    assert str(piped["accelerometer"]) == str(file["accelerometer"])
+
+
+def imufield(*arguments: object) -> subprocess.CompletedProcess[bytes]:
+    """Run the real program, whose standard output is what matters here."""
+    command = [sys.executable, "-m", "imufield", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, check=False, timeout=10 * LONGEST_S)
+
+
+def test_names_that_are_no_utf8(session: Path) -> None:
+    folder = session.parent / NOT_UTF8
+    try:
+        session.rename(folder)
+    except OSError:
+        pytest.skip("this file system has names of UTF-8 alone")
+    for arguments in (
+        ("solve", folder),
+        ("export-data", folder, "-o", f"{NOT_UTF8}.csv"),
+        ("import", f"{NOT_UTF8}.csv", "-o", "again"),
+        ("report", folder),
+        ("history", session.parent, "--csv", "table.csv"),
+    ):
+        done = imufield(*arguments)
+        assert done.returncode == 0, done.stderr
+        assert b"Traceback" not in done.stderr
+    assert tomllib.loads((folder / "parameters.toml").read_text("utf-8"))["session"]["name"] == "caf\ufffd"
+    assert "caf\ufffd/parameters.toml" in Path("table.csv").read_text("utf-8")
+    # What is printed for a script is the name that can be opened.
+    found = imufield("history", session.parent, "--at", "2026-01-01").stdout
+    assert Path(os.fsdecode(found.strip())).is_file()
+    # The second time from the index.
+    assert imufield("history", session.parent).returncode == 0
+
+
+def test_a_path_beyond_the_limit_is_refused_before_the_work(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    deep = session.parent
+    # One level at a time: no longer path is taken at once.
+    for _ in range(25):
+        os.chdir(deep)
+        deep = Path("d" * 200)
+        deep.mkdir()
+    shutil.copy(session / "parameters.toml", deep)
+    os.chdir(session.parent)
+    assert run(["history", "."]) == 0
+    assert "left out" in capsys.readouterr().err
+    error = fails(["solve", "S", "-o", "/".join(["d" * 200] * 25) + "/p.toml"], 5, Reason.USAGE, key="files.long_name")
+    assert "position" not in error.message
+
+
+@pytest.mark.parametrize("line", ["solve S -o out.toml", "export-data S -o out.csv", "replay S"])
+def test_one_answer_where_the_copy_of_the_protocol_is_damaged(session: Path, line: str) -> None:
+    content = tomllib.loads((session / "session.toml").read_text())
+    edit(session, protocol=content["protocol"] | {"text": "no = [protocol"})
+    assert run(line.split()) == 0
