@@ -287,6 +287,7 @@ def live(session: Session, kind: Kind, script: Script) -> Reading:
                 view=NoView(),  # type: ignore[arg-type]
                 keyboard=Keys(link),  # type: ignore[arg-type]
                 clock=clock,
+                check=lambda: None,
             )
             try:
                 loop.run()
