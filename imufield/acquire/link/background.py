@@ -27,6 +27,7 @@ class ReopenableLink(Link, Protocol):
 
     def reopen(self) -> bool:
         """Try to open it again; False while it is not there."""
+        ...
 
 
 class BackgroundLink:
