@@ -150,7 +150,7 @@ def numpy_trap(path: Path) -> None:
             member.write(bytes(8_000_000))
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not limit the memory of a process")
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux enforces RLIMIT_AS, by which a reader is limited")
 @pytest.mark.parametrize("write", [hdf5_trap, parquet_trap, numpy_trap])
 def test_a_small_file_that_unpacks_to_gigabytes(tmp_path: Path, write: Writer) -> None:
     path = written(tmp_path, write)
