@@ -4,10 +4,24 @@ from __future__ import annotations
 
 import atexit
 import ctypes
+import fcntl
 import os
 import resource
 import signal
+import termios
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+
+
+def do(calls: Iterable[Sequence[object]]) -> None:
+    """Call functions of this module, each given as its name and its arguments."""
+    for name, *values in calls:
+        globals()[str(name)](*values)
+
+
+def take_terminal() -> None:
+    """Make standard input the terminal that controls this session."""
+    fcntl.ioctl(0, termios.TIOCSCTTY, 0)
 
 
 def limit_file_size(size: int) -> None:

@@ -30,7 +30,7 @@ from imufield.simulate.truth.imu import Imu
 from imufield.simulate.truth.operator import OperatorSettings
 from imufield.simulate.truth.source import VirtualImu
 from imufield.simulate.wire.stim300 import Stim300Format
-from tests.commands import at_start as before
+from tests.commands import at_start
 
 IMUFIELD = [sys.executable, "-m", "imufield"]
 AT_START = dict(os.environ)
@@ -68,7 +68,7 @@ class Program:
         return subprocess.CompletedProcess(process.args, process.returncode, output, error)
 
     def start(self, *arguments: object, variables: dict[str, str] | None = None, **options: Any) -> subprocess.Popen[str]:
-        """Start the program; ``terminal`` makes its standard input the terminal that controls it, ``at_start`` as in forks."""
+        """Start the program; ``at_start`` as in forks."""
         streams: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
         process = self._open(map(str, arguments), self.environment(variables), {**streams, **options})
         self.started.append(process)
@@ -79,9 +79,9 @@ class Program:
 
         if can_fork({name: value for name, value in variables.items() if AT_START.get(name) != value}, options):
             return Forked([*arguments], cwd=self.folder, env=variables, text=True, **options)
-        at_start = options.pop("at_start", None)
-        if at_start:
-            options["preexec_fn"] = lambda: getattr(before, at_start[0])(*at_start[1:])
+        calls = options.pop("at_start", ())
+        if calls:
+            options["preexec_fn"] = lambda: at_start.do(calls)
         return subprocess.Popen([*IMUFIELD, *arguments], cwd=self.folder, env=variables, text=True, **options)
 
     def emulate(self, *options: object, driver: str = "stim300", speed: float = SPEED, rate_hz: float = RATE_HZ) -> str:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import array
 import atexit
 import contextlib
-import fcntl
 import gc
 import importlib
 import io
@@ -21,7 +20,6 @@ import signal
 import socket
 import struct
 import sys
-import termios
 import threading
 from typing import Any
 
@@ -102,15 +100,11 @@ def run_command(wanted: dict[str, Any], descriptors: array.array[int]) -> int:
         os.dup2(descriptor, number)
     # What is open here would keep others waiting, and a file that the program opens has the number it would have.
     os.closerange(3, MOST_DESCRIPTORS)
-    if wanted["terminal"]:
-        fcntl.ioctl(0, termios.TIOCSCTTY, 0)
     os.chdir(wanted["folder"])
     os.environ.clear()
     os.environ.update(wanted["environment"])
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    if wanted["at_start"]:
-        function, *values = wanted["at_start"]
-        getattr(importlib.import_module("at_start"), function)(*values)
+    importlib.import_module("at_start").do(wanted["at_start"])
     encoding = sys.__stdout__.encoding if sys.__stdout__ else "utf-8"
     for number, (name, errors) in enumerate((("stdin", "strict"), ("stdout", "strict"), ("stderr", "backslashreplace"))):
         stream = open(number, "w" if number else "r", encoding=encoding, errors=errors, closefd=False)  # noqa: SIM115

@@ -13,14 +13,14 @@ import socket
 import struct
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 SERVER = Path(__file__).with_name("fork_server.py")
 # Variables that an interpreter reads at its start, and libraries at their import.
-READ_AT_START = ("PYTHON", "LC_", "LANG", "OPENBLAS", "MPL", "TYPER", "FORCE_COLOR", "PY_COLORS", "TERMINAL_WIDTH")
+READ_AT_START = ("PYTHON", "LC_", "LANG", "OPENBLAS", "TYPER", "FORCE_COLOR", "PY_COLORS", "TERMINAL_WIDTH")
 ENDED_UNSEEN = 1 << 8
 
 
@@ -53,13 +53,11 @@ def server() -> socket.socket:
 class Forked(subprocess.Popen[str]):
     """``imufield`` with these arguments, as ``subprocess.Popen`` would start it.
 
-    ``terminal`` makes stdin its terminal; ``at_start`` names a function of ``at_start.py`` and its arguments, called first.
+    ``at_start`` names functions of ``at_start.py``, each with its arguments, that are called first.
     """
 
-    def __init__(
-        self, arguments: list[str], *, terminal: bool = False, at_start: tuple[object, ...] = (), **options: Any
-    ) -> None:
-        self._terminal, self._at_start = terminal, at_start
+    def __init__(self, arguments: list[str], *, at_start: Iterable[Sequence[object]] = (), **options: Any) -> None:
+        self._at_start = [*at_start]
         self._report = -1
         super().__init__(arguments, **options)
 
@@ -72,7 +70,6 @@ class Forked(subprocess.Popen[str]):
             "folder": str(folder),
             "environment": environment,
             "session": rest[5],
-            "terminal": self._terminal,
             "at_start": self._at_start,
         }
         socket.send_fds(server(), [json.dumps(wanted).encode()], [*streams, report])

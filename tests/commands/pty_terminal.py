@@ -10,6 +10,7 @@ import select
 import struct
 import termios
 import time
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ class Terminal:
         program: Program,
         *arguments: object,
         variables: dict[str, str] | None = None,
-        at_start: tuple[object, ...] = (),
+        at_start: Iterable[Sequence[object]] = (),
     ) -> None:
         self._master, self._slave = pty.openpty()
         self._is_open = True
@@ -40,8 +41,7 @@ class Terminal:
             stdout=self._slave,
             stderr=self._slave,
             start_new_session=True,
-            terminal=True,
-            at_start=at_start,
+            at_start=[("take_terminal",), *at_start],
         )
         self.raw = ""
         """All that was sent, control sequences included."""

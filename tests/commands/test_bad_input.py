@@ -187,7 +187,7 @@ def test_a_port_that_another_program_holds(program: Program) -> None:
 
 def test_no_permission(program: Program, wire: tuple[int, str]) -> None:
     Path(wire[1]).chmod(0)
-    ended = program.run("capture", "--port", wire[1], at_start=("give_up_privileges",))
+    ended = program.run("capture", "--port", wire[1], at_start=[("give_up_privileges",)])
     assert ended.returncode == LINK
     assert not missing(one_sentence(ended.stderr), wire[1], "usermod")
 
@@ -233,7 +233,7 @@ def test_unplugged_while_capturing(program: Program) -> None:
 def test_disk_full_while_recording(program: Program) -> None:
     port = program.emulate("--positions", "none", rate_hz=2000)
     arguments = ("record", "--port", port, "--driver", "stim300", "--clock-speed", 16)
-    ended = program.run(*arguments, at_start=("limit_file_size", 1_000_000))
+    ended = program.run(*arguments, at_start=[("limit_file_size", 1_000_000)])
     assert ended.returncode == RECORDING
     assert not missing(one_sentence(ended.stderr), "part-001.mcap", "space")
     assert bytes_on_disk(only_session(program.folder)) > 300_000
@@ -241,7 +241,7 @@ def test_disk_full_while_recording(program: Program) -> None:
 
 def test_disk_full_while_capturing(program: Program) -> None:
     port = program.emulate("--positions", "none", rate_hz=2000)
-    ended = program.run(*program.capture(port), at_start=("limit_file_size", 1_000_000))
+    ended = program.run(*program.capture(port), at_start=[("limit_file_size", 1_000_000)])
     assert ended.returncode == RECORDING
     assert "space" in one_sentence(ended.stderr)
     session = only_session(program.folder)
@@ -257,7 +257,7 @@ def test_disk_full_at_a_desk(furnished: Program, arguments: str, code: int) -> N
     rows = np.random.default_rng(0).normal(0, 1, (20_000, 6)).round(4)
     np.savetxt(furnished.folder / "rows.csv", rows, fmt="%.4f", delimiter=",", header="ax,ay,az,gx,gy,gz", comments="")
     before = sorted((furnished.folder / "whole").iterdir())
-    ended = furnished.run(*arguments.split(), at_start=("limit_file_size", 10_000))
+    ended = furnished.run(*arguments.split(), at_start=[("limit_file_size", 10_000)])
     assert ended.returncode == code, ended.stderr
     assert "space" in one_sentence(ended.stderr)
     assert sorted((furnished.folder / "whole").iterdir()) == before
@@ -319,7 +319,7 @@ def test_interrupted(program: Program, command: str, number: signal.Signals) -> 
 def test_nohup_lets_a_recording_go_on_when_the_terminal_is_closed(program: Program) -> None:
     port = program.emulate("--positions", "none")
     arguments = ("record", "--port", port, "--json", "--clock-speed", 16)
-    process = program.start(*arguments, at_start=("ignore_hangup",))
+    process = program.start(*arguments, at_start=[("ignore_hangup",)])
     assert process.stdout is not None
     assert '"recording"' in process.stdout.readline()
     process.send_signal(signal.SIGHUP)

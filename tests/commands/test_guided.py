@@ -136,7 +136,7 @@ def test_a_full_disk_ends_with_a_sentence_and_a_resume(program: Program, termina
     port = program.show("+x", rate_hz=500)
     options = program.capture(port, "--latitude", 48)
     limit = 500_000
-    full = Terminal(program, *options, at_start=("limit_file_size", limit))
+    full = Terminal(program, *options, at_start=[("limit_file_size", limit)])
     terminals.append(full)
     assert full.wait() == 4
     part = newest(program).parts[-1].relative_to(program.folder)

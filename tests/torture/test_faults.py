@@ -60,7 +60,7 @@ def test_disk_full_again_and_again(program: Program, campaign: Campaign) -> None
     times, kept = campaign.times(2, 40), set[str]()
     for number in range(times):
         limit = rng.randrange(20_000, 250_000) if campaign.full else 80_000
-        ended = program.run(*capture_into(program, port, folder, POSITIONS), at_start=("limit_file_size", limit))
+        ended = program.run(*capture_into(program, port, folder, POSITIONS), at_start=[("limit_file_size", limit)])
         if ended.returncode == 0:
             times = number
             break
@@ -144,7 +144,7 @@ def test_read_only_folders(program: Program, solved_session: Path, campaign: Cam
         (PARAMETERS, ("export", closed / "session" / "parameters.toml", "--to", "c", "-o", closed / "out.h")),
     )
     for code, command in commands:
-        ended = program.run(*command, at_start=("give_up_privileges",))
+        ended = program.run(*command, at_start=[("give_up_privileges",)])
         assert ended.returncode == code, (command[0], ended.stderr)
         assert "ermission" in sentence_of(ended.stderr) or "cannot be written" in sentence_of(ended.stderr)
     assert {path: path.read_bytes() for path in closed.rglob("*") if path.is_file()} == before

@@ -199,7 +199,8 @@ class StampClock:
             return stamps
         wraps = self._wraps + np.cumsum(_steps(stamps, before) < -(self._modulus // 2))
         self._wraps = int(wraps[-1])
-        return stamps + wraps * self._modulus
+        unwrapped: Ticks = np.add(stamps, wraps * self._modulus)
+        return unwrapped
 
 
 def _steps(values: NDArray[_Number], before: float) -> NDArray[_Number]:

@@ -28,6 +28,7 @@ class ReopenableLink(Link, Protocol):
 
     def reopen(self) -> bool:
         """Try to open it again; False while it is not there."""
+        ...
 
 
 class BackgroundLink:
@@ -113,7 +114,8 @@ class BackgroundLink:
                 chunk = self._link.read()
                 if chunk is not None:
                     self._put(chunk)
-        except Exception as error:  # noqa: BLE001 - top of a thread: raised again by ``read``
+        # Whatever it is, ``read`` raises it: an error that ended only this thread would leave the reader waiting for ever.
+        except Exception as error:  # noqa: BLE001
             self._put(error)
 
     def _put(self, item: Chunk | Exception) -> None:

@@ -165,8 +165,8 @@ def open_bus(address: BusAddress, bit_rate: int | None = None) -> can.BusABC:
         options["bitrate"] = bit_rate
     try:
         bus = can.Bus(address.channel, address.interface, ignore_config=True, **options)
-    # What python-can raises where the driver of an interface, or the package for it, is not installed.
     except can.CanInterfaceNotImplementedError as error:
+        # The driver of the interface, or the package that holds it, is not installed.
         missing = sentence("can.no_driver", interface=address.interface, cause=error)
         raise UsageError(missing, Reason.MISSING_PACKAGE) from error
     except _OPEN_FAILURES as error:

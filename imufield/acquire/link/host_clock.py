@@ -17,9 +17,11 @@ class HostClock(Protocol):
 
     def monotonic_s(self) -> float:
         """Return seconds since some fixed moment; never steps back."""
+        ...
 
     def utc_ns(self) -> int:
         """Return nanoseconds since 1970-01-01 UTC; steps when the operator or NTP sets the clock."""
+        ...
 
     def sleep(self, duration_s: float) -> None:
         """Wait ``duration_s`` seconds of this clock."""

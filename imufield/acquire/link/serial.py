@@ -71,15 +71,18 @@ class Port(Protocol):
     @property
     def in_waiting(self) -> int:
         """Bytes that can be read at once; only 0 or 1 on sockets."""
+        ...
 
     def read(self, size: int = 1, /) -> bytes:
         """Return at most ``size`` bytes within the time-out."""
+        ...
 
     def write(self, data: bytes, /) -> int | None:
         """Send all bytes within the write time-out."""
 
     def fileno(self) -> int:
         """Return the descriptor, where there is one."""
+        ...
 
     def reset_input_buffer(self) -> None:
         """Throw away what arrived and was not read."""

@@ -86,6 +86,7 @@ class Parts(Protocol):
     @property
     def parts(self) -> list[Path]:
         """Paths of the parts, in order."""
+        ...
 
 
 class EndOfRecordingError(LinkError):

@@ -148,7 +148,8 @@ class Recorder:
             self._sync()
         except OSError as error:
             self._fail(_cannot_write(self.path, error))
-        except Exception as error:  # noqa: BLE001 - top of a thread: a defect here must reach the caller, too
+        # A defect, too, must end the recording at its next chunk: one that ended only this thread would lose all that follows.
+        except Exception as error:  # noqa: BLE001
             self._fail(error)
         finally:
             with suppress(OSError):

@@ -38,19 +38,24 @@ class Problem(Protocol):
     @property
     def start(self) -> FloatArray:
         """Coordinates to start from, shape (n,)."""
+        ...
 
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Lower and upper limits, shape (n,) each; infinite where there are none."""
+        ...
 
     def cost(self, candidates: FloatArray) -> FloatArray:
         """Cost of a whole population, shape (c, n) -> (c,); inf where the model cannot be inverted."""
+        ...
 
     def residuals(self, z: FloatArray) -> FloatArray:
         """Weighted residuals, shape (n,) -> (m,)."""
+        ...
 
     def jacobian(self, z: FloatArray) -> FloatArray:
         """Return the derivative of ``residuals``, shape (n,) -> (m, n)."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,3 +90,4 @@ class Solver(Protocol):
         self, problem: Problem, /, *, rng: np.random.Generator | None = None, callback: Callback | None = None
     ) -> SolverResult:
         """Solve the problem."""
+        ...

@@ -118,7 +118,7 @@ def judge(
 ) -> tuple[Requirement, ...]:
     """Return every requirement with what was measured, NaN where it was not."""
     # NaN meets no requirement: what was not measured is not proven.
-    measured = dict.fromkeys(REQUIREMENTS, math.nan)
+    measured: dict[str, float] = dict.fromkeys(REQUIREMENTS, math.nan)
     if left_out is not None:
         measured["residual-ug"] = left_out.rms_m_s2 / MICRO_G_M_S2
     if navigation is not None:

@@ -55,9 +55,9 @@ class RoughScale:
     @property
     def triads(self) -> tuple[tuple[str, str, float], tuple[str, str, float]]:
         """Name, unit and raw rate per unit of both triads, for people: in the raw unit where the scale is not known."""
-        force = ("m/s^2", self.accelerometer) if self.accelerometer else ("raw unit", 1.0)
-        rate = ("rad/s", self.gyroscope) if self.gyroscope else ("raw unit", 1.0)
-        return ("accelerometer", *force), ("gyroscope", *rate)
+        force: tuple[str, float] = ("m/s^2", self.accelerometer) if self.accelerometer else ("raw unit", 1.0)
+        rate: tuple[str, float] = ("rad/s", self.gyroscope) if self.gyroscope else ("raw unit", 1.0)
+        return ("accelerometer", force[0], force[1]), ("gyroscope", rate[0], rate[1])
 
     def per_axis(self, accelerometer_m_s2: float, gyroscope_rad_s: float, *, missing: float) -> FloatArray:
         """Return SI amounts in raw units, shape (6,), ``missing`` where the scale is not known."""

@@ -139,10 +139,7 @@ class CanEmulator(EmulatorCore):
         if unavailable.any():
             invalid = np.uint32(Status.ACCELEROMETER_INVALID | Status.GYROSCOPE_INVALID)
             samples = replace(samples, status=np.where(unavailable, samples.status | invalid, samples.status))
-        frames = [
-            replace(frame, time_s=self._start_wall_s + frame.time_s / self.settings.speed)
-            for frame in self.encoder.encode(samples)
-        ]
+        frames = self.encoder.encode(samples)
         self.samples_sent += len(samples)
         if self._is_gone:
             self.injector.counts["frames_while_off"] += len(frames)
@@ -152,12 +149,17 @@ class CanEmulator(EmulatorCore):
             self._send_pending()
 
     def _send_pending(self) -> None:
-        self._bus.send(self._pending)
+        self._send(self._pending)
         self.frames_sent += len(self._pending)
         self._pending = []
 
+    def _send(self, frames: list[Frame]) -> None:
+        """Send frames of the instrument's time with stamps of the host's clock."""
+        begin_s, speed = self._start_wall_s, self.settings.speed
+        self._bus.send([replace(frame, time_s=begin_s + frame.time_s / speed) for frame in frames])
+
     def _go_away(self) -> None:
-        self._bus.send(error_burst(self.time_s))
+        self._send(error_burst(self.time_s))
 
     def _come_back(self) -> None:
         """Do nothing: the next frames are sent."""

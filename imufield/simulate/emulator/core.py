@@ -220,7 +220,8 @@ class EmulatorCore(ABC):
     def _run(self) -> None:
         try:
             self._serve()
-        except Exception as error:  # noqa: BLE001 - top of a thread: kept for whoever asks
+        # Raised again by who waits for the end: an error in this thread alone would pass for a stream that is over.
+        except Exception as error:  # noqa: BLE001
             self.failure = error
         finally:
             self._finished.set()

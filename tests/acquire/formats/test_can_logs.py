@@ -202,7 +202,7 @@ def zeros_packed(mebibytes: int) -> bytes:
     return first + again * (mebibytes - 1) + end + struct.pack(">HH", (mebibytes << 20) % 65521, 1)
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not limit the memory of a process")
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux enforces RLIMIT_AS, by which a reader is limited")
 def test_mf4_that_asks_for_too_much_memory_is_refused(tmp_path: Path) -> None:
     pytest.importorskip("asammdf")
     assert len(zlib.decompress(zeros_packed(3))) == 3 << 20

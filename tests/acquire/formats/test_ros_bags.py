@@ -135,7 +135,7 @@ def test_other_files_are_none(tmp_path: Path) -> None:
         read_tables([tmp_path / "head.bag"])
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not limit the memory of a process")
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux enforces RLIMIT_AS, by which a reader is limited")
 def test_a_small_recording_that_unpacks_to_gigabytes(tmp_path: Path) -> None:
     path = tmp_path / "trap.mcap"
     packed = zstandard.ZstdCompressor().compress(bytes(1 << 20))

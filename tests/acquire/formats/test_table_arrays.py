@@ -166,7 +166,7 @@ def numpy_trap_of_many(path: Path) -> None:
         np.savez(file, *[np.zeros(2)] * 5000)
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not limit the memory of a process")
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux enforces RLIMIT_AS, by which a reader is limited")
 @pytest.mark.parametrize("write", [hdf5_trap, parquet_trap, numpy_trap])
 def test_a_small_file_that_unpacks_to_gigabytes(tmp_path: Path, write: Writer) -> None:
     path = written(tmp_path, write)
@@ -182,7 +182,7 @@ def test_more_than_the_reader_would_hand_over(tmp_path: Path, write: Writer, fac
         read_tables([path])
 
 
-@pytest.mark.skipif(not hasattr(signal, "SIGPROF"), reason="other systems do not limit the time of a process")
+@pytest.mark.skipif(not hasattr(signal, "SIGPROF"), reason="Windows has no SIGPROF, by which a reader is timed")
 def test_a_reader_that_computes_for_ever(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "scipy.py").write_text("import signal\nsignal.setitimer(signal.ITIMER_PROF, 0.1)\nwhile True: pass\n")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))

@@ -8,11 +8,10 @@ import pytest
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.formats import table_text
 from imufield.acquire.formats.table_columns import named_column
-from imufield.acquire.formats.tables import ImportedTable, read_tables, write_rows
+from imufield.acquire.formats.tables import read_tables, write_rows
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.errors import ImufieldError, Reason, RecordingError, UsageError
-from imufield.sentences import Sentence
 from tests.acquire.table_files import ACCELEROMETER, GYROSCOPE, RNG, TIME, N, text_of, write
 from tests.refused import refused
 
@@ -240,66 +239,6 @@ def test_gzip_is_known_by_its_content(tmp_path: Path) -> None:
         read_tables([path])
 
 
-def keys_of(table: ImportedTable) -> set[str]:
-    return {sentence.key for sentence in table.assumptions if isinstance(sentence, Sentence)}
-
-
-def test_two_files_with_the_same_times_are_joined_as_they_are(tmp_path: Path) -> None:
-    paths = [write(tmp_path, text_of(TIME, ACCELEROMETER), "a.txt"), write(tmp_path, text_of(TIME, GYROSCOPE), "g.txt")]
-    table = read_tables(paths)
-    assert np.array_equal(table.rows[:, :7], np.column_stack([TIME, ACCELEROMETER, GYROSCOPE]))
-    assert "tables.interpolated" not in keys_of(table)
-
-
-def test_files_with_other_times_are_interpolated_and_their_ends_left_out(tmp_path: Path) -> None:
-    other = np.arange(60) * 0.007 + 0.0334
-    line = np.column_stack([2.0 * other, -other, 5.0 + other])
-    paths = [write(tmp_path, text_of(TIME, ACCELEROMETER), "a.txt"), write(tmp_path, text_of(other, line), "g.txt")]
-    table = read_tables(paths)
-    time = table.rows[:, 0]
-    assert np.array_equal(time, TIME[(TIME >= 0.0334 - 0.0035) & (other[-1] + 0.0035 >= TIME)])
-    inside = (time >= other[0]) & (time <= other[-1])
-    expected = np.column_stack([2.0 * time, -time, 5.0 + time])
-    np.testing.assert_allclose(table.rows[inside, 4:7], expected[inside], atol=1e-12)
-    assert {"tables.interpolated", "tables.left_out"} <= keys_of(table)
-
-
-def test_nothing_is_interpolated_across_a_gap(tmp_path: Path) -> None:
-    other = np.delete(TIME + 0.004, slice(20, 30))
-    paths = [write(tmp_path, text_of(TIME, ACCELEROMETER), "a.txt")]
-    paths.append(write(tmp_path, text_of(other, GYROSCOPE[:40]), "g.txt"))
-    kept = np.rint(read_tables(paths).rows[:, 0] * 100.0).astype(int).tolist()
-    # Row 20 is 6 ms behind the last sample before the gap, row 30 is 4 ms before the first one after it.
-    assert kept == [*range(20), *range(30, 50)]
-
-
-def test_files_that_share_no_time_are_refused(tmp_path: Path) -> None:
-    paths = [write(tmp_path, text_of(TIME, ACCELEROMETER), "a.txt"), write(tmp_path, text_of(TIME + 5.0, GYROSCOPE), "g.txt")]
-    with refused(UsageError, Reason.USAGE, "a.txt", "g.txt", "0.49 s"):
-        read_tables(paths)
-
-
-def test_files_without_time_must_have_the_same_rows(tmp_path: Path) -> None:
-    paths = [write(tmp_path, text_of(ACCELEROMETER), "a.txt"), write(tmp_path, text_of(GYROSCOPE), "g.txt")]
-    table = read_tables(paths, rate_hz=100.0)
-    assert np.array_equal(table.rows[:, 1:7], np.column_stack([ACCELEROMETER, GYROSCOPE]))
-    paths.append(write(tmp_path, text_of(GYROSCOPE[:7], header="temp -x- gx\n"), "t.txt"))
-    with refused(UsageError, Reason.USAGE, "t.txt") as caught:
-        read_tables(paths, rate_hz=100.0)
-    assert caught.value.values["missing"] == ["gy", "gz"]
-    paths[1] = write(tmp_path, text_of(GYROSCOPE[:7]), "g.txt")
-    with refused(UsageError, Reason.USAGE, "a.txt", "g.txt") as caught:
-        read_tables(paths[:2], rate_hz=100.0)
-    assert caught.value.values["rows"] == [N, 7]
-
-
-def test_the_same_quantity_twice_is_refused(tmp_path: Path) -> None:
-    header = "t ax ay az\n"
-    paths = [write(tmp_path, text_of(TIME, ACCELEROMETER, header=header), name) for name in ("a.txt", "b.txt")]
-    with refused(UsageError, Reason.USAGE, "b.txt", "ax, ay, az"):
-        read_tables(paths)
-
-
 @pytest.mark.parametrize(
     ("line", "bad", "key", "named"),
     [
@@ -307,10 +246,10 @@ def test_the_same_quantity_twice_is_refused(tmp_path: Path) -> None:
         (1, "0.00 1_0 2.0 9.8", "table_text.no_number", {"text": "1_0"}),
         (7, "0.06 1.0 2.0", "table_text.other_width", {"found": 3, "width": 4}),
         (7, "0.06 1.0 2.0 3.0 4.0", "table_text.other_width", {"found": 5, "width": 4}),
-        (9, "0.08 1.0 nan 9.8", "tables.not_finite", {"name": "ay"}),
-        (9, "0.08 1.0 1e999 9.8", "tables.not_finite", {"name": "ay", "value": np.inf}),
-        (9, "nan 1.0 2.0 9.8", "tables.not_finite", {"name": "time"}),
-        (9, "0.01 1.0 2.0 9.8", "tables.guessed_time_back", {"before": 0.07, "after": 0.01}),
+        (9, "0.08 1.0 nan 9.8", "table_file.not_finite", {"name": "ay"}),
+        (9, "0.08 1.0 1e999 9.8", "table_file.not_finite", {"name": "ay", "value": np.inf}),
+        (9, "nan 1.0 2.0 9.8", "table_file.not_finite", {"name": "time"}),
+        (9, "0.01 1.0 2.0 9.8", "table_file.guessed_time_back", {"before": 0.07, "after": 0.01}),
         (50, "0.49 1.0 --- 9.8", "table_text.no_number", {"text": "---"}),
     ],
 )
@@ -371,7 +310,7 @@ def test_blocks_of_any_size_give_the_same(tmp_path: Path, block_bytes: int, monk
         (b"", "table_text.no_rows", ()),
         (b"\n\n", "table_text.no_rows", ()),
         (b"t ax ay az\n", "table_text.no_rows", ()),
-        (b"0.0 1 2 3\n", "tables.one_row", ("1 row",)),
+        (b"0.0 1 2 3\n", "table_file.one_row", ("1 row",)),
         (b"binary\x00\x01\x02", "table_text.no_text", ("--protocol",)),
         (b"a\nb\nc\nd\n1 2 3\n", "table_text.long_heading", ("4 lines",)),
         (b"t ax ay az\n0 1 2 3\n" + b"1 2 3 4 " * 300_000, "table_text.long_line", ("1048576",)),

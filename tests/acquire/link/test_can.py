@@ -35,7 +35,7 @@ def port() -> int:
     try:
         can.Bus(GROUP, "udp_multicast", port=number).shutdown()
     except (OSError, can.CanError):
-        pytest.skip("this machine has no multicast network")
+        pytest.skip("no interface of this machine routes multicast, which udp_multicast needs")
     return number
 
 
@@ -91,7 +91,7 @@ def test_udp_multicast(port: int) -> None:
 @pytest.fixture
 def slcan() -> Iterator[SlcanDevice]:
     if sys.platform == "win32":
-        pytest.skip("this system has no pseudo-terminals")
+        pytest.skip("Windows has no pseudo-terminals, behind which the adapter is emulated")
     device = SlcanDevice()
     yield device
     device.close()

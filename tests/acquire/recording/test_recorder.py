@@ -139,7 +139,7 @@ def write_until_error(recorder: Recorder, size: int) -> RecordingError:
     raise AssertionError("the recorder never noticed")
 
 
-@pytest.mark.skipif(os.name != "posix", reason="an open file cannot be deleted there")
+@pytest.mark.skipif(os.name != "posix", reason="Windows refuses to delete a file that is open")
 def test_a_deleted_folder_is_noticed(tmp_path: Path) -> None:
     folder = tmp_path / "session"
     folder.mkdir()
@@ -203,7 +203,7 @@ FILL = textwrap.dedent("""
 """)
 
 
-@pytest.mark.skipif(os.name != "posix", reason="file size limits are POSIX")
+@pytest.mark.skipif(os.name != "posix", reason="Windows has no RLIMIT_FSIZE to stand for a full disk")
 @pytest.mark.parametrize("limit", [5_000, 3_000_000])
 def test_a_full_disk_is_an_error_and_what_was_written_stays(tmp_path: Path, limit: int) -> None:
     # A limit on the file size ends a write in its middle, as a full disk does.
@@ -252,7 +252,6 @@ def record_and_kill(path: Path, after_s: float) -> int:
     return int(complete[-1]) if complete else -1
 
 
-@pytest.mark.skipif(os.name != "posix", reason="SIGKILL is POSIX")
 def test_twenty_killed_recorders_lose_at_most_the_last_second(tmp_path: Path) -> None:
     moments = random.Random(20)
     waits_s = [moments.uniform(0.0, 3.0) for _ in range(20)]

@@ -1,0 +1,150 @@
+"""One file of a table: opened by what it starts with, its columns named and checked."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from imufield.acquire.formats.ros_bags import is_bag, read_bag
+from imufield.acquire.formats.table_arrays import ArrayTable, array_kind, read_arrays
+from imufield.acquire.formats.table_columns import (
+    COUNTER,
+    FIELDS,
+    STATUS,
+    TEMPERATURE,
+    TIME,
+    Meaning,
+    columns_by_count,
+    columns_by_header,
+    columns_by_user,
+)
+from imufield.acquire.formats.table_text import TextTable, open_table
+from imufield.errors import Reason, RecordingError
+from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, FloatArray, Status
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
+
+Fields = Mapping[str, FloatArray]
+Source = TextTable | ArrayTable
+"""A file whose columns are known."""
+
+# The flag of a gap, by column.
+_MAY_LACK = dict.fromkeys(ACCELEROMETER_COLUMNS, Status.ACCELEROMETER_INVALID) | dict.fromkeys(
+    GYROSCOPE_COLUMNS, Status.GYROSCOPE_INVALID
+)
+_LIMITS = {STATUS: (0, 2**32 - 1), COUNTER: (-(2**63), 2**63 - 1)}  # Of what is kept in whole numbers.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class File:
+    """Columns of one file by field, in the units that were found or assumed."""
+
+    path: Path
+    fields: dict[str, FloatArray]
+    units: dict[str, str]
+    assumptions: tuple[str, ...]
+    settings: dict[str, str | float] = field(default_factory=dict)
+    raw_zero: tuple[float, float, float] | None = None
+
+
+def open_source(path: Path, topic: str | None) -> Source:
+    """Open a file by what it starts with; raises as ``read_tables``."""
+    if is_bag(path):
+        return read_bag(path, topic)
+    kind = array_kind(path)
+    return open_table(path) if kind is None else read_arrays(kind, path)
+
+
+def meaning_of(source: Source, columns: str | None, number: int, files: int) -> Meaning:
+    """Return what the columns of a file are: by the user, else by its header, else by their number."""
+    if columns is not None:
+        return columns_by_user(source.path, columns, source.width)
+    if source.header is not None:
+        return columns_by_header(source.path, source.header, source.units)
+    return columns_by_count(source.path, source.width, number, files)
+
+
+def file_of(source: Source, meaning: Meaning, values: FloatArray, first_row: int = 0, *, known: Collection[str] = ()) -> File:
+    """Return the columns of rows that were read, the first of which is row ``first_row`` of the file, checked.
+
+    Columns that are ``known`` have numbers in other rows of the file, if not in these.
+    """
+    path = source.path
+    # One row has no rate.
+    if len(values) < 2:
+        raise RecordingError(sentence("table_file.one_row", path=str(path)), Reason.BAD_DATA)
+    fields = {column.field: values[:, place] for place, column in enumerate(meaning.columns)}
+    kept = {name: column for name, column in fields.items() if name == COUNTER or name in known or not is_empty(column)}
+    if not kept.keys() - {COUNTER}:
+        raise RecordingError(sentence("table_file.no_number", path=str(path)), Reason.BAD_DATA)
+    # A column without a number may be left out; half a triad may not.
+    _check_whole_triads(path, fields, kept)
+    _check_whole_numbers(source, kept, first_row)
+    for name, column in kept.items():
+        if name not in (TEMPERATURE, COUNTER, STATUS):
+            _check_finite(source, name, column, kept.get(STATUS), first_row=first_row)
+    _check_no_step_back(source, kept.get(TIME), first_row, is_guess=meaning.is_guess)
+    file = File(path=path, fields=kept, units=meaning.units, assumptions=meaning.assumptions)
+    if isinstance(source, TextTable):
+        return file
+    said = (*source.assumptions, *meaning.assumptions)
+    return replace(file, assumptions=said, settings=source.settings, raw_zero=source.raw_zero)
+
+
+def is_empty(column: FloatArray) -> bool:
+    """Tell whether a column is there by name only: our own export writes empty cells for what is not available."""
+    return bool(np.isnan(column[0]) and np.isnan(column).all())
+
+
+def _check_whole_triads(path: Path, fields: Fields, kept: Fields) -> None:
+    """Refuse an axis without a number beside axes that have some, and a time without one."""
+    for group in (ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, (TIME,)):
+        empty = [name for name in group if name in fields and name not in kept]
+        if empty and (len(empty) < len(group) or group == (TIME,)):
+            raise RecordingError(sentence("table_file.empty", path=str(path), columns=empty), Reason.BAD_DATA)
+
+
+def _fault(key: str, source: Source, row: int, **values: object) -> RecordingError:
+    """Return the error that a row is wrong, with its line."""
+    line, where = source.where(row)
+    return RecordingError(sentence(key, path=str(source.path), line=line, where=where, **values), Reason.BAD_DATA)
+
+
+def _check_finite(source: Source, name: str, column: FloatArray, status: FloatArray | None, *, first_row: int) -> None:
+    """Refuse what is no number, but for the gaps that say of themselves that they are."""
+    wrong = ~np.isfinite(column)
+    if status is not None and name in _MAY_LACK:
+        wrong &= (status.astype(np.int64) & int(_MAY_LACK[name])) == 0
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise _fault("table_file.not_finite", source, first_row + row, value=column[row], name=name)
+
+
+def _check_whole_numbers(source: Source, kept: Fields, first_row: int) -> None:
+    """Refuse flags and counters that are none; a counter may be missing."""
+    for name, (low, high) in _LIMITS.items():
+        if name not in kept:
+            continue
+        column = kept[name]
+        # The upper limit itself is no float64: the next one is beyond it.
+        is_sound = (column == np.rint(column)) & (column >= low) & (column < high + 1)
+        if name == COUNTER:
+            is_sound |= np.isnan(column)
+        if not is_sound.all():
+            row = int(np.argmin(is_sound))
+            limits = {"low": low, "high": high}
+            raise _fault("table_file.no_whole_number", source, first_row + row, value=column[row], name=name, **limits)
+
+
+def _check_no_step_back(source: Source, time: FloatArray | None, first_row: int, *, is_guess: bool) -> None:
+    """Refuse a time that decreases; ``is_guess``: nobody said that the column is the time."""
+    if time is None or not (steps_back := np.diff(time) < 0.0).any():
+        return
+    row = int(np.argmax(steps_back)) + 1
+    key = "table_file.guessed_time_back" if is_guess else "table_file.time_back"
+    example = {"width": source.width, "example": ",".join(FIELDS[: source.width])}
+    raise _fault(key, source, first_row + row, before=time[row - 1], after=time[row], **example)

@@ -1,0 +1,103 @@
+"""Several files of one recording to one table: by their times, or row by row."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from imufield.acquire.formats.table_columns import TIME, choose_time_scale
+from imufield.acquire.formats.table_file import Fields, File
+from imufield.errors import UsageError
+from imufield.samples import FloatArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
+
+_GAP_STEPS = 1.5  # Between two samples further apart than this, in median steps, nothing is interpolated.
+
+
+def join(
+    files: Sequence[File], rate_hz: float | None, time_unit: str | None = None
+) -> tuple[dict[str, FloatArray], dict[str, str], list[str]]:
+    """Bring the columns of all files onto one time in seconds; return them, their units and sentences."""
+    units: dict[str, str] = {}
+    timed: list[dict[str, FloatArray]] = []
+    said: list[str] = []
+    for file in files:
+        doubled = sorted(field for field in file.fields for other in timed if field in other and field != TIME)
+        if doubled:
+            raise UsageError(sentence("table_join.doubled", path=str(file.path), fields=doubled))
+        units = file.units | units
+        timed.append(dict(file.fields))
+    for file, fields in zip(files, timed, strict=True):
+        if TIME in fields:
+            scale, assumption = choose_time_scale(file.path, fields[TIME], time_unit or file.units.get(TIME), rate_hz)
+            said += [assumption] if assumption else []
+            # Seconds stay as they are, to the last bit.
+            if scale != 1.0:
+                fields[TIME] = fields[TIME] * scale
+    names = [file.path for file in files]
+    if all(TIME in fields for fields in timed):
+        joined, joining = _join_by_time(names, timed)
+    else:
+        joined, joining = _join_by_row(names, timed, rate_hz)
+    return joined, units, said + joining
+
+
+def _join_by_time(paths: Sequence[Path], files: Sequence[Fields]) -> tuple[dict[str, FloatArray], list[str]]:
+    """Join files that have a time column each, in seconds; equal times as they are, others by linear interpolation."""
+    time = files[0][TIME]
+    joined = dict(files[0])
+    said: list[str] = []
+    usable = np.ones(len(time), dtype=bool)
+    for path, file in zip(paths[1:], files[1:], strict=True):
+        if np.array_equal(file[TIME], time):
+            joined |= {name: column for name, column in file.items() if name != TIME}
+            continue
+        covered = _covered(time, file[TIME])
+        if not covered.any():
+            spans = [f"{each[0]:.6g} to {each[-1]:.6g} s" for each in (file[TIME], time)]
+            raise UsageError(sentence("table_join.no_common_time", path=str(path), first=paths[0], spans=spans))
+        joined |= {name: np.interp(time, file[TIME], column) for name, column in file.items() if name != TIME}
+        usable &= covered
+        said.append(sentence("table_join.interpolated", name=path.name, first=paths[0].name))
+    if not usable.all():
+        said.append(sentence("table_join.left_out", rows=int((~usable).sum()), of=len(time), first=paths[0].name))
+        joined = {name: column[usable] for name, column in joined.items()}
+    return joined, said
+
+
+def _covered(time: FloatArray, other: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Mark the times between two neighbouring samples of the other file, or within half a sample of one."""
+    if len(other) < 2:
+        return np.zeros(len(time), dtype=bool)
+    # A file with gaps still has its usual step.
+    step = float(np.median(np.diff(other)))
+    after = np.clip(np.searchsorted(other, time), 1, len(other) - 1)
+    before = after - 1
+    is_between = (time >= other[before]) & (time <= other[after]) & (other[after] - other[before] <= _GAP_STEPS * step)
+    is_near = np.minimum(np.abs(time - other[before]), np.abs(time - other[after])) <= 0.5 * step
+    covered: np.ndarray[tuple[int], np.dtype[np.bool_]] = is_between | is_near
+    return covered
+
+
+def _join_by_row(
+    paths: Sequence[Path], files: Sequence[Fields], rate_hz: float | None
+) -> tuple[dict[str, FloatArray], list[str]]:
+    """Join files row by row, because not all of them have a time column."""
+    sizes = [len(next(iter(file.values()))) for file in files]
+    if len(set(sizes)) > 1:
+        listed = [f"{path}: {size}" for path, size in zip(paths, sizes, strict=True)]
+        raise UsageError(sentence("table_join.other_rows", listed=listed, rows=sizes))
+    joined: dict[str, FloatArray] = {}
+    # Of a time in several files the first counts.
+    for file in files:
+        joined = {**file, **joined}
+    if TIME in joined:
+        return joined, [sentence("table_join.by_row")]
+    if rate_hz is None:
+        raise UsageError(sentence("table_join.no_rate", path=str(paths[0])))
+    joined[TIME] = np.arange(sizes[0]) / rate_hz
+    return joined, [sentence("table_join.by_rate", rate_hz=rate_hz)]
