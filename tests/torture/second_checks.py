@@ -96,7 +96,7 @@ def _run(
     program: Program, folder: Path, command: tuple[str, ...], *, on_terminal: bool, interrupt_after_s: float = 0.0
 ) -> _Ran:
     begin_s = time.monotonic()
-    limits = ("limit_and_measure", str(folder / "work" / "home" / "peak"), LONGEST_S)
+    limits = [("limit_and_measure", str(folder / "work" / "home" / "peak"), LONGEST_S)]
     # Lines as they are: a pipe has no width.
     variables = {"TMPDIR": str(folder / "work" / "tmp"), **({} if on_terminal else {"COLUMNS": "5000"})}
     said, code = "", None
