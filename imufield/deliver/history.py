@@ -14,7 +14,7 @@ import io
 import json
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields
 from datetime import UTC, datetime
@@ -25,13 +25,15 @@ import numpy as np
 from imufield.deliver.parameters.file import Parameters, load_found
 from imufield.deliver.parameters.gauge_free import Number, numbers_of
 from imufield.errors import ImufieldError, ParameterFileError, Reason, UsageError
-from imufield.files import Origin, read_small_file, write_atomically
+from imufield.files import Origin, open_to_read, write_atomically
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
 
 INDEX_FILE = ".imufield-history.json"
-INDEX_VERSION = 6  # Of the index alone, which is made anew when it changes.
+INDEX_VERSION = 7  # Of the index alone, which is made anew when it changes.
+_ROW_LIMIT_BYTES = 1 << 16  # Six times the row of a model with every term.
+_INDEX_LIMIT_BYTES = 1 << 28  # Of some 50,000 files.
 STALE_DAYS = 365.0  # The usual interval of calibration; --stale-days says another.
 MOVED_SIGMA = 3.0
 """A larger change is reported: by chance it comes in 1 of 370 numbers."""
@@ -263,31 +265,33 @@ def compare(old: Entry, new: Entry) -> tuple[Change, ...]:
     return tuple(changes)
 
 
-def _read_index(folder: Path) -> dict[str, _Row]:
-    """Return what was read before, by the path in the folder; nothing where the file is no index of ours."""
-    try:
-        document = json.loads(read_small_file(folder / INDEX_FILE, Origin.INSIDE))
-        if document["version"] != INDEX_VERSION:
+def _read_index(folder: Path, names: Collection[str]) -> dict[str, _Row]:
+    """Return what was read before of the files with these names; nothing where the file is no index of ours."""
+    rows: dict[str, _Row] = {}
+    unsound = (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError)
+    with suppress(*unsound), open_to_read(folder / INDEX_FILE, Origin.INSIDE) as file:
+        if json.loads(file.readline(_ROW_LIMIT_BYTES)) != {"version": INDEX_VERSION}:
             return {}
-        return {
-            str(name): _Row(size, changed_ns, str(fault), None if entry is None else Entry.from_index(entry))
-            for name, (size, changed_ns, fault, entry) in document["files"].items()
-        }
-    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
-        return {}
+        # Row by row: an index that somebody made takes no more memory than the files of its folder.
+        while file.tell() < _INDEX_LIMIT_BYTES and (line := file.readline(_ROW_LIMIT_BYTES)):
+            name, size, changed_ns, fault, entry = json.loads(line)
+            if name in names:
+                rows[name] = _Row(size, changed_ns, str(fault), None if entry is None else Entry.from_index(entry))
+    return rows
 
 
 def _write_index(folder: Path, rows: dict[str, _Row]) -> None:
-    listed = {name: (row.size, row.changed_ns, row.fault, row.entry and asdict(row.entry)) for name, row in rows.items()}
+    listed = ((name, row.size, row.changed_ns, row.fault, row.entry and asdict(row.entry)) for name, row in rows.items())
+    # ASCII, so that names of any bytes come back as they were.
+    lines = [json.dumps(line) + "\n" for line in ({"version": INDEX_VERSION}, *listed)]
     # Where the folder is read-only, or full, it is read again the next time.
     with suppress(OSError):
-        # ASCII, so that names of any bytes come back as they were.
-        write_atomically(folder / INDEX_FILE, json.dumps({"version": INDEX_VERSION, "files": listed}).encode("ascii"))
+        write_atomically(folder / INDEX_FILE, "".join(lines).encode("ascii"))
 
 
 def _read_files(folder: Path) -> tuple[list[_Row], list[str], int]:
     """Return what all TOML files say, sentences about what cannot be looked at, and the number of files read now."""
-    before, rows = _read_index(folder), dict[str, _Row]()
+    rows: dict[str, _Row] = {}
     unread: list[str] = []
     read = 0
 
@@ -295,8 +299,10 @@ def _read_files(folder: Path) -> tuple[list[_Row], list[str], int]:
         unread.append(sentence("history.unreadable", path=error.filename, cause=error.strerror))
 
     walk = os.walk(folder, onerror=leave_out)
-    for path in sorted(Path(below, name) for below, _, names in walk for name in names if name.endswith(".toml")):
-        name = path.relative_to(folder).as_posix()
+    found = sorted(Path(below, name) for below, _, names in walk for name in names if name.endswith(".toml"))
+    paths = {path.relative_to(folder).as_posix(): path for path in found}
+    before = _read_index(folder, paths)
+    for name, path in paths.items():
         try:
             state = path.stat()
         except FileNotFoundError:

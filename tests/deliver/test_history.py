@@ -171,7 +171,11 @@ def test_damaged_files_are_named_and_left_out(tmp_path: Path, write) -> None:  #
     assert "a/parameters.toml" in history.faults[0]
 
 
-@pytest.mark.parametrize("content", [b"", b"\xff no index at all", b"[]", b'{"version": 6}', b"[" * 100_000])
+NO_ROWS = [b"7", b"[]", b'["a/parameters.toml", 1, 1, "", 1]', b"[" * 100_000, b" " * 100_000]
+NO_INDEX = [b"", b"\xff no index at all", b"[]", b"[" * 100_000, *(b'{"version": 7}\n' + row for row in NO_ROWS)]
+
+
+@pytest.mark.parametrize("content", NO_INDEX)
 def test_a_spoilt_index_does_no_harm(tmp_path: Path, write, content: bytes) -> None:  # type: ignore[no-untyped-def]
     write("a", "2026-03-04")
     (tmp_path / INDEX_FILE).write_bytes(content)
@@ -194,9 +198,9 @@ def test_an_index_of_another_version_or_program_is_made_anew(  # type: ignore[no
 ) -> None:
     write("a", "2026-03-04")
     before = read_history(tmp_path)
-    document = json.loads((tmp_path / INDEX_FILE).read_text())
-    (document if key in document else document["files"]["a/parameters.toml"][3])[key] = value
-    (tmp_path / INDEX_FILE).write_text(json.dumps(document))
+    header, row = map(json.loads, (tmp_path / INDEX_FILE).read_text().splitlines())
+    (header if key in header else row[4])[key] = value
+    (tmp_path / INDEX_FILE).write_text(f"{json.dumps(header)}\n{json.dumps(row)}\n")
     again = read_history(tmp_path)
     assert again.read == 1
     assert again.instruments == before.instruments
