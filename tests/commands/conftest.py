@@ -33,7 +33,8 @@ from imufield.simulate.wire.stim300 import Stim300Format
 from tests.commands import at_start
 
 IMUFIELD = [sys.executable, "-m", "imufield"]
-AT_START = dict(os.environ)
+# Libraries leave variables behind in this process (Dask: PYTHONHASHSEED), which are nothing to the programs.
+AT_START = {name: value for name, value in os.environ.items() if not name.startswith("IMUFIELD_")}
 SPEED = 16.0
 RATE_HZ = 125.0
 FACES = tuple(position.name for position in scheme("faces6").positions)
@@ -48,11 +49,18 @@ class Program:
 
     folder: Path
     started: list[subprocess.Popen[str]] = field(default_factory=list)
+    variables: dict[str, str] = field(default_factory=dict)
 
     def environment(self, more: dict[str, str] | None = None) -> dict[str, str]:
-        kept = {name: value for name, value in os.environ.items() if not name.startswith("IMUFIELD_")}
         home = str(self.folder / "home")
-        return {**kept, "HOME": home, "XDG_CONFIG_HOME": f"{home}/.config", "COLUMNS": "80", **(more or {})}
+        return {
+            **AT_START,
+            "HOME": home,
+            "XDG_CONFIG_HOME": f"{home}/.config",
+            "COLUMNS": "80",
+            **self.variables,
+            **(more or {}),
+        }
 
     def run(
         self, *arguments: object, variables: dict[str, str] | None = None, timeout_s: float = LONGEST_S, **options: Any

@@ -58,7 +58,7 @@ def test_the_logger_of_the_page(program: Program) -> None:
     assert abs(np.median(samples.temperature_degc) - 25) < 5
 
 
-def test_the_driver_of_the_page(program: Program, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_driver_of_the_page(program: Program) -> None:
     site = program.folder / "site"
     (site / "my_package").mkdir(parents=True)
     (site / "my_package" / "__init__.py").touch()
@@ -68,7 +68,7 @@ def test_the_driver_of_the_page(program: Program, monkeypatch: pytest.MonkeyPatc
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: my-package\nVersion: 1.0\n", encoding="utf-8")
     (about / "entry_points.txt").write_text("[imufield.drivers]\nmy_imu = my_package.my_imu:MyImu\n", encoding="utf-8")
     paths = [str(site), *filter(None, [os.environ.get("PYTHONPATH")])]
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(paths))
+    program.variables["PYTHONPATH"] = os.pathsep.join(paths)
     session = captured(program, ["my_imu"], ["--driver", "my_imu"])
     assert session.metadata["settings"]["columns"]["value"] == "counter,ax,ay,az"
     samples = concatenate(list(session_samples(session, [])))

@@ -81,7 +81,8 @@ class CanClock(Clock):
 
     def push(self, block: RawBlock, arrivals: Arrivals) -> Samples | None:  # noqa: ARG002  frames have their own stamps
         """Return the samples whose time is settled now, None if there are none."""
-        self._pending.append(replace(block, stamp_s=self._continuous(block.stamp_s)))
+        stamp_s = self._continuous(block.stamp_s)
+        self._pending.append(block if stamp_s is block.stamp_s else replace(block, stamp_s=stamp_s))
         return self._release(last=False)
 
     def flush(self) -> Samples | None:

@@ -33,11 +33,13 @@ Ticks = NDArray[np.int64 | np.float64]
 
 NO_TICKS = np.iinfo(np.int64).min
 """Time stamp of a sample that has none, where others have whole numbers; NaN where others have fractions."""
+_ABSENT = np.empty(0)
+_ABSENT_COUNTS = np.empty(0, dtype=np.int64)
 NO_FRAME = -1
 """Place of a frame that is missing."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class RawBlock:
     """n samples that have no time yet. NaN where a value is not available; shape (0,) for what the wire does not have."""
 
@@ -51,35 +53,35 @@ class RawBlock:
     """As sent; ``NO_COUNTER`` where there is none. Shape (n,)."""
     status: NDArray[np.uint32]
     """Shape (n,)."""
-    ticks: Ticks = field(default_factory=lambda: np.empty(0))
+    ticks: Ticks = field(default_factory=lambda: _ABSENT)
     """Time stamp of the instrument as sent. Shape (n,), or (0,) where the protocol has none."""
-    stamp_s: FloatArray = field(default_factory=lambda: np.empty(0))
+    stamp_s: FloatArray = field(default_factory=lambda: _ABSENT)
     """Time stamp that the host or the adapter gave to the frame the sample begins with. Shape (n,), of a bus only."""
-    lost_before: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    lost_before: IntArray = field(default_factory=lambda: _ABSENT_COUNTS)
     """Samples known to be lost just before this one, whatever the counter says (bad lines). Shape (n,), not of a bus."""
-    skipped_before: FloatArray = field(default_factory=lambda: np.empty(0))
+    skipped_before: FloatArray = field(default_factory=lambda: _ABSENT)
     """Bytes passed over just before this sample, as a number of samples. Shape (n,), not of a bus."""
-    stream_end: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    stream_end: IntArray = field(default_factory=lambda: _ABSENT_COUNTS)
     """Offset in the stream just behind the last byte that must be there to know this sample. Shape (n,), not of a bus."""
 
     def __len__(self) -> int:
         return len(self.status)
 
     def __getitem__(self, rows: slice | Flags | NDArray[np.intp]) -> RawBlock:
-        parts = zip(_NAMES, _parts_of(self), strict=True)
-        return RawBlock(**{name: part[rows] if len(part) else part for name, part in parts})
+        return RawBlock(*[part[rows] if len(part) else part for part in _parts_of(self)])
 
 
-_NAMES = tuple(part.name for part in fields(RawBlock))
-_parts_of = attrgetter(*_NAMES)  # Blocks are cut and joined for every read: this is twice as fast as one getattr after another.
+# Blocks are cut and joined for every read: this is twice as fast as one getattr after another.
+_parts_of = attrgetter(*(part.name for part in fields(RawBlock)))
 
 
 def join(blocks: Sequence[RawBlock]) -> RawBlock:
     """Join at least one block."""
     if len(blocks) == 1:
         return blocks[0]
-    columns = zip(_NAMES, zip(*map(_parts_of, blocks), strict=True), strict=True)
-    return RawBlock(**{name: np.concatenate(parts) if any(map(len, parts)) else parts[0] for name, parts in columns})
+    # Of one wire: what the first block lacks no other has.
+    columns = zip(*map(_parts_of, blocks), strict=True)
+    return RawBlock(*[np.concatenate(parts) if len(parts[0]) else parts[0] for parts in columns])
 
 
 class Source(Protocol):

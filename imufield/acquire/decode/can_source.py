@@ -92,7 +92,9 @@ class CanSource:
         if len(places) < len(frames):
             # The assembler counts frames of samples only; from here on all frames of the block count.
             rows = places[rows] if is_complete else np.where(rows == NO_FRAME, NO_FRAME, places[rows])
-        return self._values(frames, rows, is_complete)
+        # Any bits may stand in a float; what is no number is a gap.
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self._values(frames, rows, is_complete)
 
     def _kinds_of(self, frames: CanFrames) -> NDArray[np.int8]:
         """Return the number of the kind of each frame, ``_NO_KIND`` for those of no sample. Shape (n,)."""
@@ -290,10 +292,8 @@ class _KindReader:
         """
         kind, status = self.kind, into.status
         has_gaps = False
-        with np.errstate(over="ignore", invalid="ignore"):
-            # Any bits may stand in a float; what is no number is a gap.
-            for column in kind.columns:
-                has_gaps |= _read_column(column, data, into, rows)
+        for column in kind.columns:
+            has_gaps |= _read_column(column, data, into, rows)
         for at, table in self._flag_tables:
             status[rows] |= table[data[:, at]]
         for flag in self._flags:
@@ -314,7 +314,8 @@ def _read_column(column: Column, data: NDArray[np.uint8], into: Rows, rows: slic
     signal = column.signal
     raw = signal.raw(data)
     out = into.values[column.place] if isinstance(rows, slice) else None
-    scaled: FloatArray = np.multiply(raw, column.factor, out=out, dtype=np.float64)
+    # A float of four bytes is widened before it is multiplied; a whole number becomes a float of eight by itself, sooner.
+    scaled: FloatArray = np.multiply(raw, column.factor, out=out, dtype=np.float64 if signal.is_float else None)
     if column.offset:
         scaled += column.offset
     # One comparison finds that there is nothing to do, which is nearly always so.

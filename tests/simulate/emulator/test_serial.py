@@ -280,6 +280,14 @@ def test_at_another_rate_the_same_motion_goes_on(to_hz: float) -> None:
     np.testing.assert_allclose(after.accelerometer.mean(axis=0), before.accelerometer.mean(axis=0), atol=allowed)
 
 
+def sent_until(emulator: Emulator) -> tuple[int, float]:
+    """Return how many samples were sent and up to when, both of one moment."""
+    while True:
+        sent, time_s = emulator.samples_sent, emulator.time_s
+        if (emulator.samples_sent, emulator.time_s) == (sent, time_s):
+            return sent, time_s
+
+
 def test_rates_go_up_and_down_while_it_runs() -> None:
     device = stim300()
     with Emulator(device, source(), EmulatorSettings(speed=4.0)) as emulator:
@@ -287,10 +295,10 @@ def test_rates_go_up_and_down_while_it_runs() -> None:
         for code, rate_hz in ((0, 125), (4, 2000), (2, 500)):
             os.write(port, b"UTILITYMODE\r" + utility_message(f"$sm,{code}") + utility_message("$xn"))
             until(lambda wanted=rate_hz: device.rate_hz == wanted)  # type: ignore[misc]
-            begin = emulator.samples_sent, emulator.time_s
+            begin = sent_until(emulator)
             until(lambda since=begin[1]: emulator.time_s > since + 2.0)  # type: ignore[misc]
-            sent, elapsed_s = emulator.samples_sent - begin[0], emulator.time_s - begin[1]
-            assert sent == pytest.approx(rate_hz * elapsed_s, rel=0.1)
+            end = sent_until(emulator)
+            assert end[0] - begin[0] == pytest.approx(rate_hz * (end[1] - begin[1]), rel=0.1)
             os.read(port, 65536)
         os.write(port, b"R\r")
         os.close(port)
