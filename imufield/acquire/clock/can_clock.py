@@ -152,7 +152,7 @@ class CanClock(Clock):
         unit = self._rule.counter_modulus // self._counter_step if self._last_counter is not None else 1
         phase = _Phase(period_s=period_s, window_s=window_s, unit=max(unit, 1))
         lag_s = block.stamp_s - np.cumsum(steps) * period_s
-        envelope_s = _minimum_ahead(lag_s, block.stamp_s, window_s)
+        envelope_s = _minimum_ahead(lag_s, block.stamp_s, window_s, len(block))
         phase.base_s = float(envelope_s[0])
         delay_s = float(np.quantile(lag_s - envelope_s, _USUAL_DELAY))
         unit_s = phase.unit * period_s
@@ -186,7 +186,7 @@ class CanClock(Clock):
         """Give the first ``ready`` samples of the block their time, fewer where the rate has changed behind them."""
         number = self._numbers(block, phase)
         lag_s = block.stamp_s - number * phase.period_s
-        envelope_s = np.zeros(ready) if phase.is_blind else _minimum_ahead(lag_s, block.stamp_s, phase.window_s)[:ready]
+        envelope_s = np.zeros(ready) if phase.is_blind else _minimum_ahead(lag_s, block.stamp_s, phase.window_s, ready)
         moved_s = np.diff(envelope_s, prepend=phase.base_s)
         ready = _until_rate_changes(moved_s, phase)
         envelope_s, moved_s = envelope_s[:ready], moved_s[:ready]
@@ -267,20 +267,23 @@ def _settled(stamp_s: FloatArray, window_s: float) -> int:
     return int(np.searchsorted(np.maximum.accumulate(stamp_s), stamp_s.max() - window_s, side="left"))
 
 
-def _minimum_ahead(values: FloatArray, stamp_s: FloatArray, window_s: float) -> FloatArray:
-    """Return the least of each value and those that follow it with stamps within the window. Shape (n,)."""
+def _minimum_ahead(values: FloatArray, stamp_s: FloatArray, window_s: float, count: int) -> FloatArray:
+    """Return the least of each of the first ``count`` values and those that follow it with stamps within the window."""
     order_s = np.maximum.accumulate(stamp_s)
-    begin = np.arange(len(values))
-    end = np.searchsorted(order_s, order_s + window_s, side="right")
+    begin = np.arange(count)
+    end = np.searchsorted(order_s, order_s[:count] + window_s, side="right")
     # The largest power of two that fits into each window; two such stretches, one at either end, cover it.
     power = np.frexp((end - begin).astype(np.float64))[1] - 1
-    least, stretch = values.copy(), values
-    for exponent in range(int(power.max(initial=0)) + 1):
+    least, stretch = values[:count].copy(), values
+    # Nearly always all windows hold about as many samples, and the shorter stretches are steps on the way only.
+    shortest = int(power.min())
+    for exponent in range(int(power.max()) + 1):
         if exponent:
             half = 1 << (exponent - 1)
             stretch = np.minimum(stretch[:-half], stretch[half:])
-        here = power == exponent
-        least[here] = np.minimum(stretch[begin[here]], stretch[end[here] - (1 << exponent)])
+        if exponent >= shortest:
+            here = power == exponent
+            least[here] = np.minimum(stretch[begin[here]], stretch[end[here] - (1 << exponent)])
     return least
 
 

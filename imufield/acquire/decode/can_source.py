@@ -92,9 +92,7 @@ class CanSource:
         if len(places) < len(frames):
             # The assembler counts frames of samples only; from here on all frames of the block count.
             rows = places[rows] if is_complete else np.where(rows == NO_FRAME, NO_FRAME, places[rows])
-        # Any bits may stand in a float; what is no number is a gap.
-        with np.errstate(over="ignore", invalid="ignore"):
-            return self._values(frames, rows, is_complete)
+        return self._values(frames, rows, is_complete)
 
     def _kinds_of(self, frames: CanFrames) -> NDArray[np.int8]:
         """Return the number of the kind of each frame, ``_NO_KIND`` for those of no sample. Shape (n,)."""
@@ -265,6 +263,7 @@ class _KindReader:
         self.bytes_needed = kind.bytes_needed
         self.mask = np.uint32(kind.message.mask)
         self.can_id = np.uint32(kind.message.can_id)
+        self._columns = [(each, min((code.low for code in each.signal.codes), default=None)) for each in kind.columns]
         self._flag_tables, self._flags = _flag_tables(kind.flags)
 
     def data(self, frames: CanFrames, which: IntArray) -> NDArray[np.uint8]:
@@ -292,8 +291,8 @@ class _KindReader:
         """
         kind, status = self.kind, into.status
         has_gaps = False
-        for column in kind.columns:
-            has_gaps |= _read_column(column, data, into, rows)
+        for column, lowest_code in self._columns:
+            has_gaps |= _read_column(column, lowest_code, data, into, rows)
         for at, table in self._flag_tables:
             status[rows] |= table[data[:, at]]
         for flag in self._flags:
@@ -309,17 +308,24 @@ class _KindReader:
         return has_gaps
 
 
-def _read_column(column: Column, data: NDArray[np.uint8], into: Rows, rows: slice | IntArray) -> bool:
-    """Write one value of each frame; tell whether some have none."""
+def _read_column(
+    column: Column, lowest_code: float | None, data: NDArray[np.uint8], into: Rows, rows: slice | IntArray
+) -> bool:
+    """Write one value of each frame; tell whether some have none. ``lowest_code`` is the smallest number that is no value."""
     signal = column.signal
     raw = signal.raw(data)
     out = into.values[column.place] if isinstance(rows, slice) else None
-    # A float of four bytes is widened before it is multiplied; a whole number becomes a float of eight by itself, sooner.
-    scaled: FloatArray = np.multiply(raw, column.factor, out=out, dtype=np.float64 if signal.is_float else None)
+    scaled: FloatArray
+    if signal.is_float:
+        # Any bits may stand in a float; what is no number is a gap.
+        with np.errstate(over="ignore", invalid="ignore"):
+            scaled = np.multiply(raw, column.factor, out=out, dtype=np.float64)
+    else:
+        scaled = np.multiply(raw, column.factor, out=out)
     if column.offset:
         scaled += column.offset
     # One comparison finds that there is nothing to do, which is nearly always so.
-    is_suspect = signal.is_float or bool(signal.codes and raw.max() >= min(code.low for code in signal.codes))
+    is_suspect = signal.is_float or (lowest_code is not None and bool(raw.max() >= lowest_code))
     if is_suspect:
         missing, fault = signal.gaps(raw)
         scaled[missing] = np.nan
