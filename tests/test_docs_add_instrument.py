@@ -74,7 +74,7 @@ def test_a_driver_of_another_package(site: Path) -> None:
     assert "stim300" in drivers
     lines = [f"{number % 256},0.0,{number / 100},1.0\r\n" for number in range(N)]
     (site.parent / "dump.txt").write_text("".join(lines), encoding="ascii", newline="")
-    imported = imufield(site, "import", "dump.txt", "--driver", "my_imu", "-o", "mine")
+    imported = imufield(site, "import", "dump.txt", "--driver", "my_imu", "--rate-hz", "100", "-o", "mine")
     assert imported.returncode == 0, imported.stderr
     assert f"{N} samples" in imported.stderr
     exported = imufield(site, "export-data", "mine", "-o", "out.csv")

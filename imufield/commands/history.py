@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from imufield.commands.options.commands import HistoryOptions
-from imufield.commands.terminal.output import echo, say, write_output
+from imufield.commands.terminal.output import echo, echo_path, say, write_output
 from imufield.deliver.history import (
     Change,
     History,
@@ -93,7 +93,7 @@ def _print_nearest(history: History, options: HistoryOptions) -> None:
         raise UsageError(sentence("history.no_date", at=options.at)) from error
     instrument = one_instrument(history)
     entry = instrument.nearest(at)
-    echo(printable(str(options.folder / entry.path)))
+    echo_path(options.folder / entry.path)
     days = abs((entry.time - at).total_seconds()) / 86400
     old = sentence("history.old", stale_days=options.stale_days) if days > options.stale_days else ""
     # In whole days between the dates, as a person counts them: from evening to morning is a day.

@@ -85,7 +85,7 @@ TYPED = [
     Case("bytes as a table", "import noise.bin", RECORDING, ("noise.bin", "--protocol")),
     Case("noise as a dump", "import noise.bin --protocol stim300", RECORDING, ("noise.bin", "100000 bytes", "--protocol")),
     Case("unknown protocol", "import noise.bin --protocol stim301", USAGE, ("stim301", "stim300")),
-    Case("rate for a dump", "import noise.bin --protocol stim300 --rate-hz 5", USAGE, ("--set",)),
+    Case("rate for a dump", "import noise.bin --protocol stim300 --rate-hz 5", USAGE, ("rate_hz", "2000")),
     Case("unknown format", "export-data whole --to xls", USAGE, ("xls", "csv")),
     Case("export nowhere", "export-data whole -o none/s.csv", RECORDING, ("none/s.csv",)),
     Case("export over a folder", "export-data whole -o folder", RECORDING, ("folder",)),
@@ -380,7 +380,12 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], int, Reason, tuple[str, ...]]
         Reason.UNKNOWN_KEY,
         ("`colour`",),
     ),
-    "unknown scheme": (lambda folder: edit(folder, '"paper24"', '"paper42"'), USAGE, Reason.USAGE, ("paper42", "paper24")),
+    "unknown scheme": (
+        lambda folder: edit(folder, '"paper24"', '"paper42"'),
+        RECORDING,
+        Reason.DAMAGED,
+        ("paper42", "paper24"),
+    ),
 }
 
 

@@ -15,7 +15,7 @@ from imufield.acquire.recording.reader import RecordedEvent, read_session
 from imufield.acquire.recording.session import Session
 from tests.commands.conftest import FACES
 from tests.commands.pty_terminal import Terminal
-from tests.commands.told import says
+from tests.commands.told import missing, says
 
 if TYPE_CHECKING:
     from tests.commands.conftest import Program
@@ -113,6 +113,32 @@ def test_unplugged_and_plugged_in_again(program: Program, terminals: list[Termin
     terminal.type("q")
     assert terminal.wait() == 0
     assert not newest(program).finished
+
+
+@pytest.mark.parametrize(
+    ("driver", "options", "facts"),
+    [("stim300", ("--seed", 2), ("--resume",)), ("witmotion", (), ("10 s",)), ("stim300", ("--seed", 1), ())],
+    ids=["another serial number", "another kind", "the same"],
+)
+def test_who_is_there_behind_a_reconnection(
+    program: Program, terminals: list[Terminal], driver: str, options: tuple[object, ...], facts: tuple[str, ...]
+) -> None:
+    link = program.folder / "imu"
+    port = program.show("+x", "-x", options=("--link", link, "--seed", 1))
+    first = program.started[-1]
+    terminal = open_terminal(terminals, program, *program.capture(port, "--latitude", 48))
+    place = terminal.expect("accepted")
+    first.kill()
+    first.wait()
+    place = terminal.expect("N O   L I N K", after=place)
+    link.unlink(missing_ok=True)
+    program.emulate("--positions", "none", "--link", link, *options, driver=driver)
+    if not facts:
+        terminal.expect("link ok", after=place)
+        terminal.type("q")
+    assert terminal.wait() == (3 if facts else 0)
+    assert not missing(terminal.text, *facts)
+    assert accepted(newest(program)) == ["+x"]
 
 
 def test_a_stopped_process_goes_on_where_it_was(program: Program, terminals: list[Terminal]) -> None:

@@ -100,10 +100,10 @@ class CanClock(Clock):
             jumps = ~((step_s >= -_RESET_S) & (step_s <= _LONGEST_PAUSE_S))
             self._statistics.clock_resets += int(np.count_nonzero(jumps))
             step_s = np.where(np.isfinite(step_s), step_s, 0.0)
-            # The step before takes the place of a jump: it is the same in whatever pieces the frames come.
-            usual_s = np.append(before_s, np.where(jumps, 0.0, np.maximum(step_s, 0.0)))
+            # The last step that was none takes the place of a jump: it is the same in whatever pieces the frames come.
+            usual_s = filled_in(np.maximum(step_s, 0.0), ~jumps, before_s, 0.0)
             self._step_s = float(usual_s[-1])
-            moved_s = np.where(jumps, usual_s[:-1] - step_s, 0.0)
+            moved_s = np.where(jumps, usual_s - step_s, 0.0)
             offset_s: FloatArray = np.cumsum(np.append(self._offset_s, moved_s))[1:]
             self._offset_s = float(offset_s[-1])
             return np.asarray(np.nan_to_num(stamp_s) + offset_s)

@@ -37,9 +37,12 @@ MOST_ENTRIES = 20_000
 """Messages and signals: twice those of whole vehicles. cantools takes 0.1 ms for each."""
 MOST_FORMS = 1 << 16
 """Of multiplexed messages, all together: a selector of 16 bits. cantools makes each of them, in 20 us and 2 kB."""
+_FURTHEST_BIT = 8 * 1785
+"""Of a message of J1939 that takes several frames (J1939-21). cantools makes numbers with as many bits as a signal has."""
 _DEEPEST = 8  # Multiplexers in each other: files of vehicles have two or three.
 _STRING_OR_COMMENT = re.compile(r'"(?:\\"|[^"])*?"|//[^\n]*')
 _ENTRY = re.compile(r"\b(?:BO_\s+\d+\s*\w+|SG_\s+\w+(?:\s+\w+)?)\s*:")
+_BITS = re.compile(r":\s*(\d+)\s*\|\s*(\d+)\s*@")
 _MULTIPLEXED = re.compile(r"\bSG_MUL_VAL_\s+\+?(\d+)\s*(\w+)\s+(\w+)\s*([^;]*);")
 _CHOICES = re.compile(r"\bVAL_\s+\+?(\d+)\s*(\w+)([^;]*);")
 # J1939: below this PDU format 240 the lower byte is a destination address and no part of the group number.
@@ -336,11 +339,15 @@ def compile_signal(signal: Signal, is_j1939: bool = False) -> CanSignal:
 
 
 def _check_extent(text: str, label: str) -> None:
-    """Refuse too many messages and signals, and multiplexers in a circle, or in each other so that there are too many forms."""
+    """Refuse too many messages and signals, signals too long, and multiplexers in a circle or with too many forms."""
     bare = _STRING_OR_COMMENT.sub(lambda found: '""' if found[0].startswith('"') else " ", text)
     entries = sum(1 for _ in _ENTRY.finditer(bare))
     if entries > MOST_ENTRIES:
         raise ProtocolError(sentence("can_dbc.many_entries", label=label, entries=entries, limit=MOST_ENTRIES))
+    for bits in _BITS.findall(bare):
+        start, length = (int(number) if len(number) < 10 else 10**9 for number in bits)
+        if start + length > _FURTHEST_BIT:
+            raise ProtocolError(sentence("can_dbc.far_bit", label=label, start=start, length=length, limit=_FURTHEST_BIT))
     above: dict[tuple[int, str], tuple[str, int]] = {}
     for frame, signal, multiplexer, ranges in _MULTIPLEXED.findall(bare):
         # The second of a range has the sign that parts them.

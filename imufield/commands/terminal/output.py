@@ -14,7 +14,7 @@ import typer
 from imufield.acquire.link.host_clock import HostClock, ScaledClock, SystemClock
 from imufield.errors import UsageError
 from imufield.files import open_to_read, refuse_overwriting, typed_write_errors, write_atomically
-from imufield.sentences import Sentences, printable_lines
+from imufield.sentences import Sentences, printable, printable_lines
 
 sentence = Sentences(__package__)
 
@@ -86,6 +86,12 @@ def echo(text: str = "", *, begin: str = "", end: str = "\n", err: bool = False)
     What controls a terminal in ``text`` came from somebody else and is shown instead; ``begin`` and ``end`` are ours.
     """
     typer.echo(f"{begin}{printable_lines(text)}{end}", nl=False, err=err)
+
+
+def echo_path(path: Path) -> None:
+    """Print a path alone: a script gets what it can open, a terminal what it can show."""
+    text = str(path)
+    typer.echo(printable(text) if sys.stdout.isatty() else text)
 
 
 def say(line: str, *, err: bool = False, indent: int = 0, color: str | None = None) -> None:

@@ -142,6 +142,9 @@ def multiplexed(*statements: str) -> str:
     return f'VERSION ""\nBU_: R\nBO_ 100 Force: 12 R\n{signals}' + "".join(f"SG_MUL_VAL_ 100 {each};\n" for each in statements)
 
 
+FAR_BITS = ("0|2147483648", f"0 | {10**400}", "2147483648|8")
+
+
 @pytest.mark.parametrize(
     ("text", "key"),
     [
@@ -155,6 +158,7 @@ def multiplexed(*statements: str) -> str:
         (multiplexed(*(f"{below} {above} 0-255" for above, below in pairwise("ABCDEFGH"))), "many_forms"),
         (multiplexed("B A 0-65000").replace("SG_MUL", 'VAL_ 100 B 0 "" 1 "";\nSG_MUL'), "many_forms"),
         ("BU_: R\n" + "".join(f"BO_ {2**31 + number} M{number}: 8 R\n" for number in range(40_000)), "many_entries"),
+        *((f'BU_: R\nBO_ 100 M: 8 R\n SG_ A : {bits}@1+ (1,0) [0|0] "" R\n', "far_bit") for bits in FAR_BITS),
         # Behind each slash of a comment without an end cantools looks for one.
         ("/" * 1_000_000, "unreadable"),
     ],

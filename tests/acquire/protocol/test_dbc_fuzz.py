@@ -129,7 +129,7 @@ def test_any_dbc_gives_signals_or_a_sentence() -> None:
         ("8|16@1+ (5e-324,0)", "factor"),
         (f"8|16@1+ ({'9' * 400},0)", "factor"),
         ("8|16@1+ (1,1e308)", "factor"),
-        ("9999999|8@1+ (1,0)", "too_long"),
+        ("9999|8@1+ (1,0)", "too_long"),
     ],
 )
 def test_a_signal_that_gives_no_number_is_refused(signal: str, key: str) -> None:
