@@ -31,6 +31,7 @@ PROJECT = Path(__file__).resolve().parent.parent
 
 # Files of a minute and more. They begin first, or one process works on alone when the others are done.
 LONG = (
+    "torture/test_sequences.py",
     "torture/test_claims.py",
     "test_honesty.py",
     "torture/test_killed.py",

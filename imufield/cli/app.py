@@ -22,8 +22,9 @@ class _Commands(TyperGroup):
             raise
         except Exception as error:
             # typer prints its own errors, whose class has no public name: what they quote may be a name that a shell filled in.
-            if hasattr(error, "message"):
-                error.message = printable_lines(error.message)
+            message = getattr(error, "message", None)
+            if isinstance(message, str):
+                vars(error)["message"] = printable_lines(message)
             raise
 
 

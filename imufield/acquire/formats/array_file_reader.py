@@ -36,6 +36,7 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     import can
+    from can.io.generic import MessageReader
     from rosbags.highlevel import AnyReader
     from rosbags.interfaces import Connection
 
@@ -298,7 +299,7 @@ def write_arrays(kind: str, path: Path, *topic: str) -> None:
     warnings.simplefilter("ignore")
     output = sys.stdout.buffer
     arrays: Arrays = {}
-    head: dict[str, object]
+    head: Mapping[str, object]
     try:
         module, read = READERS[kind]
         importlib.import_module(module)
@@ -373,7 +374,7 @@ def write_frames(suffix: str, path: Path) -> None:
     sys.stdout.flush()
 
 
-def _log_reader(suffix: str, file: IO[bytes]) -> can.io.generic.MessageReader:
+def _log_reader(suffix: str, file: IO[bytes]) -> MessageReader:
     """Return the reader of python-can for a kind of log."""
     import can
 

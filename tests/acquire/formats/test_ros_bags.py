@@ -114,7 +114,7 @@ def test_cut_and_damaged(tmp_path: Path, kind: str) -> None:
     path = write(tmp_path, kind)
     content = path.read_bytes()
     rng = np.random.default_rng(5)
-    for number in range(40):
+    for number in range(12):
         damaged = bytearray(content if number % 2 else content[: rng.integers(20, len(content) - 8)])
         for place in rng.integers(20, len(damaged), 20 if number % 2 else 0):
             damaged[place] = rng.integers(256)
