@@ -26,6 +26,7 @@ ROOMS = (
     ("version", "sentences", "limits"),
     ("errors",),
     ("samples", "earth", "files", "toml_files", "console"),
+    ("json_files",),
     ("acquire/protocol",),
     ("acquire/decode",),
     ("acquire/clock",),

@@ -29,6 +29,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, DataEnd, Footer, Header, Metadata
 
 from imufield.files import utf8_text
+from imufield.json_files import parse_json
 from imufield.sentences import Sentences
 from imufield.version import __version__
 
@@ -198,7 +199,7 @@ def read_metadata(body: bytes) -> tuple[int, dict[str, object]]:
         entries = dict(zip(strings[::2], strings[1::2], strict=False))
         if entries["format"] != FORMAT or int(entries["crc32"]) != zlib.crc32(entries["json"].encode()):
             raise DamageError(sentence("mcap_format.checksum"))
-        version, metadata = int(entries["version"]), json.loads(entries["json"])
+        version, metadata = int(entries["version"]), parse_json(entries["json"])
     except (struct.error, KeyError, ValueError) as error:
         raise DamageError(sentence("mcap_format.unreadable")) from error
     if not isinstance(metadata, dict):

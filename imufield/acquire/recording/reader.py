@@ -24,6 +24,7 @@ from imufield.acquire.recording.mcap_format import ARRIVAL, EVENTS_CHANNEL, LINK
 from imufield.acquire.recording.part_file import Damage as Damage  # noqa: PLC0414  (handed on)
 from imufield.acquire.recording.part_file import PartFile, open_part
 from imufield.errors import LinkError, Reason, UsageError
+from imufield.json_files import parse_json
 from imufield.samples import FloatArray, IntArray
 from imufield.sentences import Sentences
 
@@ -256,7 +257,7 @@ def _is_sound(content: bytes, message: tuple[int, int, int, int]) -> bool:
     channel, _, start, end = message
     if channel == EVENTS_CHANNEL:
         try:
-            is_object = isinstance(json.loads(content[start:end]), dict)
+            is_object = isinstance(parse_json(content[start:end]), dict)
         except ValueError:
             is_object = False
         if not is_object:

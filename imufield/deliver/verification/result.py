@@ -27,6 +27,7 @@ from imufield.deliver.verification.left_out import LeftOutPositions
 from imufield.earth import MICRO_G_M_S2
 from imufield.errors import UsageError
 from imufield.files import Origin, read_small_file, typed_write_errors, write_atomically
+from imufield.json_files import parse_json
 from imufield.sentences import Sentences, printable_values
 
 sentence = Sentences(__package__)
@@ -217,7 +218,7 @@ def write_verification(path: Path, document: Document) -> None:
 def read_verification(path: Path, parameters_sha256: str) -> Document | None:
     """Return the results for parameters of this content; None where there are none, or ``verification_note`` has a reason."""
     try:
-        document = json.loads(read_small_file(path, Origin.INSIDE))
+        document = parse_json(read_small_file(path, Origin.INSIDE))
     except (OSError, ValueError):
         return None
     if not isinstance(document, dict) or document.get("format") != FORMAT or document.get("version") != VERSION:
