@@ -95,7 +95,7 @@ def _capture(port: str, options: DemoOptions, check: Callable[[], None]) -> Capt
         stack.callback(connected.close)
         session = new_session(capture, connected, capture.site)
         stack.enter_context(session.lock())
-        return guided_session(session, connected, clock, capture, check)
+        return guided_session(session, connected, clock, capture, check=check)
 
 
 @contextmanager

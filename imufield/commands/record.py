@@ -12,7 +12,6 @@ from imufield.acquire.instrument.connected import Connected
 from imufield.acquire.instrument.same_stream import SameStream
 from imufield.acquire.link.background import PatientLink
 from imufield.acquire.link.host_clock import HostClock
-from imufield.acquire.link.serial import Chunk
 from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import Session, create_session
 from imufield.commands.options.commands import RecordOptions
@@ -57,9 +56,9 @@ def run_record(options: RecordOptions, clock: HostClock | None = None) -> Sessio
                 _record(connected, intake, clock, options=options)
             except KeyboardInterrupt:
                 # What was read before Ctrl-C still waits in the link.
-                _take(connected.link.drain(), intake)
+                intake.take_rest(connected.link.drain())
                 raise
-            _take(connected.link.drain(), intake)
+            intake.take_rest(connected.link.drain())
         finally:
             # Ctrl-C and a pulled cable end a recording, too: whatever it is, it is complete up to here.
             # Where nothing could be recorded (the folder is gone), that is what has to be told, not what follows from it.
@@ -71,7 +70,8 @@ def run_record(options: RecordOptions, clock: HostClock | None = None) -> Sessio
 
 def _record(connected: Connected, intake: Intake, clock: HostClock, *, options: RecordOptions) -> None:
     # What was heard while connecting is recorded, so its time is part of what was asked for.
-    _take(connected.chunks, intake)
+    for heard in connected.chunks:
+        intake.take(heard)
     told_s = clock.monotonic_s()
     start_s, is_silent = (connected.chunks[0].monotonic_s, False) if connected.chunks else (told_s, True)
     link, was_lost = PatientLink(connected.link, clock, connected.ask_again), False
@@ -92,11 +92,6 @@ def _record(connected: Connected, intake: Intake, clock: HostClock, *, options: 
             _tell_progress(combined(intake.chain.statistics), now_s - start_s, options.as_json)
     if link.lost is not None:
         raise link.lost
-
-
-def _take(chunks: list[Chunk], intake: Intake) -> None:
-    for chunk in chunks:
-        intake.take(chunk)
 
 
 def _tell_progress(counts: DecoderStatistics, elapsed_s: float, as_json: bool) -> None:

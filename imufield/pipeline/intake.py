@@ -31,6 +31,14 @@ class Intake:
             It cannot be written.
         """
         self.stream.check(chunk)
+        return self._keep(chunk)
+
+    def take_rest(self, chunks: list[Chunk]) -> None:
+        """Record what still waits at the end, when nobody asks any more whose it is; RecordingError as ``take``."""
+        for chunk in chunks:
+            self._keep(chunk)
+
+    def _keep(self, chunk: Chunk) -> list[Event]:
         # To the disk first: what fails behind it can be done again from there.
         self.recorder.write_chunk(chunk)
         return self.chain.feed(chunk.data, chunk.monotonic_s, chunk.utc_ns)

@@ -29,7 +29,8 @@ INTERRUPTED = 130
 # What rich and the live views write: colours, the cursor shown and hidden, moved and lines cleared; and what a printable
 # line needs. None of them is among what an attacker puts in.
 _OWN_CONTROL = re.compile(r"\x1b\[(?!5m|8m)[0-9;]*m|\x1b\[\?25[lh]|\x1b\[\d*[ABCDGK]|\x1b\[\d*;?\d*H(?!\x1b)|\x1b\[0?J|\r\n|\n")
-_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
+# The marks that Arabic and Hebrew need, U+061C, U+200E and U+200F, move no letter of others, and stay.
+_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]")
 _READ_ON_PURPOSE = ("hard link", "imufield.toml: a link")
 
 Entry = tuple[object, ...]

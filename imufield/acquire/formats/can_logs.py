@@ -23,6 +23,7 @@ from imufield.acquire.link.serial import WRITE_TIMEOUT_S, Chunk
 from imufield.acquire.protocol.can_frames import ERROR, LATEST_S, MOST_DATA, SENT, Frame, Unpacker, unpack_frames
 from imufield.acquire.recording.reader import EndOfRecordingError, Pacer, RecordingLink
 from imufield.errors import LinkError, Reason, RecordingError, UsageError
+from imufield.files import open_to_read
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -62,8 +63,8 @@ def begins_as_can_log(path: str | Path) -> bool:
     if not heads:
         return False
     try:
-        with array_file_reader.open_log(Path(path)) as file:
-            begin = file.read(_HEAD_BYTES)
+        with open_to_read(path) as file:
+            begin = (array_file_reader.SoundGzip(fileobj=file) if suffixes[-1] == ".gz" else file).read(_HEAD_BYTES)
     except (OSError, EOFError, zlib.error):
         return False
     return any(re.match(head, begin) for head in heads)

@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from imufield.acquire.formats.array_file_reader import DAMAGE, IMU_TYPE, first_line
-from imufield.acquire.formats.table_arrays import ArrayTable, handed_over, missing_package, start_reader
+from imufield.acquire.formats.table_arrays import ArrayTable, handed_over, missing_package, start_reader, unread
 from imufield.acquire.link.host_clock import NANOSECONDS
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.files import Origin, open_to_read
@@ -70,7 +70,7 @@ def read_bag(path: Path, topic: str | None = None) -> ArrayTable:
     except ImportError as error:
         raise missing_package(f"{path} is a recording of ROS, which", "rosbags", "ros", str(error)) from error
     except DAMAGE as error:
-        raise RecordingError(sentence("ros_bags.damaged", path=str(path), cause=first_line(error)), Reason.DAMAGED) from error
+        raise unread(path, error, sentence("ros_bags.damaged", path=str(path), cause=first_line(error))) from error
     rows, cause = arrays["rows"], stated["cause"]
     if cause and not len(rows):
         raise RecordingError(sentence("ros_bags.damaged", path=str(path), cause=cause), Reason.DAMAGED)

@@ -132,11 +132,15 @@ def read_arrays(kind: ArrayKind, path: Path) -> ArrayTable:
     except (RecordingError, UsageError):
         raise
     except array_file_reader.DAMAGE as error:
-        if isinstance(error, OSError) and error.strerror:
-            unreadable = sentence("table_text.unreadable", path=str(path), cause=error.strerror)
-            raise RecordingError(unreadable, Reason.BAD_DATA) from error
         damaged = sentence("table_arrays.damaged", path=str(path), kind=kind.words, cause=array_file_reader.first_line(error))
-        raise RecordingError(damaged, Reason.DAMAGED) from error
+        raise unread(path, error, damaged) from error
+
+
+def unread(path: Path, error: Exception, damaged: str) -> RecordingError:
+    """Return why nothing was read: what the system says, where it was the system, else that the file is damaged."""
+    if isinstance(error, OSError) and error.strerror:
+        return RecordingError(sentence("table_text.unreadable", path=str(path), cause=error.strerror), Reason.BAD_DATA)
+    return RecordingError(damaged, Reason.DAMAGED)
 
 
 def start_reader(kind: str, path: Path, *topic: str, **environment: str) -> subprocess.Popen[bytes]:

@@ -96,7 +96,7 @@ class Connected:
             return chunks
         messages = self.instrument.identify(self.link)
         keep(self.instrument, chunks)
-        found = self.instrument.driver.identity(messages).get("serial_number", known)
+        found = read_identity(self.instrument.driver, messages).get("serial_number", known)
         if found != known:
             # What was changed in the one before must not be undone in this one.
             self.instrument.forget_changes()

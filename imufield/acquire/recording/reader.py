@@ -59,7 +59,7 @@ class RecordedEvent:
     utc_ns: int
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RecordedBlock:
     """Consecutive chunks of k reads, joined.
 
@@ -187,7 +187,8 @@ class _Joiner:
 
     def take(self) -> RecordedBlock:
         ends = np.cumsum(np.fromiter(map(len, self.pieces), dtype=np.int64, count=len(self.pieces)))
-        block = RecordedBlock(b"".join(self.pieces), ends, np.array(self.times), self.first_utc_ns, self.utc_ns)
+        data, times_s = b"".join(self.pieces), np.array(self.times)
+        block = RecordedBlock(data=data, end=ends, monotonic_s=times_s, first_utc_ns=self.first_utc_ns, utc_ns=self.utc_ns)
         self.pieces, self.times, self.size = [], [], 0
         return block
 

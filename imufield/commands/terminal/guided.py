@@ -147,6 +147,7 @@ def guided_session(
     connected: Connected,
     clock: HostClock,
     options: CaptureOptions,
+    *,
     check: Callable[[], None] = lambda: None,
 ) -> Captured:
     """Run the loop and say what there is and how to go on, also where it is broken off; the reason is passed on.

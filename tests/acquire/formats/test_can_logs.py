@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import gzip
+import os
 import random
 import struct
 import sys
@@ -191,6 +192,13 @@ def test_damaged_mf4_is_an_error_or_a_loss(tmp_path: Path, capfd: pytest.Capture
         with contextlib.suppress(RecordingError):
             assert sum(1 for chunk in read_log(bad) for _ in unpack_frames(chunk.data)) <= len(make_messages())
     assert capfd.readouterr().err == ""
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no named pipes in folders")
+@pytest.mark.parametrize("name", ["x.log", "x.csv", "x.asc", "x.log.gz"])
+def test_a_pipe_by_the_name_of_a_log_hangs_nothing(tmp_path: Path, name: str) -> None:
+    os.mkfifo(tmp_path / name)
+    assert not begins_as_can_log(tmp_path / name)
 
 
 def zeros_packed(mebibytes: int) -> bytes:
