@@ -7,7 +7,6 @@ import gzip
 import json
 import os
 import re
-from collections.abc import Callable
 from pathlib import Path
 
 import can
@@ -16,24 +15,20 @@ import pytest
 from scipy.io import savemat
 
 from imufield.acquire.instrument.can_map import parse_map, protocol_from_dbc
-from imufield.acquire.link.serial import Chunk
-from imufield.acquire.protocol.checksum import make_checksum
 from imufield.acquire.protocol.protocol import Protocol
-from imufield.acquire.recording.recorder import Recorder
-from imufield.acquire.recording.session import Session, create_session
+from imufield.acquire.recording.session import Session
 from imufield.acquire.registry import load_driver
 from imufield.cli.run import run
 from imufield.commands import import_files
 from imufield.commands.options.commands import ImportOptions
 from imufield.deliver.samples.export_data import export_samples
 from imufield.errors import Reason, RecordingError, UsageError
-from imufield.pipeline.chain import Chain, ReadingPlan, part_metadata, replay_into, session_samples
+from imufield.pipeline.chain import Chain, ReadingPlan, replay_into, session_samples
 from imufield.pipeline.table_samples import table_samples
 from imufield.samples import NO_COUNTER, Samples, Status, concatenate, make_samples
 from imufield.simulate.wire.can_frames import CanEncoder
-from tests.commands.told import fails, says
+from tests.commands.told import fails
 from tests.refused import refused
-from tests.simulate.accounting import Wire, random_samples
 
 N = 500
 DBC = """VERSION ""
@@ -209,119 +204,6 @@ def test_a_protocol_that_does_not_exist_is_a_typing_error(tmp_path: Path, capsys
     assert typed("import", tmp_path / "x.bin", "--protocol", "nix", "-o", tmp_path / "mine") == 2
     assert "there is no protocol 'nix'" in capsys.readouterr().err
     assert typed("import", tmp_path / "x.bin", "--driver", "nix", "-o", tmp_path / "mine") == 2
-
-
-def dump_of(wire: Wire, path: Path, count: int = 400) -> Path:
-    """Write what an instrument sends in samples of its usual rate."""
-    choice = wire.choose()
-    path.write_bytes(wire.device().encode(random_samples(choice.protocol, choice.rate_hz, 0, count)).data.tobytes())
-    return path
-
-
-def lines_of(path: Path, columns: int) -> Path:
-    path.write_text("".join(",".join([str(number)] + ["0.5"] * (columns - 1)) + "\n" for number in range(400)))
-    return path
-
-
-# What is imported as bytes, and whether a rate must be told.
-DUMPS = (
-    (lambda path: dump_of(Wire("witmotion", "uart"), path), "witmotion", (), True),
-    (lambda path: dump_of(Wire("vectornav_ascii", "VNIMU"), path), "vectornav_ascii", (), True),
-    (lambda path: lines_of(path, 3), "text", ("columns=ax,ay,az",), True),
-    (lambda path: lines_of(path, 4), "text", ("columns=counter,ax,ay,az",), True),
-    (lambda path: lines_of(path, 4), "text", ("columns=time,ax,ay,az",), False),
-    (lambda path: dump_of(Wire("stim300", ""), path), "stim300", ("accelerometer_range_g=10",), False),
-    (lambda path: dump_of(Wire("kvh_17xx", "A"), path), "kvh_17xx", ("rate_hz=500",), False),
-)
-
-
-@pytest.mark.parametrize(("make", "protocol", "settings", "asks"), DUMPS)
-def test_a_dump_has_its_own_time_or_asks_for_the_rate(
-    tmp_path: Path, make: Callable[[Path], Path], protocol: str, settings: tuple[str, ...], asks: bool
-) -> None:
-    path = make(tmp_path / "dump.bin")
-    given = [part for text in settings for part in ("--set", text)]
-    command = ["import", str(path), "--protocol", protocol, *given]
-    if not asks:
-        assert typed(*command, "-o", tmp_path / "mine") == 0
-        return
-    fails(
-        [*command, "-o", str(tmp_path / "mine")], 2, Reason.UNITS, str(path), "--rate-hz", key="import_files.dump_without_time"
-    )
-    assert not (tmp_path / "mine").exists()
-    for name, rate in (("long", ("--rate-hz", 40)), ("set", ("--set", "rate_hz=40"))):
-        assert typed(*command, *rate, "-o", tmp_path / name) == 0
-        time_s = imported(tmp_path / name).time_s
-        np.testing.assert_allclose(np.diff(time_s), 1 / 40, rtol=1e-9)
-        setting = Session.open(tmp_path / name).record.settings["rate_hz"]
-        assert (setting.value, setting.origin) == (40.0, "given")
-    fails([*command, "--rate-hz", "40", "--set", "rate_hz=50"], 2, Reason.USAGE, "40", "50", key="import_files.two_rates")
-
-
-def test_a_real_recording_without_time_asks_for_the_rate(tmp_path: Path, shared_folder: Path) -> None:
-    path = shared_folder / "captures" / "vectornav_binary" / "vn100_F00294_mixed_log.bin"
-    command = ["import", str(path), "--driver", "vectornav_binary", "-o", str(tmp_path / "mine")]
-    fails(command, 2, Reason.UNITS, "vn100_F00294_mixed_log.bin", key="import_files.dump_without_time")
-    assert typed(*command, "--rate-hz", 10) == 0
-    assert imported(tmp_path / "mine").time_s[-1] == pytest.approx(9.8)
-
-
-def test_a_protocol_of_ones_own_says_its_rate(tmp_path: Path) -> None:
-    path, protocol = lines_of(tmp_path / "dump.txt", 3), tmp_path / "mine.toml"
-    head = 'format = "imufield-protocol"\nversion = 1\nname = "mine"\ntitle = "mine"\nmanual = "mine"\nkind = "text"\n'
-    head += '[text]\ncolumns = "ax,ay,az"\n[samples]\naccelerometer = { fields = ["ax", "ay", "az"], unit = "g" }\n[clock]\n'
-    protocol.write_text(head)
-    command = ["import", str(path), "--protocol", str(protocol), "-o", str(tmp_path / "session")]
-    fails(command, 2, Reason.UNITS, "rate_hz", "[clock]", key="import_files.protocol_without_time")
-    protocol.write_text(head + "rate_hz = 50\n")
-    assert typed(*command) == 0
-    assert imported(tmp_path / "session").time_s[50] == 1.0
-
-
-def of_other_kinds(path: Path) -> Path:
-    """Write what a receiver sends whose corrected data are logged instead of raw ones."""
-    dump_of(Wire("novatel_oem7", "IMURATECORRIMUS"), path, 766)
-    # Short header of an INSPVAS: length 88, number 508.
-    frame = bytes.fromhex("AA 44 13 58 FC 01") + bytes(6 + 88)
-    crc = make_checksum("CRC-32/ISO-HDLC", start=0, final=0)
-    path.write_bytes((frame + int(crc.of(frame)).to_bytes(4, "little")) * 62 + path.read_bytes())
-    return path
-
-
-def test_frames_without_samples_are_named_and_counted(tmp_path: Path) -> None:
-    path = of_other_kinds(tmp_path / "dump.bin")
-    command = ["import", str(path), "--driver", "novatel_oem7", "-o", str(tmp_path / "mine")]
-    facts = ("828 good frames", "766 IMURATECORRIMUS, 62 INSPVAS", "log RAWIMUSX", "imu=corrected")
-    fails(command, 4, Reason.NO_FRAMES, str(path), *facts, key="import_files.frames_without_samples")
-    assert not (tmp_path / "mine").exists()
-    # A session of the same bytes, as a recording makes it whose instrument was told otherwise meanwhile.
-    protocol = load_driver("novatel_oem7").load_protocol()
-    told = {"name": protocol.name, "sha256": protocol.sha256, "text": protocol.text}
-    session = create_session(tmp_path / "recorded", tmp_path, "oem7", {"kind": "record", "protocol": told})
-    with Recorder(session.add_part(), part_metadata(protocol, {})) as recorder:
-        recorder.write_chunk(Chunk(path.read_bytes(), 1.0, 1))
-    for name in ("solve", "export-data", "replay"):
-        fails([name, str(session.folder)], 4, Reason.BAD_DATA, str(session.folder), *facts, key="damage.other_frames")
-
-
-def test_what_an_instrument_has_corrected_is_read_and_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = of_other_kinds(tmp_path / "dump.bin")
-    folder = tmp_path / "mine"
-    assert typed("import", path, "--driver", "novatel_oem7", "--set", "imu=corrected", "-o", folder) == 0
-    advice = load_driver("novatel_oem7").load_protocol({"imu": "corrected"}).samples.advice
-    assert says(capsys.readouterr().err, "acquire.instrument", "connected.corrected", advice=advice)
-    assert len(imported(folder)) == 766
-    assert Session.open(folder).record.settings["imu"].value == "corrected"
-    assert typed("export-data", folder) == 0
-    for name in ("solve", "replay"):
-        fails([name, str(folder)], 6, Reason.GRAVITY, "RAWIMUSX", key="chain.corrected")
-
-
-def test_a_real_recording_of_other_frames(tmp_path: Path, shared_folder: Path) -> None:
-    path = shared_folder / "captures" / "novatel_oem7" / "oem7_ins1_inspvas_corrimus.bin"
-    command = ["import", str(path), "--driver", "novatel_oem7", "-o", str(tmp_path / "mine")]
-    kinds = "243 INSPVAS, 29 INSSTDEV, 10 CORRIMUS, 2 INSCONFIG"
-    fails(command, 4, Reason.NO_FRAMES, kinds, key="import_files.frames_without_samples")
 
 
 def test_sentences_about_cells_are_short_and_have_a_remedy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
