@@ -2,29 +2,27 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, cast
 
 import typer
 from typer.core import TyperGroup
 
 from imufield.cli.command import make_command
 from imufield.commands.options import commands
-from imufield.errors import ImufieldError
 from imufield.sentences import printable_lines
 from imufield.version import __version__
+
+# What typer raises for a wrong command line. The class has a public name in some versions only; this one has it in all.
+_UsageError = cast("type[Exception]", typer.BadParameter.__bases__[0])
 
 
 class _Commands(TyperGroup):
     def invoke(self, ctx: typer.Context) -> object:  # type: ignore[override]  # typer names the base of it
         try:
             return super().invoke(ctx)
-        except ImufieldError:
-            raise
-        except Exception as error:
-            # typer prints its own errors, whose class has no public name: what they quote may be a name that a shell filled in.
-            message = getattr(error, "message", None)
-            if isinstance(message, str):
-                vars(error)["message"] = printable_lines(message)
+        except _UsageError as error:
+            # What it quotes may be a name that a shell filled in, and typer prints it itself.
+            vars(error)["message"] = printable_lines(str(vars(error)["message"]))
             raise
 
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import errno
 import os
 import signal
+import subprocess
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -97,16 +99,22 @@ def test_a_killed_capture_goes_on_where_it_was(program: Program, terminals: list
     assert len(newest(program).parts) == 2
 
 
-def test_unplugged_and_plugged_in_again(program: Program, terminals: list[Terminal]) -> None:
-    link = program.folder / "imu"
-    first = program.emulate("--positions", "faces6", "--hold-s", 6, "--link", link)
-    emulator = program.started[-1]
-    terminal = open_terminal(terminals, program, *program.capture(first, "--latitude", 48))
+def unplug(terminal: Terminal, emulator: subprocess.Popen[str], link: Path) -> int:
+    """Take the instrument away behind the first position; return where the screen says that it is gone."""
     place = terminal.expect("accepted")
     emulator.kill()
     emulator.wait()
     place = terminal.expect("N O   L I N K", after=place)
     link.unlink(missing_ok=True)
+    return place
+
+
+def test_unplugged_and_plugged_in_again(program: Program, terminals: list[Terminal]) -> None:
+    link = program.folder / "imu"
+    first = program.emulate("--positions", "faces6", "--hold-s", 6, "--link", link)
+    emulator = program.started[-1]
+    terminal = open_terminal(terminals, program, *program.capture(first, "--latitude", 48))
+    place = unplug(terminal, emulator, link)
     program.emulate("--positions", "faces6", "--hold-s", 6, "--link", link)
     place = terminal.expect("link ok", after=place)
     terminal.expect("of 6 done", after=place)
@@ -127,11 +135,7 @@ def test_who_is_there_behind_a_reconnection(
     port = program.show("+x", "-x", options=("--link", link, "--seed", 1))
     first = program.started[-1]
     terminal = open_terminal(terminals, program, *program.capture(port, "--latitude", 48))
-    place = terminal.expect("accepted")
-    first.kill()
-    first.wait()
-    place = terminal.expect("N O   L I N K", after=place)
-    link.unlink(missing_ok=True)
+    place = unplug(terminal, first, link)
     program.emulate("--positions", "none", "--link", link, *options, driver=driver)
     if not facts:
         terminal.expect("link ok", after=place)
