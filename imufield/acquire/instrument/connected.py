@@ -83,18 +83,23 @@ class Connected:
         finally:
             self.link.close()
 
-    def ask_again(self, first: Chunk) -> list[Chunk]:
-        """Ask behind a reconnection who is there; return what is to be read in the place of the first chunk that came.
+    def ask_again(self, chunks: list[Chunk]) -> None:
+        """Ask behind a reconnection who is there; ``chunks``, the first one that came, becomes what is to be read in its place.
 
         Raises
         ------
         LinkError
             The instrument has another serial number than before (``FOREIGN``), or the link is gone again.
         """
-        known, chunks = self.identity.get("serial_number"), [first]
+        known = self.identity.get("serial_number")
         if self.instrument is None or not known:
-            return chunks
-        messages = self.instrument.identify(self.link)
+            return
+        try:
+            messages = self.instrument.identify(self.link)
+        except (LinkError, KeyboardInterrupt):
+            # The stream does not go on behind the answers, so nothing of it has to give way to them.
+            chunks += self.instrument.chunks
+            raise
         keep(self.instrument, chunks)
         found = read_identity(self.instrument.driver, messages).get("serial_number", known)
         if found != known:
@@ -102,7 +107,6 @@ class Connected:
             self.instrument.forget_changes()
             other = sentence("connected.other_instrument", port=self.link.name, known=known, found=found)
             raise LinkError(other, Reason.FOREIGN)
-        return chunks
 
     def session_tables(self) -> dict[str, dict[str, object]]:
         """Return the tables of ``session.toml`` that describe instrument, link and protocol."""

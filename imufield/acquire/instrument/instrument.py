@@ -158,8 +158,9 @@ class Instrument:
         decoder = Decoder(load_protocol(self.driver.answers or self.driver.protocol))
         exchange = Exchange(link, decoder, self._clock)
         self.interrupted = any(command.is_last for command in commands)
-        answers = exchange.order(commands) if is_order else exchange.gather(commands)
+        # Kept before it is played: a link that is gone in the middle has brought something, too.
         self.chunks = exchange.chunks
+        answers = exchange.order(commands) if is_order else exchange.gather(commands)
         # Samples that gave way to answers are not lost on the link: what counts begins behind the last answer.
         self.interrupted |= bool(answers) and self.driver.answers_replace_samples
         return answers

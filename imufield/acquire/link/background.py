@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import queue
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Protocol
 
@@ -44,7 +44,7 @@ class BackgroundLink:
         self.name = link.name
         self._link = link
         self._arrived: queue.Queue[Chunk | Exception] = queue.Queue(LONGEST_BACKLOG)
-        self._put_back: list[Chunk] = []
+        self._put_back: list[Chunk | Exception] = []
         self._stopping = threading.Event()
         self._thread = self._started()
 
@@ -56,10 +56,8 @@ class BackgroundLink:
         LinkError
             The link is gone; everything that arrived before was returned.
         """
-        if self._put_back:
-            return self._put_back.pop(0)
         try:
-            item = self._arrived.get(timeout=WAIT_S)
+            item = self._put_back.pop(0) if self._put_back else self._arrived.get(timeout=WAIT_S)
         except queue.Empty:
             return None
         if isinstance(item, Exception):
@@ -68,17 +66,15 @@ class BackgroundLink:
 
     def drain(self) -> list[Chunk]:
         """Return at once what has arrived and was not read yet; an error among it is left out."""
-        chunks, self._put_back = self._put_back, []
+        items, self._put_back = self._put_back, []
         with suppress(queue.Empty):
             while True:
-                item = self._arrived.get_nowait()
-                if isinstance(item, Chunk):
-                    chunks.append(item)
-        return chunks
+                items.append(self._arrived.get_nowait())
+        return [item for item in items if isinstance(item, Chunk)]
 
-    def put_back(self, chunks: list[Chunk]) -> None:
-        """Return these again, in front of what follows."""
-        self._put_back = chunks + self._put_back
+    def put_back(self, items: Sequence[Chunk | Exception]) -> None:
+        """Return these again, in front of what follows; an error among them is raised in its turn."""
+        self._put_back = [*items, *self._put_back]
 
     def write(self, data: bytes) -> None:
         """Send a command; raises as the link does."""
@@ -119,10 +115,12 @@ class BackgroundLink:
             self._put(error)
 
     def _put(self, item: Chunk | Exception) -> None:
-        # Nobody takes chunks any more when the thread is to end.
-        while not self._stopping.is_set():
+        while True:
             with suppress(queue.Full):
                 self._arrived.put(item, timeout=WAIT_S)
+                return
+            # Nobody takes chunks any more when the thread is to end; what there is room for, ``drain`` finds.
+            if self._stopping.is_set():
                 return
 
 
@@ -134,10 +132,11 @@ class PatientLink:
     link : BackgroundLink
     clock : HostClock
     ask : callable
-        Called with the first chunk behind a reconnection, returns what is to be read in its place; refuses another instrument.
+        Called with the first chunk behind a reconnection, in a list where it puts what is to be read instead; refuses another
+        instrument.
     """
 
-    def __init__(self, link: BackgroundLink, clock: HostClock, ask: Callable[[Chunk], list[Chunk]]) -> None:
+    def __init__(self, link: BackgroundLink, clock: HostClock, ask: Callable[[list[Chunk]], None]) -> None:
         self._link = link
         self._clock = clock
         self._ask = ask
@@ -158,9 +157,7 @@ class PatientLink:
                 chunk = self._link.read()
                 if chunk is None or not self._is_new:
                     return chunk
-                # When it sends, and not before: an instrument that starts hears nothing yet.
-                self._link.put_back(self._ask(chunk))
-                self._is_new = False
+                self._ask_behind(chunk)
             except LinkError as error:
                 if error.reason is Reason.FOREIGN:
                     raise
@@ -174,3 +171,18 @@ class PatientLink:
         else:
             self._next_try_s = now_s + RECONNECT_EVERY_S
         return None
+
+    def _ask_behind(self, first: Chunk) -> None:
+        """Ask who is there when it sends, and not before: an instrument that starts hears nothing yet."""
+        chunks, self._is_new = [first], False
+        try:
+            self._ask(chunks)
+        except LinkError as error:
+            if error.reason is Reason.FOREIGN:
+                raise
+            # The link is lost behind what was read.
+            self._link.put_back([error])
+        except KeyboardInterrupt:
+            self._link.put_back(chunks)
+            raise
+        self._link.put_back(chunks)

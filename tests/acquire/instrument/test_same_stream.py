@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -9,11 +10,16 @@ import numpy as np
 import pytest
 
 from imufield.acquire.instrument.connected import Connected
+from imufield.acquire.instrument.instrument import Instrument
 from imufield.acquire.instrument.same_stream import SameStream
+from imufield.acquire.link.background import BackgroundLink, PatientLink
+from imufield.acquire.link.host_clock import SystemClock
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.protocol import load_protocol
+from imufield.acquire.registry import load_driver
 from imufield.errors import LinkError, Reason
 from imufield.samples import Samples, SampleUnits, make_samples
+from tests.acquire.link.test_background import Scripted
 from tests.refused import refused
 
 
@@ -86,13 +92,54 @@ def connected(found: dict[str, str]) -> Connected:
 
 @pytest.mark.parametrize("found", [{"serial_number": "N1"}, {}])
 def test_who_answers_the_same_or_nothing_goes_on(found: dict[str, str]) -> None:
-    first = Chunk(b"first", 1.0, 0)
-    assert [chunk.data for chunk in connected(found).ask_again(first)] == [b"first", b"while asked"]
+    chunks = [Chunk(b"first", 1.0, 0)]
+    connected(found).ask_again(chunks)
+    assert [chunk.data for chunk in chunks] == [b"first", b"while asked"]
 
 
 def test_another_serial_number_ends_the_session_and_nothing_is_put_back_there() -> None:
     one = connected({"serial_number": "N2"})
     with refused(LinkError, Reason.FOREIGN, "port", "N1", "N2", key="connected.other_instrument"):
-        one.ask_again(Chunk(b"first", 1.0, 0))
+        one.ask_again([Chunk(b"first", 1.0, 0)])
     assert one.instrument is not None
     assert not one.instrument.is_changed
+
+
+@pytest.mark.parametrize("driver", ["stim300", "vectornav_binary"])
+def test_what_was_read_counts_where_the_link_goes_while_the_instrument_is_asked(driver: str) -> None:
+    wire, clock = Scripted(b"before", LinkError("gone")), SystemClock()
+    one = replace(connected({}), link=BackgroundLink(wire), instrument=Instrument(load_driver(driver), clock))
+    link = PatientLink(one.link, clock, one.ask_again)
+    heard: list[bytes] = []
+
+    def read_until_lost() -> None:
+        while link.lost is None:
+            chunk = link.read()
+            heard.extend([] if chunk is None else [chunk.data])
+
+    read_until_lost()
+    wire.there, wire.items = True, [b"first", b"while asked", LinkError("gone again")]
+    while link.lost is not None:
+        assert link.read() is None
+    read_until_lost()
+    one.link.close()
+    assert wire.written
+    assert heard == [b"before", b"first", b"while asked"]
+
+
+def test_what_was_read_is_there_where_a_person_ends_it_while_the_instrument_is_asked() -> None:
+    wire, clock = Scripted(LinkError("gone")), SystemClock()
+    one = replace(connected({}), link=BackgroundLink(wire), instrument=Instrument(load_driver("stim300"), clock))
+    link = PatientLink(one.link, clock, one.ask_again)
+    while link.lost is None:
+        link.read()
+
+    def interrupt(_: bytes) -> None:
+        raise KeyboardInterrupt
+
+    wire.there, wire.items, wire.write = True, [b"first"], interrupt  # type: ignore[method-assign]
+    with pytest.raises(KeyboardInterrupt):  # noqa: PT012  whichever read it is
+        while True:
+            link.read()
+    assert [chunk.data for chunk in one.link.drain()] == [b"first"]
+    one.link.close()

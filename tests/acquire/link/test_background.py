@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 import time
 import tty
 from collections.abc import Iterator
@@ -90,6 +91,22 @@ def test_what_was_not_read_is_there_in_the_end() -> None:
     assert read_until(link, 1) == [b"a"]
     link.close()
     assert [chunk.data for chunk in link.drain()] + inner.items == [b"b", b"c"]
+
+
+def test_what_is_read_while_the_link_is_closed_is_there_in_the_end() -> None:
+    begun = threading.Event()
+
+    class Slow(Scripted):
+        def read(self) -> Chunk | None:
+            begun.set()
+            time.sleep(0.2)
+            return super().read()
+
+    inner = Slow(b"a", b"b", b"c")
+    link = BackgroundLink(inner)
+    assert begun.wait(60)
+    link.close()
+    assert [chunk.data for chunk in link.drain()] + inner.items == [b"a", b"b", b"c"]
 
 
 @pytest.fixture
