@@ -81,6 +81,7 @@ class StillnessDetector:
         self.in_hand = False  # Whether ``phase`` and ``stretch`` are those of a unit in the hand.
         self._bias: list[float] = []  # Gyroscope at rest, raw rate, from the last still stretch; empty without a gyroscope.
         self._waiting: list[Cells] = []
+        self._cells_waiting = 0
         self._slot: int | None = None
 
     @property
@@ -156,15 +157,15 @@ class StillnessDetector:
         """Search a quiet window that ends in these cells; return what can be judged now: all cells so far, or none."""
         window = cells_in(FLOOR_S)
         self._waiting.append(cells)
+        self._cells_waiting += len(cells)
         tail = join_cells([*self._waiting[-window:-1], cells])
         for end in range(max(len(tail) - len(cells) + 1, window), len(tail) + 1):
             if is_quiet(tail[end - window : end], self.scale):
                 self._set_floor(measure_floor(tail[end - window : end]))
-                waiting, self._waiting = join_cells(self._waiting), []
+                waiting, self._waiting, self._cells_waiting = join_cells(self._waiting), [], 0
                 return waiting
-        kept = sum(len(part) for part in self._waiting)
-        while kept > cells_in(_LONGEST_WAIT_S):
-            kept -= len(self._waiting.pop(0))
+        while self._cells_waiting > cells_in(_LONGEST_WAIT_S):
+            self._cells_waiting -= len(self._waiting.pop(0))
         return cells[:0]
 
     def _set_floor(self, floor: NoiseFloor) -> None:

@@ -8,7 +8,11 @@ import pytest
 from imufield.guide import refusals
 from imufield.guide.events import NoiseFloorMeasured, RefusalCode, Rejected
 from imufield.guide.lead.state_table import State
-from tests.guide.guided import FACES, faces_session, is_said_by, of, run, values_of
+from imufield.guide.stillness.cells import Cells
+from imufield.guide.stillness.detector import StillnessDetector
+from imufield.guide.stillness.scale import RoughScale
+from imufield.samples import SampleUnits, make_samples
+from tests.guide.guided import FACES, cells_of, faces_session, is_said_by, of, run, values_of
 
 
 def test_even_noise_waited_for_in_vain_is_said_to_be_a_wrong_unit(make_path: Any) -> None:
@@ -89,3 +93,19 @@ def test_waiting_for_quiet_names_a_slow_turn_that_noise_does_not_show(make_path:
     assert events[0].unit == "rad/s"
     # Within 3 s of 5 s the rate strays from its mean by the amplitude at least, and by twice that at most.
     assert np.radians(2.0) < events[0].measured < np.radians(6.0)
+
+
+def test_waiting_long_for_quiet_costs_no_more_with_every_cell(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(5)
+    detector = StillnessDetector(RoughScale(1.0, 1.0))
+    samples = make_samples(np.arange(6_000) / 50.0, rng.normal(0.0, 5.0, (6_000, 3)), None, units=SampleUnits())
+    looked_at: list[int] = []
+    length = Cells.__len__
+    monkeypatch.setattr(Cells, "__len__", lambda cells: looked_at.append(1) or length(cells))
+    spent = []
+    for cells in cells_of(samples[begin : begin + 5] for begin in range(0, len(samples), 5)):
+        looked_at.clear()
+        assert not list(detector.judge(cells))
+        spent.append(len(looked_at))
+    assert len(spent) > 1100
+    assert max(spent[1000:]) <= max(spent[100:200])
