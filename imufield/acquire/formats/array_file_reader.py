@@ -302,7 +302,7 @@ def write_arrays(kind: str, path: Path, *topic: str) -> None:
     head: Mapping[str, object]
     try:
         module, read = READERS[kind]
-        importlib.import_module(module)
+        _load(module)
         size = size_of(path)
         limit_memory(size)
         limit_time(size)
@@ -320,6 +320,14 @@ def write_arrays(kind: str, path: Path, *topic: str) -> None:
     for name in numbers:
         np.lib.format.write_array(pipe, arrays[name], allow_pickle=False)
     output.flush()
+
+
+def _load(module: str) -> None:
+    """Import what reads a file; ImportError whatever that raises, which says nothing of the file."""
+    try:
+        importlib.import_module(module)
+    except DAMAGE as error:
+        raise ImportError(first_line(error)) from error
 
 
 def _check_sound(arrays: Arrays, numbers: list[str], size: int) -> None:
@@ -348,17 +356,26 @@ def _cause(error: BaseException, path: Path) -> str:
 
 def write_frames(suffix: str, path: Path) -> None:
     """Write a line for each frame of a log, and one that says how it ended."""
+    end: Mapping[str, object]
+    try:
+        _load("asammdf" if suffix == ".mf4" else "can")
+        end = _write_each_frame(suffix, path)
+    except ImportError as error:
+        end = {"missing": first_line(error)}
+    sys.stdout.write(json.dumps(end) + "\n")
+    sys.stdout.flush()
+
+
+def _write_each_frame(suffix: str, path: Path) -> Mapping[str, object]:
+    """Write a line for each frame, and return what there is to say of the end."""
     import can
     from can.io.blf import BLFParseError
 
-    if suffix == ".mf4":
-        importlib.import_module("asammdf")
     # The package logs tracebacks besides.
     logging.disable()
     size = size_of(path)
     limit_memory(size)
     limit_time(size)
-    end: dict[str, object] = {}
     try:
         with open_log(path) as file:
             reader = _log_reader(suffix, file)
@@ -367,11 +384,10 @@ def write_frames(suffix: str, path: Path) -> None:
                     limit_time(size)
                 sys.stdout.write(_frame_line(message, suffix))
             if isinstance(reader, can.BLFReader):
-                end = {"frames": reader.object_count, "bytes": reader.file_size}
+                return {"frames": reader.object_count, "bytes": reader.file_size}
     except (*DAMAGE, can.CanError, BLFParseError) as error:
-        end = {"cause": _cause(error, path)}
-    sys.stdout.write(json.dumps(end) + "\n")
-    sys.stdout.flush()
+        return {"cause": _cause(error, path)}
+    return {}
 
 
 def _log_reader(suffix: str, file: IO[bytes]) -> MessageReader:

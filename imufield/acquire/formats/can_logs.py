@@ -121,30 +121,36 @@ def _messages(path: Path, channel: str | None, losses: list[str] | None) -> Iter
     """Yield the frames of one bus, raise or note what is lost behind them."""
     if not path.is_file():
         raise RecordingError(sentence("can_logs.no_file", path=str(path)), Reason.NOT_A_RECORDING)
-    count, lost = 0, ""
-    end: dict[str, Any] = {}
+    chosen, lost = False, ""
+    end: dict[str, Any] = {"read": 0}
     try:
         with closing(_frames(path, end)) as frames:
-            for message in _of_channel(frames, path, channel):
-                if not math.isfinite(message.timestamp) or len(message.data) > MOST_DATA:
-                    raise ValueError(f"a frame at {message.timestamp} s, of {len(message.data)} bytes")
-                count += 1
+            for message in _of_channel(_counted(frames, end), path, channel):
+                chosen = True
                 yield message
-        lost = _missing(path, end, count)
+        lost = _missing(path, end)
     except (UsageError, RecordingError):
         raise
     except array_file_reader.DAMAGE as error:
-        if not count:
-            foreign = sentence("can_logs.from_the_first", path=str(path), cause=error, frames=0)
-            raise RecordingError(foreign, Reason.DAMAGED) from error
-        lost = sentence("can_logs.damaged", path=str(path), frames=count, cause=array_file_reader.first_line(error))
-    if count == 0:
-        key = "can_logs.no_frame" if channel is None else "can_logs.no_frame_of_channel"
-        raise RecordingError(sentence(key, path=str(path), channel=channel), Reason.NOT_A_RECORDING)
-    if lost and losses is None:
+        key = "can_logs.damaged" if end["read"] else "can_logs.from_the_first"
+        lost = sentence(key, path=str(path), frames=end["read"], cause=array_file_reader.first_line(error))
+    if not chosen and (end["read"] or not lost):
+        key = "can_logs.no_frame_of_channel" if end["read"] else "can_logs.no_frame"
+        none = sentence(key, path=str(path), channel=channel, frames=end["read"])
+        raise RecordingError(none, Reason.NOT_A_RECORDING)
+    if lost and (losses is None or not chosen):
         raise RecordingError(lost, Reason.DAMAGED)
     if lost and losses is not None:
         losses.append(lost)
+
+
+def _counted(frames: Iterable[can.Message], end: dict[str, Any]) -> Iterator[can.Message]:
+    """Yield frames that a bus can send, and count those of all buses as what was ``read``."""
+    for message in frames:
+        if not math.isfinite(message.timestamp) or len(message.data) > MOST_DATA:
+            raise ValueError(f"a frame at {message.timestamp} s, of {len(message.data)} bytes")
+        end["read"] += 1
+        yield message
 
 
 def _of_channel(reader: Iterable[can.Message], path: Path, channel: str | None) -> Iterator[can.Message]:
@@ -204,8 +210,8 @@ def _message(line: str) -> can.Message:
     )
 
 
-def _missing(path: Path, end: Mapping[str, Any], count: int) -> str:
-    """Say what is missing at the end of a log that was read to its ``end`` with ``count`` frames; "" for nothing.
+def _missing(path: Path, end: Mapping[str, Any]) -> str:
+    """Say what is missing at the end of a log that was read to its ``end``; "" for nothing.
 
     What a whole BLF file holds stands in its head, or nothing does where the logger was never stopped; its reader stops without
     an error where a file ends in the middle.
@@ -214,15 +220,19 @@ def _missing(path: Path, end: Mapping[str, Any], count: int) -> str:
     ------
     ValueError
         What is wrong, as the reader says.
+    UsageError
+        It could not import what reads the log.
     """
-    here: dict[str, object] = {"path": str(path), "frames": count}
+    here: dict[str, object] = {"path": str(path), "frames": end["read"]}
     size = path.stat().st_size
+    if "missing" in end:
+        raise missing_package(f"{path} is MF4, which", "asammdf", "mf4", end["missing"])
     if "cause" in end:
         raise ValueError(end["cause"])
     if end.get("code") == array_file_reader.TOO_LONG:
         return sentence("can_logs.stuck", limit_s=array_file_reader.longest_s(size), **here)
     if "code" in end:
-        return sentence("can_logs.broken", **here)
+        raise ValueError(f"its reader broke down ({end['code']})")
     if end.get("frames") == 0:
         return sentence("can_logs.never_closed", **here)
     # A packed file that is cut cannot be unpacked to its end, which is an error of its own.

@@ -17,6 +17,7 @@ import can
 import pytest
 
 from imufield.acquire.decoder import Decoder
+from imufield.acquire.formats import array_file_reader
 from imufield.acquire.formats.can_logs import begins_as_can_log, import_log, is_can_log, read_log, replay_to_bus
 from imufield.acquire.link.can import pack_message
 from imufield.acquire.link.serial import Chunk
@@ -237,6 +238,65 @@ def test_mf4_without_its_package_says_what_to_install(tmp_path: Path, monkeypatc
     path.write_bytes(b"MDF     4.10")
     monkeypatch.setitem(sys.modules, "asammdf", None)
     with refused(UsageError, Reason.MISSING_PACKAGE, "asammdf", "pip install 'imufield[mf4]'"):
+        list(read_log(path))
+
+
+@pytest.mark.parametrize("fault", ["ImportError('no such library')", "ValueError('numpy.dtype size changed')"])
+def test_mf4_whose_package_cannot_be_imported_is_not_called_empty(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str
+) -> None:
+    path, package = tmp_path / "drive.mf4", tmp_path / "packages" / "asammdf"
+    path.write_bytes(b"MDF     4.10")
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text(f"raise {fault}\n")
+    monkeypatch.syspath_prepend(package.parent)
+    monkeypatch.setenv("PYTHONPATH", str(package.parent))
+    cause = fault.split("'")[1]
+    with refused(UsageError, Reason.MISSING_PACKAGE, "asammdf", cause, key="table_arrays.broken_package"):
+        list(read_log(path))
+
+
+def two_buses(path: Path) -> None:
+    """Log 3 frames of bus 0 and 2000 of bus 1."""
+    with can.Logger(path) as logger:
+        for number, message in enumerate(make_messages(2003)):
+            message.channel = int(number >= 3)
+            logger(message)
+
+
+def test_a_damage_is_told_by_the_frames_of_all_buses(tmp_path: Path) -> None:
+    path = tmp_path / "two.log"
+    two_buses(path)
+    with path.open("a") as file:
+        file.write("(nan) can0 100#00\n")
+    losses: list[str] = []
+    names = {line.split()[1] for line in path.read_text().splitlines()}
+    for name in names:
+        list(read_log(path, channel=name, losses=losses))
+    assert [(getattr(lost, "key", None), lost.values["frames"]) for lost in losses if isinstance(lost, Sentence)] == [
+        ("can_logs.damaged", 2003)
+    ] * len(names)
+    with refused(RecordingError, Reason.NOT_A_RECORDING, "2003", "vcan7", key="can_logs.no_frame_of_channel"):
+        list(read_log(path, channel="vcan7"))
+
+
+def test_a_log_cut_before_its_first_frame_is_not_called_empty(tmp_path: Path) -> None:
+    path = tmp_path / "cut.blf"
+    two_buses(path)
+    content = path.read_bytes()
+    path.write_bytes(content[:200])
+    with refused(RecordingError, Reason.DAMAGED, str(path), key="can_logs.cut") as caught:
+        list(read_log(path))
+    assert (caught.value.values["frames"], caught.value.values["most"]) == (0, 2003)
+
+
+def test_a_reader_that_ends_before_the_first_frame_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "whole.blf"
+    two_buses(path)
+    dies = tmp_path / "dies.py"
+    dies.write_text("raise SystemExit(3)\n")
+    monkeypatch.setattr(array_file_reader, "__file__", str(dies))
+    with refused(RecordingError, Reason.DAMAGED, str(path), "(3)", key="can_logs.from_the_first"):
         list(read_log(path))
 
 
