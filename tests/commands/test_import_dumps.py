@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from imufield.acquire.instrument.listen import serial_candidates
+from imufield.acquire.instrument.recognise import Listener
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.checksum import make_checksum
 from imufield.acquire.recording.recorder import Recorder
@@ -111,6 +113,30 @@ def test_frames_without_samples_are_named_and_counted(tmp_path: Path) -> None:
         recorder.write_chunk(Chunk(path.read_bytes(), 1.0, 1))
     for name in ("solve", "export-data", "replay"):
         fails([name, str(session.folder)], 4, Reason.BAD_DATA, str(session.folder), *facts, key="damage.other_frames")
+
+
+def of_other_sentences(count: int) -> bytes:
+    """Return lines of a receiver that logs no raw data: an INSPVASA of the maker's reference, and a short one."""
+    crc = make_checksum("CRC-32/ISO-HDLC", start=0, final=0)
+    position = b"INSPVASA,1264,144059.000;1264,144059.002135700,51.116680071,-114.037929194,515.286704183,277.896368884,"
+    position += b"84.915188605,-8.488207941,0.759619515,-2.892414901,6.179554750,INS_ALIGNMENT_COMPLETE"
+    assert crc.of(position) == 0x855D6F76  # as it stands there
+    bodies = [position] * count + [b"INSCONFIGA,COM1,0,66.5,UNKNOWN,1264,144059.000,02000020,b22d,16248;0"] * 2
+    return b"".join(b"%%%s*%08x\r\n" % (body, crc.of(body)) for body in bodies)
+
+
+def test_sentences_without_samples_are_named_and_counted(tmp_path: Path) -> None:
+    path = tmp_path / "dump.txt"
+    path.write_bytes(of_other_sentences(100))
+    command = ["import", str(path), "--driver", "novatel_oem7_ascii", "-o", str(tmp_path / "mine")]
+    facts = ("102 good frames", "100 INSPVASA, 2 INSCONFIGA", "log RAWIMUSXA")
+    fails(command, 4, Reason.NO_FRAMES, str(path), *facts, key="import_files.frames_without_samples")
+    listener = Listener(next(each for each in serial_candidates() if each.name == "novatel_oem7_ascii"))
+    listener.feed(Chunk(path.read_bytes(), 1.0, 1))
+    found = listener.finding()
+    assert found.holds_no_sample
+    assert found.share == 1.0
+    assert getattr(found.reason, "key", "") == "statistics.without_samples"
 
 
 def test_what_an_instrument_has_corrected_is_read_and_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

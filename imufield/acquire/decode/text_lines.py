@@ -99,12 +99,13 @@ class LineReader:
             # However it comes: of one that is not whole yet, the beginning is passed over before its end is there.
             is_too_long = len(line) > LONGEST_LINE
             self._lost += is_too_long
-            text = b"" if is_too_long else line.strip()
+            text, frames = b"" if is_too_long else line.strip(), self._statistics.frames
             row = self._numbers(text) if text and not text.startswith(self._comments) else None
-            if row is None:
-                self._pass_over(len(line) + 1)
-                continue
             self._offset += len(line) + 1
+            if row is None:
+                # A sentence without a sample is a good frame all the same.
+                self._statistics.bytes_skipped += (len(line) + 1) * (self._statistics.frames == frames)
+                continue
             rows.append(row)
             lost.append(self._lost)
             ends.append(self._offset)
