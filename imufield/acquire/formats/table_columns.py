@@ -67,6 +67,7 @@ class TableColumn:
     index: int
     field: str
     unit: str | None = None
+    unknown_unit: str = ""  # What stands in the place of a unit and is none.
 
     @property
     def quantity(self) -> str:
@@ -116,11 +117,13 @@ def named_column(text: str, index: int, unit_below: str | None = None) -> TableC
     """
     bracket = re.search(r"[\[(]([^\])]*)[\])]", text)
     words = _words(text[: bracket.start()] + text[bracket.end() :] if bracket else text)
-    stated = bracket.group(1) if bracket else unit_below
+    stated = bracket.group(1) if bracket else unit_below or ""
     field, tail = _field_of(words)
     if field is None:
         return None
-    return TableColumn(index, field, UNITS_OF[quantity_of(field)].get(_spelling(stated or "".join(tail))))
+    spelling = _spelling(stated or "".join(tail))
+    unit = UNITS_OF[quantity_of(field)].get(spelling)
+    return TableColumn(index, field, unit, stated if spelling and unit is None else "")
 
 
 def _spelling(unit: str) -> str:
@@ -241,6 +244,9 @@ def _checked(path: Path, found: Sequence[TableColumn], assumptions: tuple[str, .
         if before != column.unit:
             both = [before, column.unit]
             raise UsageError(sentence("table_columns.two_units", path=str(path), quantity=column.quantity, units=both))
+    unknown = [*dict.fromkeys(shortened(column.unknown_unit) for column in found if column.unknown_unit)]
+    if unknown:
+        assumptions += (sentence("table_columns.unknown_unit", name=path.name, units=unknown),)
     return Meaning(tuple(found), units, assumptions)
 
 

@@ -170,7 +170,7 @@ def open_table(path: str | Path) -> TextTable:
     if b"\0" in head:
         raise _bad("table_text.no_text", path)
     marked: list[str] = []
-    names: list[list[str]] = []
+    names: list[str] = []
     lines = head.removeprefix(b"\xef\xbb\xbf").decode("utf-8", errors="replace").split("\n")
     for number, line in enumerate(lines):
         text = line.strip()
@@ -181,7 +181,7 @@ def open_table(path: str | Path) -> TextTable:
             delimiter, decimal_comma = _delimiter(text)
             cells = _split(text, delimiter)
             if any(_is_number(cell.replace(",", ".") if decimal_comma else cell) and cell for cell in cells):
-                header, units = _header(path, names, marked, len(cells))
+                header, units = _header(path, names, marked, delimiter=delimiter, width=len(cells))
                 return TextTable(
                     path=path,
                     delimiter=delimiter,
@@ -192,25 +192,31 @@ def open_table(path: str | Path) -> TextTable:
                     decimal_comma=decimal_comma,
                 )
             # Lines before the first number are the heading.
-            names.append([printable(cell.strip('" ')) for cell in cells])
+            names.append(text)
     raise _bad("table_text.no_rows", path)
 
 
 def _header(
-    path: Path, names: list[list[str]], marked: list[str], width: int
+    path: Path, names: list[str], marked: list[str], *, delimiter: str | None, width: int
 ) -> tuple[tuple[str, ...] | None, tuple[str, ...] | None]:
     """Return names and units: the lines before the numbers, or the last commented line that has a name for each column."""
     if len(names) > 2:
-        raise _bad("table_text.long_heading", path, lines=len(names), text=shortened(" ".join(names[0])))
+        raise _bad("table_text.long_heading", path, lines=len(names), text=shortened(names[0]))
     if names:
-        return tuple(names[0]), tuple(names[1]) if len(names) > 1 else None
+        header, *below = (_names(line, delimiter, width) for line in names)
+        return header, below[0] if below else None
     # Comments may hold anything; the one right above the numbers is the likeliest heading.
-    for line in reversed(marked):
-        for delimiter in (_delimiter(line)[0], None):
-            cells = _split(line, delimiter)
-            if len(cells) == width and not any(map(_is_number, cells)):
-                return tuple(cells), None
-    return None, None
+    found = (_names(line, delimiter, width) for line in reversed(marked))
+    return next((cells for cells in found if len(cells) == width and not any(map(_is_number, cells))), None), None
+
+
+def _names(line: str, delimiter: str | None, width: int) -> tuple[str, ...]:
+    """Return the cells of a line of names: parted as the rows are if that makes as many, else by what the line has itself."""
+    own = _delimiter(line)[0]
+    # Blanks may stand in names, and part rows below a line that commas part.
+    ways = (_split(line, mark) for mark in (delimiter or own, own, None))
+    cells = next((cells for cells in ways if len(cells) == width), _split(line, own))
+    return tuple(printable(cell.strip('" ')) for cell in cells)
 
 
 def _delimiter(line: str) -> tuple[str | None, bool]:

@@ -12,6 +12,7 @@ from imufield.acquire.formats.tables import read_tables, write_rows
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.errors import ImufieldError, Reason, RecordingError, UsageError
+from imufield.sentences import Sentence
 from tests.acquire.table_files import ACCELEROMETER, GYROSCOPE, RNG, TIME, N, text_of, write
 from tests.refused import refused
 
@@ -74,6 +75,31 @@ def test_a_csv_with_header_says_everything_itself(tmp_path: Path) -> None:
     assert table.raw_zero == (0.0, 0.0, 0.0)
     assert table.assumptions == ()
     assert table.rate_hz == pytest.approx(100.0)
+
+
+@pytest.mark.parametrize(
+    ("header", "delimiter"),
+    [
+        ("time_s,acc;x,acc_y,acc_z\n", ","),
+        ("time_s acc;x acc_y acc_z\n", " "),
+        ("time_s, acc_x, acc_y, acc_z\n", " "),
+        ("time_s;acc,x;acc,y;acc,z\n", ";"),
+        ("# time_s,acc;x,acc_y,acc_z\n", ","),
+    ],
+)
+def test_what_parts_the_rows_parts_their_heading(tmp_path: Path, header: str, delimiter: str) -> None:
+    table = read_tables([write(tmp_path, text_of(TIME, ACCELEROMETER, delimiter=delimiter, header=header))])
+    assert table.rows[:, 1:4] == pytest.approx(ACCELEROMETER)
+    assert not [said for said in table.assumptions if getattr(said, "key", "") == "table_columns.taken_as"]
+
+
+@pytest.mark.parametrize("mark", ["", "# "])
+def test_a_unit_that_is_none_is_said(tmp_path: Path, mark: str) -> None:
+    header = f"{mark}time_s,acc_x (m/s^2\x1b[2J),acc_y (m/s^2),acc_z (m/s^2),temp (degF)\n"
+    table = read_tables([write(tmp_path, text_of(TIME, ACCELEROMETER, TIME, delimiter=",", header=header))])
+    (said,) = (said for said in table.assumptions if getattr(said, "key", "") == "table_columns.unknown_unit")
+    assert isinstance(said, Sentence)
+    assert said.values["units"] == [r"m/s^2\x1b[2J", "degF"]
 
 
 def test_columns_in_any_order_among_others(tmp_path: Path) -> None:
