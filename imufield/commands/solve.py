@@ -113,13 +113,17 @@ def run_solve_many(sessions: Sequence[Path], options: SolveOptions) -> int:
     # Workers on a cluster have a working folder of their own.
     preset = None if options.preset is None else options.preset.resolve()
     folders = dict.fromkeys(folder.resolve() for folder in sessions)
-    jobs = [replace(options, sessions=[folder], preset=preset) for folder in folders]
+    # Asked here, where it is written, and before anything is computed for no place.
+    failed = {folder: outcome for folder in folders if (outcome := _unwritable(folder)) is not None}
+    jobs = [replace(options, sessions=[folder], preset=preset) for folder in folders if folder not in failed]
     done: list[SessionOutcome] = []
 
     def tell(outcome: SessionOutcome) -> None:
         done.append(outcome)
-        say(f"{len(done)} of {len(jobs)}: {outcome.name}, {outcome.verdict}", err=True)
+        say(f"{len(done)} of {len(folders)}: {outcome.name}, {outcome.verdict}", err=True)
 
+    for outcome in failed.values():
+        tell(outcome)
     # Dask is looked for only where there are several sessions.
     from imufield.study.campaign import run_campaign
 
@@ -133,7 +137,8 @@ def run_solve_many(sessions: Sequence[Path], options: SolveOptions) -> int:
         on_result=tell,
     )
     # Written here and not by the workers: one that is killed and started again would write twice.
-    outcomes = [_write(outcome) for outcome in found]
+    solved = {outcome.session: _write(outcome) for outcome in found}
+    outcomes = [failed.get(folder) or solved[folder] for folder in folders]
     if options.as_json:
         echo(json.dumps([_as_json(outcome) for outcome in outcomes]))
     else:
@@ -158,6 +163,17 @@ def _killed(options: SolveOptions) -> SessionOutcome:
 def _folder(options: SolveOptions) -> Path:
     """Return the session that a job of a worker is about."""
     return (options.sessions or [Path()])[0]
+
+
+def _unwritable(folder: Path) -> SessionOutcome | None:
+    """Return what becomes of a session whose parameters could not be written; None for one that can be tried."""
+    if not folder.is_dir():
+        return None  # What opens it says so.
+    try:
+        refuse_overwriting(folder / PARAMETER_FILE)
+    except ImufieldError as error:
+        return SessionOutcome(session=folder, exit_code=error.exit_code, error=str(error.message))
+    return None
 
 
 def _write(outcome: SessionOutcome) -> SessionOutcome:

@@ -16,11 +16,13 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 import imufield
+from imufield.acquire.recording.session import Session
 from imufield.cli.run import run
 from imufield.commands.options.commands import SolveOptions
 from imufield.commands.solve import run_solve_many
 from imufield.deliver.parameters.file import load
-from imufield.errors import Reason, UsageError
+from imufield.errors import ParameterFileError, Reason, UsageError
+from imufield.pipeline.solving import solve_session
 from tests.commands.conftest import LONGEST_S
 from tests.refused import refused
 from tests.study.local_cluster import local_cluster
@@ -81,6 +83,23 @@ def test_one_that_fails_does_not_stop_the_others(program: Program, sessions: lis
     assert written(sessions[0]) == alone["a"]
     assert written(sessions[2]) == alone["c"]
     assert not (sessions[1] / "parameters.toml").exists()
+
+
+def test_nothing_is_computed_for_a_session_that_cannot_be_written(
+    sessions: list[Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (sessions[0] / "parameters.toml").mkdir()
+    solved: list[str] = []
+
+    def solve(session: Session, *arguments: Any) -> Any:
+        solved.append(session.name)
+        return solve_session(session, *arguments)
+
+    monkeypatch.setattr("imufield.commands.solve.solve_session", solve)
+    assert run(["solve", *map(str, sessions[:2]), "--workers", "1"]) == ParameterFileError.exit_code
+    assert solved == ["b"]
+    rows = [line.split()[:2] for line in capsys.readouterr().out.splitlines()[1:3]]
+    assert rows == [["a", "failed"], ["b", "good"]]
 
 
 def test_what_stood_there_is_kept_and_told(program: Program, sessions: list[Path]) -> None:
