@@ -136,12 +136,12 @@ def _announce(options: EmulateOptions, emulation: Emulation, emulator: EmulatorC
     echo(beside(f"{options.driver}{form} at {rate_hz:.0f} Hz, {options.speed:g} times real time, on", address))
     # Slower than real time the host needs no other clock.
     clock = "" if options.speed == 1 else f"IMUFIELD_CLOCK_SPEED={max(options.speed, 1):g} "
-    # The right latitude matters: the scale of the accelerometer is as good as the gravity it is given.
-    latitude = f"--latitude {emulation.site.latitude_deg:g}"
+    # The right place matters: the scale of the accelerometer is as good as the gravity it is given, which is that of height 0.
+    place = f"--latitude {emulation.site.latitude_deg:g} --height 0"
     # A protocol file of the user's own is no driver that another command knows by name.
     which = f"{'--driver' if wire.driver else '--protocol'} {options.driver}"
     told = "".join(f"--set {name}={spell(value)} " for name, value in wire.settings.items())
     echo("read it with:")
-    echo(f"  {clock}imufield capture --{kind} {shlex.quote(address)} {which} {told}{latitude}")
+    echo(f"  {clock}imufield capture --{kind} {shlex.quote(address)} {which} {told}{place}")
     waits = "it begins when a program opens the port; " if options.waits_for_reader and kind == "port" else ""
     echo(f"{waits}Ctrl-C ends it")

@@ -13,8 +13,11 @@ import numpy as np
 import pytest
 
 from imufield.acquire.recording.session import Session
+from imufield.cli.run import run
+from imufield.earth import normal_gravity
 from imufield.pipeline.chain import session_samples
 from imufield.samples import concatenate
+from imufield.simulate.truth.motion import Site
 
 if TYPE_CHECKING:
     from tests.commands.conftest import Program
@@ -47,6 +50,13 @@ def captured(program: Program, who: list[str], how: list[str]) -> Session:
     solved = program.run("solve", "mine", "--json")
     assert solved.returncode == 0, solved.stderr
     return Session.open(program.folder / "mine")
+
+
+def test_the_command_that_is_told_knows_the_place(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["emulate", "stim300", "--duration-s", "0.1", "--positions", "none"]) == 0
+    (told,) = (line.split() for line in capsys.readouterr().out.splitlines() if "imufield capture" in line)
+    place = {name: float(told[told.index(name) + 1]) for name in ("--latitude", "--height")}
+    assert Site().gravity_m_s2 == normal_gravity(place["--latitude"], place["--height"])
 
 
 def test_the_logger_of_the_page(program: Program) -> None:

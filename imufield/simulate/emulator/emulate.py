@@ -134,9 +134,12 @@ def choose_wire(options: Emulation) -> WireChoice:
     form: WireForm | None
     if base.can is not None or options.device in OWN_RATE_HZ:
         form = None if base.can is not None else _OWN_FORM
-        told = dict(options.settings)
-        protocol = load(told)
         rate_hz = options.rate_hz or OWN_RATE_HZ.get(options.device, DEFAULT_RATE_HZ)
+        told = dict(options.settings)
+        # Increments are nothing without their rate, which a reader must be told, too.
+        if "increment" in told.values():
+            told.setdefault("rate_hz", rate_hz)
+        protocol = load(told)
     else:
         form = choose_form(base, options.form, options.settings)
         settings: dict[str, object] = {**form.settings, **options.settings}

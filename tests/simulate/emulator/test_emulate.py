@@ -12,6 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from imufield.acquire.decoder import Decoder
+from imufield.acquire.protocol.toml import spell
+from imufield.acquire.registry import load_driver
 from imufield.commands.options.shared import LARGEST_SEED
 from imufield.errors import ParameterFileError, Reason, UsageError
 from imufield.samples import Samples, concatenate
@@ -95,6 +98,20 @@ def test_text_at_any_rate_and_stim300_at_its_own() -> None:
     with refused(UsageError, Reason.USAGE, "333 Hz", "125, 250, 500, 1000", key="emulate.rate") as caught:
         make_emulator(replace(OPTIONS, rate_hz=333.0))
     assert caught.value.values["rate_hz"] == 333
+
+
+@pytest.mark.parametrize(
+    "names", [["accelerometer_output"], ["gyroscope_output"], ["accelerometer_output", "gyroscope_output"]]
+)
+def test_a_stim300_of_increments_is_read_with_the_settings_that_are_told(names: list[str]) -> None:
+    options = replace(OPTIONS, settings=dict.fromkeys(names, "increment"))
+    wire = choose_wire(options)
+    sent = make_virtual_imu(options).next_block(500)
+    decoder = Decoder(load_driver("stim300").load_protocol({name: spell(value) for name, value in wire.settings.items()}))
+    read = concatenate([decoder.feed(make_device(options, wire).encode(sent).data.tobytes(), 1.0), decoder.flush()])
+    # A step of the wire: 2^-22 m/s of each sample at 10 g, 2^-21 deg, or 2^-19 g and 2^-14 deg/s.
+    np.testing.assert_allclose(read.accelerometer_rate(), sent.accelerometer, atol=2e-5)
+    np.testing.assert_allclose(read.gyroscope_rate(), sent.gyroscope, atol=2e-6)
 
 
 def test_failure_of_the_thread_reaches_the_caller(tmp_path: Path) -> None:
