@@ -11,7 +11,7 @@ from imufield.acquire.instrument.connect import connect
 from imufield.acquire.instrument.connected import Connected
 from imufield.acquire.instrument.same_stream import SameStream
 from imufield.acquire.link.background import PatientLink
-from imufield.acquire.link.host_clock import HostClock
+from imufield.acquire.link.host_clock import HostClock, patience_s
 from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import Session, create_session
 from imufield.commands.options.commands import RecordOptions
@@ -46,7 +46,7 @@ def run_record(options: RecordOptions, clock: HostClock | None = None) -> Sessio
         stack.enter_context(session.lock())
         of_part = part_metadata(connected.protocol, connected.session_tables())
         recorder = stack.enter_context(Recorder(session.add_part(), of_part, clock=clock))
-        stream = SameStream(connected.link.name)
+        stream = SameStream(connected.link.name, patience_s(clock, 1.0))
         chain = Chain(ReadingPlan(None), listeners=(stream.hear,), judging=False)
         chain.start_part(connected.protocol)
         stream.begin()

@@ -154,7 +154,7 @@ def guided_session(
 
     ``check`` is called again and again, and may break it off by an ``ImufieldError``.
     """
-    stream = SameStream(connected.link.name)
+    stream = SameStream(connected.link.name, patience_s(clock, 1.0))
     chain = Chain(ReadingPlan.of(session), listeners=(stream.hear,))
     # Of a session that goes on, so that the guide knows again what it knew; of a new one there is nothing.
     replay_into(chain, session, [], ended=False)

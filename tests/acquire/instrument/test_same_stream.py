@@ -17,8 +17,8 @@ from imufield.acquire.link.host_clock import SystemClock
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.acquire.registry import load_driver
-from imufield.errors import LinkError, Reason
-from imufield.samples import Samples, SampleUnits, make_samples
+from imufield.errors import LinkError, Reason, UsageError
+from imufield.samples import Samples, SampleUnits, Status, make_samples
 from tests.acquire.link.test_background import Scripted
 from tests.refused import refused
 
@@ -58,6 +58,37 @@ def test_bytes_without_samples_are_borne_for_a_while() -> None:
     run(stream, 100.0, 40.0, 5.0)
     with refused(LinkError, Reason.FOREIGN, "port", key="same_stream.kind"):
         run(stream, 0.0, 60.0, 12.0)
+
+
+def paced(pace: float, *, burst_s: float = 0.0, status: int = 0, window_s: float = 1.0, share: float = 2 / 3) -> None:
+    """Hear 15 windows of a stream whose clock runs ``pace`` times as fast, a share of it, behind what had waited."""
+    stream = SameStream("port", window_s)
+    stream.begin()
+    begin_s = 0.0
+    for number in range(round(150 * window_s)):
+        stream.check(Chunk(b"?", 0.1 * number, 0))
+        heard = samples(100.0, begin_s, 0.1 * pace + (burst_s if number == 3 else 0.0))
+        heard = heard[: round(share * len(heard))]
+        stream.hear(replace(heard, status=np.full(len(heard), status, dtype=np.uint32)))
+        begin_s += 0.1 * pace + (burst_s if number == 3 else 0.0)
+
+
+def test_a_stream_that_is_faster_than_its_own_clock_and_lossy_is_told() -> None:
+    with refused(UsageError, Reason.USAGE, "port", "IMUFIELD_CLOCK_SPEED", key="same_stream.fast") as caught:
+        paced(6.0)
+    assert caught.value.message.values["pace"] == pytest.approx(4.0, rel=0.05)  # type: ignore[attr-defined]
+    with refused(UsageError, Reason.USAGE, "port", key="same_stream.fast"):
+        paced(6.0, window_s=4.0)
+
+
+def test_what_had_waited_is_no_fast_stream_and_the_clock_of_the_host_tells_nothing() -> None:
+    paced(1.0)
+    paced(1.0, burst_s=60.0)
+    paced(6.0, status=int(Status.TIME_ESTIMATED))
+
+
+def test_a_fast_stream_that_is_whole_is_read_by_its_own_clock() -> None:
+    paced(6.0, share=1.0)
 
 
 class AskedInstrument:
@@ -128,16 +159,17 @@ def test_what_was_read_counts_where_the_link_goes_while_the_instrument_is_asked(
 
 
 def test_what_was_read_is_there_where_a_person_ends_it_while_the_instrument_is_asked() -> None:
-    wire, clock = Scripted(LinkError("gone")), SystemClock()
+    class Interrupted(Scripted):
+        def write(self, data: bytes) -> None:
+            raise KeyboardInterrupt
+
+    wire, clock = Interrupted(LinkError("gone")), SystemClock()
     one = replace(connected({}), link=BackgroundLink(wire), instrument=Instrument(load_driver("stim300"), clock))
     link = PatientLink(one.link, clock, one.ask_again)
     while link.lost is None:
         link.read()
 
-    def interrupt(_: bytes) -> None:
-        raise KeyboardInterrupt
-
-    wire.there, wire.items, wire.write = True, [b"first"], interrupt  # type: ignore[method-assign]
+    wire.there, wire.items = True, [b"first"]
     with pytest.raises(KeyboardInterrupt):  # noqa: PT012  whichever read it is
         while True:
             link.read()

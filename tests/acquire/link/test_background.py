@@ -20,7 +20,7 @@ class Scripted:
 
     def __init__(self, *items: bytes | Exception | None) -> None:
         self.name = "scripted"
-        self.items = list(items)
+        self.items: list[bytes | Exception | None] = list(items)
         self.written: list[bytes] = []
         self.closed = False
         self.there = False

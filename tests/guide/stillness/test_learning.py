@@ -101,7 +101,12 @@ def test_waiting_long_for_quiet_costs_no_more_with_every_cell(monkeypatch: pytes
     samples = make_samples(np.arange(6_000) / 50.0, rng.normal(0.0, 5.0, (6_000, 3)), None, units=SampleUnits())
     looked_at: list[int] = []
     length = Cells.__len__
-    monkeypatch.setattr(Cells, "__len__", lambda cells: looked_at.append(1) or length(cells))
+
+    def counted(cells: Cells) -> int:
+        looked_at.append(1)
+        return length(cells)
+
+    monkeypatch.setattr(Cells, "__len__", counted)
     spent = []
     for cells in cells_of(samples[begin : begin + 5] for begin in range(0, len(samples), 5)):
         looked_at.clear()
