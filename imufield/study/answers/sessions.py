@@ -66,7 +66,7 @@ class MeanSession:
             gyroscope_mean_raw=unknown,
             gyroscope_covariance_raw=np.full((m, 3, 3), np.nan),
             direction=up,
-            start_s=20.0 + (HOLD_S + 4.0) * np.arange(m),
+            start_s=20.0 + (HOLD_S + 4.0) * np.arange(m, dtype=np.float64),
             duration_s=np.full(m, HOLD_S),
             temperature_degc=np.full(m, 25.0),
             units=SampleUnits(),
