@@ -16,7 +16,7 @@ import numpy as np
 from imufield.calibrate.model.models import PARAMETERS
 from imufield.calibrate.solvers.beetles import BasSettings, BsasSettings, solve_bas, solve_bsas
 from imufield.calibrate.solvers.costs import NormProblem
-from imufield.calibrate.solvers.staged import PAPER_CATEGORIES, StagedSettings, solve_bsas_staged, solve_stages
+from imufield.calibrate.solvers.staged import PAPER_CATEGORIES, solve_bsas_staged, solve_stages
 from imufield.earth import MICRO_G_M_S2
 from imufield.samples import FloatArray
 from imufield.study import figures
@@ -121,7 +121,7 @@ _MODERATE = PresetError(0.5 / 734.9, 0.5e-3, 1e-5, 1.0)
 def run_staged(error: PresetError, rng: np.random.Generator) -> FloatArray:
     """Return the cost after each round of the four categories, and whether it claims to have converged (last entry)."""
     raw, preset = bsas_outputs(rng), bsas_preset(rng, error)
-    solver = partial(solve_bsas, settings=StagedSettings(rounds=_ROUNDS).swarm)
+    solver = partial(solve_bsas, settings=BsasSettings())
     stages = solve_stages(stage_problem(preset, raw), PAPER_CATEGORIES, rng=rng, rounds=_ROUNDS, solver=solver)
     # The cost after the last category of each round.
     costs = [stages[4 * k + 3].cost for k in range(_ROUNDS)]

@@ -8,15 +8,12 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache, partial
-from typing import cast
+from functools import cache
 
 import numpy as np
 
-from imufield.calibrate.solvers.base import Solver, SolverResult
-from imufield.calibrate.solvers.library import LibrarySettings
+from imufield.calibrate.solvers.base import Solver
 from imufield.calibrate.solvers.registry import load_solver
 from imufield.calibrate.solvers.triad_costs import TriadProblem, TurnsProblem, unit_diagonal_matrices
 from imufield.deliver.navigation.drift import Drift
@@ -58,10 +55,8 @@ class MethodJob:
     def solver(self) -> Solver:
         """Return the solver behind the method."""
         name = self.method.partition(",")[0]
-        if self.quick and name in ("ga", "pso"):
-            solver = cast("Callable[..., SolverResult]", load_solver(name))
-            return partial(solver, settings=LibrarySettings(generations=_QUICK_GENERATIONS))
-        return load_solver(name)
+        shortened = self.quick and name in ("ga", "pso")
+        return load_solver(name, {"generations": str(_QUICK_GENERATIONS)} if shortened else None)
 
 
 def run_method(job: MethodJob, rng: np.random.Generator) -> ComparedRun:

@@ -12,6 +12,7 @@ from imufield.commands.options.shared import (
     ConnectionOptions,
     DriverName,
     EventsAsJson,
+    MethodSettings,
     NewestSession,
     PlaceOptions,
     Plain,
@@ -251,6 +252,7 @@ class SolveOptions:
     preset: Annotated[Path | None, option(help="Parameter file in force before.")] = None
     zero: Annotated[str | None, option(help="Raw output at zero input, one or three numbers.")] = None
     method: Annotated[str, option(help="least-squares, bsas, ide and others, see docs/study.md.")] = "least-squares"
+    method_settings: MethodSettings = field(default_factory=dict)
     polish: Annotated[bool, option(help="Finish another method by least squares.")] = True
     cross_check: Annotated[bool, option("--cross-check", help="Solve by bsas, ide and least squares, compare.")] = False
     gyroscope_model: Annotated[str, option("--gyro-model", help="auto, basic or g-sensitive.")] = "auto"
@@ -266,7 +268,7 @@ class SolveOptions:
         Raises
         ------
         UsageError
-            If a choice is none of those there are, or ``zero`` is neither one number nor three.
+            If a choice or a setting is none of those there are, or ``zero`` is neither one number nor three.
         ParameterFileError
             If the preset cannot be read.
         """
@@ -275,14 +277,18 @@ class SolveOptions:
 
         from imufield.calibrate.gyroscope.model_choice import GyroscopeModel
         from imufield.calibrate.model.result import Gauge, ModelChoice
+        from imufield.calibrate.solvers.registry import load_solver
         from imufield.deliver.parameters.file import load
         from imufield.pipeline.calibration import SolveSettings, one_of
 
         zero = parse_zero(self.zero)
+        # Refused before a long session is read.
+        load_solver(self.method, self.method_settings)
         return SolveSettings(
             model=one_of("model", self.model, get_args(ModelChoice)),
             gauge=None if self.gauge is None else one_of("gauge", self.gauge, get_args(Gauge)),
             method=self.method,
+            method_settings=self.method_settings,
             polish=self.polish,
             cross_check=self.cross_check,
             gyroscope_model=one_of("gyro-model", self.gyroscope_model, get_args(GyroscopeModel)),
