@@ -27,6 +27,8 @@ ASKED_FOR = {
     *(f"bsas-fig{n}" for n in (3, 4, 5, 6, 7, 9, 10, 11)),
     *(f"ide-table{n}" for n in range(1, 6)),
     *(f"ide-fig{n}" for n in (2, 3, 4, 5, 6, 8, 10)),
+    "ide-complexity",
+    "answers-pairs",
 }
 QUICK = StudyContext(seed=3, quick=True, workers=1)
 
@@ -78,6 +80,11 @@ def test_a_report_leaves_csv_and_plot(report_of: Callable[[str], StudyReport], f
         assert (folder / f"{name}.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 
 
+def test_the_answers_have_a_document_of_their_own(tmp_path: Path) -> None:
+    write_document([EXAMPLE], tmp_path / "answers.md", QUICK, "answers")
+    assert (tmp_path / "answers.md").read_text().startswith("# Answers that stay right\n")
+
+
 def test_the_document_has_every_report_with_seed_and_version(report_of: Callable[[str], StudyReport], tmp_path: Path) -> None:
     path = tmp_path / "study.md"
     write_document([report_of("bsas-table1"), report_of("ide-table2")], path, QUICK)
@@ -109,6 +116,34 @@ def test_least_squares_is_efficient_in_one_frame_with_the_truth() -> None:
     ratio = np.sqrt(np.mean([run.in_true_frame**2 for run in runs], axis=0)) / bsas_bound.bound()
     # 150 runs tell a ratio to 6 %, and the largest of twelve is three sigma off.
     assert ratio == pytest.approx(np.ones(12), abs=0.18)
+
+
+def test_a_quick_run_says_how_many_runs_it_had(report_of: Callable[[str], StudyReport]) -> None:
+    for name in ("bsas-fig5", "bsas-fig6", "bsas-table3", "bsas-whitened", "ide-fig6"):
+        report = report_of(name)
+        # The papers' own numbers of runs stand in their column.
+        rows = (f"{c.what} {c.ours}" for c in report.comparisons)
+        ours = " ".join([report.title, report.setting, *rows, *report.differences])
+        assert not re.search(r"\b(?:50|200) runs\b", ours), name
+
+
+def test_a_note_stands_only_where_its_condition_holds() -> None:
+    final = dict.fromkeys("abcd", (1.0, 2.0))
+    values = {"final": final, "runs": 3, "worst": "misalignments", "ratio": 5.0, "others": np.array([1.0, 1.2])}
+    notes = [make_report("bsas-fig4", Findings(values={**values, "as_paper": holds})).differences for holds in (True, False)]
+    assert len(notes[0]) == len(notes[1]) + 1
+    assert "5 times the cost" in notes[0][0]
+
+
+def test_the_paper_s_own_parameters_cost_more_than_it_prints() -> None:
+    # Eq. 13 by hand: |a| of its mean parameters (Table 3), for the outputs of those of Table 1 without noise.
+    assert bsas_runs._printed_cost("mean") == pytest.approx(1.04e-5, rel=0.01)
+    assert bsas_runs._printed_cost("bas_scale") == pytest.approx(0.6, rel=0.05)
+
+
+def test_the_effort_of_evolution_is_counted(report_of: Callable[[str], StudyReport]) -> None:
+    found = {c.what: c.ours for c in report_of("ide-complexity").comparisons}
+    assert found["evaluations are NP (G + 1)"] == "in 24 of 24"
 
 
 def test_ide_ends_at_the_global_optimum(report_of: Callable[[str], StudyReport]) -> None:

@@ -46,13 +46,20 @@ def fit_known_attitudes(
     ndarray, shape (15,)
         In the order of ``ACCELEROMETER_NAMES``, in the body frame of ``force_m_s2``.
     """
-    sensed = force_m_s2
-    for _ in range(_ROUNDS):
-        linear = np.column_stack([force_m_s2, np.ones(len(raw))])
-        columns = [np.column_stack([linear, squared]) if quadratic else linear for squared in sensed.T**2]
-        found = np.array([np.linalg.lstsq(A, outputs, rcond=None)[0] for A, outputs in zip(columns, raw.T, strict=True)])
-        K = np.diag(found[:, :3])
-        T = found[:, :3] / K[:, None]
-        sensed = force_m_s2 @ T.T if quadratic_axes == "sensing" else force_m_s2
-    K2 = found[:, 4] if quadratic else np.zeros(3)
-    return np.concatenate([K, found[:, 3] / K, T[MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS], K2])
+    found = _lines(raw, force_m_s2, force_m_s2, quadratic=quadratic)
+    for _ in range(_ROUNDS if quadratic and quadratic_axes == "sensing" else 0):
+        T = found[:, :3] / np.diag(found)[:, None]
+        found = _lines(raw, force_m_s2, force_m_s2 @ T.T, quadratic=True)
+    K = np.diag(found)
+    T = found[:, :3] / K[:, None]
+    return np.concatenate([K, found[:, 3] / K, T[MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS], found[:, 4]])
+
+
+def _lines(raw: FloatArray, force: FloatArray, squared: FloatArray, *, quadratic: bool) -> FloatArray:
+    """Return K T, K b and K2 of each axis, shape (3, 5)."""
+    found = np.zeros((3, 5))
+    columns = 5 if quadratic else 4
+    for axis in range(3):
+        A = np.column_stack([force, np.ones(len(raw)), squared[:, axis] ** 2])[:, :columns]
+        found[axis, :columns] = np.linalg.lstsq(A, raw[:, axis], rcond=None)[0]
+    return found
