@@ -190,15 +190,18 @@ def test_names_of_studies() -> None:
 
 def test_words_name_figures_of_what_was_found() -> None:
     five = np.array([1.0, 2.0, 3.0, 4.0, 10.0])
-    found = Findings(values={"old": [five, five], "new": [five / 2, five], "falls": 1, "runs": 1, "shared": 6})
-    report = make_report("bsas-table5", found)
+    errors = {"old": [five, five], "new": [five / 2, five], "turntable": [five, five]}
+    counts = {"falls": 1, "below": 1, "mostly": True, "runs": 1, "shared": 6}
+    report = make_report("bsas-table5", Findings(values={**errors, **counts}))
     # Quantiles by hand: 5 % of four intervals is a fifth of the first, 95 % four fifths of the last.
     expected = Comparison("mean error, old parameters (ug)", "12.025", "3.00 (5 to 95 %: 1.20 to 8.80)")
     assert report.comparisons[0] == expected
-    assert report.comparisons[4].ours == "1 of 1"
-    errors = make_report("bsas-fig7", Findings(values={"errors": {f"K_{n}": np.array([3.0, -4.0]) for n in "xyz"}, "runs": 2}))
-    assert [c.ours for c in errors.comparisons] == ["RMSE 3.54"] * 3
-    assert [c.paper for c in errors.comparisons] == [f"RMSE {x:.3g}" for x in (3.535e-5, 4.945e-5, 2.523e-5)]
+    assert report.comparisons[6].ours == "1 of 1"
+    spread = {f"K_{n}": np.array([3.0, -4.0]) for n in "xyz"}
+    ours = {"ours": np.full(3, np.sqrt(12.5)), "smaller": False}
+    scale = make_report("bsas-fig7", Findings(values={"errors": spread, "runs": 2, **ours}))
+    assert [c.ours for c in scale.comparisons] == ["RMSE 3.54"] * 3
+    assert [c.paper for c in scale.comparisons] == [f"RMSE {x:.3g}" for x in (3.535e-5, 4.945e-5, 2.523e-5)]
 
 
 EXAMPLE = StudyReport(
