@@ -12,8 +12,8 @@ from pathlib import Path
 
 from imufield.commands.options.commands import HistoryOptions
 from imufield.commands.terminal.output import echo, echo_path, say, write_output
+from imufield.deliver.family import Change
 from imufield.deliver.history import (
-    Change,
     History,
     InstrumentHistory,
     as_utc,

@@ -11,7 +11,7 @@ from imufield.files import typed_write_errors
 from imufield.sentences import Sentences, printable
 from imufield.study.context import StudyContext
 from imufield.study.report import StudyReport, as_text
-from imufield.study.run import TITLE, run_study, write_document
+from imufield.study.run import document_title, run_study, write_document
 
 sentence = Sentences(__package__)
 
@@ -36,7 +36,7 @@ def run_study_command(options: StudyOptions) -> None:
     if document is not None:
         if document.is_dir() or not document.parent.is_dir():
             raise UsageError(sentence("study.no_place", document=document))
-        replace_only(document, TITLE, "--document", "the results of a study")
+        replace_only(document, document_title(options.name), "--document", "the results of a study")
     context = StudyContext(
         seed=options.seed, quick=options.quick, workers=options.workers, scheduler=options.scheduler, progress=_tell
     )
@@ -45,7 +45,7 @@ def run_study_command(options: StudyOptions) -> None:
         echo(as_text(report), end="")
         reports.append(report)
     if document is not None:
-        write_document(reports, document, context)
+        write_document(reports, document, context, options.name)
         echo(printable(f"written: {document}"))
 
 

@@ -3,8 +3,9 @@
 The index (``.imufield-history.json`` in the folder) holds what was read of each file and its size and time of change, so
 that a thousand files are read once. It can be deleted at any time.
 
-The gauge-free numbers are compared, because the same instrument has other parameters in another gauge. Where both
-calibrations took the same gravity, its error is in both scales alike and does not count in their difference.
+The gauge-free numbers are compared, because the same instrument has other parameters in another gauge, and all of them at once
+(``family``). Where both calibrations took the same gravity, its error is in both scales alike and does not count in their
+difference; a gravity that was only assumed says nothing of the place.
 """
 
 from __future__ import annotations
@@ -22,21 +23,22 @@ from pathlib import Path
 
 import numpy as np
 
+from imufield.deliver.family import Change, Shared, compare, family_of, turn_on_of
 from imufield.deliver.parameters.file import Parameters, load_found
-from imufield.deliver.parameters.gauge_free import Number, numbers_of
+from imufield.deliver.parameters.gauge_free import GaugeFree, Number, gauge_free
 from imufield.errors import ImufieldError, ParameterFileError, Reason, UsageError
 from imufield.files import Origin, open_to_read, write_atomically
+from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
 
 INDEX_FILE = ".imufield-history.json"
-INDEX_VERSION = 7  # Of the index alone, which is made anew when it changes.
-_ROW_LIMIT_BYTES = 1 << 16  # Six times the row of a model with every term.
+INDEX_VERSION = 8  # Of the index alone, which is made anew when it changes.
+_ROW_LIMIT_BYTES = 1 << 16  # Four times the row of a model with every term.
 _INDEX_LIMIT_BYTES = 1 << 28  # Of some 50,000 files.
 STALE_DAYS = 365.0  # The usual interval of calibration; --stale-days says another.
-MOVED_SIGMA = 3.0
-"""A larger change is reported: by chance it comes in 1 of 370 numbers."""
+_SESSIONS_FOR_A_MOVE = 3  # Fewer cannot tell a change from the scatter between two power-ons.
 CSV_COLUMNS = (
     "instrument",
     "serial_number",
@@ -76,7 +78,15 @@ class Entry:
     """SHA-256 of what was solved."""
     raw_unit: str
     gravity_m_s2: float
+    gravity_source: str
+    gyroscope_noise_rad_s_per_root_hz: float
+    """Infinite where it is not known."""
     numbers: tuple[Number, ...]
+    setup: str
+    """Positions and model: sessions that share them share what the model leaves out."""
+    error: tuple[float, ...]
+    """Covariances of ``GaugeFree``: the upper triangle, row by row."""
+    scatter: tuple[float, ...]
     edited: bool = False
     """Whether somebody changed the file by hand."""
 
@@ -84,6 +94,11 @@ class Entry:
     def of(cls, path: str, parameters: Parameters) -> Entry:
         """Return the entry of a loaded file; raises as ``numbers_of``."""
         context, calibration = parameters.context, parameters.calibration
+        positions = parameters.document["position"]
+        raw = (np.array([position[key] for position in positions], dtype=np.float64) for key in ("mean_raw", "sigma_raw"))
+        found = gauge_free(calibration, *raw)
+        names = " ".join(sorted(position["name"] for position in positions))
+        noise = np.inf if context.noise is None else context.noise.gyroscope_density_rad_s_per_sqrt_hz
         return cls(
             path=path,
             instrument=context.instrument.model or context.instrument.driver,
@@ -93,7 +108,12 @@ class Entry:
             session=context.session.sha256,
             raw_unit=calibration.accelerometer_raw_unit,
             gravity_m_s2=calibration.gravity.gravity_m_s2,
-            numbers=numbers_of(calibration),
+            gravity_source=calibration.gravity.source,
+            gyroscope_noise_rad_s_per_root_hz=float(np.max(np.nan_to_num(noise, nan=np.inf))),
+            numbers=found.numbers,
+            setup=f"{'quadratic' if calibration.quadratic_fitted else 'linear'} {names}",
+            error=_triangle(found.error),
+            scatter=_triangle(found.scatter),
             edited=parameters.edited,
         )
 
@@ -103,20 +123,46 @@ class Entry:
         numbers = values["numbers"]
         if not isinstance(numbers, list):
             raise TypeError("numbers")
-        entry = cls(**values | {"numbers": tuple(Number(**number) for number in numbers)})  # type: ignore[arg-type]  # checked next
+        triangles = {key: tuple(map(float, values[key])) for key in ("error", "scatter")}  # type: ignore[call-overload]
+        made = {"numbers": tuple(Number(**number) for number in numbers), **triangles}
+        entry = cls(**values | made)  # type: ignore[arg-type]  # checked next
         records: tuple[Entry | Number, ...] = (entry, *entry.numbers)
         for record in records:
             for each in fields(record):
                 if not isinstance(getattr(record, each.name), _TYPES.get(each.type, object)):
                     raise TypeError(each.name)
-        # What is no date is none of ours, either.
+        # What is no date, or half a matrix, is none of ours, either.
         _ = entry.time
+        size = len(entry.numbers) * (len(entry.numbers) + 1) // 2
+        if (len(entry.error), len(entry.scatter)) != (size, size):
+            raise ValueError("error")
         return entry
 
     @property
     def time(self) -> datetime:
         """When it was calibrated."""
         return datetime.strptime(self.created, "%Y-%m-%dT%H:%M:%SZ").replace(tzinfo=UTC)
+
+    @property
+    def gauge_free(self) -> GaugeFree:
+        """The numbers, and how their errors hang together."""
+        return GaugeFree(self.numbers, *(_square(triangle, len(self.numbers)) for triangle in (self.error, self.scatter)))
+
+    def shared_with(self, other: Entry) -> Shared:
+        """Return what both sessions have in common."""
+        known = "assumed" not in (self.gravity_source, other.gravity_source)
+        same = abs(self.gravity_m_s2 - other.gravity_m_s2) < _SAME_GRAVITY_M_S2
+        return Shared(gravity=known and same, setup=self.setup == other.setup)
+
+
+def _triangle(square: FloatArray) -> tuple[float, ...]:
+    return tuple(float(f"{value:.6g}") for value in square[np.triu_indices(len(square))])
+
+
+def _square(triangle: tuple[float, ...], size: int) -> FloatArray:
+    upper = np.zeros((size, size))
+    upper[np.triu_indices(size)] = triangle
+    return np.asarray(upper + np.triu(upper, 1).T)
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,22 +173,6 @@ class _Row:
     changed_ns: int
     fault: str  # Why it is no entry; empty where it was never meant to be one.
     entry: Entry | None
-
-
-@dataclass(frozen=True, slots=True)
-class Change:
-    """One number from one calibration to another."""
-
-    name: str
-    unit: str
-    difference: float
-    sigma: float
-    """Of the difference."""
-
-    @property
-    def in_sigma(self) -> float:
-        """The difference in units of its sigma; NaN where that is not known."""
-        return self.difference / self.sigma if self.sigma > 0 else math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,11 +196,9 @@ class InstrumentHistory:
         """Return the calibration closest in time, before or after; of several of one time the one that counts as newest."""
         return min(reversed(self.entries), key=lambda entry: abs((entry.time - at).total_seconds()))
 
-    def changes(self, since: int = -2) -> tuple[Change, ...]:
-        """Return what has changed from an earlier calibration to the newest; nothing for a single calibration."""
-        if len(self.entries) < 2:
-            return ()
-        return compare(self.entries[since], self.entries[-1])
+    def changes(self) -> tuple[Change, ...]:
+        """Return what has changed from the calibration before to the newest; nothing for a single calibration."""
+        return changes_between(*self.entries[-2:]) if len(self.entries) > 1 else ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,21 +276,9 @@ def read_history(folder: Path, serial_number: str | None = None) -> History:
     return History(folder, _by_instrument(chosen), faults, read)
 
 
-def compare(old: Entry, new: Entry) -> tuple[Change, ...]:
+def changes_between(old: Entry, new: Entry) -> tuple[Change, ...]:
     """Return the change of every number that both have, in the same unit."""
-    before = {(number.name, number.unit): number for number in old.numbers}
-    same_gravity = abs(old.gravity_m_s2 - new.gravity_m_s2) < _SAME_GRAVITY_M_S2
-    changes = []
-    for number in new.numbers:
-        earlier = before.get((number.name, number.unit))
-        if earlier is None:
-            continue
-        variance = earlier.sigma**2 + number.sigma**2
-        if same_gravity:
-            variance -= earlier.common**2 + number.common**2
-        sigma = math.sqrt(max(variance, 0.0))
-        changes.append(Change(number.name, number.unit, number.value - earlier.value, sigma))
-    return tuple(changes)
+    return compare(old.gauge_free, new.gauge_free, new.shared_with(old))
 
 
 def _read_index(folder: Path, names: Collection[str]) -> dict[str, _Row]:
@@ -351,7 +367,7 @@ def to_csv(history: History) -> str:
     writer.writerow(CSV_COLUMNS)
     for instrument in history.instruments:
         for place, entry in enumerate(instrument.entries):
-            before = compare(instrument.entries[place - 1], entry) if place else ()
+            before = changes_between(instrument.entries[place - 1], entry) if place else ()
             changes = {change.name: change.in_sigma for change in before}
             for number in entry.numbers:
                 change = changes.get(number.name, math.nan)
@@ -378,14 +394,28 @@ def sentences(instrument: InstrumentHistory, now: datetime, stale_days: float = 
         yield sentence("history.same_time", first=entries[-2].path, second=entries[-1].path)
     # Against the one before and, where that is another, against the first.
     for place in sorted({len(entries) - 2, 0}, reverse=True) if len(entries) >= 2 else ():
-        since = _moment(entries[place], entries[-1])
-        for change in instrument.changes(place):
-            said = {"name": change.name, "since": since, "difference": change.difference, "unit": change.unit}
-            if abs(change.in_sigma) > MOVED_SIGMA:
-                yield sentence("history.moved", in_sigma=abs(change.in_sigma), **said)
+        yield from _differences(entries[place], entries[-1], sessions=len(entries))
     age_days = instrument.age_days(now)
     if age_days > stale_days:
         yield sentence("history.stale", age_days=age_days, limit_days=stale_days)
+
+
+def _differences(old: Entry, new: Entry, *, sessions: int) -> Iterator[str]:
+    """Yield a sentence for each number that differs, or one that none does."""
+    family = family_of(old.gauge_free, new.gauge_free, new.shared_with(old))
+    since = _moment(old, new)
+    grade = turn_on_of(new.gyroscope_noise_rad_s_per_root_hz)
+    for change in family.beyond:
+        turn_on = grade.of(change.name)
+        said = {"name": change.name, "since": since, "difference": change.difference, "unit": change.unit}
+        key = "history.moved"
+        if sessions < _SESSIONS_FOR_A_MOVE and not family.exceeds(change, turn_on):
+            key = "history.differs_as_turn_on" if math.isfinite(turn_on) else "history.differs"
+        yield sentence(key, in_sigma=abs(change.in_sigma), turn_on=turn_on, **said)
+    if family.changes and not family.beyond:
+        largest = max(family.changes, key=lambda change: abs(change.in_sigma))
+        told = {"numbers": len(family.changes), "name": largest.name, "in_sigma": abs(largest.in_sigma)}
+        yield sentence("history.same", since=since, limit_sigma=family.limit_sigma, **told)
 
 
 def _moment(old: Entry, new: Entry) -> str:

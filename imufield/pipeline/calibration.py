@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 import numpy as np
@@ -64,6 +64,7 @@ class SolveSettings:
     model: ModelChoice = "auto"
     gauge: Gauge | None = None
     method: str = LEAST_SQUARES
+    method_settings: Mapping[str, str] = field(default_factory=dict)
     polish: bool = True
     cross_check: bool = False
     gyroscope_model: GyroscopeModel = "auto"
@@ -142,6 +143,7 @@ def calibrate(measured: Measured, settings: SolveSettings) -> Parameters:
             rng=rng,
             preset=preset,
             polish=settings.polish,
+            settings=settings.method_settings,
             seed=settings.seed,
         )
     # After the accelerometer, which tells in what position each still was.
@@ -175,7 +177,9 @@ def _with_gyroscope(
     try:
         result = calibrate_gyroscope(given, settings.gyroscope_model)
         check = cross_check_gyroscope(result, rng=rng) if settings.cross_check else None
-        result, solved = solve_gyroscope_with(settings.method, result, rng=rng, polish=settings.polish)
+        result, solved = solve_gyroscope_with(
+            settings.method, result, rng=rng, polish=settings.polish, settings=settings.method_settings
+        )
         joined = result.join(calibration)
     except CalibrationError as error:
         # The accelerometer is known all the same; axes that contradict it were refused before.

@@ -98,6 +98,9 @@ def least_squares_bound(context: StudyContext) -> Findings:
             "converged": sum(run.converged for run in runs),
             "largest": {name: _largest(ratio) for name, ratio in ratios.items()},
             "frame": _largest(as_preset / known),
+            "as_solved": _largest(ratios["as solved, bound of a known frame"]),
+            # The largest of twelve ratios is within four of their sigmas of one.
+            "efficient": ratios["in the true frame, bound of a known frame"].max() < 1 + 4 / np.sqrt(2 * len(runs)),
             "runs": len(runs),
             "known": 1 / np.sqrt(2 * len(runs)),
         },

@@ -16,7 +16,7 @@ import numpy as np
 from imufield.calibrate.model.models import PARAMETERS
 from imufield.calibrate.solvers.beetles import BasSettings, BsasSettings, solve_bas, solve_bsas
 from imufield.calibrate.solvers.costs import NormProblem
-from imufield.calibrate.solvers.staged import PAPER_CATEGORIES, StagedSettings, solve_bsas_staged, solve_stages
+from imufield.calibrate.solvers.staged import PAPER_CATEGORIES, solve_bsas_staged, solve_stages
 from imufield.earth import MICRO_G_M_S2
 from imufield.samples import FloatArray
 from imufield.study import figures
@@ -24,18 +24,21 @@ from imufield.study.context import StudyContext
 from imufield.study.instruments import (
     BSAS_AXES,
     BSAS_GRAVITY_M_S2,
+    BSAS_NOISE_M_S2,
     BSAS_TRUTH,
     FIELD_PRESET,
     PresetError,
     bsas_outputs,
     bsas_preset,
 )
-from imufield.study.report import Findings, curves_table
+from imufield.study.report import Findings, curves_table, texts
 
 CATEGORIES = ("scale factors", "biases", "misalignments", "quadratic terms")
 CATEGORY_OFF = (0.5, 0.5e-3, 1e-5, 0.002)
 """How far the preset of a category is off: raw/(m/s^2), m/s^2, rad, raw/(m/s^2)^2."""
 _PANELS = (0, 1, 3, 2)  # Categories in the order of the paper's panels.
+_AT_NOISE = 1.2  # Times the cost of the truth up to which a category counts as down at the noise.
+_ARRIVED = 1.1  # Times its final cost at which a curve has arrived.
 _VARIED = (0.2, 0.5, 0.8)  # Probabilities tried; the paper prints them in its legends only.
 
 
@@ -81,6 +84,11 @@ def _medians(context: StudyContext, name: str, stages: dict[str, Stage], runs: i
     return {label: np.median(histories, axis=0) for label, histories in zip(stages, found, strict=True)}
 
 
+def _arrival(curve: FloatArray) -> int:
+    """Return the first iteration with a cost near the final one."""
+    return int(np.argmax(curve <= _ARRIVED * curve[-1])) + 1
+
+
 def figure_3(context: StudyContext) -> Findings:
     """Show convergence with different numbers of beetles and probabilities."""
     runs = context.runs(50, 2)
@@ -91,9 +99,27 @@ def figure_3(context: StudyContext) -> Findings:
     stages = {f"{CATEGORIES[p]}, {label}": Stage(p, swarm) for p in _PANELS for label, swarm in variants.items()}
     curves = _medians(context, "bsas-fig3", stages, runs)
     panels = {CATEGORIES[p]: {label: curves[f"{CATEGORIES[p]}, {label}"] for label in variants} for p in _PANELS}
-    final = {name: curves[name][-1] for m in (10, 6, 2) for name in (f"{CATEGORIES[p]}, m = {m}" for p in _PANELS)}
+    of_beetles = {m: {CATEGORIES[p]: curves[f"{CATEGORIES[p]}, m = {m}"][-1] for p in _PANELS} for m in (10, 6, 2)}
+    final = {f"{category}, m = {m}": cost for m, of_m in of_beetles.items() for category, cost in of_m.items()}
+    varied = {name: (curve[-1], _arrival(curve)) for name, curve in curves.items() if " m = " not in name}
+    # The costs of all numbers of beetles over that of the truth: 24 absolute values of normal noise.
+    truth_cost = 24 * np.sqrt(2 / np.pi) * BSAS_NOISE_M_S2
+    highest = {name: max(of_m[name] for of_m in of_beetles.values()) / truth_cost for name in of_beetles[10]}
+    above = [name for name, ratio in highest.items() if ratio > _AT_NOISE]
+    paper = np.array(texts()["bsas-fig3"]["paper"]["final"]) / np.array([*final.values()])
     return Findings(
-        values={"final": final, "off": CATEGORY_OFF, "runs": runs},
+        values={
+            "final": final,
+            "varied": varied,
+            "off": CATEGORY_OFF,
+            "runs": runs,
+            "truth_cost": truth_cost,
+            "at_noise": " and ".join(name for name in highest if name not in above),
+            "above_noise": " and ".join(f"{name} ({highest[name]:.1f} times it)" for name in above),
+            "turns_above": above == ["misalignments"],
+            "fewer": paper[4:],
+            "fewer_worse": np.all(paper[4:] > 1),
+        },
         tables=(curves_table("convergence", "iteration", curves),),
         draw=figures.convergence(panels, "cost (m/s$^2$)"),
     )
@@ -107,8 +133,17 @@ def figure_4(context: StudyContext) -> Findings:
     curves = _medians(context, "bsas-fig4", stages, runs)
     panels = {CATEGORIES[p]: {label: curves[f"{CATEGORIES[p]}, {label}"] for label in methods} for p in _PANELS}
     final = {category: [curve[-1] for curve in of_method.values()] for category, of_method in panels.items()}
+    ratio = {category: bas / bsas for category, (bsas, bas) in final.items()}
+    worst = max(ratio, key=lambda category: ratio[category])
     return Findings(
-        values={"final": final, "runs": runs},
+        values={
+            "final": final,
+            "runs": runs,
+            "worst": worst,
+            "ratio": ratio[worst],
+            "others": np.array([ratio[category] for category in ratio if category != worst]),
+            "as_paper": worst == "misalignments",
+        },
         tables=(curves_table("convergence", "iteration", curves),),
         draw=figures.convergence(panels, "cost (m/s$^2$)"),
     )
@@ -121,7 +156,7 @@ _MODERATE = PresetError(0.5 / 734.9, 0.5e-3, 1e-5, 1.0)
 def run_staged(error: PresetError, rng: np.random.Generator) -> FloatArray:
     """Return the cost after each round of the four categories, and whether it claims to have converged (last entry)."""
     raw, preset = bsas_outputs(rng), bsas_preset(rng, error)
-    solver = partial(solve_bsas, settings=StagedSettings(rounds=_ROUNDS).swarm)
+    solver = partial(solve_bsas, settings=BsasSettings())
     stages = solve_stages(stage_problem(preset, raw), PAPER_CATEGORIES, rng=rng, rounds=_ROUNDS, solver=solver)
     # The cost after the last category of each round.
     costs = [stages[4 * k + 3].cost for k in range(_ROUNDS)]
@@ -163,6 +198,7 @@ def staged(context: StudyContext) -> Findings:
             "bias_off": found["bias off"],
             "claims": int(sum(found[name][:, -1].sum() for name in ("moderate", "field"))),
             "claimants": 2 * runs,
+            "none": not any(found[name][:, -1].any() for name in ("moderate", "field")),
             "rounds": _ROUNDS,
             "runs": runs,
         },

@@ -11,7 +11,7 @@ import io
 import re
 import string
 import tomllib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
@@ -111,7 +111,7 @@ def make_report(name: str, findings: Findings) -> StudyReport:
         title=_fill(text["title"], values),
         setting=_fill(text["setting"], values),
         comparisons=tuple(comparisons),
-        differences=tuple(_fill(difference, values) for difference in text["differences"]),
+        differences=tuple(_notes(text["differences"], values)),
         tables=findings.tables,
         draw=findings.draw,
         columns=tuple(text.get("columns", ("", "paper", "ours"))),
@@ -141,6 +141,14 @@ class _Format(string.Formatter):
 
 def _fill(text: str, values: Mapping[str, object]) -> str:
     return " ".join(_Format().vformat(text, (), values).split())
+
+
+def _notes(notes: Iterable[str | list[str]], values: Mapping[str, object]) -> Iterator[str]:
+    """Yield the notes that hold: one of two texts stands only where the value that its first text names is true."""
+    for note in notes:
+        *conditions, words = [note] if isinstance(note, str) else note
+        if all(values[condition] for condition in conditions):
+            yield _fill(words, values)
 
 
 def keyed_table(name: str, label: str, rows: Mapping[str, Mapping[str, object]]) -> CsvTable:

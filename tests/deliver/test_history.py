@@ -14,6 +14,7 @@ import pytest
 
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration
+from imufield.deliver.family import Shared
 from imufield.deliver.history import INDEX_FILE, find, one_instrument, plot_history, read_history, sentences, to_csv
 from imufield.deliver.parameters.context import Context
 from imufield.deliver.parameters.file import write_parameters
@@ -55,12 +56,49 @@ def test_a_move_is_told_in_sigma_of_the_difference(tmp_path: Path, write) -> Non
     assert [entry.created[:10] for entry in instrument.entries] == ["2026-03-04", "2026-08-01"]
     change = {one.name: one for one in instrument.changes()}["bias y"]
     assert change.in_sigma == pytest.approx(-4.1, rel=1e-6)
-    told = list(sentences(instrument, NOW))
-    assert keys(told) == ["history.moved"]
-    assert "bias y" in told[0]
-    assert "4.1 sigma" in told[0]
-    assert "4 March 2026 (" in told[0]
-    assert len(told) == 1
+    (told,) = sentences(instrument, NOW)
+    assert "bias y" in told
+    assert "4.1 sigma" in told
+    assert "4 March 2026 (" in told
+
+
+def test_two_sessions_cannot_tell_a_change_from_a_turn_on(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    # 1 sigma is 0.011 mg; the noise of the gyroscope is that of a tactical instrument, which turns on to 0.75 mg.
+    write("a", "2026-03-04", session="a" * 64)
+    write("b", "2026-08-01", moved=50.0, session="b" * 64)
+    (told,) = sentences(read_history(tmp_path).instruments[0], NOW)
+    assert key_of(told) == "history.differs_as_turn_on"
+    assert told.values["turn_on"] == 0.75
+    write("b", "2026-08-01", moved=900.0, session="b" * 64)
+    (told,) = sentences(read_history(tmp_path).instruments[0], NOW)
+    assert key_of(told) == "history.moved"
+
+
+def test_three_sessions_may_say_moved(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    for name, date, moved in (("a", "2026-03-04", 0.0), ("b", "2026-05-01", 0.0), ("c", "2026-08-01", 50.0)):
+        write(name, date, moved=moved, session=name * 64)
+    assert keys(sentences(read_history(tmp_path).instruments[0], NOW)) == ["history.moved"] * 2
+
+
+def test_where_nothing_differs_the_largest_is_told_with_its_limit(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2026-03-04", session="a" * 64)
+    # Beyond the 3 sigma of one number, not beyond those of all.
+    write("b", "2026-08-01", moved=3.1 * np.sqrt(2), session="b" * 64)
+    (told,) = sentences(read_history(tmp_path).instruments[0], NOW)
+    assert key_of(told) == "history.same"
+    assert told.values["name"] == "bias y"
+    assert told.values["in_sigma"] == pytest.approx(3.1, rel=1e-5)
+    assert told.values["limit_sigma"] > 3.1
+
+
+def test_an_assumed_gravity_is_not_that_of_the_same_place(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2026-03-04", session="a" * 64)
+    write("b", "2026-08-01", session="b" * 64)
+    old, new = read_history(tmp_path).instruments[0].entries
+    assert new.shared_with(old) == Shared(gravity=True, setup=True)
+    assert not replace(new, gravity_source="assumed").shared_with(replace(old, gravity_source="assumed")).gravity
+    assert not replace(new, gravity_m_s2=9.79).shared_with(old).gravity
+    assert not replace(new, setup="quadratic 1-1").shared_with(old).setup
 
 
 def test_of_two_on_one_day_the_time_is_told(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
@@ -172,7 +210,7 @@ def test_damaged_files_are_named_and_left_out(tmp_path: Path, write) -> None:  #
 
 
 NO_ROWS = [b"7", b"[]", b'["a/parameters.toml", 1, 1, "", 1]', b"[" * 100_000, b" " * 100_000]
-NO_INDEX = [b"", b"\xff no index at all", b"[]", b"[" * 100_000, *(b'{"version": 7}\n' + row for row in NO_ROWS)]
+NO_INDEX = [b"", b"\xff no index at all", b"[]", b"[" * 100_000, *(b'{"version": 8}\n' + row for row in NO_ROWS)]
 
 
 @pytest.mark.parametrize("content", NO_INDEX)
@@ -190,6 +228,8 @@ def test_a_spoilt_index_does_no_harm(tmp_path: Path, write, content: bytes) -> N
         ("numbers", 1),
         ("numbers", [{"name": "bias x"}]),
         ("gravity_m_s2", "g"),
+        ("error", [1.0]),
+        ("scatter", ["?"]),
         ("more", 1),
     ],
 )

@@ -27,6 +27,8 @@ ASKED_FOR = {
     *(f"bsas-fig{n}" for n in (3, 4, 5, 6, 7, 9, 10, 11)),
     *(f"ide-table{n}" for n in range(1, 6)),
     *(f"ide-fig{n}" for n in (2, 3, 4, 5, 6, 8, 10)),
+    "ide-complexity",
+    "answers-pairs",
 }
 QUICK = StudyContext(seed=3, quick=True, workers=1)
 
@@ -78,6 +80,11 @@ def test_a_report_leaves_csv_and_plot(report_of: Callable[[str], StudyReport], f
         assert (folder / f"{name}.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 
 
+def test_the_answers_have_a_document_of_their_own(tmp_path: Path) -> None:
+    write_document([EXAMPLE], tmp_path / "answers.md", QUICK, "answers")
+    assert (tmp_path / "answers.md").read_text().startswith("# Answers that stay right\n")
+
+
 def test_the_document_has_every_report_with_seed_and_version(report_of: Callable[[str], StudyReport], tmp_path: Path) -> None:
     path = tmp_path / "study.md"
     write_document([report_of("bsas-table1"), report_of("ide-table2")], path, QUICK)
@@ -109,6 +116,34 @@ def test_least_squares_is_efficient_in_one_frame_with_the_truth() -> None:
     ratio = np.sqrt(np.mean([run.in_true_frame**2 for run in runs], axis=0)) / bsas_bound.bound()
     # 150 runs tell a ratio to 6 %, and the largest of twelve is three sigma off.
     assert ratio == pytest.approx(np.ones(12), abs=0.18)
+
+
+def test_a_quick_run_says_how_many_runs_it_had(report_of: Callable[[str], StudyReport]) -> None:
+    for name in ("bsas-fig5", "bsas-fig6", "bsas-table3", "bsas-whitened", "ide-fig6"):
+        report = report_of(name)
+        # The papers' own numbers of runs stand in their column.
+        rows = (f"{c.what} {c.ours}" for c in report.comparisons)
+        ours = " ".join([report.title, report.setting, *rows, *report.differences])
+        assert not re.search(r"\b(?:50|200) runs\b", ours), name
+
+
+def test_a_note_stands_only_where_its_condition_holds() -> None:
+    final = dict.fromkeys("abcd", (1.0, 2.0))
+    values = {"final": final, "runs": 3, "worst": "misalignments", "ratio": 5.0, "others": np.array([1.0, 1.2])}
+    notes = [make_report("bsas-fig4", Findings(values={**values, "as_paper": holds})).differences for holds in (True, False)]
+    assert len(notes[0]) == len(notes[1]) + 1
+    assert "5 times the cost" in notes[0][0]
+
+
+def test_the_paper_s_own_parameters_cost_more_than_it_prints() -> None:
+    # Eq. 13 by hand: |a| of its mean parameters (Table 3), for the outputs of those of Table 1 without noise.
+    assert bsas_runs._printed_cost("mean") == pytest.approx(1.04e-5, rel=0.01)
+    assert bsas_runs._printed_cost("bas_scale") == pytest.approx(0.6, rel=0.05)
+
+
+def test_the_effort_of_evolution_is_counted(report_of: Callable[[str], StudyReport]) -> None:
+    found = {c.what: c.ours for c in report_of("ide-complexity").comparisons}
+    assert found["evaluations are NP (G + 1)"] == "in 24 of 24"
 
 
 def test_ide_ends_at_the_global_optimum(report_of: Callable[[str], StudyReport]) -> None:
@@ -146,23 +181,27 @@ def test_the_earth_turns_once_a_sidereal_day_at_every_position() -> None:
 def test_names_of_studies() -> None:
     assert find_studies("ide-fig5") == ("ide-fig5",)
     assert find_studies("bsas") == tuple(name for name in STUDIES if name.startswith("bsas"))
-    assert len(find_studies("all")) == len(STUDIES)
-    with refused(UsageError, Reason.USAGE, "all, bsas, ide", "bsas-table1, bsas-table2", key="run.no_study") as caught:
+    answers = find_studies("answers")
+    assert set(answers) == set(STUDIES) - set(find_studies("all")) == {name for name in STUDIES if name.startswith("answers-")}
+    with refused(UsageError, Reason.USAGE, "all, bsas, ide, answers", "bsas-table1, bsas-table2", key="run.no_study") as caught:
         find_studies("table9")
     assert caught.value.values["study"] == "table9"
 
 
 def test_words_name_figures_of_what_was_found() -> None:
     five = np.array([1.0, 2.0, 3.0, 4.0, 10.0])
-    found = Findings(values={"old": [five, five], "new": [five / 2, five], "falls": 1, "runs": 1, "shared": 6})
-    report = make_report("bsas-table5", found)
+    errors = {"old": [five, five], "new": [five / 2, five], "turntable": [five, five]}
+    counts = {"falls": 1, "below": 1, "mostly": True, "runs": 1, "shared": 6}
+    report = make_report("bsas-table5", Findings(values={**errors, **counts}))
     # Quantiles by hand: 5 % of four intervals is a fifth of the first, 95 % four fifths of the last.
     expected = Comparison("mean error, old parameters (ug)", "12.025", "3.00 (5 to 95 %: 1.20 to 8.80)")
     assert report.comparisons[0] == expected
-    assert report.comparisons[4].ours == "1 of 1"
-    errors = make_report("bsas-fig7", Findings(values={"errors": {f"K_{n}": np.array([3.0, -4.0]) for n in "xyz"}, "runs": 2}))
-    assert [c.ours for c in errors.comparisons] == ["RMSE 3.54"] * 3
-    assert [c.paper for c in errors.comparisons] == [f"RMSE {x:.3g}" for x in (3.535e-5, 4.945e-5, 2.523e-5)]
+    assert report.comparisons[6].ours == "1 of 1"
+    spread = {f"K_{n}": np.array([3.0, -4.0]) for n in "xyz"}
+    ours = {"ours": np.full(3, np.sqrt(12.5)), "smaller": False}
+    scale = make_report("bsas-fig7", Findings(values={"errors": spread, "runs": 2, **ours}))
+    assert [c.ours for c in scale.comparisons] == ["RMSE 3.54"] * 3
+    assert [c.paper for c in scale.comparisons] == [f"RMSE {x:.3g}" for x in (3.535e-5, 4.945e-5, 2.523e-5)]
 
 
 EXAMPLE = StudyReport(
@@ -202,4 +241,5 @@ def test_text_that_is_wide_is_folded_to_80_columns() -> None:
 
 def test_help_names_every_study() -> None:
     assert StudyOptions.__doc__ is not None
-    assert set(re.findall(r"(?:bsas|ide)-\w+", StudyOptions.__doc__)) == set(STUDIES)
+    assert set(re.findall(r"(?:bsas|ide)-\w+", StudyOptions.__doc__)) == set(find_studies("all"))
+    assert "answers" in StudyOptions.__doc__

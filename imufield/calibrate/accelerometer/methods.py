@@ -9,7 +9,7 @@ Sigma is that of the fit alone. Uncertainty of gravity is common to all methods 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -130,7 +130,7 @@ def restart(observations: Observations, calibration: Calibration, preset: Accele
     return Restart(calibration=calibration, problem=problem, vector=vector, preset=before, free=free)
 
 
-def solve_with(
+def solve_with(  # noqa: PLR0913 (the settings of `solve`, by keyword)
     method: str,
     observations: Observations,
     calibration: Calibration,
@@ -138,6 +138,7 @@ def solve_with(
     rng: np.random.Generator,
     preset: AccelerometerParameters | None = None,
     polish: bool = True,
+    settings: Mapping[str, str] | None = None,
     callback: Callback | None = None,
     seed: int | None = None,
 ) -> Calibration:
@@ -155,6 +156,8 @@ def solve_with(
         The one ``calibration`` was given.
     polish : bool
         Finish by least squares.
+    settings : mapping of str, optional
+        Of the method, as ``load_solver`` takes them.
     callback : callable, optional
     seed : int, optional
         Written to the result.
@@ -175,7 +178,7 @@ def solve_with(
         return calibration
     again = restart(observations, calibration, preset)
     problem = problem_for(again, method)
-    found = load_solver(method)(problem, rng=rng, callback=callback)
+    found = load_solver(method, settings)(problem, rng=rng, callback=callback)
     vector, basis = again.in_gauge(problem.vector(found.x))
     if polish and found.converged:
         problem = replace(again.problem, origin=vector, basis=basis)

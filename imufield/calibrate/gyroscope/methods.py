@@ -19,7 +19,7 @@ unit,
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -198,7 +198,13 @@ def rows_problem(fitted: SearchedFit, x: FloatArray, cost_name: CostName) -> Row
 
 
 def search(
-    fitted: SearchedFit, method: str, cost_name: CostName, *, rng: np.random.Generator, start: FloatArray | None = None
+    fitted: SearchedFit,
+    method: str,
+    cost_name: CostName,
+    *,
+    rng: np.random.Generator,
+    start: FloatArray | None = None,
+    settings: Mapping[str, str] | None = None,
 ) -> SolverResult:
     """Search for the parameters again; ``x`` of the result holds parameters.
 
@@ -215,13 +221,13 @@ def search(
     x = fitted.start if start is None else start
     evaluations = 0
     if cost_name == "absolute" and start is None:
-        near = search(fitted, method, "weighted", rng=rng)
+        near = search(fitted, method, "weighted", rng=rng, settings=settings)
         x, evaluations = near.x, near.evaluations
     number = 0
     while True:
         number += 1
         problem = rows_problem(fitted, x, cost_name)
-        found = load_solver(method)(problem, rng=rng)
+        found = load_solver(method, settings)(problem, rng=rng)
         evaluations += found.evaluations
         step = problem.vector(found.x) - x
         moved = float(np.linalg.norm(problem.by_coordinates @ found.x))
@@ -242,7 +248,12 @@ def search(
 
 
 def solve_gyroscope_with(
-    method: str, result: GyroscopeResult, *, rng: np.random.Generator, polish: bool = True
+    method: str,
+    result: GyroscopeResult,
+    *,
+    rng: np.random.Generator,
+    polish: bool = True,
+    settings: Mapping[str, str] | None = None,
 ) -> tuple[GyroscopeResult, SolverResult | None]:
     """Return the gyroscope with parameters found by another method, and how that ended.
 
@@ -255,6 +266,8 @@ def solve_gyroscope_with(
     rng : Generator
     polish : bool
         Finish by least squares.
+    settings : mapping of str, optional
+        Of the method, as ``load_solver`` takes them.
 
     Returns
     -------
@@ -273,7 +286,7 @@ def solve_gyroscope_with(
     fitted = searched_fit(result)
     if method == LEAST_SQUARES or fitted is None:
         return result, None
-    found = search(fitted, method, cost_name, rng=rng)
+    found = search(fitted, method, cost_name, rng=rng, settings=settings)
     if polish and found.converged:
         found = search(fitted, LEAST_SQUARES, "weighted", rng=rng, start=found.x).as_polish_of(found)
     return fitted.result(found.x, found), found

@@ -33,6 +33,7 @@ they reach 0.76 and 0.33, in a real hand-held session that shows one direction o
 NORMAL_FACTOR_95 = 1.959964
 """``student_factor`` for infinitely many degrees of freedom."""
 
+_NORMAL_NEARLY = 1.9602  # A Student factor below it stands for more than 10,000 degrees of freedom.
 _NO_VARIANCE = 1e-12  # Of a correlation matrix: a direction with less is one that the gauge fixes, and rounding.
 _NEWTON_STEPS = 100  # At most; each comes nearer, from below.
 
@@ -201,6 +202,15 @@ def student_factor(degrees_of_freedom: float, of: int = 1, chance: float = 0.05)
     from scipy.special import stdtrit  # the module is slow to load, and only a finished fit needs it
 
     return float(stdtrit(degrees_of_freedom, 1 - chance / (2 * of))) if degrees_of_freedom > 0 else float("nan")
+
+
+def degrees_of_freedom(student_factor_95: float) -> float:
+    """Return the degrees of freedom whose ``student_factor`` this is; 0 where it is NaN."""
+    from scipy.special import stdtridf  # slow to load, as above
+
+    if not student_factor_95 > 0:
+        return 0.0
+    return float(stdtridf(0.975, student_factor_95)) if student_factor_95 > _NORMAL_NEARLY else float("inf")
 
 
 def deviation_limits_95(sigma: FloatArray, freedom: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -67,6 +67,7 @@ class BsasSettings(BasSettings):
     """Maximum number of invalid searches with one step size."""
 
 
+BAS_SETTINGS = BasSettings()
 WHITENED_SETTINGS = BsasSettings(c_s=0.965, c_d=0.965, k_max=1200)
 """For whitened coordinates: slower attenuation, and the iterations it takes."""
 
@@ -76,10 +77,9 @@ def solve_bas(
     *,
     rng: np.random.Generator | None = None,
     callback: Callback | None = None,
-    settings: BasSettings | None = None,
+    settings: BasSettings = BAS_SETTINGS,
 ) -> SolverResult:
     """Minimise with one beetle (Algorithm 1)."""
-    settings = settings or BasSettings()
     record = Record(problem, callback, rng)
     x = np.asarray(problem.start, dtype=np.float64)
     record.offer(x, float(record.cost(x[None])[0]))

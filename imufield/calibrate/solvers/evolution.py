@@ -30,30 +30,45 @@ from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
 
-Strategy = Literal["rand", "current-to-best", "combined", "adaptive"]
+Strategy = Literal["rand", "current-to-best", "combined"]
 _FEWEST = 4  # Members a mutant is made from: three distinct ones, and its own parent.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DeSettings:
-    """Settings of section 3 of [1]_, under its names."""
+class EvolutionSettings:
+    """Settings of section 3 of [1]_ that all strategies share, under its names."""
 
     NP: int = 60
     """Population size."""
     EG: int = 1200
     """Generations."""
-    F: float = 1.2
-    """Mutation factor, where it is constant."""
     CR: float = 0.6
     """Crossover probability."""
-    F_max: float = 1.2
-    F_min: float = 0.35
-    alpha: float = 0.1
-    beta: float = 0.15
     tolerance: float = 1e-6
     """Spread of the population's costs, relative to the lowest, at which it counts as converged. Ours."""
     interval: float = 1e-13
     """The same, at which it stops before ``EG`` ("falls within preset convergence interval", section 3.1)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DeSettings(EvolutionSettings):
+    """A mutation factor that stays."""
+
+    F: float = 1.2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IdeSettings(EvolutionSettings):
+    """A mutation factor that adapts (eq. 17)."""
+
+    F_max: float = 1.2
+    F_min: float = 0.35
+    alpha: float = 0.1
+    beta: float = 0.15
+
+
+DE_SETTINGS = DeSettings()
+IDE_SETTINGS = IdeSettings()
 
 
 def evolve(
@@ -62,9 +77,9 @@ def evolve(
     strategy: Strategy,
     rng: np.random.Generator | None = None,
     callback: Callback | None = None,
-    settings: DeSettings | None = None,
+    settings: DeSettings | IdeSettings = DE_SETTINGS,
 ) -> SolverResult:
-    """Minimise within the problem's bounds by one of the four strategies.
+    """Minimise within the problem's bounds by one of the strategies, with a mutation factor that stays or one that adapts.
 
     Raises
     ------
@@ -74,7 +89,6 @@ def evolve(
         If the population is too small.
     """
     lower, upper = check_finite_bounds(problem)
-    settings = settings or DeSettings()
     if settings.NP < _FEWEST:
         raise UsageError(sentence("evolution.small_population", members=settings.NP, fewest=_FEWEST))
     record = Record(problem, callback, rng)
@@ -84,7 +98,7 @@ def evolve(
     record.offer_best(members, costs)
     for t in range(settings.EG):
         best = members[int(np.argmin(costs))]
-        mutants = _mutants(strategy, members, best, _weights(t, costs, strategy, settings), rng=rng)
+        mutants = _mutants(strategy, members, best, _weights(t, costs, settings), rng=rng)
         trials = np.where(rng.random(members.shape) < settings.CR, mutants, members)  # eq. 12
         # Entries outside the bounds are drawn anew within them; the paper does not say what becomes of them.
         outside = (trials < lower) | (trials > upper)
@@ -107,14 +121,14 @@ solve_de_current_to_best_1 = partial(evolve, strategy="current-to-best")
 """DE/current-to-best/1 (eq. 14)."""
 solve_de_combined = partial(evolve, strategy="combined")
 """The weighted combination of the two (eq. 15, 16)."""
-solve_ide = partial(evolve, strategy="adaptive")
+solve_ide = partial(evolve, strategy="combined", settings=IDE_SETTINGS)
 """IDE: the combination with an adaptive mutation factor (eq. 17, 18)."""
 
 
-def _weights(t: int, costs: FloatArray, strategy: Strategy, settings: DeSettings) -> tuple[float, float]:
+def _weights(t: int, costs: FloatArray, settings: DeSettings | IdeSettings) -> tuple[float, float]:
     """Return b and F, the two numbers that change with the generation."""
     b = 2 * t / settings.EG - (t / settings.EG) ** 2  # eq. 16
-    if strategy != "adaptive":
+    if isinstance(settings, DeSettings):
         return b, settings.F
     # eq. 17 with 1 / f_min - 1 / f_max = L_max - L_min; without a largest cost F stays up
     spread = float(costs.max() - costs.min()) if np.isfinite(costs).all() else np.inf

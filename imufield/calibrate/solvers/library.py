@@ -28,6 +28,9 @@ class LibrarySettings:
     """Relative spread of the population's costs at which it counts as converged."""
 
 
+LIBRARY_SETTINGS = LibrarySettings()
+
+
 def _pymoo(module: str) -> ModuleType:
     try:
         return importlib.import_module(module)
@@ -41,10 +44,9 @@ def solve_with_pymoo(
     name: str,
     rng: np.random.Generator | None = None,
     callback: Callback | None = None,
-    settings: LibrarySettings | None = None,
+    settings: LibrarySettings = LIBRARY_SETTINGS,
 ) -> SolverResult:
     """Minimise with a class of pymoo's single-objective algorithms."""
-    settings = settings or LibrarySettings()
     algorithm = getattr(_pymoo(f"pymoo.algorithms.soo.nonconvex.{name.lower()}"), name)(pop_size=settings.population)
     lower, upper = check_finite_bounds(problem)
     record = Record(problem, callback, rng)

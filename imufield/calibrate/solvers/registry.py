@@ -1,19 +1,27 @@
-"""Every solver by name, as ``methods.toml`` lists them. Listing imports no solver; loading imports one module."""
+"""Every solver by name, as ``methods.toml`` lists them. Listing imports no solver; loading imports one module.
+
+The settings of a solver have the symbols of its paper; for some of them a word does as well (``_SYMBOLS``).
+"""
 
 from __future__ import annotations
 
 import importlib
+import math
 import tomllib
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 from imufield.calibrate.solvers.base import Solver
 from imufield.calibrate.solvers.costs import CostName
 from imufield.errors import UsageError
 from imufield.sentences import Sentences
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 sentence = Sentences(__package__)
 
@@ -27,6 +35,8 @@ class Method:
     module: str
     function: str
     cost_name: CostName
+    settings: str = ""
+    """The name of its settings in the module; empty where it has none."""
 
 
 _LISTED = tomllib.loads(Path(__file__).with_name("methods.toml").read_text(encoding="utf-8"))
@@ -46,14 +56,58 @@ def find_method(name: str) -> Method:
     return METHODS[name]
 
 
-def load_solver(name: str) -> Solver:
-    """Return the function behind a name.
+# Words for the symbols of the papers.
+_SYMBOLS = {
+    "beetles": "m",
+    "iterations": "k_max",
+    "population": "NP",
+    "generations": "EG",
+    "factor": "F",
+    "crossover": "CR",
+}
+# A share is a chance, or what a step shrinks to: at 1 a step never shrinks, and a chance has its upper limit there.
+_SHARES = ("p_pos", "p_st", "CR")
+_SHRINKING = ("c_s", "c_d")
+_MOST = 1_000_000  # Members, beetles or rounds: a slip of the keyboard must not ask for more memory than there is.
+
+
+def load_solver(name: str, settings: Mapping[str, str] | None = None) -> Solver:
+    """Return the function behind a name, with settings as they are typed (``{"m": "20"}``) in place of its own.
 
     Raises
     ------
     UsageError
-        If there is no such method.
+        If there is no such method or setting, or a value makes no sense.
     """
     method = find_method(name)
     module = importlib.import_module(f"{__package__}.{method.module}")
-    return cast("Solver", getattr(module, method.function))
+    solver = cast("Solver", getattr(module, method.function))
+    if not settings:
+        return solver
+    if not method.settings:
+        raise UsageError(sentence("registry.no_settings", method=name, settings=list(settings)))
+    chosen = _changed(name, getattr(module, method.settings), settings)
+    return cast("Solver", partial(cast("Callable[..., object]", solver), settings=chosen))
+
+
+def _changed(method: str, own: DataclassInstance, settings: Mapping[str, str]) -> DataclassInstance:
+    """Return a solver's settings with the typed ones in their place."""
+    known = {field.name: getattr(own, field.name) for field in fields(own)}
+    values: dict[str, float] = {}
+    for name, text in settings.items():
+        symbol = name if name in known else _SYMBOLS.get(name, "")
+        if symbol not in known:
+            raise UsageError(sentence("registry.no_setting", method=method, setting=name, known=list(known)))
+        whole = isinstance(known[symbol], int)
+        lowest = 1 if whole else 0.0
+        highest = _MOST if whole else 1.0 if symbol in (*_SHARES, *_SHRINKING) else math.inf
+        try:
+            value = int(text) if whole else float(text)
+        except ValueError:
+            value = math.nan
+        if not lowest <= value <= highest or math.isinf(value) or (symbol in _SHRINKING and value == highest):
+            kind = "whole number" if whole else "number"
+            limits = {"lowest": lowest, "highest": highest}
+            raise UsageError(sentence("registry.setting", setting=name, value=text, kind=kind, **limits))
+        values[symbol] = value
+    return replace(own, **values)

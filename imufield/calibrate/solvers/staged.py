@@ -13,7 +13,7 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -34,12 +34,14 @@ PAPER_CATEGORIES: Categories = tuple(tuple(range(PARAMETERS))[part] for part in 
 _GROUP = 3  # Coordinates per category where a problem does not have the paper's fifteen.
 
 
-@dataclass(frozen=True, slots=True)
-class StagedSettings:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StagedSettings(BsasSettings):
     """The swarm of each category, and how often the four steps are repeated."""
 
-    swarm: BsasSettings = field(default_factory=BsasSettings)
     rounds: int = 1
+
+
+STAGED_SETTINGS = StagedSettings()
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,12 +116,11 @@ def solve_bsas_staged(
     *,
     rng: np.random.Generator | None = None,
     callback: Callback | None = None,
-    settings: StagedSettings | None = None,
+    settings: StagedSettings = STAGED_SETTINGS,
 ) -> SolverResult:
     """Minimise category by category (section 3.4 of [1]_)."""
-    settings = settings or StagedSettings()
     record = Record(problem, callback, rng)
-    swarm = partial(solve_bsas, settings=settings.swarm)
+    swarm = partial(solve_bsas, settings=settings)
     categories = default_categories(len(problem.start))
     stages = solve_stages(problem, categories, rng=record.rng, callback=callback, rounds=settings.rounds, solver=swarm)
     # Converged only if the last round is, and nothing nearby is better.
@@ -135,7 +136,7 @@ def solve_bsas_staged(
     if open_stages:
         counts = {"open": len(open_stages), "categories": len(last_round)}
         message = sentence("staged.open_categories", message=open_stages[0].message, **counts)
-    return record.result(settings.swarm.s, message, converged=not open_stages)
+    return record.result(settings.s, message, converged=not open_stages)
 
 
 def default_categories(n: int) -> Categories:

@@ -12,6 +12,7 @@ from imufield.commands.options.shared import (
     ConnectionOptions,
     DriverName,
     EventsAsJson,
+    MethodSettings,
     NewestSession,
     PlaceOptions,
     Plain,
@@ -251,6 +252,7 @@ class SolveOptions:
     preset: Annotated[Path | None, option(help="Parameter file in force before.")] = None
     zero: Annotated[str | None, option(help="Raw output at zero input, one or three numbers.")] = None
     method: Annotated[str, option(help="least-squares, bsas, ide and others, see docs/study.md.")] = "least-squares"
+    method_settings: MethodSettings = field(default_factory=dict)
     polish: Annotated[bool, option(help="Finish another method by least squares.")] = True
     cross_check: Annotated[bool, option("--cross-check", help="Solve by bsas, ide and least squares, compare.")] = False
     gyroscope_model: Annotated[str, option("--gyro-model", help="auto, basic or g-sensitive.")] = "auto"
@@ -266,7 +268,7 @@ class SolveOptions:
         Raises
         ------
         UsageError
-            If a choice is none of those there are, or ``zero`` is neither one number nor three.
+            If a choice or a setting is none of those there are, or ``zero`` is neither one number nor three.
         ParameterFileError
             If the preset cannot be read.
         """
@@ -275,14 +277,18 @@ class SolveOptions:
 
         from imufield.calibrate.gyroscope.model_choice import GyroscopeModel
         from imufield.calibrate.model.result import Gauge, ModelChoice
+        from imufield.calibrate.solvers.registry import load_solver
         from imufield.deliver.parameters.file import load
         from imufield.pipeline.calibration import SolveSettings, one_of
 
         zero = parse_zero(self.zero)
+        # Refused before a long session is read.
+        load_solver(self.method, self.method_settings)
         return SolveSettings(
             model=one_of("model", self.model, get_args(ModelChoice)),
             gauge=None if self.gauge is None else one_of("gauge", self.gauge, get_args(Gauge)),
             method=self.method,
+            method_settings=self.method_settings,
             polish=self.polish,
             cross_check=self.cross_check,
             gyroscope_model=one_of("gyro-model", self.gyroscope_model, get_args(GyroscopeModel)),
@@ -316,12 +322,12 @@ class StudyOptions:
     Studies: bsas-table1, bsas-table2, bsas-fig3, bsas-fig4, bsas-fig5, bsas-fig6, bsas-fig7, bsas-table3,
     bsas-staged, bsas-whitened, bsas-bound, bsas-table4, bsas-table5, bsas-fig9, bsas-table6, bsas-fig10,
     bsas-fig11, ide-table1, ide-fig2, ide-fig3, ide-fig4, ide-fig5, ide-table2, ide-table3, ide-fig6, ide-fig8,
-    ide-table4, ide-table5, ide-fig10.
+    ide-table4, ide-table5, ide-fig10, ide-complexity. Of what a calibration says of itself: answers (docs/answers.md).
 
     Example: imufield study bsas-table3 --quick
     """
 
-    name: Annotated[str, argument(help="One of the studies below, a paper (bsas, ide), or all.")]
+    name: Annotated[str, argument(help="One of the studies below, a paper (bsas, ide), all of the papers, or answers.")]
     quick: Annotated[bool, option("--quick", help="Few runs, to see that it works.")] = False
     seed: Annotated[int, option(help="Seed of all runs.", low=0, high=LARGEST_SEED)] = 0
     workers: Workers = None

@@ -138,6 +138,13 @@ Settings = Annotated[
         parse_settings,
     ),
 ]
+MethodSettings = Annotated[
+    Mapping[str, str],
+    Converted(
+        Annotated[list[str] | None, option("--set", help="Setting of --method: the paper's symbol or a word, e.g. m=20.")],
+        parse_settings,
+    ),
+]
 TableRateHz = Annotated[
     float | None, option("--rate-hz", help="Sample rate, where the file has no time.", within=RATE_RANGE_HZ)
 ]

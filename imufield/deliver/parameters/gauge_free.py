@@ -1,9 +1,14 @@
 """The numbers of a calibration that no choice of the body frame changes, with 1 sigma: what may be compared over time.
 
-The accelerometer's are those of ``[accelerometer.intrinsic]``. The gyroscope's misalignment and g-sensitivity are taken against
-the accelerometer's own axes: both triads are turned together so that the sensing x axis is the body's and the sensing y axis
-lies in its xy plane (gauge "lower"). That frame is found from parameters that are uncertain themselves, so sigma is that of
-the whole function, ``J C J^T`` with the joint covariance C and J by central differences; it is smooth and nearly linear.
+The accelerometer's are those of ``[accelerometer.intrinsic]``. The gyroscope's are taken against the accelerometer's own axes:
+both triads are turned together so that the sensing x axis is the body's and the sensing y axis lies in its xy plane (gauge
+"lower"). That frame is found from parameters that are uncertain themselves, so sigma is that of the whole function, ``J C J^T``
+with the joint covariance C and J by central differences; it is smooth and nearly linear.
+
+The numbers of one calibration hang together: for a known gravity their covariance is ``J (C - c c^T / C_gg) J^T``, with c the
+column of gravity in C. Much of that is the same in every session of an instrument, so that it is no reason for two of them to
+differ: what a term that was not fitted may hide, a prior. What differs is the covariance of the fit alone, ``(A^T W A)^-1``
+with A the Jacobian of the norms and W their weights; it is rebuilt from the positions.
 """
 
 from __future__ import annotations
@@ -14,10 +19,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imufield.calibrate.model.gauge import change_gauge, turn_gyroscope
-from imufield.calibrate.model.models import to_vector
-from imufield.calibrate.model.result import ACCELEROMETER_NAMES, Calibration, GyroscopeParameters
-from imufield.deliver.parameters.document import gyroscope_bias_rad_s
+from imufield.calibrate.model.gauge import change_gauge, intrinsic, turn_gyroscope
+from imufield.calibrate.model.models import QUADRATIC, norm_derivatives, to_vector
+from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS, parameter_scale
+from imufield.calibrate.model.result import ACCELEROMETER_NAMES, GRAVITY_NAME, Calibration, GyroscopeParameters
+from imufield.calibrate.model.uncertainty import degrees_of_freedom
 from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2
 from imufield.samples import AXES, FloatArray
@@ -26,6 +32,23 @@ from imufield.samples import AXES, FloatArray
 _ANGLES = ("xy", "xz", "yz")
 _MISALIGNMENTS = ("xy", "xz", "yx", "yz", "zx", "zy")
 _SENSITIVITIES = tuple(row + column for row in AXES for column in AXES)
+# In the order of ``_values``.
+_NAMES = tuple(
+    f"{kind} {place}"
+    for kind, places in (
+        ("scale", AXES),
+        ("bias", AXES),
+        ("angle", _ANGLES),
+        ("quadratic", AXES),
+        ("gyroscope bias", AXES),
+        ("gyroscope scale", AXES),
+        ("gyroscope misalignment", _MISALIGNMENTS),
+        ("g-sensitivity", _SENSITIVITIES),
+    )
+    for place in places
+)
+_GYROSCOPE = 12  # Where the numbers of the gyroscope begin.
+_TINY = np.finfo(np.float64).tiny
 _STEP_SIGMA = 0.1  # Of the central differences: far above rounding, far below what bends the function.
 
 
@@ -39,6 +62,19 @@ class Number:
     sigma: float
     common: float = 0.0
     """Part of sigma that comes from gravity."""
+    freedom: float = math.inf
+    """Degrees of freedom of sigma; 0 where nothing was to spare to find it from."""
+
+
+@dataclass(frozen=True, slots=True)
+class GaugeFree:
+    """The gauge-free numbers of a calibration, n of them."""
+
+    numbers: tuple[Number, ...]
+    error: FloatArray
+    """Covariance of their errors for a known gravity, in their units, shape (n, n)."""
+    scatter: FloatArray
+    """The part of it that another session with the same positions and model draws anew, shape (n, n)."""
 
 
 def numbers_of(calibration: Calibration) -> tuple[Number, ...]:
@@ -47,91 +83,164 @@ def numbers_of(calibration: Calibration) -> tuple[Number, ...]:
     Raises
     ------
     CalibrationError
-        If the accelerometer's axes are left-handed or nearly in one plane.
+        If there is a gyroscope, and the accelerometer's axes are left-handed or nearly in one plane.
     """
-    return (*_accelerometer(calibration), *_gyroscope(calibration))
+    return _numbers_of(calibration, _values(calibration), _jacobian(calibration))
+
+
+def gauge_free(calibration: Calibration, mean_raw: FloatArray, sigma_raw: FloatArray) -> GaugeFree:
+    """Return the gauge-free numbers of a calibration and how their errors hang together; raises as ``numbers_of``.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    mean_raw : ndarray, shape (m, 3)
+        Of the positions it came from.
+    sigma_raw : ndarray, shape (m, 3)
+        1 sigma of these means, NaN where it is not known.
+    """
+    names, C = calibration.covariance_names, calibration.covariance
+    values, J = _values(calibration), _jacobian(calibration)
+    numbers = _numbers_of(calibration, values, J)
+    known = C
+    if GRAVITY_NAME in names and C[names.index(GRAVITY_NAME), names.index(GRAVITY_NAME)] > 0:
+        of_gravity = C[names.index(GRAVITY_NAME)]
+        known = C - np.outer(of_gravity, of_gravity) / of_gravity[names.index(GRAVITY_NAME)]
+    error = J @ known @ J.T
+    scatter = error.copy()
+    fitted = _fit_covariance(calibration, mean_raw, sigma_raw)
+    if fitted is not None:
+        # A part is no larger than the whole: correlations between the axes of a mean are not in the file.
+        size = np.sqrt(np.minimum(np.diag(error)[:_GYROSCOPE] / np.maximum(np.diag(fitted), _TINY), 1.0))
+        scatter[:_GYROSCOPE, :_GYROSCOPE] = fitted * np.outer(size, size)
+    places = [_NAMES.index(number.name) for number in numbers]
+    stated = np.sqrt([max(number.sigma**2 - number.common**2, 0.0) for number in numbers])
+    own = np.sqrt(np.maximum(np.diag(error)[places], 0.0))
+    # From SI to the unit of each number: its stated sigma over that of its error.
+    unit = np.divide(stated, own, out=np.zeros_like(own), where=own > 0)
+    error, scatter = (part[np.ix_(places, places)] * np.outer(unit, unit) for part in (error, scatter))
+    # What the covariance does not hold stands by itself.
+    alone = np.flatnonzero(own == 0)
+    error[alone, alone] = scatter[alone, alone] = stated[alone] ** 2
+    return GaugeFree(numbers, error, scatter)
+
+
+def _fit_covariance(calibration: Calibration, mean_raw: FloatArray, sigma_raw: FloatArray) -> FloatArray | None:
+    """Return the covariance of the accelerometer's values by the fit alone, shape (12, 12).
+
+    None where the residuals do not tell the weights, or the file does not say which parameters were fitted.
+    """
+    used = calibration.accelerometer
+    vector = change_gauge(to_vector(used), "lower").vector
+    columns = [
+        k
+        for k in LOWER_GAUGE_COLUMNS
+        if ACCELEROMETER_NAMES[k] not in calibration.unobservable and (k < QUADRATIC.start or calibration.quadratic_fitted)
+    ]
+    quality = calibration.quality
+    derivatives = norm_derivatives(vector, mean_raw - used.raw_zero, used.quadratic_axes)
+    within = np.sum((derivatives.raw_gradient * np.nan_to_num(sigma_raw)) ** 2, axis=1)
+    variance = within + quality.between_position_sigma_m_s2**2
+    if len(columns) != quality.parameters_fitted or quality.degrees_of_freedom < 1 or not np.all(variance > 0):
+        return None
+    size = parameter_scale(vector, calibration.gravity.gravity_m_s2)[columns]
+    A = derivatives.jacobian[:, columns] * size / np.sqrt(variance)[:, None]
+    own, J = intrinsic(vector, used.quadratic_axes)
+    K = own[:3]
+    # Bias and quadratic term over the scale, as in ``_values``.
+    over = [*range(3, 6), *range(9, 12)]
+    J[over] = (J[over] - own[over, None] * np.tile(J[:3] / K[:, None], (2, 1))) / np.tile(K, 2)[:, None]
+    J = J[:, columns] * size
+    return np.asarray(J @ np.linalg.inv(A.T @ A) @ J.T)
+
+
+def _numbers_of(calibration: Calibration, values: FloatArray, J: FloatArray) -> tuple[Number, ...]:
+    sigma = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", J, calibration.covariance, J), 0.0))
+    return (*_accelerometer(calibration), *_gyroscope(calibration, values[_GYROSCOPE:], sigma[_GYROSCOPE:]))
 
 
 def _accelerometer(calibration: Calibration) -> Iterator[Number]:
     own, g = calibration.intrinsic, calibration.gravity
     K, unit = own.scale, calibration.accelerometer_raw_unit
+    freedom = degrees_of_freedom(calibration.quality.student_factor_95)
     common = np.abs(K) * g.sigma_m_s2 / g.gravity_m_s2
     bias, spread = own.bias_raw / K, own.bias_raw_sigma / np.abs(K)
     size = STANDARD_GRAVITY_M_S2 / K * 1e6
-    yield from _numbers("bias", AXES, "mg", bias / MILLI_G_M_S2, sigmas=spread / MILLI_G_M_S2)
-    yield from _numbers("scale", AXES, f"{unit} per m/s^2", K, sigmas=own.scale_sigma, common=common)
-    yield from _numbers("angle", _ANGLES, "mrad", own.angle_rad * 1e3, sigmas=own.angle_sigma_rad * 1e3)
-    yield from _numbers("quadratic", AXES, "ug/g^2", own.quadratic * size, sigmas=own.quadratic_sigma * np.abs(size))
+    yield from _numbers("bias", "mg", bias / MILLI_G_M_S2, spread / MILLI_G_M_S2, freedom=freedom)
+    yield from _numbers("scale", f"{unit} per m/s^2", K, own.scale_sigma, freedom=freedom, common=common)
+    yield from _numbers("angle", "mrad", own.angle_rad * 1e3, own.angle_sigma_rad * 1e3, freedom=freedom)
+    yield from _numbers("quadratic", "ug/g^2", own.quadratic * size, own.quadratic_sigma * np.abs(size), freedom=freedom)
 
 
-def _gyroscope(calibration: Calibration) -> Iterator[Number]:
+def _gyroscope(calibration: Calibration, values: FloatArray, sigma: FloatArray) -> Iterator[Number]:
     gyroscope = calibration.gyroscope
     if gyroscope is None or not np.isfinite(gyroscope.parameters.scale).all():
         return
-    rate, sigma = (values / DEG_PER_HOUR_RAD_S for values in gyroscope_bias_rad_s(gyroscope))
-    yield from _numbers("gyroscope bias", AXES, "deg/h", rate, sigmas=sigma)
-    scale = gyroscope.parameters.scale
-    yield from _numbers("gyroscope scale", AXES, f"{gyroscope.raw_unit} per rad/s", scale, sigmas=gyroscope.sigma.scale)
-    values, sigmas = against_accelerometer(calibration)
-    size = STANDARD_GRAVITY_M_S2 / DEG_PER_HOUR_RAD_S
-    yield from _numbers("gyroscope misalignment", _MISALIGNMENTS, "mrad", values[:6] * 1e3, sigmas=sigmas[:6] * 1e3)
-    yield from _numbers("g-sensitivity", _SENSITIVITIES, "deg/h/g", values[6:] * size, sigmas=sigmas[6:] * size)
+    # In the order of _NAMES. What is not in the covariance was not estimated.
+    keys = (("bias", AXES), ("scale", AXES), ("misalignment_rad", _MISALIGNMENTS), ("g_sensitivity", _SENSITIVITIES))
+    own = [f"gyroscope.{key}.{place}" in calibration.covariance_names for key, places in keys for place in places]
+    sigma = np.where(own, sigma, np.nan)
+    # A bias hangs on the scatter between the stills, and everything else on their biases.
+    freedom = float(np.count_nonzero(calibration.positions.used) - 1)
+    kinds = (
+        ("gyroscope bias", "deg/h", DEG_PER_HOUR_RAD_S),
+        ("gyroscope scale", f"{gyroscope.raw_unit} per rad/s", 1.0),
+        ("gyroscope misalignment", "mrad", 1e-3),
+        ("g-sensitivity", "deg/h/g", DEG_PER_HOUR_RAD_S / STANDARD_GRAVITY_M_S2),
+    )
+    for (what, unit, size), place in zip(kinds, (slice(3), slice(3, 6), slice(6, 12), slice(12, 21)), strict=True):
+        yield from _numbers(what, unit, values[place] / size, sigma[place] / size, freedom=freedom)
 
 
 def _numbers(
-    what: str, places: tuple[str, ...], unit: str, values: FloatArray, *, sigmas: FloatArray, common: FloatArray | None = None
+    what: str, unit: str, values: FloatArray, sigmas: FloatArray, *, freedom: float, common: FloatArray | None = None
 ) -> Iterator[Number]:
+    names = [name for name in _NAMES if name.rpartition(" ")[0] == what]
     shared = np.zeros(len(values)) if common is None else common
-    for place, value, sigma, part in zip(places, values, sigmas, shared, strict=True):
+    for name, value, sigma, part in zip(names, values, sigmas, shared, strict=True):
         # Sigma 0 is fixed by the gauge, NaN was not estimated: neither can have changed.
         if sigma > 0 and math.isfinite(value):
             yield Number(
-                name=f"{what} {place}", unit=unit, value=float(value), sigma=float(sigma), common=min(float(part), float(sigma))
+                name=name,
+                unit=unit,
+                value=float(value),
+                sigma=float(sigma),
+                common=min(float(part), float(sigma)),
+                freedom=freedom,
             )
 
 
-def against_accelerometer(calibration: Calibration) -> tuple[FloatArray, FloatArray]:
-    """Return the gyroscope's misalignment and g-sensitivity against the accelerometer's own axes, and their 1 sigma.
-
-    Returns
-    -------
-    values : ndarray, shape (15,)
-        E - I without its diagonal (xy, xz, yx, yz, zx, zy), rad; then K^-1 G row by row, (rad/s)/(m/s^2).
-    sigma : ndarray, shape (15,)
-        NaN for what was not estimated.
-
-    Raises
-    ------
-    CalibrationError
-        If the accelerometer's axes are left-handed or nearly in one plane.
-    """
+def _jacobian(calibration: Calibration) -> FloatArray:
+    """Return d values / d parameters of the covariance, by central differences."""
     names, C = calibration.covariance_names, calibration.covariance
-    step = _STEP_SIGMA * np.sqrt(np.maximum(np.diag(C), 0.0))
-    J = np.zeros((15, len(names)))
-    for column, (name, size) in enumerate(zip(names, step, strict=True)):
+    J = np.zeros((len(_values(calibration)), len(names)))
+    for column, size in enumerate(_STEP_SIGMA * np.sqrt(np.maximum(np.diag(C), 0.0))):
         if size > 0:
-            ends = [_own_axes(calibration, name, sign * size) for sign in (1.0, -1.0)]
+            ends = [_values(calibration, names[column], sign * size) for sign in (1.0, -1.0)]
             J[:, column] = (ends[0] - ends[1]) / (2 * size)
-    own = [f"gyroscope.misalignment_rad.{pair}" for pair in _MISALIGNMENTS]
-    own += [f"gyroscope.g_sensitivity.{pair}" for pair in _SENSITIVITIES]
-    variance = np.maximum(np.einsum("ij,jk,ik->i", J, C, J), 0.0)
-    sigma = np.where([name in names for name in own], np.sqrt(variance), np.nan)
-    return _own_axes(calibration, "", 0.0), np.asarray(sigma, dtype=np.float64)
+    return J
 
 
-def _own_axes(calibration: Calibration, name: str, offset: float) -> FloatArray:
-    """Return the 15 values with one parameter changed, shape (15,)."""
+def _values(calibration: Calibration, name: str = "", offset: float = 0.0) -> FloatArray:
+    """Return the values of ``_NAMES`` in SI with one parameter changed, those of the accelerometer alone without a gyroscope.
+
+    The quadratic term and the bias of the accelerometer are divided by its scale, those of the gyroscope by its own.
+    """
     vector = to_vector(calibration.accelerometer)
     if name in ACCELEROMETER_NAMES:
         vector[ACCELEROMETER_NAMES.index(name)] += offset
-    assert calibration.gyroscope is not None  # noqa: S101  (asked for calibrations with a gyroscope only)
+    scale, bias, angle, quadratic = intrinsic(vector, calibration.accelerometer.quadratic_axes)[0].reshape(4, 3)
+    own = np.concatenate([scale, bias / scale, angle, quadratic / scale])
+    if calibration.gyroscope is None:
+        return own
     # Copies: the calibration itself stays as it was measured.
-    own = calibration.gyroscope.parameters
-    fields = {key: getattr(own, key).copy() for key in ("scale", "misalignment_rad", "bias", "g_sensitivity")}
+    parameters = calibration.gyroscope.parameters
+    fields = {key: getattr(parameters, key).copy() for key in ("scale", "misalignment_rad", "bias", "g_sensitivity")}
     triad, _, rest = name.partition(".")
     if triad == "gyroscope":
         key, _, place = rest.partition(".")
         fields[key][tuple(AXES.index(axis) for axis in place)] += offset
     turned = turn_gyroscope(GyroscopeParameters(**fields), change_gauge(vector, "lower").rotation)
-    off_diagonal = ~np.eye(3, dtype=np.bool_)
-    return np.concatenate([turned.misalignment_rad[off_diagonal], (turned.g_sensitivity / turned.scale[:, None]).ravel()])
+    K, off_diagonal = turned.scale, ~np.eye(3, dtype=np.bool_)
+    sensitivity = (turned.g_sensitivity / K[:, None]).ravel()
+    return np.concatenate([own, turned.bias / K, K, turned.misalignment_rad[off_diagonal], sensitivity])

@@ -74,6 +74,7 @@ class Imu:
         a, g = instrument.grade.accelerometer, instrument.grade.gyroscope
         self._drift = BiasDrift(_six(a.bias_instability, g.bias_instability), _six(a.random_walk, g.random_walk), drift_rng)
         self._drift_sum = np.zeros(6)
+        self._turn_on = instrument.effects.draw_turn_on(np.random.default_rng([seed, 104]))
         self._next = 0
         self._gap = False
         self._use(settings or ImuSettings())
@@ -182,8 +183,8 @@ class Imu:
         return np.hstack([accelerometer, gyroscope])
 
     def _disturbance(self, time_s: FloatArray) -> FloatArray:
-        """Return white noise and drift in raw units per second, shape (n, 6)."""
-        disturbance = np.zeros((len(time_s), 6))
+        """Return turn-on, white noise and drift in raw units per second, shape (n, 6)."""
+        disturbance = np.tile(self._turn_on, (len(time_s), 1))
         if self.settings.noise:
             disturbance += self._sigma * self._noise_rng.standard_normal((len(time_s), 6))
         if self.settings.drift:

@@ -8,7 +8,7 @@ from gyroscope_sessions import matrix_from_pairs, turns_problem
 
 from imufield.calibrate.gyroscope.turntable import TurntableRun, pair_runs
 from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS
-from imufield.calibrate.solvers.evolution import DeSettings, solve_ide
+from imufield.calibrate.solvers.evolution import IdeSettings, solve_ide
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
 from tests.refused import refused
@@ -65,5 +65,5 @@ def test_printed_form_is_rank_three_and_vector_form_rank_nine() -> None:
 
 def test_differential_evolution_reaches_the_optimum() -> None:
     problem = turns_problem(pair_runs(runs(np.eye(3))))
-    found = solve_ide(problem, rng=np.random.default_rng(1), settings=DeSettings(EG=400))
+    found = solve_ide(problem, rng=np.random.default_rng(1), settings=IdeSettings(EG=400))
     assert found.x[:3] == pytest.approx(np.diag(M), abs=1e-4)

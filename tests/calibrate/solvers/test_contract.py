@@ -201,8 +201,8 @@ class TestBsas(SwarmContract):
 
 class TestBsasStaged(SwarmContract):
     name = "bsas-staged"
-    settings = StagedSettings(rounds=6, swarm=BsasSettings())
-    short = StagedSettings(swarm=BsasSettings(k_max=5))
+    settings = StagedSettings(rounds=6)
+    short = StagedSettings(k_max=5)
 
 
 class TestDeRand1(EvolutionContract):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from imufield.calibrate.solvers import evolution
-from imufield.calibrate.solvers.evolution import DeSettings, solve_de_combined, solve_de_rand_1, solve_ide
+from imufield.calibrate.solvers.evolution import IdeSettings, solve_de_combined, solve_de_rand_1, solve_ide
 from imufield.errors import Reason, UsageError
 from imufield.study.instruments import ide_problem
 from imufield.study.optimum import squares_optimum
@@ -49,15 +49,15 @@ def test_three_indices_are_distinct_and_uniform() -> None:
 
 
 def test_weights_follow_equations_16_and_17() -> None:
-    settings = DeSettings()
-    b, F = evolution._weights(0, np.array([1.0, 3.0]), "adaptive", settings)
+    settings = IdeSettings()
+    b, F = evolution._weights(0, np.array([1.0, 3.0]), settings)
     assert b == 0
     assert pytest.approx(1.2 - 0.85 / (1 + 0.1 * 2 + 0.15)) == F
-    b, F = evolution._weights(settings.EG, np.array([1.0, 1.0]), "adaptive", settings)
+    b, F = evolution._weights(settings.EG, np.array([1.0, 1.0]), settings)
     assert b == 1
     assert pytest.approx(settings.F_min) == F
 
 
 def test_a_population_too_small_for_a_mutant_is_refused() -> None:
     with refused(UsageError, Reason.USAGE, "NP = 3", key="evolution.small_population"):
-        solve_ide(ide_problem(np.random.default_rng(0)), settings=DeSettings(NP=3))
+        solve_ide(ide_problem(np.random.default_rng(0)), settings=IdeSettings(NP=3))

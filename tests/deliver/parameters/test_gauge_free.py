@@ -7,14 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
+from imufield.calibrate.accelerometer.methods import restart
 from imufield.calibrate.gyroscope.report import GYROSCOPE_NAMES
 from imufield.calibrate.model.gauge import change_gauge, turn_accelerometer, turn_gyroscope
 from imufield.calibrate.model.models import from_vector, to_vector
+from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, Calibration, GyroscopeCalibration, GyroscopeParameters
 from imufield.deliver.navigation.uncertain import draw_parameters
-from imufield.deliver.parameters.gauge_free import against_accelerometer, numbers_of
-from imufield.earth import STANDARD_GRAVITY_M_S2
+from imufield.deliver.parameters.gauge_free import _NAMES, _values, gauge_free, numbers_of
+from imufield.earth import STANDARD_GRAVITY_M_S2, choose_gravity
 from imufield.errors import CalibrationError, Reason
+from imufield.simulate.truth.grades import TACTICAL, perfect_instrument
+from imufield.study.answers.sessions import MeanSession
 from tests.refused import refused
 
 E = np.array([[0, 1.2e-3, -8e-4], [2.1e-3, 0, 5e-4], [-1.7e-3, 9e-4, 0]])
@@ -39,35 +44,72 @@ def with_gyroscope(calibration: Calibration, parameters: GyroscopeParameters) ->
     return replace(calibration, gyroscope=replace(calibration.gyroscope, parameters=parameters))
 
 
+# Of the units of the numbers of the gyroscope.
+DEG_PER_H = np.pi / 180 / 3600
+SIZES = np.repeat([DEG_PER_H, 1.0, 1e-3, DEG_PER_H / STANDARD_GRAVITY_M_S2], [3, 3, 6, 9])
+
+
 def turned(calibration: Calibration, gauge: str) -> Calibration:
     rotation = change_gauge(to_vector(calibration.accelerometer), gauge).rotation  # type: ignore[arg-type]
     other = with_gyroscope(calibration, turn_gyroscope(calibration.gyroscope.parameters, rotation))
     return replace(other, accelerometer=turn_accelerometer(calibration.accelerometer, rotation))
 
 
+def gyroscope_of(calibration: Calibration) -> np.ndarray:
+    """Return the values of the gyroscope in the units of the numbers."""
+    return np.array([one.value for one in numbers_of(calibration) if one.name.startswith(("gyroscope", "g-"))])
+
+
 @pytest.mark.parametrize("gauge", ["upper", "symmetric"])
 def test_another_frame_changes_nothing(whole: Calibration, gauge: str) -> None:
     other = turned(whole, gauge)
     assert np.abs(other.gyroscope.parameters.misalignment_rad - E).max() > 1e-4
-    np.testing.assert_allclose(against_accelerometer(other)[0], against_accelerometer(whole)[0], atol=1e-15, rtol=1e-12)
+    assert np.abs(other.gyroscope.parameters.scale / SCALE - 1).max() > 1e-6
+    np.testing.assert_allclose(gyroscope_of(other), gyroscope_of(whole), atol=1e-11, rtol=1e-12)
 
 
 def test_in_the_frame_of_the_accelerometer_they_are_the_parameters(whole: Calibration) -> None:
-    values, _ = against_accelerometer(whole)
-    np.testing.assert_allclose(values[:6], E[~np.eye(3, dtype=bool)], atol=1e-15)
-    np.testing.assert_allclose(values[6:].reshape(3, 3), G / SCALE[:, None], rtol=1e-12)
+    values = gyroscope_of(whole)
+    np.testing.assert_allclose(values[3:6], SCALE, rtol=1e-12)
+    np.testing.assert_allclose(values[6:12], 1e3 * E[~np.eye(3, dtype=bool)], atol=1e-12)
+    deg_per_h = np.degrees(1) * 3600
+    np.testing.assert_allclose(values[12:].reshape(3, 3), G / SCALE[:, None] * STANDARD_GRAVITY_M_S2 * deg_per_h, rtol=1e-12)
 
 
-def test_sigma_is_what_draws_of_the_parameters_show(whole: Calibration) -> None:
+def test_sigma_and_correlation_are_what_draws_show(whole: Calibration, observations: Observations) -> None:
     drawn = draw_parameters(whole, 4000, np.random.default_rng(3))
+    found = gauge_free(whole, observations.mean_raw, np.full((len(observations), 3), np.nan))
     values = []
     for k in range(4000):
         parameters = GyroscopeParameters(**{name: drawn.gyroscope[name][k] for name in drawn.gyroscope})
-        one = replace(with_gyroscope(whole, parameters), accelerometer=from_vector(drawn.vector[k]))
-        values.append(against_accelerometer(replace(one, covariance_names=(), covariance=np.empty((0, 0))))[0])
-    _, sigma = against_accelerometer(whole)
-    # The sigma of a standard deviation of 4000 draws is 1.1 %.
-    np.testing.assert_allclose(np.std(values, axis=0), sigma, rtol=0.05)
+        values.append(_values(replace(with_gyroscope(whole, parameters), accelerometer=from_vector(drawn.vector[k]))))
+    order = [_NAMES.index(number.name) for number in found.numbers]
+    drawn_values = np.transpose(values)[order]
+    known = [number.sigma for number in found.numbers][12:]
+    # The sigma of a standard deviation of 4000 draws is 1.1 %, that of a correlation at most 1.6 %.
+    np.testing.assert_allclose(np.std(drawn_values, axis=1)[12:] / SIZES, known, rtol=0.05)
+    root = np.sqrt(np.diag(found.error))
+    np.testing.assert_allclose(np.corrcoef(drawn_values), found.error / np.outer(root, root), atol=0.08)
+
+
+def test_what_differs_between_sessions_is_the_fit_alone() -> None:
+    truth = perfect_instrument(TACTICAL)
+    gravity = choose_gravity(latitude_deg=48.0)
+    observations = MeanSession(instrument=truth, gravity_m_s2=gravity.gravity_m_s2).observe(np.random.default_rng(2))
+    found = calibrate_accelerometer(observations, gravity, gauge="symmetric")
+    assert not found.quadratic_fitted
+    sigma_raw = np.sqrt(np.diagonal(observations.covariance_raw, axis1=1, axis2=2))
+    numbers = gauge_free(found, observations.mean_raw, sigma_raw)
+    by_name = {number.name: k for k, number in enumerate(numbers.numbers)}
+    # By another route, in whitened coordinates from a start of its own: scale, K b, angle, K2 (raw).
+    again = restart(observations, found).gauge_free_sigma()
+    scatter = np.sqrt(np.diag(numbers.scatter))
+    for name, expected in (("scale x", again[0]), ("bias y", again[4] / 9.80665e-3), ("angle yz", again[8] * 1e3)):
+        assert scatter[by_name[name]] == pytest.approx(expected, rel=1e-3)
+    # A quadratic term that was left out may hide in the bias, in every session alike.
+    error = np.sqrt(np.diag(numbers.error))
+    assert error[by_name["bias y"]] > 1.5 * scatter[by_name["bias y"]]
+    assert error[by_name["angle yz"]] == pytest.approx(scatter[by_name["angle yz"]], rel=0.01)
 
 
 def test_names_units_and_what_was_not_estimated(whole: Calibration) -> None:
