@@ -15,7 +15,7 @@ from imufield.acquire.recording.part_file import open_part
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
 from imufield.calibrate.model.observation_files import parse_observations, read_content
-from imufield.calibrate.model.observations import Observations, count_repeats_once
+from imufield.calibrate.model.observations import Observations, count_repeats_once, leave_out
 from imufield.deliver.parameters.file import Context, InstrumentFacts, Parameters, SessionFacts, load_found
 from imufield.earth import Gravity
 from imufield.errors import CalibrationError, ImufieldError, Reason
@@ -105,10 +105,12 @@ def solve_session(
         rates = [statistics.rate_hz for statistics in chain.statistics if statistics.rate_hz]
         true_rate_hz = float(np.median(rates)) if rates else math.nan
         rests = chain.turn_rests()
+        observations, left_out = leave_out(observations, settings.without)
         between = moves.between(observations, rests)
         protocol = chain.protocol
         measured = Measured(
             observations=observations,
+            left_out=left_out,
             gravity=(site or SiteOptions()).gravity(session.record.site),
             context=Context(
                 instrument=InstrumentFacts(**asdict(session.record.instrument)),
@@ -137,7 +139,9 @@ def solve_observations(path: Path, settings: SolveSettings, site: SiteOptions) -
     content = read_content(path)
     observations, repeats = count_repeats_once(parse_observations(content, path))
     facts = SessionFacts(printable(utf8_text(path.name)), hashlib.sha256(content).hexdigest())
-    measured = Measured(observations=observations, gravity=site.gravity(), context=Context(session=facts), reasons=repeats)
+    observations, left_out = leave_out(observations, settings.without)
+    context = Context(session=facts)
+    measured = Measured(observations=observations, left_out=left_out, gravity=site.gravity(), context=context, reasons=repeats)
     return Solved(calibrate(measured, settings), ())
 
 

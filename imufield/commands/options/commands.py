@@ -250,6 +250,7 @@ class SolveOptions:
     gauge: Annotated[str | None, option(help="preset, lower, upper or symmetric.")] = None
     preset: Annotated[Path | None, option(help="Parameter file in force before.")] = None
     zero: Annotated[str | None, option(help="Raw output at zero input, one or three numbers.")] = None
+    without: Annotated[list[str] | None, option(help="Name of a position to leave out; may be repeated.")] = None
     method: Annotated[str, option(help="least-squares, bsas, ide and others, see docs/study.md.")] = "least-squares"
     polish: Annotated[bool, option(help="Finish another method by least squares.")] = True
     cross_check: Annotated[bool, option("--cross-check", help="Solve by bsas, ide and least squares, compare.")] = False
@@ -289,6 +290,7 @@ class SolveOptions:
             preset=None if self.preset is None else load(self.preset),
             raw_zero=None if zero is None else np.array(zero),
             seed=self.seed,
+            without=tuple(self.without or ()),
         )
 
 
