@@ -21,6 +21,7 @@ from imufield.calibrate.model.observations import Observations, join_observation
 from imufield.calibrate.model.result import Calibration, Gauge, ModelChoice, PositionResult
 from imufield.calibrate.solvers.agreement import LEAST_SQUARES
 from imufield.deliver.parameters.file import Context, Parameters, from_document, to_document
+from imufield.deliver.parameters.time_base import clock_words
 from imufield.earth import MILLI_G_M_S2, Gravity
 from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.guide.events import Event, Turned
@@ -75,6 +76,8 @@ class SolveSettings:
     seed: int = 0
     without: tuple[str, ...] = ()
     """Names of positions to leave out."""
+    clock_sigma: float | None = None
+    """1 sigma of the sample period, relative; None: by what clock it is."""
 
 
 class MoveListener:
@@ -215,6 +218,9 @@ def _with_gyroscope(
         quality = replace(quality, reasons=reasons) if solved.converged else quality.lowered("poor", how)
     if check is not None:
         quality = replace(quality, reasons=(*quality.reasons, check.sentence))
+    time_base = measured.context.time_base
+    if time_base is not None and np.isfinite(result.calibration.sigma.scale).any():
+        quality = replace(quality, reasons=(*quality.reasons, clock_words(time_base)))
     return replace(joined, quality=quality)
 
 

@@ -9,14 +9,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import numpy as np
-
 from imufield.acquire.recording.part_file import open_part
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
 from imufield.calibrate.model.observation_files import parse_observations, read_content
 from imufield.calibrate.model.observations import Observations, count_repeats_once, leave_out
 from imufield.deliver.parameters.file import Context, InstrumentFacts, Parameters, SessionFacts, load_found
+from imufield.deliver.parameters.time_base import best_rate, find_time_base
 from imufield.earth import Gravity
 from imufield.errors import CalibrationError, ImufieldError, Reason
 from imufield.files import Origin, utf8_text
@@ -102,8 +101,8 @@ def solve_session(
             raise axes.error
         lost = _loss_sentences(chain, damage, is_import=session.record.kind == "import")
         reasons = (axes.words, *filter(None, (saturated,)), *chain.notes, *lost)
-        rates = [statistics.rate_hz for statistics in chain.statistics if statistics.rate_hz]
-        true_rate_hz = float(np.median(rates)) if rates else math.nan
+        best = best_rate(chain.statistics)
+        true_rate_hz = math.nan if best is None else best.rate_hz or math.nan
         rests = chain.turn_rests()
         observations, left_out = leave_out(observations, settings.without)
         between = moves.between(observations, rests)
@@ -115,6 +114,7 @@ def solve_session(
             context=Context(
                 instrument=InstrumentFacts(**asdict(session.record.instrument)),
                 session=SessionFacts(session.name, session_sha256(session), true_rate_hz, chain.temperature_degc),
+                time_base=None if best is None else find_time_base(best, settings.clock_sigma),
             ),
             moves=between,
             rests=rests,

@@ -251,6 +251,9 @@ class SolveOptions:
     preset: Annotated[Path | None, option(help="Parameter file in force before.")] = None
     zero: Annotated[str | None, option(help="Raw output at zero input, one or three numbers.")] = None
     without: Annotated[list[str] | None, option(help="Name of a position to leave out; may be repeated.")] = None
+    clock_sigma_ppm: Annotated[
+        float | None, option(help="How well the sample period is known, 1 sigma, ppm (default: by kind of clock).", low=0)
+    ] = None
     method: Annotated[str, option(help="least-squares, bsas, ide and others, see docs/study.md.")] = "least-squares"
     polish: Annotated[bool, option(help="Finish another method by least squares.")] = True
     cross_check: Annotated[bool, option("--cross-check", help="Solve by bsas, ide and least squares, compare.")] = False
@@ -291,6 +294,7 @@ class SolveOptions:
             raw_zero=None if zero is None else np.array(zero),
             seed=self.seed,
             without=tuple(self.without or ()),
+            clock_sigma=None if self.clock_sigma_ppm is None else 1e-6 * self.clock_sigma_ppm,
         )
 
 
@@ -318,12 +322,12 @@ class StudyOptions:
     Studies: bsas-table1, bsas-table2, bsas-fig3, bsas-fig4, bsas-fig5, bsas-fig6, bsas-fig7, bsas-table3,
     bsas-staged, bsas-whitened, bsas-bound, bsas-table4, bsas-table5, bsas-fig9, bsas-table6, bsas-fig10,
     bsas-fig11, ide-table1, ide-fig2, ide-fig3, ide-fig4, ide-fig5, ide-table2, ide-table3, ide-fig6, ide-fig8,
-    ide-table4, ide-table5, ide-fig10.
+    ide-table4, ide-table5, ide-fig10. Of what a calibration says of itself: answers (docs/answers.md).
 
     Example: imufield study bsas-table3 --quick
     """
 
-    name: Annotated[str, argument(help="One of the studies below, a paper (bsas, ide), or all.")]
+    name: Annotated[str, argument(help="One of the studies below, a paper (bsas, ide), all of the papers, or answers.")]
     quick: Annotated[bool, option("--quick", help="Few runs, to see that it works.")] = False
     seed: Annotated[int, option(help="Seed of all runs.", low=0, high=LARGEST_SEED)] = 0
     workers: Workers = None
