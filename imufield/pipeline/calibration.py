@@ -20,8 +20,8 @@ from imufield.calibrate.model.models import recover_vectors, to_vector
 from imufield.calibrate.model.observations import Observations, join_observations
 from imufield.calibrate.model.result import Calibration, Gauge, ModelChoice, PositionResult
 from imufield.calibrate.solvers.agreement import LEAST_SQUARES
+from imufield.deliver.parameters.clock import clock_words
 from imufield.deliver.parameters.file import Context, Parameters, from_document, to_document
-from imufield.deliver.parameters.time_base import clock_words
 from imufield.earth import MILLI_G_M_S2, Gravity
 from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.guide.events import Event, Turned
@@ -218,9 +218,9 @@ def _with_gyroscope(
         quality = replace(quality, reasons=reasons) if solved.converged else quality.lowered("poor", how)
     if check is not None:
         quality = replace(quality, reasons=(*quality.reasons, check.sentence))
-    time_base = measured.context.time_base
-    if time_base is not None and np.isfinite(result.calibration.sigma.scale).any():
-        quality = replace(quality, reasons=(*quality.reasons, clock_words(time_base)))
+    clock = measured.context.clock
+    if clock is not None and np.isfinite(result.calibration.sigma.scale).any():
+        quality = replace(quality, reasons=(*quality.reasons, clock_words(clock)))
     return replace(joined, quality=quality)
 
 

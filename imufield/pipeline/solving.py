@@ -14,8 +14,8 @@ from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
 from imufield.calibrate.model.observation_files import parse_observations, read_content
 from imufield.calibrate.model.observations import Observations, count_repeats_once, leave_out
+from imufield.deliver.parameters.clock import best_rate, clock_facts
 from imufield.deliver.parameters.file import Context, InstrumentFacts, Parameters, SessionFacts, load_found
-from imufield.deliver.parameters.time_base import best_rate, find_time_base
 from imufield.earth import Gravity
 from imufield.errors import CalibrationError, ImufieldError, Reason
 from imufield.files import Origin, utf8_text
@@ -99,7 +99,8 @@ def solve_session(
         observations, axes, notes, saturated = usable
         if axes.error is not None:
             raise axes.error
-        lost = _loss_sentences(chain, damage, is_import=session.record.kind == "import")
+        is_import = session.record.kind == "import"
+        lost = _loss_sentences(chain, damage, is_import=is_import)
         reasons = (axes.words, *filter(None, (saturated,)), *chain.notes, *lost)
         best = best_rate(chain.statistics)
         true_rate_hz = math.nan if best is None else best.rate_hz or math.nan
@@ -114,7 +115,7 @@ def solve_session(
             context=Context(
                 instrument=InstrumentFacts(**asdict(session.record.instrument)),
                 session=SessionFacts(session.name, session_sha256(session), true_rate_hz, chain.temperature_degc),
-                time_base=None if best is None else find_time_base(best, settings.clock_sigma),
+                clock=None if best is None else clock_facts(best, is_import=is_import, stated_sigma=settings.clock_sigma),
             ),
             moves=between,
             rests=rests,

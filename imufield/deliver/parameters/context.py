@@ -48,14 +48,14 @@ class SessionFacts:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TimeBase:
+class ClockFacts:
     """The clock that gave the samples their time.
 
-    ``clock`` is "host", "compared" (the instrument's own, held against the host's) or "unchecked" (a stated rate or stamps of a
-    file). The gyroscope's scale belongs to ``sample_period_s``, whose relative error in true seconds has ``sigma``.
+    ``source`` is "host", "compared" (the instrument's own, held against the host's) or "unchecked" (a stated rate, or the times
+    of a file). The gyroscope's scale belongs to ``sample_period_s``, whose relative error in true seconds has ``sigma``.
     """
 
-    clock: str
+    source: str
     sample_period_s: float
     sigma: float
 
@@ -81,7 +81,7 @@ class Context:
 
     instrument: InstrumentFacts = field(default_factory=InstrumentFacts)
     session: SessionFacts = field(default_factory=SessionFacts)
-    time_base: TimeBase | None = None
+    clock: ClockFacts | None = None
     """None where no samples were timed."""
     noise: Noise | None = None
     created: str = field(default_factory=now_text)

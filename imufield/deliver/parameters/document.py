@@ -21,7 +21,7 @@ from imufield.calibrate.model.result import (
     Quality,
     SolverSummary,
 )
-from imufield.deliver.parameters.context import Context, InstrumentFacts, Noise, SessionFacts, TimeBase
+from imufield.deliver.parameters.context import ClockFacts, Context, InstrumentFacts, Noise, SessionFacts
 from imufield.deliver.parameters.schema import Document
 from imufield.earth import Gravity
 from imufield.samples import FloatArray
@@ -43,7 +43,7 @@ def _names(kind: type, *without: str) -> tuple[str, ...]:
 _GYROSCOPE_ARRAYS = _names(GyroscopeParameters)
 _INTRINSIC = _names(Intrinsic)
 _NOISE = _names(Noise, "source")
-_TIME_BASE = _names(TimeBase)
+_CLOCK = _names(ClockFacts)
 _QUALITY_FIGURES = _names(Quality, "verdict", "reasons")
 _POSITION_RESULTS = _names(PositionResult, "used")
 
@@ -94,11 +94,11 @@ def to_document(calibration: Calibration, observations: Observations, context: C
             "bias_rad_s": bias_rad_s.tolist(),
             "uncertainty": _lists(gyroscope.sigma, _GYROSCOPE_ARRAYS) | {"bias_rad_s": bias_sigma_rad_s.tolist()},
         }
-        if context.time_base is not None:
-            by_clock = gyroscope.parameters.scale * context.time_base.sigma
+        if context.clock is not None:
+            by_clock = gyroscope.parameters.scale * context.clock.sigma
             document["gyroscope"]["uncertainty"]["scale_absolute"] = np.hypot(gyroscope.sigma.scale, by_clock).tolist()
-    if context.time_base is not None:
-        document["time_base"] = _plain(context.time_base, _TIME_BASE)
+    if context.clock is not None:
+        document["clock"] = _plain(context.clock, _CLOCK)
     if context.noise is not None:
         document["noise"] = noise_table(context.noise)
     # A method that draws nothing has no seed, and TOML no null.
@@ -223,7 +223,7 @@ def context_from_document(document: Document) -> Context:
     return Context(
         instrument=InstrumentFacts(**document["instrument"]),
         session=SessionFacts(session["name"], session["sha256"], session["sample_rate_hz"], (low, high)),
-        time_base=None if "time_base" not in document else TimeBase(**document["time_base"]),
+        clock=None if "clock" not in document else ClockFacts(**document["clock"]),
         noise=None if noise is None else Noise(source=noise["source"], **_arrays(noise, _NOISE)),
         created=document["created"],
         software=document["software"],

@@ -11,7 +11,7 @@ import math
 from collections.abc import Sequence
 
 from imufield.acquire.decode.statistics import DecoderStatistics
-from imufield.deliver.parameters.context import TimeBase
+from imufield.deliver.parameters.context import ClockFacts
 from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
@@ -28,21 +28,24 @@ def best_rate(parts: Sequence[DecoderStatistics]) -> DecoderStatistics | None:
     return min(timed, key=lambda part: (math.inf if part.rate_sigma is None else part.rate_sigma, -part.samples), default=None)
 
 
-def find_time_base(part: DecoderStatistics, stated_sigma: float | None = None) -> TimeBase:
-    """Return the clock of the samples of a part, and its sigma: the one that the user states, else by what it is."""
+def clock_facts(part: DecoderStatistics, *, is_import: bool = False, stated_sigma: float | None = None) -> ClockFacts:
+    """Return the clock of the samples of a part, and its sigma: the one that the user states, else by what it is.
+
+    The samples of an import arrived when its file says, which is no second clock; frames of a bus were stamped by a host.
+    """
     nominal_hz = part.nominal_rate_hz or math.nan
     host_sigma = min(math.hypot(HOST_SIGMA, part.rate_sigma or 0.0), UNCHECKED_SIGMA)
-    if part.rate_hz is None:
-        clock, period_s, sigma = "unchecked", 1 / nominal_hz, UNCHECKED_SIGMA
-    elif part.follows_host:
-        clock, period_s, sigma = "host", 1 / part.rate_hz, host_sigma
+    if part.rate_hz is not None and part.follows_host:
+        source, period_s, sigma = "host", 1 / part.rate_hz, host_sigma
+    elif part.rate_hz is None or is_import:
+        source, period_s, sigma = "unchecked", 1 / nominal_hz, UNCHECKED_SIGMA
     else:
         # Nothing is corrected by what the host shows, so that is an error of the scale in true seconds.
-        clock, period_s, sigma = "compared", 1 / nominal_hz, math.hypot(host_sigma, nominal_hz / part.rate_hz - 1)
-    return TimeBase(clock=clock, sample_period_s=period_s, sigma=sigma if stated_sigma is None else stated_sigma)
+        source, period_s, sigma = "compared", 1 / nominal_hz, math.hypot(host_sigma, nominal_hz / part.rate_hz - 1)
+    return ClockFacts(source=source, sample_period_s=period_s, sigma=sigma if stated_sigma is None else stated_sigma)
 
 
-def clock_words(time_base: TimeBase) -> Sentence:
+def clock_words(clock: ClockFacts) -> Sentence:
     """Return to which period the scale belongs, and how well that is known."""
-    values = {"period_ms": 1e3 * time_base.sample_period_s, "sigma_ppm": 1e6 * time_base.sigma}
-    return sentence(f"time_base.{time_base.clock}", **values)
+    values = {"period_ms": 1e3 * clock.sample_period_s, "sigma_ppm": 1e6 * clock.sigma}
+    return sentence(f"clock.{clock.source}", **values)

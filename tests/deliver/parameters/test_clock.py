@@ -7,7 +7,7 @@ import math
 import pytest
 
 from imufield.acquire.decode.statistics import DecoderStatistics
-from imufield.deliver.parameters.time_base import HOST_SIGMA, UNCHECKED_SIGMA, best_rate, clock_words, find_time_base
+from imufield.deliver.parameters.clock import HOST_SIGMA, UNCHECKED_SIGMA, best_rate, clock_facts, clock_words
 
 COUNTED = DecoderStatistics(samples=100_000, nominal_rate_hz=2000.0, rate_hz=1990.0, rate_sigma=1e-6)
 SHORT = DecoderStatistics(samples=5000, nominal_rate_hz=2000.0, rate_hz=2015.28, rate_sigma=2e-2)
@@ -20,24 +20,26 @@ def test_the_part_that_knows_the_rate_best_tells_it() -> None:
 
 
 def test_an_instruments_clock_is_wrong_by_what_the_host_shows() -> None:
-    found = find_time_base(COUNTED)
-    assert (found.clock, found.sample_period_s) == ("compared", 1 / 2000)
+    found = clock_facts(COUNTED)
+    assert (found.source, found.sample_period_s) == ("compared", 1 / 2000)
     assert found.sigma == pytest.approx(math.hypot(2000 / 1990 - 1, HOST_SIGMA), rel=1e-3)
 
 
 def test_the_hosts_own_time_is_as_good_as_its_quartz() -> None:
     host = DecoderStatistics(samples=10_000, nominal_rate_hz=100.0, rate_hz=101.0, rate_sigma=1e-4, follows_host=True)
-    found = find_time_base(host)
-    assert (found.clock, found.sample_period_s) == ("host", 1 / 101)
+    found = clock_facts(host)
+    assert (found.source, found.sample_period_s) == ("host", 1 / 101)
     assert found.sigma == pytest.approx(math.hypot(1e-4, HOST_SIGMA))
 
 
 def test_nothing_checks_a_typed_rate() -> None:
-    found = find_time_base(DecoderStatistics(samples=1000, nominal_rate_hz=100.0))
-    assert (found.clock, found.sigma) == ("unchecked", UNCHECKED_SIGMA)
+    # The times of a file are no second clock.
+    assert clock_facts(COUNTED, is_import=True).source == "unchecked"
+    found = clock_facts(DecoderStatistics(samples=1000, nominal_rate_hz=100.0))
+    assert (found.source, found.sigma) == ("unchecked", UNCHECKED_SIGMA)
     assert clock_words(found).values == {"period_ms": 10.0, "sigma_ppm": pytest.approx(1e6 * UNCHECKED_SIGMA)}
 
 
 @pytest.mark.parametrize("part", [COUNTED, SHORT, DecoderStatistics(samples=1000, nominal_rate_hz=100.0)])
 def test_what_the_user_states_goes_before(part: DecoderStatistics) -> None:
-    assert find_time_base(part, 1e-4).sigma == 1e-4
+    assert clock_facts(part, stated_sigma=1e-4).sigma == 1e-4
