@@ -48,4 +48,5 @@ def clock_facts(part: DecoderStatistics, *, is_import: bool = False, stated_sigm
 def clock_words(clock: ClockFacts) -> Sentence:
     """Return to which period the scale belongs, and how well that is known."""
     values = {"period_ms": 1e3 * clock.sample_period_s, "sigma_ppm": 1e6 * clock.sigma}
-    return sentence(f"clock.{clock.source}", **values)
+    keys = {"host": "clock.host", "compared": "clock.compared", "unchecked": "clock.unchecked"}
+    return sentence(keys[clock.source], **values)

@@ -1,0 +1,40 @@
+"""Effects beyond the error model of an instrument: what a calibration does not fit, one field each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imufield.samples import FloatArray, IntArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Effects:
+    """What happens beside the error model; by default nothing.
+
+    A hold that is touched reads the force of the hand with gravity. Of it the norm sees the part along gravity:
+    ``f = f_0 (1 + d / |f_0|)``, so ``|f| = g + d`` [1]_.
+
+    References
+    ----------
+    .. [1] I. Frosio, F. Pedersini, N. A. Borghese, "Autocalibration of MEMS accelerometers", IEEE Trans. Instrum. Meas. 58(6),
+       2009: equation 5, the norm that a position is held against.
+    """
+
+    touched_holds: int = 0
+    """How many holds of a session are touched."""
+    touch_m_s2: float = 0.0
+    """By how much the norm of each is off, d; with either sign."""
+
+    def touch(self, force_m_s2: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, IntArray]:
+        """Return mean specific forces of holds, shape (m, 3), some of them touched, and which, ascending."""
+        which = np.sort(rng.permutation(len(force_m_s2))[: self.touched_holds])
+        touched: FloatArray = force_m_s2.copy()
+        touched[which] *= 1 + self.touch_m_s2 * rng.choice([-1.0, 1.0], (len(which), 1)) / np.linalg.norm(
+            force_m_s2[which], axis=1, keepdims=True
+        )
+        return touched, which
+
+
+NO_EFFECTS = Effects()
