@@ -84,19 +84,7 @@ def to_document(calibration: Calibration, observations: Observations, context: C
         },
     }
     if gyroscope is not None:
-        bias_rad_s, bias_sigma_rad_s = gyroscope_bias_rad_s(gyroscope)
-        document["gyroscope"] = {
-            "equation": GYROSCOPE_EQUATION,
-            "raw_unit": gyroscope.raw_unit,
-            "gauge": calibration.gauge,
-            "path": gyroscope.path,
-            **_lists(gyroscope.parameters, _GYROSCOPE_ARRAYS),
-            "bias_rad_s": bias_rad_s.tolist(),
-            "uncertainty": _lists(gyroscope.sigma, _GYROSCOPE_ARRAYS) | {"bias_rad_s": bias_sigma_rad_s.tolist()},
-        }
-        if context.clock is not None:
-            by_clock = gyroscope.parameters.scale * context.clock.sigma
-            document["gyroscope"]["uncertainty"]["scale_absolute"] = np.hypot(gyroscope.sigma.scale, by_clock).tolist()
+        document["gyroscope"] = _gyroscope_table(gyroscope, calibration.gauge, context.clock)
     if context.clock is not None:
         document["clock"] = _plain(context.clock, _CLOCK)
     if context.noise is not None:
@@ -113,6 +101,23 @@ def to_document(calibration: Calibration, observations: Observations, context: C
     document["position"] = _positions(calibration.positions, observations)
     document["covariance"] = {"names": list(calibration.covariance_names), "matrix": calibration.covariance.tolist()}
     return document
+
+
+def _gyroscope_table(gyroscope: GyroscopeCalibration, gauge: str, clock: ClockFacts | None) -> Document:
+    bias_rad_s, bias_sigma_rad_s = gyroscope_bias_rad_s(gyroscope)
+    uncertainty = _lists(gyroscope.sigma, _GYROSCOPE_ARRAYS) | {"bias_rad_s": bias_sigma_rad_s.tolist()}
+    if clock is not None:
+        by_clock = gyroscope.parameters.scale * clock.sigma
+        uncertainty["scale_absolute"] = np.hypot(gyroscope.sigma.scale, by_clock).tolist()
+    return {
+        "equation": GYROSCOPE_EQUATION,
+        "raw_unit": gyroscope.raw_unit,
+        "gauge": gauge,
+        "path": gyroscope.path,
+        **_lists(gyroscope.parameters, _GYROSCOPE_ARRAYS),
+        "bias_rad_s": bias_rad_s.tolist(),
+        "uncertainty": uncertainty,
+    }
 
 
 def noise_table(noise: Noise) -> Document:
