@@ -38,6 +38,7 @@ GRAVITIES_DIFFER_SIGMA = 3.0
 """A typed value further from that of the latitude than this is reported."""
 ASSUMED_GRAVITY_SIGMA_M_S2 = 0.018
 """1 sigma where nothing is known: gravity runs from 9.764 to 9.834 m/s^2 over the Earth's surface."""
+_TEXTBOOK_GRAVITIES_M_S2 = (STANDARD_GRAVITY_M_S2, 9.81, 9.807, 9.8)
 
 GRAVITY_RANGE_M_S2 = (9.76, 9.84)
 """Surface gravity from Huascaran (9.7639) to the Arctic Ocean (9.8337), with a margin."""
@@ -49,7 +50,7 @@ HEIGHT_RANGE_M = (-500.0, 9000.0)
 class Gravity:
     """Local gravity and how it is known.
 
-    ``source`` is "typed", "normal" (WGS-84 at latitude and height), "measured" or "assumed".
+    ``source`` is "typed", "normal" (WGS-84 at latitude and height), "measured" or "assumed" (nothing, or a textbook's value).
     """
 
     gravity_m_s2: float
@@ -72,6 +73,27 @@ def sigma_of_digits(text: str) -> float:
     # A value is as likely anywhere in its last digit: width over the root of 12.
     decimals = len(text.partition(".")[2].rstrip()) if "e" not in text.lower() else 0
     return max(10.0**-decimals / math.sqrt(12), MEASURED_GRAVITY_SIGMA_M_S2)
+
+
+def sigma_as_typed(text: str, given: str) -> float | None:
+    """Return 1 sigma in m/s^2 of gravity typed as ``text``: as given beside it, or by its digits; None for a textbook's value.
+
+    Raises
+    ------
+    UsageError
+        If what was given is no standard deviation of gravity.
+    """
+    if not given:
+        return None if float(text) in _TEXTBOOK_GRAVITIES_M_S2 else sigma_of_digits(text)
+    low, high = MEASURED_GRAVITY_SIGMA_M_S2, GRAVITY_RANGE_M_S2[1] - GRAVITY_RANGE_M_S2[0]
+    try:
+        sigma_m_s2 = float(given)
+    except ValueError:
+        sigma_m_s2 = math.nan
+    # Written so that NaN is outside.
+    if not low <= sigma_m_s2 <= high:
+        raise UsageError(sentence("earth.gravity_sigma", given=given, low=low, high=high))
+    return sigma_m_s2
 
 
 def height_words(gravity: Gravity) -> str:
@@ -104,6 +126,8 @@ def choose_gravity(
 ) -> Gravity:
     """Return gravity from the best of what the user gave: a value, a latitude, or nothing.
 
+    A value that textbooks print says nothing about the place: without latitude and ``sigma_m_s2`` it is an assumed one.
+
     Raises
     ------
     CalibrationError
@@ -121,6 +145,8 @@ def choose_gravity(
             refused = sentence("earth.gravity", gravity_m_s2=gravity_m_s2, low=low, high=high)
             raise CalibrationError(refused, Reason.GRAVITY)
         value, sigma, source = gravity_m_s2, sigma_of_digits(repr(float(gravity_m_s2))), "typed"
+        if value in _TEXTBOOK_GRAVITIES_M_S2 and latitude_deg is None and sigma_m_s2 is None:
+            sigma, source = ASSUMED_GRAVITY_SIGMA_M_S2, "assumed"
     elif latitude_deg is not None:
         height_m = height_m or 0.0
         value, sigma, source = normal_gravity(latitude_deg, height_m), NORMAL_GRAVITY_SIGMA_M_S2, "normal"

@@ -85,7 +85,7 @@ def test_replay_of_bytes(imufield_replay: Callable[..., Replayed], dump: Path) -
     assert len(replay.samples) > 5000
     assert replay.session.metadata["settings"]["rate_hz"] == {"value": 125, "origin": "given"}
     assert replay.events == []
-    parameters = replay.solve(gravity_m_s2=9.81)
+    parameters = replay.solve(gravity_m_s2=9.8123)
     assert parameters.calibration.gravity.source == "typed"
     # The first position was shown twice: to measure the noise floor in, and in its turn.
     assert len(parameters.document["position"]) == 7

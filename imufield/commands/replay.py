@@ -10,7 +10,9 @@ from imufield.acquire.recording.reader import Damage, EndOfRecordingError, Recor
 from imufield.acquire.recording.session import Session, open_or_newest
 from imufield.commands.options.commands import ReplayOptions
 from imufield.commands.terminal.output import echo, say
-from imufield.errors import UsageError
+from imufield.deliver.parameters.file import PARAMETER_FILE, load_found
+from imufield.errors import ImufieldError, UsageError
+from imufield.files import Origin
 from imufield.guide.view.plain import JsonLinesView, PlainView
 from imufield.pipeline.chain import Chain, ReadingPlan, replay_into, session_protocol
 from imufield.pipeline.damage import without_end_under_way
@@ -54,6 +56,7 @@ def run_replay(options: ReplayOptions) -> None:
     # JSON lines are for programs, which count for themselves.
     if not options.as_json:
         _tell(chain)
+        _tell_left_out(session)
 
 
 def _tell(chain: Chain) -> None:
@@ -65,6 +68,16 @@ def _tell(chain: Chain) -> None:
     if chain.finder is not None:
         found = chain.still_intervals()
         echo(f"{len(found.observations)} still intervals, {len(found.refused)} refused")
+
+
+def _tell_left_out(session: Session) -> None:
+    """Say which positions the parameters in the session's folder were solved without."""
+    try:
+        positions = load_found(session.folder / PARAMETER_FILE, Origin.INSIDE).document["position"]
+    except ImufieldError:
+        return
+    if names := [position["name"] for position in positions if not position["used"]]:
+        say(sentence("replay.left_out", file=PARAMETER_FILE, names=names))
 
 
 def _replay_to_others(session: Session, options: ReplayOptions) -> None:

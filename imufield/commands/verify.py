@@ -11,6 +11,7 @@ from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import open_or_newest
 from imufield.acquire.recording.session_record import SiteRecord
+from imufield.calibrate.model.observations import leave_out
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters
 from imufield.commands.options.commands import VerifyOptions
 from imufield.commands.terminal.output import echo
@@ -159,6 +160,8 @@ def _left_out(task: _Task, chain: Chain, problems: list[ImufieldError]) -> LeftO
         before = _before_accelerometer(task, protocol)
         if not task.is_its_own:
             return check_positions(calibration, observations, task.gravity, before)
+        not_used = [table["name"] for table in task.parameters.document["position"] if not table["used"]]
+        observations, _ = leave_out(observations, not_used)
         # Predicting positions from the others says nothing of parameters that did not come from these.
         changed = contradiction(calibration, observations, before)
         return changed or cross_validate(calibration, observations, task.options.hold_out or HOLD_OUT, before)

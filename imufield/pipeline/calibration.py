@@ -16,11 +16,13 @@ from imufield.calibrate.gyroscope.methods import cross_check_gyroscope, solve_gy
 from imufield.calibrate.gyroscope.model_choice import GyroscopeModel
 from imufield.calibrate.gyroscope.moves import MoveCollector, Moves, cut_moves, no_slots
 from imufield.calibrate.gyroscope.whole_turns import Stop, stops_at
+from imufield.calibrate.model.models import recover_vectors, to_vector
 from imufield.calibrate.model.observations import Observations, join_observations
-from imufield.calibrate.model.result import Calibration, Gauge, ModelChoice
+from imufield.calibrate.model.result import Calibration, Gauge, ModelChoice, PositionResult
 from imufield.calibrate.solvers.agreement import LEAST_SQUARES
+from imufield.deliver.parameters.clock import clock_words
 from imufield.deliver.parameters.file import Context, Parameters, from_document, to_document
-from imufield.earth import Gravity
+from imufield.earth import MILLI_G_M_S2, Gravity
 from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.guide.events import Event, Turned
 from imufield.guide.lead.turns import VERTICAL
@@ -44,6 +46,8 @@ class Measured:
     observations: Observations
     gravity: Gravity
     context: Context
+    left_out: Observations | None = None
+    """What the user left out: for the record alone."""
     moves: Moves | None = None
     """Between the stills, of positions and then of turns; None where only means are known."""
     rests: Observations | None = None
@@ -71,6 +75,10 @@ class SolveSettings:
     preset: Parameters | None = None
     raw_zero: FloatArray | None = None
     seed: int = 0
+    without: tuple[str, ...] = ()
+    """Names of positions to leave out."""
+    clock_sigma: float | None = None
+    """1 sigma of the sample period, relative; None: by what clock it is."""
 
 
 class MoveListener:
@@ -149,9 +157,28 @@ def calibrate(measured: Measured, settings: SolveSettings) -> Parameters:
     # After the accelerometer, which tells in what position each still was.
     calibration = _with_gyroscope(calibration, measured, settings, rng)
     quality = replace(calibration.quality, reasons=(*calibration.quality.reasons, *sentences))
-    calibration = replace(calibration, quality=quality)
+    calibration, observations = replace(calibration, quality=quality), measured.observations
+    if measured.left_out is not None and len(measured.left_out):
+        calibration = _recording_left_out(calibration, measured.left_out)
+        observations = join_observations(observations, measured.left_out)
     # Through the document and back: what is printed is what the file holds, digit by digit.
-    return from_document(to_document(calibration, measured.observations, measured.context))
+    return from_document(to_document(calibration, observations, measured.context))
+
+
+def _recording_left_out(calibration: Calibration, left_out: Observations) -> Calibration:
+    """Return the calibration with the positions that the user left out behind the others, and a sentence about each."""
+    parameters, gravity = calibration.accelerometer, calibration.gravity.gravity_m_s2
+    force = recover_vectors(to_vector(parameters), left_out.mean_raw - parameters.raw_zero, parameters.quadratic_axes)
+    off_m_s2, unknown = np.linalg.norm(force, axis=1) - gravity, np.full(len(left_out), np.nan)
+    rows = {"residual_m_s2": unknown, "leave_one_out_m_s2": off_m_s2, "leverage": unknown, "used": unknown > 0}
+    before = calibration.positions
+    positions = PositionResult(**{name: np.concatenate([getattr(before, name), more]) for name, more in rows.items()})
+    told = (
+        sentence("calibration.left_out", position=name, off_mg=off / MILLI_G_M_S2)
+        for name, off in zip(left_out.name, off_m_s2, strict=True)
+    )
+    quality = replace(calibration.quality, reasons=(*calibration.quality.reasons, *told))
+    return replace(calibration, positions=positions, quality=quality)
 
 
 def _with_gyroscope(
@@ -195,6 +222,9 @@ def _with_gyroscope(
         quality = replace(quality, reasons=reasons) if solved.converged else quality.lowered("poor", how)
     if check is not None:
         quality = replace(quality, reasons=(*quality.reasons, check.sentence))
+    clock = measured.context.clock
+    if clock is not None and np.isfinite(result.calibration.sigma.scale).any():
+        quality = replace(quality, reasons=(*quality.reasons, clock_words(clock)))
     return replace(joined, quality=quality)
 
 

@@ -9,13 +9,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import numpy as np
-
 from imufield.acquire.recording.part_file import open_part
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
 from imufield.calibrate.model.observation_files import parse_observations, read_content
-from imufield.calibrate.model.observations import Observations, count_repeats_once
+from imufield.calibrate.model.observations import Observations, count_repeats_once, leave_out
+from imufield.deliver.parameters.clock import best_rate, clock_facts
 from imufield.deliver.parameters.file import Context, InstrumentFacts, Parameters, SessionFacts, load_found
 from imufield.earth import Gravity
 from imufield.errors import CalibrationError, ImufieldError, Reason
@@ -100,19 +99,23 @@ def solve_session(
         observations, axes, notes, saturated = usable
         if axes.error is not None:
             raise axes.error
-        lost = _loss_sentences(chain, damage, is_import=session.record.kind == "import")
+        is_import = session.record.kind == "import"
+        lost = _loss_sentences(chain, damage, is_import=is_import)
         reasons = (axes.words, *filter(None, (saturated,)), *chain.notes, *lost)
-        rates = [statistics.rate_hz for statistics in chain.statistics if statistics.rate_hz]
-        true_rate_hz = float(np.median(rates)) if rates else math.nan
+        best = best_rate(chain.statistics)
+        true_rate_hz = math.nan if best is None else best.rate_hz or math.nan
         rests = chain.turn_rests()
+        observations, left_out = leave_out(observations, settings.without)
         between = moves.between(observations, rests)
         protocol = chain.protocol
         measured = Measured(
             observations=observations,
+            left_out=left_out,
             gravity=(site or SiteOptions()).gravity(session.record.site),
             context=Context(
                 instrument=InstrumentFacts(**asdict(session.record.instrument)),
                 session=SessionFacts(session.name, session_sha256(session), true_rate_hz, chain.temperature_degc),
+                clock=None if best is None else clock_facts(best, is_import=is_import, stated_sigma=settings.clock_sigma),
             ),
             moves=between,
             rests=rests,
@@ -137,7 +140,9 @@ def solve_observations(path: Path, settings: SolveSettings, site: SiteOptions) -
     content = read_content(path)
     observations, repeats = count_repeats_once(parse_observations(content, path))
     facts = SessionFacts(printable(utf8_text(path.name)), hashlib.sha256(content).hexdigest())
-    measured = Measured(observations=observations, gravity=site.gravity(), context=Context(session=facts), reasons=repeats)
+    observations, left_out = leave_out(observations, settings.without)
+    context = Context(session=facts)
+    measured = Measured(observations=observations, left_out=left_out, gravity=site.gravity(), context=context, reasons=repeats)
     return Solved(calibrate(measured, settings), ())
 
 

@@ -37,7 +37,7 @@ Golden = Callable[..., None]
 # Of the times in a golden file: a wrong clock moves nearly all of them, so that a few show it.
 TIMES_KEPT = 10
 ONE_UNIT = 2.0**-52
-RATES = ("nominal_rate_hz", "rate_hz", "least_loss_s")
+RATES = ("nominal_rate_hz", "rate_hz", "rate_sigma", "follows_host", "least_loss_s")
 SECONDS = 10
 MOST_HZ = 500
 OPTIONS: dict[str, dict[str, object]] = {

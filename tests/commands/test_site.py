@@ -26,6 +26,10 @@ def solved(folder: Path, *options: str) -> dict[str, Any]:
     return tomllib.loads(path.read_text())
 
 
+def scales(document: dict[str, Any]) -> tuple[list[float], list[float]]:
+    return document["accelerometer"]["uncertainty"]["scale"], document["accelerometer"]["scale"]
+
+
 def reasons(document: dict[str, Any]) -> str:
     return " ".join(document["quality"]["reasons"])
 
@@ -37,14 +41,46 @@ def session(whole_session: Path, tmp_path: Path) -> Path:
 
 
 def test_gravity_is_as_uncertain_as_its_digits(session: Path) -> None:
-    document = solved(session, "--gravity", "9.81")
+    document = solved(session, "--gravity", "9.82")
     assert document["site"]["gravity_sigma_m_s2"] == pytest.approx(0.01 / 12**0.5)
     assert "294 ppm" in reasons(document)
-    document = solved(session, "--gravity", "9.8100")
+    document = solved(session, "--gravity", "9.8200")
     assert document["site"]["gravity_sigma_m_s2"] == pytest.approx(0.0001 / 12**0.5)
-    document = solved(session, "--gravity", "9.806650")
+    document = solved(session, "--gravity", "9.816650")
     assert document["site"]["gravity_sigma_m_s2"] == pytest.approx(1e-5)
     assert "294 ppm" not in reasons(document)
+
+
+@pytest.mark.parametrize("value", ["9.80665", "9.81", "9.8", "9.807"])
+def test_a_value_of_textbooks_is_an_assumed_one(session: Path, value: str) -> None:
+    without_site(session)
+    document = solved(session, "--gravity", value)
+    assert (document["site"]["gravity_source"], document["site"]["gravity_sigma_m_s2"]) == ("assumed", 0.018)
+    assert document["site"]["gravity_m_s2"] == float(value)
+    assert document["quality"]["verdict"] != "good"
+    assert not missing(document["quality"]["reasons"][1], f"{float(value):g} m/s^2", "--latitude", "--gravity")
+    # The Earth's range, 9.764 to 9.834 m/s^2, is within what is said.
+    assert all(sigma >= abs(scale) * 0.0018 for sigma, scale in zip(*scales(document), strict=True))
+
+
+def test_a_sigma_that_is_given_makes_the_same_value_a_measured_one(session: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    without_site(session)
+    wanted = ("typed", 9.81, 0.0002)
+    for given in ("9.81+-0.0002", "9.81 ± 2e-4"):
+        site = solved(session, "--gravity", given)["site"]
+        assert (site["gravity_source"], site["gravity_m_s2"], site["gravity_sigma_m_s2"]) == wanted
+    # As a default in imufield.toml, and as a session keeps it.
+    monkeypatch.chdir(session.parent)
+    Path("imufield.toml").write_text('gravity = "9.81+-0.0002"\n', encoding="utf-8")
+    site = solved(session)["site"]
+    assert (site["gravity_source"], site["gravity_m_s2"], site["gravity_sigma_m_s2"]) == wanted
+    kept = SiteOptions(gravity_m_s2=9.81, gravity_sigma_m_s2=0.0002).record()
+    assert SiteOptions().gravity(kept).source == "typed"
+
+
+@pytest.mark.parametrize("given", ["9.81+-0", "9.81+-nan", "9.81+--0.1", "9.81+-1"])
+def test_a_sigma_that_is_none_is_refused(session: Path, given: str) -> None:
+    fails(["solve", str(session), "--gravity", given], 2, Reason.USAGE, "--gravity")
 
 
 def test_a_value_that_is_not_that_of_the_place_is_said_with_both(session: Path) -> None:

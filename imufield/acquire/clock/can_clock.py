@@ -53,6 +53,7 @@ class _Phase:
     window_s: float
     unit: int  # Samples in the smallest loss that only time shows: 1, or a wrap of the counter.
     number: float = 0.0  # Number of the next sample.
+    delay_s: float = 0.0  # By which nearly all samples are late at most.
     visible_s: float = 0.0  # Smallest step of the phase that counts as loss.
     burst: int = 0  # How many samples usually come at once.
     is_blind: bool = False  # The stamps stand still: there is nothing but the number of the sample.
@@ -154,7 +155,7 @@ class CanClock(Clock):
         lag_s = block.stamp_s - np.cumsum(steps) * period_s
         envelope_s = _minimum_ahead(lag_s, block.stamp_s, window_s, len(block))
         phase.base_s = float(envelope_s[0])
-        delay_s = float(np.quantile(lag_s - envelope_s, _USUAL_DELAY))
+        phase.delay_s = delay_s = float(np.quantile(lag_s - envelope_s, _USUAL_DELAY))
         unit_s = phase.unit * period_s
         phase.visible_s = unit_s / 2
         if 2 * delay_s >= unit_s:
@@ -209,7 +210,9 @@ class CanClock(Clock):
         # The rate as learned, and as measured since the first sample.
         self._statistics.nominal_rate_hz = self._rule.rate_hz or 1 / phase.period_s
         span_s = phase.last_time_s - self._begin[1]
+        self._statistics.follows_host = not phase.is_blind
         if span_s >= 2 * LEARN_S:
+            self._statistics.rate_sigma = phase.delay_s / span_s
             self._statistics.rate_hz = (phase.number + self._statistics.losses_estimated - self._begin[0]) / span_s
         self._last_time_s = phase.last_time_s
         # A wrong period moves the phase at every sample; it is learned anew, with time going on where it was.

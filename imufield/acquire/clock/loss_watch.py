@@ -26,11 +26,20 @@ Arrival is never early, but often late: the operating system hands over old data
 (arrival - sample clock) in each quarter second is therefore the true relation of the two clocks, and the slope of those
 minima is the error of the nominal rate. A lag above that line that goes away was a burst; one that stays means that the
 sample clock is behind, so samples are missing.
+
+That slope is the one of the line below all minima that lies nearest to them all [1]_: the edge of their lower convex hull that
+spans the middle of the time. Late data lie above it wherever they are, those that had waited before the first read included.
+
+References
+----------
+.. [1] S. B. Moon, P. Skelly and D. Towsley, "Estimation and removal of clock skew from network delay measurements", IEEE
+   INFOCOM 1999, section IV.
 """
 
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections import deque
 from dataclasses import dataclass
 
@@ -53,7 +62,7 @@ class HostBaseline:
     """Lower line through (arrival - sample clock) over arrival, both in s."""
 
     def __init__(self) -> None:
-        self._first: tuple[float, float] | None = None
+        self._hull: list[tuple[float, float]] = []  # Of all full buckets, lower side, from left to right.
         self._buckets: deque[tuple[float, float]] = deque(maxlen=_WINDOW_BUCKETS)
 
     def add(self, arrival_s: float, sample_s: float) -> None:
@@ -61,10 +70,10 @@ class HostBaseline:
         offset = arrival_s - sample_s
         if self._buckets and arrival_s < self._buckets[-1][0] - _RESTART_S:
             self._buckets.clear()
-            self._first = None
+            self._hull.clear()
         if not self._buckets or arrival_s >= self._buckets[-1][0] + _BUCKET_S:
-            if len(self._buckets) == 1 and self._first is None:
-                self._first = self._buckets[0]
+            if self._buckets:
+                self._add_to_hull(self._buckets[-1])
             self._buckets.append((arrival_s, offset))
         elif offset < self._buckets[-1][1]:
             self._buckets[-1] = (self._buckets[-1][0], offset)
@@ -72,13 +81,25 @@ class HostBaseline:
     @property
     def slope(self) -> float | None:
         """How much slower than nominal the instrument's clock runs, e.g. 0.038 for 3.8 %; None while not known."""
-        if self._first is None or self._buckets[-1][0] - self._first[0] < _SLOPE_AFTER_S:
-            return None
         # The newest bucket is still filling, its minimum may be late.
-        arrival_s, offset = self._buckets[-2]
-        if arrival_s <= self._first[0]:
+        if len(self._hull) < 2 or self._buckets[-1][0] - self._hull[0][0] < _SLOPE_AFTER_S:
             return None
-        return max(-_LARGEST_SLOPE, min(_LARGEST_SLOPE, (offset - self._first[1]) / (arrival_s - self._first[0])))
+        middle_s = (self._hull[0][0] + self._hull[-1][0]) / 2
+        right = bisect_left(self._hull, (middle_s,))
+        slope = _slope(self._hull[right - 1], self._hull[right])
+        return max(-_LARGEST_SLOPE, min(_LARGEST_SLOPE, slope))
+
+    @property
+    def slope_sigma(self) -> float:
+        """1 sigma of ``slope`` by how far the minima lie apart; infinite while not known."""
+        return self.spread_s / (self._hull[-1][0] - self._hull[0][0]) if len(self._hull) > 1 else math.inf
+
+    def _add_to_hull(self, point: tuple[float, float]) -> None:
+        # A. M. Andrew, Information Processing Letters 9 (1979): what lies above the line past it is no corner.
+        hull = self._hull
+        while len(hull) > 1 and _slope(hull[-2], hull[-1]) >= _slope(hull[-2], point):
+            hull.pop()
+        hull.append(point)
 
     @property
     def spread_s(self) -> float:
@@ -101,6 +122,10 @@ class HostBaseline:
         """Return by how much ``sample_s`` is later at the host than it must be; 0 before anything arrived."""
         expected = self.offset_at(arrival_s)
         return 0.0 if expected is None else arrival_s - sample_s - expected
+
+
+def _slope(first: tuple[float, float], second: tuple[float, float]) -> float:
+    return (second[1] - first[1]) / (second[0] - first[0])
 
 
 # How long the lag must stand still, at the least. A buffer that is emptied 1 % faster than it is filled moves it by 15 ms from

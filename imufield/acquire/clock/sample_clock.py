@@ -150,6 +150,7 @@ class SampleClock(Clock):
         self._tick_rate_hz = nominal if abs(measured / nominal - 1) < 2 * _SLEW else measured
         self._steps.step = 1.0
         self.by_rate = not math.isfinite(begin_s)
+        self._statistics.follows_host = not self.by_rate
         if math.isfinite(begin_s):
             self._origin_s = begin_s - (len(first) - 1) / self._tick_rate_hz
 
@@ -286,8 +287,9 @@ class SampleClock(Clock):
         if step_s <= 0:
             return
         self._statistics.nominal_rate_hz = 1 / step_s
-        slope = self._watch.baseline.slope
-        self._statistics.rate_hz = None if slope is None else (1 - slope) / step_s
+        slope, sigma = self._watch.baseline.slope, self._watch.baseline.slope_sigma
+        if slope is not None:
+            self._statistics.rate_hz, self._statistics.rate_sigma = (1 - slope) / step_s, sigma
 
 
 def _usual(steps_s: FloatArray) -> float:

@@ -50,6 +50,10 @@ class DecoderStatistics:
     """Sample rate by the instrument's own clock; None while not known."""
     rate_hz: float | None = None
     """Sample rate measured against the host clock; None while not known (needs 2 s)."""
+    rate_sigma: float | None = None
+    """1 sigma of ``rate_hz`` by how late samples come at the host, relative; the host's clock has its own."""
+    follows_host: bool = False
+    """Whether the time of the samples is that of the host, not that of the instrument or of a stated rate."""
 
     @property
     def lost(self) -> int:

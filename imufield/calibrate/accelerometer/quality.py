@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import shlex
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from imufield.calibrate.accelerometer.fit import Fit, FitData
 from imufield.calibrate.accelerometer.model_choice import ChosenModel
+from imufield.calibrate.accelerometer.outliers import GROSS_SIGMAS, Outlier, find_outliers
 from imufield.calibrate.model.models import BIAS, SCALE
 from imufield.calibrate.model.observability import Observability
 from imufield.calibrate.model.observations import Observations
@@ -41,7 +44,6 @@ _SATURATED_POSITIONS = 2
 # Share of an axis' span within which two means are the same number: the mean of a constant is that to rounding.
 _SAME_OUTPUT = 1e-9
 _WORTH_TELLING = 1.05  # A sigma that is raised by less is not told.
-_OUTLIER_LEVEL = 0.01  # Chance that one of all positions of a good session is called an outlier (both sides, Bonferroni).
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,8 +86,12 @@ def judge(evidence: Evidence) -> Quality:
         residual_mg=residual_rms / MILLI_G_M_S2,
         left_out_mg=without / MILLI_G_M_S2,
     )
-    poor = poor_sentences(None if fitted.solved.converged else fitted.solved.message, freedom, without)
-    cautions = [*_position_sentences(evidence), *_cautions(evidence), *_sigma_sentences(evidence)]
+    outliers = find_outliers(fitted)
+    # First: what else is poor, and large, is so because of them.
+    poor = _outlier_sentences(evidence, (outlier for outlier in outliers if outlier.is_gross))
+    poor += poor_sentences(None if fitted.solved.converged else fitted.solved.message, freedom, without)
+    mild = _outlier_sentences(evidence, (outlier for outlier in outliers if not outlier.is_gross))
+    cautions = [*_position_sentences(evidence), *mild, *_cautions(evidence), *_sigma_sentences(evidence)]
     return Quality(
         residual_rms_m_s2=residual_rms,
         residual_max_m_s2=float(np.abs(fitted.residual_m_s2).max()),
@@ -211,10 +217,9 @@ def _sigma_sentences(evidence: Evidence) -> list[str]:
 
 
 def _position_sentences(evidence: Evidence) -> list[str]:
-    """Name positions that parameters rest on alone, and those whose externally studentised residual is too large for m."""
-    freedom, fitted = evidence.fitted.degrees_of_freedom, evidence.fitted
+    """Name positions that parameters rest on alone."""
     sentences: list[str] = []
-    if freedom < 1:
+    if evidence.fitted.degrees_of_freedom < 1:
         return sentences
     for single in single_positions(evidence.spread):
         names = [_words(ACCELEROMETER_NAMES[evidence.chosen.free[k]]) for k in single.coordinates]
@@ -222,21 +227,21 @@ def _position_sentences(evidence: Evidence) -> list[str]:
         key = "quality.carries_raised" if raised > _WORTH_TELLING else "quality.carries"
         position = evidence.observations.name[single.position]
         sentences.append(sentence(key, position=position, names=names, leverage=single.leverage, raised=raised))
-    if freedom < 3:
-        return sentences
-    residual = fitted.residual_m_s2 / fitted.sigma_m_s2
-    # Each residual over its own sigma, which leverage makes smaller, and over the scatter of the fit without it.
-    student = residual / np.sqrt(np.maximum(1 - evidence.spread.leverage, 1e-6))
-    without = np.maximum((np.sum(residual**2) - student**2) / (freedom - 1), 1e-12)
-    if evidence.data.covariance_raw is not None and fitted.tau_m_s2 == 0:
-        without = np.maximum(without, 1.0)
-    student = student / np.sqrt(without)
-    limit = student_factor(freedom - 1, of=len(student), chance=_OUTLIER_LEVEL)
-    off_mg, sigmas = evidence.leave_one_out_m_s2 / MILLI_G_M_S2, np.abs(student)
-    positions = evidence.observations.name
-    return sentences + [
-        sentence("quality.outlier", position=positions[i], off_mg=off_mg[i], sigmas=sigmas[i], limit=limit)
-        for i in np.flatnonzero(sigmas > limit)
+    return sentences
+
+
+def _outlier_sentences(evidence: Evidence, outliers: Iterable[Outlier]) -> list[str]:
+    """Name the positions that the others contradict, and how to leave them out."""
+    return [
+        sentence(
+            "quality.gross_outlier" if outlier.is_gross else "quality.outlier",
+            position=(name := evidence.observations.name[outlier.position]),
+            off_mg=outlier.off_m_s2 / MILLI_G_M_S2,
+            sigmas=outlier.sigmas,
+            limit=GROSS_SIGMAS if outlier.is_gross else outlier.limit,
+            option=shlex.quote(f"--without={name}"),
+        )
+        for outlier in outliers
     ]
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
+from imufield.errors import UsageError
 from imufield.samples import FloatArray, SampleUnits
 from imufield.sentences import Sentences
 
@@ -60,6 +62,22 @@ def join_observations(first: Observations, second: Observations) -> Observations
     """Return the rows of both, of the same units."""
     joined = {array: np.concatenate([getattr(first, array), getattr(second, array)]) for array in _ARRAYS}
     return Observations(name=(*first.name, *second.name), units=first.units, **joined)
+
+
+def leave_out(observations: Observations, names: Collection[str]) -> tuple[Observations, Observations]:
+    """Return the observations without those of some names, and those.
+
+    Raises
+    ------
+    UsageError
+        If there is no observation of a name.
+    """
+    for name in names:
+        if name not in observations.name:
+            known = list(observations.name)
+            raise UsageError(sentence("observations.not_there", name=name, known=known), names=known)
+    out = np.array([name in names for name in observations.name], dtype=np.bool_)
+    return observations[~out], observations[out]
 
 
 def count_repeats_once(observations: Observations) -> tuple[Observations, tuple[str, ...]]:

@@ -95,6 +95,7 @@ class PositionResult:
     leverage: FloatArray
     """Diagonal of the hat matrix; 1 means nothing checks this position."""
     used: np.ndarray[tuple[int], np.dtype[np.bool_]]
+    """False where the user left a position out: of it only ``leave_one_out_m_s2`` is known."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -251,6 +251,10 @@ class SolveOptions:
     gauge: Annotated[str | None, option(help="preset, lower, upper or symmetric.")] = None
     preset: Annotated[Path | None, option(help="Parameter file in force before.")] = None
     zero: Annotated[str | None, option(help="Raw output at zero input, one or three numbers.")] = None
+    without: Annotated[list[str] | None, option(help="Name of a position to leave out; may be repeated.")] = None
+    clock_sigma_ppm: Annotated[
+        float | None, option(help="How well the sample period is known, 1 sigma, ppm (default: by kind of clock).", low=0)
+    ] = None
     method: Annotated[str, option(help="least-squares, bsas, ide and others, see docs/study.md.")] = "least-squares"
     method_settings: MethodSettings = field(default_factory=dict)
     polish: Annotated[bool, option(help="Finish another method by least squares.")] = True
@@ -295,6 +299,8 @@ class SolveOptions:
             preset=None if self.preset is None else load(self.preset),
             raw_zero=None if zero is None else np.array(zero),
             seed=self.seed,
+            without=tuple(self.without or ()),
+            clock_sigma=None if self.clock_sigma_ppm is None else 1e-6 * self.clock_sigma_ppm,
         )
 
 

@@ -87,17 +87,19 @@ def _within(low: float, high: float) -> Callable[[Any], Any]:
 
 
 class TypedNumber(float):
-    """A number that remembers the digits it was typed with: 9.810 says more than 9.81."""
+    """A number that remembers the digits it was typed with, 9.810 says more than 9.81, and the sigma in 9.81+-0.0001."""
 
     text: str
+    sigma_text: str
 
     def __new__(cls, text: object) -> Self:
         """Read a number from an option, a variable or a file; raises ``typer.BadParameter``."""
+        value, _, sigma = str(text).replace("±", "+-").partition("+-")
         try:
-            number = super().__new__(cls, str(text))
+            number = super().__new__(cls, value)
         except ValueError as error:
             raise typer.BadParameter(sentence("shared.no_number", text=text)) from error
-        number.text = str(text)
+        number.text, number.sigma_text = value.strip(), sigma.strip()
         return number
 
 
@@ -224,7 +226,7 @@ class Place:
         float | None,
         option(
             "--gravity",
-            help="Local gravity, m/s^2; as uncertain as its last digit.",
+            help="Local gravity, m/s^2, e.g. 9.8089+-0.0001; else as uncertain as its last digit.",
             envvar="IMUFIELD_GRAVITY_M_S2",
             parser=TypedNumber,
             metavar="FLOAT",
@@ -238,19 +240,20 @@ class Place:
 
 def _site_options(place: Place, typed: frozenset[str]) -> "SiteOptions":
     """Return the site: what was typed; without that the defaults of file and variables, which a session's own site beats."""
-    from imufield.earth import sigma_of_digits
+    from imufield.earth import sigma_as_typed
     from imufield.pipeline.site import SiteOptions
 
     # A place is one thing: a typed latitude with the height of a default would be nowhere.
     typed &= {"gravity", "latitude", "height"}
     if "gravity" in typed or "latitude" in typed:
         place = Place(**{name: getattr(place, name) for name in typed})
+    value = place.gravity
     return SiteOptions(
-        gravity_m_s2=place.gravity,
+        gravity_m_s2=value,
         latitude_deg=place.latitude,
         height_m=place.height,
         is_default=not typed,
-        gravity_sigma_m_s2=sigma_of_digits(place.gravity.text) if isinstance(place.gravity, TypedNumber) else None,
+        gravity_sigma_m_s2=sigma_as_typed(value.text, value.sigma_text) if isinstance(value, TypedNumber) else None,
     )
 
 

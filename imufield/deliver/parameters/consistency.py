@@ -142,7 +142,9 @@ def _gyroscope(gyroscope: GyroscopeCalibration, table: Document, gauge: str) -> 
 
 def _positions(calibration: Calibration, document: Document) -> Iterator[str]:
     """Yield where residuals are not those of the parameters, nor their summary that of the residuals."""
-    tables, quality = document["position"], calibration.quality
+    # What was left out by hand may be no output of these parameters at all.
+    used, quality = np.flatnonzero(calibration.positions.used), calibration.quality
+    tables = [document["position"][k] for k in used]
     raw = np.array([table["mean_raw"] for table in tables], dtype=np.float64).reshape(-1, 3)
     try:
         force = correct_accelerometer(calibration.accelerometer, raw)
@@ -150,9 +152,9 @@ def _positions(calibration: Calibration, document: Document) -> Iterator[str]:
         yield sentence("consistency.mean_raw", cause=error.message.partition(";")[0])
         return
     follows = np.linalg.norm(force, axis=1) - calibration.gravity.gravity_m_s2
-    stated = calibration.positions.residual_m_s2
+    stated = calibration.positions.residual_m_s2[used]
     for k in np.flatnonzero(np.abs(stated - follows) > _TYPED):
-        yield sentence("consistency.residual", number=k, stated=stated[k], follows=follows[k])
+        yield sentence("consistency.residual", number=used[k], stated=stated[k], follows=follows[k])
     known = np.abs(stated[np.isfinite(stated)])
     if not len(known):
         return

@@ -47,6 +47,19 @@ class SessionFacts:
     """Lowest and highest."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClockFacts:
+    """The clock that gave the samples their time.
+
+    ``source`` is "host", "compared" (the instrument's own, held against the host's) or "unchecked" (a stated rate, or the times
+    of a file). The gyroscope's scale belongs to ``sample_period_s``, whose relative error in true seconds has ``sigma``.
+    """
+
+    source: str
+    sample_period_s: float
+    sigma: float
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Noise:
     """Noise figures per axis, shape (3,), NaN where not known.
@@ -68,6 +81,8 @@ class Context:
 
     instrument: InstrumentFacts = field(default_factory=InstrumentFacts)
     session: SessionFacts = field(default_factory=SessionFacts)
+    clock: ClockFacts | None = None
+    """None where no samples were timed."""
     noise: Noise | None = None
     created: str = field(default_factory=now_text)
     """UTC, ISO 8601."""

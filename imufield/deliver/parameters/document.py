@@ -21,7 +21,7 @@ from imufield.calibrate.model.result import (
     Quality,
     SolverSummary,
 )
-from imufield.deliver.parameters.context import Context, InstrumentFacts, Noise, SessionFacts
+from imufield.deliver.parameters.context import ClockFacts, Context, InstrumentFacts, Noise, SessionFacts
 from imufield.deliver.parameters.schema import Document
 from imufield.earth import Gravity
 from imufield.samples import FloatArray
@@ -43,6 +43,7 @@ def _names(kind: type, *without: str) -> tuple[str, ...]:
 _GYROSCOPE_ARRAYS = _names(GyroscopeParameters)
 _INTRINSIC = _names(Intrinsic)
 _NOISE = _names(Noise, "source")
+_CLOCK = _names(ClockFacts)
 _QUALITY_FIGURES = _names(Quality, "verdict", "reasons")
 _POSITION_RESULTS = _names(PositionResult, "used")
 
@@ -83,16 +84,9 @@ def to_document(calibration: Calibration, observations: Observations, context: C
         },
     }
     if gyroscope is not None:
-        bias_rad_s, bias_sigma_rad_s = gyroscope_bias_rad_s(gyroscope)
-        document["gyroscope"] = {
-            "equation": GYROSCOPE_EQUATION,
-            "raw_unit": gyroscope.raw_unit,
-            "gauge": calibration.gauge,
-            "path": gyroscope.path,
-            **_lists(gyroscope.parameters, _GYROSCOPE_ARRAYS),
-            "bias_rad_s": bias_rad_s.tolist(),
-            "uncertainty": _lists(gyroscope.sigma, _GYROSCOPE_ARRAYS) | {"bias_rad_s": bias_sigma_rad_s.tolist()},
-        }
+        document["gyroscope"] = _gyroscope_table(gyroscope, calibration.gauge, context.clock)
+    if context.clock is not None:
+        document["clock"] = _plain(context.clock, _CLOCK)
     if context.noise is not None:
         document["noise"] = noise_table(context.noise)
     # A method that draws nothing has no seed, and TOML no null.
@@ -107,6 +101,23 @@ def to_document(calibration: Calibration, observations: Observations, context: C
     document["position"] = _positions(calibration.positions, observations)
     document["covariance"] = {"names": list(calibration.covariance_names), "matrix": calibration.covariance.tolist()}
     return document
+
+
+def _gyroscope_table(gyroscope: GyroscopeCalibration, gauge: str, clock: ClockFacts | None) -> Document:
+    bias_rad_s, bias_sigma_rad_s = gyroscope_bias_rad_s(gyroscope)
+    uncertainty = _lists(gyroscope.sigma, _GYROSCOPE_ARRAYS) | {"bias_rad_s": bias_sigma_rad_s.tolist()}
+    if clock is not None:
+        by_clock = gyroscope.parameters.scale * clock.sigma
+        uncertainty["scale_absolute"] = np.hypot(gyroscope.sigma.scale, by_clock).tolist()
+    return {
+        "equation": GYROSCOPE_EQUATION,
+        "raw_unit": gyroscope.raw_unit,
+        "gauge": gauge,
+        "path": gyroscope.path,
+        **_lists(gyroscope.parameters, _GYROSCOPE_ARRAYS),
+        "bias_rad_s": bias_rad_s.tolist(),
+        "uncertainty": uncertainty,
+    }
 
 
 def noise_table(noise: Noise) -> Document:
@@ -217,6 +228,7 @@ def context_from_document(document: Document) -> Context:
     return Context(
         instrument=InstrumentFacts(**document["instrument"]),
         session=SessionFacts(session["name"], session["sha256"], session["sample_rate_hz"], (low, high)),
+        clock=None if "clock" not in document else ClockFacts(**document["clock"]),
         noise=None if noise is None else Noise(source=noise["source"], **_arrays(noise, _NOISE)),
         created=document["created"],
         software=document["software"],

@@ -157,8 +157,8 @@ class RestCollector:
 
 
 def observations_of(parameters: Parameters) -> Observations:
-    """Return the observations a parameter file holds; they have no gyroscope."""
-    tables = parameters.document["position"]
+    """Return the observations that a parameter file comes from; they have no gyroscope."""
+    tables = [table for table in parameters.document["position"] if table["used"]]
     m = len(tables)
 
     def column(key: str) -> FloatArray:

@@ -6,31 +6,49 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imufield.samples import FloatArray
+from imufield.samples import FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Effects:
-    """What an instrument does beside its error model; by default nothing.
+    """What an instrument, or a hold, does beside its error model; by default nothing.
 
     A turn-on adds a constant to the bias, drawn at every power-on from a normal distribution with this 1 sigma, independently
     in each axis: ``b = b_0 + u``, ``u ~ N(0, s^2)`` [1]_.
 
+    A hold that is touched reads the force of the hand with gravity. Of it the norm sees the part along gravity:
+    ``f = f_0 (1 + d / |f_0|)``, so ``|f| = g + d`` [2]_.
+
     References
     ----------
     .. [1] IEEE Std 528-2019, "Standard for Inertial Sensor Terminology": turn-on to turn-on repeatability of bias.
+    .. [2] I. Frosio, F. Pedersini, N. A. Borghese, "Autocalibration of MEMS accelerometers", IEEE Trans. Instrum. Meas. 58(6),
+       2009: equation 5, the norm that a position is held against.
     """
 
     turn_on_m_s2: float = 0.0
     """Turn-on of the accelerometer's bias, 1 sigma of each axis."""
     turn_on_rad_s: float = 0.0
     """Turn-on of the gyroscope's bias, 1 sigma of each axis."""
+    touched_holds: int = 0
+    """How many holds of a session are touched."""
+    touch_m_s2: float = 0.0
+    """By how much the norm of each is off, d; with either sign."""
 
     def draw_turn_on(self, rng: np.random.Generator) -> FloatArray:
         """Return what one power-on adds to the biases, shape (6,): m/s^2 of three axes, then rad/s."""
         sizes = np.repeat([self.turn_on_m_s2, self.turn_on_rad_s], 3)
         drawn: FloatArray = sizes * rng.standard_normal(6)
         return drawn
+
+    def touch(self, force_m_s2: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, IntArray]:
+        """Return mean specific forces of holds, shape (m, 3), some of them touched, and which, ascending."""
+        which = np.sort(rng.permutation(len(force_m_s2))[: self.touched_holds])
+        touched: FloatArray = force_m_s2.copy()
+        touched[which] *= 1 + self.touch_m_s2 * rng.choice([-1.0, 1.0], (len(which), 1)) / np.linalg.norm(
+            force_m_s2[which], axis=1, keepdims=True
+        )
+        return touched, which
 
 
 NO_EFFECTS = Effects()

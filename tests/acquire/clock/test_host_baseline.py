@@ -36,6 +36,20 @@ def test_a_wrong_nominal_rate_is_a_slope_and_no_lag(error: float) -> None:
     assert worst < 0.12
 
 
+@pytest.mark.parametrize("error", [0.0, 5e-3])
+@pytest.mark.parametrize("waited_s", [0.005, 0.05, 0.5])
+def test_data_that_had_waited_before_the_first_read_do_not_change_the_rate(error: float, waited_s: float) -> None:
+    """After a port was opened again a few seconds were enough to print 2007.6 Hz for 2000 Hz."""
+    baseline = HostBaseline()
+    rng = np.random.default_rng(2)
+    for sample_s in np.arange(0, 6, 0.01):
+        late_s = max(waited_s - sample_s, 0.0) + rng.exponential(0.001)
+        baseline.add(7.0 + sample_s / (1 - error) + late_s, sample_s)
+    assert baseline.slope == pytest.approx(error, abs=3e-5)
+    assert 0 < baseline.slope_sigma < 1e-4
+    assert abs((baseline.slope or 0.0) - error) < 3 * baseline.slope_sigma
+
+
 def test_a_host_clock_that_starts_anew_is_taken_as_it_comes() -> None:
     baseline = HostBaseline()
     for sample_s in np.arange(0, 3, 0.1):

@@ -280,7 +280,7 @@ def test_a_moved_position_is_named_and_does_not_pass_as_good() -> None:
     observations = campaign(random_parameters(rng), rng)
     observations.mean_raw[9] *= 1.005
     calibration = calibrate_accelerometer(observations, EXACT)
-    assert "p10" in [one.values["position"] for one in told(calibration.quality.reasons, "quality.outlier")]
+    assert "p10" in [one.values["position"] for one in told(calibration.quality.reasons, "quality.gross_outlier")]
     assert calibration.quality.verdict != "good"
 
 
@@ -357,7 +357,7 @@ def test_a_row_of_zeros_does_not_pass() -> None:
     mean[6] = 0.0
     calibration = calibrate_accelerometer(observe(mean), EXACT)
     assert calibration.quality.verdict == "poor"
-    assert any("position p07" in reason for reason in told(calibration.quality.reasons, "quality.outlier"))
+    assert any("position p07" in reason for reason in told(calibration.quality.reasons, "quality.gross_outlier"))
 
 
 def test_a_preset_that_bends_too_much_is_named() -> None:

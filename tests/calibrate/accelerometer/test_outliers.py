@@ -1,0 +1,67 @@
+"""Holds that were touched: found among others, named, and left out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
+from imufield.calibrate.model.observations import Observations, leave_out
+from imufield.calibrate.model.result import Calibration
+from imufield.earth import MILLI_G_M_S2, Gravity
+from imufield.errors import Reason, UsageError
+from tests.calibrate.calibration_truth import GRAVITY, campaign, outputs, random_parameters
+from tests.refused import refused
+from tests.told import told
+
+EXACT = Gravity(gravity_m_s2=GRAVITY, sigma_m_s2=1e-5, source="typed")
+BOTH = ("quality.gross_outlier", "quality.outlier")
+
+
+def session(seed: int, touched_mg: dict[int, float]) -> Observations:
+    """A session with 0.1 mg between positions, some of which show a norm that is longer by so many mg."""
+    rng = np.random.default_rng(seed)
+    truth = random_parameters(rng)
+    observations = campaign(truth, rng, within_m_s2=3e-4, between_m_s2=1e-3)
+    for position, off_mg in touched_mg.items():
+        mean = observations.mean_raw[position]
+        zero = outputs(truth, np.zeros((1, 3)))[0]
+        mean += (mean - zero) / np.linalg.norm((mean - zero) / truth.scale) * off_mg * MILLI_G_M_S2
+    return observations
+
+
+def named(calibration: Calibration, *keys: str) -> dict[str, float]:
+    return {one.values["position"]: one.values["off_mg"] for key in keys for one in told(calibration.quality.reasons, key)}
+
+
+@pytest.mark.numerical
+@pytest.mark.parametrize("touched", [{7: 20.0}, {7: 20.0, 11: -20.0}, {7: 20.0, 11: 20.0, 18: 20.0}])
+def test_gross_ones_are_named_with_their_size_however_many(touched: dict[int, float]) -> None:
+    calibration = calibrate_accelerometer(session(3, touched), EXACT)
+    assert calibration.quality.verdict == "poor"
+    found = named(calibration, "quality.gross_outlier")
+    assert found == {f"p{position + 1:02d}": pytest.approx(off_mg, abs=0.7) for position, off_mg in touched.items()}
+    for one in told(calibration.quality.reasons, "quality.gross_outlier"):
+        assert one.values["option"] == f"--without={one.values['position']}"
+
+
+def test_without_them_the_numbers_are_those_of_a_session_that_never_had_them() -> None:
+    kept, left_out = leave_out(session(3, {7: 20.0, 11: -20.0}), ("p08", "p12"))
+    clean, _ = leave_out(session(3, {}), ("p12", "p08"))
+    assert left_out.name == ("p08", "p12")
+    found, wanted = (calibrate_accelerometer(each, EXACT) for each in (kept, clean))
+    assert np.array_equal(found.accelerometer.bias_m_s2, wanted.accelerometer.bias_m_s2)
+    assert found.quality.verdict == "good"
+    with refused(UsageError, Reason.USAGE, key="observations.not_there"):
+        leave_out(clean, ("p12",))
+
+
+@pytest.mark.numerical
+def test_clean_sessions_have_none() -> None:
+    """1 % is what the level says: five of 120 would come by chance in less than 1 % of such tests."""
+    found = [
+        bool(named(calibrate_accelerometer(session(seed, {}), EXACT, model=model), *BOTH))
+        for seed in range(60)
+        for model in ("linear", "quadratic")
+    ]
+    assert sum(found) < 5
