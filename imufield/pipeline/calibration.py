@@ -17,7 +17,8 @@ from imufield.calibrate.gyroscope.model_choice import GyroscopeModel
 from imufield.calibrate.gyroscope.moves import MoveCollector, Moves, cut_moves, no_slots
 from imufield.calibrate.gyroscope.whole_turns import Stop, stops_at
 from imufield.calibrate.model.observations import Observations, join_observations
-from imufield.calibrate.model.result import Calibration, Gauge, ModelChoice
+from imufield.calibrate.model.result import Calibration, Gauge, ModelChoice, without_drift
+from imufield.calibrate.model.typical import DEFAULT_GRADE
 from imufield.calibrate.solvers.agreement import LEAST_SQUARES
 from imufield.deliver.parameters.file import Context, Parameters, from_document, to_document
 from imufield.earth import Gravity
@@ -53,6 +54,8 @@ class Measured:
     raw_zero: FloatArray | None = None
     gyroscope_scale: float | None = None
     """Raw unit per rad/s, nominal."""
+    grade: str = ""
+    """Of the instrument; empty where it is not known."""
     reasons: tuple[str, ...] = ()
     """Sentences about the recording that belong to the verdict."""
 
@@ -69,6 +72,8 @@ class SolveSettings:
     gyroscope_model: GyroscopeModel = "auto"
     preset: Parameters | None = None
     raw_zero: FloatArray | None = None
+    grade: str | None = None
+    """Whose typical errors stand in the uncertainty for what a session does not show; None: the instrument's."""
     seed: int = 0
 
 
@@ -127,6 +132,7 @@ def calibrate(measured: Measured, settings: SolveSettings) -> Parameters:
         gauge=settings.gauge,
         preset=preset,
         raw_zero=measured.raw_zero if settings.raw_zero is None else settings.raw_zero,
+        grade=settings.grade or measured.grade or DEFAULT_GRADE,
         seed=settings.seed,
     )
     rng = np.random.default_rng(settings.seed)
@@ -163,7 +169,7 @@ def _with_gyroscope(
     before = None if settings.preset is None else settings.preset.calibration.gyroscope
     moves = measured.moves
     given = GyroscopeInput(
-        observations=observations,
+        observations=without_drift(observations, calibration),
         moves=cut_moves(no_slots(), observations.start_s, observations.duration_s) if moves is None else moves,
         calibration=calibration,
         latitude_deg=measured.gravity.latitude_deg,

@@ -33,6 +33,9 @@ they reach 0.76 and 0.33, in a real hand-held session that shows one direction o
 NORMAL_FACTOR_95 = 1.959964
 """``student_factor`` for infinitely many degrees of freedom."""
 
+SPARE_POSITIONS = 4
+"""Degrees of freedom below this give Student factors of 3.2 and more, and scatter and jackknife from chance."""
+
 _NO_VARIANCE = 1e-12  # Of a correlation matrix: a direction with less is one that the gauge fixes, and rounding.
 _NEWTON_STEPS = 100  # At most; each comes nearer, from below.
 
@@ -200,7 +203,8 @@ def student_factor(degrees_of_freedom: float, of: int = 1, chance: float = 0.05)
     """
     from scipy.special import stdtrit  # the module is slow to load, and only a finished fit needs it
 
-    return float(stdtrit(degrees_of_freedom, 1 - chance / (2 * of))) if degrees_of_freedom > 0 else float("nan")
+    # Infinitely many make NaN of it; the factor is the same to six digits.
+    return float(stdtrit(min(degrees_of_freedom, 1e9), 1 - chance / (2 * of))) if degrees_of_freedom > 0 else float("nan")
 
 
 def deviation_limits_95(sigma: FloatArray, freedom: FloatArray) -> tuple[FloatArray, FloatArray]:
