@@ -28,7 +28,7 @@ USABLE_BIAS_SIGMA_M_S2 = 2 * MILLI_G_M_S2
 MOST_CONFUSION = 2.0
 """Factor in sigma of the bias: fitting quadratic term and drift together costs 1.6 in the proposed order of paper24, 1.1 in
 that of corners24, and 2.5 with all faces before all edges."""
-MOST_DRIFT_M_S2 = USABLE_BIAS_SIGMA_M_S2
+MOST_DRIFT_M_S2 = MILLI_G_M_S2
 """What is left of a larger drift after time and its square shows in scale and misalignment."""
 HIGH_CONDITION = 30.0
 """The schemes with 24 positions have 3 (linear) and 7 (quadratic)."""

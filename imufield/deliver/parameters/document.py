@@ -44,7 +44,7 @@ _GYROSCOPE_ARRAYS = _names(GyroscopeParameters)
 _INTRINSIC = _names(Intrinsic)
 _NOISE = _names(Noise, "source")
 _QUALITY_FIGURES = _names(Quality, "verdict", "reasons")
-_POSITION_RESULTS = _names(PositionResult, "used")
+_POSITION_RESULTS = _names(PositionResult, "used", "bias_drift_m_s2")
 
 
 def to_document(calibration: Calibration, observations: Observations, context: Context) -> Document:
