@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imufield.calibrate.accelerometer.drift import MOST_CONFUSION
 from imufield.calibrate.accelerometer.fit import Fit, FitData
 from imufield.calibrate.accelerometer.model_choice import ChosenModel
 from imufield.calibrate.model.models import BIAS, SCALE
@@ -25,9 +26,6 @@ POOR_RESIDUAL_M_S2 = 5 * MILLI_G_M_S2
 USABLE_SCALE_SIGMA = 1e-3
 USABLE_BIAS_SIGMA_M_S2 = 2 * MILLI_G_M_S2
 """Above these, 1 sigma, a consumer-grade factory calibration is as good."""
-MOST_CONFUSION = 2.0
-"""Factor in sigma of the bias: fitting quadratic term and drift together costs 1.6 in the proposed order of paper24, 1.1 in
-that of corners24, and 2.5 with all faces before all edges."""
 MOST_DRIFT_M_S2 = MILLI_G_M_S2
 """What is left of a larger drift after time and its square shows in scale and misalignment."""
 HIGH_CONDITION = 30.0
