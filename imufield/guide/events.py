@@ -217,6 +217,8 @@ class Topic(Enum):
     SCHEME = "scheme"
     DRIFT = "drift"
     SCALE = "scale"
+    ORDER = "order"
+    """A drift would look like a quadratic term in the order of positions so far."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

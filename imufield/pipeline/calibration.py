@@ -18,7 +18,8 @@ from imufield.calibrate.gyroscope.moves import MoveCollector, Moves, cut_moves, 
 from imufield.calibrate.gyroscope.whole_turns import Stop, stops_at
 from imufield.calibrate.model.models import recover_vectors, to_vector
 from imufield.calibrate.model.observations import Observations, join_observations
-from imufield.calibrate.model.result import Calibration, Gauge, ModelChoice, PositionResult
+from imufield.calibrate.model.result import Calibration, Gauge, ModelChoice, PositionResult, without_drift
+from imufield.calibrate.model.typical import DEFAULT_GRADE
 from imufield.calibrate.solvers.agreement import LEAST_SQUARES
 from imufield.deliver.parameters.clock import clock_words
 from imufield.deliver.parameters.file import Context, Parameters, from_document, to_document
@@ -57,6 +58,8 @@ class Measured:
     raw_zero: FloatArray | None = None
     gyroscope_scale: float | None = None
     """Raw unit per rad/s, nominal."""
+    grade: str = ""
+    """Of the instrument; empty where it is not known."""
     reasons: tuple[str, ...] = ()
     """Sentences about the recording that belong to the verdict."""
 
@@ -74,6 +77,8 @@ class SolveSettings:
     gyroscope_model: GyroscopeModel = "auto"
     preset: Parameters | None = None
     raw_zero: FloatArray | None = None
+    grade: str | None = None
+    """Whose typical errors stand in the uncertainty for what a session does not show; None: the instrument's."""
     seed: int = 0
     without: tuple[str, ...] = ()
     """Names of positions to leave out."""
@@ -136,6 +141,7 @@ def calibrate(measured: Measured, settings: SolveSettings) -> Parameters:
         gauge=settings.gauge,
         preset=preset,
         raw_zero=measured.raw_zero if settings.raw_zero is None else settings.raw_zero,
+        grade=settings.grade or measured.grade or DEFAULT_GRADE,
         seed=settings.seed,
     )
     rng = np.random.default_rng(settings.seed)
@@ -170,7 +176,13 @@ def _recording_left_out(calibration: Calibration, left_out: Observations) -> Cal
     parameters, gravity = calibration.accelerometer, calibration.gravity.gravity_m_s2
     force = recover_vectors(to_vector(parameters), left_out.mean_raw - parameters.raw_zero, parameters.quadratic_axes)
     off_m_s2, unknown = np.linalg.norm(force, axis=1) - gravity, np.full(len(left_out), np.nan)
-    rows = {"residual_m_s2": unknown, "leave_one_out_m_s2": off_m_s2, "leverage": unknown, "used": unknown > 0}
+    rows = {
+        "residual_m_s2": unknown,
+        "leave_one_out_m_s2": off_m_s2,
+        "leverage": unknown,
+        "used": unknown > 0,
+        "bias_drift_m_s2": np.zeros((len(left_out), 3)),
+    }
     before = calibration.positions
     positions = PositionResult(**{name: np.concatenate([getattr(before, name), more]) for name, more in rows.items()})
     told = (
@@ -192,7 +204,7 @@ def _with_gyroscope(
     before = None if settings.preset is None else settings.preset.calibration.gyroscope
     moves = measured.moves
     given = GyroscopeInput(
-        observations=observations,
+        observations=without_drift(observations, calibration),
         moves=cut_moves(no_slots(), observations.start_s, observations.duration_s) if moves is None else moves,
         calibration=calibration,
         latitude_deg=measured.gravity.latitude_deg,

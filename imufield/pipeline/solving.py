@@ -122,6 +122,7 @@ def solve_session(
             stops=moves.stops(between),
             raw_zero=None if protocol is None else chain.raw_zero(protocol),
             gyroscope_scale=None if protocol is None else protocol.nominal.gyroscope_scale,
+            grade="" if protocol is None else protocol.nominal.grade,
             reasons=reasons,
         )
         try:

@@ -99,7 +99,9 @@ def calibration(parameters: AccelerometerParameters, gyroscope: GyroscopeCalibra
         covariance_names=names,
         covariance=root @ root.T,
         gravity=Gravity(gravity_m_s2=9.8071, sigma_m_s2=5e-4, source="normal", latitude_deg=48.1, height_m=520.0),
-        positions=PositionResult(residual, leave_one_out, np.full(POSITIONS, 0.5), np.ones(POSITIONS, dtype=np.bool_)),
+        positions=PositionResult(
+            residual, leave_one_out, np.full(POSITIONS, 0.5), np.ones(POSITIONS, dtype=np.bool_), np.zeros((POSITIONS, 3))
+        ),
         solver=SolverSummary(
             method="least-squares", status=1, message="converged: the step is below 1e-12", cost=11.3, evaluations=9
         ),

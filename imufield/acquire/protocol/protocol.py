@@ -64,6 +64,8 @@ class Nominal:
     accelerometer_range_m_s2: float | None
     gyroscope_range_rad_s: float | None
     rate_hz: float | None
+    grade: str
+    """Of what the instrument is built, for what a calibration cannot show; empty where it is not known."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -293,6 +295,7 @@ def _read_nominal(top: Table, units: SampleUnits, clock: ClockRule) -> Nominal:
             accelerometer_range_m_s2=ranges[0],
             gyroscope_range_rad_s=ranges[1],
             rate_hz=clock.rate_hz or None,
+            grade=table.text("grade", ""),
         )
 
 

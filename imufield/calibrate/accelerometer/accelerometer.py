@@ -22,7 +22,15 @@ from imufield.calibrate.accelerometer.start import (
     find_signs,
 )
 from imufield.calibrate.model.gauge import change_gauge, intrinsic, make_intrinsic
-from imufield.calibrate.model.models import PARAMETERS, SCALE, from_vector, norm_derivatives, to_vector
+from imufield.calibrate.model.models import (
+    MISALIGNMENT,
+    PARAMETERS,
+    SCALE,
+    NormDerivatives,
+    from_vector,
+    norm_derivatives,
+    to_vector,
+)
 from imufield.calibrate.model.observability import (
     LOWER_GAUGE_COLUMNS,
     observe,
@@ -42,7 +50,9 @@ from imufield.calibrate.model.result import (
     PositionResult,
     QuadraticAxes,
 )
+from imufield.calibrate.model.typical import Typical, open_terms, typical_of
 from imufield.calibrate.model.uncertainty import (
+    SPARE_POSITIONS,
     Influence,
     gravity_sensitivity,
     influence,
@@ -76,6 +86,7 @@ def calibrate_accelerometer(  # noqa: PLR0913 (the settings of `solve`, by keywo
     quadratic_axes: QuadraticAxes = "sensing",
     raw_zero: FloatArray | float | None = None,
     loss: Loss = "linear",
+    grade: str | None = None,
     seed: int = 0,
 ) -> Calibration:
     """Calibrate from position means.
@@ -96,6 +107,8 @@ def calibrate_accelerometer(  # noqa: PLR0913 (the settings of `solve`, by keywo
         Mid-scale output, raw unit. Default: the preset's, else zero.
     loss : {"linear", "soft_l1", "huber", "cauchy"}
         Robust losses play down positions that do not fit.
+    grade : {"navigation", "tactical", "industrial", "mems"}, optional
+        Whose typical errors stand in the uncertainty for what these positions do not show; without it nothing does.
     seed : int
         Written to the result; this method draws nothing at random.
 
@@ -114,16 +127,30 @@ def calibrate_accelerometer(  # noqa: PLR0913 (the settings of `solve`, by keywo
     zero = np.full(3, 0.0 if raw_zero is None else raw_zero, dtype=np.float64)
     if raw_zero is None and preset is not None:
         zero = preset.raw_zero
-    data = _checked_data(observations, gravity, zero, quadratic_axes, loss=loss)
+    typical = None if grade is None else typical_of(grade)
+    data = replace(
+        _checked_data(observations, gravity, zero, quadratic_axes, loss=loss),
+        least_scatter_m_s2=0.0 if typical is None else typical.scatter_m_s2,
+    )
     before = None if preset is None else _checked_preset(preset)
     signs = find_signs(data.raw, observations.direction, None if before is None else before[SCALE])
     origin, observability = find_origin(data, signs.sign, before, model)
-    chosen = choose_model(data, origin, observability, model)
+    chosen = choose_model(data, origin, observability, model, observations)
     refuse_saturation(observations.mean_raw, chosen.fit.residual_m_s2)
     wanted: Gauge = gauge or ("lower" if preset is None else "preset")
     fitted, to_gauge = _in_gauge(data, chosen, wanted, before)
-    spread = influence(fitted.residual_m_s2 / fitted.sigma_m_s2, fitted.jacobian / fitted.sigma_m_s2[:, None])
-    covariance, factors = _joint_covariance(fitted, spread, data, gravity, hidden_root=to_gauge @ chosen.hidden_root)
+    weighted_residual, weighted_jacobian = (
+        fitted.residual_m_s2 / fitted.sigma_m_s2,
+        fitted.jacobian / fitted.sigma_m_s2[:, None],
+    )
+    spread = influence(weighted_residual, weighted_jacobian)
+    # What carries a parameter alone is a matter of the positions; a drift beside it takes half of what they have to spare.
+    geometry = influence(weighted_residual, weighted_jacobian[:, : len(chosen.free)])
+    derivatives = norm_derivatives(chosen.fit.vector, data.raw, quadratic_axes)
+    hidden_root = to_gauge @ chosen.hidden_root
+    if typical is not None:
+        hidden_root = np.hstack([hidden_root, _open_root(fitted, chosen, derivatives, typical, model)])
+    covariance, factors = _joint_covariance(fitted, (spread, geometry), data, gravity, hidden_root=hidden_root)
 
     scale = parameter_scale(fitted.vector, gravity.gravity_m_s2)
     left_out = [k for k in LOWER_GAUGE_COLUMNS if k not in chosen.free]
@@ -136,7 +163,6 @@ def calibrate_accelerometer(  # noqa: PLR0913 (the settings of `solve`, by keywo
         for name, shown in zip(ACCELEROMETER_NAMES, is_known, strict=True)
         if not shown and ("quadratic" not in name or name in observability.unobservable)
     )
-    derivatives = norm_derivatives(chosen.fit.vector, data.raw, quadratic_axes)
     evidence = Evidence(
         observations=observations,
         gravity=gravity,
@@ -144,12 +170,14 @@ def calibrate_accelerometer(  # noqa: PLR0913 (the settings of `solve`, by keywo
         chosen=chosen,
         fitted=fitted,
         spread=spread,
+        singles=single_positions(geometry),
         factors=factors,
         observability=observe(derivatives, chosen.fit.vector, gravity.gravity_m_s2, quadratic=chosen.quadratic),
         unobservable=unobservable,
         sign_source=signs.source,
         scale_ratio=None if before is None else common_scale_ratio(fitted.vector[SCALE], before[SCALE]),
         sigma=sigma,
+        grade=grade,
     )
     quality = judge(evidence)
     keep = np.append(np.isfinite(sigma), True)
@@ -164,13 +192,31 @@ def calibrate_accelerometer(  # noqa: PLR0913 (the settings of `solve`, by keywo
         covariance=covariance[np.ix_(keep, keep)],
         gravity=gravity,
         positions=PositionResult(
-            fitted.residual_m_s2, evidence.leave_one_out_m_s2, spread.leverage, np.ones(len(observations), dtype=np.bool_)
+            residual_m_s2=fitted.residual_m_s2,
+            leave_one_out_m_s2=evidence.leave_one_out_m_s2,
+            leverage=spread.leverage,
+            used=np.ones(len(observations), dtype=np.bool_),
+            bias_drift_m_s2=fitted.drift_m_s2,
         ),
         solver=summarise(fitted.solved, "least squares", seed),
         quality=quality,
         quadratic_fitted=chosen.quadratic,
         unobservable=unobservable,
     )
+
+
+def _open_root(
+    fitted: Fit, chosen: ChosenModel, derivatives: NormDerivatives, typical: Typical, model: ModelChoice
+) -> FloatArray:
+    """Return the root of what terms that are not fitted add to the covariance of the 15 parameters, shape (15, k)."""
+    # A quadratic term that was asked for at the gate is in the covariance; one that was ruled out by the user is not there.
+    quadratic = not (chosen.quadratic or chosen.is_quadratic_tested or model == "linear")
+    misalignment = not any(MISALIGNMENT.start <= k < MISALIGNMENT.stop for k in chosen.free)
+    up = derivatives.a / derivatives.norm[:, None]
+    columns = open_terms(up, typical, misalignment=misalignment, quadratic=quadratic)
+    sigma = fitted.sigma_m_s2[:, None]
+    alias = np.linalg.lstsq(fitted.jacobian / sigma, columns / sigma, rcond=None)[0]
+    return np.asarray(fitted.basis @ alias)
 
 
 def _is_known(by_left_out: FloatArray, size: FloatArray) -> NDArray[np.bool_]:
@@ -224,23 +270,26 @@ def _in_gauge(data: FitData, chosen: ChosenModel, gauge: Gauge, before: FloatArr
     basis = change.jacobian @ chosen.fit.basis
     if data.quadratic_axes == "body" and np.any(change.vector[12:]) and gauge != "lower":
         # The turn is exact on sensing axes only; the printed form needs a few more steps from there.
-        return fit(data, change.vector, basis), change.jacobian
+        columns = None if chosen.drift is None else chosen.drift.columns
+        return fit(data, change.vector, basis[:, : len(chosen.free)], columns), change.jacobian
     return replace(chosen.fit, vector=change.vector, basis=basis), change.jacobian
 
 
 def _joint_covariance(
-    fitted: Fit, spread: Influence, data: FitData, gravity: Gravity, *, hidden_root: FloatArray
+    fitted: Fit, influences: tuple[Influence, Influence], data: FitData, gravity: Gravity, *, hidden_root: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the covariance of 15 parameters and gravity, and the factors by which coordinates were raised.
 
-    ``hidden_root`` is the root of what a rejected quadratic term adds, in columns.
+    ``influences`` are those of all coordinates and of the parameters alone; ``hidden_root`` is the root of what choosing the
+    model adds, in columns.
     """
+    spread, geometry = influences
     factors = np.ones(fitted.basis.shape[1])
     covariance = spread.covariance
-    if fitted.degrees_of_freedom > 0:
-        factors = single_position_factors(spread, single_positions(spread))
+    if fitted.degrees_of_freedom >= SPARE_POSITIONS:
+        factors[: geometry.covariance.shape[0]] = single_position_factors(geometry, single_positions(geometry))
         covariance = covariance * np.outer(factors, factors)
-    elif data.covariance_raw is None:
+    elif fitted.effective_degrees_of_freedom == 0 and data.covariance_raw is None:
         covariance = np.full_like(covariance, np.nan)  # nothing says how sure anything is
     # Gravity is a common scale: its sigma moves all parameters together.
     t = np.append(gravity_sensitivity(fitted.vector, gravity.gravity_m_s2), 1.0)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imufield.calibrate.model.models import norm_derivatives
 from imufield.calibrate.model.observability import parameter_scale
 from imufield.calibrate.model.result import QuadraticAxes, SolverSummary
-from imufield.calibrate.model.uncertainty import between_position_sigma, within_variance
+from imufield.calibrate.model.uncertainty import SPARE_POSITIONS, between_position_sigma, within_variance
 from imufield.calibrate.solvers.base import SolverResult
 from imufield.calibrate.solvers.costs import NormProblem
 from imufield.calibrate.solvers.least_squares import Loss, solve_least_squares
@@ -30,6 +30,8 @@ class FitData:
     gravity_m_s2: float
     quadratic_axes: QuadraticAxes
     loss: Loss = "linear"
+    least_scatter_m_s2: float = 0.0
+    """Typical scatter between positions, taken where there are too few to show it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,7 +40,9 @@ class Fit:
 
     vector: FloatArray
     basis: FloatArray
-    """Shape (15, n)."""
+    """Shape (15, n); zero for the coordinates of the drift, which are the last ones."""
+    drift_m_s2: FloatArray
+    """Bias at each position less ``vector``'s, which is their mean, shape (m, 3)."""
     residual_m_s2: FloatArray
     """norm(a) - g, shape (m,)."""
     jacobian: FloatArray
@@ -56,14 +60,14 @@ class Fit:
 
     @property
     def effective_degrees_of_freedom(self) -> float:
-        """Degrees of freedom of the sigmas; 0 where no residual is to spare.
+        """Degrees of freedom of the sigmas; 0 where no residual is to spare, infinite where the scatter is a typical one.
 
         Only tau is estimated from the few residuals; the noise within a hold is known from thousands of samples. Welch and
         Satterthwaite's rule for such a sum, with tau^2 one standard error of a variance larger: a zero from few residuals
         does not show that there is none.
         """
         if self.degrees_of_freedom < 1:
-            return 0.0
+            return math.inf if self.tau_m_s2 > 0 else 0.0
         found = np.mean(self.tau_m_s2**2 / self.sigma_m_s2**2)
         share = min(1.0, float(found) + np.sqrt(2 / self.degrees_of_freedom))
         return float(self.degrees_of_freedom / share**2)
@@ -86,7 +90,7 @@ def column_basis(vector: FloatArray, free: tuple[int, ...], gravity_m_s2: float)
     return np.diag(parameter_scale(vector, gravity_m_s2))[:, list(free)]
 
 
-def fit(data: FitData, origin: FloatArray, basis: FloatArray) -> Fit:
+def fit(data: FitData, origin: FloatArray, basis: FloatArray, drift: FloatArray | None = None) -> Fit:
     """Fit ``origin + basis z``: first unweighted, then with s_i^2 = within^2 + tau^2 until tau settles.
 
     Parameters
@@ -94,6 +98,8 @@ def fit(data: FitData, origin: FloatArray, basis: FloatArray) -> Fit:
     data : FitData
     origin : ndarray, shape (15,)
     basis : ndarray, shape (15, n)
+    drift : ndarray, shape (m, k), optional
+        Forms of a drift of the bias, each fitted to the three axes; of mean zero, so that the bias is its mean.
     """
     m = len(data.raw)
     problem = NormProblem(
@@ -101,8 +107,9 @@ def fit(data: FitData, origin: FloatArray, basis: FloatArray) -> Fit:
         gravity_m_s2=data.gravity_m_s2,
         sigma_m_s2=np.ones(m),
         origin=origin,
-        basis=basis,
+        basis=basis if drift is None else np.hstack([basis, np.zeros((len(basis), 3 * drift.shape[1]))]),
         quadratic_axes=data.quadratic_axes,
+        drift=drift,
     )
     # Unweighted first: within needs parameters to carry raw covariances to the norm.
     solved = solve_least_squares(problem, loss="linear")
@@ -120,18 +127,19 @@ def fit(data: FitData, origin: FloatArray, basis: FloatArray) -> Fit:
 
 
 def _evaluate(data: FitData, problem: NormProblem, solved: SolverResult) -> Fit:
-    vector = problem.vector(solved.x)
-    derivatives = norm_derivatives(vector, data.raw, data.quadratic_axes)
+    derivatives, jacobian = problem.derivatives(solved.x)
     residual = derivatives.norm - data.gravity_m_s2
-    jacobian = derivatives.jacobian @ problem.basis
     within = within_variance(derivatives.raw_gradient, data.covariance_raw)
     tau = between_position_sigma(residual, jacobian, within)
+    if len(residual) - jacobian.shape[1] < SPARE_POSITIONS:
+        tau = max(tau, data.least_scatter_m_s2)
     sigma = np.sqrt(within + tau**2)
     # Without covariances and without redundancy nothing says how sure a position is; equal weights then.
     sigma = np.where(sigma > 0, sigma, 1.0)
     return Fit(
-        vector=vector,
+        vector=problem.vector(solved.x),
         basis=problem.basis,
+        drift_m_s2=problem.bias_drift(solved.x),
         residual_m_s2=residual,
         jacobian=jacobian,
         sigma_m_s2=sigma,

@@ -29,7 +29,7 @@ from imufield.calibrate.model.models import (
     to_vector,
 )
 from imufield.calibrate.model.observations import Observations
-from imufield.calibrate.model.result import AccelerometerParameters, Calibration
+from imufield.calibrate.model.result import AccelerometerParameters, Calibration, without_drift
 from imufield.calibrate.model.uncertainty import known_covariance, rms, within_variance
 from imufield.calibrate.solvers.agreement import CROSS_CHECKED, LEAST_SQUARES, Attempt, CrossCheck, compare
 from imufield.calibrate.solvers.base import Callback
@@ -96,7 +96,8 @@ def restart(observations: Observations, calibration: Calibration, preset: Accele
     used, fits_quadratic = calibration.accelerometer, calibration.quadratic_fitted
     vector, before = to_vector(used), None if preset is None else to_vector(preset)
     gravity = calibration.gravity.gravity_m_s2
-    raw = observations.mean_raw - used.raw_zero
+    # The drift that was found is taken out: the other methods look for the parameters alone.
+    raw = without_drift(observations, calibration).mean_raw - used.raw_zero
     data = FitData(raw=raw, covariance_raw=None, gravity_m_s2=gravity, quadratic_axes=used.quadratic_axes)
     origin, observability = find_origin(data, np.sign(used.scale), before, "auto" if fits_quadratic else "linear")
     free = tuple(k for k in observability.free if k < QUADRATIC.start or fits_quadratic)

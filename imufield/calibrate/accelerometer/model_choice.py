@@ -1,12 +1,8 @@
-"""Choice of the accelerometer model: which of the 15 parameters the positions can show, and which the data need.
+"""Choice of the accelerometer model: which of the 15 parameters the positions can show, and which terms the data need.
 
-The model choice "auto" keeps the quadratic term where it is significant: an F test on its entries together, or a t test on
-the largest of them (Bonferroni), says 95 %. Where it is not, the term may still be there, hidden in scale and bias. What is
-known then of the truth is what the quadratic model says, so the stated covariance is that model's plus ``d d^T`` with the
-change ``d = p_quadratic - p_linear``. Simulated with 24 positions in eighths of a turn, error over sigma of the bias then has
-an RMS of at most 1.2 for a term of any size; with ``d d^T`` alone it reaches 1.7 for a term the size of its own uncertainty,
-with nothing 3.2. The price: where there is no such term the bias is three times better than stated. Who knows that asks
-for the linear model.
+The quadratic term (with the model choice "auto") and a drift of the bias over the session pass one gate (``gate``); an
+admitted term changes the model, and what is not sure about the choice is in the covariance. Where there is no quadratic term,
+the bias is three times better than stated: who knows that asks for the linear model.
 """
 
 from __future__ import annotations
@@ -15,19 +11,27 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from imufield.calibrate.accelerometer.drift import DriftForm, drift_forms
 from imufield.calibrate.accelerometer.fit import Fit, FitData, column_basis, fit
+from imufield.calibrate.accelerometer.gate import LEVEL, Gate, Term
 from imufield.calibrate.accelerometer.start import FEWEST_FOR_MISALIGNMENT, FEWEST_FOR_QUADRATIC, closed_form_start
 from imufield.calibrate.model.gauge import change_gauge
 from imufield.calibrate.model.models import MISALIGNMENT, PARAMETERS, QUADRATIC, norm_derivatives
 from imufield.calibrate.model.observability import Observability, observe, require_scale_and_bias
+from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, ModelChoice
-from imufield.calibrate.model.uncertainty import f_limit_95, influence, student_factor, told_apart
+from imufield.earth import MILLI_G_M_S2
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
 from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
 
+_UNTESTED: dict[ModelChoice, str] = {
+    "auto": "model_choice.linear_as_shown",
+    "linear": "model_choice.linear_as_asked",
+    "quadratic": "model_choice.quadratic_as_asked",
+}
 _FIRST_QUADRATIC = QUADRATIC.start
 _MISALIGNMENT_ENTRIES = range(MISALIGNMENT.start, MISALIGNMENT.stop)
 
@@ -38,11 +42,15 @@ class ChosenModel:
 
     fit: Fit
     free: tuple[int, ...]
-    """Fitted parameters, indices into ACCELEROMETER_NAMES."""
+    """Fitted parameters, indices into ACCELEROMETER_NAMES; the coordinates of a drift come after them."""
     quadratic: bool
+    is_quadratic_tested: bool = False
+    drift: DriftForm | None = None
     hidden_root: FloatArray = field(default_factory=lambda: np.zeros((PARAMETERS, 0)))
-    """Root of the covariance that a rejected quadratic term adds, in columns, shape (15, k)."""
-    sentence: Sentence
+    """Root of the covariance that choosing the model adds, in columns, shape (15, k)."""
+    confusion: float = 1.0
+    """How much less sure the bias is because quadratic term and drift are told apart."""
+    sentences: tuple[Sentence, ...]
 
 
 def find_origin(
@@ -94,53 +102,90 @@ def find_origin(
     return origin, observability
 
 
-def choose_model(data: FitData, origin: FloatArray, observability: Observability, model: ModelChoice) -> ChosenModel:
-    """Fit what was asked for, or, with "auto", what is significant.
+def choose_model(
+    data: FitData, origin: FloatArray, observability: Observability, model: ModelChoice, observations: Observations
+) -> ChosenModel:
+    """Fit what was asked for and, of the terms that are open, what passes the gate.
 
     Raises
     ------
     CalibrationError
         If the quadratic model was asked for and the positions cannot show it.
     """
-    quadratic_free = tuple(k for k in observability.free if k >= _FIRST_QUADRATIC)
+    free, count = observability.free, len(data.raw)
+    quadratic_free = tuple(k for k in free if k >= _FIRST_QUADRATIC)
     if model == "quadratic" and len(quadratic_free) < 3:
         hidden = tuple(name for name in observability.unobservable if "quadratic" in name)
-        count = len(data.raw)
         refused = sentence("model_choice.no_quadratic", count=count, unobservable=hidden, fewest=FEWEST_FOR_QUADRATIC)
         raise CalibrationError(refused, Reason.UNOBSERVABLE)
-    if not quadratic_free:
-        key = "model_choice.linear_as_asked" if model == "linear" else "model_choice.linear_as_shown"
-        return _linear(data, origin, observability, sentence(key))
-    quadratic = fit(data, origin, column_basis(origin, observability.free, data.gravity_m_s2))
-    as_asked = sentence("model_choice.quadratic_as_asked")
-    kept = ChosenModel(fit=quadratic, free=observability.free, quadratic=True, sentence=as_asked)
-    if model == "quadratic":
-        return kept
-    # Keep the term where it is significant; else add what it may hide to the covariance of the linear model.
-    n, entries = len(quadratic_free), list(quadratic_free)
-    # The last n coordinates of the fit move the entries of the term.
-    change = quadratic.vector[entries] / quadratic.basis[entries, range(-n, 0)]
-    sigma = quadratic.sigma_m_s2
-    C = influence(quadratic.residual_m_s2 / sigma, quadratic.jacobian / sigma[:, None]).covariance
-    F = float(change @ np.linalg.solve(C[-n:, -n:], change)) / n
-    t = float(np.max(np.abs(change) / np.sqrt(np.diag(C[-n:, -n:]))))
-    freedom = quadratic.degrees_of_freedom
-    F_limit, t_limit = f_limit_95(n, freedom), student_factor(freedom, of=n)
-    figures = dict(zip(("F", "F_limit", "t", "t_limit"), (*told_apart(F, F_limit), *told_apart(t, t_limit)), strict=True))
-    if F_limit < F or t_limit < t:
-        return replace(kept, sentence=sentence("model_choice.quadratic_kept", **figures))
-    linear = _linear(data, origin, observability, sentence("model_choice.quadratic_left_out", **figures))
-    # The other coordinates hang on the last n by -C_rl C_ll^-1, so of their covariance C_rl C_ll^-1 C_lr is from those.
-    root = np.linalg.solve(np.linalg.cholesky(C[-n:, -n:]), C[-n:, :-n]).T
-    hidden_root = np.column_stack([quadratic.vector - linear.fit.vector, quadratic.basis[:, :-n] @ root])
-    hidden_root[entries] = 0.0
-    return replace(linear, hidden_root=hidden_root)
+    # Without a position to spare no test can ask for the term.
+    is_open = model == "auto" and bool(quadratic_free) and count > len(free)
+    forms: tuple[DriftForm | None, ...] = drift_forms(observations, count - len(free)) or ((None,) if is_open else ())
+    tried = [_all_terms(data, origin, free, form, is_quadratic_open=is_open) for form in forms]
+    if not tried:
+        return _untested(data, origin, free, model)
+    # Where drift may follow time or temperature, each is asked at its share of the level.
+    share = 1 / len(tried)
+    gate, form = min(zip(tried, forms, strict=True), key=lambda each: each[0].chance(each[0].all))
+    terms = gate.admitted(LEVEL * share)
+    with_quadratic = "quadratic" in terms if is_open else model == "quadratic"
+    kept = form if "drift" in terms else None
+    fitted = _fit(data, origin, free, quadratic=with_quadratic, drift=kept)
+    hidden_root = gate.beyond(terms)
+    if not with_quadratic:
+        hidden_root[list(quadratic_free)] = 0.0
+    tested = "model_choice.quadratic_kept" if with_quadratic else "model_choice.quadratic_left_out"
+    told = [sentence(tested if is_open else _UNTESTED[model], p=gate.chance(gate.all) / share, limit=LEVEL)]
+    if kept is not None:
+        drift_mg = float(np.ptp(fitted.drift_m_s2, axis=0).max()) / MILLI_G_M_S2
+        told.append(sentence("model_choice.drift_kept", kind=kept.kind, drift_mg=drift_mg))
+    return ChosenModel(
+        fit=fitted,
+        free=free if with_quadratic else tuple(k for k in free if k < _FIRST_QUADRATIC),
+        quadratic=with_quadratic,
+        is_quadratic_tested=is_open,
+        drift=kept,
+        hidden_root=hidden_root,
+        confusion=gate.confusion() if terms else 1.0,
+        sentences=tuple(told),
+    )
 
 
-def _linear(data: FitData, origin: FloatArray, observability: Observability, why: Sentence) -> ChosenModel:
-    # Zero where the term could be fitted and is not wanted; the preset's value where it cannot be observed.
-    plain = origin.copy()
-    plain[[k for k in observability.free if k >= _FIRST_QUADRATIC]] = 0.0
-    free = tuple(k for k in observability.free if k < _FIRST_QUADRATIC)
-    fitted = fit(data, plain, column_basis(plain, free, data.gravity_m_s2))
-    return ChosenModel(fit=fitted, free=free, quadratic=False, sentence=why)
+def _all_terms(
+    data: FitData, origin: FloatArray, free: tuple[int, ...], form: DriftForm | None, *, is_quadratic_open: bool
+) -> Gate:
+    """Return the gate with one form of drift, or none."""
+    everything = _fit(data, origin, free, quadratic=True, drift=form)
+    columns = {k: place for place, k in enumerate(free)}
+    coordinates: dict[Term, tuple[int, ...]] = {}
+    value = np.zeros(everything.basis.shape[1])
+    if is_quadratic_open:
+        entries = [k for k in free if k >= _FIRST_QUADRATIC]
+        coordinates["quadratic"] = tuple(columns[k] for k in entries)
+        # The basis moves each entry by its own scale.
+        value[[columns[k] for k in entries]] = everything.vector[entries] / [everything.basis[k, columns[k]] for k in entries]
+    if form is not None:
+        coordinates["drift"] = tuple(range(len(free), len(value)))
+        value[len(free) :] = np.linalg.lstsq(form.columns, everything.drift_m_s2, rcond=None)[0].ravel()
+    return Gate(everything, coordinates, value)
+
+
+def _fit(data: FitData, origin: FloatArray, free: tuple[int, ...], *, quadratic: bool, drift: DriftForm | None = None) -> Fit:
+    if not quadratic:
+        # Zero where the term could be fitted and is not wanted; the preset's value where it cannot be observed.
+        origin = origin.copy()
+        origin[[k for k in free if k >= _FIRST_QUADRATIC]] = 0.0
+        free = tuple(k for k in free if k < _FIRST_QUADRATIC)
+    basis = column_basis(origin, free, data.gravity_m_s2)
+    return fit(data, origin, basis, None if drift is None else drift.columns)
+
+
+def _untested(data: FitData, origin: FloatArray, free: tuple[int, ...], model: ModelChoice) -> ChosenModel:
+    """Return the model that was asked for, or the linear one where nothing can be tested."""
+    quadratic = model == "quadratic"
+    return ChosenModel(
+        fit=_fit(data, origin, free, quadratic=quadratic),
+        free=free if quadratic else tuple(k for k in free if k < _FIRST_QUADRATIC),
+        quadratic=quadratic,
+        sentences=(sentence(_UNTESTED[model]),),
+    )

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imufield.calibrate.accelerometer.drift import MOST_CONFUSION
 from imufield.calibrate.accelerometer.fit import Fit, FitData
 from imufield.calibrate.accelerometer.model_choice import ChosenModel
 from imufield.calibrate.accelerometer.outliers import GROSS_SIGMAS, Outlier, find_outliers
@@ -15,7 +16,7 @@ from imufield.calibrate.model.models import BIAS, SCALE
 from imufield.calibrate.model.observability import Observability
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, Quality
-from imufield.calibrate.model.uncertainty import Influence, rms, single_positions, student_factor
+from imufield.calibrate.model.uncertainty import SPARE_POSITIONS, Influence, SinglePosition, rms, student_factor
 from imufield.earth import MEASURED_GRAVITY_SIGMA_M_S2, MILLI_G_M_S2, Gravity, contradiction
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray
@@ -28,8 +29,8 @@ POOR_RESIDUAL_M_S2 = 5 * MILLI_G_M_S2
 USABLE_SCALE_SIGMA = 1e-3
 USABLE_BIAS_SIGMA_M_S2 = 2 * MILLI_G_M_S2
 """Above these, 1 sigma, a consumer-grade factory calibration is as good."""
-SPARE_POSITIONS = 4
-"""Degrees of freedom below this give Student factors of 3.2 and more."""
+MOST_DRIFT_M_S2 = MILLI_G_M_S2
+"""What is left of a larger drift after time and its square shows in scale and misalignment."""
 HIGH_CONDITION = 30.0
 """The schemes with 24 positions have 3 (linear) and 7 (quadratic)."""
 SCALE_CHANGE = 0.01
@@ -57,6 +58,8 @@ class Evidence:
     fitted: Fit
     """In the wanted gauge; that of ``chosen`` is in the lower one."""
     spread: Influence
+    singles: tuple[SinglePosition, ...]
+    """Positions that carry parameters nearly alone."""
     factors: FloatArray
     """By how much the sigma of each coordinate is raised, shape (n,)."""
     observability: Observability
@@ -66,6 +69,8 @@ class Evidence:
     """Common scale over the preset's; None without a preset."""
     sigma: FloatArray
     """1 sigma of the 15 parameters."""
+    grade: str | None
+    """Whose typical errors stand for what no residual shows."""
 
     @property
     def leave_one_out_m_s2(self) -> FloatArray:
@@ -77,7 +82,7 @@ def judge(evidence: Evidence) -> Quality:
     """Return figures, verdict and reasons."""
     fitted, freedom = evidence.fitted, evidence.fitted.degrees_of_freedom
     residual_rms, without = rms(fitted.residual_m_s2), rms(evidence.leave_one_out_m_s2)
-    parameters = len(evidence.chosen.free)
+    parameters = fitted.basis.shape[1]
     summary = sentence(
         "quality.summary" if np.isfinite(without) else "quality.summary_none_to_spare",
         positions=len(evidence.observations),
@@ -174,6 +179,12 @@ def _cautions(evidence: Evidence) -> list[str]:
     condition = evidence.observability.condition
     if condition > HIGH_CONDITION:
         reasons.append(sentence("quality.one_sided", condition=condition, limit=HIGH_CONDITION))
+    chosen = evidence.chosen
+    drift_mg, most_mg = (size / MILLI_G_M_S2 for size in (np.ptp(evidence.fitted.drift_m_s2, axis=0).max(), MOST_DRIFT_M_S2))
+    if drift_mg > most_mg:
+        reasons.append(sentence("quality.drift", drift_mg=drift_mg, limit_mg=most_mg))
+    if chosen.confusion > MOST_CONFUSION:
+        reasons.append(sentence("quality.confounded", factor=chosen.confusion, limit=MOST_CONFUSION))
     gravity = evidence.gravity
     if gravity.source == "assumed":
         share_ppm = gravity.sigma_m_s2 / gravity.gravity_m_s2 * 1e6
@@ -218,11 +229,12 @@ def _sigma_sentences(evidence: Evidence) -> list[str]:
 
 def _position_sentences(evidence: Evidence) -> list[str]:
     """Name positions that parameters rest on alone."""
+    free = evidence.chosen.free
     sentences: list[str] = []
     if evidence.fitted.degrees_of_freedom < 1:
         return sentences
-    for single in single_positions(evidence.spread):
-        names = [_words(ACCELEROMETER_NAMES[evidence.chosen.free[k]]) for k in single.coordinates]
+    for single in evidence.singles:
+        names = [_words(ACCELEROMETER_NAMES[free[k]]) for k in single.coordinates]
         raised = float(evidence.factors[list(single.coordinates)].max())
         key = "quality.carries_raised" if raised > _WORTH_TELLING else "quality.carries"
         position = evidence.observations.name[single.position]
@@ -246,7 +258,9 @@ def _outlier_sentences(evidence: Evidence, outliers: Iterable[Outlier]) -> list[
 
 
 def _notes(evidence: Evidence) -> list[str]:
-    notes: list[str] = [evidence.chosen.sentence]
+    notes: list[str] = [*evidence.chosen.sentences]
+    if evidence.grade is not None:
+        notes.append(sentence("quality.typical", grade=evidence.grade))
     if evidence.data.covariance_raw is None:
         notes.append(sentence("quality.no_covariance"))
     if evidence.sign_source == "assumed":

@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from imufield.calibrate.model.observations import Observations
 from imufield.earth import Gravity
 from imufield.samples import FloatArray
 
@@ -96,6 +97,8 @@ class PositionResult:
     """Diagonal of the hat matrix; 1 means nothing checks this position."""
     used: np.ndarray[tuple[int], np.dtype[np.bool_]]
     """False where the user left a position out: of it only ``leave_one_out_m_s2`` is known."""
+    bias_drift_m_s2: FloatArray
+    """Bias at this position less the calibration's, which is the mean over the positions, shape (m, 3)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -167,3 +170,23 @@ class Calibration:
     gyroscope: GyroscopeCalibration | None = None
     unobservable: tuple[str, ...] = ()
     """Names of parameters left at the preset because these positions cannot show them."""
+
+
+def without_drift(observations: Observations, calibration: Calibration) -> Observations:
+    """Return the observations as they were with the bias of the calibration; the drift in between is interpolated.
+
+    Parameters
+    ----------
+    observations : Observations
+        The ones calibrated from come first, in their order; others follow.
+    calibration : Calibration
+    """
+    drift, count = calibration.positions.bias_drift_m_s2, len(calibration.positions.used)
+    if not np.any(drift):
+        return observations
+    middle_s = observations.start_s + observations.duration_s / 2
+    if len(observations) > count:
+        order = np.argsort(middle_s[:count])
+        others = [np.interp(middle_s[count:], middle_s[:count][order], column[order]) for column in drift.T]
+        drift = np.vstack([drift, np.transpose(others)])
+    return replace(observations, mean_raw=observations.mean_raw - calibration.accelerometer.scale * drift)

@@ -34,6 +34,9 @@ NORMAL_FACTOR_95 = 1.959964
 """``student_factor`` for infinitely many degrees of freedom."""
 
 _NORMAL_NEARLY = 1.9602  # A Student factor below it stands for more than 10,000 degrees of freedom.
+SPARE_POSITIONS = 4
+"""Degrees of freedom below this give Student factors of 3.2 and more, and scatter and jackknife from chance."""
+
 _NO_VARIANCE = 1e-12  # Of a correlation matrix: a direction with less is one that the gauge fixes, and rounding.
 _NEWTON_STEPS = 100  # At most; each comes nearer, from below.
 
@@ -201,7 +204,8 @@ def student_factor(degrees_of_freedom: float, of: int = 1, chance: float = 0.05)
     """
     from scipy.special import stdtrit  # the module is slow to load, and only a finished fit needs it
 
-    return float(stdtrit(degrees_of_freedom, 1 - chance / (2 * of))) if degrees_of_freedom > 0 else float("nan")
+    # Infinitely many make NaN of it; the factor is the same to six digits.
+    return float(stdtrit(min(degrees_of_freedom, 1e9), 1 - chance / (2 * of))) if degrees_of_freedom > 0 else float("nan")
 
 
 def degrees_of_freedom(student_factor_95: float) -> float:

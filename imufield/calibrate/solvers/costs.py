@@ -28,7 +28,15 @@ from typing import Literal
 
 import numpy as np
 
-from imufield.calibrate.model.models import BIAS, MISALIGNMENT, QUADRATIC, SCALE, norm_derivatives, recover_vectors
+from imufield.calibrate.model.models import (
+    BIAS,
+    MISALIGNMENT,
+    QUADRATIC,
+    SCALE,
+    NormDerivatives,
+    norm_derivatives,
+    recover_vectors,
+)
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, QuadraticAxes
 from imufield.calibrate.solvers.triad_costs import inverse_matrices, unit_diagonal_matrices
 from imufield.samples import FloatArray
@@ -81,6 +89,8 @@ class NormProblem(Coordinates):
     sigma_m_s2 : ndarray, shape (m,)
     quadratic_axes : {"sensing", "body"}
     cost_name : {"absolute", "squares", "weighted"}
+    drift : ndarray, shape (m, k), optional
+        The last 3 k coordinates are a drift of the bias, m/s^2: each column times a vector of three axes. Least squares only.
     """
 
     raw: FloatArray
@@ -88,6 +98,7 @@ class NormProblem(Coordinates):
     sigma_m_s2: FloatArray
     quadratic_axes: QuadraticAxes = "sensing"
     cost_name: CostName = "weighted"
+    drift: FloatArray | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -150,19 +161,41 @@ class NormProblem(Coordinates):
         a[moving] = np.swapaxes(recover_vectors(vectors[moving], self.raw, self.quadratic_axes), 1, 2)
         return np.asarray(a)
 
+    def bias_drift(self, z: FloatArray) -> FloatArray:
+        """Return the drift of the bias at each position, shape (n,) -> (m, 3)."""
+        if self.drift is None:
+            return np.zeros_like(self.raw)
+        columns = self.drift.shape[1]
+        return np.asarray(self.drift @ z[-3 * columns :].reshape(columns, 3))
+
     def residuals(self, z: FloatArray) -> FloatArray:
         """Return what least squares minimises for this cost, shape (m,)."""
-        a = recover_vectors(self.vector(z), self.raw, self.quadratic_axes)
+        vector = self.vector(z)
+        a = recover_vectors(vector, self.raw - vector[SCALE] * self.bias_drift(z), self.quadratic_axes)
         # Levenberg-Marquardt squares and adds: the root of eq. 7 has the same minimum.
         norm = np.linalg.norm(a, axis=-1)
         if self.cost_name == "squares":
             return np.asarray((norm**2 - self.gravity_m_s2**2) / np.sqrt(len(norm) - 1))
         return np.asarray((norm - self.gravity_m_s2) / self.sigma_m_s2)
 
+    def derivatives(self, z: FloatArray) -> tuple[NormDerivatives, FloatArray]:
+        """Return norm(a) at all positions, and its derivative by the coordinates, shape (m, n)."""
+        vector, drift = self.vector(z), self.bias_drift(z)
+        derivatives = norm_derivatives(vector, self.raw - vector[SCALE] * drift, self.quadratic_axes)
+        by_parameters = derivatives.jacobian
+        if self.drift is None:
+            return derivatives, by_parameters @ self.basis
+        # N = K (s + b + drift): the drift moves the norm as the bias does, and the scale acts on it too.
+        by_bias = by_parameters[:, BIAS]
+        by_parameters[:, SCALE] -= derivatives.raw_gradient * drift
+        jacobian = by_parameters @ self.basis
+        by_drift = self.drift[:, :, None] * by_bias[:, None, :]
+        jacobian[:, -3 * self.drift.shape[1] :] = by_drift.reshape(len(jacobian), -1)
+        return derivatives, jacobian
+
     def jacobian(self, z: FloatArray) -> FloatArray:
         """Return the derivative of ``residuals``, shape (m, n)."""
-        derivatives = norm_derivatives(self.vector(z), self.raw, self.quadratic_axes)
-        jacobian = derivatives.jacobian @ self.basis
+        derivatives, jacobian = self.derivatives(z)
         if self.cost_name == "squares":
             return np.asarray(jacobian * (2 * derivatives.norm / np.sqrt(len(jacobian) - 1))[:, None])  # d n^2 = 2 n d n
         return np.asarray(jacobian / self.sigma_m_s2[:, None])

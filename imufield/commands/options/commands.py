@@ -260,6 +260,7 @@ class SolveOptions:
     polish: Annotated[bool, option(help="Finish another method by least squares.")] = True
     cross_check: Annotated[bool, option("--cross-check", help="Solve by bsas, ide and least squares, compare.")] = False
     gyroscope_model: Annotated[str, option("--gyro-model", help="auto, basic or g-sensitive.")] = "auto"
+    grade: Annotated[str | None, option(help="navigation, tactical, industrial or mems: typical of what is not shown.")] = None
     seed: Annotated[int, option(help="Seed of everything random.", low=0, high=LARGEST_SEED)] = 0
     workers: Workers = None
     scheduler: Scheduler = None
@@ -281,6 +282,7 @@ class SolveOptions:
 
         from imufield.calibrate.gyroscope.model_choice import GyroscopeModel
         from imufield.calibrate.model.result import Gauge, ModelChoice
+        from imufield.calibrate.model.typical import grades
         from imufield.calibrate.solvers.registry import load_solver
         from imufield.deliver.parameters.file import load
         from imufield.pipeline.calibration import SolveSettings, one_of
@@ -298,6 +300,7 @@ class SolveOptions:
             gyroscope_model=one_of("gyro-model", self.gyroscope_model, get_args(GyroscopeModel)),
             preset=None if self.preset is None else load(self.preset),
             raw_zero=None if zero is None else np.array(zero),
+            grade=None if self.grade is None else one_of("grade", self.grade, tuple(grades())),
             seed=self.seed,
             without=tuple(self.without or ()),
             clock_sigma=None if self.clock_sigma_ppm is None else 1e-6 * self.clock_sigma_ppm,

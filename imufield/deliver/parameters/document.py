@@ -45,7 +45,7 @@ _INTRINSIC = _names(Intrinsic)
 _NOISE = _names(Noise, "source")
 _CLOCK = _names(ClockFacts)
 _QUALITY_FIGURES = _names(Quality, "verdict", "reasons")
-_POSITION_RESULTS = _names(PositionResult, "used")
+_POSITION_RESULTS = _names(PositionResult, "used", "bias_drift_m_s2")
 
 
 def to_document(calibration: Calibration, observations: Observations, context: Context) -> Document:
@@ -162,8 +162,10 @@ def _positions(results: PositionResult, observations: Observations) -> list[Docu
             "sigma_raw": sigma_raw[i].tolist(),
             **{key: float(getattr(observations, key)[i]) for key in ("start_s", "duration_s", "temperature_degc")},
             **{key: float(getattr(results, key)[i]) for key in _POSITION_RESULTS},
+            # Only where one was fitted: an older program reads the file of a session without drift.
+            **({"bias_drift_m_s2": drift.tolist()} if np.any(results.bias_drift_m_s2) else {}),
         }
-        for i in range(len(observations))
+        for i, drift in enumerate(results.bias_drift_m_s2)
     ]
 
 
@@ -195,6 +197,7 @@ def calibration_from_document(document: Document) -> Calibration:
         positions=PositionResult(
             **{key: _array([table[key] for table in positions]) for key in _POSITION_RESULTS},
             used=np.array([table["used"] for table in positions], dtype=np.bool_),
+            bias_drift_m_s2=_array([table.get("bias_drift_m_s2", [0.0] * 3) for table in positions]).reshape(-1, 3),
         ),
         solver=SolverSummary(**document["solver"]),
         quality=Quality(

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imufield.calibrate.accelerometer.drift import MOST_CONFUSION, order_confusion
 from imufield.earth import MILLI_G_M_S2
 from imufield.guide.cross_checks.running_fit import EXPECTED_SCATTER_M_S2, Disagreement, RunningFit, running_fit
 from imufield.guide.events import Advice, Topic
@@ -65,6 +66,7 @@ _NO_DRIFT = _Kind(Topic.DRIFT, "advice.no_drift", "advice.no_drift_remedy", "m/s
 _BIAS_MET = _Kind(Topic.TARGET_MET, "advice.target_met", "advice.target_met_remedy", "ug")
 _SCALE_MET = _Kind(Topic.TARGET_MET, "advice.target_met", "advice.target_met_remedy", "ppm")
 _SCHEME = _Kind(Topic.SCHEME, "advice.scheme", "advice.scheme_remedy", "sigma")
+_ORDER = _Kind(Topic.ORDER, "advice.order", "advice.order_remedy", "1")
 _FAR_SCALE = _Kind(Topic.SCALE, "advice.far_scale", "advice.far_scale_remedy", "1")
 _OFF_EARLIER = _Kind(Topic.SCALE, "advice.earlier_scale", "advice.off_scale_remedy", "1")
 _LIKE_EARLIER = _Kind(Topic.SCALE, "advice.earlier_scale", "advice.earlier_scale_remedy", "1")
@@ -110,7 +112,9 @@ class Adviser:
         # Somebody with a target wants to be there soon.
         hurried = settings.target_bias_ug is not None or settings.target_scale_ppm is not None
         if gain.max() > (1.0 if hurried else _CLEARLY_MORE) * gain[0]:
-            plan.preferred = pending[int(np.argmax(gain))]
+            preferred = pending[int(np.argmax(gain))]
+            if self._confusion([preferred, *(index for index in pending if index != preferred)]) <= MOST_CONFUSION:
+                plan.preferred = preferred
 
     def advise(self, now_s: float) -> list[Advice]:
         """Return what the running fit shows that the operator may want to act on; each topic once."""
@@ -139,6 +143,9 @@ class Adviser:
         sigmas = fit.quadratic_sigmas()
         if count >= _FEWEST_FOR_QUADRATIC and self._plan.scheme.name.startswith("paper") and sigmas >= _MATTERS_SIGMAS:
             yield _SCHEME.advice(now_s, sigmas, _MATTERS_SIGMAS, sigmas=sigmas)
+        confusion = self._confusion(self._plan.pending())
+        if confusion > MOST_CONFUSION:
+            yield _ORDER.advice(now_s, confusion, MOST_CONFUSION, factor=confusion)
         # The residual cannot show a common scale far from the instrument's nominal one.
         if fit.scale.accelerometer and not fit.scale.learned:
             found, sigma = fit.common_scale()
@@ -147,6 +154,11 @@ class Adviser:
                 yield _FAR_SCALE.advice(
                     now_s, abs(share), _SCALE_SHARE, off_percent=100 * share, limit_percent=100 * _SCALE_SHARE
                 )
+
+    def _confusion(self, pending: list[int]) -> float:
+        """Return how alike drift and quadratic term look where the pending positions follow those so far in this order."""
+        plan = self._plan
+        return order_confusion(np.array([plan.position(index).direction for index in (*plan.accepted, *pending)]))
 
     def _advise_suspects(self, now_s: float, fit: RunningFit) -> list[Advice]:
         """Return what to tell of suspects: suspicions that are settled, and the worst one if it was not told yet."""

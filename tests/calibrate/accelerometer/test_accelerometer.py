@@ -317,7 +317,8 @@ def test_a_good_session_is_called_good() -> None:
     calibration = calibrate_accelerometer(campaign(random_parameters(rng), rng), EXACT)
     quality = calibration.quality
     assert quality.verdict == "good"
-    assert (quality.rank, quality.parameters_fitted, quality.degrees_of_freedom) == (9, 9, 15)
+    # The gate lets a term in now and then; each takes from what is to spare.
+    assert quality.rank == quality.parameters_fitted == 24 - quality.degrees_of_freedom
     (summary,) = told(quality.reasons[:1], "quality.summary")
     assert (summary.values["positions"], summary.values["parameters"], summary.values["spare"]) == (24, 9, 15)
 

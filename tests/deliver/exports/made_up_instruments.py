@@ -107,7 +107,7 @@ def loaded(
         covariance_names=("gravity_m_s2",),
         covariance=np.array([[1e-6]]),
         gravity=Gravity(gravity_m_s2=GRAVITY, sigma_m_s2=5e-4, source="normal", latitude_deg=48.1, height_m=520.0),
-        positions=PositionResult(zeros, zeros, zeros, np.ones(POSITIONS, dtype=np.bool_)),
+        positions=PositionResult(zeros, zeros, zeros, np.ones(POSITIONS, dtype=np.bool_), np.zeros((POSITIONS, 3))),
         solver=SolverSummary(method="least squares", status=1, message="converged", cost=1.0, evaluations=9),
         quality=Quality(
             residual_rms_m_s2=0.0,

@@ -92,7 +92,7 @@ def perfect(force_sigma: float = 0.0, rate_sigma: float = 0.0) -> Calibration:
         covariance_names=names,
         covariance=np.diag(np.repeat([force_sigma, rate_sigma], 3) ** 2),
         gravity=Gravity(gravity_m_s2=GRAVITY_M_S2, sigma_m_s2=1e-5, source="typed", latitude_deg=LATITUDE_DEG, height_m=0.0),
-        positions=PositionResult(zero[:0], zero[:0], zero[:0], np.empty(0, dtype=np.bool_)),
+        positions=PositionResult(zero[:0], zero[:0], zero[:0], np.empty(0, dtype=np.bool_), np.empty((0, 3))),
         solver=SolverSummary(method="none", status=1, message="by hand", cost=0.0, evaluations=0),
         quality=Quality(
             residual_rms_m_s2=0,

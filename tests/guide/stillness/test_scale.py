@@ -12,6 +12,7 @@ NOTHING = Nominal(
     accelerometer_range_m_s2=None,
     gyroscope_range_rad_s=None,
     rate_hz=None,
+    grade="",
 )
 
 
@@ -29,6 +30,7 @@ def test_the_protocol_knows_more_than_the_units() -> None:
         accelerometer_range_m_s2=None,
         gyroscope_range_rad_s=None,
         rate_hz=100.0,
+        grade="",
     )
     scale = RoughScale.of(SampleUnits(accelerometer="count", gyroscope="count"), nominal)
     assert (scale.accelerometer, scale.gyroscope) == (414.0, 4780.0)
@@ -47,6 +49,7 @@ def test_mid_scale_of_increments_is_a_rate_too() -> None:
         accelerometer_range_m_s2=None,
         gyroscope_range_rad_s=None,
         rate_hz=100.0,
+        grade="",
     )
     scale = RoughScale.of(units, nominal)
     # 9.8 m/s^2 over 10 ms: 0.098 m/s, 980 counts above the mid-scale.

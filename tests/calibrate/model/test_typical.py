@@ -1,0 +1,89 @@
+"""Typical errors in place of what a session does not show: the alias is the shift, and intervals hold the truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from calibration_truth import faces
+from drifting_sessions import GRAVITY_M_S2, Session, proposed
+
+from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
+from imufield.calibrate.model.gauge import intrinsic
+from imufield.calibrate.model.models import to_vector
+from imufield.calibrate.model.typical import grades, open_terms, typical_of
+from imufield.earth import Gravity
+from imufield.errors import UsageError
+from imufield.samples import FloatArray
+from tests.refused import refused
+
+pytestmark = pytest.mark.numerical
+
+EXACT = Gravity(gravity_m_s2=GRAVITY_M_S2, sigma_m_s2=1e-9, source="measured")
+MEMS = grades()["mems"]
+
+
+def drawn(rng: np.random.Generator) -> FloatArray:
+    """Return |s|, s^3 and six products of each axis, as large as is typical."""
+    sizes = [MEMS.asymmetry, MEMS.cubic, *[MEMS.cross] * 3]
+    return np.array([size * rng.standard_normal(3) for size in sizes])
+
+
+def test_the_alias_is_how_far_a_term_moves_the_parameters() -> None:
+    session = Session(directions=proposed("paper24"))
+    observations, _ = session.take(np.random.default_rng(3))
+    scale = calibrate_accelerometer(observations, EXACT, model="linear").accelerometer.scale
+    up = observations.direction
+    plain = calibrate_accelerometer(observations, EXACT, model="linear")
+    # A scale that differs by 2 mg/g between the sides of x, as the equation of the term says.
+    more = np.zeros_like(up)
+    more[:, 0] = 1e-3 * GRAVITY_M_S2 * np.abs(up[:, 0]) * scale[0]
+    moved = calibrate_accelerometer(replace(observations, mean_raw=observations.mean_raw + more), EXACT, model="linear")
+    columns = open_terms(up, replace(MEMS, asymmetry=1e-3), misalignment=False, quadratic=False)
+    jacobian = np.hstack([up**2, up, up[:, [0, 0, 1]] * up[:, [1, 2, 2]]])
+    alias = np.linalg.lstsq(jacobian, columns[:, 0], rcond=None)[0]
+    # Of the asymmetry of x, on the bias of x; placed within 5 degrees, so to a tenth.
+    shift = moved.accelerometer.bias_m_s2[0] - plain.accelerometer.bias_m_s2[0]
+    assert shift == pytest.approx(alias[3], rel=0.1)
+    assert shift > 0.5e-3 * GRAVITY_M_S2
+
+
+@pytest.mark.parametrize(
+    ("directions", "has_noise_known", "quadratic_ug"),
+    [
+        (proposed("paper24"), True, 0.0),
+        (proposed("corners24"), True, 0.0),
+        (faces(), True, 500.0),
+        (faces(), False, 500.0),
+        (proposed("corners24")[:12], False, 500.0),
+    ],
+    ids=["paper24", "corners24", "six faces", "six faces, means alone", "twelve, means alone"],
+)
+def test_intervals_hold_instruments_of_the_grade(directions: FloatArray, has_noise_known: bool, quadratic_ug: float) -> None:
+    session = Session(
+        directions=directions,
+        has_noise_known=has_noise_known,
+        quadratic_ug=quadratic_ug,
+        placement_deg=6.0,
+        misalignment_rad=MEMS.misalignment_rad,
+    )
+    rng = np.random.default_rng(12)
+    inside: list[FloatArray] = []
+    for _ in range(60):
+        observations, truth = session.take(rng, drawn(rng))
+        calibration = calibrate_accelerometer(observations, EXACT, grade="mems")
+        found = calibration.intrinsic
+        sigma = np.concatenate([found.scale_sigma, found.bias_raw_sigma])
+        # Known at all, and to what a user would call known.
+        assert np.all(found.bias_raw_sigma / truth.scale < 0.02 * GRAVITY_M_S2)
+        error = np.concatenate([found.scale, found.bias_raw]) - intrinsic(to_vector(truth), "sensing")[0][:6]
+        inside.append(np.abs(error) < calibration.quality.student_factor_95 * sigma)
+    assert np.mean(inside) > 0.92
+
+
+def test_grades() -> None:
+    best_first = [grade.quadratic for grade in grades().values()]
+    assert best_first == sorted(best_first)
+    with refused(UsageError, key="typical.no_grade"):
+        typical_of("toy")
