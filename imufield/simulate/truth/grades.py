@@ -21,6 +21,7 @@ from imufield.earth import MICRO_G_M_S2, STANDARD_GRAVITY_M_S2
 from imufield.errors import UsageError
 from imufield.samples import FloatArray, SampleUnits
 from imufield.sentences import Sentences
+from imufield.simulate.truth.effects import NO_EFFECTS, Effects
 
 sentence = Sentences(__package__)
 
@@ -132,6 +133,8 @@ class TrueInstrument:
     """Positive: the sample clock is fast, samples come closer than nominal."""
     triad_delay_s: float = 0.0
     """Delay of the gyroscope behind the accelerometer; negative where the accelerometer is late."""
+    effects: Effects = NO_EFFECTS
+    """What it does beside its error model."""
 
 
 def find_grade(name: str) -> Grade:
