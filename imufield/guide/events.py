@@ -41,6 +41,7 @@ class RefusalCode(Enum):
     GRAVITY = "gravity"
     SATURATED = "saturated"
     STUCK = "stuck"
+    FROZEN = "frozen"
     START_UP = "start_up"
     INVALID = "invalid"
     SAMPLE_LOSS = "sample_loss"

@@ -55,6 +55,8 @@ class Measured:
     """Raw unit per rad/s, nominal."""
     reasons: tuple[str, ...] = ()
     """Sentences about the recording that belong to the verdict."""
+    doubts: tuple[str, ...] = ()
+    """The same that keep the verdict from being good."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -147,6 +149,8 @@ def calibrate(measured: Measured, settings: SolveSettings) -> Parameters:
     # After the accelerometer, which tells in what position each still was.
     calibration = _with_gyroscope(calibration, measured, settings, rng)
     quality = replace(calibration.quality, reasons=(*calibration.quality.reasons, *sentences))
+    if measured.doubts:
+        quality = quality.lowered("usable", *measured.doubts)
     calibration = replace(calibration, quality=quality)
     # Through the document and back: what is printed is what the file holds, digit by digit.
     return from_document(to_document(calibration, measured.observations, measured.context))
