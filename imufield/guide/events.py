@@ -206,6 +206,8 @@ class Rejected(Event, kind="rejected"):
     limit: float
     unit: str
     axis: str | None = None
+    taken_back: bool = False
+    """Whether it takes back an earlier ``Accepted`` of the position."""
 
 
 class Topic(Enum):

@@ -25,6 +25,7 @@ class Refusal:
     limit: float
     unit: str
     axis: str | None = None
+    taken_back: bool = False
 
     def event(self, now_s: float, position: str | None) -> Rejected:
         """Return the event of this refusal."""
@@ -73,7 +74,8 @@ def quantity(value: float, unit: str) -> str:
 
 def taken_back(refusal: Refusal, position: str) -> Refusal:
     """Return the refusal of a position that was accepted before later holds showed what is wrong with it."""
-    return replace(refusal, words=sentence("refusals.taken_back", position=position, words=refusal.words))
+    words = sentence("refusals.taken_back", position=position, words=refusal.words)
+    return replace(refusal, words=words, taken_back=True)
 
 
 def what_is_left(names: Sequence[str]) -> Sentence:

@@ -58,7 +58,7 @@ def run_study(name: str, context: StudyContext, *, folder: Path | None = None) -
         If a scheduler was given and does not answer.
     """
     for study in find_studies(name):
-        module, _, function = texts()[study]["function"].partition(".")
+        module, _, function = texts()[study]["function"].rpartition(".")
         compute = getattr(importlib.import_module(f"imufield.study.{module}"), function)
         report = make_report(study, compute(context, **texts()[study].get("arguments", {})))
         if folder is not None:

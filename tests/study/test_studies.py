@@ -202,4 +202,4 @@ def test_text_that_is_wide_is_folded_to_80_columns() -> None:
 
 def test_help_names_every_study() -> None:
     assert StudyOptions.__doc__ is not None
-    assert set(re.findall(r"(?:bsas|ide)-\w+", StudyOptions.__doc__)) == set(STUDIES)
+    assert set(re.findall(r"(?:bsas|ide|answers)-\w+", StudyOptions.__doc__)) == set(STUDIES)

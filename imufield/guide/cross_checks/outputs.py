@@ -12,9 +12,10 @@ one in a million it was not read anew. Where no output changes through a whole h
 
 *Ends.* Let a share f of a hold's samples stand at its own highest (or lowest) value. Noise would put f there only where the
 upper edge of that step lies z(f) + 1/s sigmas above the mean, z the inverse of the tail Q, and then puts Q(z(f) + 1/s) beyond.
-That none of the samples is beyond has the chance (1 - Q(z(f) + 1/s))^m. Vibration of one amplitude piles up at both ends,
-clipping at one. Where nothing in the session lies beyond, moves included, the place is an end of the range, and it applies to
-every hold, those before included. Clipping a share q takes sigma (phi(z) - z q), z = z(q), from the mean.
+That none of n independent samples is beyond has the chance (1 - Q(z(f) + 1/s))^n; n follows from what the means of the cells
+scatter. Vibration of one amplitude piles up at both ends, clipping at one. Where nothing in the session lies beyond, moves
+included, the place is an end of the range, and it applies to every hold, those before included. Clipping a share q takes
+sigma (phi(z) - z q), z = z(q), from the mean.
 
 *Codes that stick.* That k of n draws have a value with the share p has at most the chance exp(-n D(k/n, p)), D the relative
 entropy [1]_; p is twice the share above, 10 % at least.
@@ -169,16 +170,16 @@ def _piles(hold: HoldOutput, noise: list[float]) -> Iterator[_End]:
     """Yield the ends at which the output was held."""
     for end, count, other in _ends(hold):
         one_sided = hold.still[end[0]] or count > _ONE_SIDED * other
-        if one_sided and _chance(count / hold.samples, noise[end[0]], hold) < _UNLIKELY:
+        if one_sided and _chance(count / hold.samples, noise[end[0]], hold, end[0]) < _UNLIKELY:
             yield end
 
 
-def _chance(share: float, noise_steps: float, hold: HoldOutput) -> float:
+def _chance(share: float, noise_steps: float, hold: HoldOutput, axis: int) -> float:
     """Return the chance that noise puts a share of a hold at its outermost value and nothing beyond."""
     if noise_steps == 0:
         return 1.0
     upper_edge = _NORMAL.inv_cdf(1 - min(share, 1 - 0.5 / hold.samples)) + 1 / noise_steps
-    return float(_NORMAL.cdf(upper_edge) ** hold.cells)
+    return float(_NORMAL.cdf(upper_edge) ** hold.independent[axis])
 
 
 def _stalls(run: int, noise_steps: float, hold: HoldOutput) -> bool:

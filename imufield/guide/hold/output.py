@@ -24,6 +24,8 @@ class HoldOutput:
         Samples of the accelerometer at these ends.
     sigma : ndarray, shape (6,)
         Of single samples.
+    independent : ndarray, shape (6,)
+        Samples that would scatter the means of the cells as much, were they independent; cells where nothing scatters.
     run : ndarray of int64, shape (6,)
         Cells in a row, the most, through which the output did not change.
     run_of_all : int
@@ -42,6 +44,7 @@ class HoldOutput:
     at_low: IntArray
     at_high: IntArray
     sigma: FloatArray
+    independent: FloatArray
     run: IntArray
     run_of_all: int
     commonest: FloatArray
@@ -51,6 +54,7 @@ class HoldOutput:
     def of(cls, cells: Cells) -> HoldOutput:
         """Return the outputs of the cells of a hold, two at least."""
         low, high = np.fmin.reduce(cells.low), np.fmax.reduce(cells.high)
+        floor = measure_floor(cells)
         flat = cells.low == cells.high
         # With the cell before; an absent output, NaN, never does.
         unchanged = np.concatenate([np.zeros((1, 6), dtype=np.bool_), flat[1:] & flat[:-1] & (cells.low[1:] == cells.low[:-1])])
@@ -62,7 +66,8 @@ class HoldOutput:
             high=high,
             at_low=np.where(cells.low[:, :3] == low[:3], cells.at_low, 0).sum(axis=0),
             at_high=np.where(cells.high[:, :3] == high[:3], cells.at_high, 0).sum(axis=0),
-            sigma=measure_floor(cells).sigma,
+            sigma=floor.sigma,
+            independent=len(cells) * np.divide(floor.sigma, floor.cell_sigma, out=np.ones(6), where=floor.sigma > 0) ** 2,
             run=np.array([_longest_run(column) for column in unchanged.T]),
             run_of_all=_longest_run((unchanged | np.isnan(low)).all(axis=1)),
             commonest=np.array([value for value, _ in commonest]),
