@@ -68,6 +68,7 @@ ROOMS = (
     ("simulate/emulator",),
     ("simulate",),
     ("study",),
+    ("study/answers",),
     ("pipeline",),
     ("commands/configuration",),
     ("commands/options",),
