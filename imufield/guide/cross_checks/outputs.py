@@ -93,7 +93,7 @@ class Outputs:
         if hold.run_of_all == hold.cells or _stalls(hold.run_of_all, max(noise), hold):
             return refusals.FROZEN.refusal(hold.run_of_all * CELL_S, 0.0)
         for column in range(6):
-            if _stalls(int(hold.run[column]), noise[column], hold):
+            if _stalls(int(hold.run[column]), noise[column], hold) and not _is_rounded_off(column, hold):
                 reading, sigma = float(hold.commonest[column]), float(noise[column] * self._step[column])
                 return refusals.STUCK.refusal(0.0, sigma, axis=AXES[column % 3], triad=_triad(column), reading=reading)
         for end, count, _ in _ends(hold):
@@ -121,7 +121,7 @@ class Outputs:
         (noise, _), worst = self._evidence(), dict[int, tuple[float, float, float]]()
         for hold in self._holds:
             for column, (value, count) in enumerate(zip(hold.commonest.tolist(), hold.begun_with_it.tolist(), strict=True)):
-                if _stalls(int(hold.run[column]), noise[column], hold):
+                if _stalls(int(hold.run[column]), noise[column], hold) or _is_rounded_off(column, hold):
                     continue
                 share = count / hold.cells
                 limit = max(_COMMON * _most_common(noise[column]), _LEAST_COMMON)
@@ -185,6 +185,11 @@ def _chance(share: float, noise_steps: float, hold: HoldOutput, axis: int) -> fl
 def _stalls(run: int, noise_steps: float, hold: HoldOutput) -> bool:
     """Whether an output with noise did not change for so many cells in a row that it was not read."""
     return run >= _STALL_CELLS and hold.cells * _most_common(noise_steps) ** run < _UNLIKELY
+
+
+def _is_rounded_off(column: int, hold: HoldOutput) -> bool:
+    """Whether it is a gyroscope's zero, which some instruments show for every slow rate."""
+    return column >= 3 and float(hold.commonest[column]) == 0.0
 
 
 def _most_common(noise_steps: float) -> float:

@@ -163,6 +163,14 @@ def test_an_output_that_stops_is_refused_by_the_noise_of_other_holds(columns: An
     assert [outputs.refusal(hold) for hold in others] == [None] * 3
 
 
+def test_a_gyroscope_that_shows_zero_for_every_slow_rate_is_no_fault() -> None:
+    holds = [noise_of(5, 0.0, seed=k) for k in range(4)]
+    holds[2][:, 3:], holds[3][:500, 4] = 0.0, 0.0
+    outputs, found = outputs_of(holds)
+    assert [outputs.refusal(hold) for hold in found] == [None] * 4
+    assert outputs.sticking() == ()
+
+
 def test_an_output_that_stands_still_may_be_a_coarse_one() -> None:
     """Two neighbouring codes in another hold show no noise of half a step."""
     still, toggling = noise_of(0.02, 0.0), noise_of(0.02, 0.5, seed=1)
