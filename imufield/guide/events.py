@@ -41,6 +41,7 @@ class RefusalCode(Enum):
     GRAVITY = "gravity"
     SATURATED = "saturated"
     STUCK = "stuck"
+    FROZEN = "frozen"
     START_UP = "start_up"
     INVALID = "invalid"
     SAMPLE_LOSS = "sample_loss"
@@ -205,6 +206,8 @@ class Rejected(Event, kind="rejected"):
     limit: float
     unit: str
     axis: str | None = None
+    taken_back: bool = False
+    """Whether it takes back an earlier ``Accepted`` of the position."""
 
 
 class Topic(Enum):

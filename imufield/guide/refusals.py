@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 from imufield.guide.events import RefusalCode, Rejected
 from imufield.sentences import Sentence, Sentences
@@ -25,6 +25,7 @@ class Refusal:
     limit: float
     unit: str
     axis: str | None = None
+    taken_back: bool = False
 
     def event(self, now_s: float, position: str | None) -> Rejected:
         """Return the event of this refusal."""
@@ -71,6 +72,12 @@ def quantity(value: float, unit: str) -> str:
     return f"{value:.3g} {unit}"
 
 
+def taken_back(refusal: Refusal, position: str) -> Refusal:
+    """Return the refusal of a position that was accepted before later holds showed what is wrong with it."""
+    words = sentence("refusals.taken_back", position=position, words=refusal.words)
+    return replace(refusal, words=words, taken_back=True)
+
+
 def what_is_left(names: Sequence[str]) -> Sentence:
     """Return the remedy at a side that is measured already: the names of the others."""
     if not names:
@@ -109,6 +116,7 @@ ACCELEROMETER_INVALID = RefusalKind(RefusalCode.INVALID, "refusals.accelerometer
 GYROSCOPE_INVALID = RefusalKind(RefusalCode.INVALID, "refusals.gyroscope_invalid", "refusals.invalid_remedy", "%")
 SAMPLE_LOSS = RefusalKind(RefusalCode.SAMPLE_LOSS, "refusals.sample_loss", "refusals.sample_loss_remedy", "%")
 STUCK = RefusalKind(RefusalCode.STUCK, "refusals.stuck", "refusals.stuck_remedy", "raw unit")
+FROZEN = RefusalKind(RefusalCode.FROZEN, "refusals.frozen", "refusals.frozen_remedy", "s")
 DEAD_AXIS = RefusalKind(RefusalCode.INVALID, "refusals.dead_axis", "refusals.dead_axis_remedy", "raw unit")
 GRAVITY = RefusalKind(RefusalCode.GRAVITY, "refusals.gravity", "refusals.gravity_remedy", "m/s^2")
 CLOCK_FORWARD = RefusalKind(RefusalCode.CLOCK_JUMP, "refusals.clock_forward", "refusals.clock_remedy", "s")

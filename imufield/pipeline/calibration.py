@@ -62,6 +62,8 @@ class Measured:
     """Of the instrument; empty where it is not known."""
     reasons: tuple[str, ...] = ()
     """Sentences about the recording that belong to the verdict."""
+    doubts: tuple[str, ...] = ()
+    """The same that keep the verdict from being good."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -163,6 +165,8 @@ def calibrate(measured: Measured, settings: SolveSettings) -> Parameters:
     # After the accelerometer, which tells in what position each still was.
     calibration = _with_gyroscope(calibration, measured, settings, rng)
     quality = replace(calibration.quality, reasons=(*calibration.quality.reasons, *sentences))
+    if measured.doubts:
+        quality = quality.lowered("usable", *measured.doubts)
     calibration, observations = replace(calibration, quality=quality), measured.observations
     if measured.left_out is not None and len(measured.left_out):
         calibration = _recording_left_out(calibration, measured.left_out)

@@ -35,7 +35,7 @@ _BETTER_KNOWN = 3.0  # Factor between sigmas of gravity from which the common sc
 _SHOWN = 6  # Places that a sentence lists.
 _AT_LIMIT = (RefusalCode.SATURATED, RefusalCode.STUCK)
 # Refused as soon as it is seen, before a position is known.
-_SPOIL_DATA = (RefusalCode.SATURATED, RefusalCode.INVALID, RefusalCode.SAMPLE_LOSS)
+_SPOIL_DATA = (RefusalCode.SATURATED, RefusalCode.FROZEN, RefusalCode.INVALID, RefusalCode.SAMPLE_LOSS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,9 +47,9 @@ class Solved:
     """Sentences about the recording that are not about the numbers."""
 
 
-# What a session holds to be calibrated from, its axes, sentences beside the numbers, and the one for the verdict about what was
-# left out because an axis was clipped, empty where none was.
-_Usable = tuple[Observations, AxesCheck, tuple[str, ...], str]
+# What a session holds to be calibrated from, its axes, sentences beside the numbers, the one for the verdict about what was
+# left out because an axis was clipped, empty where none was, and those about codes that stick.
+_Usable = tuple[Observations, AxesCheck, tuple[str, ...], str, tuple[str, ...]]
 
 
 def solve_session(
@@ -96,7 +96,7 @@ def solve_session(
         on_read()
     with naming_damage(session, damage):
         usable = _unguided(chain) if chain.guide is None else _guided(chain, chain.guide, refusals)
-        observations, axes, notes, saturated = usable
+        observations, axes, notes, saturated, sticking = usable
         if axes.error is not None:
             raise axes.error
         is_import = session.record.kind == "import"
@@ -124,6 +124,7 @@ def solve_session(
             gyroscope_scale=None if protocol is None else protocol.nominal.gyroscope_scale,
             grade="" if protocol is None else protocol.nominal.grade,
             reasons=reasons,
+            doubts=sticking,
         )
         try:
             return Solved(calibrate(measured, settings), notes)
@@ -158,7 +159,7 @@ def _guided(chain: Chain, guide: Guide, refusals: list[Rejected]) -> _Usable:
         event for event in refusals if event.reason in _AT_LIMIT and missing and (event.position or missing[0]) in missing
     ]
     saturated = _saturation_sentence([(event.time_s, event.words) for event in clipped])
-    return observations, guide.check_axes(), _missing_sentences(guide, refusals), saturated
+    return observations, guide.check_axes(), _missing_sentences(guide, refusals), saturated, guide.sticking()
 
 
 def _unguided(chain: Chain) -> _Usable:
@@ -171,7 +172,7 @@ def _unguided(chain: Chain) -> _Usable:
         for start_s, refusal in found.refused
         if refusal.reason not in _AT_LIMIT
     )
-    return found.observations, found.axes, notes, _saturation_sentence(clipped)
+    return found.observations, found.axes, notes, _saturation_sentence(clipped), found.sticking
 
 
 def _saturation_sentence(clipped: list[tuple[float, str]]) -> str:

@@ -12,6 +12,8 @@ import pytest
 import tomli_w
 
 from imufield.cli.run import run
+from imufield.errors import Reason
+from tests.commands.told import fails
 
 
 @pytest.fixture
@@ -84,7 +86,7 @@ def test_a_clipped_axis_is_in_the_verdict(rows: tuple[list[str], np.ndarray], ca
     assert "saturation" in " ".join((captured.out + captured.err).split())
 
 
-def test_all_axes_clipped_names_saturation(rows: tuple[list[str], np.ndarray], capsys: pytest.CaptureFixture[str]) -> None:
+def test_all_axes_clipped_names_saturation(rows: tuple[list[str], np.ndarray]) -> None:
     header, table = rows
     for name in ("ax", "ay", "az"):
         column = header.index(name)
@@ -92,10 +94,30 @@ def test_all_axes_clipped_names_saturation(rows: tuple[list[str], np.ndarray], c
         table[:, column] = np.clip(table[:, column], -largest, largest)
     write(header, table)
     assert run(["import", "changed.csv", "-o", "new"]) == 0
-    capsys.readouterr()
-    assert run(["solve", "new"]) == 6
-    sentence = capsys.readouterr().err.strip().splitlines()[-1]
-    assert "limit" in sentence or "saturat" in sentence
+    fails("solve new", 6, Reason.SATURATED, "accelerometer", key="solving.too_few")
+
+
+def test_codes_that_stick_are_in_the_verdict_which_is_not_good(rows: tuple[list[str], np.ndarray]) -> None:
+    header, table = rows
+    column = header.index("ax")
+    step = 0.1 * np.std(np.diff(table[:300, column]))
+    codes = np.rint(table[:, column] / step)
+    above = np.mod(codes, 256)
+    table[:, column] = step * np.where(above < 48, codes - above, codes)
+    write(header, table)
+    assert run(["import", "changed.csv", "-o", "new"]) == 0
+    assert run(["solve", "new", "--latitude", "48", "-o", "new.toml"]) == 0
+    quality = tomllib.loads(Path("new.toml").read_text())["quality"]
+    assert quality["verdict"] != "good"
+    assert any("accelerometer axis x" in reason and "(raw)" in reason for reason in quality["reasons"][:3])
+
+
+def test_a_recording_of_repeated_frames_says_so(rows: tuple[list[str], np.ndarray]) -> None:
+    header, table = rows
+    table[:, [header.index(name) for name in ("ax", "ay", "az", "gx", "gy", "gz")]] = [0.1, 0.2, 9.8, 0.0, 0.0, 0.001]
+    write(header, table)
+    assert run(["import", "changed.csv", "-o", "new"]) == 0
+    fails("solve new", 6, Reason.TOO_FEW, "3.0 s", key="refusals.frozen")
 
 
 def test_a_gyroscope_that_says_the_same_number(rows: tuple[list[str], np.ndarray], capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,14 +6,15 @@ from typing import Any
 import numpy as np
 
 from imufield.guide.events import Rejected
+from imufield.guide.hold.output import HoldOutput
 from imufield.guide.lead.guide import Guide
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.lead.unguided import StillIntervalFinder, StillIntervals
 from imufield.guide.positions import scheme
 from imufield.guide.refusals import Refusal, RefusalKind
-from imufield.guide.stillness.cells import CellBuilder, Cells
+from imufield.guide.stillness.cells import CellBuilder, Cells, join_cells
 from imufield.guide.stillness.scale import RoughScale
-from imufield.samples import Samples
+from imufield.samples import Samples, SampleUnits, make_samples
 from imufield.sentences import Sentence
 
 FACES = {"+x": [1, 0, 0], "-x": [-1, 0, 0], "+y": [0, 1, 0], "-y": [0, -1, 0], "+z": [0, 0, 1], "-z": [0, 0, -1]}
@@ -57,6 +58,13 @@ def find_still_intervals(blocks: Iterable[Samples], *, scale: RoughScale | None 
         finder.feed(block)
     assert finder is not None
     return finder.finish()
+
+
+def noise_output() -> HoldOutput:
+    """Return the outputs of a hold of white noise, for an observation whose mean is made up."""
+    noise = np.random.default_rng(0).normal(size=(2, 300, 3))
+    samples = make_samples(np.arange(300) / 100, *noise, units=SampleUnits())
+    return HoldOutput.of(join_cells(list(cells_of([samples]))))
 
 
 def of(events: Any, kind: Any) -> Any:

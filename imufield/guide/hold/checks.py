@@ -23,6 +23,10 @@ from imufield.samples import AXES, FloatArray, Status
 _GRAVITY_SHARE = 0.25
 _GRAVITY_SHARE_LEARNED = 0.5  # The same where g itself was learned from a still, whose own bias is then in the scale.
 LOST_SHARE = 0.05  # Samples of a hold that may be missing or unusable.
+# Samples at an end of the range from which a hold is refused, as a share and in number: 0.1 % takes 0.03 % of the noise's sigma
+# from the mean, and one or two are a knock.
+CLIPPED_SHARE = 0.001
+CLIPPED_SAMPLES = 3
 _KNOCKED_PERCENT = 10.0  # Cells of a hold that may be left out because they stand out.
 # Change of the norm over a hold that is refused if it is beyond 4 sigma too; the mean corresponds to the middle of the line.
 _DRIFT_M_S2 = 0.01
@@ -60,11 +64,7 @@ def examine(hold: HoldUnderTest) -> Refusal | None:
 
 def _refusals_in_order(hold: HoldUnderTest) -> Iterator[Refusal | None]:
     hand = hold.hand_mean
-    slots = int(hold.cells.slot[-1] - hold.cells.slot[0]) + 1
-    usable_share = float(hold.cells.usable.sum()) / (slots * hold.floor.samples_per_cell)
-    if usable_share < 1 - LOST_SHARE:
-        yield explain_flags(hold.cells, usable_share, 1 - LOST_SHARE)
-    yield _check_stuck(hold)
+    yield _check_flags(hold)
     norm = float(np.linalg.norm(hold.scale.specific_force(hold.cells.mean[:, :3].mean(axis=0))))
     limit_m_s2 = (_GRAVITY_SHARE_LEARNED if hold.scale.learned else _GRAVITY_SHARE) * STANDARD_GRAVITY_M_S2
     if abs(norm - STANDARD_GRAVITY_M_S2) > limit_m_s2:
@@ -81,6 +81,21 @@ def _refusals_in_order(hold: HoldUnderTest) -> Iterator[Refusal | None]:
     else:
         yield refusals.TREMBLING.beyond(hand.tremor_deg, _TREMOR_DEG)
         yield refusals.SWAYING.beyond(hand.sway_deg, _SWAY_DEG)
+
+
+def _check_flags(hold: HoldUnderTest) -> Refusal | None:
+    """Refuse a hold of which too many samples are lost or unusable."""
+    cells = hold.cells
+    slots = int(cells.slot[-1] - cells.slot[0]) + 1
+    usable_share = float(cells.usable.sum()) / (slots * hold.floor.samples_per_cell)
+    if usable_share < 1 - LOST_SHARE:
+        return explain_flags(cells, usable_share, 1 - LOST_SHARE)
+    # Clipped samples stay out of the mean by their flags: those that are left show one side of the noise.
+    flagged = (cells.flags & np.uint32(Status.ACCELEROMETER_SATURATED | Status.GYROSCOPE_SATURATED)) != 0
+    out = int((cells.count - cells.usable)[flagged].sum())
+    share = out / int(cells.count.sum())
+    clipped = out >= CLIPPED_SAMPLES and share > CLIPPED_SHARE
+    return explain_flags(cells, 1 - share, 1 - CLIPPED_SHARE) if clipped else None
 
 
 def explain_flags(cells: Cells, usable_share: float, limit: float) -> Refusal:
@@ -102,18 +117,6 @@ def explain_flags(cells: Cells, usable_share: float, limit: float) -> Refusal:
         if flags & flag:
             return kind.refusal(percent, limit_percent)
     return refusals.SAMPLE_LOSS.refusal(percent, limit_percent)
-
-
-def _check_stuck(hold: HoldUnderTest) -> Refusal | None:
-    """Refuse an axis that does not change at all although its noise floor says that it should."""
-    span = np.max(hold.cells.high[:, :3], axis=0) - np.min(hold.cells.low[:, :3], axis=0)
-    noisy = hold.floor.sigma[:3] > np.where(np.isfinite(hold.floor.step[:3]), hold.floor.step[:3], np.inf)
-    stuck = np.flatnonzero((span == 0) & noisy)
-    if not len(stuck):
-        return None
-    axis = int(stuck[0])
-    reading = float(hold.cells.high[0, axis])
-    return refusals.STUCK.refusal(0.0, float(hold.floor.sigma[axis]), axis=AXES[axis], reading=reading)
 
 
 def _check_shift(hold: HoldUnderTest) -> Refusal | None:

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from imufield.calibrate.model.observations import Observations
 from imufield.guide.hold.hand_mean import HandMean
+from imufield.guide.hold.output import HoldOutput
 from imufield.guide.stillness.cells import Cells, cells_in
 from imufield.guide.stillness.limits import Limits, scatter_of_variance
 from imufield.samples import FloatArray, SampleUnits
@@ -61,6 +62,7 @@ class Observation:
     start_s: float
     duration_s: float
     temperature_degc: float
+    output: HoldOutput
     hand_mean: HandMean | None = None
     """For a hold in the hand."""
 
@@ -190,6 +192,7 @@ def observe(
         start_s=float(cells.start_s[0]),
         duration_s=float(cells.end_s[-1] - cells.start_s[0]),
         temperature_degc=float(warmth.mean()) if len(warmth) else float("nan"),
+        output=HoldOutput.of(cells),
         hand_mean=hand_mean,
     )
 

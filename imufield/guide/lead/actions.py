@@ -18,7 +18,7 @@ from imufield.guide.hold.observe import observe
 from imufield.guide.lead.advice import Adviser
 from imufield.guide.lead.hold_under_way import HoldUnderWay
 from imufield.guide.lead.plan import Plan
-from imufield.guide.lead.settings import GuideSettings
+from imufield.guide.lead.settings import MOVED_DEG, MOVED_S, GuideSettings
 from imufield.guide.lead.speaker import REMIND_S, REPEAT_S, Speaker, accepted_event, floor_event, move_event
 from imufield.guide.lead.state_table import Input
 from imufield.guide.lead.stream_watch import StreamWatch
@@ -43,14 +43,12 @@ _PASSING = (
     RefusalCode.DRIFTING,
     RefusalCode.KNOCKED,
     RefusalCode.SAMPLE_LOSS,
+    RefusalCode.FROZEN,
     RefusalCode.START_UP,
     RefusalCode.TREMBLING,
     RefusalCode.SWAYING,
     RefusalCode.WARMING_UP,
 )
-# A unit that moved for less than both was not lifted: it rests where it was.
-_MOVED_S = 1.0
-_MOVED_DEG = 10.0
 # Nobody puts a unit down again within this while the link is gone; one that nobody touched stays within a tenth of it.
 _MOVED_UNSEEN_DEG = 0.5
 # A unit that keeps its direction this long without becoming still: somebody waits for the guide.
@@ -86,7 +84,7 @@ class Resting:
 
     def check(self, direction: FloatArray) -> int | None:
         """Return the position where the unit still rests, forgotten where it was moved; ``direction`` is that of up now."""
-        lifted = self._moved_cells * CELL_S > _MOVED_S or self._moved_deg > _MOVED_DEG
+        lifted = self._moved_cells * CELL_S > MOVED_S or self._moved_deg > MOVED_DEG
         before = self._direction
         if lifted or (self.unobserved and before is not None and angle_deg(before, direction) > _MOVED_UNSEEN_DEG):
             self.position = None
@@ -267,13 +265,26 @@ class GuideActions:
     def judge(self) -> Input:
         """Examine the hold."""
         hold = self.hold
-        hold.refusal = None if hold.measured is None else examine(hold.measured)
+        hold.refusal = None
+        if hold.measured is not None:
+            output = self.watch.outputs.add(hold.measured.cells)
+            hold.refusal = self.watch.outputs.refusal(output, examine(hold.measured))
+            self.take_back()
         slope, is_first = self.watch.warmth.slope_degc_min, not self.plan.accepted
         if hold.refusal is None and is_first and not self.goes_on_cold and abs(slope) > _WARM_UP_DEGC_MIN:
             hold.refusal = refusals.WARMING_UP.refusal(abs(slope), _WARM_UP_DEGC_MIN, slope=slope)
         if hold.refusal is None:
             return Input.GOOD
         return Input.AGAIN if hold.refusal.reason in _PASSING else Input.REFUSED
+
+    def take_back(self) -> None:
+        """Withdraw what was accepted before later holds showed what is wrong with it."""
+        for index, observation in list(self.plan.accepted.items()):
+            refusal = self.watch.outputs.refusal(observation.output)
+            if refusal is not None:
+                self.plan.take_back(index)
+                self.speaker.reject(refusals.taken_back(refusal, observation.name), observation.name)
+                self.adviser.fit_again(self.detector.scale)
 
     def accept(self) -> Input | None:
         """Add the observation to the plan and announce what comes next."""
@@ -283,6 +294,7 @@ class GuideActions:
             return None
         position = plan.position(index)
         observation = observe(hold.cells, hold.limits, position.name, position.direction, hand_mean=hold.hand_mean)
+        observation = self.watch.outputs.with_resolution(observation)
         is_revisit = index == plan.revisiting
         replaces = plan.accept(index, observation)
         self.hold.learn(hold)

@@ -172,11 +172,16 @@ class Guide:
 
     def observations(self) -> Observations:
         """Return the accepted observations, in order of acceptance."""
-        return gather(list(self.plan.accepted.values()), self.units)
+        with_resolution = self._watch.outputs.with_resolution
+        return gather([with_resolution(observation) for observation in self.plan.accepted.values()], self.units)
 
     def turn_rests(self) -> Observations:
         """Return the stills between the whole turns, which the gyroscope's calibration begins and ends each turn with."""
         return gather(self._actions.turns.rests, self.units)
+
+    def sticking(self) -> tuple[str, ...]:
+        """Return a sentence for each output whose codes stick."""
+        return self._watch.outputs.sticking()
 
     def check_axes(self) -> AxesCheck:
         """Compare the turns by accelerometer and gyroscope between the stills so far."""
@@ -317,6 +322,7 @@ class Guide:
         if undone is None:
             return None, sentence("guide.nothing_to_undo")
         action, index = undone
-        # The fit without it is another one.
+        # What is back may have been withdrawn for a reason; and the fit without it is another one.
+        self._actions.take_back()
         self.adviser.fit_again(self.detector.scale)
         return index, sentence("guide.undo", action=action, position=self.plan.position(index).name)

@@ -7,6 +7,10 @@ from dataclasses import dataclass
 from imufield.earth import MICRO_G_M_S2, STANDARD_GRAVITY_M_S2
 from imufield.guide.hold.hold_time import LONGEST_S, HoldTarget
 
+# A unit that moved for less than both was not lifted: it rests where it was.
+MOVED_S = 1.0
+MOVED_DEG = 10.0
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GuideSettings:

@@ -10,6 +10,7 @@ import numpy as np
 
 from imufield.guide import refusals
 from imufield.guide.cross_checks.axes import ENOUGH_MOVES, AxesCheck, MoveLog, check_axes
+from imufield.guide.cross_checks.outputs import Outputs
 from imufield.guide.cross_checks.sides import DeadAxis
 from imufield.guide.events import RefusalCode
 from imufield.guide.hold.checks import explain_flags
@@ -75,6 +76,7 @@ class StreamWatch:
         self._detector = detector
         self._speaker = speaker
         self.warmth = Warmth()
+        self.outputs = Outputs()
         self.bad_cells = 0  # With missing or unusable samples so far.
         self._bad_in_a_row = 0
         self._moves = MoveLog()
@@ -93,6 +95,7 @@ class StreamWatch:
     def follow(self, cells: Cells, row: int, *, silent: bool) -> None:
         """Count cells with missing or unusable samples; unless ``silent``, tell when several follow each other."""
         self.warmth.follow(cells, row)
+        self.outputs.follow(cells, row)
         self._dead_axis.follow(cells, row)
         self._watch_clock(cells, row)
         floor = self._detector.floor
@@ -167,6 +170,9 @@ class StreamWatch:
         self._speaker.advance(cells, -1)
         waited_s = self._waited * CELL_S
         if waited_s <= _WAIT * FLOOR_S or not cells.usable.any() or not self._speaker.due("not quiet", REMIND_S):
+            return
+        if self._detector.frozen:
+            self._speaker.reject(refusals.FROZEN.refusal(waited_s, 0.0))
             return
         window, scale = self._detector.waited(), self._detector.scale
         window = window[np.flatnonzero(window.usable)]

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from imufield.calibrate.model.observations import Observations
 from imufield.errors import CalibrationError, Reason
 from imufield.guide.cross_checks.axes import AxesCheck, MoveLog, check_axes
+from imufield.guide.cross_checks.outputs import Outputs
 from imufield.guide.hold.checks import HoldUnderTest, examine
 from imufield.guide.hold.observe import Observation, gather, observe, trim_stretch
-from imufield.guide.positions import nearest_cube_direction
-from imufield.guide.refusals import Refusal
+from imufield.guide.lead.settings import MOVED_DEG, MOVED_S
+from imufield.guide.positions import angle_deg, nearest_cube_direction
+from imufield.guide.refusals import FROZEN, Refusal
 from imufield.guide.stillness.cells import CellBuilder, Cells, cells_in
 from imufield.guide.stillness.detector import StillnessDetector
 from imufield.guide.stillness.noise_floor import FLOOR_S, MAX_FLOOR_M_S2, NoiseFloor
@@ -34,6 +38,8 @@ class StillIntervals:
     scale: RoughScale
     axes: AxesCheck
     """Whether the gyroscope's axes belong to the accelerometer's."""
+    sticking: tuple[str, ...]
+    """A sentence for each output whose codes stick."""
 
 
 class StillIntervalFinder:
@@ -51,8 +57,11 @@ class StillIntervalFinder:
     def __init__(self, units: SampleUnits, scale: RoughScale | None = None) -> None:
         self.units = units
         self.detector = StillnessDetector(scale or RoughScale.of_units(units))
-        self._found: list[Observation] = []
-        self._refused: list[tuple[float, Refusal]] = []
+        # Each time that the unit was put down, and why that does not count, as far as itself shows.
+        self._placements: list[tuple[Observation, Refusal | None]] = []
+        self._last: Stretch | None = None  # The stretch before, of whatever length.
+        self._put_down = True  # Whether the unit was put down since the last of the placements.
+        self._outputs = Outputs()
         self._moves = MoveLog()
         self._builder = CellBuilder()
 
@@ -73,34 +82,58 @@ class StillIntervalFinder:
             self._add(self.detector.stretch)
             self.detector.restart()
         if self.detector.floor is None:
-            never_quiet = sentence("unguided.never_quiet", floor_s=FLOOR_S, limit_m_s2=MAX_FLOOR_M_S2)
-            raise CalibrationError(never_quiet, Reason.TOO_FEW)
+            why: str = sentence("unguided.never_quiet", floor_s=FLOOR_S, limit_m_s2=MAX_FLOOR_M_S2)
+            if self.detector.frozen:
+                why = FROZEN.refusal(FLOOR_S, 0.0).words
+            raise CalibrationError(why, Reason.TOO_FEW)
         scale = self.detector.scale
+        found, refused = list[Observation](), list[tuple[float, Refusal]]()
+        for observation, own in self._placements:
+            # Only now all holds show together what the outputs can do.
+            refusal = self._outputs.refusal(observation.output, own)
+            if refusal is not None:
+                refused.append((observation.start_s, refusal))
+            else:
+                name = f"free {len(found) + 1}: near {nearest_cube_direction(scale.specific_force(observation.mean_raw))}"
+                found.append(replace(self._outputs.with_resolution(observation), name=name))
         return StillIntervals(
-            observations=gather(self._found, self.units),
-            refused=tuple(self._refused),
+            observations=gather(found, self.units),
+            refused=tuple(refused),
             noise_floor=self.detector.floor,
             scale=scale,
             axes=check_axes(self._moves.moves(scale), scale.gyroscope),
+            sticking=self._outputs.sticking(),
         )
 
     def _process(self, cells: Cells | None) -> None:
         for judgement in () if cells is None else self.detector.judge(cells):
+            self._outputs.follow(judgement.cells, judgement.row)
             self._moves.follow(judgement, self.detector.stretch.mean)
             if judgement.ended is not None:
                 self._add(judgement.ended)
 
     def _add(self, stretch: Stretch) -> None:
-        """Add the observation of a stretch, or its refusal."""
-        detector, floor = self.detector, self.detector.floor
-        cells = stretch.cells()
+        """Add the observation of a stretch, or its refusal; of the stretches of one placement the best counts."""
+        detector, floor, cells = self.detector, self.detector.floor, stretch.cells()
+        self._put_down |= not self._is_where_it_was(stretch)
+        self._last = stretch
         cells = cells[trim_stretch(cells, detector.limits)]
         if floor is None or len(cells) < cells_in(_SHORTEST_S):
             return
-        refusal = examine(HoldUnderTest(cells=cells, floor=floor, limits=detector.limits, scale=detector.scale))
-        if refusal is not None:
-            self._refused.append((float(cells.start_s[0]), refusal))
-            return
-        force = detector.scale.specific_force(cells.mean[:, :3].mean(axis=0))
-        name = f"free {len(self._found) + 1}: near {nearest_cube_direction(force)}"
-        self._found.append(observe(cells, detector.limits, name))
+        hold = HoldUnderTest(cells=cells, floor=floor, limits=detector.limits, scale=detector.scale)
+        self._outputs.add(cells)
+        placement = observe(cells, detector.limits, ""), examine(hold)
+        if not self._put_down:
+            # A soft support gives way, a table is knocked: the unit was not put down a second time.
+            placement = max(placement, self._placements.pop(), key=lambda one: (one[1] is None, one[0].duration_s))
+        self._placements.append(placement)
+        self._put_down = False
+
+    def _is_where_it_was(self, stretch: Stretch) -> bool:
+        """Whether the unit was not lifted since the stretch before; where samples are missing, nobody knows."""
+        before, cells = self._last, stretch.cells()
+        if before is None:
+            return False
+        away = int(cells.slot[0] - before.cells().slot[0]) - before.judged
+        up, up_before = (self.detector.scale.up(np.array(one.mean[:3])) for one in (stretch, before))
+        return away < cells_in(MOVED_S) and angle_deg(up, up_before) < MOVED_DEG

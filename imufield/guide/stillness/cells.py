@@ -48,8 +48,12 @@ class Cells:
     step : ndarray, shape (m, 6)
         Smallest distance of a value from the cell's first value, zero apart: bounds one step of the output from above;
         inf where nothing changed.
+    first : ndarray, shape (m, 6)
+        The first usable value; NaN without one.
     low, high : ndarray, shape (m, 6)
         Extremes of all samples, unusable ones included; NaN where no value is finite.
+    at_low, at_high : ndarray of int64, shape (m, 3)
+        Samples of the accelerometer that stand at these extremes.
     temperature_degc : ndarray, shape (m,)
     """
 
@@ -63,8 +67,11 @@ class Cells:
     mean: FloatArray
     variance: FloatArray
     step: FloatArray
+    first: FloatArray
     low: FloatArray
     high: FloatArray
+    at_low: IntArray
+    at_high: IntArray
     temperature_degc: FloatArray
 
     def __len__(self) -> int:
@@ -158,6 +165,10 @@ def measure_cells(samples: Samples, slot: IntArray) -> Cells:
     distance = np.abs(deviation)
     # Zero distance shows no step of the output.
     distance[distance == 0] = np.inf
+    low, high = np.fmin.reduceat(values, starts, axis=1), np.fmax.reduceat(values, starts, axis=1)
+    at_low, at_high = (
+        np.add.reduceat(values[:3] == np.repeat(end[:3], count, axis=1), starts, axis=1, dtype=np.int64) for end in (low, high)
+    )
     warmth = samples.temperature_degc
     known = np.add.reduceat(np.isfinite(warmth), starts, dtype=np.int64)
     warmth = np.add.reduceat(np.where(np.isfinite(warmth), warmth, 0.0), starts)
@@ -172,7 +183,10 @@ def measure_cells(samples: Samples, slot: IntArray) -> Cells:
         mean=np.ascontiguousarray(mean.T),
         variance=np.ascontiguousarray((scatter / np.maximum(counts - 1, 1)).T),
         step=np.ascontiguousarray(np.minimum.reduceat(distance, starts, axis=1).T),
-        low=np.ascontiguousarray(np.fmin.reduceat(values, starts, axis=1).T),
-        high=np.ascontiguousarray(np.fmax.reduceat(values, starts, axis=1).T),
+        first=np.ascontiguousarray(np.where(counts > 0, first, np.nan).T),
+        low=np.ascontiguousarray(low.T),
+        high=np.ascontiguousarray(high.T),
+        at_low=np.ascontiguousarray(at_low.T),
+        at_high=np.ascontiguousarray(at_high.T),
         temperature_degc=np.where(known > 0, warmth / np.maximum(known, 1), np.nan),
     )

@@ -38,7 +38,15 @@ from imufield.guide.stillness.limits import (
     noise_limits,
     vibration_ratio,
 )
-from imufield.guide.stillness.noise_floor import FEW_SAMPLES, FLOOR_S, NoiseFloor, is_quiet, is_quieter, measure_floor
+from imufield.guide.stillness.noise_floor import (
+    FEW_SAMPLES,
+    FLOOR_S,
+    NoiseFloor,
+    is_frozen,
+    is_quiet,
+    is_quieter,
+    measure_floor,
+)
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import JudgedCell, Judgement, Phase, Standard, Stretch, Tracker
 
@@ -129,6 +137,11 @@ class StillnessDetector:
         """Return the last cells, as many as a noise floor needs, while there is none; at least one was judged."""
         window = cells_in(FLOOR_S)
         return join_cells(self._waiting[-window:])[-window:]
+
+    @property
+    def frozen(self) -> bool:
+        """Whether there is no noise floor because no output changes."""
+        return bool(self._waiting) and len(cells := self.waited()) >= cells_in(FLOOR_S) and is_frozen(cells)
 
     def explain(self, judgement: Judgement) -> Activity:
         """Return the cause of a cell's activity, with value and limit in SI where the scale is known."""

@@ -120,10 +120,17 @@ def is_quiet(cells: Cells, scale: RoughScale) -> bool:
     unbroken = bool((np.diff(cells.slot) <= longest).all()) and bool((2 * cells.usable >= np.median(cells.count)).all())
     if not unbroken or np.isnan(cells.mean[:, :3]).any() or not cells.usable.all():
         return False
+    if is_frozen(cells):
+        return False
     floor = measure_floor(cells)
     limits = scale.learn(floor.mean[:3]).per_axis(MAX_FLOOR_M_S2, MAX_FLOOR_RAD_S, missing=np.inf)
     plausible = all(bool((floor.sigma[triad] <= limits[triad]).all()) for triad in floor.triads)
     return plausible and is_even(cells, floor, scale)
+
+
+def is_frozen(cells: Cells) -> bool:
+    """Whether no output changes at all: repeated frames, which say nothing of noise."""
+    return not (np.fmax.reduce(cells.high) > np.fmin.reduce(cells.low)).any()
 
 
 def is_even(cells: Cells, floor: NoiseFloor, scale: RoughScale) -> bool:

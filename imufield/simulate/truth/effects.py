@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,11 +20,16 @@ class Effects:
     A hold that is touched reads the force of the hand with gravity. Of it the norm sees the part along gravity:
     ``f = f_0 (1 + d / |f_0|)``, so ``|f| = g + d`` [2]_.
 
+    A converter with codes that stick gives the code ``n - n mod P`` for every n with ``n mod P < W``: of each P codes the first
+    W read as the lowest of them, a differential nonlinearity of W - 1 steps, which the histogram of the codes shows [3]_.
+
     References
     ----------
     .. [1] IEEE Std 528-2019, "Standard for Inertial Sensor Terminology": turn-on to turn-on repeatability of bias.
     .. [2] I. Frosio, F. Pedersini, N. A. Borghese, "Autocalibration of MEMS accelerometers", IEEE Trans. Instrum. Meas. 58(6),
        2009: equation 5, the norm that a position is held against.
+    .. [3] IEEE Std 1241-2010, "Terminology and test methods for analog-to-digital converters": code density histogram,
+       differential nonlinearity, missing codes.
     """
 
     turn_on_m_s2: float = 0.0
@@ -34,6 +40,16 @@ class Effects:
     """How many holds of a session are touched."""
     touch_m_s2: float = 0.0
     """By how much the norm of each is off, d; with either sign."""
+    silent_range_m_s2: float = math.inf
+    """The accelerometer's output goes no farther than this from zero, and no flag says so."""
+    frozen_s: tuple[float, float] | None = None
+    """From when to when outputs repeat the value that they had before."""
+    frozen_outputs: tuple[int, ...] = (0, 1, 2, 3, 4, 5)
+    """Outputs that do: accelerometer x, y, z, gyroscope x, y, z."""
+    sticking_period: int = 0
+    """P of the accelerometer's codes that stick; 0: none does."""
+    sticking_width: int = 0
+    """W of these codes."""
 
     def draw_turn_on(self, rng: np.random.Generator) -> FloatArray:
         """Return what one power-on adds to the biases, shape (6,): m/s^2 of three axes, then rad/s."""

@@ -75,6 +75,7 @@ class Imu:
         self._drift = BiasDrift(_six(a.bias_instability, g.bias_instability), _six(a.random_walk, g.random_walk), drift_rng)
         self._drift_sum = np.zeros(6)
         self._turn_on = instrument.effects.draw_turn_on(np.random.default_rng([seed, 104]))
+        self._last_raw = np.zeros(6)
         self._next = 0
         self._gap = False
         self._use(settings or ImuSettings())
@@ -146,7 +147,7 @@ class Imu:
         output = self._respond(motion, warm_degc[:, np.newaxis])
         output += self._disturbance(time_s)
         status = np.zeros(n, dtype=np.uint32)
-        raw = self._digitise(output, status)
+        raw = self._freeze(self._digitise(output, status), time_s)
         samples = Samples(
             time_s=time_s,
             accelerometer=raw[:, :3],
@@ -213,6 +214,9 @@ class Imu:
                 clipped = np.clip(values, -limit, limit)
                 status[np.any(clipped != values, axis=1)] |= np.uint32(flag)
                 values = clipped
+            if first == 0:
+                silent = self.instrument.effects.silent_range_m_s2 * abs(scale)
+                values = np.clip(values, -silent, silent)
             raw[:, columns] = self._quantise(values, triad.lsb_si * abs(scale), increment, columns) + centre
         return raw
 
@@ -220,7 +224,7 @@ class Imu:
         """Round rates to whole steps; sum increments up and send the whole steps of the sum."""
         step = step if self.settings.quantise else 0.0
         if not increment:
-            return values if step == 0 else step * np.rint(values / step)
+            return values if step == 0 else step * self._stick(np.rint(values / step), columns)
         values = values / self.settings.rate_hz
         if step == 0:
             return values
@@ -230,6 +234,28 @@ class Imu:
         counted = step * np.floor(total / step)
         self._carry[columns] = total[-1] - counted[-1]
         return np.diff(counted, axis=0, prepend=np.zeros((1, 3)))
+
+    def _stick(self, codes: FloatArray, columns: slice) -> FloatArray:
+        period, width = self.instrument.effects.sticking_period, self.instrument.effects.sticking_width
+        if period == 0 or columns.start != 0:
+            return codes
+        above = np.mod(codes, period)
+        return np.where(above < width, codes - above, codes)
+
+    def _freeze(self, raw: FloatArray, time_s: FloatArray) -> FloatArray:
+        """Repeat what stood there before, while outputs are frozen."""
+        effects = self.instrument.effects
+        if effects.frozen_s is not None:
+            frozen = (time_s >= effects.frozen_s[0]) & (time_s < effects.frozen_s[1])
+            outputs = list(effects.frozen_outputs)
+            if frozen.any():
+                first = int(frozen.argmax())
+                before = raw[first - 1] if first else self._last_raw
+                repeated = raw[frozen]
+                repeated[:, outputs] = before[outputs]
+                raw[frozen] = repeated
+            self._last_raw = raw[-1].copy()
+        return raw
 
 
 class _Delay:

@@ -53,6 +53,10 @@ class OperatorSettings:
     """A turn takes longer rather than go faster than this."""
     placement_error_rad: float = 3 * DEG
     """Largest tilt away from the planned direction."""
+    settling_rad: float = 0.0
+    """Tilt by which a soft support, such as foam, gives way under a unit that is put down."""
+    settling_s: float = 5.0
+    """Time constant of that."""
     random_headings: bool = True
     wobble_rad: float = 3 * DEG
     """1 sigma of the wobble amplitude of a turn, each axis."""
@@ -348,6 +352,12 @@ class Operator:
         last, kind = self._pieces[-1], self.settings.style
         hand = self._hand if kind == "held" else None
         piece = _rest(last.end_s, last.end_s + duration_s, last.final_quaternion, hand)
+        if self.settings.settling_rad:
+            bearing = self._rng().uniform(0, 2 * math.pi)
+            tilt = self.settings.settling_rad * np.array([math.cos(bearing), math.sin(bearing), 0.0])
+            # A tilt in the room, told in the body.
+            tilt_b = rotate(conjugate(piece.quaternion_nb), tilt)
+            piece = replace(piece, settling_rad=tilt_b, settling_s=self.settings.settling_s)
         self._be_still(piece, position, kind, bumped=bumped)
 
     def _bump(self, rng: np.random.Generator) -> None:

@@ -8,6 +8,7 @@ References
 ----------
 .. [1] T. Flash, N. Hogan, "The coordination of arm movements", J. Neurosci. 5 (1985): minimum jerk.
 .. [2] R. J. Elble, W. C. Koller, "Tremor", 1990: physiological tremor of the hand, 8 to 12 Hz.
+.. [3] J. D. Ferry, "Viscoelastic Properties of Polymers", 1980: section 1-C.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from imufield.calibrate.model.rotation import exponential, multiply
 from imufield.guide.stillness.turn_fit import minimum_jerk
@@ -123,16 +125,22 @@ class Piece:
     hand_at_start: bool = False
     hand_at_end: bool = False
     shocks: tuple[Shock, ...] = ()
+    settling_rad: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """Rotation by which a soft support gives way in the end, body frame: ``settling (1 - exp(-t / settling_s))``, the creep of
+    a Voigt element under a constant load [3]_."""
+    settling_s: float = 1.0
 
     @property
     def final_quaternion(self) -> FloatArray:
         """Attitude at the end, without hand motion."""
-        return multiply(self.quaternion_nb, exponential(self.turn_rad))
+        planned = multiply(self.quaternion_nb, exponential(self.turn_rad))
+        return multiply(planned, exponential(self.settling_rad * self._given_way(self.end_s)))
 
     @property
     def is_rest(self) -> bool:
         """Whether nothing moves at all."""
-        return self.hand is None and not self.shocks and self.lift_m == 0 and not np.any(self.turn_rad)
+        moves = np.any(self.turn_rad) or np.any(self.settling_rad)
+        return self.hand is None and not self.shocks and self.lift_m == 0 and not moves
 
     def attitude(self, time_s: FloatArray) -> FloatArray:
         """Return ``quaternion_nb``, shape (n, 4)."""
@@ -144,6 +152,8 @@ class Piece:
         rotation = small[:, np.newaxis] * self.wobble_rad
         if self.hand is not None:
             rotation = rotation + self._grip(u)[:, np.newaxis] * self.hand.rotation(time_s)
+        if np.any(self.settling_rad):
+            rotation = rotation + self._given_way(time_s)[:, np.newaxis] * self.settling_rad
         for shock in self.shocks:
             rotation = rotation + shock.shape(time_s)[:, np.newaxis] * shock.rotation_rad
         return multiply(planned, exponential(rotation))
@@ -166,6 +176,10 @@ class Piece:
         for shock in self.shocks:
             acceleration += shock.shape(time_s)[:, np.newaxis] * shock.acceleration
         return acceleration
+
+    def _given_way(self, time_s: ArrayLike) -> FloatArray:
+        since = np.maximum(np.asarray(time_s, dtype=np.float64) - self.start_s, 0.0)
+        return np.asarray(-np.expm1(-since / self.settling_s))
 
     def _relative(self, time_s: FloatArray) -> FloatArray:
         # Without an end nothing but the hand moves, and the hand does not depend on u.

@@ -10,6 +10,7 @@ from imufield.guide.positions import scheme
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.view.plain import known_words
 from imufield.simulate.truth.grades import GRADES, draw_truth
+from tests.guide.guided import noise_output
 
 pytestmark = pytest.mark.numerical
 
@@ -39,6 +40,7 @@ def observations(grade: str, seed: int, bump: float = 0.0, scatter: float = 2e-4
                 start_s=0.0,
                 duration_s=10.0,
                 temperature_degc=20.0,
+                output=noise_output(),
             )
         )
     return found

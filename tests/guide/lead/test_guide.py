@@ -27,7 +27,7 @@ from imufield.guide.lead.state_table import State
 from imufield.guide.positions import scheme
 from imufield.guide.refusals import RefusalKind
 from imufield.samples import Samples, SampleUnits, Status, concatenate
-from tests.guide.guided import FACES, SHORT, faces_session, is_said_by, of, run, values_of
+from tests.guide.guided import FACES, SHORT, faces_session, is_said_by, key_of, of, run, values_of
 
 
 def test_a_whole_session_in_any_order(make_path: Any) -> None:
@@ -441,3 +441,78 @@ def test_increment_outputs_work_like_rates(make_path: Any) -> None:
 def test_concatenated_parts_are_one_session(make_path: Any) -> None:
     samples = faces_session(make_path).samples()
     assert run(concatenate([samples[:333], samples[333:]]))[0].done
+
+
+def clipped_later(make_path: Any, *more: Any) -> Samples:
+    """+x is shown 3.7 degrees off, where 1 % of the samples are clipped, and later upright, where most are."""
+    path = make_path(100.0).hold(FACES["+z"], 7.0)
+    for side in ([1, 0.0638, 0], FACES["+y"], FACES["+x"], *more):
+        path.turn(side, 1.5).hold(side, 6.0)
+    samples: Samples = path.samples()
+    samples.accelerometer[:, 0] = np.minimum(samples.accelerometer[:, 0], 9.81)
+    return samples
+
+
+def test_a_hold_is_taken_back_when_a_later_one_shows_that_it_was_clipped(make_path: Any, cut_blocks: Any) -> None:
+    samples = clipped_later(make_path)
+    guide, events = run(samples, "paper24", settings=GuideSettings(hold_s=5.0))
+    accepted = [event.position for event in of(events, Accepted)]
+    assert len(accepted) == 3
+    taken_back, refused = of(events, Rejected)
+    assert {taken_back.reason, refused.reason} <= {RefusalCode.SATURATED, RefusalCode.STUCK}
+    assert key_of(taken_back.words) == "refusals.taken_back"
+    assert (taken_back.taken_back, refused.taken_back) == (True, False)
+    assert taken_back.position == accepted[1]
+    assert taken_back.measured == pytest.approx(1, abs=0.8)
+    assert refused.position != taken_back.position
+    assert guide.observations().name == (accepted[0], accepted[2])
+    # It is pending again, and nothing of this depends on the cuts.
+    assert guide.plan.is_pending(guide.plan.find(accepted[1]))
+    _, again = run(samples, "paper24", settings=GuideSettings(hold_s=5.0), blocks=list(cut_blocks(samples, [7] * 200)))
+    assert list(map(repr, of(again, Rejected))) == list(map(repr, of(events, Rejected)))
+    assert list(map(repr, of(again, Accepted))) == list(map(repr, of(events, Accepted)))
+
+
+def test_undo_brings_no_clipped_hold_back(make_path: Any) -> None:
+    """+x is retaken right after it was taken back; without the new measurement there is none."""
+    samples = clipped_later(make_path, FACES["+z"], [1, 0.09, 0])
+    guide, events = run(samples, "paper24", settings=GuideSettings(hold_s=5.0))
+    names = guide.observations().name
+    taken_back = of(events, Rejected)[0].position
+    assert names[-1] == taken_back
+    guide.mark("undo", guide.time_s)
+    guide.flush()
+    assert guide.observations().name == names[:-1]
+
+
+def test_a_few_flagged_samples_refuse_a_hold(make_path: Any) -> None:
+    """Ten of 500, which the mean leaves out: those that are left show one side of the noise."""
+    samples = make_path(100.0).hold([0, 0, 1], 12).samples()
+    high = np.argsort(samples.accelerometer[:700, 2])[-14:]
+    samples.status[high] |= np.uint32(Status.ACCELEROMETER_SATURATED)
+    guide, events = run(samples, settings=GuideSettings(hold_s=5.0))
+    refused = of(events, Rejected)[0]
+    assert refused.reason is RefusalCode.SATURATED
+    assert refused.axis == "z"
+    assert refused.limit == pytest.approx(0.1)
+    assert 1 < refused.measured < 3
+    assert not len(guide.observations())
+
+
+def test_repeated_frames_are_no_noise_floor_and_no_hold(make_path: Any) -> None:
+    samples = make_path(50.0).hold([0, 0, 1], 30).samples()
+    samples.accelerometer[:1000], samples.gyroscope[:1000] = samples.accelerometer[0], samples.gyroscope[0]
+    guide, events = run(samples)
+    assert [event.reason for event in of(events, Rejected)] == [RefusalCode.FROZEN] * len(of(events, Rejected))
+    assert of(events, Rejected)
+    # As soon as frames arrive it goes on.
+    assert guide.observations().start_s.min() > 20.0
+
+
+def test_frames_that_stop_in_a_session_are_refused_and_measured_again(make_path: Any) -> None:
+    samples = make_path(100.0).hold([0, 0, 1], 5).turn([1, 0, 0], 1.5).hold([1, 0, 0], 16).samples()
+    samples.accelerometer[800:1600], samples.gyroscope[800:1600] = samples.accelerometer[800], samples.gyroscope[800]
+    guide, events = run(samples)
+    assert {event.reason for event in of(events, Rejected)} == {RefusalCode.FROZEN}
+    assert guide.observations().name == ("+z", "+x")
+    assert guide.observations().start_s[1] > 16.0

@@ -6,6 +6,7 @@ import pytest
 from imufield.guide.hold.observe import Observation
 from imufield.guide.lead.plan import Plan
 from imufield.guide.positions import scheme
+from tests.guide.guided import noise_output
 
 
 def observation(name: str, start_s: Any = 0.0) -> Any:
@@ -20,6 +21,7 @@ def observation(name: str, start_s: Any = 0.0) -> Any:
         start_s=start_s,
         duration_s=10.0,
         temperature_degc=20.0,
+        output=noise_output(),
     )
 
 

@@ -1,6 +1,8 @@
 """Still intervals of the real recordings, against the reference in the folder beside the project."""
 
 import gzip
+import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,8 +10,13 @@ import pytest
 from scipy.optimize import least_squares
 
 from imufield.errors import CalibrationError, Reason
+from imufield.guide.positions import scheme
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import SampleUnits, make_samples, no_samples
+from imufield.simulate.truth.grades import find_grade, perfect_instrument
+from imufield.simulate.truth.imu import Imu, ImuSettings
+from imufield.simulate.truth.operator import Operator, OperatorSettings
+from imufield.simulate.truth.source import VirtualImu
 from tests.guide.guided import find_still_intervals
 from tests.refused import refused
 
@@ -81,6 +88,42 @@ def test_mpu_9150_session(shared_folder: Any, name: str, residual_mg: float) -> 
     assert np.abs(fit.x[6:] - misalignment).max() < 5.1e-4
     assert 1e3 * np.sqrt(np.mean(fit.fun**2)) / 9.80665 == pytest.approx(residual_mg, rel=0.1)
     assert found.axes.agrees
+
+
+@pytest.mark.parametrize(("settling_deg", "settling_s"), [(3.0, 5.0), (5.0, 8.0)])
+def test_a_unit_that_settles_was_put_down_once(settling_deg: float, settling_s: float) -> None:
+    """Foam that gives way by degrees ends a stretch again and again; the unit was put down six times, and lay there before."""
+    grade = find_grade("industrial")
+    habits = OperatorSettings(hold_s=20.0, settling_rad=math.radians(settling_deg), settling_s=settling_s)
+    operator = Operator(scheme("faces6").directions(), 1, habits)
+    source = VirtualImu(Imu(perfect_instrument(grade), 1, ImuSettings(rate_hz=50.0)), operator)
+    end_s = operator.plan_all()
+    samples = source.next_block(int((end_s + 1) * 50))
+    found = find_still_intervals([samples], scale=RoughScale(grade.accelerometer_scale, grade.gyroscope_scale))
+    begins_s = np.array([still.start_s for still in operator.stills])
+    placement = np.searchsorted(begins_s, found.observations.start_s) - 1
+    assert placement.tolist() == list(range(len(begins_s)))
+    # The longest rest of each, when it has settled.
+    assert (found.observations.duration_s > 3.0).all()
+
+
+def test_a_knock_makes_no_second_observation(make_path: Any) -> None:
+    path = make_path(100.0).hold([0, 0, 1], 8).turn([0.01, 0.2, 1], 0.3).turn([0, 0, 1], 0.3).hold([0, 0, 1], 5)
+    path.turn([1, 0, 0], 2).hold([1, 0, 0], 5)
+    found = find_still_intervals([path.samples()]).observations
+    assert found.name == ("free 1: near +z", "free 2: near +x")
+    assert found.duration_s[0] > 6.0
+
+
+def test_what_was_put_down_anew_is_another_observation(make_path: Any) -> None:
+    """The same side again, and a tilt of 20 degrees that takes half a second; samples that are missing tell nothing."""
+    path = (
+        make_path(100.0).hold([0, 0, 1], 8).turn([0, 0, 1], 2).hold([0, 0, 1], 5).turn([0, 0.36, 1], 0.5).hold([0, 0.36, 1], 5)
+    )
+    samples = path.samples()
+    assert len(find_still_intervals([samples]).observations) == 3
+    later = replace(samples, time_s=samples.time_s + np.where(samples.time_s > 12.0, 1.5, 0.0))
+    assert len(find_still_intervals([later]).observations) == 4
 
 
 def test_observations_are_named_after_the_nearest_side(make_path: Any) -> None:
