@@ -217,6 +217,7 @@ class Topic(Enum):
     SCHEME = "scheme"
     DRIFT = "drift"
     SCALE = "scale"
+    OFFSET = "offset"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,7 +6,7 @@ import hashlib
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -39,16 +39,7 @@ _AT_LIMIT = (RefusalCode.SATURATED, RefusalCode.STUCK)
 _SPOIL_DATA = (RefusalCode.SATURATED, RefusalCode.INVALID, RefusalCode.SAMPLE_LOSS)
 
 
-@dataclass(frozen=True, slots=True)
-class Solved:
-    """What a solve found, before it is written."""
-
-    parameters: Parameters
-    notes: tuple[str, ...]
-    """Sentences about the recording that are not about the numbers."""
-
-
-# What a session holds to be calibrated from, its axes, sentences beside the numbers, and the one for the verdict about what was
+# What a session holds to be calibrated from, its axes, sentences about what was refused and why, and the one about what was
 # left out because an axis was clipped, empty where none was.
 _Usable = tuple[Observations, AxesCheck, tuple[str, ...], str]
 
@@ -60,7 +51,7 @@ def solve_session(
     *,
     listener: SamplesListener | None = None,
     on_read: Callable[[], None] | None = None,
-) -> Solved:
+) -> Parameters:
     """Replay a session and solve it.
 
     Parameters
@@ -97,11 +88,11 @@ def solve_session(
         on_read()
     with naming_damage(session, damage):
         usable = _unguided(chain) if chain.guide is None else _guided(chain, chain.guide, refusals)
-        observations, axes, notes, saturated = usable
+        observations, axes, left_out, saturated = usable
         if axes.error is not None:
             raise axes.error
         lost = _loss_sentences(chain, damage, is_import=session.record.kind == "import")
-        reasons = (axes.words, *filter(None, (saturated,)), *chain.notes, *lost)
+        reasons = (axes.words, *filter(None, (saturated,)), *left_out, *chain.notes, *lost)
         rates = [statistics.rate_hz for statistics in chain.statistics if statistics.rate_hz]
         true_rate_hz = float(np.median(rates)) if rates else math.nan
         rests = chain.turn_rests()
@@ -122,7 +113,7 @@ def solve_session(
             reasons=reasons,
         )
         try:
-            return Solved(calibrate(measured, settings), notes)
+            return calibrate(measured, settings)
         except CalibrationError as error:
             if not saturated:
                 raise
@@ -131,14 +122,14 @@ def solve_session(
             raise CalibrationError(why, Reason.SATURATED, **error.values) from error
 
 
-def solve_observations(path: Path, settings: SolveSettings, site: SiteOptions) -> Solved:
+def solve_observations(path: Path, settings: SolveSettings, site: SiteOptions) -> Parameters:
     """Solve position means from a file."""
     # Once, for numbers and hash: what a pipe held is gone afterwards.
     content = read_content(path)
     observations, repeats = count_repeats_once(parse_observations(content, path))
     facts = SessionFacts(printable(utf8_text(path.name)), hashlib.sha256(content).hexdigest())
     measured = Measured(observations=observations, gravity=site.gravity(), context=Context(session=facts), reasons=repeats)
-    return Solved(calibrate(measured, settings), ())
+    return calibrate(measured, settings)
 
 
 def _guided(chain: Chain, guide: Guide, refusals: list[Rejected]) -> _Usable:
@@ -159,21 +150,23 @@ def _unguided(chain: Chain) -> _Usable:
     """Return the still intervals of a session that nobody guided."""
     found = chain.still_intervals()
     _check_count(len(found.observations), [refusal for _, refusal in found.refused])
-    clipped = [(start_s, refusal.words) for start_s, refusal in found.refused if refusal.reason in _AT_LIMIT]
-    notes = tuple(
-        sentence("solving.left_out", start_s=start_s, words=refusal.words)
-        for start_s, refusal in found.refused
-        if refusal.reason not in _AT_LIMIT
-    )
-    return found.observations, found.axes, notes, _saturation_sentence(clipped)
+    clipped: list[tuple[float, str]] = []
+    others: dict[RefusalCode, list[tuple[float, str]]] = {}
+    for start_s, refusal in found.refused:
+        (clipped if refusal.reason in _AT_LIMIT else others.setdefault(refusal.reason, [])).append((start_s, refusal.words))
+    left_out = tuple(_left_out_sentence("solving.left_out", stills) for stills in others.values())
+    return found.observations, found.axes, left_out, _saturation_sentence(clipped)
 
 
 def _saturation_sentence(clipped: list[tuple[float, str]]) -> str:
-    """Return the sentence about stills at the limit of an axis, each with its time and words; empty where there are none."""
-    if not clipped:
-        return ""
-    shown = ", ".join(f"at {time_s:.1f} s" for time_s, _ in clipped[:_SHOWN]) + (" and others" if len(clipped) > _SHOWN else "")
-    return sentence("solving.clipped", count=len(clipped), shown=shown, words=clipped[-1][1])
+    """Return the sentence about stills at the limit of an axis; empty where there are none."""
+    return _left_out_sentence("solving.clipped", clipped) if clipped else ""
+
+
+def _left_out_sentence(key: str, stills: list[tuple[float, str]]) -> str:
+    """Return the sentence about stills that were refused for one reason, each with its time and words."""
+    shown = ", ".join(f"at {time_s:.1f} s" for time_s, _ in stills[:_SHOWN]) + (" and others" if len(stills) > _SHOWN else "")
+    return sentence(key, count=len(stills), shown=shown, words=stills[-1][1])
 
 
 def _check_count(count: int, refusals: Sequence[Rejected | Refusal]) -> None:

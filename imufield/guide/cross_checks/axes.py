@@ -96,6 +96,11 @@ class AxesCheck:
         return self.agrees is False or self.turns_ratio != 1.0 or nothing_fits
 
     @property
+    def fits(self) -> bool:
+        """Whether the moves come together with ``gyroscope_scale``: the axes as given, or another arrangement alone."""
+        return self.agrees is not None or self.misfit_deg <= _GOOD_DEG
+
+    @property
     def error(self) -> CalibrationError | None:
         """The refusal, where the axes do not agree."""
         if self.agrees is not False:
@@ -154,12 +159,15 @@ def check_axes(moves: list[MoveBetweenStills], gyroscope_scale: float | None) ->
         few = sentence("axes.few_moves", moves=len(moves), least_deg=_LEAST_TURN_DEG, needed=ENOUGH_MOVES)
         return AxesCheck(agrees=None, permutation=np.eye(3), words=few)
     given = _arrange(moves, gyroscope_scale or _find_scale(moves))
-    if gyroscope_scale is None or given.agrees is not None or given.misfit_deg <= _GOOD_DEG:
+    if gyroscope_scale is None and given.agrees:
+        count_deg_s = math.degrees(1 / given.gyroscope_scale)
+        return replace(given, words=sentence("axes.agree_with", agree=given.words, count_deg_s=count_deg_s))
+    if gyroscope_scale is None or given.fits:
         return given
     scaled = _arrange(moves, _find_scale(moves))
     ratio = gyroscope_scale / scaled.gyroscope_scale
     # Turns about one axis leave others open, but that the given ones fit with a factor is enough to contradict the scale.
-    if (scaled.agrees is None and scaled.misfit_deg > _GOOD_DEG) or abs(math.log(ratio)) < _SAME_FACTOR:
+    if not scaled.fits or abs(math.log(ratio)) < _SAME_FACTOR:
         return given
     kind = refusals.SCALE_AND_AXES if scaled.agrees is False else refusals.SCALE_DIFFERS
     refusal = kind.refusal(

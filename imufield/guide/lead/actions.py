@@ -13,7 +13,7 @@ import numpy as np
 from imufield.guide import refusals
 from imufield.guide.cross_checks.sides import SidesCheck
 from imufield.guide.events import Done, Hold, Holding, LinkBack, LinkLost, Marked, RefusalCode, Turning, vector
-from imufield.guide.hold.checks import LOST_SHARE, examine, explain_flags
+from imufield.guide.hold.checks import LOST_SHARE, check_gravity, examine, explain_flags
 from imufield.guide.hold.observe import observe
 from imufield.guide.lead.advice import Adviser
 from imufield.guide.lead.hold_under_way import HoldUnderWay
@@ -28,7 +28,7 @@ from imufield.guide.refusals import Refusal
 from imufield.guide.stillness.cells import CELL_S
 from imufield.guide.stillness.detector import LONGEST_S, StillnessDetector
 from imufield.guide.stillness.scale import RoughScale
-from imufield.guide.stillness.stretch import LEAVE_FACTOR, Judgement, Phase
+from imufield.guide.stillness.stretch import LEAVE_FACTOR, Judgement, Phase, Stretch
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 
@@ -206,6 +206,18 @@ class GuideActions:
         )
         speaker.say(event)
 
+    def leave_side(self, still: Stretch) -> None:
+        """Add a still stretch that has ended; where it shows an offset, judge what was measured before without that, too."""
+        before, asked = self.detector.scale, self.plan.proposed()
+        self.watch.leave_side(still)
+        scale = self.detector.scale
+        if np.array_equal(scale.raw_zero, before.raw_zero):
+            return
+        renamed = self.plan.place_anew(lambda observation: scale.up(observation.mean_raw))
+        self.speaker.say(self.adviser.offset_advice(self.speaker.now_s, before, scale, renamed=renamed))
+        if self.plan.proposed() != asked:
+            self.propose()
+
     def recognise(self) -> Input:
         """Find the position that the unit is in."""
         plan = self.plan
@@ -267,7 +279,10 @@ class GuideActions:
     def judge(self) -> Input:
         """Examine the hold."""
         hold = self.hold
-        hold.refusal = None if hold.measured is None else examine(hold.measured)
+        measured = hold.measured
+        hold.refusal = None if measured is None else examine(measured)
+        if hold.refusal is None and measured is not None:
+            hold.refusal = check_gravity(measured.cells.mean[:, :3].mean(axis=0), measured.scale)
         slope, is_first = self.watch.warmth.slope_degc_min, not self.plan.accepted
         if hold.refusal is None and is_first and not self.goes_on_cold and abs(slope) > _WARM_UP_DEGC_MIN:
             hold.refusal = refusals.WARMING_UP.refusal(abs(slope), _WARM_UP_DEGC_MIN, slope=slope)

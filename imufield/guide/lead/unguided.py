@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from imufield.calibrate.model.observations import Observations
 from imufield.errors import CalibrationError, Reason
 from imufield.guide.cross_checks.axes import AxesCheck, MoveLog, check_axes
-from imufield.guide.hold.checks import HoldUnderTest, examine
+from imufield.guide.cross_checks.centre import centred
+from imufield.guide.hold.checks import HoldUnderTest, check_gravity, examine
 from imufield.guide.hold.observe import Observation, gather, observe, trim_stretch
 from imufield.guide.positions import nearest_cube_direction
 from imufield.guide.refusals import Refusal
@@ -75,10 +78,19 @@ class StillIntervalFinder:
         if self.detector.floor is None:
             never_quiet = sentence("unguided.never_quiet", floor_s=FLOOR_S, limit_m_s2=MAX_FLOOR_M_S2)
             raise CalibrationError(never_quiet, Reason.TOO_FEW)
-        scale = self.detector.scale
+        scale = centred(self.detector.scale, np.array([observation.mean_raw for observation in self._found]))
+        kept: list[Observation] = []
+        for observation in self._found:
+            # Only now all stills tell together which offset there is.
+            refusal = check_gravity(observation.mean_raw, scale)
+            if refusal is None:
+                nearest = nearest_cube_direction(scale.specific_force(observation.mean_raw))
+                kept.append(replace(observation, name=f"free {len(kept) + 1}: near {nearest}"))
+            else:
+                self._refused.append((observation.start_s, refusal))
         return StillIntervals(
-            observations=gather(self._found, self.units),
-            refused=tuple(self._refused),
+            observations=gather(kept, self.units),
+            refused=tuple(sorted(self._refused, key=lambda refused: refused[0])),
             noise_floor=self.detector.floor,
             scale=scale,
             axes=check_axes(self._moves.moves(scale), scale.gyroscope),
@@ -101,6 +113,4 @@ class StillIntervalFinder:
         if refusal is not None:
             self._refused.append((float(cells.start_s[0]), refusal))
             return
-        force = detector.scale.specific_force(cells.mean[:, :3].mean(axis=0))
-        name = f"free {len(self._found) + 1}: near {nearest_cube_direction(force)}"
-        self._found.append(observe(cells, detector.limits, name))
+        self._found.append(observe(cells, detector.limits, ""))
