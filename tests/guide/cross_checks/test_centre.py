@@ -1,4 +1,4 @@
-"""The centre of the stills, against simulated truth and against the nonlinear fit of the same sphere."""
+"""The centre of the stills, against simulated truth and against the plain fit of the same sphere."""
 
 from dataclasses import replace
 from typing import Any
@@ -46,6 +46,21 @@ def test_it_is_the_sphere_that_a_nonlinear_fit_finds() -> None:
     assert np.abs(found.raw_zero - fit.x[:3]).max() < 0.005 * G
     assert found.accelerometer is not None
     assert found.accelerometer * G == pytest.approx(fit.x[3], rel=0.005)
+
+
+@pytest.mark.parametrize("factor", [0.2, 0.5, 2.0, 3.0])
+@pytest.mark.parametrize("spoilt", [(5,), (0, 9), (1, 2, 3)])
+def test_stills_that_are_none_move_nothing(spoilt: tuple[int, ...], factor: float) -> None:
+    outputs = stills((0.5, -0.4, 0.5), scheme("corners24").directions())
+    found = centred(KNOWN, outputs)
+    outputs[list(spoilt)] *= factor
+    assert np.linalg.norm(centred(KNOWN, outputs).raw_zero - found.raw_zero) < 0.03 * G
+
+
+def test_one_still_to_spare_cannot_say_which_is_wrong() -> None:
+    outputs = stills((0.5, -0.4, 0.5), scheme("corners24").directions()[:6])
+    outputs[3] *= 2.0
+    assert centred(KNOWN, outputs) is KNOWN
 
 
 def test_a_centre_that_is_found_stays() -> None:
