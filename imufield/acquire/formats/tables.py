@@ -8,7 +8,7 @@ Whatever the files do not state is assumed aloud: ``ImportedTable.assumptions`` 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -46,7 +46,8 @@ _COUNTED_ROW = np.dtype([*((name, _FLAGGED_ROW[name]) for name in ("numbers", "s
 LATEST_NS = 2**63 - 1
 """What a recording's time stamps hold: 292 years. Times beyond are kept in the rows themselves."""
 _ROWS_A_CHUNK = 4096  # 256 KiB: few messages, and well below what one damaged byte may cost.
-_ROWS_TO_GUESS_BY = 1 << 18  # 20 MiB of numbers; at 2000 Hz two minutes, in which nobody's unit looks like another's.
+ROWS_TO_GUESS_BY = 1 << 18
+"""20 MiB of numbers; at 2000 Hz two minutes, in which nobody's unit looks like another's."""
 _TRIADS = {"accelerometer": ACCELEROMETER_COLUMNS, "gyroscope": GYROSCOPE_COLUMNS}
 
 
@@ -65,6 +66,8 @@ class ImportedTable:
         Raw accelerometer output at no input; zeros unless given.
     assumptions : tuple of str
         Sentences.
+    guessed : mapping
+        Triads whose unit is taken from the size of their numbers alone, with the sentence that says so.
     status : ndarray of uint32, shape (n,), or None
         ``Status`` flags, where the file is an export of our own or a recording that tells.
     counter : ndarray of int64, shape (n,), or None
@@ -75,6 +78,7 @@ class ImportedTable:
     settings: dict[str, str | float]
     raw_zero: tuple[float, float, float]
     assumptions: tuple[str, ...]
+    guessed: Mapping[str, str] = field(default_factory=dict)
     status: NDArray[np.uint32] | None = None
     counter: IntArray | None = None
 
@@ -197,7 +201,7 @@ def _pieces(source: TextTable, meaning: Meaning) -> Iterator[FloatArray]:
     head: list[FloatArray] = []
     for block in blocks:
         head.append(block)
-        if sum(map(len, head)) >= _ROWS_TO_GUESS_BY:
+        if sum(map(len, head)) >= ROWS_TO_GUESS_BY:
             break
     yield np.concatenate(head) if head else source.read(meaning.places)
     yield from blocks
@@ -207,14 +211,14 @@ def _late(source: TextTable, meaning: Meaning, head: FloatArray) -> dict[str, Fl
     """Return the first numbers, enough to guess a unit by, of each column that has none in the head and some behind it."""
     late: dict[str, FloatArray] = {}
     # Then the head is the whole file.
-    if len(head) < _ROWS_TO_GUESS_BY:
+    if len(head) < ROWS_TO_GUESS_BY:
         return late
     for group in (ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, (STATUS,)):
         columns = [column for place, column in enumerate(meaning.columns) if column.field in group and is_empty(head[:, place])]
         found: list[FloatArray] = []
         for block in source.blocks([column.index for column in columns]) if columns else ():
             found.append(block[~np.isnan(block).all(axis=1)])
-            if sum(map(len, found)) >= _ROWS_TO_GUESS_BY:
+            if sum(map(len, found)) >= ROWS_TO_GUESS_BY:
                 break
         numbers = np.concatenate(found) if found else np.empty((0, len(columns)))
         late |= {column.field: each for column, each in zip(columns, numbers.T, strict=True) if np.isfinite(each).any()}
@@ -246,13 +250,15 @@ def _table(
     for place, name in enumerate(FIELDS):
         if name in joined:
             rows[:, place] = joined[name]
-    found = dict(known)
+    found, guessed = dict(known), {}
     for quantity, columns in (("accelerometer", slice(1, 4)), ("gyroscope", slice(4, 7))):
         unit, factor, assumption = choose_unit(quantity, rows[:, columns], units, given, has_zero=zero is not None)
         if factor != 1.0:
             rows[:, columns] *= factor
         found[f"{quantity}_unit"] = unit
         said += [assumption] if assumption else []
+        if assumption and quantity not in units:
+            guessed[quantity] = assumption
     if rate_hz is not None:
         found["rate_hz"] = float(rate_hz)
     # The user knows better than the file.
@@ -266,7 +272,15 @@ def _table(
     if status is not None and COUNTER in joined and "status" not in known:
         counter = np.nan_to_num(joined[COUNTER], nan=NO_COUNTER).astype(np.int64)
         found["status"] = "counted"
-    return ImportedTable(rows=rows, settings=found, raw_zero=raw_zero, assumptions=tuple(said), status=status, counter=counter)
+    return ImportedTable(
+        rows=rows,
+        settings=found,
+        raw_zero=raw_zero,
+        assumptions=tuple(said),
+        guessed=guessed,
+        status=status,
+        counter=counter,
+    )
 
 
 def write_rows(
