@@ -26,6 +26,8 @@ from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import FloatArray
 
 _UNKNOWNS = 4
+FEWEST_STILLS = _UNKNOWNS + 1
+"""One to spare."""
 # s in each step, of gravity.
 _WIDTHS = np.maximum(0.05, 0.5 * 0.7 ** np.arange(20))
 _ON_SPHERE = 0.15  # Three times the last s.
@@ -42,7 +44,7 @@ def centred(scale: RoughScale, stills_raw: FloatArray) -> RoughScale:
 
     A scale that was learned from the first still, with the offset in it, is learned anew from the distance to the centre.
     """
-    if scale.accelerometer is None or len(stills_raw) <= _UNKNOWNS:
+    if scale.accelerometer is None or len(stills_raw) < FEWEST_STILLS:
         return scale
     x = stills_raw - scale.raw_zero
     length = float(np.median(np.linalg.norm(x, axis=1)))
@@ -60,6 +62,15 @@ def centred(scale: RoughScale, stills_raw: FloatArray) -> RoughScale:
         return replace(scale, centred=True)
     accelerometer = length * radius / STANDARD_GRAVITY_M_S2 if scale.learned else scale.accelerometer
     return replace(scale, accelerometer=accelerometer, raw_zero=scale.raw_zero + offset, centred=True)
+
+
+def may_hide_offset(mean_raw: FloatArray, scale: RoughScale) -> bool:
+    """Whether a still mean (3,) may point elsewhere because of an offset: its length is not gravity's, or tells nothing."""
+    if scale.centred:
+        return False
+    return (
+        scale.learned or abs(float(np.linalg.norm(scale.specific_force(mean_raw))) - STANDARD_GRAVITY_M_S2) > LEAST_OFFSET_M_S2
+    )
 
 
 def _fit_sphere(x: FloatArray) -> tuple[FloatArray, float]:

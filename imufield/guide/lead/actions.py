@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from imufield.guide import refusals
+from imufield.guide.cross_checks.centre import FEWEST_STILLS, may_hide_offset
 from imufield.guide.cross_checks.sides import SidesCheck
 from imufield.guide.events import Done, Hold, Holding, LinkBack, LinkLost, Marked, RefusalCode, Turning, vector
 from imufield.guide.hold.checks import LOST_SHARE, check_gravity, examine, explain_flags
@@ -246,12 +247,14 @@ class GuideActions:
         closest = pending or nearest
         # The picture shows what is proposed; the words must not ask for another side.
         wanted = plan.position(closest.index if target is None else target)
-        self.hold.refusal = refusals.NOT_NEAR.refusal(
+        hides = may_hide_offset(np.array(self.detector.stretch.mean[:3]), self.detector.scale)
+        self.hold.refusal = (refusals.NOT_NEAR_BY_OFFSET if hides else refusals.NOT_NEAR).refusal(
             closest.angle_deg,
             plan.tolerance_deg,
             nearest=plan.position(closest.index).name,
             wanted=wanted.name,
             wanted_words=wanted.words,
+            sides=FEWEST_STILLS,
         )
         return Input.REFUSED
 

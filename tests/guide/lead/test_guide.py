@@ -309,7 +309,10 @@ def test_sides_are_told_without_an_offset_as_soon_as_they_show_it(make_path: Any
     guide, events = run(samples, "corners24")
     (found,) = (event for event in of(events, Advice) if event.topic is Topic.OFFSET)
     assert found.measured == pytest.approx(np.linalg.norm(offset), rel=0.02)
-    assert RefusalCode.GRAVITY not in {event.reason for event in of(events, Rejected)}
+    refused = of(events, Rejected)
+    assert RefusalCode.GRAVITY not in {event.reason for event in refused}
+    assert all(event.time_s <= found.time_s for event in refused if event.reason is RefusalCode.NOT_NEAR)
+    assert any(is_said_by(refusals.NOT_NEAR_BY_OFFSET, event) for event in refused)
     # What was told with the offset in it is put right, or shown again: each has the name of the side that was up.
     assert guide.done
     for observation in guide.plan.accepted.values():
