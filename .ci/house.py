@@ -68,6 +68,7 @@ ROOMS = (
     ("simulate/emulator",),
     ("simulate",),
     ("study",),
+    ("study/answers",),
     ("pipeline",),
     ("commands/configuration",),
     ("commands/options",),
@@ -87,7 +88,8 @@ APART = {
     "pipeline": ("simulate", "study", "drivers"),
     "cli": ("acquire", "calibrate", "guide", "deliver", "simulate", "study", "pipeline"),
 }
-MANY_OF_A_KIND = ("commands", "deliver/exports", "study", "drivers", "protocols")  # Folders with a file for each thing.
+# Folders with a file for each thing.
+MANY_OF_A_KIND = ("commands", "deliver/exports", "study", "study/answers", "drivers", "protocols")
 SETTINGS = ("GuideSettings",)
 _KEY = re.compile(r"\w+\.\w+")  # Of a sentence: module and name.
 POSITIONAL = 6  # From this number on, arguments without a name cannot be understood at the place of the call.

@@ -30,8 +30,9 @@ from imufield.commands.options.commands import ImportOptions
 from imufield.commands.terminal.output import echo, say
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import Reason, RecordingError, UsageError
+from imufield.guide.lead.still_scales import find_scales
 from imufield.pipeline.chain import part_metadata
-from imufield.pipeline.still_units import find_scales, settings_of_stills, with_units_of_stills
+from imufield.pipeline.still_units import settings_of_stills, with_units_of_stills
 from imufield.pipeline.table_samples import refuse_endless
 from imufield.samples import Samples
 from imufield.sentences import Sentences, printable

@@ -22,17 +22,20 @@ STUDIES = tuple(name for name, text in texts().items() if "function" in text)
 """In the order of the papers, which is that of the document."""
 TITLE = "# The papers' tables and figures, reproduced"
 """First line of the document."""
+ANSWERS = "answers"
+"""Studies of what a calibration says of itself: no papers', so with their own document."""
 
 
 def find_studies(name: str) -> tuple[str, ...]:
-    """Return the studies of a name: one, "all", or all of a paper ("bsas", "ide").
+    """Return the studies of a name: one, "all" of the papers, all of a paper ("bsas", "ide"), or the "answers".
 
     Raises
     ------
     UsageError
         If there is none.
     """
-    found = tuple(study for study in STUDIES if name in (study, "all", study.partition("-")[0]))
+    kinds = {study: study.partition("-")[0] for study in STUDIES}
+    found = tuple(study for study, kind in kinds.items() if name in (study, kind, "all" if kind != ANSWERS else kind))
     if not found:
         raise UsageError(sentence("run.no_study", study=name, studies=STUDIES))
     return found
@@ -44,7 +47,7 @@ def run_study(name: str, context: StudyContext, *, folder: Path | None = None) -
     Parameters
     ----------
     name : str
-        One of ``STUDIES``, "bsas", "ide" or "all".
+        One of ``STUDIES``, "bsas", "ide", "all" or "answers".
     context : StudyContext
         Seed, size, workers.
     folder : Path, optional
@@ -58,7 +61,7 @@ def run_study(name: str, context: StudyContext, *, folder: Path | None = None) -
         If a scheduler was given and does not answer.
     """
     for study in find_studies(name):
-        module, _, function = texts()[study]["function"].partition(".")
+        module, _, function = texts()[study]["function"].rpartition(".")
         compute = getattr(importlib.import_module(f"imufield.study.{module}"), function)
         report = make_report(study, compute(context, **texts()[study].get("arguments", {})))
         if folder is not None:

@@ -75,7 +75,7 @@ def test_units_that_nobody_stated(tmp_path: Path, accelerometer: float, gyroscop
     chosen = tuple(session.record.setting_values[f"{triad}_unit"] for triad in ("accelerometer", "gyroscope"))
     assert chosen == units
     for triad, unit in zip(("accelerometer", "gyroscope"), units, strict=True):
-        assert f"still_units.{triad}" + ("_count" if unit == "count" else "") in said
+        assert f"still_scales.{triad}" + ("_count" if unit == "count" else "") in said
     assert not [key for key in said if key.startswith("table_columns.") and "_by_" in key]
     blocks = list(table_samples(tmp_path / "table.csv"))
     assert blocks[0].units.gyroscope == ("count" if units[1] == "count" else "rad/s")
@@ -90,7 +90,7 @@ def test_units_that_nobody_stated(tmp_path: Path, accelerometer: float, gyroscop
 
 def test_the_common_scale_is_said(tmp_path: Path) -> None:
     _, said = import_session(ImportOptions(files=[table(tmp_path, gyroscope=1.07)], output=tmp_path / "session"))
-    (words,) = (one for one in said if key_of(one) == "still_units.gyroscope")
+    (words,) = (one for one in said if key_of(one) == "still_scales.gyroscope")
     assert words.values["ratio"] == pytest.approx(1.07, rel=0.02)  # type: ignore[attr-defined]
 
 
@@ -98,12 +98,12 @@ def test_a_stated_unit_that_the_stills_contradict_is_kept_and_told(tmp_path: Pat
     header = "time_s,ax (m/s^2),ay (m/s^2),az (m/s^2),gx (rad/s),gy (rad/s),gz (rad/s)"
     session, said = imported(table(tmp_path, 1 / G, np.degrees(1.0), header=header))
     assert session.record.setting_values["gyroscope_unit"] == "rad/s"
-    assert said == ["still_units.other_accelerometer", "still_units.other_gyroscope"]
+    assert said == ["still_scales.other_accelerometer", "still_scales.other_gyroscope"]
 
 
 def test_a_stated_unit_that_is_right_needs_no_word(tmp_path: Path) -> None:
     _, said = imported(table(tmp_path, 1 / G), accelerometer_unit="g", gyroscope_unit="rad/s")
-    assert not [key for key in said if key.startswith("still_units.")]
+    assert not [key for key in said if key.startswith("still_scales.")]
 
 
 @pytest.mark.parametrize(("fastest", "unit"), [(51.83, "deg/s"), (5.2, "rad/s")])
@@ -122,7 +122,7 @@ def test_without_stills_to_decide_by_a_size_is_said_in_deg_s(tmp_path: Path, fas
 
 @pytest.mark.parametrize(
     ("setting", "unit", "key"),
-    [({}, "deg/s", "still_units.gyroscope"), ({"gyroscope_unit": "rad/s"}, "rad/s", "still_units.other_gyroscope")],
+    [({}, "deg/s", "still_scales.gyroscope"), ({"gyroscope_unit": "rad/s"}, "rad/s", "still_scales.other_gyroscope")],
     ids=["assumed", "stated"],
 )
 def test_lines_of_an_unknown_logger(tmp_path: Path, setting: dict[str, str], unit: str, key: str) -> None:

@@ -46,8 +46,7 @@ _COUNTED_ROW = np.dtype([*((name, _FLAGGED_ROW[name]) for name in ("numbers", "s
 LATEST_NS = 2**63 - 1
 """What a recording's time stamps hold: 292 years. Times beyond are kept in the rows themselves."""
 _ROWS_A_CHUNK = 4096  # 256 KiB: few messages, and well below what one damaged byte may cost.
-ROWS_TO_GUESS_BY = 1 << 18
-"""20 MiB of numbers; at 2000 Hz two minutes, in which nobody's unit looks like another's."""
+_ROWS_TO_GUESS_BY = 1 << 18  # 20 MiB of numbers; at 2000 Hz two minutes, in which nobody's unit looks like another's.
 _TRIADS = {"accelerometer": ACCELEROMETER_COLUMNS, "gyroscope": GYROSCOPE_COLUMNS}
 
 
@@ -201,7 +200,7 @@ def _pieces(source: TextTable, meaning: Meaning) -> Iterator[FloatArray]:
     head: list[FloatArray] = []
     for block in blocks:
         head.append(block)
-        if sum(map(len, head)) >= ROWS_TO_GUESS_BY:
+        if sum(map(len, head)) >= _ROWS_TO_GUESS_BY:
             break
     yield np.concatenate(head) if head else source.read(meaning.places)
     yield from blocks
@@ -211,14 +210,14 @@ def _late(source: TextTable, meaning: Meaning, head: FloatArray) -> dict[str, Fl
     """Return the first numbers, enough to guess a unit by, of each column that has none in the head and some behind it."""
     late: dict[str, FloatArray] = {}
     # Then the head is the whole file.
-    if len(head) < ROWS_TO_GUESS_BY:
+    if len(head) < _ROWS_TO_GUESS_BY:
         return late
     for group in (ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, (STATUS,)):
         columns = [column for place, column in enumerate(meaning.columns) if column.field in group and is_empty(head[:, place])]
         found: list[FloatArray] = []
         for block in source.blocks([column.index for column in columns]) if columns else ():
             found.append(block[~np.isnan(block).all(axis=1)])
-            if sum(map(len, found)) >= ROWS_TO_GUESS_BY:
+            if sum(map(len, found)) >= _ROWS_TO_GUESS_BY:
                 break
         numbers = np.concatenate(found) if found else np.empty((0, len(columns)))
         late |= {column.field: each for column, each in zip(columns, numbers.T, strict=True) if np.isfinite(each).any()}

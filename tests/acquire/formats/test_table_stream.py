@@ -27,7 +27,7 @@ def test_piece_by_piece_is_the_whole(
     tmp_path: Path, header: str, columns: tuple[np.ndarray, ...], rate_hz: float | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(table_text, "BLOCK_BYTES", 400)
-    monkeypatch.setattr(tables, "ROWS_TO_GUESS_BY", 20)
+    monkeypatch.setattr(tables, "_ROWS_TO_GUESS_BY", 20)
     path = write(tmp_path, text_of(*columns, header=header))
     whole, pieces = read_tables([path], rate_hz=rate_hz), list(stream_table(path, rate_hz=rate_hz))
     assert len(pieces) > 2
@@ -38,7 +38,7 @@ def test_piece_by_piece_is_the_whole(
 @pytest.mark.parametrize("line", range(38, 50))
 def test_piece_by_piece_names_the_line_too(tmp_path: Path, line: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(table_text, "BLOCK_BYTES", 400)
-    monkeypatch.setattr(tables, "ROWS_TO_GUESS_BY", 20)
+    monkeypatch.setattr(tables, "_ROWS_TO_GUESS_BY", 20)
     lines = text_of(TIME, np.round(ACCELEROMETER, 3)).split("\n")
     lines[line - 1] = "0.01 1.0 2.0 9.8"
     path = write(tmp_path, "\n".join(lines))
@@ -62,7 +62,7 @@ def test_pieces_without_values_are_held_to_the_others(
     tmp_path: Path, start: int, end: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(table_text, "BLOCK_BYTES", 400)
-    monkeypatch.setattr(tables, "ROWS_TO_GUESS_BY", 20)
+    monkeypatch.setattr(tables, "_ROWS_TO_GUESS_BY", 20)
     path = write(tmp_path, HEADER + "\n".join(lines_with_a_gap(start, end)) + "\n")
     whole, pieces = read_tables([path]), list(stream_table(path))
     assert len(pieces) > 2
@@ -75,7 +75,7 @@ def test_pieces_without_values_are_held_to_the_others(
 @pytest.mark.parametrize("start", [0, 40])
 def test_a_piece_without_values_that_does_not_say_so(tmp_path: Path, start: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(table_text, "BLOCK_BYTES", 400)
-    monkeypatch.setattr(tables, "ROWS_TO_GUESS_BY", 20)
+    monkeypatch.setattr(tables, "_ROWS_TO_GUESS_BY", 20)
     lines = [line.removesuffix(",3") + ",0" if line.endswith(",3") else line for line in lines_with_a_gap(start, 110)]
     path = write(tmp_path, HEADER + "\n".join(lines) + "\n")
     with refused(RecordingError, Reason.BAD_DATA, "nan", "ax") as caught:
@@ -88,7 +88,7 @@ def test_a_piece_without_values_that_does_not_say_so(tmp_path: Path, start: int,
 
 def test_pieces_without_any_value(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(table_text, "BLOCK_BYTES", 400)
-    monkeypatch.setattr(tables, "ROWS_TO_GUESS_BY", 20)
+    monkeypatch.setattr(tables, "_ROWS_TO_GUESS_BY", 20)
     path = write(tmp_path, HEADER + "\n".join(lines_with_a_gap(0, 120)) + "\n")
     with refused(UsageError, Reason.USAGE, "--columns"):
         list(stream_table(path))
