@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imufield.earth import MILLI_G_M_S2
+from imufield.guide.cross_checks.axes import GOOD_DEG, AxesCheck
 from imufield.guide.cross_checks.centre import LEAST_OFFSET_M_S2
 from imufield.guide.cross_checks.running_fit import EXPECTED_SCATTER_M_S2, Disagreement, RunningFit, running_fit
 from imufield.guide.events import Advice, Topic
@@ -72,6 +73,13 @@ _LIKE_EARLIER = _Kind(Topic.SCALE, "advice.earlier_scale", "advice.earlier_scale
 _OFF_NOMINAL = _Kind(Topic.SCALE, "advice.nominal_scale", "advice.off_scale_remedy", "1")
 _LIKE_NOMINAL = _Kind(Topic.SCALE, "advice.nominal_scale", "advice.nominal_scale_remedy", "1")
 _OFFSET = _Kind(Topic.OFFSET, "advice.offset", "advice.offset_remedy", "m/s^2")
+_GYROSCOPE_SCALE = _Kind(Topic.SCALE, "advice.gyroscope_scale", "advice.gyroscope_scale_remedy", "deg")
+
+
+def gyroscope_scale_advice(now_s: float, axes: AxesCheck) -> Advice:
+    """Return what a gyroscope of unknown scale sends, by the moves that agree with the accelerometer."""
+    count_deg_s = math.degrees(1 / axes.gyroscope_scale)
+    return _GYROSCOPE_SCALE.advice(now_s, axes.misfit_deg, GOOD_DEG, count_deg_s=count_deg_s, within_deg=axes.misfit_deg)
 
 
 class Adviser:

@@ -14,6 +14,7 @@ from imufield.guide.cross_checks.centre import centred
 from imufield.guide.cross_checks.sides import DeadAxis
 from imufield.guide.events import RefusalCode
 from imufield.guide.hold.checks import explain_flags
+from imufield.guide.lead.advice import gyroscope_scale_advice
 from imufield.guide.lead.speaker import REMIND_S, Speaker
 from imufield.guide.stillness.cells import CELL_S, Cells
 from imufield.guide.stillness.detector import USABLE_SHARE, StillnessDetector
@@ -153,6 +154,8 @@ class StreamWatch:
             return
         axes = self.check_axes()
         self._positions_checked = accepted if axes.agrees is None else planned
+        if axes.agrees and self._detector.scale.gyroscope is None:
+            self._speaker.say(gyroscope_scale_advice(self._speaker.now_s, axes))
         if axes.refusal is None or not axes.is_contradicted:
             return
         # That nothing fits, a scale, wrong axes: each is told once, as soon as the moves show it.

@@ -297,6 +297,15 @@ def test_half_a_scale_is_refused_as_soon_as_the_sides_show_that_it_is_no_offset(
     assert len(guide.observations()) == 5
 
 
+def test_the_scale_of_a_gyroscope_that_nobody_knows_is_told(make_path: Any) -> None:
+    units = SampleUnits(accelerometer="m/s^2", gyroscope="count")
+    _, events = run(faces_session(make_path).samples(0.01, scale=(1.0, 939.65), units=units))
+    (told,) = (event for event in of(events, Advice) if event.unit == "deg")
+    assert told.topic is Topic.SCALE
+    assert values_of(told.words)["count_deg_s"] == pytest.approx(np.degrees(1 / 939.65), rel=0.03)
+    assert told.measured < told.limit
+
+
 @pytest.mark.parametrize("units", [SampleUnits(), SampleUnits(accelerometer="count", gyroscope="count")], ids=["SI", "counts"])
 def test_sides_are_told_without_an_offset_as_soon_as_they_show_it(make_path: Any, units: SampleUnits) -> None:
     offset = np.array([4.9, 4.9, -4.9])
