@@ -80,7 +80,7 @@ class Replayed:
             latitude_deg=options.pop("latitude_deg", None),
             height_m=options.pop("height_m", None),
         )
-        return solve_session(self.session, SolveOptions(**options).settings(), site).parameters
+        return solve_session(self.session, SolveOptions(**options).settings(), site)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -74,9 +74,9 @@ def run_demo(options: DemoOptions) -> None:
         truth: dict[str, Any] = json.loads(truth_file.read_text())
     solved = solve_session(captured.session, SolveSettings())
     path = captured.session.folder / PARAMETER_FILE
-    kept = write_document(path, solved.parameters.document)
-    print_summary(solved.parameters, Outcome(path, kept, captured.session.folder))
-    _print_comparison(captured, _errors_in_sigma(solved.parameters.calibration, truth), truth["seed"])
+    kept = write_document(path, solved.document)
+    print_summary(solved, Outcome(path, kept, captured.session.folder))
+    _print_comparison(captured, _errors_in_sigma(solved.calibration, truth), truth["seed"])
 
 
 def _capture(port: str, options: DemoOptions, check: Callable[[], None]) -> Captured:

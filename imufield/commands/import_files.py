@@ -8,6 +8,7 @@ import shlex
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 from imufield.acquire.decode.statistics import remarks, without_samples
@@ -29,8 +30,11 @@ from imufield.commands.options.commands import ImportOptions
 from imufield.commands.terminal.output import echo, say
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import Reason, RecordingError, UsageError
+from imufield.guide.lead.still_scales import find_scales
 from imufield.pipeline.chain import part_metadata
+from imufield.pipeline.still_units import settings_of_stills, with_units_of_stills
 from imufield.pipeline.table_samples import refuse_endless
+from imufield.samples import Samples
 from imufield.sentences import Sentences, printable
 
 sentence = Sentences(__package__)
@@ -129,13 +133,15 @@ def _import_tables(options: ImportOptions) -> tuple[Session, list[str]]:
         # Of a log of a CAN bus nobody said what is on it: its frames alone mean nothing.
         if begins_as_can_log(path):
             raise UsageError(sentence("import_files.unknown_can_log", path=str(path)))
-    table = read_tables(
-        options.files,
-        columns=options.columns,
-        rate_hz=options.rate_hz,
-        zero=options.zero,
-        settings=options.settings,
-        topic=options.topic,
+    table = with_units_of_stills(
+        read_tables(
+            options.files,
+            columns=options.columns,
+            rate_hz=options.rate_hz,
+            zero=options.zero,
+            settings=options.settings,
+            topic=options.topic,
+        )
     )
     # The unit of time is spent when the rows are made; their protocol does not know it.
     of_rows = {name: value for name, value in options.settings.items() if name != TIME_UNIT}
@@ -150,9 +156,7 @@ def _import_bytes(options: ImportOptions, protocol: Protocol) -> tuple[Session, 
     losses: list[str] = []
     decoder = Decoder(protocol)
     # Decoded before anything is made of them, so that nothing is put aside for files without a sample.
-    for chunk in _chunks(options, protocol, losses):
-        decoder.feed(chunk.data, chunk.monotonic_s)
-    decoder.flush()
+    scales = find_scales(_samples(options, decoder, losses), protocol.nominal.raw_zero)
     counts = decoder.statistics
     if not counts.samples:
         foreign = "import_files.dump_without_samples" if protocol.can is None else "import_files.log_without_samples"
@@ -174,10 +178,20 @@ def _import_bytes(options: ImportOptions, protocol: Protocol) -> tuple[Session, 
     said = f"{counts.samples} samples of {counts.frames} frames, {counts.lost} lost"
     if protocol.can is None:
         said = f"{counts.samples} samples, {counts.bytes_skipped} of {counts.bytes_total} bytes skipped"
+    units, said_of_units = settings_of_stills(scales, protocol)
+    if units:
+        protocol = _protocol(replace(options, settings={**options.settings, **units})) or protocol
     with _whole_or_nothing(_new_session(options, protocol, None), protocol) as (session, recorder):
         for chunk in _chunks(options, protocol, []):  # What is lost was said while they were tried.
             recorder.write_chunk(chunk)
-    return session, [*losses, said, *remarks([counts]), *assumed(protocol)]
+    return session, [*losses, said, *remarks([counts]), *assumed(protocol), *said_of_units]
+
+
+def _samples(options: ImportOptions, decoder: Decoder, losses: list[str]) -> Iterator[Samples]:
+    """Decode what the files hold, to its end."""
+    for chunk in _chunks(options, decoder.protocol, losses):
+        yield decoder.feed(chunk.data, chunk.monotonic_s)
+    yield decoder.flush()
 
 
 def _chunks(options: ImportOptions, protocol: Protocol, losses: list[str]) -> Iterator[Chunk]:

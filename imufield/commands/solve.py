@@ -58,13 +58,13 @@ def run_solve(options: SolveOptions) -> int:
         with closing(ProgressLine("reading")) as line:
             solved = solve_session(session, settings, options.site, listener=line.feed, on_read=lambda: line.say("solving"))
     # Asked before the file that stands there is replaced.
-    better = better_gravity(path, solved.parameters.calibration.gravity)
-    kept = write_document(path, solved.parameters.document, advice=sentence("solve.elsewhere"))
+    better = better_gravity(path, solved.calibration.gravity)
+    kept = write_document(path, solved.document, advice=sentence("solve.elsewhere"))
     if options.as_json:
-        echo(json.dumps(json_ready(solved.parameters.document)))
+        echo(json.dumps(json_ready(solved.document)))
         return 0
-    print_summary(solved.parameters, Outcome(path, kept, None if session is None else session.folder))
-    for note in (*solved.notes, *better):
+    print_summary(solved, Outcome(path, kept, None if session is None else session.folder))
+    for note in better:
         echo(hanging("", note))
     return 0
 
@@ -153,7 +153,7 @@ def solve_job(options: SolveOptions, _rng: np.random.Generator) -> SessionOutcom
         solved = solve_session(Session.open(folder), options.settings(), options.site)
     except ImufieldError as error:
         return SessionOutcome(session=folder, exit_code=error.exit_code, error=str(error.message))
-    return SessionOutcome(session=folder, found=solved.parameters, notes=solved.notes)
+    return SessionOutcome(session=folder, found=solved)
 
 
 def _killed(options: SolveOptions) -> SessionOutcome:
@@ -187,7 +187,7 @@ def _write(outcome: SessionOutcome) -> SessionOutcome:
     except ImufieldError as error:
         return replace(outcome, exit_code=error.exit_code, error=str(error.message))
     moved = () if kept is None else (sentence("solve.kept", name=kept.name),)
-    return replace(outcome, written=path, kept=kept, notes=(*outcome.notes, *moved, *better))
+    return replace(outcome, written=path, kept=kept, notes=(*moved, *better))
 
 
 def _print(outcomes: list[SessionOutcome]) -> None:

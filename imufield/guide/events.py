@@ -222,6 +222,7 @@ class Topic(Enum):
     SCALE = "scale"
     ORDER = "order"
     """A drift would look like a quadratic term in the order of positions so far."""
+    OFFSET = "offset"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

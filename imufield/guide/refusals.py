@@ -94,6 +94,7 @@ NOT_STILL = RefusalKind(RefusalCode.NOT_STILL, "refusals.not_still", "refusals.n
 
 # Where the unit is.
 NOT_NEAR = RefusalKind(RefusalCode.NOT_NEAR, "refusals.not_near", "refusals.not_near_remedy", "deg")
+NOT_NEAR_BY_OFFSET = RefusalKind(RefusalCode.NOT_NEAR, "refusals.not_near", "refusals.not_near_by_offset_remedy", "deg")
 ALREADY_DONE = RefusalKind(RefusalCode.ALREADY_DONE, "refusals.already_done", "refusals.already_done_remedy", "deg")
 OTHER_SIDE = RefusalKind(RefusalCode.OTHER_SIDE, "refusals.other_side", "refusals.other_side_remedy", "deg")
 

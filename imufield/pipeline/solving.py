@@ -6,7 +6,7 @@ import hashlib
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 
 from imufield.acquire.recording.part_file import open_part
@@ -38,17 +38,8 @@ _AT_LIMIT = (RefusalCode.SATURATED, RefusalCode.STUCK)
 _SPOIL_DATA = (RefusalCode.SATURATED, RefusalCode.FROZEN, RefusalCode.INVALID, RefusalCode.SAMPLE_LOSS)
 
 
-@dataclass(frozen=True, slots=True)
-class Solved:
-    """What a solve found, before it is written."""
-
-    parameters: Parameters
-    notes: tuple[str, ...]
-    """Sentences about the recording that are not about the numbers."""
-
-
-# What a session holds to be calibrated from, its axes, sentences beside the numbers, the one for the verdict about what was
-# left out because an axis was clipped, empty where none was, and those about codes that stick.
+# What a session holds to be calibrated from, its axes, sentences about what was refused and why, the one about what was left
+# out because an axis was clipped, empty where none was, and those about codes that stick.
 _Usable = tuple[Observations, AxesCheck, tuple[str, ...], str, tuple[str, ...]]
 
 
@@ -59,7 +50,7 @@ def solve_session(
     *,
     listener: SamplesListener | None = None,
     on_read: Callable[[], None] | None = None,
-) -> Solved:
+) -> Parameters:
     """Replay a session and solve it.
 
     Parameters
@@ -96,12 +87,12 @@ def solve_session(
         on_read()
     with naming_damage(session, damage):
         usable = _unguided(chain) if chain.guide is None else _guided(chain, chain.guide, refusals)
-        observations, axes, notes, saturated, sticking = usable
+        observations, axes, refused, saturated, sticking = usable
         if axes.error is not None:
             raise axes.error
         is_import = session.record.kind == "import"
         lost = _loss_sentences(chain, damage, is_import=is_import)
-        reasons = (axes.words, *filter(None, (saturated,)), *chain.notes, *lost)
+        reasons = (axes.words, *filter(None, (saturated,)), *refused, *chain.notes, *lost)
         best = best_rate(chain.statistics)
         true_rate_hz = math.nan if best is None else best.rate_hz or math.nan
         rests = chain.turn_rests()
@@ -127,7 +118,7 @@ def solve_session(
             doubts=sticking,
         )
         try:
-            return Solved(calibrate(measured, settings), notes)
+            return calibrate(measured, settings)
         except CalibrationError as error:
             if not saturated:
                 raise
@@ -136,7 +127,7 @@ def solve_session(
             raise CalibrationError(why, Reason.SATURATED, **error.values) from error
 
 
-def solve_observations(path: Path, settings: SolveSettings, site: SiteOptions) -> Solved:
+def solve_observations(path: Path, settings: SolveSettings, site: SiteOptions) -> Parameters:
     """Solve position means from a file."""
     # Once, for numbers and hash: what a pipe held is gone afterwards.
     content = read_content(path)
@@ -145,7 +136,7 @@ def solve_observations(path: Path, settings: SolveSettings, site: SiteOptions) -
     observations, left_out = leave_out(observations, settings.without)
     context = Context(session=facts)
     measured = Measured(observations=observations, left_out=left_out, gravity=site.gravity(), context=context, reasons=repeats)
-    return Solved(calibrate(measured, settings), ())
+    return calibrate(measured, settings)
 
 
 def _guided(chain: Chain, guide: Guide, refusals: list[Rejected]) -> _Usable:
@@ -166,21 +157,23 @@ def _unguided(chain: Chain) -> _Usable:
     """Return the still intervals of a session that nobody guided."""
     found = chain.still_intervals()
     _check_count(len(found.observations), [refusal for _, refusal in found.refused])
-    clipped = [(start_s, refusal.words) for start_s, refusal in found.refused if refusal.reason in _AT_LIMIT]
-    notes = tuple(
-        sentence("solving.left_out", start_s=start_s, words=refusal.words)
-        for start_s, refusal in found.refused
-        if refusal.reason not in _AT_LIMIT
-    )
-    return found.observations, found.axes, notes, _saturation_sentence(clipped), found.sticking
+    clipped: list[tuple[float, str]] = []
+    others: dict[RefusalCode, list[tuple[float, str]]] = {}
+    for start_s, refusal in found.refused:
+        (clipped if refusal.reason in _AT_LIMIT else others.setdefault(refusal.reason, [])).append((start_s, refusal.words))
+    left_out = tuple(_left_out_sentence("solving.left_out", stills) for stills in others.values())
+    return found.observations, found.axes, left_out, _saturation_sentence(clipped), found.sticking
 
 
 def _saturation_sentence(clipped: list[tuple[float, str]]) -> str:
-    """Return the sentence about stills at the limit of an axis, each with its time and words; empty where there are none."""
-    if not clipped:
-        return ""
-    shown = ", ".join(f"at {time_s:.1f} s" for time_s, _ in clipped[:_SHOWN]) + (" and others" if len(clipped) > _SHOWN else "")
-    return sentence("solving.clipped", count=len(clipped), shown=shown, words=clipped[-1][1])
+    """Return the sentence about stills at the limit of an axis; empty where there are none."""
+    return _left_out_sentence("solving.clipped", clipped) if clipped else ""
+
+
+def _left_out_sentence(key: str, stills: list[tuple[float, str]]) -> str:
+    """Return the sentence about stills that were refused for one reason, each with its time and words."""
+    shown = ", ".join(f"at {time_s:.1f} s" for time_s, _ in stills[:_SHOWN]) + (" and others" if len(stills) > _SHOWN else "")
+    return sentence(key, count=len(stills), shown=shown, words=stills[-1][1])
 
 
 def _check_count(count: int, refusals: Sequence[Rejected | Refusal]) -> None:

@@ -11,6 +11,7 @@ from imufield.acquire.formats.tables import ROWS_PROTOCOL, stream_table, write_r
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.errors import Reason, RecordingError, UsageError
+from imufield.pipeline.still_units import with_units_of_stills
 from imufield.samples import Samples
 from imufield.sentences import Sentences
 
@@ -23,7 +24,7 @@ def table_samples(path: Path, rate_hz: float | None = None) -> Iterator[Samples]
     decoder: Decoder | None = None
     # The way of an import, through rows and the decoder: a table gives the same numbers imported or not.
     for table in stream_table(path, rate_hz=rate_hz):
-        decoder = decoder or Decoder(load_protocol(ROWS_PROTOCOL, table.settings))
+        decoder = decoder or Decoder(load_protocol(ROWS_PROTOCOL, with_units_of_stills(table).settings))
         chunks = _Chunks()
         write_rows(chunks, table.rows, table.status, table.counter)
         for chunk in chunks:

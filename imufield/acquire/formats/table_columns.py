@@ -57,7 +57,8 @@ _CONVERTED = {"mg": ("g", 1e-3)}  # Units that protocol ``rows_f64`` does not kn
 _FAST = 0.999  # Of all outputs; larger ones may be damage.
 _STANDS_FOR_G = (0.8, 1.25)
 _STANDS_FOR_M_S2 = (8.0, 12.0)  # Median norm of an accelerometer that is at rest most of the time.
-_FASTEST_RAD_S = 70.0  # Hands turn a unit faster than this in deg/s at once, and never in rad/s (4000 deg/s).
+# Hands turn a unit faster than this in deg/s at once, and hardly ever in rad/s: 1150 deg/s, half the range of a chip.
+_FASTEST_RAD_S = 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -339,7 +340,7 @@ def choose_unit(
     # Neither one damaged number nor a gap decides for all the others.
     possible = (np.abs(values) <= LARGEST_OUTPUT).all(axis=1)
     guess, key, found = _guess(quantity, values[possible if possible.any() else is_whole], stated, has_zero=has_zero)
-    return guess, 1.0, sentence(key, quantity=quantity, unit=guess, found=found)
+    return guess, 1.0, sentence(key, quantity=quantity, unit=guess, found=found, found_deg=np.degrees(found))
 
 
 def _guess(quantity: str, values: FloatArray, stated: Mapping[str, str], *, has_zero: bool) -> tuple[str, str, float]:

@@ -8,7 +8,7 @@ Whatever the files do not state is assumed aloud: ``ImportedTable.assumptions`` 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -65,6 +65,8 @@ class ImportedTable:
         Raw accelerometer output at no input; zeros unless given.
     assumptions : tuple of str
         Sentences.
+    guessed : mapping
+        Triads whose unit is taken from the size of their numbers alone, with the sentence that says so.
     status : ndarray of uint32, shape (n,), or None
         ``Status`` flags, where the file is an export of our own or a recording that tells.
     counter : ndarray of int64, shape (n,), or None
@@ -75,6 +77,7 @@ class ImportedTable:
     settings: dict[str, str | float]
     raw_zero: tuple[float, float, float]
     assumptions: tuple[str, ...]
+    guessed: Mapping[str, str] = field(default_factory=dict)
     status: NDArray[np.uint32] | None = None
     counter: IntArray | None = None
 
@@ -246,13 +249,15 @@ def _table(
     for place, name in enumerate(FIELDS):
         if name in joined:
             rows[:, place] = joined[name]
-    found = dict(known)
+    found, guessed = dict(known), {}
     for quantity, columns in (("accelerometer", slice(1, 4)), ("gyroscope", slice(4, 7))):
         unit, factor, assumption = choose_unit(quantity, rows[:, columns], units, given, has_zero=zero is not None)
         if factor != 1.0:
             rows[:, columns] *= factor
         found[f"{quantity}_unit"] = unit
         said += [assumption] if assumption else []
+        if assumption and quantity not in units:
+            guessed[quantity] = assumption
     if rate_hz is not None:
         found["rate_hz"] = float(rate_hz)
     # The user knows better than the file.
@@ -266,7 +271,15 @@ def _table(
     if status is not None and COUNTER in joined and "status" not in known:
         counter = np.nan_to_num(joined[COUNTER], nan=NO_COUNTER).astype(np.int64)
         found["status"] = "counted"
-    return ImportedTable(rows=rows, settings=found, raw_zero=raw_zero, assumptions=tuple(said), status=status, counter=counter)
+    return ImportedTable(
+        rows=rows,
+        settings=found,
+        raw_zero=raw_zero,
+        assumptions=tuple(said),
+        guessed=guessed,
+        status=status,
+        counter=counter,
+    )
 
 
 def write_rows(

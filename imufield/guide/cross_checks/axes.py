@@ -36,7 +36,7 @@ sentence = Sentences(__package__)
 
 ENOUGH_MOVES = 4  # Moves about one or two axes fit several permutations alike.
 _LEAST_TURN_DEG = 20.0  # A move that turns up by less says nothing about axes.
-_GOOD_DEG = 20.0  # Largest RMS misfit of the right axes: 1 m/s^2 of bias on each accelerometer axis alone makes 14 degrees.
+GOOD_DEG = 20.0  # Largest RMS misfit of the right axes: 1 m/s^2 of bias on each accelerometer axis alone makes 14 degrees.
 _MARGIN = 3.0  # The right permutation must fit better than any other by this factor.
 _LONGEST_MOVE_CELLS = 600  # A minute: over a longer one the gyroscope drifts, and it is more than one move.
 _MOVES_KEPT = 24  # As many as a scheme has positions; the search costs in proportion.
@@ -92,8 +92,13 @@ class AxesCheck:
     @property
     def is_contradicted(self) -> bool:
         """Whether axes or scale of the gyroscope are not as given, or no arrangement fits its rates."""
-        nothing_fits = self.agrees is None and self.misfit_deg > _GOOD_DEG and self.best_misfit_deg > _GOOD_DEG
+        nothing_fits = self.agrees is None and self.misfit_deg > GOOD_DEG and self.best_misfit_deg > GOOD_DEG
         return self.agrees is False or self.turns_ratio != 1.0 or nothing_fits
+
+    @property
+    def fits(self) -> bool:
+        """Whether the moves come together with ``gyroscope_scale``: the axes as given, or another arrangement alone."""
+        return self.agrees is not None or self.misfit_deg <= GOOD_DEG
 
     @property
     def error(self) -> CalibrationError | None:
@@ -154,18 +159,21 @@ def check_axes(moves: list[MoveBetweenStills], gyroscope_scale: float | None) ->
         few = sentence("axes.few_moves", moves=len(moves), least_deg=_LEAST_TURN_DEG, needed=ENOUGH_MOVES)
         return AxesCheck(agrees=None, permutation=np.eye(3), words=few)
     given = _arrange(moves, gyroscope_scale or _find_scale(moves))
-    if gyroscope_scale is None or given.agrees is not None or given.misfit_deg <= _GOOD_DEG:
+    if gyroscope_scale is None and given.agrees:
+        count_deg_s = math.degrees(1 / given.gyroscope_scale)
+        return replace(given, words=sentence("axes.agree_with", agree=given.words, count_deg_s=count_deg_s))
+    if gyroscope_scale is None or given.fits:
         return given
     scaled = _arrange(moves, _find_scale(moves))
     ratio = gyroscope_scale / scaled.gyroscope_scale
     # Turns about one axis leave others open, but that the given ones fit with a factor is enough to contradict the scale.
-    if (scaled.agrees is None and scaled.misfit_deg > _GOOD_DEG) or abs(math.log(ratio)) < _SAME_FACTOR:
+    if not scaled.fits or abs(math.log(ratio)) < _SAME_FACTOR:
         return given
     kind = refusals.SCALE_AND_AXES if scaled.agrees is False else refusals.SCALE_DIFFERS
     refusal = kind.refusal(
         # The scale as given is contradicted, so the misfit is the one that it makes.
         given.misfit_deg,
-        _GOOD_DEG,
+        GOOD_DEG,
         ratio=ratio,
         cause=next((f" ({cause})" for factor, cause in _CONFUSED if abs(math.log(ratio / factor)) < _SAME_FACTOR), ""),
         axes=axes_words(scaled.permutation),
@@ -181,13 +189,13 @@ def _arrange(moves: list[MoveBetweenStills], scale: float) -> AxesCheck:
     order = np.argsort(misfit)
     identity = int(np.flatnonzero((permutations == np.eye(3)).all(axis=(1, 2)))[0])
     best, given, second = (math.degrees(float(misfit[i])) for i in (order[0], identity, order[1]))
-    clear = best <= _GOOD_DEG and second >= _MARGIN * best
+    clear = best <= GOOD_DEG and second >= _MARGIN * best
     agrees = bool(order[0] == identity) if clear else None
     permutation, refusal = permutations[order[0]], None
     if not agrees:
         differ = refusals.AXES_LEFT_HANDED if np.linalg.det(permutation) < 0 else refusals.AXES_DIFFER
         kind = refusals.AXES_OPEN if agrees is None else differ
-        refusal = kind.refusal(given, _GOOD_DEG, best=best, second=second, axes=axes_words(permutation))
+        refusal = kind.refusal(given, GOOD_DEG, best=best, second=second, axes=axes_words(permutation))
     return AxesCheck(
         agrees=agrees,
         permutation=permutation,

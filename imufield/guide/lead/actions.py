@@ -11,9 +11,10 @@ import math
 import numpy as np
 
 from imufield.guide import refusals
+from imufield.guide.cross_checks.centre import FEWEST_STILLS, may_hide_offset
 from imufield.guide.cross_checks.sides import SidesCheck
 from imufield.guide.events import Done, Hold, Holding, LinkBack, LinkLost, Marked, RefusalCode, Turning, vector
-from imufield.guide.hold.checks import LOST_SHARE, examine, explain_flags
+from imufield.guide.hold.checks import LOST_SHARE, check_gravity, examine, explain_flags
 from imufield.guide.hold.observe import observe
 from imufield.guide.lead.advice import Adviser
 from imufield.guide.lead.hold_under_way import HoldUnderWay
@@ -28,7 +29,7 @@ from imufield.guide.refusals import Refusal
 from imufield.guide.stillness.cells import CELL_S
 from imufield.guide.stillness.detector import LONGEST_S, StillnessDetector
 from imufield.guide.stillness.scale import RoughScale
-from imufield.guide.stillness.stretch import LEAVE_FACTOR, Judgement, Phase
+from imufield.guide.stillness.stretch import LEAVE_FACTOR, Judgement, Phase, Stretch
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 
@@ -204,6 +205,18 @@ class GuideActions:
         )
         speaker.say(event)
 
+    def leave_side(self, still: Stretch) -> None:
+        """Add a still stretch that has ended; where it shows an offset, judge what was measured before without that, too."""
+        before, asked = self.detector.scale, self.plan.proposed()
+        self.watch.leave_side(still)
+        scale = self.detector.scale
+        if np.array_equal(scale.raw_zero, before.raw_zero):
+            return
+        renamed = self.plan.place_anew(lambda observation: scale.up(observation.mean_raw))
+        self.speaker.say(self.adviser.offset_advice(self.speaker.now_s, before, scale, renamed=renamed))
+        if self.plan.proposed() != asked:
+            self.propose()
+
     def recognise(self) -> Input:
         """Find the position that the unit is in."""
         plan = self.plan
@@ -232,12 +245,14 @@ class GuideActions:
         closest = pending or nearest
         # The picture shows what is proposed; the words must not ask for another side.
         wanted = plan.position(closest.index if target is None else target)
-        self.hold.refusal = refusals.NOT_NEAR.refusal(
+        hides = may_hide_offset(np.array(self.detector.stretch.mean[:3]), self.detector.scale)
+        self.hold.refusal = (refusals.NOT_NEAR_BY_OFFSET if hides else refusals.NOT_NEAR).refusal(
             closest.angle_deg,
             plan.tolerance_deg,
             nearest=plan.position(closest.index).name,
             wanted=wanted.name,
             wanted_words=wanted.words,
+            sides=FEWEST_STILLS,
         )
         return Input.REFUSED
 
@@ -265,10 +280,11 @@ class GuideActions:
     def judge(self) -> Input:
         """Examine the hold."""
         hold = self.hold
+        measured = hold.measured
         hold.refusal = None
-        if hold.measured is not None:
-            output = self.watch.outputs.add(hold.measured.cells)
-            hold.refusal = self.watch.outputs.refusal(output, examine(hold.measured))
+        if measured is not None:
+            found = examine(measured) or check_gravity(measured.cells.mean[:, :3].mean(axis=0), measured.scale)
+            hold.refusal = self.watch.outputs.refusal(self.watch.outputs.add(measured.cells), found)
             self.take_back()
         slope, is_first = self.watch.warmth.slope_degc_min, not self.plan.accepted
         if hold.refusal is None and is_first and not self.goes_on_cold and abs(slope) > _WARM_UP_DEGC_MIN:

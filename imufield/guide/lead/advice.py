@@ -13,6 +13,8 @@ import numpy as np
 
 from imufield.calibrate.accelerometer.drift import MOST_CONFUSION, order_confusion
 from imufield.earth import MILLI_G_M_S2
+from imufield.guide.cross_checks.axes import GOOD_DEG, AxesCheck
+from imufield.guide.cross_checks.centre import LEAST_OFFSET_M_S2
 from imufield.guide.cross_checks.running_fit import EXPECTED_SCATTER_M_S2, Disagreement, RunningFit, running_fit
 from imufield.guide.events import Advice, Topic
 from imufield.guide.lead.plan import Plan
@@ -72,6 +74,14 @@ _OFF_EARLIER = _Kind(Topic.SCALE, "advice.earlier_scale", "advice.off_scale_reme
 _LIKE_EARLIER = _Kind(Topic.SCALE, "advice.earlier_scale", "advice.earlier_scale_remedy", "1")
 _OFF_NOMINAL = _Kind(Topic.SCALE, "advice.nominal_scale", "advice.off_scale_remedy", "1")
 _LIKE_NOMINAL = _Kind(Topic.SCALE, "advice.nominal_scale", "advice.nominal_scale_remedy", "1")
+_OFFSET = _Kind(Topic.OFFSET, "advice.offset", "advice.offset_remedy", "m/s^2")
+_GYROSCOPE_SCALE = _Kind(Topic.SCALE, "advice.gyroscope_scale", "advice.gyroscope_scale_remedy", "deg")
+
+
+def gyroscope_scale_advice(now_s: float, axes: AxesCheck) -> Advice:
+    """Return what a gyroscope of unknown scale sends, by the moves that agree with the accelerometer."""
+    count_deg_s = math.degrees(1 / axes.gyroscope_scale)
+    return _GYROSCOPE_SCALE.advice(now_s, axes.misfit_deg, GOOD_DEG, count_deg_s=count_deg_s, within_deg=axes.misfit_deg)
 
 
 class Adviser:
@@ -204,6 +214,13 @@ class Adviser:
         kind = _DRIFTED if abs(change) > limit else _NO_DRIFT
         in_mg = {"change_mg": change / MILLI_G_M_S2, "limit_mg": limit / MILLI_G_M_S2}
         return [kind.advice(now_s, abs(change), limit, before.name, minutes=minutes, **in_mg)]
+
+    def offset_advice(self, now_s: float, before: RoughScale, scale: RoughScale, *, renamed: int) -> Advice:
+        """Fit again to the scale about the offset that was found, and return what it is, of the reading as it comes."""
+        self.fit_again(scale)
+        offset = (scale.raw_zero - before.raw_zero) / (scale.accelerometer or 1.0)
+        size = float(np.linalg.norm(offset))
+        return _OFFSET.advice(now_s, size, LEAST_OFFSET_M_S2, offset=offset.tolist(), renamed=renamed)
 
     def final_advice(self, now_s: float) -> list[Advice]:
         """Return at the end the common scale against an earlier calibration's, or the nominal one where that was not told.

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -107,6 +108,27 @@ class Plan:
     def take_back(self, index: int) -> None:
         """Withdraw an observation that does not count any more; the position is pending again."""
         self.withdrawn.append(self.accepted.pop(index))
+
+    def place_anew(self, up: Callable[[Observation], FloatArray]) -> int:
+        """Move the observations to the positions that they show now that the offset is known; return how many were elsewhere.
+
+        ``up`` returns the direction that an observation shows. One that belongs to no pending position is withdrawn.
+        """
+        shown = {index: up(observation) for index, observation in self.accepted.items()}
+        strays = {
+            index: self.accepted.pop(index)
+            for index, direction in shown.items()
+            if angle_deg(self.position(index).direction, direction) > self.tolerance_deg
+        }
+        for index, observation in strays.items():
+            nearest = self.nearest(shown[index], pending=True)
+            if nearest is None or nearest.angle_deg > self.tolerance_deg:
+                self.withdrawn.append(observation)
+                continue
+            position = self.position(nearest.index)
+            self.accepted[nearest.index] = replace(observation, name=position.name, direction=position.direction)
+            self._history = [(action, nearest.index if at == index else at) for action, at in self._history]
+        return len(strays)
 
     def want_again(self, index: int) -> None:
         """Ask for a position once more; its observation stays until the new one is accepted."""

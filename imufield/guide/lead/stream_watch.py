@@ -10,15 +10,17 @@ import numpy as np
 
 from imufield.guide import refusals
 from imufield.guide.cross_checks.axes import ENOUGH_MOVES, AxesCheck, MoveLog, check_axes
+from imufield.guide.cross_checks.centre import centred
 from imufield.guide.cross_checks.outputs import Outputs
 from imufield.guide.cross_checks.sides import DeadAxis
 from imufield.guide.events import RefusalCode
 from imufield.guide.hold.checks import explain_flags
+from imufield.guide.lead.advice import gyroscope_scale_advice
 from imufield.guide.lead.speaker import REMIND_S, Speaker
 from imufield.guide.stillness.cells import CELL_S, Cells
 from imufield.guide.stillness.detector import USABLE_SHARE, StillnessDetector
 from imufield.guide.stillness.noise_floor import FLOOR_S, is_even, measure_floor, why_not_quiet
-from imufield.guide.stillness.stretch import Judgement
+from imufield.guide.stillness.stretch import Judgement, Stretch
 from imufield.samples import AXES
 
 _BAD_IN_A_ROW = 3  # Cells without usable samples before anybody is told: a second of a computer's delay is harmless.
@@ -30,6 +32,7 @@ _WAIT = 2  # Lengths of a noise floor waited for before anybody is told why.
 _IN_VAIN = 5  # The same before the settings come under suspicion.
 _WARMTH_CELLS = 300  # Half a minute: a longer one still sees a warm-up that is over.
 _FEWEST_OF_WARMTH = 60  # Six seconds tell a slope of 1 degC/min from a step of 0.01 degC.
+_STILLS_KEPT = 200  # Far more than tell an offset; memory does not grow with the session.
 
 
 class Warmth:
@@ -80,6 +83,7 @@ class StreamWatch:
         self.bad_cells = 0  # With missing or unusable samples so far.
         self._bad_in_a_row = 0
         self._moves = MoveLog()
+        self._stills: deque[list[float]] = deque(maxlen=_STILLS_KEPT)
         self._dead_axis = DeadAxis()
         self._positions_checked = 0  # Accepted positions at the last check of the axes; all, once the moves have told.
         self._told: set[tuple[RefusalCode, bool]] = set()
@@ -140,8 +144,10 @@ class StreamWatch:
             )
             self._speaker.reject(refusal)
 
-    def leave_side(self) -> None:
-        """Tell at the end of a still stretch that an axis is dead, once."""
+    def leave_side(self, still: Stretch) -> None:
+        """Add a still stretch that has ended: count from its centre and the others', and tell that an axis is dead, once."""
+        self._stills.append(still.mean[:3])
+        self._detector.scale = centred(self._detector.scale, np.array(self._stills))
         self._speaker.reject(self._dead_axis.leave_side(self._detector.floor, self._detector.scale))
 
     def follow_move(self, judgement: Judgement, accepted: int, planned: int) -> None:
@@ -151,6 +157,8 @@ class StreamWatch:
             return
         axes = self.check_axes()
         self._positions_checked = accepted if axes.agrees is None else planned
+        if axes.agrees and self._detector.scale.gyroscope is None:
+            self._speaker.say(gyroscope_scale_advice(self._speaker.now_s, axes))
         if axes.refusal is None or not axes.is_contradicted:
             return
         # That nothing fits, a scale, wrong axes: each is told once, as soon as the moves show it.

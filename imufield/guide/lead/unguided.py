@@ -9,8 +9,9 @@ import numpy as np
 from imufield.calibrate.model.observations import Observations
 from imufield.errors import CalibrationError, Reason
 from imufield.guide.cross_checks.axes import AxesCheck, MoveLog, check_axes
+from imufield.guide.cross_checks.centre import centred
 from imufield.guide.cross_checks.outputs import Outputs
-from imufield.guide.hold.checks import HoldUnderTest, examine
+from imufield.guide.hold.checks import HoldUnderTest, check_gravity, examine
 from imufield.guide.hold.observe import Observation, gather, observe, trim_stretch
 from imufield.guide.lead.settings import MOVED_DEG, MOVED_S
 from imufield.guide.positions import angle_deg, nearest_cube_direction
@@ -86,11 +87,12 @@ class StillIntervalFinder:
             if self.detector.frozen:
                 why = FROZEN.refusal(FLOOR_S, 0.0).words
             raise CalibrationError(why, Reason.TOO_FEW)
-        scale = self.detector.scale
+        sound = [observation.mean_raw for observation, own in self._placements if own is None]
+        scale = centred(self.detector.scale, np.array(sound))
         found, refused = list[Observation](), list[tuple[float, Refusal]]()
         for observation, own in self._placements:
-            # Only now all holds show together what the outputs can do.
-            refusal = self._outputs.refusal(observation.output, own)
+            # Only now all holds show together which offset there is, and what the outputs can do.
+            refusal = self._outputs.refusal(observation.output, own or check_gravity(observation.mean_raw, scale))
             if refusal is not None:
                 refused.append((observation.start_s, refusal))
             else:

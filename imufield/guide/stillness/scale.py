@@ -24,12 +24,15 @@ class RoughScale:
         Accelerometer mid-scale, subtracted first.
     learned : bool
         Whether the accelerometer's scale comes from the first still (its norm is g) and not from the instrument's data.
+    centred : bool
+        Whether the stills so far have shown the offset: no large one is left beside ``raw_zero``.
     """
 
     accelerometer: float | None = None
     gyroscope: float | None = None
     raw_zero: FloatArray = field(default_factory=lambda: np.zeros(3))
     learned: bool = False
+    centred: bool = False
 
     @classmethod
     def of(cls, units: SampleUnits, nominal: Nominal) -> RoughScale:

@@ -10,6 +10,7 @@ import pytest
 from imufield.guide import refusals
 from imufield.guide.events import (
     Accepted,
+    Advice,
     Done,
     Hold,
     LinkBack,
@@ -19,6 +20,7 @@ from imufield.guide.events import (
     NoiseFloorMeasured,
     RefusalCode,
     Rejected,
+    Topic,
     Turning,
 )
 from imufield.guide.lead.guide import Guide
@@ -277,13 +279,56 @@ def test_sample_loss_in_a_hold_is_refused_and_measured_again(make_path: Any) -> 
     assert len(guide.observations()) == 1
 
 
-def test_wrong_scale_is_refused_as_gravity(make_path: Any) -> None:
-    samples = make_path(100.0).hold([0, 0, 1], 8).samples(0.01, scale=(0.5, 1.0))
+def test_a_scale_that_no_offset_explains_is_refused_as_gravity(make_path: Any) -> None:
+    samples = make_path(100.0).hold([0, 0, 1], 8).samples(0.01, scale=(0.1, 1.0))
     guide, events = run(samples)
     refused = of(events, Rejected)[0]
     assert refused.reason is RefusalCode.GRAVITY
-    assert refused.measured == pytest.approx(4.9, abs=0.1)
+    assert refused.measured == pytest.approx(0.98, abs=0.1)
     assert len(guide.observations()) == 0
+
+
+def test_half_a_scale_is_refused_as_soon_as_the_sides_show_that_it_is_no_offset(make_path: Any) -> None:
+    """One hold of 0.5 g is an offset as well as a scale; five sides are not."""
+    guide, events = run(faces_session(make_path).samples(0.01, scale=(0.5, 1.0)))
+    refused = of(events, Rejected)
+    assert [event.reason for event in refused] == [RefusalCode.GRAVITY]
+    assert refused[0].measured == pytest.approx(4.9, abs=0.1)
+    assert len(guide.observations()) == 5
+
+
+def test_the_scale_of_a_gyroscope_that_nobody_knows_is_told(make_path: Any) -> None:
+    units = SampleUnits(accelerometer="m/s^2", gyroscope="count")
+    _, events = run(faces_session(make_path).samples(0.01, scale=(1.0, 939.65), units=units))
+    (told,) = (event for event in of(events, Advice) if event.unit == "deg")
+    assert told.topic is Topic.SCALE
+    assert values_of(told.words)["count_deg_s"] == pytest.approx(np.degrees(1 / 939.65), rel=0.03)
+    assert told.measured < told.limit
+
+
+@pytest.mark.parametrize("units", [SampleUnits(), SampleUnits(accelerometer="count", gyroscope="count")], ids=["SI", "counts"])
+def test_sides_are_told_without_an_offset_as_soon_as_they_show_it(make_path: Any, units: SampleUnits) -> None:
+    offset = np.array([4.9, 4.9, -4.9])
+    first, again = scheme("corners24").directions(), scheme("corners24").directions()[:8]
+    path = make_path(50.0, lever_m=np.array([0.05, 0.02, -0.03])).hold(first[0], 6)
+    for up in (*first[1:], *again):
+        path.turn(up, 1.5).hold(up, 5)
+    samples = path.samples(0.01, units=units)
+    samples.accelerometer[:] += offset
+    guide, events = run(samples, "corners24")
+    (found,) = (event for event in of(events, Advice) if event.topic is Topic.OFFSET)
+    assert found.measured == pytest.approx(np.linalg.norm(offset), rel=0.02)
+    refused = of(events, Rejected)
+    assert RefusalCode.GRAVITY not in {event.reason for event in refused}
+    assert all(event.time_s <= found.time_s for event in refused if event.reason is RefusalCode.NOT_NEAR)
+    assert any(is_said_by(refusals.NOT_NEAR_BY_OFFSET, event) for event in refused)
+    # What was told with the offset in it is put right, or shown again: each has the name of the side that was up.
+    assert guide.done
+    for observation in guide.plan.accepted.values():
+        up = (observation.mean_raw - offset) / np.linalg.norm(observation.mean_raw - offset)
+        assert up @ observation.direction > 0.999
+    assert guide.check_axes().agrees
+    assert not guide.adviser.suspect_names
 
 
 def test_a_drifting_hold_is_refused_and_measured_again(make_path: Any) -> None:

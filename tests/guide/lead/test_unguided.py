@@ -10,10 +10,11 @@ import pytest
 from scipy.optimize import least_squares
 
 from imufield.errors import CalibrationError, Reason
+from imufield.guide.events import RefusalCode
 from imufield.guide.positions import scheme
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import SampleUnits, make_samples, no_samples
-from imufield.simulate.truth.grades import find_grade, perfect_instrument
+from imufield.simulate.truth.grades import draw_truth, find_grade, perfect_instrument
 from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.operator import Operator, OperatorSettings
 from imufield.simulate.truth.source import VirtualImu
@@ -124,6 +125,50 @@ def test_what_was_put_down_anew_is_another_observation(make_path: Any) -> None:
     assert len(find_still_intervals([samples]).observations) == 3
     later = replace(samples, time_s=samples.time_s + np.where(samples.time_s > 12.0, 1.5, 0.0))
     assert len(find_still_intervals([later]).observations) == 4
+
+
+@pytest.mark.parametrize("units", [SampleUnits(), SampleUnits(accelerometer="count", gyroscope="count")], ids=["SI", "counts"])
+@pytest.mark.parametrize("offset_g", [(0.0, 0.42, 0.49), (0.5, -0.5, 0.5)])
+def test_offsets_of_half_a_g_lose_no_hold(offset_g: Any, units: SampleUnits) -> None:
+    rng = np.random.default_rng(3)
+    truth = draw_truth(find_grade("mems"), rng)
+    truth = replace(truth, accelerometer=replace(truth.accelerometer, bias_m_s2=9.80665 * np.array(offset_g)))
+    operator = Operator(rng.standard_normal((40, 3)), 3, OperatorSettings(hold_s=4.0, initial_still_s=4.0, turn_s=(1.0, 1.5)))
+    samples = VirtualImu(Imu(truth, 3, ImuSettings(rate_hz=50.0)), operator).next_block(50 * 300)
+    found = find_still_intervals([replace(samples, units=units)])
+    assert found.refused == ()
+    starts = found.observations.start_s
+    # The stay before the first move is one more.
+    assert sum(any(still.start_s <= start < still.end_s for start in starts) for still in operator.stills) == 41
+    assert found.axes.agrees
+    assert found.axes.misfit_deg < 3
+    np.testing.assert_allclose(found.scale.raw_zero / 9.80665, offset_g, atol=0.06)
+
+
+@pytest.mark.parametrize("name", ["imu0", "imu2"])
+def test_an_offset_added_to_a_real_recording_changes_nothing_else(shared_folder: Any, name: str) -> None:
+    """N + c has the observations of N, moved by c."""
+    table = load(shared_folder / "data" / "mikoff" / f"{name}.log.gz")
+    offset = 9.80665 * np.array([0.1, 0.42, 0.49])
+
+    def find(added: Any) -> Any:
+        return find_still_intervals(
+            [make_samples(np.arange(len(table)) / 100, table[:, :3] + added, table[:, 3:], units=SampleUnits())]
+        )
+
+    without, found = find(0.0), find(offset)
+    assert found.refused == without.refused
+    np.testing.assert_allclose(found.observations.mean_raw - offset, without.observations.mean_raw, atol=1e-9)
+    assert found.axes.agrees
+
+
+def test_a_wrong_unit_is_no_offset(shared_folder: Any) -> None:
+    table = load(shared_folder / "data" / "mikoff" / "imu0.log.gz")
+    samples = make_samples(np.arange(len(table)) / 100, table[:, :3] / 9.80665, table[:, 3:], units=SampleUnits())
+    found = find_still_intervals([samples])
+    assert len(found.observations) == 0
+    assert {refusal.reason for _, refusal in found.refused} == {RefusalCode.GRAVITY}
+    assert all(refusal.measured == pytest.approx(1.0, abs=0.1) for _, refusal in found.refused)
 
 
 def test_observations_are_named_after_the_nearest_side(make_path: Any) -> None:

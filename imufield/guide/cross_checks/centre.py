@@ -1,0 +1,93 @@
+"""The centre of the stills: the accelerometer's offset as far as sides and norms need it, before anything is calibrated.
+
+Whatever side is up, a still output x lies at gravity's length from the output at no input c: norm(x - c) = r. This is the
+sphere in place of the ellipsoid of ``calibrate/accelerometer/start.py``: four unknowns in place of nine, so that five stills
+tell it with one to spare. Scales that differ by 3 % from axis to axis move the centre by 0.06 g at most where it is taken. An
+offset of 0.5 g, common in cheap parts, turns the apparent up by 30 degrees and makes norms of 0.5 to 1.5 g.
+
+Stills that are none (an elevator, a range that was changed) must not move the centre for the others, so the residuals have
+Cauchy's weights 1 / (1 + (residual / s)^2) [1]_, with s going from half of r, where the sum is nearly convex, to what unequal
+scales leave [2]_.
+
+References
+----------
+.. [1] P. W. Holland, R. E. Welsch, "Robust regression using iteratively reweighted least-squares", Commun. Stat. A6(9), 1977.
+.. [2] A. Blake, A. Zisserman, "Visual Reconstruction", 1987: graduated non-convexity.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from imufield.earth import STANDARD_GRAVITY_M_S2
+from imufield.guide.stillness.scale import RoughScale
+from imufield.samples import FloatArray
+
+_UNKNOWNS = 4
+FEWEST_STILLS = _UNKNOWNS + 1
+"""One to spare."""
+# s in each step, of gravity.
+_WIDTHS = np.maximum(0.05, 0.5 * 0.7 ** np.arange(20))
+_ON_SPHERE = 0.15  # Three times the last s.
+# Smallest singular value of the directions (unit length, beside a column of ones) with which the centre is taken: lengths
+# that are 3 % wrong move it by that over this value.
+_LEAST_SIGHT = 0.5
+# An offset of less stays in: it turns the apparent up by 6 degrees, which a side's tolerance allows for, and the running fit
+# finds it better.
+LEAST_OFFSET_M_S2 = 1.0
+
+
+def centred(scale: RoughScale, stills_raw: FloatArray) -> RoughScale:
+    """Return a scale that counts from the centre of the stills (m, 3), unchanged where they do not show it.
+
+    A scale that was learned from the first still, with the offset in it, is learned anew from the distance to the centre.
+    """
+    if scale.accelerometer is None or len(stills_raw) < FEWEST_STILLS:
+        return scale
+    x = stills_raw - scale.raw_zero
+    length = float(np.median(np.linalg.norm(x, axis=1)))
+    if not length > 0:
+        return scale
+    x = x / length
+    centre, radius = _fit_sphere(x)
+    on_sphere = np.abs(np.linalg.norm(x - centre, axis=1) - radius) < _ON_SPHERE
+    spare, off = int(on_sphere.sum()) - _UNKNOWNS, int((~on_sphere).sum())
+    # Four stills always lie on a sphere: those to spare must outnumber those that are not on it.
+    if spare <= off or _sight(x[on_sphere] - centre) < _LEAST_SIGHT:
+        return scale
+    offset = length * centre
+    if np.linalg.norm(offset) <= LEAST_OFFSET_M_S2 * scale.accelerometer:
+        return replace(scale, centred=True)
+    accelerometer = length * radius / STANDARD_GRAVITY_M_S2 if scale.learned else scale.accelerometer
+    return replace(scale, accelerometer=accelerometer, raw_zero=scale.raw_zero + offset, centred=True)
+
+
+def may_hide_offset(mean_raw: FloatArray, scale: RoughScale) -> bool:
+    """Whether a still mean (3,) may point elsewhere because of an offset: its length is not gravity's, or tells nothing."""
+    if scale.centred:
+        return False
+    return (
+        scale.learned or abs(float(np.linalg.norm(scale.specific_force(mean_raw))) - STANDARD_GRAVITY_M_S2) > LEAST_OFFSET_M_S2
+    )
+
+
+def _fit_sphere(x: FloatArray) -> tuple[FloatArray, float]:
+    """Return centre (3,) and radius of points (m, 3) of typical length 1: Gauss-Newton from the origin."""
+    found = np.array([0.0, 0.0, 0.0, 1.0])
+    for width in _WIDTHS:
+        arm = x - found[:3]
+        # A point at the centre itself has no direction, and no say.
+        distance = np.maximum(np.linalg.norm(arm, axis=1), 1e-9)
+        residual = distance - found[3]
+        weight = 1 / np.sqrt(1 + (residual / width) ** 2)
+        rows = np.column_stack([arm / distance[:, None], np.ones(len(x))])
+        found = found + np.linalg.lstsq(rows * weight[:, None], residual * weight, rcond=None)[0]
+    return found[:3], float(found[3])
+
+
+def _sight(arm: FloatArray) -> float:
+    """Return how well points (m, 3) about the centre show it: the smallest singular value of their directions and 1."""
+    rows = np.column_stack([arm / np.linalg.norm(arm, axis=1)[:, None], np.ones(len(arm))])
+    return float(np.linalg.svd(rows, compute_uv=False)[-1])

@@ -1,0 +1,107 @@
+"""Scales and units of both triads by the stills of a recording, whatever its units are said to be.
+
+Between two stills the gyroscope turns by as much as the accelerometer tilts. The ratio of both is the unit of the gyroscope (1
+in rad/s, 57.3 in deg/s) and shows its common scale; the length of the stills about their centre is the unit of the
+accelerometer. Neither depends on how fast a hand moves, or on an offset.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
+
+from imufield.acquire.protocol.units import nominal_scale
+from imufield.errors import CalibrationError
+from imufield.guide.lead.unguided import StillIntervalFinder
+from imufield.guide.stillness.scale import RoughScale
+from imufield.samples import FloatArray, Samples
+from imufield.sentences import Sentence, Sentences
+
+sentence = Sentences(__package__)
+
+# Of a logarithm: a scale learned from one still has up to 0.1 of offset in it, and units differ by a factor of 10.
+_SAME_FACTOR = 0.2
+_MOST_SAMPLES = 1 << 18  # Two minutes at 2000 Hz: the stills of more would tell the same.
+
+
+@dataclass(frozen=True, slots=True)
+class _Kind:
+    """Units of a triad that a scale can tell (those of increments have the interval in them), and the keys of sentences."""
+
+    units: tuple[str, str]
+    taken: str
+    taken_as_count: str
+    contradicted: str
+
+
+_KINDS = {
+    "accelerometer": _Kind(
+        ("m/s^2", "g"),
+        "still_scales.accelerometer",
+        "still_scales.accelerometer_count",
+        "still_scales.other_accelerometer",
+    ),
+    "gyroscope": _Kind(
+        ("rad/s", "deg/s"), "still_scales.gyroscope", "still_scales.gyroscope_count", "still_scales.other_gyroscope"
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class StillScales:
+    """What of the numbers is 1 m/s^2 and 1 rad/s, by triad, where the stills show it, and how many there were."""
+
+    scales: dict[str, float]
+    stills: int
+
+    def choose(self, stated: Mapping[str, str], assumed: Collection[str]) -> tuple[dict[str, str], dict[str, Sentence]]:
+        """Return units in place of those assumed, and by triad what is to be said, also of stated ones that are wrong."""
+        units: dict[str, str] = {}
+        said: dict[str, Sentence] = {}
+        for triad, scale in self.scales.items():
+            kind = _KINDS[triad]
+            unit = next((unit for unit in kind.units if abs(math.log(_ratio(scale, unit))) < _SAME_FACTOR), "count")
+            if triad in assumed:
+                units[triad] = unit
+                key = kind.taken if unit in kind.units else kind.taken_as_count
+                count = {"count": 1 / scale, "count_deg": math.degrees(1 / scale)}
+                said[triad] = sentence(key, unit=unit, stills=self.stills, ratio=_ratio(scale, unit), **count)
+            elif stated[triad] in kind.units and unit != stated[triad]:
+                said[triad] = sentence(kind.contradicted, stated=stated[triad], ratio=_ratio(scale, stated[triad]))
+        return units, said
+
+
+def _ratio(scale: float, unit: str) -> float:
+    return scale / (nominal_scale(unit) or 1.0)
+
+
+def find_scales(blocks: Iterable[Samples], raw_zero: FloatArray) -> StillScales:
+    """Return the scales that the stills of a recording show; all blocks are taken, and the first of them used.
+
+    Parameters
+    ----------
+    blocks : iterable of Samples
+    raw_zero : ndarray, shape (3,)
+        Accelerometer mid-scale.
+    """
+    finder: StillIntervalFinder | None = None
+    count = 0
+    for block in blocks:
+        # Nothing is known of the scales: that is what is asked.
+        finder = finder or StillIntervalFinder(block.units, RoughScale(raw_zero=raw_zero))
+        if count < _MOST_SAMPLES:
+            finder.feed(block)
+        count += len(block)
+    try:
+        found = None if finder is None else finder.finish()
+    except CalibrationError:
+        found = None
+    if found is None:
+        return StillScales({}, 0)
+    scales = {}
+    if found.scale.centred and found.scale.accelerometer:
+        scales["accelerometer"] = found.scale.accelerometer
+    if found.axes.fits:
+        scales["gyroscope"] = found.axes.gyroscope_scale
+    return StillScales(scales, len(found.observations))

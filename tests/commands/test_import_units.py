@@ -1,0 +1,146 @@
+"""Units that nobody stated, by the stills of a table or a dump: what ``import`` takes, says, and is solved to."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imufield.acquire.recording.session import Session
+from imufield.commands.import_files import import_session
+from imufield.commands.options.commands import ImportOptions
+from imufield.pipeline.calibration import SolveSettings
+from imufield.pipeline.site import SiteOptions
+from imufield.pipeline.solving import solve_session
+from imufield.pipeline.table_samples import table_samples
+from imufield.samples import FloatArray
+from imufield.simulate.truth.grades import TrueInstrument, draw_truth, find_grade
+from imufield.simulate.truth.imu import Imu, ImuSettings
+from imufield.simulate.truth.operator import Operator, OperatorSettings
+from imufield.simulate.truth.source import VirtualImu
+from tests.commands.told import missing
+from tests.told import key_of
+
+G = 9.80665
+RATE_HZ = 50.0
+OFFSET_G = (0.3, -0.42, 0.49)
+
+
+def truth() -> TrueInstrument:
+    """Return a MEMS instrument with a large offset."""
+    drawn = draw_truth(find_grade("mems"), np.random.default_rng(7))
+    return replace(drawn, accelerometer=replace(drawn.accelerometer, bias_m_s2=G * np.array(OFFSET_G)))
+
+
+@cache
+def recorded() -> tuple[FloatArray, Operator]:
+    """Return time, accelerometer in m/s^2 and gyroscope in rad/s, and the person, who turns no faster than 50 deg/s."""
+    habits = OperatorSettings(hold_s=4.0, initial_still_s=5.0, turn_s=(2.0, 3.0), peak_rate_rad_s=np.radians(50))
+    ups = np.random.default_rng(7).standard_normal((16, 3))
+    person = Operator(ups, 7, habits)
+    samples = VirtualImu(Imu(truth(), 7, ImuSettings(rate_hz=RATE_HZ)), person).next_block(int(130 * RATE_HZ))
+    return np.column_stack([samples.time_s, samples.accelerometer, samples.gyroscope]), person
+
+
+def table(
+    folder: Path, accelerometer: float = 1.0, gyroscope: float = 1.0, *, header: str = "", count: int | None = None
+) -> Path:
+    path = folder / "table.csv"
+    scale = np.repeat([1.0, accelerometer, gyroscope], [1, 3, 3])
+    np.savetxt(path, recorded()[0] * scale, delimiter=",", fmt="%.9g", header=header, comments="")
+    return path
+
+
+def imported(path: Path, **settings: str) -> tuple[Session, list[str]]:
+    session, said = import_session(ImportOptions(files=[path], output=path.parent / "session", settings=settings))
+    return session, [key_of(one) for one in said]
+
+
+@pytest.mark.parametrize(
+    ("accelerometer", "gyroscope", "units"),
+    [
+        pytest.param(1.0, 1.0, ("m/s^2", "rad/s"), id="SI"),
+        # Its norms, of 0.3 to 1.7 g, are neither m/s^2 nor g, and its rates are those of a fast hand in rad/s.
+        pytest.param(1 / G, np.degrees(1.0), ("g", "deg/s"), id="g and deg/s"),
+        pytest.param(1.0, np.degrees(1.0) / 8, ("m/s^2", "count"), id="a range that is set wrong"),
+        pytest.param(1000.0, 938.7, ("count", "count"), id="raw numbers"),
+    ],
+)
+def test_units_that_nobody_stated(tmp_path: Path, accelerometer: float, gyroscope: float, units: tuple[str, str]) -> None:
+    session, said = imported(table(tmp_path, accelerometer, gyroscope))
+    chosen = tuple(session.record.setting_values[f"{triad}_unit"] for triad in ("accelerometer", "gyroscope"))
+    assert chosen == units
+    for triad, unit in zip(("accelerometer", "gyroscope"), units, strict=True):
+        assert f"still_scales.{triad}" + ("_count" if unit == "count" else "") in said
+    assert not [key for key in said if key.startswith("table_columns.") and "_by_" in key]
+    blocks = list(table_samples(tmp_path / "table.csv"))
+    assert blocks[0].units.gyroscope == ("count" if units[1] == "count" else "rad/s")
+    solved = solve_session(session, SolveSettings(), SiteOptions(gravity_m_s2=G)).calibration
+    nominal = {"m/s^2": accelerometer, "g": accelerometer * G, "count": accelerometer}[units[0]]
+    assert np.abs(solved.accelerometer.bias_m_s2 / G - OFFSET_G).max() < 2e-3
+    assert np.abs(solved.accelerometer.scale / nominal / truth().accelerometer.scale - 1).max() < 2e-3
+    assert solved.gyroscope is not None
+    nominal = gyroscope if units[1] == "count" else 1.0
+    assert np.abs(solved.gyroscope.parameters.scale / nominal / truth().gyroscope.scale - 1).max() < 5e-3
+
+
+def test_the_common_scale_is_said(tmp_path: Path) -> None:
+    _, said = import_session(ImportOptions(files=[table(tmp_path, gyroscope=1.07)], output=tmp_path / "session"))
+    (words,) = (one for one in said if key_of(one) == "still_scales.gyroscope")
+    assert words.values["ratio"] == pytest.approx(1.07, rel=0.02)  # type: ignore[attr-defined]
+
+
+def test_a_stated_unit_that_the_stills_contradict_is_kept_and_told(tmp_path: Path) -> None:
+    header = "time_s,ax (m/s^2),ay (m/s^2),az (m/s^2),gx (rad/s),gy (rad/s),gz (rad/s)"
+    session, said = imported(table(tmp_path, 1 / G, np.degrees(1.0), header=header))
+    assert session.record.setting_values["gyroscope_unit"] == "rad/s"
+    assert said == ["still_scales.other_accelerometer", "still_scales.other_gyroscope"]
+
+
+def test_a_stated_unit_that_is_right_needs_no_word(tmp_path: Path) -> None:
+    _, said = imported(table(tmp_path, 1 / G), accelerometer_unit="g", gyroscope_unit="rad/s")
+    assert not [key for key in said if key.startswith("still_scales.")]
+
+
+@pytest.mark.parametrize(("fastest", "unit"), [(51.83, "deg/s"), (5.2, "rad/s")])
+def test_without_stills_to_decide_by_a_size_is_said_in_deg_s(tmp_path: Path, fastest: float, unit: str) -> None:
+    """51.83 rad/s would be 2970 deg/s."""
+    time = np.arange(2000) / 100
+    rate = fastest * 1.001 * np.sin(2 * np.pi * time[:, None] * [0.5, 0.7, 1.1])
+    force = np.random.default_rng(0).normal([0, 0, G], 0.5, (2000, 3))
+    path = tmp_path / "moving.csv"
+    np.savetxt(path, np.column_stack([time, force, rate]), delimiter=",")
+    session, said = import_session(ImportOptions(files=[path], output=tmp_path / "session"))
+    assert session.record.setting_values["gyroscope_unit"] == unit
+    (words,) = (one for one in said if key_of(one) in ("table_columns.deg_by_fastest", "table_columns.rad_by_fastest"))
+    assert words.values["found_deg"] == pytest.approx(np.degrees(fastest), rel=0.01)  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("setting", "unit", "key"),
+    [({}, "deg/s", "still_scales.gyroscope"), ({"gyroscope_unit": "rad/s"}, "rad/s", "still_scales.other_gyroscope")],
+    ids=["assumed", "stated"],
+)
+def test_lines_of_an_unknown_logger(tmp_path: Path, setting: dict[str, str], unit: str, key: str) -> None:
+    path = table(tmp_path, gyroscope=np.degrees(1.0))
+    options = ImportOptions(files=[path], driver="text", output=tmp_path / "session", settings=setting)
+    session, said = import_session(options)
+    assert session.record.setting_values["gyroscope_unit"] == unit
+    assert key in map(key_of, said)
+
+
+def test_what_was_refused_stands_in_the_verdict(tmp_path: Path) -> None:
+    """One still of twice its length, which no offset explains."""
+    path, values = tmp_path / "table.csv", recorded()[0].copy()
+    still = recorded()[1].stills[5]
+    values[(values[:, 0] > still.start_s - 1) & (values[:, 0] < still.end_s + 1), 1:4] *= 2.0
+    np.savetxt(path, values, delimiter=",", fmt="%.9g")
+    session, _ = imported(path)
+    solved = solve_session(session, SolveSettings(), SiteOptions(gravity_m_s2=G))
+    (told,) = (reason for reason in solved.calibration.quality.reasons if "2.45 m/s^2" in reason)
+    assert not missing(told, "1 still interval")
+    assert still.start_s < float(re.findall(r"at ([\d.]+) s", told)[0]) < still.end_s
