@@ -147,6 +147,9 @@ def choose_gravity(
         value, sigma, source = gravity_m_s2, sigma_of_digits(repr(float(gravity_m_s2))), "typed"
         if value in _TEXTBOOK_GRAVITIES_M_S2 and latitude_deg is None and sigma_m_s2 is None:
             sigma, source = ASSUMED_GRAVITY_SIGMA_M_S2, "assumed"
+        elif value in _TEXTBOOK_GRAVITIES_M_S2:
+            # Its digits are no measurement: where the place does not contradict it, it is as good as what the place says.
+            sigma = max(sigma, NORMAL_GRAVITY_SIGMA_M_S2)
     elif latitude_deg is not None:
         height_m = height_m or 0.0
         value, sigma, source = normal_gravity(latitude_deg, height_m), NORMAL_GRAVITY_SIGMA_M_S2, "normal"

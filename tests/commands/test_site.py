@@ -14,6 +14,7 @@ from imufield.acquire.recording.session_record import SiteRecord
 from imufield.cli.run import run
 from imufield.commands.options.commands import VerifyOptions
 from imufield.commands.verify import _Task
+from imufield.earth import choose_gravity
 from imufield.errors import Reason
 from imufield.pipeline.site import SiteOptions
 from tests.commands.told import fails, missing
@@ -90,6 +91,12 @@ def test_a_value_that_is_not_that_of_the_place_is_said_with_both(session: Path) 
     assert document["quality"]["verdict"] != "good"
     document = solved(session, "--gravity", "9.808", "--latitude", "48", "--height", "300")
     assert "WGS-84" not in reasons(document)
+
+
+def test_a_value_of_textbooks_is_no_better_than_its_place() -> None:
+    assert choose_gravity(9.80665, 45.5, 0.0).sigma_m_s2 == 5e-4
+    assert choose_gravity(9.80665, 45.5, 0.0).source == "typed"
+    assert choose_gravity(9.80665, 45.5, 0.0, sigma_m_s2=1e-5).sigma_m_s2 == 1e-5
 
 
 def test_a_typed_value_leaves_the_session_its_place() -> None:
