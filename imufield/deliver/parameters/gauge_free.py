@@ -7,15 +7,17 @@ with the joint covariance C and J by central differences; it is smooth and nearl
 
 The numbers of one calibration hang together: for a known gravity their covariance is ``J (C - c c^T / C_gg) J^T``, with c the
 column of gravity in C. Much of that is the same in every session of an instrument, so that it is no reason for two of them to
-differ: what a term that was not fitted may hide, a prior. What differs is the covariance of the fit alone, ``(A^T W A)^-1``
-with A the Jacobian of the norms and W their weights; it is rebuilt from the positions.
+differ: what a term that was not fitted may hide, a prior. What differs is the covariance of the fit alone, rebuilt from the
+positions: ``(r^T W r / n) (A^T W A)^-1`` with A the Jacobian of the norms, W their weights, r the residuals and n their degrees
+of freedom. Scaled by its own residuals it is Student's with n; a sigma that may not fall below the noise of a hold would be
+right on the average only.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -64,6 +66,8 @@ class Number:
     """Part of sigma that comes from gravity."""
     freedom: float = math.inf
     """Degrees of freedom of sigma; 0 where nothing was to spare to find it from."""
+    scatter_freedom: float = math.inf
+    """Those of the part that another session draws anew."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +114,10 @@ def gauge_free(calibration: Calibration, mean_raw: FloatArray, sigma_raw: FloatA
     scatter = error.copy()
     fitted = _fit_covariance(calibration, mean_raw, sigma_raw)
     if fitted is not None:
+        freedom = float(calibration.quality.degrees_of_freedom)
+        numbers = tuple(
+            number if number.name.startswith("g") else replace(number, scatter_freedom=freedom) for number in numbers
+        )
         # A part is no larger than the whole: correlations between the axes of a mean are not in the file.
         size = np.sqrt(np.minimum(np.diag(error)[:_GYROSCOPE] / np.maximum(np.diag(fitted), _TINY), 1.0))
         scatter[:_GYROSCOPE, :_GYROSCOPE] = fitted * np.outer(size, size)
@@ -151,7 +159,8 @@ def _fit_covariance(calibration: Calibration, mean_raw: FloatArray, sigma_raw: F
     over = [*range(3, 6), *range(9, 12)]
     J[over] = (J[over] - own[over, None] * np.tile(J[:3] / K[:, None], (2, 1))) / np.tile(K, 2)[:, None]
     J = J[:, columns] * size
-    return np.asarray(J @ np.linalg.inv(A.T @ A) @ J.T)
+    birge = float(np.sum(calibration.positions.residual_m_s2**2 / variance)) / quality.degrees_of_freedom
+    return np.asarray(birge * J @ np.linalg.inv(A.T @ A) @ J.T)
 
 
 def _numbers_of(calibration: Calibration, values: FloatArray, J: FloatArray) -> tuple[Number, ...]:
@@ -207,6 +216,7 @@ def _numbers(
                 sigma=float(sigma),
                 common=min(float(part), float(sigma)),
                 freedom=freedom,
+                scatter_freedom=freedom,
             )
 
 
