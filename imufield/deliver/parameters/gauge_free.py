@@ -81,19 +81,8 @@ class GaugeFree:
     """The part of it that another session with the same positions and model draws anew, shape (n, n)."""
 
 
-def numbers_of(calibration: Calibration) -> tuple[Number, ...]:
-    """Return the gauge-free numbers of a calibration, those that were estimated.
-
-    Raises
-    ------
-    CalibrationError
-        If there is a gyroscope, and the accelerometer's axes are left-handed or nearly in one plane.
-    """
-    return _numbers_of(calibration, _values(calibration), _jacobian(calibration))
-
-
 def gauge_free(calibration: Calibration, mean_raw: FloatArray, sigma_raw: FloatArray) -> GaugeFree:
-    """Return the gauge-free numbers of a calibration and how their errors hang together; raises as ``numbers_of``.
+    """Return the gauge-free numbers of a calibration, those that were estimated, and how their errors hang together.
 
     Parameters
     ----------
@@ -102,10 +91,16 @@ def gauge_free(calibration: Calibration, mean_raw: FloatArray, sigma_raw: FloatA
         Of the positions it came from.
     sigma_raw : ndarray, shape (m, 3)
         1 sigma of these means, NaN where it is not known.
+
+    Raises
+    ------
+    CalibrationError
+        If the accelerometer's axes are left-handed or nearly in one plane.
     """
     names, C = calibration.covariance_names, calibration.covariance
     values, J = _values(calibration), _jacobian(calibration)
-    numbers = _numbers_of(calibration, values, J)
+    sigma = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", J, C, J), 0.0))
+    numbers = (*_accelerometer(calibration), *_gyroscope(calibration, values[_GYROSCOPE:], sigma[_GYROSCOPE:]))
     known = C
     if GRAVITY_NAME in names and C[names.index(GRAVITY_NAME), names.index(GRAVITY_NAME)] > 0:
         of_gravity = C[names.index(GRAVITY_NAME)]
@@ -146,8 +141,9 @@ def _fit_covariance(calibration: Calibration, mean_raw: FloatArray, sigma_raw: F
         if ACCELEROMETER_NAMES[k] not in calibration.unobservable and (k < QUADRATIC.start or calibration.quadratic_fitted)
     ]
     quality = calibration.quality
-    derivatives = norm_derivatives(vector, mean_raw - used.raw_zero, used.quadratic_axes)
-    within = np.sum((derivatives.raw_gradient * np.nan_to_num(sigma_raw)) ** 2, axis=1)
+    rows = calibration.positions.used
+    derivatives = norm_derivatives(vector, mean_raw[rows] - used.raw_zero, used.quadratic_axes)
+    within = np.sum((derivatives.raw_gradient * np.nan_to_num(sigma_raw[rows])) ** 2, axis=1)
     variance = within + quality.between_position_sigma_m_s2**2
     if len(columns) != quality.parameters_fitted or quality.degrees_of_freedom < 1 or not np.all(variance > 0):
         return None
@@ -159,13 +155,8 @@ def _fit_covariance(calibration: Calibration, mean_raw: FloatArray, sigma_raw: F
     over = [*range(3, 6), *range(9, 12)]
     J[over] = (J[over] - own[over, None] * np.tile(J[:3] / K[:, None], (2, 1))) / np.tile(K, 2)[:, None]
     J = J[:, columns] * size
-    birge = float(np.sum(calibration.positions.residual_m_s2**2 / variance)) / quality.degrees_of_freedom
+    birge = float(np.sum(calibration.positions.residual_m_s2[rows] ** 2 / variance)) / quality.degrees_of_freedom
     return np.asarray(birge * J @ np.linalg.inv(A.T @ A) @ J.T)
-
-
-def _numbers_of(calibration: Calibration, values: FloatArray, J: FloatArray) -> tuple[Number, ...]:
-    sigma = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", J, calibration.covariance, J), 0.0))
-    return (*_accelerometer(calibration), *_gyroscope(calibration, values[_GYROSCOPE:], sigma[_GYROSCOPE:]))
 
 
 def _accelerometer(calibration: Calibration) -> Iterator[Number]:

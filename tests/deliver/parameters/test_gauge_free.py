@@ -15,7 +15,7 @@ from imufield.calibrate.model.models import from_vector, to_vector
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, Calibration, GyroscopeCalibration, GyroscopeParameters
 from imufield.deliver.navigation.uncertain import draw_parameters
-from imufield.deliver.parameters.gauge_free import _NAMES, _values, gauge_free, numbers_of
+from imufield.deliver.parameters.gauge_free import _NAMES, Number, _values, gauge_free
 from imufield.earth import STANDARD_GRAVITY_M_S2, choose_gravity
 from imufield.errors import CalibrationError, Reason
 from imufield.simulate.truth.grades import TACTICAL, perfect_instrument
@@ -53,6 +53,12 @@ def turned(calibration: Calibration, gauge: str) -> Calibration:
     rotation = change_gauge(to_vector(calibration.accelerometer), gauge).rotation  # type: ignore[arg-type]
     other = with_gyroscope(calibration, turn_gyroscope(calibration.gyroscope.parameters, rotation))
     return replace(other, accelerometer=turn_accelerometer(calibration.accelerometer, rotation))
+
+
+def numbers_of(calibration: Calibration) -> tuple[Number, ...]:
+    """Return the numbers alone, which do not depend on the positions."""
+    nothing = np.full((len(calibration.positions.used), 3), np.nan)
+    return gauge_free(calibration, nothing, nothing).numbers
 
 
 def gyroscope_of(calibration: Calibration) -> np.ndarray:
