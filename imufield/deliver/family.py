@@ -26,7 +26,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imufield.deliver.parameters.gauge_free import GaugeFree
+from imufield.deliver.parameters.gauge_free import GaugeFree, Number
 from imufield.samples import FloatArray
 
 FAMILY_CHANCE = 0.05
@@ -127,7 +127,7 @@ def compare(old: GaugeFree, new: GaugeFree, shared: Shared) -> tuple[Change, ...
 def family_of(old: GaugeFree, new: GaugeFree, shared: Shared) -> Family:
     """Test whether two calibrations differ."""
     # Without a residual to spare nothing tells how sure sigma is.
-    open_ended = {number.name for side in (old, new) for number in side.numbers if not number.freedom > 0}
+    open_ended = {number.name for side in (old, new) for number in side.numbers if not _freedom(number, shared) > 0}
     changes = tuple(change for change in compare(old, new, shared) if change.sigma > 0 and change.name not in open_ended)
     if not changes:
         return Family((), math.inf)
@@ -142,6 +142,10 @@ def _own(side: GaugeFree, shared: Shared) -> FloatArray:
     return side.scatter if shared.setup else side.error
 
 
+def _freedom(number: Number, shared: Shared) -> float:
+    return number.scatter_freedom if shared.setup else number.freedom
+
+
 def _drawn(side: GaugeFree, names: Sequence[str], rng: np.random.Generator, shared: Shared) -> tuple[FloatArray, FloatArray]:
     """Return errors and estimated variances of a calibration, shape (draws, n) each."""
     places = {number.name: k for k, number in enumerate(side.numbers)}
@@ -154,7 +158,7 @@ def _drawn(side: GaugeFree, names: Sequence[str], rng: np.random.Generator, shar
     root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
     error = rng.standard_normal((_DRAWS, len(names))) @ root * own
     variance = np.empty_like(error)
-    freedom = np.array([number.freedom for number in numbers])
+    freedom = np.array([_freedom(number, shared) for number in numbers])
     for n in np.unique(freedom):
         share = rng.chisquare(n, _DRAWS) / n if math.isfinite(n) else np.ones(_DRAWS)
         variance[:, freedom == n] = share[:, None] * own[freedom == n] ** 2

@@ -174,6 +174,7 @@ def table_3(context: StudyContext) -> Findings:
             "fresh": len(fresh),
             "better": sum(row["RMSE"] < row["paper RMSE"] for row in seen),
             "narrow": sum(row["SD"] < row["RMSE"] / 2 for row in seen),
+            "narrow_paper": sum(row["paper SD"] < row["paper RMSE"] / 2 for row in seen),
             "seen": len(seen),
             "pairs": np.array(pairs),
             "paired": max(pairs) < -_PAIRED,

@@ -19,7 +19,15 @@ pytestmark = pytest.mark.numerical
 def side(values: FloatArray, covariance: FloatArray, freedom: float = math.inf, common: float = 0.0) -> GaugeFree:
     sigma = np.sqrt(np.diag(covariance) + common**2)
     numbers = tuple(
-        Number(name=f"scale {k}", unit="", value=float(value), sigma=float(one), common=common, freedom=freedom)
+        Number(
+            name=f"scale {k}",
+            unit="",
+            value=float(value),
+            sigma=float(one),
+            common=common,
+            freedom=freedom,
+            scatter_freedom=freedom,
+        )
         for k, (value, one) in enumerate(zip(values, sigma, strict=True))
     )
     return GaugeFree(numbers, covariance, covariance)

@@ -7,15 +7,17 @@ with the joint covariance C and J by central differences; it is smooth and nearl
 
 The numbers of one calibration hang together: for a known gravity their covariance is ``J (C - c c^T / C_gg) J^T``, with c the
 column of gravity in C. Much of that is the same in every session of an instrument, so that it is no reason for two of them to
-differ: what a term that was not fitted may hide, a prior. What differs is the covariance of the fit alone, ``(A^T W A)^-1``
-with A the Jacobian of the norms and W their weights; it is rebuilt from the positions.
+differ: what a term that was not fitted may hide, a prior. What differs is the covariance of the fit alone, rebuilt from the
+positions: ``(r^T W r / n) (A^T W A)^-1`` with A the Jacobian of the norms, W their weights, r the residuals and n their degrees
+of freedom. Scaled by its own residuals it is Student's with n; a sigma that may not fall below the noise of a hold would be
+right on the average only.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -64,6 +66,8 @@ class Number:
     """Part of sigma that comes from gravity."""
     freedom: float = math.inf
     """Degrees of freedom of sigma; 0 where nothing was to spare to find it from."""
+    scatter_freedom: float = math.inf
+    """Those of the part that another session draws anew."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,19 +81,8 @@ class GaugeFree:
     """The part of it that another session with the same positions and model draws anew, shape (n, n)."""
 
 
-def numbers_of(calibration: Calibration) -> tuple[Number, ...]:
-    """Return the gauge-free numbers of a calibration, those that were estimated.
-
-    Raises
-    ------
-    CalibrationError
-        If there is a gyroscope, and the accelerometer's axes are left-handed or nearly in one plane.
-    """
-    return _numbers_of(calibration, _values(calibration), _jacobian(calibration))
-
-
 def gauge_free(calibration: Calibration, mean_raw: FloatArray, sigma_raw: FloatArray) -> GaugeFree:
-    """Return the gauge-free numbers of a calibration and how their errors hang together; raises as ``numbers_of``.
+    """Return the gauge-free numbers of a calibration, those that were estimated, and how their errors hang together.
 
     Parameters
     ----------
@@ -98,10 +91,16 @@ def gauge_free(calibration: Calibration, mean_raw: FloatArray, sigma_raw: FloatA
         Of the positions it came from.
     sigma_raw : ndarray, shape (m, 3)
         1 sigma of these means, NaN where it is not known.
+
+    Raises
+    ------
+    CalibrationError
+        If the accelerometer's axes are left-handed or nearly in one plane.
     """
     names, C = calibration.covariance_names, calibration.covariance
     values, J = _values(calibration), _jacobian(calibration)
-    numbers = _numbers_of(calibration, values, J)
+    sigma = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", J, C, J), 0.0))
+    numbers = (*_accelerometer(calibration), *_gyroscope(calibration, values[_GYROSCOPE:], sigma[_GYROSCOPE:]))
     known = C
     if GRAVITY_NAME in names and C[names.index(GRAVITY_NAME), names.index(GRAVITY_NAME)] > 0:
         of_gravity = C[names.index(GRAVITY_NAME)]
@@ -110,6 +109,10 @@ def gauge_free(calibration: Calibration, mean_raw: FloatArray, sigma_raw: FloatA
     scatter = error.copy()
     fitted = _fit_covariance(calibration, mean_raw, sigma_raw)
     if fitted is not None:
+        freedom = float(calibration.quality.degrees_of_freedom)
+        numbers = tuple(
+            number if number.name.startswith("g") else replace(number, scatter_freedom=freedom) for number in numbers
+        )
         # A part is no larger than the whole: correlations between the axes of a mean are not in the file.
         size = np.sqrt(np.minimum(np.diag(error)[:_GYROSCOPE] / np.maximum(np.diag(fitted), _TINY), 1.0))
         scatter[:_GYROSCOPE, :_GYROSCOPE] = fitted * np.outer(size, size)
@@ -138,8 +141,9 @@ def _fit_covariance(calibration: Calibration, mean_raw: FloatArray, sigma_raw: F
         if ACCELEROMETER_NAMES[k] not in calibration.unobservable and (k < QUADRATIC.start or calibration.quadratic_fitted)
     ]
     quality = calibration.quality
-    derivatives = norm_derivatives(vector, mean_raw - used.raw_zero, used.quadratic_axes)
-    within = np.sum((derivatives.raw_gradient * np.nan_to_num(sigma_raw)) ** 2, axis=1)
+    rows = calibration.positions.used
+    derivatives = norm_derivatives(vector, mean_raw[rows] - used.raw_zero, used.quadratic_axes)
+    within = np.sum((derivatives.raw_gradient * np.nan_to_num(sigma_raw[rows])) ** 2, axis=1)
     variance = within + quality.between_position_sigma_m_s2**2
     if len(columns) != quality.parameters_fitted or quality.degrees_of_freedom < 1 or not np.all(variance > 0):
         return None
@@ -151,12 +155,8 @@ def _fit_covariance(calibration: Calibration, mean_raw: FloatArray, sigma_raw: F
     over = [*range(3, 6), *range(9, 12)]
     J[over] = (J[over] - own[over, None] * np.tile(J[:3] / K[:, None], (2, 1))) / np.tile(K, 2)[:, None]
     J = J[:, columns] * size
-    return np.asarray(J @ np.linalg.inv(A.T @ A) @ J.T)
-
-
-def _numbers_of(calibration: Calibration, values: FloatArray, J: FloatArray) -> tuple[Number, ...]:
-    sigma = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", J, calibration.covariance, J), 0.0))
-    return (*_accelerometer(calibration), *_gyroscope(calibration, values[_GYROSCOPE:], sigma[_GYROSCOPE:]))
+    birge = float(np.sum(calibration.positions.residual_m_s2[rows] ** 2 / variance)) / quality.degrees_of_freedom
+    return np.asarray(birge * J @ np.linalg.inv(A.T @ A) @ J.T)
 
 
 def _accelerometer(calibration: Calibration) -> Iterator[Number]:
@@ -207,6 +207,7 @@ def _numbers(
                 sigma=float(sigma),
                 common=min(float(part), float(sigma)),
                 freedom=freedom,
+                scatter_freedom=freedom,
             )
 
 

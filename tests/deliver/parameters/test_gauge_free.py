@@ -15,7 +15,7 @@ from imufield.calibrate.model.models import from_vector, to_vector
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, Calibration, GyroscopeCalibration, GyroscopeParameters
 from imufield.deliver.navigation.uncertain import draw_parameters
-from imufield.deliver.parameters.gauge_free import _NAMES, _values, gauge_free, numbers_of
+from imufield.deliver.parameters.gauge_free import _NAMES, Number, _values, gauge_free
 from imufield.earth import STANDARD_GRAVITY_M_S2, choose_gravity
 from imufield.errors import CalibrationError, Reason
 from imufield.simulate.truth.grades import TACTICAL, perfect_instrument
@@ -53,6 +53,12 @@ def turned(calibration: Calibration, gauge: str) -> Calibration:
     rotation = change_gauge(to_vector(calibration.accelerometer), gauge).rotation  # type: ignore[arg-type]
     other = with_gyroscope(calibration, turn_gyroscope(calibration.gyroscope.parameters, rotation))
     return replace(other, accelerometer=turn_accelerometer(calibration.accelerometer, rotation))
+
+
+def numbers_of(calibration: Calibration) -> tuple[Number, ...]:
+    """Return the numbers alone, which do not depend on the positions."""
+    nothing = np.full((len(calibration.positions.used), 3), np.nan)
+    return gauge_free(calibration, nothing, nothing).numbers
 
 
 def gyroscope_of(calibration: Calibration) -> np.ndarray:
@@ -103,7 +109,12 @@ def test_what_differs_between_sessions_is_the_fit_alone() -> None:
     by_name = {number.name: k for k, number in enumerate(numbers.numbers)}
     # By another route, in whitened coordinates from a start of its own: scale, K b, angle, K2 (raw).
     again = restart(observations, found).gauge_free_sigma()
-    scatter = np.sqrt(np.diag(numbers.scatter))
+    # That has the weights; what the residuals say of them is a factor, as degrees of freedom tell.
+    tau, within = found.quality.between_position_sigma_m_s2, sigma_raw[0, 0] / truth.accelerometer.scale[0]
+    freedom = len(observations) - 9
+    birge = np.sum(found.positions.residual_m_s2**2) / (within**2 + tau**2) / freedom
+    assert numbers.numbers[0].scatter_freedom == freedom
+    scatter = np.sqrt(np.diag(numbers.scatter) / birge)
     for name, expected in (("scale x", again[0]), ("bias y", again[4] / 9.80665e-3), ("angle yz", again[8] * 1e3)):
         assert scatter[by_name[name]] == pytest.approx(expected, rel=1e-3)
     # A quadratic term that was left out may hide in the bias, in every session alike.
