@@ -67,7 +67,7 @@ def make_parameters(quadratic: FloatArray, g_sensitivity: FloatArray) -> Paramet
         covariance_names=(),
         covariance=np.zeros((0, 0)),
         gravity=Gravity(gravity_m_s2=9.81, sigma_m_s2=1e-4, source="typed"),
-        positions=PositionResult(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.bool_)),
+        positions=PositionResult(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.bool_), np.zeros((0, 3))),
         solver=SolverSummary(method="least squares", status=1, message="", cost=0.0, evaluations=1),
         quality=Quality(
             residual_rms_m_s2=0.0,

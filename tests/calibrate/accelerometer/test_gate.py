@@ -79,11 +79,12 @@ def test_parts_are_fits_of_their_own(warm_up_ug: float) -> None:
     without = origin.copy()
     without[QUADRATIC] = 0.0
     linear_columns = column_basis(without, LOWER_GAUGE_COLUMNS[:9], GRAVITY_M_S2)
-    for terms, own in {
+    fits: dict[Terms, Fit] = {
         NO_TERM: fit(data, without, linear_columns),
         frozenset({"drift"}): fit(data, without, linear_columns, columns),
         frozenset({"quadratic"}): fit(data, origin, column_basis(origin, LOWER_GAUGE_COLUMNS, GRAVITY_M_S2)),
-    }.items():
+    }
+    for terms, own in fits.items():
         part = gate._parts[terms]
         # All weigh nearly the same here, so weights of their own change nothing that matters.
         assert (fitted.vector + part.change)[:6] == pytest.approx(own.vector[:6], rel=2e-4, abs=2e-5)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from calibration_truth import faces
 from drifting_sessions import GRAVITY_M_S2, Session, proposed
+from numpy.typing import NDArray
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
 from imufield.calibrate.model.gauge import intrinsic
@@ -69,7 +70,7 @@ def test_intervals_hold_instruments_of_the_grade(directions: FloatArray, has_noi
         misalignment_rad=MEMS.misalignment_rad,
     )
     rng = np.random.default_rng(12)
-    inside: list[FloatArray] = []
+    inside: list[NDArray[np.bool_]] = []
     for _ in range(60):
         observations, truth = session.take(rng, drawn(rng))
         calibration = calibrate_accelerometer(observations, EXACT, grade="mems")
