@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.samples import FloatArray, IntArray
 
 
@@ -20,6 +21,11 @@ class Effects:
     A hold that is touched reads the force of the hand with gravity. Of it the norm sees the part along gravity:
     ``f = f_0 (1 + d / |f_0|)``, so ``|f| = g + d`` [2]_.
 
+    Warming up moves the bias by ``w (1 - exp(-t / tau))``: a body that heats itself loses heat in proportion to its excess [4]_.
+
+    Beside the quadratic term the output of an axis has odd and even terms of its input s in g [5]_: a scale that differs by 2 c
+    between the sides adds ``c |s|``, a cubic term ``c s^3``, and cross terms ``c s_j s_k`` of two axes.
+
     A converter with codes that stick gives the code ``n - n mod P`` for every n with ``n mod P < W``: of each P codes the first
     W read as the lowest of them, a differential nonlinearity of W - 1 steps, which the histogram of the codes shows [3]_.
 
@@ -30,12 +36,24 @@ class Effects:
        2009: equation 5, the norm that a position is held against.
     .. [3] IEEE Std 1241-2010, "Terminology and test methods for analog-to-digital converters": code density histogram,
        differential nonlinearity, missing codes.
+    .. [4] Newton's law of cooling, for the temperature; the bias follows it linearly.
+    .. [5] IEEE Std 1293-2018, "Specification format guide and test procedure for linear single-axis nongyroscopic
+       accelerometers": the model equation, with its odd quadratic and cross-coupling coefficients.
     """
 
     turn_on_m_s2: float = 0.0
     """Turn-on of the accelerometer's bias, 1 sigma of each axis."""
     turn_on_rad_s: float = 0.0
     """Turn-on of the gyroscope's bias, 1 sigma of each axis."""
+    warm_up_m_s2: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """How far the bias of each axis of the accelerometer moves."""
+    warm_up_s: float = 120.0
+    asymmetry: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Of each axis, g per g."""
+    cubic: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Of each axis, g per g^3."""
+    cross: tuple[tuple[float, float, float], ...] = ((0.0, 0.0, 0.0),) * 3
+    """Of each pair x y, x z, y z on each axis, g per g^2."""
     touched_holds: int = 0
     """How many holds of a session are touched."""
     touch_m_s2: float = 0.0
@@ -56,6 +74,19 @@ class Effects:
         sizes = np.repeat([self.turn_on_m_s2, self.turn_on_rad_s], 3)
         drawn: FloatArray = sizes * rng.standard_normal(6)
         return drawn
+
+    def warming(self, time_s: FloatArray) -> FloatArray:
+        """Return what warming up adds to the bias of the accelerometer, shape (n,) to (n, 3), m/s^2."""
+        return np.outer(1 - np.exp(-time_s / self.warm_up_s), self.warm_up_m_s2)
+
+    def distorted(self, force_m_s2: FloatArray) -> FloatArray:
+        """Return specific forces (n, 3) as an instrument without these terms would have to feel them to read the same."""
+        if not np.any([*self.asymmetry, *self.cubic, *np.ravel(self.cross)]):
+            return force_m_s2
+        s = force_m_s2 / STANDARD_GRAVITY_M_S2
+        pairs = s[:, [0, 0, 1]] * s[:, [1, 2, 2]]
+        more = np.array(self.asymmetry) * np.abs(s) + np.array(self.cubic) * s**3 + pairs @ np.array(self.cross)
+        return np.asarray(force_m_s2 + STANDARD_GRAVITY_M_S2 * more)
 
     def touch(self, force_m_s2: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, IntArray]:
         """Return mean specific forces of holds, shape (m, 3), some of them touched, and which, ascending."""

@@ -171,7 +171,9 @@ class Imu:
         """Return the noise-free outputs of both triads in raw units per second, shape (n, 6)."""
         unit = self.instrument
         # The measurement equations of imufield/__init__.py, with the true parameters.
-        accelerometer = predict(unit.accelerometer, self._accelerometer_delay.feed(motion.specific_force))
+        accelerometer = predict(
+            unit.accelerometer, unit.effects.distorted(self._accelerometer_delay.feed(motion.specific_force))
+        )
         rate = self._gyroscope_delay.feed(motion.angular_rate)
         gyroscope = predict_gyroscope(unit.gyroscope, rate, motion.specific_force)
         zero = unit.accelerometer.raw_zero
@@ -184,8 +186,9 @@ class Imu:
         return np.hstack([accelerometer, gyroscope])
 
     def _disturbance(self, time_s: FloatArray) -> FloatArray:
-        """Return turn-on, white noise and drift in raw units per second, shape (n, 6)."""
+        """Return turn-on, warming up, white noise and drift in raw units per second, shape (n, 6)."""
         disturbance = np.tile(self._turn_on, (len(time_s), 1))
+        disturbance[:, :3] += self.instrument.effects.warming(time_s)
         if self.settings.noise:
             disturbance += self._sigma * self._noise_rng.standard_normal((len(time_s), 6))
         if self.settings.drift:

@@ -9,7 +9,7 @@ import numpy as np
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
 from imufield.earth import NORMAL_GRAVITY_SIGMA_M_S2, Gravity, choose_gravity, normal_gravity, sigma_of_digits
 from imufield.simulate.truth.grades import GRADES, draw_truth
-from imufield.study.answers.means import Answer, answer_of, observe
+from imufield.study.answers.means import PLACED_M_S2, Answer, MeanSession, answer_of
 from imufield.study.context import StudyContext
 from imufield.study.report import Findings, keyed_table
 
@@ -33,12 +33,14 @@ def run_gravity(value: str, rng: np.random.Generator) -> GravityRun:
     latitude_deg = float(np.degrees(np.arcsin(rng.uniform(-1.0, 1.0))))
     true_m_s2 = normal_gravity(latitude_deg) + NORMAL_GRAVITY_SIGMA_M_S2 * float(rng.standard_normal())
     truth = draw_truth(GRADES["industrial"], rng)
-    observations, _ = observe(truth, true_m_s2, rng)
+    session = MeanSession(instrument=truth, gravity_m_s2=true_m_s2, scatter_m_s2=PLACED_M_S2).observe(rng)
     by_digits = Gravity(gravity_m_s2=float(value), sigma_m_s2=sigma_of_digits(value), source="typed")
     found_m_s2 = true_m_s2 + EXPLICIT_M_S2 * float(rng.standard_normal())
     measured = choose_gravity(found_m_s2, sigma_m_s2=EXPLICIT_M_S2)
     believed = (by_digits, choose_gravity(float(value)), measured)
-    return GravityRun(*(answer_of(calibrate_accelerometer(observations, gravity), truth) for gravity in believed))
+    return GravityRun(
+        *(answer_of(calibrate_accelerometer(session.observations, gravity), session.truth) for gravity in believed)
+    )
 
 
 def typed_gravity(context: StudyContext) -> Findings:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from imufield.earth import MILLI_G_M_S2, choose_gravity
 from imufield.sentences import Sentence
 from imufield.simulate.truth.effects import Effects
 from imufield.simulate.truth.grades import GRADES, draw_truth
-from imufield.study.answers.means import Answer, answer_of, observe
+from imufield.study.answers.means import PLACED_M_S2, Answer, MeanSession, answer_of
 from imufield.study.context import StudyContext
 from imufield.study.report import Findings, keyed_table
 
@@ -40,17 +40,17 @@ class OutlierRun:
 def run_outliers(effects: Effects, rng: np.random.Generator) -> OutlierRun:
     """Solve one session, then again without what the verdict names."""
     gravity = choose_gravity(latitude_deg=LATITUDE_DEG)
-    truth = draw_truth(GRADES["industrial"], rng)
+    instrument = replace(draw_truth(GRADES["industrial"], rng), effects=effects)
     true_m_s2 = gravity.gravity_m_s2 + gravity.sigma_m_s2 * float(rng.standard_normal())
-    observations, touched = observe(truth, true_m_s2, rng, effects)
-    found = calibrate_accelerometer(observations, gravity)
+    session = MeanSession(instrument=instrument, gravity_m_s2=true_m_s2, scatter_m_s2=PLACED_M_S2).observe(rng)
+    found = calibrate_accelerometer(session.observations, gravity)
     named = frozenset(
         str(reason.values["position"])
         for reason in found.quality.reasons
         if isinstance(reason, Sentence) and reason.key in ("quality.outlier", "quality.gross_outlier")
     )
-    again = calibrate_accelerometer(leave_out(observations, named)[0], gravity)
-    return OutlierRun(answer_of(found, truth), answer_of(again, truth), touched, named)
+    again = calibrate_accelerometer(leave_out(session.observations, named)[0], gravity)
+    return OutlierRun(answer_of(found, session.truth), answer_of(again, session.truth), session.touched, named)
 
 
 def touched_holds(context: StudyContext) -> Findings:

@@ -13,7 +13,8 @@ from imufield.earth import MILLI_G_M_S2
 from imufield.simulate.truth.effects import Effects
 from imufield.simulate.truth.grades import Grade, draw_truth, find_grade
 from imufield.study import figures
-from imufield.study.answers.sessions import MeanSession, guided_numbers, site_gravity
+from imufield.study.answers.means import MeanSession
+from imufield.study.answers.sessions import guided_numbers, mean_numbers, site_gravity
 from imufield.study.context import StudyContext
 from imufield.study.report import Findings, keyed_table
 
@@ -54,8 +55,8 @@ def run_pair(kind: Kind, rng: np.random.Generator) -> PairRun:
     gravity = site_gravity()
     # True gravity is off the normal one by an anomaly, the same in both sessions.
     anomaly = gravity.sigma_m_s2 * float(rng.standard_normal())
-    session = MeanSession(instrument=truth, gravity_m_s2=gravity.gravity_m_s2 + anomaly, positions=kind.positions)
-    return _judged(*(session.numbers(gravity, rng, model=kind.model) for _ in range(2)), grade=truth.grade)
+    session = MeanSession(instrument=truth, gravity_m_s2=gravity.gravity_m_s2 + anomaly, order=kind.positions)
+    return _judged(*(mean_numbers(session, gravity, rng, model=kind.model) for _ in range(2)), grade=truth.grade)
 
 
 def run_whole_pair(grade: str, rng: np.random.Generator) -> PairRun:

@@ -1,12 +1,8 @@
-"""Sessions to study: the accelerometer's position means alone, and whole ones through motion, stillness and guide.
-
-Means are fast enough to tell a share of 5 % from one of 6 %. A mean has the noise of its hold, which its covariance tells, and
-flicker from hold to hold, which only the residuals tell.
-"""
+"""Sessions to study, as the numbers that are compared: position means alone, or motion, stillness and guide as in use."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,68 +10,28 @@ from imufield.calibrate.accelerometer.accelerometer import calibrate_acceleromet
 from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
 from imufield.calibrate.gyroscope.input import GyroscopeInput
 from imufield.calibrate.gyroscope.moves import MoveCollector
-from imufield.calibrate.model.models import predict
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration, ModelChoice
 from imufield.deliver.parameters.gauge_free import GaugeFree, gauge_free
 from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S
-from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2, Gravity, choose_gravity
+from imufield.earth import MILLI_G_M_S2, Gravity, choose_gravity
 from imufield.guide.lead.guide import Guide
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.positions import scheme
-from imufield.samples import AXES, SampleUnits
+from imufield.samples import AXES
 from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
-from imufield.simulate.truth.grades import TrueInstrument
 from imufield.simulate.truth.operator import OperatorSettings
+from imufield.study.answers.means import MeanSession
 
 LATITUDE_DEG = 48.1
-HOLD_S = 10.0
-FLICKER_M_S2 = 20 * MICRO_G_M_S2
-"""1 sigma of the bias from hold to hold: between the bias instabilities of the grades."""
-PLACEMENT_RAD = 0.03
 RATE_HZ = 100.0
 _BLOCK = 2000
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MeanSession:
-    """One session."""
-
-    instrument: TrueInstrument
-    gravity_m_s2: float
-    """True gravity."""
-    positions: str = "paper24"
-
-    def observe(self, rng: np.random.Generator) -> Observations:
-        """Return the means of all holds, after one power-on."""
-        place = scheme(self.positions)
-        up = place.directions()
-        m, unit = len(up), self.instrument
-        # A mean of T seconds of white noise with the density N has 1 sigma of N / sqrt(T).
-        noise = unit.grade.accelerometer.noise_density / np.sqrt(HOLD_S)
-        turn_on = unit.effects.draw_turn_on(rng)[:3]
-        error = turn_on + np.hypot(noise, FLICKER_M_S2) * rng.standard_normal((m, 3))
-        # Placed within a few degrees.
-        tilted = up + PLACEMENT_RAD * rng.standard_normal((m, 3))
-        tilted /= np.linalg.norm(tilted, axis=1)[:, None]
-        unknown = np.full((m, 3), np.nan)
-        return Observations(
-            name=tuple(position.name for position in place.positions),
-            mean_raw=predict(unit.accelerometer, self.gravity_m_s2 * tilted) + unit.accelerometer.scale * error,
-            covariance_raw=np.broadcast_to(np.diag((unit.accelerometer.scale * noise) ** 2), (m, 3, 3)),
-            gyroscope_mean_raw=unknown,
-            gyroscope_covariance_raw=np.full((m, 3, 3), np.nan),
-            direction=up,
-            start_s=20.0 + (HOLD_S + 4.0) * np.arange(m, dtype=np.float64),
-            duration_s=np.full(m, HOLD_S),
-            temperature_degc=np.full(m, 25.0),
-            units=SampleUnits(),
-        )
-
-    def numbers(self, gravity: Gravity, rng: np.random.Generator, model: ModelChoice = "auto") -> GaugeFree:
-        """Return the gauge-free numbers of a session with the gravity that its person believes in."""
-        observations = self.observe(rng)
-        return _gauge_free(calibrate_accelerometer(observations, gravity, model=model), observations)
+def mean_numbers(session: MeanSession, gravity: Gravity, rng: np.random.Generator, model: ModelChoice = "auto") -> GaugeFree:
+    """Return the gauge-free numbers of a session of means with the gravity that its person believes in."""
+    observations = session.observe(rng).observations
+    return _gauge_free(calibrate_accelerometer(observations, gravity, model=model), observations)
 
 
 def guided_numbers(grade: str, seed: int, day: int) -> GaugeFree:
