@@ -21,7 +21,7 @@ class Effects:
     A hold that is touched reads the force of the hand with gravity. Of it the norm sees the part along gravity:
     ``f = f_0 (1 + d / |f_0|)``, so ``|f| = g + d`` [2]_.
 
-    Warming up moves the bias by ``w (1 - exp(-t / tau))``: a body that heats itself loses heat in proportion to its excess [4]_.
+    Warming up moves the bias by ``w (1 - exp(-t / tau))``: a body loses heat in proportion to its excess [4]_.
 
     Beside the quadratic term the output of an axis has odd and even terms of its input s in g [5]_: a scale that differs by 2 c
     between the sides adds ``c |s|``, a cubic term ``c s^3``, and cross terms ``c s_j s_k`` of two axes.
