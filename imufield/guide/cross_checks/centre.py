@@ -1,8 +1,8 @@
 """The centre of the stills: the accelerometer's offset as far as sides and norms need it, before anything is calibrated.
 
 Whatever side is up, a still output x lies at gravity's length from the output at no input c: norm(x - c) = r. This is the
-sphere in place of the ellipsoid of ``calibrate/accelerometer/start.py``: four unknowns in place of nine, so that five stills
-tell it with one to spare. Scales that differ by 3 % from axis to axis move the centre by 0.06 g at most where it is taken. An
+sphere in place of the ellipsoid of ``calibrate/accelerometer/start.py``: four unknowns in place of nine, so that six faces
+tell it with two to spare. Scales that differ by 3 % from axis to axis move the centre by 0.06 g at most where it is taken. An
 offset of 0.5 g, common in cheap parts, turns the apparent up by 30 degrees and makes norms of 0.5 to 1.5 g.
 
 Stills that are none (an elevator, a range that was changed) must not move the centre for the others, so the residuals have
@@ -26,14 +26,18 @@ from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import FloatArray
 
 _UNKNOWNS = 4
-FEWEST_STILLS = _UNKNOWNS + 1
-"""One to spare."""
+FEWEST_STILLS = 6
+"""The six faces, of which none tells a direction alone."""
 # s in each step, of gravity.
 _WIDTHS = np.maximum(0.05, 0.5 * 0.7 ** np.arange(20))
 _ON_SPHERE = 0.15  # Three times the last s.
 # Smallest singular value of the directions (unit length, beside a column of ones) with which the centre is taken: lengths
 # that are 3 % wrong move it by that over this value.
 _LEAST_SIGHT = 0.5
+# Who nearly alone tells a direction is believed, whatever it shows; each of six faces has a leverage of 0.67.
+_LARGEST_LEVERAGE = 0.8
+_SAME_SIDE = 0.25  # Of gravity: stills nearer than this are of one side, and say twice what it says.
+_UNSEEN = 0.05  # Singular value, as a share of the largest, below which a direction of the centre keeps its start.
 # An offset of less stays in: it turns the apparent up by 6 degrees, which a side's tolerance allows for, and the running fit
 # finds it better.
 LEAST_OFFSET_M_S2 = 1.0
@@ -42,7 +46,8 @@ LEAST_OFFSET_M_S2 = 1.0
 def centred(scale: RoughScale, stills_raw: FloatArray) -> RoughScale:
     """Return a scale that counts from the centre of the stills (m, 3), unchanged where they do not show it.
 
-    A scale that was learned from the first still, with the offset in it, is learned anew from the distance to the centre.
+    Where enough of them show that no centre explains them, the present one counts. A scale that was learned from the first
+    still, with the offset in it, is learned anew from the distance to the centre.
     """
     if scale.accelerometer is None or len(stills_raw) < FEWEST_STILLS:
         return scale
@@ -50,13 +55,15 @@ def centred(scale: RoughScale, stills_raw: FloatArray) -> RoughScale:
     length = float(np.median(np.linalg.norm(x, axis=1)))
     if not length > 0:
         return scale
-    x = x / length
+    x = _sides(x / length)
     centre, radius = _fit_sphere(x)
-    on_sphere = np.abs(np.linalg.norm(x - centre, axis=1) - radius) < _ON_SPHERE
+    arm = x - centre
+    arm = x - centre
+    on_sphere = np.abs(np.linalg.norm(arm, axis=1) / radius - 1) < _ON_SPHERE
     spare, off = int(on_sphere.sum()) - _UNKNOWNS, int((~on_sphere).sum())
     # Four stills always lie on a sphere: those to spare must outnumber those that are not on it.
-    if spare <= off or _sight(x[on_sphere] - centre) < _LEAST_SIGHT:
-        return scale
+    if spare <= off or not _is_seen(arm[on_sphere]):
+        return replace(scale, centred=True) if _is_seen(x) else scale
     offset = length * centre
     if np.linalg.norm(offset) <= LEAST_OFFSET_M_S2 * scale.accelerometer:
         return replace(scale, centred=True)
@@ -73,6 +80,15 @@ def may_hide_offset(mean_raw: FloatArray, scale: RoughScale) -> bool:
     )
 
 
+def _sides(x: FloatArray) -> FloatArray:
+    """Return the first point of each side."""
+    kept: list[FloatArray] = []
+    for point in x:
+        if all(np.linalg.norm(point - other) >= _SAME_SIDE for other in kept):
+            kept.append(point)
+    return np.array(kept)
+
+
 def _fit_sphere(x: FloatArray) -> tuple[FloatArray, float]:
     """Return centre (3,) and radius of points (m, 3) of typical length 1: Gauss-Newton from the origin."""
     found = np.array([0.0, 0.0, 0.0, 1.0])
@@ -83,11 +99,15 @@ def _fit_sphere(x: FloatArray) -> tuple[FloatArray, float]:
         residual = distance - found[3]
         weight = 1 / np.sqrt(1 + (residual / width) ** 2)
         rows = np.column_stack([arm / distance[:, None], np.ones(len(x))])
-        found = found + np.linalg.lstsq(rows * weight[:, None], residual * weight, rcond=None)[0]
+        found = found + np.linalg.lstsq(rows * weight[:, None], residual * weight, rcond=_UNSEEN)[0]
     return found[:3], float(found[3])
 
 
-def _sight(arm: FloatArray) -> float:
-    """Return how well points (m, 3) about the centre show it: the smallest singular value of their directions and 1."""
+def _is_seen(arm: FloatArray) -> bool:
+    """Whether points (m, 3) about the centre show it, and none of them a direction nearly alone."""
+    if len(arm) < FEWEST_STILLS:
+        return False
     rows = np.column_stack([arm / np.linalg.norm(arm, axis=1)[:, None], np.ones(len(arm))])
-    return float(np.linalg.svd(rows, compute_uv=False)[-1])
+    left, sight, _ = np.linalg.svd(rows, full_matrices=False)
+    # The rows of the left factor have the leverages as their squared lengths.
+    return bool(sight[-1] >= _LEAST_SIGHT and np.sum(left**2, axis=1).max() <= _LARGEST_LEVERAGE)

@@ -7,6 +7,7 @@ and whether it lingers without becoming still.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -206,16 +207,27 @@ class GuideActions:
         speaker.say(event)
 
     def leave_side(self, still: Stretch) -> None:
-        """Add a still stretch that has ended; where it shows an offset, judge what was measured before without that, too."""
-        before, asked = self.detector.scale, self.plan.proposed()
+        """Add a still stretch that has ended, and what it shows of the others."""
+        asked = self.plan.proposed()
         self.watch.leave_side(still)
-        scale = self.detector.scale
-        if np.array_equal(scale.raw_zero, before.raw_zero):
-            return
-        renamed = self.plan.place_anew(lambda observation: scale.up(observation.mean_raw))
-        self.speaker.say(self.adviser.offset_advice(self.speaker.now_s, before, scale, renamed=renamed))
+        self._judge_anew()
         if self.plan.proposed() != asked:
             self.propose()
+
+    def _judge_anew(self, more: Sequence[float] = ()) -> None:
+        """Judge what was accepted by the offset that all stills show, with the mean of one more that goes on."""
+        before = self.detector.scale
+        self.watch.centre(more)
+        scale = self.detector.scale
+        if not np.array_equal(scale.raw_zero, before.raw_zero):
+            renamed = self.plan.place_anew(lambda observation: scale.up(observation.mean_raw))
+            self.speaker.say(self.adviser.offset_advice(self.speaker.now_s, before, scale, renamed=renamed))
+        for index, observation in list(self.plan.accepted.items()):
+            refusal = check_gravity(observation.mean_raw, scale)
+            if refusal is not None:
+                self.plan.take_back(index)
+                self.speaker.reject(refusal, observation.name)
+                self.adviser.fit_again(scale)
 
     def recognise(self) -> Input:
         """Find the position that the unit is in."""
@@ -323,6 +335,7 @@ class GuideActions:
         if is_revisit:
             self.speaker.say(*adviser.drift_advice(now_s, self.detector.scale))
         self.speaker.say(*adviser.advise(now_s))
+        self._judge_anew(observation.mean_raw.tolist())
         return self.go_on()
 
     def go_on(self) -> Input | None:

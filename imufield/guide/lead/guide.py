@@ -249,7 +249,8 @@ class Guide:
             self._handle(Input.FLOOR)
         if judgement.ended is not None:
             self._handle(Input.ENDED)
-            self._actions.leave_side(judgement.ended)
+            if not self.done:
+                self._actions.leave_side(judgement.ended)
         if judgement.phase is Phase.STILL:
             self._handle(Input.STILL)
         else:

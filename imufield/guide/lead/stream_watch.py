@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from statistics import median
 
 import numpy as np
@@ -145,10 +146,14 @@ class StreamWatch:
             self._speaker.reject(refusal)
 
     def leave_side(self, still: Stretch) -> None:
-        """Add a still stretch that has ended: count from its centre and the others', and tell that an axis is dead, once."""
+        """Add a still stretch that has ended, and tell that an axis is dead, once."""
         self._stills.append(still.mean[:3])
-        self._detector.scale = centred(self._detector.scale, np.array(self._stills))
         self._speaker.reject(self._dead_axis.leave_side(self._detector.floor, self._detector.scale))
+
+    def centre(self, more: Sequence[float] = ()) -> None:
+        """Count from the centre of the still stretches so far, and of one more that has not ended, where they show it."""
+        stills = [*self._stills, *([list(more)] if more else [])]
+        self._detector.scale = centred(self._detector.scale, np.array(stills).reshape(-1, 3))
 
     def follow_move(self, judgement: Judgement, accepted: int, planned: int) -> None:
         """Follow the moves; check axes and scale with each new position until the moves decide, and tell a contradiction."""
