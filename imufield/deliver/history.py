@@ -29,7 +29,7 @@ from imufield.deliver.parameters.gauge_free import GaugeFree, Number, gauge_free
 from imufield.errors import ImufieldError, ParameterFileError, Reason, UsageError
 from imufield.files import Origin, open_to_read, write_atomically
 from imufield.samples import FloatArray
-from imufield.sentences import Sentences
+from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
 
@@ -382,7 +382,7 @@ def to_csv(history: History) -> str:
     return buffer.getvalue()
 
 
-def sentences(instrument: InstrumentHistory, now: datetime, stale_days: float = STALE_DAYS) -> Iterator[str]:
+def sentences(instrument: InstrumentHistory, now: datetime, stale_days: float = STALE_DAYS) -> Iterator[Sentence]:
     """Yield what there is to say: every number that moved, against the one before and the first, and a stale calibration."""
     if not instrument.serial_number and len(instrument.entries) > 1:
         yield sentence("history.no_serial")
@@ -400,7 +400,7 @@ def sentences(instrument: InstrumentHistory, now: datetime, stale_days: float = 
         yield sentence("history.stale", age_days=age_days, limit_days=stale_days)
 
 
-def _differences(old: Entry, new: Entry, *, sessions: int) -> Iterator[str]:
+def _differences(old: Entry, new: Entry, *, sessions: int) -> Iterator[Sentence]:
     """Yield a sentence for each number that differs, or one that none does."""
     family = family_of(old.gauge_free, new.gauge_free, new.shared_with(old))
     since = _moment(old, new)
