@@ -56,14 +56,14 @@ def find_method(name: str) -> Method:
     return METHODS[name]
 
 
-# Words for the symbols of the papers.
+# Words for the symbols of the papers; IDE's factor begins at its largest.
 _SYMBOLS = {
-    "beetles": "m",
-    "iterations": "k_max",
-    "population": "NP",
-    "generations": "EG",
-    "factor": "F",
-    "crossover": "CR",
+    "beetles": ("m",),
+    "iterations": ("k_max",),
+    "population": ("NP",),
+    "generations": ("EG",),
+    "factor": ("F", "F_max"),
+    "crossover": ("CR",),
 }
 # A share is a chance, or what a step shrinks to: at 1 a step never shrinks, and a chance has its upper limit there.
 _SHARES = ("p_pos", "p_st", "CR")
@@ -95,8 +95,8 @@ def _changed(method: str, own: DataclassInstance, settings: Mapping[str, str]) -
     known = {field.name: getattr(own, field.name) for field in fields(own)}
     values: dict[str, float] = {}
     for name, text in settings.items():
-        symbol = name if name in known else _SYMBOLS.get(name, "")
-        if symbol not in known:
+        symbol = next((symbol for symbol in (name, *_SYMBOLS.get(name, ())) if symbol in known), None)
+        if symbol is None:
             raise UsageError(sentence("registry.no_setting", method=method, setting=name, known=list(known)))
         whole = isinstance(known[symbol], int)
         lowest = 1 if whole else 0.0

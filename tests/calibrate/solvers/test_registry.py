@@ -23,6 +23,7 @@ def test_settings_go_by_symbol_and_by_word() -> None:
     evolution = settings_of("de-combined", population="40", factor="1.05", crossover="0.9", EG="300")
     assert (evolution.NP, evolution.F, evolution.CR, evolution.EG) == (40, 1.05, 0.9, 300)
     assert settings_of("ide", F_min="0.5").F_max == IDE_SETTINGS.F_max
+    assert settings_of("ide", factor="1.1").F_max == 1.1
     assert settings_of("pso", population="30").population == 30
 
 
@@ -38,8 +39,8 @@ def test_a_value_that_makes_no_sense_is_refused(method: str, name: str, value: s
 
 def test_a_setting_that_a_method_does_not_have_is_refused_with_those_it_has() -> None:
     # A constant factor is none of IDE's: its own goes from F_max to F_min.
-    with refused(UsageError, Reason.USAGE, "'factor'", "F_max", key="registry.no_setting"):
-        load_solver("ide", {"factor": "1.2"})
+    with refused(UsageError, Reason.USAGE, "'F'", "F_max", key="registry.no_setting"):
+        load_solver("ide", {"F": "1.2"})
     with refused(UsageError, Reason.USAGE, "least-squares", "m", key="registry.no_settings"):
         load_solver("least-squares", {"m": "3"})
 
