@@ -130,10 +130,6 @@ class Plan:
             self._history = [(action, nearest.index if at == index else at) for action, at in self._history]
         return len(strays)
 
-    def take_back(self, index: int) -> None:
-        """Withdraw an observation that does not count any more; the position is pending again."""
-        self.withdrawn.append(self.accepted.pop(index))
-
     def want_again(self, index: int) -> None:
         """Ask for a position once more; its observation stays until the new one is accepted."""
         self.wanted_again.add(index)

@@ -19,7 +19,7 @@ from imufield.deliver.parameters.gauge_free import _NAMES, Number, _values, gaug
 from imufield.earth import STANDARD_GRAVITY_M_S2, choose_gravity
 from imufield.errors import CalibrationError, Reason
 from imufield.simulate.truth.grades import TACTICAL, perfect_instrument
-from imufield.study.answers.sessions import MeanSession
+from imufield.study.answers.means import MeanSession
 from tests.refused import refused
 
 E = np.array([[0, 1.2e-3, -8e-4], [2.1e-3, 0, 5e-4], [-1.7e-3, 9e-4, 0]])
@@ -101,7 +101,8 @@ def test_sigma_and_correlation_are_what_draws_show(whole: Calibration, observati
 def test_what_differs_between_sessions_is_the_fit_alone() -> None:
     truth = perfect_instrument(TACTICAL)
     gravity = choose_gravity(latitude_deg=48.0)
-    observations = MeanSession(instrument=truth, gravity_m_s2=gravity.gravity_m_s2).observe(np.random.default_rng(2))
+    session = MeanSession(instrument=truth, gravity_m_s2=gravity.gravity_m_s2)
+    observations = session.observe(np.random.default_rng(2)).observations
     found = calibrate_accelerometer(observations, gravity, gauge="symmetric")
     assert not found.quadratic_fitted
     sigma_raw = np.sqrt(np.diagonal(observations.covariance_raw, axis1=1, axis2=2))
