@@ -19,7 +19,7 @@ sentence = Sentences(__package__)
 HOST_SIGMA = 5e-5
 """1 sigma of the clock of a computer, relative: its quartz is within 100 ppm, and better where a network disciplines it."""
 UNCHECKED_SIGMA = 0.03
-"""1 sigma of a rate that was typed or is in a file: uniform within the 5 % that data sheets of MEMS oscillators say."""
+"""1 sigma of a rate that was typed or is in a file: uniform within the 5 % of the worst MEMS oscillators (data sheets)."""
 
 
 def best_rate(parts: Sequence[DecoderStatistics]) -> DecoderStatistics | None:

@@ -225,9 +225,7 @@ class GuideActions:
         for index, observation in list(self.plan.accepted.items()):
             refusal = check_gravity(observation.mean_raw, scale)
             if refusal is not None:
-                self.plan.take_back(index)
-                self.speaker.reject(refusal, observation.name)
-                self.adviser.fit_again(scale)
+                self._withdraw(index, observation.name, refusal)
 
     def recognise(self) -> Input:
         """Find the position that the unit is in."""
@@ -310,9 +308,12 @@ class GuideActions:
         for index, observation in list(self.plan.accepted.items()):
             refusal = self.watch.outputs.refusal(observation.output)
             if refusal is not None:
-                self.plan.take_back(index)
-                self.speaker.reject(refusals.taken_back(refusal, observation.name), observation.name)
-                self.adviser.fit_again(self.detector.scale)
+                self._withdraw(index, observation.name, refusal)
+
+    def _withdraw(self, index: int, name: str, refusal: Refusal) -> None:
+        self.plan.take_back(index)
+        self.speaker.reject(refusals.taken_back(refusal, name), name)
+        self.adviser.fit_again(self.detector.scale)
 
     def accept(self) -> Input | None:
         """Add the observation to the plan and announce what comes next."""
