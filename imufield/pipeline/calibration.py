@@ -169,23 +169,26 @@ def calibrate(measured: Measured, settings: SolveSettings) -> Parameters:
         quality = quality.lowered("usable", *measured.doubts)
     calibration, observations = replace(calibration, quality=quality), measured.observations
     if measured.left_out is not None and len(measured.left_out):
-        calibration = _recording_left_out(calibration, measured.left_out)
         observations = join_observations(observations, measured.left_out)
+        calibration = _recording_left_out(calibration, observations)
     # Through the document and back: what is printed is what the file holds, digit by digit.
     return from_document(to_document(calibration, observations, measured.context))
 
 
-def _recording_left_out(calibration: Calibration, left_out: Observations) -> Calibration:
+def _recording_left_out(calibration: Calibration, observations: Observations) -> Calibration:
     """Return the calibration with the positions that the user left out behind the others, and a sentence about each."""
     parameters, gravity = calibration.accelerometer, calibration.gravity.gravity_m_s2
-    force = recover_vectors(to_vector(parameters), left_out.mean_raw - parameters.raw_zero, parameters.quadratic_axes)
+    out = np.arange(len(observations)) >= len(calibration.positions.used)
+    left_out, steady = observations[out], without_drift(observations, calibration)[out]
+    drift = (left_out.mean_raw - steady.mean_raw) / parameters.scale
+    force = recover_vectors(to_vector(parameters), steady.mean_raw - parameters.raw_zero, parameters.quadratic_axes)
     off_m_s2, unknown = np.linalg.norm(force, axis=1) - gravity, np.full(len(left_out), np.nan)
     rows = {
         "residual_m_s2": unknown,
         "leave_one_out_m_s2": off_m_s2,
         "leverage": unknown,
-        "used": unknown > 0,
-        "bias_drift_m_s2": np.zeros((len(left_out), 3)),
+        "used": np.zeros(len(left_out), dtype=np.bool_),
+        "bias_drift_m_s2": drift,
     }
     before = calibration.positions
     positions = PositionResult(**{name: np.concatenate([getattr(before, name), more]) for name, more in rows.items()})

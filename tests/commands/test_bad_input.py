@@ -460,7 +460,11 @@ MEASURED: dict[str, tuple[dict[str, Any], Reason, tuple[str, ...]]] = {
     "gyroscope signs turned round": ({"change": turn_round}, Reason.HANDEDNESS, ("x = -x, y = -y, z = -z", "20 deg")),
     "too few positions": ({"visits": 4}, Reason.TOO_FEW, ("4", "6")),
     "saturated axis": ({"positions": "faces6", "change": saturate}, Reason.SATURATED, ("4 positions", "6", "axis y")),
-    "saturated axis, unsaid": ({"positions": "faces6", "change": stick}, Reason.TOO_FEW, ("4 positions", "6", "7.01 m/s^2")),
+    "saturated axis, unsaid": (
+        {"positions": "faces6", "change": stick},
+        Reason.TOO_FEW,
+        ("4 positions", "6", "axis y", "range"),
+    ),
 }
 
 

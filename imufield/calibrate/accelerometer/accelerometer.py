@@ -7,7 +7,7 @@ the quadratic term (``fit``); choose the model (``model_choice``); turn into the
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,16 +23,15 @@ from imufield.calibrate.accelerometer.start import (
 )
 from imufield.calibrate.model.gauge import change_gauge, intrinsic, make_intrinsic
 from imufield.calibrate.model.models import (
-    MISALIGNMENT,
     PARAMETERS,
     SCALE,
-    NormDerivatives,
     from_vector,
     norm_derivatives,
     to_vector,
 )
 from imufield.calibrate.model.observability import (
     LOWER_GAUGE_COLUMNS,
+    Observability,
     observe,
     parameter_scale,
     require_outputs,
@@ -50,10 +49,11 @@ from imufield.calibrate.model.result import (
     PositionResult,
     QuadraticAxes,
 )
-from imufield.calibrate.model.typical import Typical, open_terms, typical_of
+from imufield.calibrate.model.typical import open_terms, typical_of
 from imufield.calibrate.model.uncertainty import (
     SPARE_POSITIONS,
     Influence,
+    SinglePosition,
     gravity_sensitivity,
     influence,
     known_covariance,
@@ -128,10 +128,9 @@ def calibrate_accelerometer(  # noqa: PLR0913 (the settings of `solve`, by keywo
     if raw_zero is None and preset is not None:
         zero = preset.raw_zero
     typical = None if grade is None else typical_of(grade)
-    data = replace(
-        _checked_data(observations, gravity, zero, quadratic_axes, loss=loss),
-        least_scatter_m_s2=0.0 if typical is None else typical.scatter_m_s2,
-    )
+    data = _checked_data(observations, gravity, zero, quadratic_axes, loss=loss)
+    if typical is not None:
+        data = replace(data, least_scatter_m_s2=typical.scatter_m_s2)
     before = None if preset is None else _checked_preset(preset)
     signs = find_signs(data.raw, observations.direction, None if before is None else before[SCALE])
     origin, observability = find_origin(data, signs.sign, before, model)
@@ -139,81 +138,75 @@ def calibrate_accelerometer(  # noqa: PLR0913 (the settings of `solve`, by keywo
     refuse_saturation(observations.mean_raw, chosen.fit.residual_m_s2)
     wanted: Gauge = gauge or ("lower" if preset is None else "preset")
     fitted, to_gauge = _in_gauge(data, chosen, wanted, before)
-    weighted_residual, weighted_jacobian = (
-        fitted.residual_m_s2 / fitted.sigma_m_s2,
-        fitted.jacobian / fitted.sigma_m_s2[:, None],
-    )
-    spread = influence(weighted_residual, weighted_jacobian)
-    # What carries a parameter alone is a matter of the positions; a drift beside it takes half of what they have to spare.
-    geometry = influence(weighted_residual, weighted_jacobian[:, : len(chosen.free)])
     derivatives = norm_derivatives(chosen.fit.vector, data.raw, quadratic_axes)
-    hidden_root = to_gauge @ chosen.hidden_root
+    hidden_roots = [to_gauge @ chosen.hidden_root]
     if typical is not None:
-        hidden_root = np.hstack([hidden_root, _open_root(fitted, chosen, derivatives, typical, model)])
-    covariance, factors = _joint_covariance(fitted, (spread, geometry), data, gravity, hidden_root=hidden_root)
-
-    scale = parameter_scale(fitted.vector, gravity.gravity_m_s2)
-    left_out = [k for k in LOWER_GAUGE_COLUMNS if k not in chosen.free]
-    by_left_out = to_gauge[:, left_out] * scale[left_out]
-    is_known = _is_known(by_left_out, scale)
-    sigma = np.where(is_known, np.sqrt(np.diag(covariance)[:PARAMETERS]), np.nan)
-    # A quadratic term that is left out on purpose is not among what the positions do not show.
-    unobservable = tuple(
-        name
-        for name, shown in zip(ACCELEROMETER_NAMES, is_known, strict=True)
-        if not shown and ("quadratic" not in name or name in observability.unobservable)
-    )
+        is_open = _open_entries(chosen, model, has_preset=preset is not None)
+        columns = open_terms(derivatives.a / derivatives.norm[:, None], typical, is_open)
+        hidden_roots.append(_open_root(fitted, columns))
+    known = _uncertainty(fitted, chosen.free, data, gravity, hidden_root=np.hstack(hidden_roots), to_gauge=to_gauge)
     evidence = Evidence(
         observations=observations,
         gravity=gravity,
         data=data,
         chosen=chosen,
         fitted=fitted,
-        spread=spread,
-        singles=single_positions(geometry),
-        factors=factors,
+        spread=known.spread,
+        singles=known.singles,
+        factors=known.factors,
         observability=observe(derivatives, chosen.fit.vector, gravity.gravity_m_s2, quadratic=chosen.quadratic),
-        unobservable=unobservable,
+        unobservable=_unobservable(known.sigma, observability),
         sign_source=signs.source,
         scale_ratio=None if before is None else common_scale_ratio(fitted.vector[SCALE], before[SCALE]),
-        sigma=sigma,
+        sigma=known.sigma,
         grade=grade,
     )
-    quality = judge(evidence)
-    keep = np.append(np.isfinite(sigma), True)
+    keep = np.append(np.isfinite(known.sigma), True)
     return Calibration(
         accelerometer=from_vector(fitted.vector, zero, quadratic_axes),
-        accelerometer_sigma=from_vector(sigma, None, quadratic_axes),
+        accelerometer_sigma=from_vector(known.sigma, None, quadratic_axes),
         accelerometer_raw_unit=observations.units.accelerometer_rate_unit,
         equation=EQUATIONS[quadratic_axes],
         gauge=wanted,
-        intrinsic=_intrinsic(fitted.vector, data, covariance, by_left_out),
+        intrinsic=_intrinsic(fitted.vector, data, known),
         covariance_names=tuple(name for name, kept in zip((*ACCELEROMETER_NAMES, GRAVITY_NAME), keep, strict=True) if kept),
-        covariance=covariance[np.ix_(keep, keep)],
+        covariance=known.covariance[np.ix_(keep, keep)],
         gravity=gravity,
         positions=PositionResult(
             residual_m_s2=fitted.residual_m_s2,
             leave_one_out_m_s2=evidence.leave_one_out_m_s2,
-            leverage=spread.leverage,
+            leverage=known.spread.leverage,
             used=np.ones(len(observations), dtype=np.bool_),
             bias_drift_m_s2=fitted.drift_m_s2,
         ),
         solver=summarise(fitted.solved, "least squares", seed),
-        quality=quality,
+        quality=judge(evidence),
         quadratic_fitted=chosen.quadratic,
-        unobservable=unobservable,
+        unobservable=evidence.unobservable,
     )
 
 
-def _open_root(
-    fitted: Fit, chosen: ChosenModel, derivatives: NormDerivatives, typical: Typical, model: ModelChoice
-) -> FloatArray:
+def _unobservable(sigma: FloatArray, observability: Observability) -> tuple[str, ...]:
+    """Return the names of what the positions do not show; a quadratic term that is left out on purpose is not among them."""
+    names = (name for name, known in zip(ACCELEROMETER_NAMES, np.isfinite(sigma), strict=True) if not known)
+    return tuple(name for name in names if "quadratic" not in name or name in observability.unobservable)
+
+
+def _open_entries(chosen: ChosenModel, model: ModelChoice, *, has_preset: bool) -> NDArray[np.bool_]:
+    """Return which entries the positions leave open: three misalignments, three quadratic terms, shape (6,)."""
+    entries = LOWER_GAUGE_COLUMNS[6:]
+    is_open = np.array([entry not in chosen.free for entry in entries])
+    # A preset knows what these positions do not show.
+    if has_preset:
+        is_open[:] = False
+    # A quadratic term that was asked for at the gate is in the covariance; one that the user rules out is not there.
+    if chosen.is_quadratic_tested or model == "linear":
+        is_open[3:] = False
+    return is_open
+
+
+def _open_root(fitted: Fit, columns: FloatArray) -> FloatArray:
     """Return the root of what terms that are not fitted add to the covariance of the 15 parameters, shape (15, k)."""
-    # A quadratic term that was asked for at the gate is in the covariance; one that was ruled out by the user is not there.
-    quadratic = not (chosen.quadratic or chosen.is_quadratic_tested or model == "linear")
-    misalignment = not any(MISALIGNMENT.start <= k < MISALIGNMENT.stop for k in chosen.free)
-    up = derivatives.a / derivatives.norm[:, None]
-    columns = open_terms(up, typical, misalignment=misalignment, quadratic=quadratic)
     sigma = fitted.sigma_m_s2[:, None]
     alias = np.linalg.lstsq(fitted.jacobian / sigma, columns / sigma, rcond=None)[0]
     return np.asarray(fitted.basis @ alias)
@@ -224,12 +217,12 @@ def _is_known(by_left_out: FloatArray, size: FloatArray) -> NDArray[np.bool_]:
     return np.asarray(~np.any(np.abs(by_left_out) / size[:, None] > _MIXED, axis=1))
 
 
-def _intrinsic(vector: FloatArray, data: FitData, covariance: FloatArray, by_left_out: FloatArray) -> Intrinsic:
+def _intrinsic(vector: FloatArray, data: FitData, known: _Uncertainty) -> Intrinsic:
     numbers, J = intrinsic(vector, data.quadratic_axes)
-    variance = np.sum((J @ covariance[:PARAMETERS, :PARAMETERS]) * J, axis=1)
+    variance = np.sum((J @ known.covariance[:PARAMETERS, :PARAMETERS]) * J, axis=1)
     K, g = np.abs(vector[SCALE]), data.gravity_m_s2
-    known = _is_known(J @ by_left_out, np.concatenate([K / g, K, np.full(3, 1 / g), K / g**2]))
-    return make_intrinsic(numbers, np.where(known, np.sqrt(np.maximum(variance, 0.0)), np.nan))
+    shown = _is_known(J @ known.by_left_out, np.concatenate([K / g, K, np.full(3, 1 / g), K / g**2]))
+    return make_intrinsic(numbers, np.where(shown, np.sqrt(np.maximum(variance, 0.0)), np.nan))
 
 
 def _checked_data(
@@ -275,19 +268,33 @@ def _in_gauge(data: FitData, chosen: ChosenModel, gauge: Gauge, before: FloatArr
     return replace(chosen.fit, vector=change.vector, basis=basis), change.jacobian
 
 
-def _joint_covariance(
-    fitted: Fit, influences: tuple[Influence, Influence], data: FitData, gravity: Gravity, *, hidden_root: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the covariance of 15 parameters and gravity, and the factors by which coordinates were raised.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Uncertainty:
+    covariance: FloatArray
+    """Of 15 parameters and gravity."""
+    sigma: FloatArray
+    """Of the parameters; NaN where one hangs on what was not fitted."""
+    by_left_out: FloatArray
+    """How parameters that were not fitted, in steps of their scale, reach all, shape (15, k)."""
+    spread: Influence
+    singles: tuple[SinglePosition, ...]
+    factors: FloatArray
+    """By which coordinates were raised."""
 
-    ``influences`` are those of all coordinates and of the parameters alone; ``hidden_root`` is the root of what choosing the
-    model adds, in columns.
-    """
-    spread, geometry = influences
-    factors = np.ones(fitted.basis.shape[1])
+
+def _uncertainty(
+    fitted: Fit, free: tuple[int, ...], data: FitData, gravity: Gravity, *, hidden_root: FloatArray, to_gauge: FloatArray
+) -> _Uncertainty:
+    """Return how sure the parameters are; ``hidden_root`` is the root of what choosing the model adds, in columns."""
+    parameters = len(free)
+    residual, jacobian = fitted.residual_m_s2 / fitted.sigma_m_s2, fitted.jacobian / fitted.sigma_m_s2[:, None]
+    spread = influence(residual, jacobian)
+    # What carries a parameter alone is a matter of the positions; a drift beside it takes half of what they have to spare.
+    geometry = influence(residual, jacobian[:, :parameters])
+    singles, factors = single_positions(geometry), np.ones(fitted.basis.shape[1])
     covariance = spread.covariance
     if fitted.degrees_of_freedom >= SPARE_POSITIONS:
-        factors[: geometry.covariance.shape[0]] = single_position_factors(geometry, single_positions(geometry))
+        factors[:parameters] = single_position_factors(geometry, singles)
         covariance = covariance * np.outer(factors, factors)
     elif fitted.effective_degrees_of_freedom == 0 and data.covariance_raw is None:
         covariance = np.full_like(covariance, np.nan)  # nothing says how sure anything is
@@ -295,4 +302,8 @@ def _joint_covariance(
     t = np.append(gravity_sensitivity(fitted.vector, gravity.gravity_m_s2), 1.0)
     joint = np.outer(t, t) * gravity.sigma_m_s2**2
     joint[:PARAMETERS, :PARAMETERS] += fitted.basis @ covariance @ fitted.basis.T + hidden_root @ hidden_root.T
-    return joint, factors
+    scale = parameter_scale(fitted.vector, gravity.gravity_m_s2)
+    left_out = [k for k in LOWER_GAUGE_COLUMNS if k not in free]
+    by_left_out = to_gauge[:, left_out] * scale[left_out]
+    sigma = np.where(_is_known(by_left_out, scale), np.sqrt(np.diag(joint)[:PARAMETERS]), np.nan)
+    return _Uncertainty(covariance=joint, sigma=sigma, by_left_out=by_left_out, spread=spread, singles=singles, factors=factors)

@@ -50,7 +50,14 @@ class Fit:
     sigma_m_s2: FloatArray
     """s_i, shape (m,)."""
     tau_m_s2: float
+    has_typical_scatter: bool
+    """Whether tau is not from the residuals."""
     solved: SolverResult
+
+    @property
+    def drift_span_m_s2(self) -> float:
+        """How far the bias of an axis moved over the positions, at most."""
+        return float(np.ptp(self.drift_m_s2, axis=0).max())
 
     @property
     def degrees_of_freedom(self) -> int:
@@ -66,8 +73,10 @@ class Fit:
         Satterthwaite's rule for such a sum, with tau^2 one standard error of a variance larger: a zero from few residuals
         does not show that there is none.
         """
+        if self.has_typical_scatter:
+            return math.inf
         if self.degrees_of_freedom < 1:
-            return math.inf if self.tau_m_s2 > 0 else 0.0
+            return 0.0
         found = np.mean(self.tau_m_s2**2 / self.sigma_m_s2**2)
         share = min(1.0, float(found) + np.sqrt(2 / self.degrees_of_freedom))
         return float(self.degrees_of_freedom / share**2)
@@ -131,8 +140,9 @@ def _evaluate(data: FitData, problem: NormProblem, solved: SolverResult) -> Fit:
     residual = derivatives.norm - data.gravity_m_s2
     within = within_variance(derivatives.raw_gradient, data.covariance_raw)
     tau = between_position_sigma(residual, jacobian, within)
-    if len(residual) - jacobian.shape[1] < SPARE_POSITIONS:
-        tau = max(tau, data.least_scatter_m_s2)
+    is_typical = len(residual) - jacobian.shape[1] < SPARE_POSITIONS and tau < data.least_scatter_m_s2
+    if is_typical:
+        tau = data.least_scatter_m_s2
     sigma = np.sqrt(within + tau**2)
     # Without covariances and without redundancy nothing says how sure a position is; equal weights then.
     sigma = np.where(sigma > 0, sigma, 1.0)
@@ -144,5 +154,6 @@ def _evaluate(data: FitData, problem: NormProblem, solved: SolverResult) -> Fit:
         jacobian=jacobian,
         sigma_m_s2=sigma,
         tau_m_s2=tau,
+        has_typical_scatter=is_typical,
         solved=solved,
     )

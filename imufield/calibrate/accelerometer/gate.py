@@ -36,6 +36,7 @@ from imufield.samples import FloatArray
 Term = Literal["quadratic", "drift"]
 Terms = frozenset[Term]
 
+_ROUNDING = 1e-12
 LEVEL = 0.05
 """Chance that a term is admitted where there is none."""
 
@@ -91,7 +92,8 @@ class Gate:
         rest = r + J @ step
         to_parameters = fit.basis[:, stays] @ np.linalg.inv(R)
         return _Part(
-            chi_squared=float(rest @ rest),
+            # Ideal outputs leave nothing but rounding, and no ratio of it means anything.
+            chi_squared=max(float(rest @ rest), _ROUNDING * len(rest)),
             freedom=len(r) - len(stays),
             change=fit.basis @ step,
             covariance=to_parameters @ to_parameters.T,

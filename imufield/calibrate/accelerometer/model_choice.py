@@ -1,8 +1,8 @@
 """Choice of the accelerometer model: which of the 15 parameters the positions can show, and which terms the data need.
 
-The quadratic term (with the model choice "auto") and a drift of the bias over the session pass one gate (``gate``); an
-admitted term changes the model, and what is not sure about the choice is in the covariance. Where there is no quadratic term,
-the bias is three times better than stated: who knows that asks for the linear model.
+With the model choice "auto" the quadratic term and a drift of the bias over the session pass one gate (``gate``); an admitted
+changes the model, and what is not sure about the choice is in the covariance. Where there is no quadratic term, the bias is
+three times better than stated: who knows that asks for the linear model.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from imufield.calibrate.accelerometer.drift import DriftForm, drift_forms
 from imufield.calibrate.accelerometer.fit import Fit, FitData, column_basis, fit
-from imufield.calibrate.accelerometer.gate import LEVEL, Gate, Term
+from imufield.calibrate.accelerometer.gate import LEVEL, Gate, Term, Terms
 from imufield.calibrate.accelerometer.start import FEWEST_FOR_MISALIGNMENT, FEWEST_FOR_QUADRATIC, closed_form_start
 from imufield.calibrate.model.gauge import change_gauge
 from imufield.calibrate.model.models import MISALIGNMENT, PARAMETERS, QUADRATIC, norm_derivatives
@@ -118,27 +118,32 @@ def choose_model(
         hidden = tuple(name for name in observability.unobservable if "quadratic" in name)
         refused = sentence("model_choice.no_quadratic", count=count, unobservable=hidden, fewest=FEWEST_FOR_QUADRATIC)
         raise CalibrationError(refused, Reason.UNOBSERVABLE)
-    # Without a position to spare no test can ask for the term.
-    is_open = model == "auto" and bool(quadratic_free) and count > len(free)
+    is_open = bool(quadratic_free) and count > len(free)
     forms: tuple[DriftForm | None, ...] = drift_forms(observations, count - len(free)) or ((None,) if is_open else ())
-    tried = [_all_terms(data, origin, free, form, is_quadratic_open=is_open) for form in forms]
-    if not tried:
+    if model != "auto" or not forms:
         return _untested(data, origin, free, model)
+    tried = [_all_terms(data, origin, free, form, is_quadratic_open=is_open) for form in forms]
     # Where drift may follow time or temperature, each is asked at its share of the level.
-    share = 1 / len(tried)
+    level = LEVEL / len(tried)
     gate, form = min(zip(tried, forms, strict=True), key=lambda each: each[0].chance(each[0].all))
-    terms = gate.admitted(LEVEL * share)
-    with_quadratic = "quadratic" in terms if is_open else model == "quadratic"
-    kept = form if "drift" in terms else None
+    terms = gate.admitted(level)
+    with_quadratic, kept = "quadratic" in terms, form if "drift" in terms else None
     fitted = _fit(data, origin, free, quadratic=with_quadratic, drift=kept)
     hidden_root = gate.beyond(terms)
     if not with_quadratic:
         hidden_root[list(quadratic_free)] = 0.0
-    tested = "model_choice.quadratic_kept" if with_quadratic else "model_choice.quadratic_left_out"
-    told = [sentence(tested if is_open else _UNTESTED[model], p=gate.chance(gate.all) / share, limit=LEVEL)]
+    sentences: list[Sentence] = []
+    if is_open:
+        # Where the drift explains what the linear model does not, the term is asked for beside it.
+        alone: Terms = frozenset({"quadratic"})
+        p = gate.chance(alone) if kept is not None and not with_quadratic else gate.chance(gate.all)
+        key = "model_choice.quadratic_kept" if with_quadratic else "model_choice.quadratic_left_out"
+        sentences.append(sentence(key, p=p, limit=level))
+    else:
+        sentences.append(sentence("model_choice.linear_as_shown"))
     if kept is not None:
-        drift_mg = float(np.ptp(fitted.drift_m_s2, axis=0).max()) / MILLI_G_M_S2
-        told.append(sentence("model_choice.drift_kept", kind=kept.kind, drift_mg=drift_mg))
+        drift_mg = fitted.drift_span_m_s2 / MILLI_G_M_S2
+        sentences.append(sentence("model_choice.drift_kept", kind=kept.kind, drift_mg=drift_mg))
     return ChosenModel(
         fit=fitted,
         free=free if with_quadratic else tuple(k for k in free if k < _FIRST_QUADRATIC),
@@ -147,7 +152,7 @@ def choose_model(
         drift=kept,
         hidden_root=hidden_root,
         confusion=gate.confusion() if terms else 1.0,
-        sentences=tuple(told),
+        sentences=tuple(sentences),
     )
 
 

@@ -180,7 +180,7 @@ def _cautions(evidence: Evidence) -> list[str]:
     if condition > HIGH_CONDITION:
         reasons.append(sentence("quality.one_sided", condition=condition, limit=HIGH_CONDITION))
     chosen = evidence.chosen
-    drift_mg, most_mg = (size / MILLI_G_M_S2 for size in (np.ptp(evidence.fitted.drift_m_s2, axis=0).max(), MOST_DRIFT_M_S2))
+    drift_mg, most_mg = evidence.fitted.drift_span_m_s2 / MILLI_G_M_S2, MOST_DRIFT_M_S2 / MILLI_G_M_S2
     if drift_mg > most_mg:
         reasons.append(sentence("quality.drift", drift_mg=drift_mg, limit_mg=most_mg))
     if chosen.confusion > MOST_CONFUSION:

@@ -75,7 +75,7 @@ def force_errors(observations: Observations, calibration: Calibration, rests: in
     v = derivatives.raw_gradient
     variance = np.einsum("mi,mij,mj->m", v, noise, v)
     measured = len(raw) - rests
-    usable = (variance > 0) & (len(calibration.positions.used) == measured) & (np.arange(len(raw)) < measured)
+    usable = (variance > 0) & (np.count_nonzero(calibration.positions.used) == measured) & (np.arange(len(raw)) < measured)
     weight = np.where(usable, 1 / np.where(variance > 0, variance, 1.0), 0.0)
     gain = -(derivatives.jacobian * weight[:, None] @ (covariance - by_gravity))[:, :, None] * v[:, None, :]
     # What the covariance holds beyond the noise of these means; rounding must not make it negative.

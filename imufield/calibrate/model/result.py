@@ -181,7 +181,8 @@ def without_drift(observations: Observations, calibration: Calibration) -> Obser
         The ones calibrated from come first, in their order; others follow.
     calibration : Calibration
     """
-    drift, count = calibration.positions.bias_drift_m_s2, len(calibration.positions.used)
+    drift = calibration.positions.bias_drift_m_s2[calibration.positions.used]
+    count = len(drift)
     if not np.any(drift):
         return observations
     middle_s = observations.start_s + observations.duration_s / 2

@@ -24,6 +24,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imufield.earth import MICRO_G_M_S2, STANDARD_GRAVITY_M_S2
 from imufield.errors import UsageError
@@ -76,7 +77,7 @@ def typical_of(grade: str) -> Typical:
     return grades()[grade]
 
 
-def open_terms(up: FloatArray, typical: Typical, *, misalignment: bool, quadratic: bool) -> FloatArray:
+def open_terms(up: FloatArray, typical: Typical, is_open: NDArray[np.bool_]) -> FloatArray:
     """Return d norm / d term times 1 sigma of each term that is not fitted, m/s^2, shape (m, k).
 
     Parameters
@@ -84,15 +85,13 @@ def open_terms(up: FloatArray, typical: Typical, *, misalignment: bool, quadrati
     up : ndarray, shape (m, 3)
         Direction of the specific force at each position, unit vectors.
     typical : Typical
-    misalignment, quadratic : bool
-        Whether these are open too; asymmetry, cubic and cross terms always are.
+    is_open : ndarray, shape (6,)
+        Which of three misalignments (xy, xz, yz) and three quadratic terms are open too; the other terms always are.
     """
     # Each axis adds its own reading to the norm by its share of the direction.
     columns = [typical.asymmetry * up * np.abs(up), typical.cubic * up**4]
     columns += [typical.cross * up * (up[:, j] * up[:, k])[:, None] for j, k in _PAIRS]
-    if misalignment:
-        # The angle between two axes is the sum of two entries of T.
-        columns += [math.sqrt(2) * typical.misalignment_rad * np.stack([up[:, j] * up[:, k] for j, k in _PAIRS], axis=1)]
-    if quadratic:
-        columns += [typical.quadratic * up**3]
+    # The angle between two axes is the sum of two entries of T.
+    angles = math.sqrt(2) * typical.misalignment_rad * np.stack([up[:, j] * up[:, k] for j, k in _PAIRS], axis=1)
+    columns += [np.hstack([angles, typical.quadratic * up**3])[:, is_open]]
     return STANDARD_GRAVITY_M_S2 * np.hstack(columns)

@@ -146,7 +146,7 @@ def _positions(calibration: Calibration, document: Document) -> Iterator[str]:
     used, quality = np.flatnonzero(calibration.positions.used), calibration.quality
     tables = [document["position"][k] for k in used]
     raw = np.array([table["mean_raw"] for table in tables], dtype=np.float64).reshape(-1, 3)
-    drift_raw = calibration.accelerometer.scale * calibration.positions.bias_drift_m_s2
+    drift_raw = calibration.accelerometer.scale * calibration.positions.bias_drift_m_s2[used]
     try:
         force = correct_accelerometer(calibration.accelerometer, raw - drift_raw)
     except CalibrationError as error:

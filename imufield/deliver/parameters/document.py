@@ -162,7 +162,7 @@ def _positions(results: PositionResult, observations: Observations) -> list[Docu
             "sigma_raw": sigma_raw[i].tolist(),
             **{key: float(getattr(observations, key)[i]) for key in ("start_s", "duration_s", "temperature_degc")},
             **{key: float(getattr(results, key)[i]) for key in _POSITION_RESULTS},
-            # Only where one was fitted: an older program reads the file of a session without drift.
+            # Only where one was fitted.
             **({"bias_drift_m_s2": drift.tolist()} if np.any(results.bias_drift_m_s2) else {}),
         }
         for i, drift in enumerate(results.bias_drift_m_s2)

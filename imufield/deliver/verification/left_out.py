@@ -30,7 +30,13 @@ from imufield.calibrate.accelerometer.accelerometer import calibrate_acceleromet
 from imufield.calibrate.model.models import NormDerivatives, norm_derivatives, to_vector
 from imufield.calibrate.model.observability import parameter_scale
 from imufield.calibrate.model.observations import Observations
-from imufield.calibrate.model.result import ACCELEROMETER_NAMES, GRAVITY_NAME, AccelerometerParameters, Calibration
+from imufield.calibrate.model.result import (
+    ACCELEROMETER_NAMES,
+    GRAVITY_NAME,
+    AccelerometerParameters,
+    Calibration,
+    without_drift,
+)
 from imufield.calibrate.model.uncertainty import f_chance, f_limit_95, known_covariance, within_variance
 from imufield.calibrate.solvers.agreement import AGREEMENT_SIGMA
 from imufield.earth import MICRO_G_M_S2, Gravity
@@ -257,6 +263,8 @@ def cross_validate(
         If those left cannot be calibrated from.
     """
     _require_finite(observations)
+    # Each group would be fitted without the drift that all of them show together.
+    observations = without_drift(observations, calibration)
     m = len(observations)
     if not 1 <= hold_out <= m - FEWEST_LEFT:
         most = max(m - FEWEST_LEFT, 1)

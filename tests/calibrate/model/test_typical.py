@@ -41,7 +41,7 @@ def test_the_alias_is_how_far_a_term_moves_the_parameters() -> None:
     more = np.zeros_like(up)
     more[:, 0] = 1e-3 * GRAVITY_M_S2 * np.abs(up[:, 0]) * scale[0]
     moved = calibrate_accelerometer(replace(observations, mean_raw=observations.mean_raw + more), EXACT, model="linear")
-    columns = open_terms(up, replace(MEMS, asymmetry=1e-3), misalignment=False, quadratic=False)
+    columns = open_terms(up, replace(MEMS, asymmetry=1e-3), np.zeros(6, dtype=np.bool_))
     jacobian = np.hstack([up**2, up, up[:, [0, 0, 1]] * up[:, [1, 2, 2]]])
     alias = np.linalg.lstsq(jacobian, columns[:, 0], rcond=None)[0]
     # Of the asymmetry of x, on the bias of x; placed within 5 degrees, so to a tenth.

@@ -102,7 +102,7 @@ def test_what_differs_between_sessions_is_the_fit_alone() -> None:
     truth = perfect_instrument(TACTICAL)
     gravity = choose_gravity(latitude_deg=48.0)
     session = MeanSession(instrument=truth, gravity_m_s2=gravity.gravity_m_s2)
-    observations = session.observe(np.random.default_rng(2)).observations
+    observations = session.observe(np.random.default_rng(3)).observations
     found = calibrate_accelerometer(observations, gravity, gauge="symmetric")
     assert not found.quadratic_fitted
     sigma_raw = np.sqrt(np.diagonal(observations.covariance_raw, axis1=1, axis2=2))

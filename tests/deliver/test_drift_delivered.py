@@ -1,0 +1,78 @@
+"""A session whose bias drifted, with a position left out by hand: what is written, read back and checked is one session."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
+from imufield.calibrate.model.observations import Observations, leave_out
+from imufield.calibrate.model.result import without_drift
+from imufield.deliver.parameters.file import Context, Parameters, load, write_document
+from imufield.deliver.report.data import observations_of
+from imufield.deliver.verification.left_out import cross_validate
+from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2, Gravity
+from imufield.pipeline.calibration import Measured, SolveSettings, calibrate
+from imufield.simulate.truth.effects import Effects
+from imufield.simulate.truth.grades import TACTICAL, perfect_instrument
+from imufield.study.answers.means import MeanSession
+
+pytestmark = pytest.mark.numerical
+
+GRAVITY = Gravity(gravity_m_s2=9.81, sigma_m_s2=1e-5, source="measured")
+NAME = "+x-y-z"
+
+
+def drifting() -> Observations:
+    """Return a session of corners24 whose bias warms up by 0.8 mg."""
+    effects = Effects(warm_up_m_s2=(0.8 * MILLI_G_M_S2, -0.8 * MILLI_G_M_S2, 0.8 * MILLI_G_M_S2))
+    instrument = replace(perfect_instrument(TACTICAL), effects=effects)
+    session = MeanSession(instrument=instrument, gravity_m_s2=GRAVITY.gravity_m_s2, order="corners24")
+    return session.observe(np.random.default_rng(4)).observations
+
+
+@pytest.fixture(scope="module")
+def parameters() -> Parameters:
+    observations, left_out = leave_out(drifting(), (NAME,))
+    measured = Measured(observations=observations, left_out=left_out, gravity=GRAVITY, context=Context())
+    return calibrate(measured, SolveSettings(grade="tactical"))
+
+
+def test_the_file_agrees_with_itself(parameters: Parameters, tmp_path: Path) -> None:
+    write_document(tmp_path / "parameters.toml", parameters.document)
+    positions = load(tmp_path / "parameters.toml").calibration.positions
+    assert np.any(positions.bias_drift_m_s2[positions.used])
+    np.testing.assert_array_equal(positions.bias_drift_m_s2, parameters.calibration.positions.bias_drift_m_s2)
+
+
+def test_what_was_left_out_is_judged_with_the_drift_of_its_time(parameters: Parameters) -> None:
+    positions = parameters.calibration.positions
+    (off_m_s2,) = positions.leave_one_out_m_s2[~positions.used]
+    # Noise and flicker of one hold are 40 ug; the drift goes over 700.
+    assert abs(off_m_s2) < 200 * MICRO_G_M_S2
+    assert np.any(positions.bias_drift_m_s2[~positions.used])
+
+
+def test_observations_of_a_file_lose_their_drift(parameters: Parameters) -> None:
+    steady = without_drift(observations_of(parameters), parameters.calibration)
+    # What is left fits without any drift.
+    again = calibrate_accelerometer(steady, GRAVITY, model="linear")
+    assert again.quality.residual_rms_m_s2 < 1.5 * parameters.calibration.quality.residual_rms_m_s2
+
+
+def test_a_drift_that_was_fitted_is_no_misfit() -> None:
+    observations = drifting()
+    calibration = calibrate_accelerometer(observations, GRAVITY)
+    assert np.any(calibration.positions.bias_drift_m_s2)
+    found = cross_validate(calibration, observations, 4)
+    assert found.misfit < found.misfit_limit
+
+
+def test_ideal_outputs_are_no_division_by_zero() -> None:
+    session = drifting()
+    force = GRAVITY.gravity_m_s2 * session.direction
+    found = calibrate_accelerometer(replace(session, mean_raw=force), GRAVITY)
+    np.testing.assert_allclose(found.accelerometer.scale, 1.0, rtol=1e-9)
