@@ -222,10 +222,14 @@ class GuideActions:
         if not np.array_equal(scale.raw_zero, before.raw_zero):
             renamed = self.plan.place_anew(lambda observation: scale.up(observation.mean_raw))
             self.speaker.say(self.adviser.offset_advice(self.speaker.now_s, before, scale, renamed=renamed))
-        for index, observation in list(self.plan.accepted.items()):
-            refusal = check_gravity(observation.mean_raw, scale)
-            if refusal is not None:
-                self._withdraw(index, observation.name, refusal)
+        self.take_back()
+
+    def judge_restored(self, index: int) -> None:
+        """Judge what an undo has brought back by all that the session has shown since, and fit anew."""
+        scale = self.detector.scale
+        self.plan.place_anew(lambda observation: scale.up(observation.mean_raw), self.plan.accepted.keys() & {index})
+        self.take_back()
+        self.adviser.fit_again(scale)
 
     def recognise(self) -> Input:
         """Find the position that the unit is in."""
@@ -304,16 +308,14 @@ class GuideActions:
         return Input.AGAIN if hold.refusal.reason in _PASSING else Input.REFUSED
 
     def take_back(self) -> None:
-        """Withdraw what was accepted before later holds showed what is wrong with it."""
+        """Withdraw what was accepted before later holds and stills showed what is wrong with it."""
+        scale = self.detector.scale
         for index, observation in list(self.plan.accepted.items()):
-            refusal = self.watch.outputs.refusal(observation.output)
+            refusal = self.watch.outputs.refusal(observation.output, check_gravity(observation.mean_raw, scale))
             if refusal is not None:
-                self._withdraw(index, observation.name, refusal)
-
-    def _withdraw(self, index: int, name: str, refusal: Refusal) -> None:
-        self.plan.take_back(index)
-        self.speaker.reject(refusals.taken_back(refusal, name), name)
-        self.adviser.fit_again(self.detector.scale)
+                self.plan.take_back(index)
+                self.speaker.reject(refusals.taken_back(refusal, observation.name), observation.name)
+                self.adviser.fit_again(scale)
 
     def accept(self) -> Input | None:
         """Add the observation to the plan and announce what comes next."""
@@ -329,7 +331,6 @@ class GuideActions:
         self.hold.learn(hold)
         adviser.fit_again(self.detector.scale)
         self.speaker.say(accepted_event(now_s, observation, hold.scale, plan, replaces=replaces, fit=adviser.fit))
-        self.resting.begin(index, self.detector.scale.up(observation.mean_raw))
         self._lingering = Lingering()
         self.hold.forget()
         self._moved_in_a_row = 0
@@ -337,6 +338,10 @@ class GuideActions:
             self.speaker.say(*adviser.drift_advice(now_s, self.detector.scale))
         self.speaker.say(*adviser.advise(now_s))
         self._judge_anew(observation.mean_raw.tolist())
+        # Only now: this very hold may have shown that it is another side.
+        up = self.detector.scale.up(observation.mean_raw)
+        nearest = plan.nearest(up, pending=False)
+        self.resting.begin(index if nearest is None else nearest.index, up)
         return self.go_on()
 
     def go_on(self) -> Input | None:

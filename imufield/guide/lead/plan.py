@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -27,7 +26,8 @@ class Nearest:
     angle_deg: float
 
 
-class _Done(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class _Done:
     """What can be undone: accept, retake, skip or revisit, its position, and the observation that was replaced."""
 
     action: str
@@ -121,7 +121,7 @@ class Plan:
         if index == self.revisiting:
             self.revisiting = None
         # Nothing that led to it is left to undo.
-        self._history = [done for done in self._history if done.index != index or done.action == "revisit"]
+        self._history = [done for done in self._history if done.index != index]
 
     def place_anew(self, up: Callable[[Observation], FloatArray], among: Iterable[int] | None = None) -> int:
         """Move observations to the positions that they show now that the offset is known; return how many were elsewhere.
@@ -154,7 +154,7 @@ class Plan:
         self.skipped.difference_update(moved.values())
         # A position is skipped whatever was measured where.
         self._history = [
-            done if done.action == "skip" else done._replace(index=moved.get(done.index, done.index)) for done in self._history
+            done if done.action == "skip" else replace(done, index=moved.get(done.index, done.index)) for done in self._history
         ]
 
     def _named(self, observation: Observation, index: int) -> Observation:
@@ -179,7 +179,8 @@ class Plan:
         """Reverse the last accept, retake, skip or revisit; return it and its position, None when there is none."""
         if not self._history:
             return None
-        action, index, replaced = self._history.pop()
+        done = self._history.pop()
+        action, index, replaced = done.action, done.index, done.replaced
         if action == "skip":
             self.skipped.discard(index)
         elif action == "retake":
@@ -193,6 +194,8 @@ class Plan:
                 self.withdrawn = [older for older in self.withdrawn if older is not replaced]
                 self.accepted[index] = self._named(replaced, index)
                 self.wanted_again.add(index)
+            elif index == self.revisiting:
+                self.revisiting = None
         return action, index
 
     def find(self, name: str) -> int | None:

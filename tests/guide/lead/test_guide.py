@@ -562,3 +562,36 @@ def test_frames_that_stop_in_a_session_are_refused_and_measured_again(make_path:
     assert {event.reason for event in of(events, Rejected)} == {RefusalCode.FROZEN}
     assert guide.observations().name == ("+z", "+x")
     assert guide.observations().start_s[1] > 16.0
+
+
+def test_a_knock_after_the_offset_was_found_is_no_move(make_path: Any) -> None:
+    """The sixth side shows an offset, which turned what was told of up by 14 degrees; then somebody knocks on the table."""
+    sides = [FACES[name] for name in ("+z", "-z", "+y", "-y", "-x", "+x")]
+    path = make_path(100.0).hold(sides[0], 6)
+    for up in sides[1:]:
+        path.turn(up, 1.5).hold(up, 6)
+    knock = path.count
+    samples = path.hold(sides[-1], 7).samples()
+    samples.accelerometer[:, 2] += 2.5
+    samples.accelerometer[knock : knock + 30] += np.random.default_rng(3).normal(0, 1.0, (30, 3))
+    _, events = run(samples, "corners24")
+    (found,) = (event for event in of(events, Advice) if event.topic is Topic.OFFSET)
+    last = of(events, Accepted)[-1]
+    assert (last.position, last.time_s) == ("+x", found.time_s)
+    assert not of(events, Rejected)
+
+
+@pytest.mark.parametrize(
+    ("zero_m_s2", "name"), [((0.0, 0.0, -4.9), None), ((-9.8, 0.0, 9.8), "+x")], ids=["its norm", "its side"]
+)
+def test_undo_judges_what_it_brings_back(make_path: Any, zero_m_s2: Any, name: Any) -> None:
+    """+z is replaced; then it becomes known that the first one is none, or shows another side."""
+    samples = faces_session(make_path, ("+z", "+z")).samples()
+    guide, _ = run(samples, marks=(("retake", 5.5),))
+    assert len(guide.plan.withdrawn) == 1
+    guide.detector.scale = replace(guide.detector.scale, raw_zero=np.array(zero_m_s2), centred=True)
+    guide.mark("undo", guide.time_s)
+    events = guide.flush() + guide.feed(make_path(100.0).hold([0, 0, 1], 0.2).samples(start_s=guide.time_s + 0.01))
+    assert of(events, Marked)
+    assert guide.observations().name == (() if name is None else (name,))
+    assert [event.reason for event in of(events, Rejected)] == ([RefusalCode.GRAVITY] if name is None else [])

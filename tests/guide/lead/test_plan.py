@@ -193,3 +193,11 @@ def test_a_position_that_is_revisited_and_taken_back_is_measured_first(plan: Any
     plan.accept(x, observation("+x", 1.0))
     assert plan.accepted[x].start_s == 1.0
     assert plan.revisited is None
+
+
+def test_an_undone_position_is_not_revisited(plan: Any) -> None:
+    (x,) = accept_sides(plan, "+x")
+    plan.revisiting = x
+    plan.undo()
+    plan.accept(x, observation("+x", 1.0))
+    assert plan.accepted[x].start_s == 1.0
