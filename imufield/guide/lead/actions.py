@@ -17,6 +17,7 @@ from imufield.guide.cross_checks.sides import SidesCheck
 from imufield.guide.events import Done, Hold, Holding, LinkBack, LinkLost, Marked, RefusalCode, Turning, vector
 from imufield.guide.hold.checks import LOST_SHARE, check_gravity, examine, explain_flags
 from imufield.guide.hold.observe import observe
+from imufield.guide.hold.output import HoldOutput
 from imufield.guide.lead.advice import Adviser
 from imufield.guide.lead.hold_under_way import HoldUnderWay
 from imufield.guide.lead.plan import Plan
@@ -298,7 +299,9 @@ class GuideActions:
         hold.refusal = None
         if measured is not None:
             found = examine(measured) or check_gravity(measured.cells.mean[:, :3].mean(axis=0), measured.scale)
-            hold.refusal = self.watch.outputs.refusal(self.watch.outputs.add(measured.cells), found)
+            hold.output = output = HoldOutput.of(measured.cells)
+            self.watch.outputs.add(output, again=hold.again_at is not None and hold.again_at == hold.position)
+            hold.refusal = self.watch.outputs.refusal(output, found)
             self.take_back()
         slope, is_first = self.watch.warmth.slope_degc_min, not self.plan.accepted
         if hold.refusal is None and is_first and not self.goes_on_cold and abs(slope) > _WARM_UP_DEGC_MIN:
@@ -324,7 +327,8 @@ class GuideActions:
         if index is None or hold is None:
             return None
         position = plan.position(index)
-        observation = observe(hold.cells, hold.limits, position.name, position.direction, hand_mean=hold.hand_mean)
+        hand_mean, output = hold.hand_mean, self.hold.output
+        observation = observe(hold.cells, hold.limits, position.name, position.direction, hand_mean=hand_mean, output=output)
         observation = self.watch.outputs.with_resolution(observation)
         is_revisit = index == plan.revisiting
         replaces = plan.accept(index, observation)
@@ -385,6 +389,7 @@ class GuideActions:
     def measure_again(self) -> None:
         """Tell why the hold is refused and begin anew where the unit is."""
         self._reject_hold()
+        self.hold.again_at = self.hold.position
         self.hold.begin()
         self.detector.restart()
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from imufield.guide import refusals
+from imufield.guide.cross_checks.outputs import Outputs
 from imufield.guide.events import (
     Accepted,
     Advice,
@@ -595,3 +596,17 @@ def test_undo_judges_what_it_brings_back(make_path: Any, zero_m_s2: Any, name: A
     assert of(events, Marked)
     assert guide.observations().name == (() if name is None else (name,))
     assert [event.reason for event in of(events, Rejected)] == ([RefusalCode.GRAVITY] if name is None else [])
+
+
+def test_a_hold_that_is_measured_again_takes_the_place_of_the_one_before(
+    make_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    added: list[bool] = []
+    monkeypatch.setattr(Outputs, "add", lambda _self, _hold, *, again=False: added.append(again))
+    samples = make_path(100.0).hold([0, 0, 1], 30).turn([1, 0, 0], 1.5).hold([1, 0, 0], 20).samples()
+    samples.temperature_degc[:] = 20 + samples.time_s / 20
+    _, events = run(samples, settings=GuideSettings(hold_s=6.0))
+    warming = [event for event in of(events, Rejected) if event.reason is RefusalCode.WARMING_UP]
+    # One entry for each of the two sides.
+    assert len(added) == len(warming) > 4
+    assert added.count(False) == 2
