@@ -610,3 +610,22 @@ def test_a_hold_that_is_measured_again_takes_the_place_of_the_one_before(
     # One entry for each of the two sides.
     assert len(added) == len(warming) > 4
     assert added.count(False) == 2
+
+
+def test_lost_samples_beside_a_flagged_one_are_not_clipped(make_path: Any) -> None:
+    """One of 500 is flagged, in a cell that lost four more: one is a knock."""
+    samples = make_path(100.0).hold([0, 0, 1], 12).samples()
+    samples.status[400] |= np.uint32(Status.ACCELEROMETER_SATURATED)
+    samples.status[401:405] |= np.uint32(Status.ACCELEROMETER_INVALID)
+    guide, events = run(samples, settings=GuideSettings(hold_s=5.0))
+    assert not of(events, Rejected)
+    assert len(guide.observations()) == 1
+
+
+def test_a_few_rates_at_their_end_refuse_no_still(make_path: Any) -> None:
+    """Ten of 500: less than may be lost, and the mean of the accelerometer has both sides of its noise."""
+    samples = make_path(100.0).hold([0, 0, 1], 12).samples()
+    samples.status[305:700:40] |= np.uint32(Status.GYROSCOPE_SATURATED)
+    guide, events = run(samples, settings=GuideSettings(hold_s=5.0))
+    assert not of(events, Rejected)
+    assert len(guide.observations()) == 1
