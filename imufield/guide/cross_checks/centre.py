@@ -58,7 +58,6 @@ def centred(scale: RoughScale, stills_raw: FloatArray) -> RoughScale:
     x = _sides(x / length)
     centre, radius = _fit_sphere(x)
     arm = x - centre
-    arm = x - centre
     on_sphere = np.abs(np.linalg.norm(arm, axis=1) / radius - 1) < _ON_SPHERE
     spare, off = int(on_sphere.sum()) - _UNKNOWNS, int((~on_sphere).sum())
     # Four stills always lie on a sphere: those to spare must outnumber those that are not on it.

@@ -29,6 +29,7 @@ References
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
 from statistics import NormalDist
@@ -55,6 +56,7 @@ _QUIET = 0.25  # Share of the holds that are quieter than the noise taken: some 
 # Times the share that Gaussian noise gives its commonest code: tails of other noise are longer, and a hold quieter than most.
 _COMMON = 2.0
 _LEAST_COMMON = 0.1  # The same at least: an output finer than its digits shows finer steps than it has.
+_HOLDS_KEPT = 1000  # A day of holds: memory and work do not grow with the session.
 _NORMAL = NormalDist()
 _End = tuple[int, bool, float]  # Axis of the accelerometer, whether the high end, value.
 
@@ -66,7 +68,7 @@ class Outputs:
         self._low = np.full(6, np.nan)
         self._high = np.full(6, np.nan)
         self._step = np.full(6, np.inf)
-        self._holds: list[HoldOutput] = []
+        self._holds: deque[HoldOutput] = deque(maxlen=_HOLDS_KEPT)
         self._shown: tuple[list[float], set[_End]] | None = None  # What they show, until there is another.
 
     def follow(self, cells: Cells, row: int) -> None:
@@ -75,12 +77,12 @@ class Outputs:
         self._high = np.fmax(self._high, cells.high[row])
         self._step = np.minimum(self._step, cells.step[row])
 
-    def add(self, cells: Cells) -> HoldOutput:
-        """Add a hold, whether it counts or not, and return its outputs."""
-        output = HoldOutput.of(cells)
-        self._holds.append(output)
+    def add(self, hold: HoldOutput, *, again: bool = False) -> None:
+        """Add a hold, whether it counts or not; ``again``: in place of the one before, where the unit still is."""
+        if again and self._holds:
+            self._holds.pop()
+        self._holds.append(hold)
         self._shown = None
-        return output
 
     def refusal(self, hold: HoldOutput, found: Refusal | None = None) -> Refusal | None:
         """Return why a hold does not count, by all that the session has shown so far; None where it does.

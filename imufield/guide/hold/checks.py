@@ -80,15 +80,14 @@ def _refusals_in_order(hold: HoldUnderTest) -> Iterator[Refusal | None]:
 
 
 def _check_flags(hold: HoldUnderTest) -> Refusal | None:
-    """Refuse a hold of which too many samples are lost or unusable."""
+    """Refuse a hold of which too many samples are lost or unusable, or the accelerometer clipped."""
     cells = hold.cells
     slots = int(cells.slot[-1] - cells.slot[0]) + 1
     usable_share = float(cells.usable.sum()) / (slots * hold.floor.samples_per_cell)
     if usable_share < 1 - LOST_SHARE:
         return explain_flags(cells, usable_share, 1 - LOST_SHARE)
     # Clipped samples stay out of the mean by their flags: those that are left show one side of the noise.
-    flagged = (cells.flags & np.uint32(Status.ACCELEROMETER_SATURATED | Status.GYROSCOPE_SATURATED)) != 0
-    out = int((cells.count - cells.usable)[flagged].sum())
+    out = int(cells.clipped.sum())
     share = out / int(cells.count.sum())
     clipped = out >= CLIPPED_SAMPLES and share > CLIPPED_SHARE
     return explain_flags(cells, 1 - share, 1 - CLIPPED_SHARE) if clipped else None

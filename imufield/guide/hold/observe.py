@@ -170,9 +170,15 @@ def knocks_of(cells: Cells, limits: Limits) -> FloatArray:
 
 
 def observe(
-    cells: Cells, limits: Limits, name: str, direction: FloatArray | None = None, *, hand_mean: HandMean | None = None
+    cells: Cells,
+    limits: Limits,
+    name: str,
+    direction: FloatArray | None = None,
+    *,
+    hand_mean: HandMean | None = None,
+    output: HoldOutput | None = None,
 ) -> Observation:
-    """Return the observation of a trimmed stretch; cells with a knock are left out."""
+    """Return the observation of a trimmed stretch; cells with a knock are left out. ``output`` saves making it again."""
     out = knocked(cells, limits)
     kept = cells if not out.any() or out.all() else cells[np.flatnonzero(~out)]
     if hand_mean is None:
@@ -192,7 +198,7 @@ def observe(
         start_s=float(cells.start_s[0]),
         duration_s=float(cells.end_s[-1] - cells.start_s[0]),
         temperature_degc=float(warmth.mean()) if len(warmth) else float("nan"),
-        output=HoldOutput.of(cells),
+        output=output or HoldOutput.of(cells),
         hand_mean=hand_mean,
     )
 

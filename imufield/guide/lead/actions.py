@@ -17,6 +17,7 @@ from imufield.guide.cross_checks.sides import SidesCheck
 from imufield.guide.events import Done, Hold, Holding, LinkBack, LinkLost, Marked, RefusalCode, Turning, vector
 from imufield.guide.hold.checks import LOST_SHARE, check_gravity, examine, explain_flags
 from imufield.guide.hold.observe import observe
+from imufield.guide.hold.output import HoldOutput
 from imufield.guide.lead.advice import Adviser
 from imufield.guide.lead.hold_under_way import HoldUnderWay
 from imufield.guide.lead.plan import Plan
@@ -222,10 +223,14 @@ class GuideActions:
         if not np.array_equal(scale.raw_zero, before.raw_zero):
             renamed = self.plan.place_anew(lambda observation: scale.up(observation.mean_raw))
             self.speaker.say(self.adviser.offset_advice(self.speaker.now_s, before, scale, renamed=renamed))
-        for index, observation in list(self.plan.accepted.items()):
-            refusal = check_gravity(observation.mean_raw, scale)
-            if refusal is not None:
-                self._withdraw(index, observation.name, refusal)
+        self.take_back()
+
+    def judge_restored(self, index: int) -> None:
+        """Judge what an undo has brought back by all that the session has shown since, and fit anew."""
+        scale = self.detector.scale
+        self.plan.place_anew(lambda observation: scale.up(observation.mean_raw), self.plan.accepted.keys() & {index})
+        self.take_back()
+        self.adviser.fit_again(scale)
 
     def recognise(self) -> Input:
         """Find the position that the unit is in."""
@@ -294,7 +299,9 @@ class GuideActions:
         hold.refusal = None
         if measured is not None:
             found = examine(measured) or check_gravity(measured.cells.mean[:, :3].mean(axis=0), measured.scale)
-            hold.refusal = self.watch.outputs.refusal(self.watch.outputs.add(measured.cells), found)
+            hold.output = output = HoldOutput.of(measured.cells)
+            self.watch.outputs.add(output, again=hold.again_at is not None and hold.again_at == hold.position)
+            hold.refusal = self.watch.outputs.refusal(output, found)
             self.take_back()
         slope, is_first = self.watch.warmth.slope_degc_min, not self.plan.accepted
         if hold.refusal is None and is_first and not self.goes_on_cold and abs(slope) > _WARM_UP_DEGC_MIN:
@@ -304,16 +311,14 @@ class GuideActions:
         return Input.AGAIN if hold.refusal.reason in _PASSING else Input.REFUSED
 
     def take_back(self) -> None:
-        """Withdraw what was accepted before later holds showed what is wrong with it."""
+        """Withdraw what was accepted before later holds and stills showed what is wrong with it."""
+        scale = self.detector.scale
         for index, observation in list(self.plan.accepted.items()):
-            refusal = self.watch.outputs.refusal(observation.output)
+            refusal = self.watch.outputs.refusal(observation.output, check_gravity(observation.mean_raw, scale))
             if refusal is not None:
-                self._withdraw(index, observation.name, refusal)
-
-    def _withdraw(self, index: int, name: str, refusal: Refusal) -> None:
-        self.plan.take_back(index)
-        self.speaker.reject(refusals.taken_back(refusal, name), name)
-        self.adviser.fit_again(self.detector.scale)
+                self.plan.take_back(index)
+                self.speaker.reject(refusals.taken_back(refusal, observation.name), observation.name)
+                self.adviser.fit_again(scale)
 
     def accept(self) -> Input | None:
         """Add the observation to the plan and announce what comes next."""
@@ -322,14 +327,14 @@ class GuideActions:
         if index is None or hold is None:
             return None
         position = plan.position(index)
-        observation = observe(hold.cells, hold.limits, position.name, position.direction, hand_mean=hold.hand_mean)
+        hand_mean, output = hold.hand_mean, self.hold.output
+        observation = observe(hold.cells, hold.limits, position.name, position.direction, hand_mean=hand_mean, output=output)
         observation = self.watch.outputs.with_resolution(observation)
         is_revisit = index == plan.revisiting
         replaces = plan.accept(index, observation)
         self.hold.learn(hold)
         adviser.fit_again(self.detector.scale)
         self.speaker.say(accepted_event(now_s, observation, hold.scale, plan, replaces=replaces, fit=adviser.fit))
-        self.resting.begin(index, self.detector.scale.up(observation.mean_raw))
         self._lingering = Lingering()
         self.hold.forget()
         self._moved_in_a_row = 0
@@ -337,6 +342,10 @@ class GuideActions:
             self.speaker.say(*adviser.drift_advice(now_s, self.detector.scale))
         self.speaker.say(*adviser.advise(now_s))
         self._judge_anew(observation.mean_raw.tolist())
+        # Only now: this very hold may have shown that it is another side.
+        up = self.detector.scale.up(observation.mean_raw)
+        nearest = plan.nearest(up, pending=False)
+        self.resting.begin(index if nearest is None else nearest.index, up)
         return self.go_on()
 
     def go_on(self) -> Input | None:
@@ -380,6 +389,7 @@ class GuideActions:
     def measure_again(self) -> None:
         """Tell why the hold is refused and begin anew where the unit is."""
         self._reject_hold()
+        self.hold.again_at = self.hold.position
         self.hold.begin()
         self.detector.restart()
 

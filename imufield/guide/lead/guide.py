@@ -323,7 +323,5 @@ class Guide:
         if undone is None:
             return None, sentence("guide.nothing_to_undo")
         action, index = undone
-        # What is back may have been withdrawn for a reason; and the fit without it is another one.
-        self._actions.take_back()
-        self.adviser.fit_again(self.detector.scale)
+        self._actions.judge_restored(index)
         return index, sentence("guide.undo", action=action, position=self.plan.position(index).name)

@@ -14,6 +14,7 @@ from imufield.guide.hold.checks import HoldUnderTest
 from imufield.guide.hold.hand_mean import mean_in_hand
 from imufield.guide.hold.hold_time import SHORTEST_S, AllanMinimum, HoldTarget, sigma_along
 from imufield.guide.hold.observe import guard_cells, knocks_of, trim_stretch
+from imufield.guide.hold.output import HoldOutput
 from imufield.guide.refusals import Refusal
 from imufield.guide.stillness.cells import CELL_S, Cells, cells_in
 from imufield.guide.stillness.detector import StillnessDetector
@@ -92,6 +93,8 @@ class HoldUnderWay:
         self.position: int | None = None  # Where the hold belongs.
         self.fraction = 0.0  # Part of the hold that is done.
         self.measured: HoldUnderTest | None = None  # The hold, once it is long enough.
+        self.output: HoldOutput | None = None  # Of the hold that was judged.
+        self.again_at: int | None = None  # Where the hold before was to be measured again.
         self.refusal: Refusal | None = None  # Of the latest hold.
 
     @property
@@ -105,7 +108,7 @@ class HoldUnderWay:
 
     def forget(self) -> None:
         """Forget the hold: it was accepted, refused or left."""
-        self.position = None
+        self.position = self.again_at = None
         self.begin()
 
     def learn(self, hold: HoldUnderTest) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,6 +26,15 @@ class Nearest:
     angle_deg: float
 
 
+@dataclass(frozen=True, slots=True)
+class _Done:
+    """What can be undone: accept, retake, skip or revisit, its position, and the observation that was replaced."""
+
+    action: str
+    index: int
+    replaced: Observation | None = None
+
+
 class Plan:
     """Positions of a scheme and their measurements.
 
@@ -42,13 +51,14 @@ class Plan:
         self.skipped: set[int] = set()
         self.wanted_again: set[int] = set()
         self.withdrawn: list[Observation] = []  # Replaced or undone; kept, not used.
+        self.faulty: list[Observation] = []  # Taken back because of what they show; no undo brings them back.
         self.first: int | None = None  # Asked for before all others: where the unit is when the session begins.
         self.preferred: int | None = None  # Asked for next instead of the proposed order: where a hold helps most.
         # Asked for once more at the end, as a check for drift; its measurement replaces nothing.
         self.revisiting: int | None = None
         self.revisited: Observation | None = None
         self._directions = scheme.directions()
-        self._history: list[tuple[str, int]] = []
+        self._history: list[_Done] = []
 
     def position(self, index: int) -> Position:
         """Return a position by its place in the proposed order."""
@@ -77,24 +87,23 @@ class Plan:
 
         ``direction`` is a unit vector.
         """
+        return self._nearest_of([i for i in range(len(self.scheme)) if self.is_pending(i) or not pending], direction)
+
+    def _nearest_of(self, candidates: Iterable[int], direction: FloatArray) -> Nearest | None:
         target = self.proposed()
         angles = np.degrees(np.arccos(np.clip(self._directions @ direction, -1, 1))).tolist()
-        candidates = [
-            # Rounded, so that repeats of one direction are equal.
-            (round(angle, 3), index != target, index)
-            for index, angle in enumerate(angles)
-            if self.is_pending(index) or not pending
-        ]
-        if not candidates:
+        # Rounded, so that repeats of one direction are equal.
+        ranked = [(round(angles[index], 3), index != target, index) for index in candidates]
+        if not ranked:
             return None
-        angle, _, index = min(candidates)
+        angle, _, index = min(ranked)
         return Nearest(index, angle)
 
     def accept(self, index: int, observation: Observation) -> bool:
         """Add an observation; return whether it replaces an older one."""
         if index == self.revisiting and index not in self.wanted_again:
             self.revisiting, self.revisited = None, observation
-            self._history.append(("revisit", index))
+            self._history.append(_Done("revisit", index))
             return False
         older = self.accepted.pop(index, None)
         if older is not None:
@@ -102,38 +111,60 @@ class Plan:
         self.accepted[index] = observation
         self.wanted_again.discard(index)
         self.skipped.discard(index)
-        self._history.append(("accept", index))
+        self._history.append(_Done("accept", index, older))
         return older is not None
 
     def take_back(self, index: int) -> None:
         """Withdraw an observation that does not count any more; the position is pending again."""
-        self.withdrawn.append(self.accepted.pop(index))
+        self.faulty.append(self.accepted.pop(index))
+        self.wanted_again.discard(index)
+        if index == self.revisiting:
+            self.revisiting = None
+        # Nothing that led to it is left to undo.
+        self._history = [done for done in self._history if done.index != index]
 
-    def place_anew(self, up: Callable[[Observation], FloatArray]) -> int:
-        """Move the observations to the positions that they show now that the offset is known; return how many were elsewhere.
+    def place_anew(self, up: Callable[[Observation], FloatArray], among: Iterable[int] | None = None) -> int:
+        """Move observations to the positions that they show now that the offset is known; return how many were elsewhere.
 
-        ``up`` returns the direction that an observation shows. One that belongs to no pending position is withdrawn.
+        ``up`` returns the direction that an observation shows. One that belongs to no free position is withdrawn. ``among``
+        are the positions looked at, by default all.
         """
-        shown = {index: up(observation) for index, observation in self.accepted.items()}
-        strays = {
-            index: self.accepted.pop(index)
-            for index, direction in shown.items()
-            if angle_deg(self.position(index).direction, direction) > self.tolerance_deg
-        }
-        for index, observation in strays.items():
-            nearest = self.nearest(shown[index], pending=True)
+        shown = {index: up(self.accepted[index]) for index in (self.accepted if among is None else among)}
+        strays = [i for i, direction in shown.items() if angle_deg(self.position(i).direction, direction) > self.tolerance_deg]
+        free = set(range(len(self.scheme))).difference(self.accepted).union(strays)
+        moved: dict[int, int] = {}
+        for index in strays:
+            nearest = self._nearest_of(free, shown[index])
             if nearest is None or nearest.angle_deg > self.tolerance_deg:
-                self.withdrawn.append(observation)
-                continue
-            position = self.position(nearest.index)
-            self.accepted[nearest.index] = replace(observation, name=position.name, direction=position.direction)
-            self._history = [(action, nearest.index if at == index else at) for action, at in self._history]
+                self.take_back(index)
+            else:
+                moved[index] = nearest.index
+                free.discard(nearest.index)
+        self._move(moved)
         return len(strays)
+
+    def _move(self, moved: dict[int, int]) -> None:
+        """Give observations other positions, old index to new one, and with them all that refers to them."""
+        self.accepted = {
+            moved.get(i, i): self._named(observation, moved[i]) if i in moved else observation
+            for i, observation in self.accepted.items()
+        }
+        self.wanted_again = {moved.get(i, i) for i in self.wanted_again}
+        self.revisiting = None if self.revisiting is None else moved.get(self.revisiting, self.revisiting)
+        self.skipped.difference_update(moved.values())
+        # A position is skipped whatever was measured where.
+        self._history = [
+            done if done.action == "skip" else replace(done, index=moved.get(done.index, done.index)) for done in self._history
+        ]
+
+    def _named(self, observation: Observation, index: int) -> Observation:
+        position = self.position(index)
+        return replace(observation, name=position.name, direction=position.direction)
 
     def want_again(self, index: int) -> None:
         """Ask for a position once more; its observation stays until the new one is accepted."""
         self.wanted_again.add(index)
-        self._history.append(("retake", index))
+        self._history.append(_Done("retake", index))
 
     def skip(self, index: int) -> None:
         """Do not ask for a position any more; a hold there is accepted all the same."""
@@ -142,13 +173,14 @@ class Plan:
         if index not in self.accepted:
             self.skipped.add(index)
         self.wanted_again.discard(index)
-        self._history.append(("skip", index))
+        self._history.append(_Done("skip", index))
 
     def undo(self) -> tuple[str, int] | None:
         """Reverse the last accept, retake, skip or revisit; return it and its position, None when there is none."""
         if not self._history:
             return None
-        action, index = self._history.pop()
+        done = self._history.pop()
+        action, index, replaced = done.action, done.index, done.replaced
         if action == "skip":
             self.skipped.discard(index)
         elif action == "retake":
@@ -156,14 +188,14 @@ class Plan:
         elif action == "revisit":
             self.revisiting, self.revisited = index, None
         elif index in self.accepted:
-            undone = self.accepted.pop(index)
-            before = next((older for older in reversed(self.withdrawn) if older.name == undone.name), None)
-            if before is not None:
-                # The one that it had replaced counts again.
-                self.withdrawn = [older for older in self.withdrawn if older is not before]
-                self.accepted[index] = before
+            self.withdrawn.append(self.accepted.pop(index))
+            if replaced is not None:
+                # It counts again, under the name that the position has by now.
+                self.withdrawn = [older for older in self.withdrawn if older is not replaced]
+                self.accepted[index] = self._named(replaced, index)
                 self.wanted_again.add(index)
-            self.withdrawn.append(undone)
+            elif index == self.revisiting:
+                self.revisiting = None
         return action, index
 
     def find(self, name: str) -> int | None:

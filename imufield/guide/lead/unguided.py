@@ -123,8 +123,8 @@ class StillIntervalFinder:
         if floor is None or len(cells) < cells_in(_SHORTEST_S):
             return
         hold = HoldUnderTest(cells=cells, floor=floor, limits=detector.limits, scale=detector.scale)
-        self._outputs.add(cells)
         placement = observe(cells, detector.limits, ""), examine(hold)
+        self._outputs.add(placement[0].output)
         if not self._put_down:
             # A soft support gives way, a table is knocked: the unit was not put down a second time.
             placement = max(placement, self._placements.pop(), key=lambda one: (one[1] is None, one[0].duration_s))

@@ -17,7 +17,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.samples import UNUSABLE, FloatArray, IntArray, Samples, concatenate
+from imufield.samples import UNUSABLE, FloatArray, IntArray, Samples, Status, concatenate
 
 # Short against a turn (0.5 s and more), long against the tremor of a hand (8 to 12 Hz).
 CELL_S = 0.1
@@ -41,6 +41,8 @@ class Cells:
         Samples that entered the statistics: status good, accelerometer finite; and the gyroscope finite too.
     flags : ndarray of uint32, shape (m,)
         All ``Status`` flags seen.
+    clipped : ndarray of int64, shape (m,)
+        Samples whose accelerometer is flagged as saturated.
     mean : ndarray, shape (m, 6)
         Accelerometer and gyroscope as rates, raw unit; NaN without usable samples.
     variance : ndarray, shape (m, 6)
@@ -64,6 +66,7 @@ class Cells:
     usable: IntArray
     gyroscope_usable: IntArray
     flags: NDArray[np.uint32]
+    clipped: IntArray
     mean: FloatArray
     variance: FloatArray
     step: FloatArray
@@ -143,11 +146,13 @@ def measure_cells(samples: Samples, slot: IntArray) -> Cells:
     flagged = bool((samples.status & np.uint32(UNUSABLE)).any())
     # A sum is finite only if every term is: one pass instead of a mask. The usual case.
     if not flagged and np.isfinite(values.sum()):
-        counts, first = np.tile(count, (6, 1)), values[:, starts]
+        counts, first, clipped = np.tile(count, (6, 1)), values[:, starts], np.zeros_like(count)
         deviation = values - np.repeat(first, count, axis=1)
     else:
         usable = samples.usable & np.isfinite(values[:3]).all(axis=0)
         gyroscope_usable = usable & np.isfinite(values[3:]).all(axis=0)
+        saturated = (samples.status & np.uint32(Status.ACCELEROMETER_SATURATED)) != 0
+        clipped = np.add.reduceat(saturated, starts, dtype=np.int64)
         mask = np.repeat(np.stack((usable, gyroscope_usable)), 3, axis=0)
         counts = np.add.reduceat(mask, starts, axis=1, dtype=np.int64)
         # The first usable value; behind the last sample stands a zero, which a cell without a usable sample refers to.
@@ -180,6 +185,7 @@ def measure_cells(samples: Samples, slot: IntArray) -> Cells:
         usable=counts[0],
         gyroscope_usable=counts[3],
         flags=np.bitwise_or.reduceat(samples.status, starts),
+        clipped=clipped,
         mean=np.ascontiguousarray(mean.T),
         variance=np.ascontiguousarray((scatter / np.maximum(counts - 1, 1)).T),
         step=np.ascontiguousarray(np.minimum.reduceat(distance, starts, axis=1).T),

@@ -51,7 +51,8 @@ def outputs_of(holds: Any) -> tuple[Outputs, list[HoldOutput]]:
         cells = hold_of(columns)
         for row in range(len(cells)):
             outputs.follow(cells, row)
-        found.append(outputs.add(cells))
+        found.append(HoldOutput.of(cells))
+        outputs.add(found[-1])
     return outputs, found
 
 
@@ -239,7 +240,28 @@ def test_three_outputs_are_all_where_there_is_no_gyroscope(make_path: Callable[.
     samples = make_path(50.0).hold([0, 0, 1], 8).samples(gyroscope=False)
     samples.accelerometer[:] = samples.accelerometer[0]
     outputs = Outputs()
-    hold = outputs.add(join_cells(list(cells_of([samples]))))
+    hold = HoldOutput.of(join_cells(list(cells_of([samples]))))
+    outputs.add(hold)
     refusal = outputs.refusal(hold)
     assert refusal is not None
     assert refusal.reason is RefusalCode.FROZEN
+
+
+def test_a_hold_that_is_measured_again_counts_once() -> None:
+    """One quiet hold of five leaves the noise that of the others, however often it is repeated."""
+    loud = [HoldOutput.of(hold_of(noise_of(8, 0.0, seed=k))) for k in range(4)]
+    quiet = HoldOutput.of(hold_of(noise_of(0.7, 0.0, seed=9)))
+    stalled = noise_of(8, 0.0, seed=10)
+    stalled[:150] = stalled[0]
+    reasons = []
+    for again in (True, False):
+        outputs = Outputs()
+        outputs.follow(hold_of(noise_of(8, 0.0)), 0)
+        for hold in loud:
+            outputs.add(hold)
+        outputs.add(quiet)
+        for _ in range(10):
+            outputs.add(quiet, again=again)
+        refusal = outputs.refusal(HoldOutput.of(hold_of(stalled)))
+        reasons.append(refusal and refusal.reason)
+    assert reasons == [RefusalCode.FROZEN, None]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from imufield.guide import refusals
+from imufield.guide.cross_checks.outputs import Outputs
 from imufield.guide.events import (
     Accepted,
     Advice,
@@ -562,3 +563,69 @@ def test_frames_that_stop_in_a_session_are_refused_and_measured_again(make_path:
     assert {event.reason for event in of(events, Rejected)} == {RefusalCode.FROZEN}
     assert guide.observations().name == ("+z", "+x")
     assert guide.observations().start_s[1] > 16.0
+
+
+def test_a_knock_after_the_offset_was_found_is_no_move(make_path: Any) -> None:
+    """The sixth side shows an offset, which turned what was told of up by 14 degrees; then somebody knocks on the table."""
+    sides = [FACES[name] for name in ("+z", "-z", "+y", "-y", "-x", "+x")]
+    path = make_path(100.0).hold(sides[0], 6)
+    for up in sides[1:]:
+        path.turn(up, 1.5).hold(up, 6)
+    knock = path.count
+    samples = path.hold(sides[-1], 7).samples()
+    samples.accelerometer[:, 2] += 2.5
+    samples.accelerometer[knock : knock + 30] += np.random.default_rng(3).normal(0, 1.0, (30, 3))
+    _, events = run(samples, "corners24")
+    (found,) = (event for event in of(events, Advice) if event.topic is Topic.OFFSET)
+    last = of(events, Accepted)[-1]
+    assert (last.position, last.time_s) == ("+x", found.time_s)
+    assert not of(events, Rejected)
+
+
+@pytest.mark.parametrize(
+    ("zero_m_s2", "name"), [((0.0, 0.0, -4.9), None), ((-9.8, 0.0, 9.8), "+x")], ids=["its norm", "its side"]
+)
+def test_undo_judges_what_it_brings_back(make_path: Any, zero_m_s2: Any, name: Any) -> None:
+    """+z is replaced; then it becomes known that the first one is none, or shows another side."""
+    samples = faces_session(make_path, ("+z", "+z")).samples()
+    guide, _ = run(samples, marks=(("retake", 5.5),))
+    assert len(guide.plan.withdrawn) == 1
+    guide.detector.scale = replace(guide.detector.scale, raw_zero=np.array(zero_m_s2), centred=True)
+    guide.mark("undo", guide.time_s)
+    events = guide.flush() + guide.feed(make_path(100.0).hold([0, 0, 1], 0.2).samples(start_s=guide.time_s + 0.01))
+    assert of(events, Marked)
+    assert guide.observations().name == (() if name is None else (name,))
+    assert [event.reason for event in of(events, Rejected)] == ([RefusalCode.GRAVITY] if name is None else [])
+
+
+def test_a_hold_that_is_measured_again_takes_the_place_of_the_one_before(
+    make_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    added: list[bool] = []
+    monkeypatch.setattr(Outputs, "add", lambda _self, _hold, *, again=False: added.append(again))
+    samples = make_path(100.0).hold([0, 0, 1], 30).turn([1, 0, 0], 1.5).hold([1, 0, 0], 20).samples()
+    samples.temperature_degc[:] = 20 + samples.time_s / 20
+    _, events = run(samples, settings=GuideSettings(hold_s=6.0))
+    warming = [event for event in of(events, Rejected) if event.reason is RefusalCode.WARMING_UP]
+    # One entry for each of the two sides.
+    assert len(added) == len(warming) > 4
+    assert added.count(False) == 2
+
+
+def test_lost_samples_beside_a_flagged_one_are_not_clipped(make_path: Any) -> None:
+    """One of 500 is flagged, in a cell that lost four more: one is a knock."""
+    samples = make_path(100.0).hold([0, 0, 1], 12).samples()
+    samples.status[400] |= np.uint32(Status.ACCELEROMETER_SATURATED)
+    samples.status[401:405] |= np.uint32(Status.ACCELEROMETER_INVALID)
+    guide, events = run(samples, settings=GuideSettings(hold_s=5.0))
+    assert not of(events, Rejected)
+    assert len(guide.observations()) == 1
+
+
+def test_a_few_rates_at_their_end_refuse_no_still(make_path: Any) -> None:
+    """Ten of 500: less than may be lost, and the mean of the accelerometer has both sides of its noise."""
+    samples = make_path(100.0).hold([0, 0, 1], 12).samples()
+    samples.status[305:700:40] |= np.uint32(Status.GYROSCOPE_SATURATED)
+    guide, events = run(samples, settings=GuideSettings(hold_s=5.0))
+    assert not of(events, Rejected)
+    assert len(guide.observations()) == 1

@@ -114,3 +114,90 @@ def test_nearest_of_pending_is_nothing_when_all_is_measured(plan: Any) -> None:
     for index in range(6):
         plan.accept(index, observation(plan.position(index).name))
     assert plan.nearest(np.array([0.0, 0.0, 1.0]), pending=True) is None
+
+
+def shows(**directions: Any) -> Any:
+    """Return what ``place_anew`` asks: where an observation has up, by its start."""
+    return lambda one: np.array(directions[f"at_{one.start_s:.0f}"], dtype=float)
+
+
+def accept_sides(plan: Any, *names: str) -> list[int]:
+    """Accept observations that start at 0, 1, ... s; return the positions."""
+    found = [plan.find(name) for name in names]
+    for start_s, (index, name) in enumerate(zip(found, names, strict=True)):
+        plan.accept(index, observation(name, float(start_s)))
+    return found
+
+
+def test_exchanged_positions_are_undone_one_by_one(plan: Any) -> None:
+    x, y = accept_sides(plan, "+x", "+y")
+    assert plan.place_anew(shows(at_0=[0, 1, 0], at_1=[1, 0, 0])) == 2
+    assert [(index, one.name, one.start_s) for index, one in plan.accepted.items()] == [(y, "+y", 0.0), (x, "+x", 1.0)]
+    assert plan.undo() == ("accept", x)
+    assert [one.start_s for one in plan.accepted.values()] == [0.0]
+    assert plan.undo() == ("accept", y)
+    assert plan.accepted == {}
+
+
+def test_what_moves_keeps_its_place_in_the_order_of_acceptance(plan: Any) -> None:
+    accept_sides(plan, "+x", "+y", "-z")
+    plan.place_anew(shows(at_0=[0, 0, 1], at_1=[0, 1, 0], at_2=[0, 0, -1]))
+    assert [one.name for one in plan.accepted.values()] == ["+z", "+y", "-z"]
+
+
+@pytest.mark.parametrize("why", ["wanted again", "revisiting"])
+def test_a_stray_takes_no_position_that_is_measured(plan: Any, why: str) -> None:
+    x, y = accept_sides(plan, "+x", "+y")
+    if why == "revisiting":
+        plan.revisiting = x
+    else:
+        plan.want_again(x)
+    plan.place_anew(shows(at_0=[1, 0, 0], at_1=[1, 0, 0]))
+    assert {index: one.start_s for index, one in plan.accepted.items()} == {x: 0.0}
+    assert plan.is_pending(y)
+    assert [one.start_s for one in plan.faulty] == [1.0]
+
+
+def test_what_is_asked_of_an_observation_moves_with_it(plan: Any) -> None:
+    x, y = accept_sides(plan, "+x", "+y")
+    z, below = plan.find("+z"), plan.find("-z")
+    plan.skip(z)
+    plan.want_again(x)
+    plan.revisiting = y
+    plan.place_anew(shows(at_0=[0, 0, 1], at_1=[0, 0, -1]))
+    assert (plan.wanted_again, plan.revisiting, plan.skipped) == ({z}, below, set())
+
+
+def test_undo_passes_over_what_was_taken_back(plan: Any) -> None:
+    x, y = accept_sides(plan, "+x", "+y")
+    plan.want_again(y)
+    plan.accept(y, observation("+y", 2.0))
+    plan.take_back(y)
+    assert [one.start_s for one in plan.faulty] == [2.0]
+    assert plan.undo() == ("accept", x)
+    assert plan.undo() is None
+
+
+def test_undo_brings_back_what_was_replaced_and_not_what_was_taken_back(plan: Any) -> None:
+    (x,) = accept_sides(plan, "+x")
+    plan.take_back(x)
+    plan.accept(x, observation("+x", 1.0))
+    assert plan.undo() == ("accept", x)
+    assert plan.accepted == {}
+
+
+def test_a_position_that_is_revisited_and_taken_back_is_measured_first(plan: Any) -> None:
+    (x,) = accept_sides(plan, "+x")
+    plan.revisiting = x
+    plan.take_back(x)
+    plan.accept(x, observation("+x", 1.0))
+    assert plan.accepted[x].start_s == 1.0
+    assert plan.revisited is None
+
+
+def test_an_undone_position_is_not_revisited(plan: Any) -> None:
+    (x,) = accept_sides(plan, "+x")
+    plan.revisiting = x
+    plan.undo()
+    plan.accept(x, observation("+x", 1.0))
+    assert plan.accepted[x].start_s == 1.0
