@@ -96,6 +96,13 @@ def sigma_as_typed(text: str, given: str) -> float | None:
     return sigma_m_s2
 
 
+def recorded_sigma(gravity_m_s2: float | None, sigma_m_s2: float | None) -> float | None:
+    """Return 1 sigma in m/s^2 that a session recorded; None where an older one kept the digits of a textbook's value."""
+    if gravity_m_s2 is None or sigma_m_s2 is None or gravity_m_s2 not in _TEXTBOOK_GRAVITIES_M_S2:
+        return sigma_m_s2
+    return None if math.isclose(sigma_m_s2, sigma_of_digits(repr(gravity_m_s2)), rel_tol=1e-6) else sigma_m_s2
+
+
 def height_words(gravity: Gravity) -> str:
     """Return the height of a place, in words where it is not known."""
     return "height not known" if gravity.height_m is None else f"height {gravity.height_m:g} m"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, fields, replace
 
 from imufield.acquire.recording.session_record import SiteRecord
-from imufield.earth import Gravity, choose_gravity
+from imufield.earth import Gravity, choose_gravity, recorded_sigma
 from imufield.errors import UsageError
 from imufield.sentences import Sentences
 
@@ -47,7 +47,8 @@ class SiteOptions(SiteRecord):
         A value of gravity does not tell the place: latitude and height of the session stay known with it.
         """
         if recorded.is_known and (self.is_default or not self.is_known):
-            return SiteOptions(**asdict(recorded))
+            sigma_m_s2 = recorded_sigma(recorded.gravity_m_s2, recorded.gravity_sigma_m_s2)
+            return SiteOptions(**asdict(recorded) | {"gravity_sigma_m_s2": sigma_m_s2})
         if self.gravity_m_s2 is not None and self.latitude_deg is None:
             return replace(self, latitude_deg=recorded.latitude_deg, height_m=self.height_m or recorded.height_m)
         return self

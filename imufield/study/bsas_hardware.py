@@ -17,7 +17,6 @@ from functools import cache, partial
 
 import numpy as np
 
-from imufield.calibrate.accelerometer.known_attitudes import fit_known_attitudes
 from imufield.calibrate.accelerometer.whitening import whitened_problem
 from imufield.calibrate.model.models import SCALE, from_vector, predict, recover
 from imufield.calibrate.solvers.beetles import solve_bsas
@@ -35,6 +34,7 @@ from imufield.study.instruments import (
     bsas_directions,
     bsas_outputs,
 )
+from imufield.study.known_attitudes import fit_known_attitudes
 from imufield.study.navigation import minute_curves, navigate_at_rest, rest_inputs
 from imufield.study.report import Findings, numbered_table
 

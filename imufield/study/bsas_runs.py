@@ -77,9 +77,9 @@ def _categories(context: StudyContext, one_data_set: bool) -> list[StagedRun]:
 
 def figure_5(context: StudyContext) -> Findings:
     """Show final costs of the swarm."""
-    one, fresh = _categories(context, True), _categories(context, False)
+    shared, fresh = _categories(context, True), _categories(context, False)
     # The quadratic terms are the last of the four categories: their cost is the final one.
-    last, all_fresh = (np.array([run.costs[0, 3] for run in runs]) for runs in (one, fresh))
+    last, all_fresh = (np.array([run.costs[0, 3] for run in runs]) for runs in (shared, fresh))
     exact = np.array([run.exact for run in _whitened(context)])
     return Findings(
         values={
@@ -87,13 +87,13 @@ def figure_5(context: StudyContext) -> Findings:
             "fresh": all_fresh,
             "fresh_spread": all_fresh.max() / all_fresh.min() - 1,
             "one_spread": last.max() / last.min() - 1,
-            "categories": np.median([run.costs[0] for run in one], axis=0),
+            "categories": np.median([run.costs[0] for run in shared], axis=0),
             "truth": np.array([run.truth_cost for run in fresh]),
             "exact": exact,
             "exact_lowest": np.median(exact) < min(np.median(last), np.median(all_fresh)),
             "one_cost": last.max() / last.min() < all_fresh.max() / all_fresh.min(),
             "printed": _printed_cost("mean"),
-            "runs": len(one),
+            "runs": len(shared),
         },
         tables=(numbered_table("costs", ("run", "one data set", "fresh noise"), zip(last, all_fresh, strict=True)),),
         draw=figures.runs({"one data set": last, "fresh noise": all_fresh}, "final cost (m/s$^2$)"),
@@ -145,9 +145,9 @@ def figure_7(context: StudyContext) -> Findings:
 
 def table_3(context: StudyContext) -> Findings:
     """Compare the 15 parameters of 50 runs."""
-    one, fresh = _categories(context, True), _categories(context, False)
-    errors = np.array([run.vectors[0] for run in one]) - BSAS_TRUTH
-    bas_errors = np.array([run.vectors[1] for run in one]) - BSAS_TRUTH
+    shared, fresh = _categories(context, True), _categories(context, False)
+    errors = np.array([run.vectors[0] for run in shared]) - BSAS_TRUTH
+    bas_errors = np.array([run.vectors[1] for run in shared]) - BSAS_TRUTH
     fresh_errors = np.array([run.vectors[0] for run in fresh]) - BSAS_TRUTH
     paper = texts()["bsas-table3"]["paper"]
     parameters = {
@@ -170,7 +170,7 @@ def table_3(context: StudyContext) -> Findings:
     return Findings(
         values={
             "parameters": parameters,
-            "runs": counted(len(one), "run"),
+            "runs": counted(len(shared), "run"),
             "fresh": len(fresh),
             "better": sum(row["RMSE"] < row["paper RMSE"] for row in seen),
             "narrow": sum(row["SD"] < row["RMSE"] / 2 for row in seen),

@@ -14,7 +14,6 @@ from functools import cache
 
 import numpy as np
 
-from imufield.calibrate.accelerometer.known_attitudes import fit_known_attitudes
 from imufield.calibrate.model.models import BIAS, MISALIGNMENT, SCALE
 from imufield.calibrate.solvers.registry import load_solver
 from imufield.study import figures
@@ -28,6 +27,7 @@ from imufield.study.instruments import (
     ide_problem,
     triad_outputs,
 )
+from imufield.study.known_attitudes import fit_known_attitudes
 from imufield.study.optimum import ComparedRun, compare, squares_optimum
 from imufield.study.report import CsvTable, Findings, curves_table, texts
 

@@ -170,7 +170,7 @@ def simulated_session(
         "kind": "capture",
         "scheme": positions,
         "guide": {"hold_s": 4.0, **({"rotations": ROTATIONS[rotations]} if rotations else {})},
-        "site": {"gravity_m_s2": 9.80665, "gravity_sigma_m_s2": 1e-5},
+        "site": {"gravity_m_s2": 9.80665, "gravity_sigma_m_s2": 1.1e-5},
         "instrument": {"driver": "stim300", "model": "stim300"},
         "link": {"port": "/dev/ttyUSB0", "baud": 921600},
         "protocol": {"name": protocol.name, "sha256": protocol.sha256, "text": protocol.text},

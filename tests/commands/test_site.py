@@ -14,7 +14,7 @@ from imufield.acquire.recording.session_record import SiteRecord
 from imufield.cli.run import run
 from imufield.commands.options.commands import VerifyOptions
 from imufield.commands.verify import _Task
-from imufield.earth import choose_gravity
+from imufield.earth import choose_gravity, sigma_of_digits
 from imufield.errors import Reason
 from imufield.pipeline.site import SiteOptions
 from tests.commands.told import fails, missing
@@ -79,6 +79,20 @@ def test_a_sigma_that_is_given_makes_the_same_value_a_measured_one(session: Path
     assert SiteOptions().gravity(kept).source == "typed"
 
 
+@pytest.mark.parametrize("gravity_m_s2", [9.80665, 9.81, 9.8, 9.807])
+def test_an_older_session_kept_the_digits_of_a_textbook_as_sigma(session: Path, gravity_m_s2: float) -> None:
+    sigma_m_s2 = sigma_of_digits(repr(gravity_m_s2))
+    with_site(session, gravity_m_s2=gravity_m_s2, gravity_sigma_m_s2=sigma_m_s2)
+    document = solved(session)
+    assert (document["site"]["gravity_source"], document["site"]["gravity_sigma_m_s2"]) == ("assumed", 0.018)
+    assert document["quality"]["verdict"] != "good"
+    assert any("--latitude" in reason for reason in document["quality"]["reasons"])
+    with_site(session, gravity_m_s2=gravity_m_s2, gravity_sigma_m_s2=sigma_m_s2, latitude_deg=45.5)
+    assert solved(session)["site"]["gravity_sigma_m_s2"] >= 5e-4
+    with_site(session, gravity_m_s2=gravity_m_s2, gravity_sigma_m_s2=2e-5)
+    assert solved(session)["site"]["gravity_source"] == "typed"
+
+
 @pytest.mark.parametrize("given", ["9.81+-0", "9.81+-nan", "9.81+--0.1", "9.81+-1"])
 def test_a_sigma_that_is_none_is_refused(session: Path, given: str) -> None:
     fails(["solve", str(session), "--gravity", given], 2, Reason.USAGE, "--gravity")
@@ -125,9 +139,13 @@ def test_settings_edited_afterwards_are_said(session: Path, capsys: pytest.Captu
 
 
 def without_site(session: Path) -> None:
+    with_site(session)
+
+
+def with_site(session: Path, **site: float) -> None:
     path = session / "session.toml"
     metadata = tomllib.loads(path.read_text(encoding="utf-8"))
-    metadata.pop("site", None)
+    metadata["site"] = site
     path.write_text(tomli_w.dumps(metadata), encoding="utf-8")
 
 

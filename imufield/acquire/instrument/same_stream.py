@@ -107,4 +107,4 @@ class SameStream:
             # Of a stream that is whole, its own clock tells all there is to know.
             self._window = None
             if self._is_lossy:
-                raise UsageError(sentence("same_stream.fast", port=self._port, pace=heard_s / span_s))
+                raise UsageError(sentence("same_stream.fast", port=self._port, pace=heard_s / span_s, limit=_FAST))

@@ -10,7 +10,7 @@ the same when
 analytically; a threshold on singular values cannot do it, because a large ``K2`` on body axes lifts them over any.
 
 What is left is judged in scaled coordinates, where a unit step of each parameter weighs as 1 m/s^2 at 1 g. There the part of a
-column of the Jacobian that the columns before it do not explain has a length ("sight" in messages). A position put halfway
+column of the Jacobian that the columns before it do not explain has a length, its observability. A position put halfway
 between two faces gives a length of about 0.5 to the misalignment of those two axes; sigma of a parameter is at least s_i over
 its length.
 """
@@ -160,7 +160,9 @@ def require_scale_and_bias(observability: Observability) -> None:
     if missing:
         sides = [f"+{axis} up and -{axis} up" for axis in missing]
         axis_names = " and ".join(missing)
-        confused = sentence("observability.scale_and_bias", axis_names=axis_names, least_sight=WEAKEST_COLUMN, sides=sides)
+        confused = sentence(
+            "observability.scale_and_bias", axis_names=axis_names, least_observability=WEAKEST_COLUMN, sides=sides
+        )
         raise CalibrationError(confused, Reason.UNOBSERVABLE, axes=tuple(missing))
 
 

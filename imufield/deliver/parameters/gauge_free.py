@@ -50,6 +50,7 @@ _NAMES = tuple(
     for place in places
 )
 _GYROSCOPE = 12  # Where the numbers of the gyroscope begin.
+_ACCELEROMETER_NAMES = frozenset(_NAMES[:_GYROSCOPE])
 _TINY = np.finfo(np.float64).tiny
 _STEP_SIGMA = 0.1  # Of the central differences: far above rounding, far below what bends the function.
 
@@ -111,7 +112,7 @@ def gauge_free(calibration: Calibration, mean_raw: FloatArray, sigma_raw: FloatA
     if fitted is not None:
         freedom = float(calibration.quality.degrees_of_freedom)
         numbers = tuple(
-            number if number.name.startswith("g") else replace(number, scatter_freedom=freedom) for number in numbers
+            replace(number, scatter_freedom=freedom) if number.name in _ACCELEROMETER_NAMES else number for number in numbers
         )
         # A part is no larger than the whole: correlations between the axes of a mean are not in the file.
         size = np.sqrt(np.minimum(np.diag(error)[:_GYROSCOPE] / np.maximum(np.diag(fitted), _TINY), 1.0))

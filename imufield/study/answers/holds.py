@@ -90,7 +90,7 @@ def run_holds(case: Case, rng: np.random.Generator) -> HoldsRun:
     """Simulate a session as an import sees it, find its still intervals and calibrate the accelerometer."""
     seed = int(rng.integers(2**31))
     source, twin = _source(case, seed), _source(replace(case, effects=NO_EFFECTS), seed)
-    samples, plain = (concatenate(_samples(one)) for one in (source, twin))
+    samples, plain = (concatenate(_samples(imu)) for imu in (source, twin))
     grade = source.imu.instrument.grade
     finder = StillIntervalFinder(samples.units, RoughScale(grade.accelerometer_scale, grade.gyroscope_scale))
     finder.feed(samples)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imufield.calibrate.accelerometer.known_attitudes import fit_known_attitudes
 from imufield.calibrate.model.models import from_vector, predict
 from imufield.calibrate.model.result import QuadraticAxes
 from imufield.guide.positions import scheme
 from imufield.study.instruments import BSAS_TRUTH
+from imufield.study.known_attitudes import fit_known_attitudes
 
 FORCE = 9.8 * scheme("paper24").directions()
 pytestmark = pytest.mark.numerical
