@@ -19,8 +19,6 @@ from imufield.calibrate.model.result import Calibration
 from imufield.earth import MICRO_G_M_S2, Gravity
 from imufield.samples import FloatArray
 
-pytestmark = pytest.mark.numerical
-
 EXACT = Gravity(gravity_m_s2=GRAVITY_M_S2, sigma_m_s2=1e-9, source="measured")
 NO_TERM: Terms = frozenset()
 
@@ -54,6 +52,7 @@ def everything(session: Session, seed: int) -> tuple[FitData, FloatArray, FloatA
     return data, origin, columns, fitted
 
 
+@pytest.mark.numerical
 @pytest.mark.parametrize("directions", [proposed("paper24"), proposed("corners24"), faces_first()])
 def test_without_any_term_one_session_in_twenty_is_admitted(directions: FloatArray) -> None:
     # 4000 sessions know a share of 5 % to 0.34 %; in the linearisation, so that they take a second.
@@ -71,6 +70,7 @@ def test_without_any_term_one_session_in_twenty_is_admitted(directions: FloatArr
     assert 0.04 < admitted / 4000 < 0.06
 
 
+@pytest.mark.numerical
 @pytest.mark.parametrize("warm_up_ug", [0.0, 500.0])
 def test_parts_are_fits_of_their_own(warm_up_ug: float) -> None:
     session = Session(directions=faces_first(), quadratic_ug=200.0, warm_up_ug=warm_up_ug)

@@ -19,8 +19,6 @@ from imufield.errors import UsageError
 from imufield.samples import FloatArray
 from tests.refused import refused
 
-pytestmark = pytest.mark.numerical
-
 EXACT = Gravity(gravity_m_s2=GRAVITY_M_S2, sigma_m_s2=1e-9, source="measured")
 MEMS = grades()["mems"]
 
@@ -31,6 +29,7 @@ def drawn(rng: np.random.Generator) -> FloatArray:
     return np.array([size * rng.standard_normal(3) for size in sizes])
 
 
+@pytest.mark.numerical
 def test_the_alias_is_how_far_a_term_moves_the_parameters() -> None:
     session = Session(directions=proposed("paper24"))
     observations, _ = session.take(np.random.default_rng(3))
