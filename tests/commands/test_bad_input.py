@@ -462,7 +462,7 @@ MEASURED: dict[str, tuple[dict[str, Any], Reason, tuple[str, ...]]] = {
     "saturated axis": ({"positions": "faces6", "change": saturate}, Reason.SATURATED, ("4 positions", "6", "axis y")),
     "saturated axis, unsaid": (
         {"positions": "faces6", "change": stick},
-        Reason.TOO_FEW,
+        Reason.SATURATED,
         ("4 positions", "6", "axis y", "range"),
     ),
 }
