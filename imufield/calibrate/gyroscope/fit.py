@@ -159,7 +159,7 @@ def _gauss_newton(data: GyroscopeData, p: FloatArray, free: IntArray, prior: _Pr
             share /= 2
         p = trial
         parts = covariances(now, p[:PARAMETERS], data)
-        before, scatter = scatter, next_scatter(scatter, now.residual, now.jacobian[:, free], parts)
+        before, scatter = scatter, _next_scatter(scatter, now, free, parts)
         pairs = zip(before, scatter, strict=True)
         same_scatter = all(abs(old - new) <= _SCATTER_SETTLED * max(old, 1e-9) for old, new in pairs)
         if step.size < _SETTLED * len(free) and same_scatter:
@@ -189,6 +189,26 @@ def first_scatter(evaluation: Evaluation) -> Scatter:
     turn = float(np.sqrt(np.mean(moves**2))) if m else 0.0
     drift = float(np.sqrt(np.mean(stills**2)))
     return Scatter(drift, drift / _SESSION_ROOT_S, min(turn, 0.1))  # 6 deg: a start far off must not excuse every move
+
+
+def _next_scatter(scatter: Scatter, now: Evaluation, free: IntArray, parts: Covariances) -> Scatter:
+    """Return the next sizes of the scatters.
+
+    Raises
+    ------
+    CalibrationError
+        If they have grown past all numbers: the moves do not fit the model at all.
+    """
+    try:
+        # What overflows is asked for below.
+        with np.errstate(over="ignore", invalid="ignore"):
+            following = next_scatter(scatter, now.residual, now.jacobian[:, free], parts)
+    except np.linalg.LinAlgError:
+        following = Scatter(np.inf, np.inf, np.inf)
+    if not np.isfinite(following).all():
+        largest = float(np.abs(now.residual).max())
+        raise CalibrationError(sentence("fit.contradiction", scatter=largest), Reason.NOT_CONVERGED)
+    return following
 
 
 def _root(covariance: FloatArray) -> FloatArray:

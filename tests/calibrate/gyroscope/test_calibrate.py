@@ -10,8 +10,9 @@ import pytest
 from gyroscope_sessions import Session, Turn, collect_moves, fit_turns_only, record, rolled, simulate
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
-from imufield.calibrate.gyroscope import fit
+from imufield.calibrate.gyroscope import covariance, fit
 from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
+from imufield.calibrate.gyroscope.covariance import Covariances, Scatter
 from imufield.calibrate.gyroscope.input import GyroscopeInput, make_data
 from imufield.calibrate.gyroscope.move_integration import rough_inverse
 from imufield.calibrate.gyroscope.report import GYROSCOPE_NAMES, GyroscopeResult, MoveReport, forward, little_gained
@@ -391,3 +392,13 @@ def test_residuals_that_no_noise_explains_are_refused() -> None:
 def test_little_gained_by_a_fit_is_said(before_deg: float, after_deg: float, said: str | None) -> None:
     report = MoveReport(before_deg=np.full(6, before_deg), after_deg=np.full(6, after_deg), sigma=np.ones(6))
     assert getattr(little_gained(report), "key", None) == said
+
+
+def test_scatter_that_overflows_is_a_contradiction(monkeypatch: pytest.MonkeyPatch, session: Session) -> None:
+    # A capture that was resumed twice once led there: sizes that overflow, then eigenvalues that do not converge.
+    def overflowing(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, parts: Covariances) -> Scatter:
+        return covariance.next_scatter(Scatter(1e153, 1e153, 1e153), residual, jacobian, parts)
+
+    monkeypatch.setattr(fit, "next_scatter", overflowing)
+    with refused(CalibrationError, Reason.NOT_CONVERGED, key="fit.contradiction"):
+        calibrate_gyroscope(session.given)
