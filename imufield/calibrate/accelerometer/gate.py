@@ -110,10 +110,11 @@ class Gate:
         """Return the terms that pass."""
         if not self.chance(self.all) < level:
             return frozenset()
-        alone = sorted((self.chance(frozenset({term})), term) for term in self.all)
+        alone: list[tuple[float, Term]] = sorted((self.chance(frozenset({term})), term) for term in self.all)
         # Holm: the smallest p against level / 2, the other against level. Without a first rejection nothing is refuted.
         if len(alone) == 2 and alone[0][0] < level / 2 and not alone[1][0] < level:
-            return frozenset({alone[0][1]})
+            kept: Terms = frozenset({alone[0][1]})
+            return kept
         return self.all
 
     def beyond(self, kept: Terms) -> FloatArray:
