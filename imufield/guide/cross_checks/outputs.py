@@ -71,11 +71,11 @@ class Outputs:
         self._holds: deque[HoldOutput] = deque(maxlen=_HOLDS_KEPT)
         self._shown: tuple[list[float], set[_End]] | None = None  # What they show, until there is another.
 
-    def follow(self, cells: Cells, row: int) -> None:
-        """Add a cell, still or not."""
-        self._low = np.fmin(self._low, cells.low[row])
-        self._high = np.fmax(self._high, cells.high[row])
-        self._step = np.minimum(self._step, cells.step[row])
+    def follow(self, cells: Cells, rows: slice = slice(None)) -> None:
+        """Add cells, still or not."""
+        self._low = np.fmin(self._low, np.fmin.reduce(cells.low[rows]))
+        self._high = np.fmax(self._high, np.fmax.reduce(cells.high[rows]))
+        self._step = np.minimum(self._step, np.minimum.reduce(cells.step[rows]))
 
     def add(self, hold: HoldOutput, *, again: bool = False) -> None:
         """Add a hold, whether it counts or not; ``again``: in place of the one before, where the unit still is."""

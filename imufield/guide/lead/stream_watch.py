@@ -100,7 +100,7 @@ class StreamWatch:
     def follow(self, cells: Cells, row: int, *, silent: bool) -> None:
         """Count cells with missing or unusable samples; unless ``silent``, tell when several follow each other."""
         self.warmth.follow(cells, row)
-        self.outputs.follow(cells, row)
+        self.outputs.follow(cells, slice(row, row + 1))
         self._dead_axis.follow(cells, row)
         self._watch_clock(cells, row)
         floor = self._detector.floor

@@ -108,8 +108,10 @@ class StillIntervalFinder:
         )
 
     def _process(self, cells: Cells | None) -> None:
-        for judgement in () if cells is None else self.detector.judge(cells):
-            self._outputs.follow(judgement.cells, judgement.row)
+        if cells is None:
+            return
+        self._outputs.follow(cells)
+        for judgement in self.detector.judge(cells):
             self._moves.follow(judgement, self.detector.stretch.mean)
             if judgement.ended is not None:
                 self._add(judgement.ended)

@@ -49,8 +49,7 @@ def outputs_of(holds: Any) -> tuple[Outputs, list[HoldOutput]]:
     outputs, found = Outputs(), []
     for columns in holds:
         cells = hold_of(columns)
-        for row in range(len(cells)):
-            outputs.follow(cells, row)
+        outputs.follow(cells)
         found.append(HoldOutput.of(cells))
         outputs.add(found[-1])
     return outputs, found
