@@ -255,7 +255,7 @@ def test_a_hold_that_is_measured_again_counts_once() -> None:
     reasons = []
     for again in (True, False):
         outputs = Outputs()
-        outputs.follow(hold_of(noise_of(8, 0.0)), 0)
+        outputs.follow(hold_of(noise_of(8, 0.0)), slice(1))
         for hold in loud:
             outputs.add(hold)
         outputs.add(quiet)
