@@ -33,7 +33,7 @@ _WIDTHS = np.maximum(0.05, 0.5 * 0.7 ** np.arange(20))
 _ON_SPHERE = 0.15  # Three times the last s.
 # Smallest singular value of the directions (unit length, beside a column of ones) with which the centre is taken: lengths
 # that are 3 % wrong move it by that over this value.
-_LEAST_SIGHT = 0.5
+_LEAST_SINGULAR_VALUE = 0.5
 # Who nearly alone tells a direction is believed, whatever it shows; each of six faces has a leverage of 0.67.
 _LARGEST_LEVERAGE = 0.8
 _SAME_SIDE = 0.25  # Of gravity: stills nearer than this are of one side, and say twice what it says.
@@ -107,6 +107,6 @@ def _is_seen(arm: FloatArray) -> bool:
     if len(arm) < FEWEST_STILLS:
         return False
     rows = np.column_stack([arm / np.linalg.norm(arm, axis=1)[:, None], np.ones(len(arm))])
-    left, sight, _ = np.linalg.svd(rows, full_matrices=False)
+    left, values, _ = np.linalg.svd(rows, full_matrices=False)
     # The rows of the left factor have the leverages as their squared lengths.
-    return bool(sight[-1] >= _LEAST_SIGHT and np.sum(left**2, axis=1).max() <= _LARGEST_LEVERAGE)
+    return bool(values[-1] >= _LEAST_SINGULAR_VALUE and np.sum(left**2, axis=1).max() <= _LARGEST_LEVERAGE)

@@ -87,7 +87,7 @@ class Outputs:
     def refusal(self, hold: HoldOutput, found: Refusal | None = None) -> Refusal | None:
         """Return why a hold does not count, by all that the session has shown so far; None where it does.
 
-        ``found`` is the refusal without the other holds. It stands but for one: an output that was held explains a wrong norm.
+        ``found`` is the refusal without the other holds. It stands but for one: an output that stopped explains a wrong norm.
         """
         if found is not None and found.reason is not RefusalCode.GRAVITY:
             return found
@@ -143,7 +143,7 @@ class Outputs:
         )
 
     def _evidence(self) -> tuple[list[float], set[_End]]:
-        """Return the noise of each output in steps of it, 0 where it is not known, and the ends at which outputs were held."""
+        """Return the noise of each output in steps of it, 0 where it is not known, and the ends at which outputs stopped."""
         if self._shown is None:
             noise = [self._noise_steps(column) for column in range(6)]
             self._shown = noise, {end for hold in self._holds for end in _piles(hold, noise)}
@@ -169,7 +169,7 @@ def _ends(hold: HoldOutput) -> Iterator[tuple[_End, int, int]]:
 
 
 def _piles(hold: HoldOutput, noise: list[float]) -> Iterator[_End]:
-    """Yield the ends at which the output was held."""
+    """Yield the ends at which the output stopped."""
     for end, count, other in _ends(hold):
         one_sided = hold.still[end[0]] or count > _ONE_SIDED * other
         if one_sided and _chance(count / hold.samples, noise[end[0]], hold, end[0]) < _UNLIKELY:
