@@ -57,6 +57,7 @@ class SampleClock(Clock):
         # Without time stamps, time is origin_s + ticks / tick_rate_hz: whole numbers, so that nothing adds up.
         self._tick_rate_hz = 1.0
         self._ticks = 0
+        self._block_ticks: IntArray = np.empty(0, dtype=np.int64)  # Of the samples of the newest block, shape (n,).
         self._unit_ticks = 1
         self._origin_s = 0.0
         self._shift_s = 0.0  # Added to even steps to follow the host clock, where there is neither time nor counter.
@@ -87,7 +88,7 @@ class SampleClock(Clock):
         """Return what is still kept back; nothing will follow."""
         done = [] if self._started or not self._early else self._start_blocks()
         done += self._following_host(self._watch.finish())
-        self._count_losses(np.empty(0))
+        self._count_losses(np.empty(0), 0)
         return self._emit(done)
 
     def _enough_to_start(self) -> bool:
@@ -181,9 +182,9 @@ class SampleClock(Clock):
             # The counter is exact but goes round; the stamps beside it tell how often it did.
             steps = self._add_wraps(steps, stamped.step_s) if self._has_counter else stamped.step_s
         else:
-            total = self._ticks + np.cumsum(ticks)
-            self._ticks = int(total[-1])
-            time_s = total / self._tick_rate_hz + self._origin_s
+            self._block_ticks = self._ticks + np.cumsum(ticks)
+            self._ticks = int(self._block_ticks[-1])
+            time_s = self._time_of(self._block_ticks)
         found = self._steps.examine(steps)
         fault = np.zeros(len(block), dtype=np.bool_)
         if self._rule.gaps_told:
@@ -235,12 +236,15 @@ class SampleClock(Clock):
             if at > begin:
                 settled.append(timed.part(begin, at, math.nan))
             settled += self._following_host(self._watch.push(timed.part(at, end, arrival_s)))
-            self._count_losses(timed.time_s[end:])
+            self._count_losses(timed.time_s, end)
             begin = at = end
         return [*settled, timed.part(begin, at, math.nan)] if at > begin else settled
 
-    def _count_losses(self, following_s: FloatArray) -> None:
-        """Move on by what the host clock showed to be missing, samples that are timed already included."""
+    def _time_of(self, ticks: IntArray) -> FloatArray:
+        return np.asarray(ticks / self._tick_rate_hz + self._origin_s)
+
+    def _count_losses(self, time_s: FloatArray, following: int) -> None:
+        """Move on by what the host clock showed to be missing, with the samples of the newest block from a row on."""
         units, self._watch.lost_units = self._watch.lost_units, 0
         taken_back, self._watch.units_taken_back = self._watch.units_taken_back, 0
         self._statistics.gaps += self._watch.gaps
@@ -249,7 +253,9 @@ class SampleClock(Clock):
             self._statistics.losses_estimated -= round(taken_back * self._unit_ticks / self._steps.step)
         if units:
             self._ticks += units * self._unit_ticks
-            following_s += units * self._unit_ticks / self._tick_rate_hz
+            # From whole ticks again: a sum of times would depend in its last bit on how reads were joined into blocks.
+            self._block_ticks[following:] += units * self._unit_ticks
+            time_s[following:] = self._time_of(self._block_ticks[following:])
             self._statistics.losses_estimated += round(units * self._unit_ticks / self._steps.step)
 
     def _emit(self, done: list[TimedBlock]) -> Samples | None:

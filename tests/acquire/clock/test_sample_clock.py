@@ -220,6 +220,21 @@ def test_without_any_clock_a_lasting_lag_is_a_gap() -> None:
     assert np.flatnonzero(samples.status & np.uint32(Status.GAP_ESTIMATED)).tolist() == [1000]
 
 
+@pytest.mark.parametrize("rule", [ClockRule(rate_hz=110.0), COUNTER], ids=["host", "counter"])
+def test_times_behind_a_loss_do_not_depend_on_how_reads_are_joined(rule: ClockRule) -> None:
+    numbers = np.concatenate([np.arange(8000), 8000 + 1024 + np.arange(8000)])
+    taken_s = numbers / (rule.counter_ticks_per_s or 110.0)
+    rng = np.random.default_rng(9)
+    arrival_s = taken_s[4::5] + rng.exponential(0.0005, 3200)
+    counter = numbers % 256 if rule.counter_field else np.full(16000, NO_COUNTER)
+    alone, _ = run(rule, [(block(counter[at : at + 5]), each) for at, each in zip(range(0, 16000, 5), arrival_s, strict=True)])
+    clock = SampleClock(rule, SampleUnits(), DecoderStatistics())
+    arrivals = Arrivals(np.arange(5, 16001, 5), arrival_s)
+    together = [samples for samples in (clock.push(block(counter), arrivals), clock.flush()) if samples is not None]
+    assert (alone.status & np.uint32(Status.GAP_ESTIMATED)).any()
+    np.testing.assert_array_equal(concatenate(together).time_s, alone.time_s)
+
+
 def test_few_samples_come_out_at_the_end() -> None:
     for rule, one in (
         (COUNTER, block(np.array([5, 6]))),
