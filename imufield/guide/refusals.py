@@ -47,7 +47,7 @@ class RefusalKind:
         """Return the refusal with these numbers; ``unit`` where the table has none."""
         unit = self.unit if unit is None else unit
         values |= {"measured": measured, "limit": limit, "axis": axis or ""}
-        values |= {"found": quantity(measured, unit), "allowed": quantity(limit, unit)}
+        values["found"], values["allowed"] = quantities(measured, limit, unit)
         return Refusal(
             reason=self.reason,
             words=sentence(self.words, **values),
@@ -63,13 +63,18 @@ class RefusalKind:
         return self.refusal(measured, limit, axis=axis, unit=None, **values) if measured > limit else None
 
 
-def quantity(value: float, unit: str) -> str:
-    """Return a value in the unit people use for its size: mm/s^2, deg/s."""
+def quantity(value: float, unit: str, beside: float = 0.0) -> str:
+    """Return a value in the unit people use for its size, mm/s^2 or deg/s; in that of a larger one it stands beside."""
     if unit == "m/s^2":
-        return f"{1e3 * value:.3g} mm/s^2" if abs(value) < 1 else f"{value:.2f} m/s^2"
+        return f"{1e3 * value:.3g} mm/s^2" if max(abs(value), abs(beside)) < 1 else f"{value:.3g} m/s^2"
     if unit == "rad/s":
         return f"{math.degrees(value):.2g} deg/s"
     return f"{value:.3g} {unit}"
+
+
+def quantities(measured: float, limit: float, unit: str) -> tuple[str, str]:
+    """Return a value and its limit in one unit."""
+    return quantity(measured, unit, limit), quantity(limit, unit, measured)
 
 
 def taken_back(refusal: Refusal, position: str) -> Refusal:

@@ -17,8 +17,8 @@ from imufield.samples import AXES, FloatArray
 
 VERDICT_WORDS = {
     "good": "fit for use",
-    "usable": "can be used, with what follows in mind",
-    "poor": "do not navigate with it",
+    "usable": "read the warnings below",
+    "poor": "do not use it for navigation",
 }
 
 

@@ -176,7 +176,7 @@ def _residuals(parameters: Parameters) -> Iterator[RenderableType]:
     title = Text("Residual by position", style="bold")
     figures = f", {unit}: RMS {_short(quality.residual_rms_m_s2 / size)}, largest {_short(largest / size)}"
     if math.isfinite(quality.leave_one_out_rms_m_s2):
-        figures += f", each left out once {_short(quality.leave_one_out_rms_m_s2 / size)} RMS"
+        figures += f", leave-one-out RMS {_short(quality.leave_one_out_rms_m_s2 / size)}"
     title.append(figures, style="not bold")
     yield title
     # Residuals of nothing but rounding have no worst.
@@ -218,7 +218,7 @@ def _verdict(parameters: Parameters) -> RenderableType:
     quality = parameters.calibration.quality
     line = Text("Verdict: ", style="bold")
     line.append(quality.verdict.upper(), style=_VERDICT_STYLES[quality.verdict])
-    line.append(f", {VERDICT_WORDS[quality.verdict]}", style="not bold")
+    line.append(f": {VERDICT_WORDS[quality.verdict]}", style="not bold")
     if parameters.edited:
         line.append(f" {sentence('summary.edited')}", style="bold yellow")
     if parameters.version != VERSION:

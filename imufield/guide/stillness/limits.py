@@ -103,15 +103,15 @@ class Activity:
 
     def refusal(self, kind: RefusalKind, factor: float = 1.0, **values: float | str) -> Refusal:
         """Return the refusal of this motion, beyond a multiple of its limit."""
-        values = {**values, "triad": self.triad, "verb": self.verb}
+        values = {**values, "triad": self.triad, "motion": self.motion}
         return kind.refusal(self.measured, factor * self.limit, axis=self.axis, unit=self.unit, **values)
 
     @property
-    def verb(self) -> str:
-        """What the unit does."""
+    def motion(self) -> str:
+        """What it is in one word."""
         if self.kind == "vibration":
-            return "shakes"
-        return "tilts" if self.triad == "accelerometer" else "turns"
+            return "vibration"
+        return "tilt" if self.triad == "accelerometer" else "rotation"
 
 
 def noise_limits(floor: NoiseFloor, scale: RoughScale, allowances: Allowances = ON_TABLE) -> Limits:

@@ -25,7 +25,7 @@ from imufield.guide.events import Event, RefusalCode
 from imufield.guide.lead.guide import Snapshot
 from imufield.guide.lead.state_table import State
 from imufield.guide.positions import Scheme, nearest_cube_direction
-from imufield.guide.refusals import quantity
+from imufield.guide.refusals import quantities
 from imufield.guide.view.pictures import big_lines, draw_box, turn_shortest
 from imufield.guide.view.plain import NOT_TOLD, known_words, words
 from imufield.samples import FloatArray
@@ -305,11 +305,10 @@ def _bars(screen: Screen, snapshot: Snapshot) -> RenderableType:
     table.add_row("stillness", _stillness_bar(snapshot), state)
     if activity is None:
         return Group(table, Text())
-    measured, limit = quantity(activity.measured, activity.unit), quantity(activity.limit, activity.unit)
-    if measured.split()[1:] == limit.split()[1:]:
-        measured = measured.split()[0]
+    measured, limit = quantities(activity.measured, activity.limit, activity.unit)
+    measured = measured.partition(" ")[0]
     sensor = "acc" if activity.triad == "accelerometer" else "gyro"
-    cause = {"verb": activity.verb, "measured": measured, "limit": limit, "sensor": sensor, "axis": activity.axis}
+    cause = {"motion": activity.motion, "measured": measured, "limit": limit, "sensor": sensor, "axis": activity.axis}
     return Group(table, _dim("screen.cause", **cause))
 
 

@@ -86,7 +86,7 @@ def test_plain_lines_tell_progress_now_and_then(session: Any) -> None:
         view.show(events)
     text = "\n".join(lines)
     assert "accepted +z: 3.0 s" in text
-    assert "refused: not near any pending position" in text
+    assert "refused: no open position here" in text
     assert sum("turning:" in one for one in lines) <= 3
     assert not re.search(r"\x1b", text)
 
@@ -98,7 +98,7 @@ def test_plain_lines_tell_progress_now_and_then(session: Any) -> None:
         (3.35, "H O L D   S T I L L", "+z: +z up, standing on the -z face"),
         (5.0, "G O O D   -   T U R N", "1 of 6 done"),
         (6.8, "T U R N", "moving"),
-        (12.5, "N O T   T A K E N", "not near any pending position"),
+        (12.5, "N O T   T A K E N", "no open position here"),
     ],
 )
 def test_screen_says_what_to_do(session: Any, until_s: Any, big: Any, told: Any) -> None:
@@ -328,8 +328,8 @@ SNAPSHOT = """\
 ╭─ faces6: 1 of 6 done ──────────────────────╮╭─ positions ────────────────────╮
 │ G O O D   -   T U R N                      ││ [ ]+x [x]+z [ ]-y              │
 │ +y: +y up, standing on the -y face         ││ [>]+y [ ]-x [ ]-z              │
-│                                            ││ x done > next @ here ? doubt   │
-│                                            ││ known from the 4th position on │
+│                                            ││ x done > next @ here ? suspect │
+│                                            ││ accuracy: from position 4 on   │
 │ now                   goal                 ││                                │
 │          ⢀⣀⡠⠤⡀              ⢀⣀⡠⠤⠔⠒⠊⠑⠢⢄⡀    ││                                │
 │    ⣀⠤⠤⠒⠒⠉+z  ⠈⠑⠤⣀        ⢰⠮⣉⠁ ⣀+y⠤⠒⠒⠉⠁⡇    ││                                │
@@ -341,7 +341,7 @@ SNAPSHOT = """\
 │ to target ................                 ││                                │
 │ hold      ................                 ││                                │
 │ stillness ##......|....... still           ││                                │
-│ shakes 11, 50 mm/s^2 allowed (acc z)       ││                                │
+│ vibration 11 of 50 mm/s^2 (acc z)          ││                                │
 ╰────────────────────────────────────────────╯╰────────────────────────────────╯
  link ok   100 Hz   0 samples lost   no temperature
  noise floor: accelerometer 9.62 mm/s^2 rms per axis, gyroscope 0.057 deg/s;
