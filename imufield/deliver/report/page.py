@@ -15,7 +15,8 @@ from imufield.deliver.parameters.write import content_sha256
 from imufield.deliver.report import plots
 from imufield.deliver.report.correlations import correlations
 from imufield.deliver.report.data import ReportData
-from imufield.deliver.report.rows import VERDICT_WORDS, parameter_rows
+from imufield.deliver.report.gain import gain
+from imufield.deliver.report.rows import VERDICT_WORDS, Row, parameter_rows
 from imufield.deliver.verification.result import duration_words
 from imufield.earth import MICRO_G_M_S2, height_words
 from imufield.sentences import Sentences, printable
@@ -26,7 +27,7 @@ _GRAVITY_WORDS = {
     "typed": "given by the user",
     "normal": "WGS-84 normal gravity",
     "measured": "measured",
-    "assumed": "ASSUMED, because nobody said where this was",
+    "assumed": "ASSUMED, place unknown",
 }
 UNKNOWN = "not known"
 _STRONGEST_SHOWN = 5  # As many as a caption can name.
@@ -41,6 +42,8 @@ class Figure:
     caption: str
     label: str
     """For those who cannot see it."""
+    is_detail: bool = False
+    """Of the method, not of the result."""
 
 
 def render_report(data: ReportData) -> str:
@@ -53,7 +56,11 @@ def render_report(data: ReportData) -> str:
     """
     with plots.style():
         figures = list(_figures(data))
-    return _render("report.html", _facts(data) | {"figures": figures})
+    shown = {
+        "figures": [each for each in figures if not each.is_detail],
+        "details": [each for each in figures if each.is_detail],
+    }
+    return _render("report.html", _facts(data) | shown)
 
 
 def render_record(data: ReportData) -> str:
@@ -90,6 +97,7 @@ def _facts(data: ReportData) -> Document:
     factor = quality.student_factor_95
     preset = None if data.preset is None else data.preset.calibration
     verification = data.verification or {}
+    gained, rows = gain(parameters, data.preset), parameter_rows(calibration, preset)
     return {
         "title": " ".join(filter(None, (instrument.model or instrument.driver or "IMU", instrument.serial_number))),
         "facts_pairs": list(_identity(data)),
@@ -98,8 +106,9 @@ def _facts(data: ReportData) -> Document:
         "edited": parameters.edited,
         "reasons": [*quality.reasons, *data.notes],
         "factor": f"{factor:.2f}" if math.isfinite(factor) else "",
-        "rows": parameter_rows(calibration, preset),
-        "factor_95": factor,
+        "gain": "" if gained is None else gained.words,
+        "rows": rows,
+        "cells": _cells(rows, factor),
         "has_preset": preset is not None,
         "quality": list(_quality(calibration)),
         "gyroscope_path": "not calibrated" if calibration.gyroscope is None else calibration.gyroscope.path,
@@ -116,6 +125,34 @@ def _facts(data: ReportData) -> Document:
         "operator": data.operator,
         "sha256": content_sha256(parameters.document),
     }
+
+
+def _cells(rows: list[Row], factor_95: float) -> list[dict[str, str]]:
+    """Return the table of parameters as text, its numbers in line at the decimal point."""
+    values, sigmas = zip(*((*row.shown.partition(" ± ")[::2],) for row in rows), strict=True) if rows else ((), ())
+    columns = {
+        "value": values,
+        "sigma": sigmas,
+        "expanded": [row.expanded(factor_95) for row in rows],
+        "preset": [row.preset_shown for row in rows],
+        "change": [row.change for row in rows],
+    }
+    aligned = {name: _aligned([*texts]) for name, texts in columns.items()}
+    return [
+        {"triad": row.triad, "name": row.name, "unit": row.unit, **{name: texts[k] for name, texts in aligned.items()}}
+        for k, row in enumerate(rows)
+    ]
+
+
+def _aligned(texts: list[str]) -> list[str]:
+    """Return numbers with blanks of the width of a digit, and of a point, where others have decimals."""
+    decimals = [len(text.partition(".")[2]) for text in texts]
+    most = max(decimals, default=0)
+    blank, point = "\u2007", "\u2008"
+    return [
+        text + point * (most > 0 and count == 0 and text != "") + blank * (most - count)
+        for text, count in zip(texts, decimals, strict=True)
+    ]
 
 
 def _identity(data: ReportData) -> Iterator[tuple[str, str]]:
@@ -148,9 +185,9 @@ def _quality(calibration: Calibration) -> Iterator[tuple[str, str]]:
     yield "Residual, RMS", f"{quality.residual_rms_m_s2 / size:.3g} {unit}"
     yield "Residual, largest", f"{quality.residual_max_m_s2 / size:.3g} {unit}"
     if math.isfinite(quality.leave_one_out_rms_m_s2):
-        yield "Left out once, RMS", f"{quality.leave_one_out_rms_m_s2 / size:.3g} {unit}"
+        yield "Leave-one-out, RMS", f"{quality.leave_one_out_rms_m_s2 / size:.3g} {unit}"
     yield "Scatter between positions", f"{quality.between_position_sigma_m_s2 / size:.3g} {unit}"
-    yield "Positions to spare", str(quality.degrees_of_freedom)
+    yield "Degrees of freedom", str(quality.degrees_of_freedom)
     if math.isfinite(quality.condition):
         yield "Condition", f"{quality.condition:.1f}"
 
@@ -216,6 +253,9 @@ def _provenance(data: ReportData) -> Iterator[tuple[str, str]]:
 def _figures(data: ReportData) -> Iterator[Figure]:
     tables = data.parameters.document["position"]
     results, names = data.parameters.calibration.positions, tuple(table["name"] for table in tables)
+    gained = gain(data.parameters, data.preset)
+    if gained is not None:
+        yield Figure("Before and after", plots.before_and_after(gained), sentence("page.before_after"), "Errors by position")
     if tables:
         force = data.parameters.apply_accelerometer(np.array([table["mean_raw"] for table in tables], dtype=np.float64))
         up = force / np.linalg.norm(force, axis=1)[:, None]
@@ -226,12 +266,12 @@ def _figures(data: ReportData) -> Iterator[Figure]:
     if data.trace is not None:
         start, duration = (np.array([table[key] for table in tables], dtype=np.float64) for key in ("start_s", "duration_s"))
         svg = plots.stillness(data.trace, start, duration)
-        yield Figure("Stillness", svg, sentence("page.stillness"), "Stillness over time")
+        yield Figure("Stillness", svg, sentence("page.stillness"), "Stillness over time", is_detail=True)
     if data.convergence:
         keys = {run.method: "page.converged" if run.converged else "page.not_converged" for run in data.convergence}
         ended = " ".join(sentence(key, method=method) for method, key in keys.items())
         caption = sentence("page.convergence", ended=ended)
-        yield Figure("Convergence", plots.convergence(data.convergence), caption, "Cost over iterations")
+        yield Figure("Convergence", plots.convergence(data.convergence), caption, "Cost over iterations", is_detail=True)
     if data.closure is not None and len(data.closure.after_deg):
         yield Figure("Gyroscope closure", plots.closure(data.closure), sentence("page.closure"), "Angle error of each move")
     found = correlations(data.parameters.calibration)
@@ -239,7 +279,9 @@ def _figures(data: ReportData) -> Iterator[Figure]:
         pairs = found.strongest(_STRONGEST_SHOWN)
         strongest = "; ".join(f"{first} and {second} {value:+.2f}" for first, second, value in pairs)
         caption = sentence("page.correlations", least=plots.LEAST_CORRELATION, strongest=strongest)
-        yield Figure("Correlations", plots.correlations(found), caption, "Correlation of each pair of parameters")
+        yield Figure(
+            "Correlations", plots.correlations(found), caption, "Correlation of each pair of parameters", is_detail=True
+        )
     yield from _check_figures(data.verification or {})
 
 

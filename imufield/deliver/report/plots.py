@@ -20,6 +20,7 @@ from imufield.deliver.parameters.numbers import acceleration_unit
 from imufield.deliver.parameters.schema import Document
 from imufield.deliver.report.correlations import Correlations
 from imufield.deliver.report.data import Closure, Convergence, Trace
+from imufield.deliver.report.gain import Gain
 from imufield.earth import MILLI_G_M_S2
 from imufield.errors import Reason, UsageError
 from imufield.samples import FloatArray
@@ -199,6 +200,20 @@ def _equal_area(up: FloatArray) -> FloatArray:
     radius = np.sqrt(np.maximum(1 - np.abs(up[:, 2]), 0.0))
     direction: FloatArray = up[:, :2] / np.where(flat > 0, flat, 1.0)[:, None]
     return np.asarray(radius[:, None] * direction)
+
+
+def before_and_after(gained: Gain) -> str:
+    """Draw the error of each position before and after, on one scale."""
+    drawn = figure(2.5)
+    axes = drawn.subplots()
+    at = np.arange(len(gained.names))
+    before, after = gained.before_m_s2 / MILLI_G_M_S2, gained.after_m_s2 / MILLI_G_M_S2
+    axes.vlines(at, after, before, color=GREY, linewidth=0.8)
+    axes.plot(at, before, "s", color=ORANGE, markerfacecolor="white", markersize=5, label="before")
+    axes.plot(at, after, "o", color=BLUE, markersize=5, label="after")
+    axes.axhline(0, color=INK, linewidth=0.8)
+    _position_axis(axes, gained.names, "error, mg")
+    return to_svg(drawn, "gain")
 
 
 def residuals(names: tuple[str, ...], residual_m_s2: FloatArray, leave_one_out_m_s2: FloatArray) -> str:

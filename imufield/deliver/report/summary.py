@@ -30,6 +30,7 @@ from imufield.deliver.parameters.numbers import (
     with_sigma,
     with_sigma_within,
 )
+from imufield.deliver.report.gain import gain
 from imufield.deliver.report.rows import VERDICT_WORDS, Quantity, quantities
 from imufield.earth import MICRO_G_M_S2, height_words
 from imufield.samples import AXES, FloatArray
@@ -215,8 +216,9 @@ def _in_columns(cells: list[tuple[str, Text, Text]], name_width: int) -> Table:
 
 
 def _verdict(parameters: Parameters) -> RenderableType:
-    quality = parameters.calibration.quality
-    line = Text("Verdict: ", style="bold")
+    quality, gained = parameters.calibration.quality, gain(parameters)
+    line = Text() if gained is None else Text(f"{gained.words}\n", style="bold")
+    line.append("Verdict: ", style="bold")
     line.append(quality.verdict.upper(), style=_VERDICT_STYLES[quality.verdict])
     line.append(f": {VERDICT_WORDS[quality.verdict]}", style="not bold")
     if parameters.edited:

@@ -1,0 +1,68 @@
+"""What a calibration has gained: the error of the specific force at rest before and after, position by position."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imufield.acquire.protocol.units import nominal_scale
+from imufield.calibrate.model.models import recover
+from imufield.calibrate.model.result import AccelerometerParameters
+from imufield.calibrate.model.uncertainty import rms
+from imufield.deliver.parameters.file import Parameters
+from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2
+from imufield.errors import CalibrationError
+from imufield.samples import FloatArray
+from imufield.sentences import Sentence, Sentences
+
+sentence = Sentences(__package__)
+
+_LEAST_FACTOR = 1.1  # Less is no gain that anybody sees.
+_ROUNDING_M_S2 = 1e-6 * MICRO_G_M_S2  # What is left of ideal outputs.
+
+
+@dataclass(frozen=True, slots=True)
+class Gain:
+    """Norm of the specific force less gravity at the positions used."""
+
+    names: tuple[str, ...]
+    before_m_s2: FloatArray
+    """By the parameters in force before; where there were none by the nominal scale, or one scale that fits. Shape (m,)."""
+    after_m_s2: FloatArray
+    """With each position left out of the fit where others are left to check it, else the residual. Shape (m,)."""
+
+    @property
+    def words(self) -> Sentence:
+        """In one line."""
+        before_m_s2, after_m_s2 = rms(self.before_m_s2), rms(self.after_m_s2)
+        factor = before_m_s2 / max(after_m_s2, _ROUNDING_M_S2)
+        errors = {"before_mg": before_m_s2 / MILLI_G_M_S2, "after_mg": after_m_s2 / MILLI_G_M_S2}
+        key = "gain.better" if factor > _LEAST_FACTOR else "gain.not_better"
+        return sentence(key, **errors, times=f"{factor:.0f}" if factor >= 10 else f"{factor:.1f}")
+
+
+def gain(parameters: Parameters, preset: Parameters | None = None) -> Gain | None:
+    """Return what the calibration has gained; None without a position that tells it."""
+    tables = [table for table in parameters.document["position"] if table["used"]]
+    if not tables:
+        return None
+    calibration = parameters.calibration
+    accelerometer, gravity = calibration.accelerometer, calibration.gravity.gravity_m_s2
+    used, results = calibration.positions.used, calibration.positions
+    raw = np.array([table["mean_raw"] for table in tables], dtype=np.float64)
+    before = None if preset is None else _norms(preset.calibration.accelerometer, raw)
+    if before is None:
+        outputs = np.linalg.norm(raw - accelerometer.raw_zero, axis=1)
+        before = outputs / (nominal_scale(calibration.accelerometer_raw_unit) or float(np.mean(outputs)) / gravity)
+    left_out = results.leave_one_out_m_s2[used]
+    after = left_out if np.isfinite(left_out).all() else results.residual_m_s2[used]
+    return Gain(tuple(table["name"] for table in tables), before - gravity, after)
+
+
+def _norms(parameters: AccelerometerParameters, raw: FloatArray) -> FloatArray | None:
+    try:
+        return np.asarray(np.linalg.norm(recover(parameters, raw), axis=1))
+    except CalibrationError:
+        # Parameters of another range have no answer for these outputs: nothing to compare with.
+        return None

@@ -1,0 +1,49 @@
+"""The error at rest before and after, by a second route: what each position shows of gravity."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from imufield.calibrate.model.observations import Observations
+from imufield.calibrate.model.result import Calibration
+from imufield.deliver.parameters.context import Context
+from imufield.deliver.parameters.file import Parameters, from_document, to_document
+from imufield.deliver.report.gain import gain
+from imufield.earth import MILLI_G_M_S2
+
+
+@pytest.fixture
+def solved(calibration: Calibration, observations: Observations, context: Context) -> Parameters:
+    return from_document(to_document(calibration, observations, context))
+
+
+def test_before_is_by_the_nominal_scale(solved: Parameters, observations: Observations) -> None:
+    found = gain(solved)
+    assert found is not None
+    np.testing.assert_allclose(found.before_m_s2, np.linalg.norm(observations.mean_raw, axis=1) - 9.8071, atol=1e-12)
+    # A position whose prediction is not known: the residuals stand for all.
+    np.testing.assert_allclose(found.after_m_s2, solved.calibration.positions.residual_m_s2)
+    before_mg = np.sqrt(np.mean(found.before_m_s2**2)) / MILLI_G_M_S2
+    assert found.words.key == "gain.better"
+    assert found.words.values["before_mg"] == pytest.approx(before_mg)
+
+
+def test_before_is_by_the_preset(solved: Parameters, residual: np.ndarray) -> None:
+    found = gain(solved, preset=solved)
+    assert found is not None
+    np.testing.assert_allclose(found.before_m_s2, residual, atol=1e-9)
+    assert found.words.key == "gain.not_better"
+
+
+def test_counts_without_a_nominal_scale_get_the_one_that_fits(
+    calibration: Calibration, observations: Observations, context: Context
+) -> None:
+    parameters = replace(calibration.accelerometer, scale=1000 * calibration.accelerometer.scale)
+    counts = replace(calibration, accelerometer=parameters, accelerometer_raw_unit="count")
+    found = gain(from_document(to_document(counts, replace(observations, mean_raw=1000 * observations.mean_raw), context)))
+    assert found is not None
+    assert np.mean(found.before_m_s2) == pytest.approx(0, abs=1e-9)
+    assert np.ptp(found.before_m_s2) == pytest.approx(np.ptp(np.linalg.norm(observations.mean_raw, axis=1)), rel=0.01)
