@@ -24,7 +24,7 @@ from pathlib import Path
 PROJECT = Path(__file__).resolve().parent.parent
 LOCK = PROJECT / ".ci" / "requirements.lock"
 LICENCES = PROJECT / "docs" / "licences.md"
-EXTRAS = "nav,report,noise,study,formats,dev"
+EXTRAS = "nav,report,pdf,noise,study,formats,dev"
 # The program itself, and what every virtual environment of Python 3.11 is made with.
 NOT_LOCKED = ("imufield", "pip")
 LONGEST_LICENCE = 60  # Characters; some packages put the whole text where its name belongs.

@@ -29,7 +29,7 @@ from imufield.deliver.report.data import (
     convergence,
     observations_of,
 )
-from imufield.deliver.report.page import render_record, render_report
+from imufield.deliver.report.page import load_weasyprint, render_record, render_report, to_pdf
 from imufield.deliver.report.plots import load_matplotlib
 from imufield.deliver.verification.result import read_verification, verification_note, verification_path
 from imufield.errors import ParameterFileError, Reason
@@ -47,20 +47,24 @@ RECORD_FILE = "calibration-record.html"
 _FEWEST_FOR_METHODS = 9  # Positions; the methods of the papers need more than parameters.
 
 
-def run_report(options: ReportOptions) -> tuple[Path, Path]:
-    """Write report and record; return their paths.
+def run_report(options: ReportOptions) -> tuple[Path, ...]:
+    """Write report and record, as PDF too where that is asked for; return their paths.
 
     Raises
     ------
     UsageError
-        If matplotlib or jinja2 is not installed.
+        If matplotlib, jinja2 or, for PDF, WeasyPrint is not installed.
     ParameterFileError
         If the parameters are not of this session, or a page cannot be written.
     """
     # Asked first: a missing package should not be found out after the replay.
     load_matplotlib()
+    if options.pdf:
+        load_weasyprint()
     data, folder = gather(options)
-    pages = (options.output or folder / REPORT_FILE, options.record or folder / RECORD_FILE)
+    pages: tuple[Path, ...] = (options.output or folder / REPORT_FILE, options.record or folder / RECORD_FILE)
+    if options.pdf:
+        pages += tuple(path.with_suffix(".pdf") for path in pages)
     inputs = [
         *filter(None, (data.parameters.path, options.preset)),
         *([] if options.session is None else Session.open(folder).parts),
@@ -68,8 +72,10 @@ def run_report(options: ReportOptions) -> tuple[Path, Path]:
     # Both before either is written: no page without the other.
     for path in pages:
         refuse_overwriting(path, inputs)
-    for path, text in zip(pages, (render_report(data), render_record(data)), strict=True):
-        write_output(path, utf8_text(text).encode())
+    texts = [utf8_text(render_report(data)), utf8_text(render_record(data))]
+    # One after the other: a PDF takes seconds.
+    for number, path in enumerate(pages):
+        write_output(path, texts[number].encode() if number < len(texts) else to_pdf(texts[number - len(texts)]))
         echo(beside("written to", path))
     return pages
 

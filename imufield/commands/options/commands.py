@@ -427,6 +427,7 @@ class ReportOptions:
     operator: Annotated[str, option(help="Who calibrated, for the record.")] = ""
     output: Annotated[Path | None, option("-o", "--output", help="Page (default: SESSION/report.html).")] = None
     record: Annotated[Path | None, option(help="Calibration record (default: SESSION/calibration-record.html).")] = None
+    pdf: Annotated[bool, option("--pdf", help="Write both as PDF, too, beside them (takes some seconds).")] = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from types import ModuleType
 
 import numpy as np
 
@@ -66,6 +68,26 @@ def render_report(data: ReportData) -> str:
 def render_record(data: ReportData) -> str:
     """Return the calibration record, one sheet of A4; raises as ``render_report``."""
     return _render("record.html", _facts(data))
+
+
+def to_pdf(page: str) -> bytes:
+    """Return a page as PDF.
+
+    Raises
+    ------
+    UsageError
+        If WeasyPrint is not installed.
+    """
+    return bytes(load_weasyprint().HTML(string=page).write_pdf())
+
+
+def load_weasyprint() -> ModuleType:
+    """Return the package; raises as ``to_pdf``."""
+    try:
+        return importlib.import_module("weasyprint")
+    except (ImportError, OSError) as error:
+        # OSError: it is there, and Pango, which it loads, is not.
+        raise plots.missing_package("weasyprint", "pdf") from error
 
 
 def _render(template: str, values: Document) -> str:

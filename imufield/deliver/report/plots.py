@@ -70,9 +70,9 @@ def load_matplotlib() -> ModuleType:
         raise missing_package("matplotlib") from error
 
 
-def missing_package(name: str) -> UsageError:
+def missing_package(name: str, extra: str = "report") -> UsageError:
     """Return the error that names the extra."""
-    return UsageError(sentence("plots.package", package=name), Reason.MISSING_PACKAGE)
+    return UsageError(sentence("plots.package", package=name, extra=extra), Reason.MISSING_PACKAGE)
 
 
 def figure(height_in: float) -> Figure:

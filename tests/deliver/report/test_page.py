@@ -15,7 +15,7 @@ from imufield.calibrate.model.result import Calibration
 from imufield.deliver.parameters.context import Context, InstrumentFacts
 from imufield.deliver.parameters.file import Parameters, from_document, to_document
 from imufield.deliver.report.data import Closure, Convergence, ReportData, Trace
-from imufield.deliver.report.page import render_record, render_report
+from imufield.deliver.report.page import render_record, render_report, to_pdf
 from imufield.deliver.report.plots import label_offsets
 from imufield.deliver.report.rows import Row, parameter_rows
 from imufield.errors import Reason, UsageError
@@ -245,3 +245,23 @@ def test_rows_leave_out_what_the_gauge_fixes(calibration: Calibration) -> None:
     names = [row.name for row in parameter_rows(calibration, None) if row.triad == "Accelerometer"]
     assert "misalignment xy" not in names
     assert {"misalignment yx", "misalignment zx", "misalignment zy", "quadratic x"} <= set(names)
+
+
+def test_a_page_becomes_a_pdf_of_sheets(data: ReportData) -> None:
+    try:
+        import weasyprint
+    except OSError as error:
+        pytest.skip(f"install Pango, which makes PDF: {error}")
+    record = render_record(data)
+    assert to_pdf(record).startswith(b"%PDF-")
+    assert len(weasyprint.HTML(string=record).render().pages) == 1
+
+
+@pytest.mark.parametrize("error", [ImportError, OSError])
+def test_what_pdf_needs_is_named(monkeypatch: pytest.MonkeyPatch, error: type[Exception]) -> None:
+    def missing(name: str) -> None:
+        raise error(name)
+
+    monkeypatch.setattr("importlib.import_module", missing)
+    with refused(UsageError, Reason.MISSING_PACKAGE, "pip install 'imufield[pdf]'", key="plots.package"):
+        to_pdf("")
