@@ -220,7 +220,7 @@ def _verdict(parameters: Parameters) -> RenderableType:
     line = Text() if gained is None else Text(f"{gained.words}\n", style="bold")
     line.append("Verdict: ", style="bold")
     line.append(quality.verdict.upper(), style=_VERDICT_STYLES[quality.verdict])
-    line.append(f": {VERDICT_WORDS[quality.verdict]}", style="not bold")
+    line.append(f", {VERDICT_WORDS[quality.verdict]}", style="not bold")
     if parameters.edited:
         line.append(f" {sentence('summary.edited')}", style="bold yellow")
     if parameters.version != VERSION:
