@@ -1,0 +1,52 @@
+"""The tables of sentences, read together: short, with the limit named, without the private words of earlier days."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import imufield
+
+MOST_WORDS = 25
+LIMIT_WORDS = re.compile(
+    r"limit|at (least|most)|up to|needed?\b|outside|beyond|above|below|reads|from|between|more than|within|range"
+)
+"""One of them stands where a sentence names a limit."""
+PRIVATE = re.compile(
+    r"so many|is said|\bwish|as asked|is asked for|asked for|held out|lies there|nothing is overwritten|"
+    r"put back|to spare|strays?\b",
+    re.IGNORECASE,
+)
+"""What read as if translated, and was replaced."""
+WORD = re.compile(r"[\w./'^-]*[^\W_][\w./'^-]*")
+
+
+def sentences() -> Iterator[tuple[str, str]]:
+    """Yield key and text of every sentence of every room."""
+    root = Path(imufield.__file__).parent
+    for path in sorted(root.rglob("sentences.toml")):
+        for section, texts in tomllib.loads(path.read_text(encoding="utf-8")).items():
+            for key, text in texts.items():
+                yield f"{path.parent.relative_to(root)}: {section}.{key}", " ".join(text.split())
+
+
+def test_no_sentence_is_long() -> None:
+    parts = (
+        (key, part) for key, text in sentences() for part in re.split(r"(?<=\.)\s+(?=[A-Z])", re.sub(r"\{[^}]*\}", "N", text))
+    )
+    long = [f"{key}: {part}" for key, part in parts if len(WORD.findall(part)) > MOST_WORDS]
+    assert not long, "\n".join(long)
+
+
+def test_a_limit_is_called_one() -> None:
+    bare = [
+        f"{key}: {text}" for key, text in sentences() if re.search(r"\{\w*limit\w*[:}!]", text) and not LIMIT_WORDS.search(text)
+    ]
+    assert not bare, "\n".join(bare)
+
+
+def test_no_private_words() -> None:
+    found = [f"{key}: {text}" for key, text in sentences() if PRIVATE.search(text)]
+    assert not found, "\n".join(found)
