@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 import sys
 import time
@@ -55,12 +56,14 @@ SILENCE_S = 2.0
 REFRESH_EVERY_S = 0.1  # Ten pictures a second: a person sees a turn without delay, and the decoder keeps its time.
 KEYS = {"r": "retake", "s": "skip", "u": "undo", "p": "pause", "f": "finish", "g": "go_on"}
 BIG = "b"
+HELP = "?"
 QUIT = "q"
 FINISH = "f"
 REOPEN = "reopen"  # Not a key: recorded where a session that was finished early goes on.
 AGAIN_WITHIN_S = 10.0
 """Finishing with something left ends the session only with the same key again within this time; a person's time is real,
 however fast an emulated instrument runs."""
+_SEQUENCE = re.compile(r"\x1b(\[[\d;]*\w|o\w)?")  # Of arrows and the like, lower case as keys are.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -275,12 +278,16 @@ class CaptureLoop:
         self._last_byte_s = self.clock.monotonic_s()
 
     def _follow_keys(self) -> bool:
-        for key in self.keyboard.read():
+        for key in _SEQUENCE.sub("", self.keyboard.read()):
             if key == QUIT:
                 return True
             if key == BIG:
                 self.view.toggle_big()
-            if key in KEYS and (key != FINISH or self._is_sure()):
+            elif key == HELP:
+                self.view.tell(sentence("guided.keys"))
+            elif key not in KEYS:
+                self.view.tell(sentence("guided.no_key", key=key))
+            elif key != FINISH or self._is_sure():
                 self._mark(KEYS[key])
         return False
 

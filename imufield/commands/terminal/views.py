@@ -57,6 +57,13 @@ class View:
             say(sentence("views.silent", port=port))
         self._was_silent = silent
 
+    def tell(self, text: str) -> None:
+        """Answer a key that is no mark; lines are answered as lines."""
+        if self._pictures is not None:
+            self._pictures.tell(text)
+        elif isinstance(self._lines, PlainView):
+            say(text, indent=PLAIN_INDENT)
+
     def toggle_big(self) -> None:
         """Change between big letters and pictures; lines have one size."""
         if self._pictures is not None:

@@ -62,7 +62,8 @@ _NO_MESSAGE = (events.Turning, events.Hold, events.Holding, events.Move, events.
 # Events after which a refusal is over.
 _ANSWERS = (events.Hold, events.Accepted, events.Marked, events.Done, events.Turn, events.Turned)
 
-_KEYS = Text("r retake  s skip  u undo  p pause  f finish  b big  q quit (resume later)", style="dim", no_wrap=True)
+_KEYS = "r retake  s skip  u undo  p pause  f finish  ? keys  q quit (resume later)"
+_NARROW_KEYS = "r retake s skip u undo p pause f finish q quit ? keys"
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +104,10 @@ class Screen:
     attitude: FloatArray = field(default_factory=lambda: np.eye(3))
     messages: deque[str] = field(default_factory=lambda: deque(maxlen=_KEPT))
     _waits: set[str] = field(default_factory=set)
+
+    def tell(self, text: str) -> None:
+        """Add a message that is no event."""
+        self.messages.append(text)
 
     def follow(self, events: list[Event]) -> None:
         """Update the screen with events in order."""
@@ -216,7 +221,7 @@ def draw(
         )
     )
     messages = _messages(screen, _MESSAGES + size[1] - HEIGHT, size[0])
-    return Group(middle, _link_line(screen, snapshot, link), *messages, _KEYS)
+    return Group(middle, _link_line(screen, snapshot, link), *messages, _keys(size[0]))
 
 
 def draw_big(screen: Screen, snapshot: Snapshot, link: LinkState) -> RenderableType:
@@ -232,12 +237,14 @@ def draw_big(screen: Screen, snapshot: Snapshot, link: LinkState) -> RenderableT
         Text(),
         _link_line(screen, snapshot, link),
         *_messages(screen, _BIG_MESSAGES, WIDTH),
-        _KEYS,
+        _keys(WIDTH),
     )
 
 
-def draw_small(screen: Screen, snapshot: Snapshot, link: LinkState, *, width: int, height: int) -> RenderableType:
-    """Return what matters in a window too small for pictures and map: what to do, three bars, the link, the newest words."""
+def draw_small(
+    screen: Screen, snapshot: Snapshot, link: LinkState, *, width: int, height: int, ascii_only: bool = False
+) -> RenderableType:
+    """Return what matters in a window too small for the map: what to do, pictures, bars, the link, the newest words, keys."""
     now = instruct(screen, snapshot)
     messages = [textwrap.wrap(message, width, break_on_hyphens=False) for message in reversed(screen.messages)]
     lines: list[RenderableType] = [
@@ -246,14 +253,21 @@ def draw_small(screen: Screen, snapshot: Snapshot, link: LinkState, *, width: in
         Text(_done(snapshot)),
         _link_line(screen, snapshot, link),
     ]
-    # What to do and the newest words stand whole before there are bars, which have four rows; the last row tells the size.
+    # What to do and the newest words stand whole before there are bars, and these before there are pictures.
     room = height - len(lines) - 1
-    if room >= _BAR_ROWS + len(messages[0] if messages else []):
+    needed = len(messages[0] if messages else [])
+    if room >= _BAR_ROWS + needed:
         lines.append(_bars(screen, snapshot))
         room -= _BAR_ROWS
+    if room >= _PICTURE_HEIGHT + needed and width >= 2 * _PICTURE_WIDTH + 2:
+        lines.insert(-2, _pictures(screen, snapshot, link.cable, ascii_only=ascii_only))
+        room -= _PICTURE_HEIGHT
     newest = _newest(messages, room)[: max(room, 0)]
-    size = _dim("screen.small", width=width, height=height, least_width=WIDTH, least_height=HEIGHT)
-    return Group(*lines, *(Text(line, no_wrap=True) for line in newest), size)
+    return Group(*lines, *(Text(line, no_wrap=True) for line in newest), _keys(width))
+
+
+def _keys(width: int) -> Text:
+    return Text(_KEYS if width >= len(_KEYS) else _NARROW_KEYS, style="dim", no_wrap=True, overflow="crop")
 
 
 def _dim(key: str, **values: object) -> Text:
@@ -298,7 +312,9 @@ def _bars(screen: Screen, snapshot: Snapshot) -> RenderableType:
     holding = snapshot.state is State.HOLDING
     angle = f"{screen.angle_deg:.0f} deg" if turning else ""
     left = f"{screen.remaining_s:.0f} s left" if holding and math.isfinite(screen.remaining_s) else ""
-    table.add_row("to target", bar(1 - screen.angle_deg / 180 if turning else 0.0, "cyan"), angle)
+    # At the target it stays full, and it is drawn with another sign than the hold's.
+    there = 1 - screen.angle_deg / 180 if turning else float(holding)
+    table.add_row("to target", bar(there, "cyan", sign="="), angle)
     table.add_row("hold", bar(snapshot.fraction if holding else 0.0, "green"), left)
     activity = snapshot.activity
     state = "" if activity is None else "still" if activity.ratio <= 1 else "moving"
@@ -312,10 +328,10 @@ def _bars(screen: Screen, snapshot: Snapshot) -> RenderableType:
     return Group(table, _dim("screen.cause", **cause))
 
 
-def bar(fraction: float, style: str) -> Text:
+def bar(fraction: float, style: str, sign: str = "#") -> Text:
     """Return a bar that reads without colour."""
     full = round(min(max(fraction, 0.0), 1.0) * _BAR_WIDTH)
-    return Text("#" * full, style=style).append("." * (_BAR_WIDTH - full), style="dim")
+    return Text(sign * full, style=style).append("." * (_BAR_WIDTH - full), style="dim")
 
 
 def _stillness_bar(snapshot: Snapshot) -> Text:

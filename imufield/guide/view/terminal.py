@@ -97,6 +97,10 @@ class TerminalView:
             Text(), console=console or PlainTextConsole(), auto_refresh=False, screen=True, vertical_overflow="crop"
         )
 
+    def tell(self, text: str) -> None:
+        """Show a message with the next picture."""
+        self._screen.tell(text)
+
     def __enter__(self) -> Self:
         self._live.start()
         return self
@@ -112,11 +116,11 @@ class TerminalView:
         self._screen.follow(events)
         link = LinkState(lost_samples, silent, self._cable)
         width, height = self._live.console.size
+        ascii_only = self._live.console.options.ascii_only
         if width < WIDTH or height < HEIGHT:
-            picture = draw_small(self._screen, snapshot, link, width=width, height=height)
+            picture = draw_small(self._screen, snapshot, link, width=width, height=height, ascii_only=ascii_only)
         elif self.big:
             picture = draw_big(self._screen, snapshot, link)
         else:
-            ascii_only = self._live.console.options.ascii_only
             picture = draw(self._screen, snapshot, self._scheme, link, ascii_only=ascii_only, size=(width, height))
         self._live.update(picture, refresh=True)
