@@ -198,4 +198,5 @@ def _half_sums(data: GyroscopeData, fit: JointFit) -> tuple[FloatArray, FloatArr
     covariance = np.zeros((3 * t, 3 * t))
     for k, block in enumerate(A @ table.covariance_raw @ A.T + fit.scatter.drift_rad_s**2 * np.eye(3)):
         covariance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = block
-    return ((table.half_sum_raw - data.rest_raw) @ A.T).ravel(), else_held, np.linalg.cholesky(covariance)
+    residual: FloatArray = ((table.half_sum_raw - data.rest_raw) @ A.T).ravel()
+    return residual, np.asarray(else_held, dtype=np.float64), np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)

@@ -278,11 +278,11 @@ def _path(solution: JointSolution, turns: tuple[Sentence, ...]) -> str:
 
 def _reasons(solution: JointSolution, moves: MoveReport, turns: tuple[Sentence, ...]) -> tuple[str, ...]:
     linearity = solution.linearity
-    told = dict(zip(("asymmetry", "nonlinearity"), _FOUND_SIGMAS * linearity.sigma * [2, 1], strict=True))
-    key = "report.range" if max(told.values()) < _FOUND else "report.range_not_shown"
-    not_shown = " and ".join(kind for kind, size in told.items() if not size < _FOUND)
+    found_from = dict(zip(("asymmetry", "nonlinearity"), _FOUND_SIGMAS * linearity.sigma * [2, 1], strict=True))
+    key = "report.range" if max(found_from.values()) < _FOUND else "report.range_not_shown"
+    not_shown = " and ".join(kind for kind, size in found_from.items() if not size < _FOUND)
     rates_deg_s = np.degrees(linearity.range_rad_s).tolist()
-    sentences: list[str] = [sentence(key, rates_deg_s=rates_deg_s, not_shown=not_shown, **told)]
+    sentences: list[str] = [sentence(key, rates_deg_s=rates_deg_s, not_shown=not_shown, **found_from)]
     sentences += [solution.chosen.sentence, *solution.warnings, *(() if linearity.matters else linearity.sentences)]
     if len(moves.after_deg):
         before_deg, after_deg = moves.rms_before_deg, moves.rms_after_deg
