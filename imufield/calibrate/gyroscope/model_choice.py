@@ -93,6 +93,8 @@ _SCALES = [0, 4, 8]  # The diagonal of A.
 _RATE_LEVEL = 0.005  # Of each of the two tests: one clean session of a hundred is named.
 # 1 sigma from which on a term counts as not shown, ten times what data sheets of consumer chips give for nonlinearity.
 _SHOWN = 0.01
+# Of whitened residuals, 0.6 to 1 in simulated sessions: without noise a ratio of rounding means nothing.
+_LEAST_VARIANCE = 0.5
 _EXPLAINED = 1e-9  # Share of a direction's length below which it is rounding.
 _ROUNDING = 1e-300
 
@@ -128,7 +130,8 @@ def check_linearity(data: GyroscopeData, fit: JointFit) -> Linearity:
             continue
         size = -np.linalg.lstsq(columns[:, seen], r, rcond=None)[0]
         rest = float(np.sum((r + columns[:, seen] @ size) ** 2))
-        if f_chance((float(r @ r) - rest) / len(seen) / (rest / spare), len(seen), spare) < _RATE_LEVEL:
+        variance = max(rest / spare, _LEAST_VARIANCE)
+        if f_chance((float(r @ r) - rest) / len(seen) / variance, len(seen), spare) < _RATE_LEVEL:
             found[seen] = size
             worst = seen[int(np.argmax(np.abs(size) / sigma[seen]))]
             sizes = {"size_ppm": to_ppm * found[worst], "sigma_ppm": to_ppm * sigma[worst]}
