@@ -89,7 +89,7 @@ class TableRows:
 def no_table() -> TableRows:
     """Return zero pairs."""
     vectors, matrices = np.empty((0, 3)), np.empty((0, 3, 3))
-    return TableRows(vectors, vectors, np.empty(0), matrices, vectors, matrices)
+    return TableRows(*[vectors, vectors, np.empty(0), matrices, vectors, matrices])
 
 
 def pair_runs(runs: Sequence[TurntableRun]) -> TableRows:

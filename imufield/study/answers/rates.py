@@ -126,12 +126,11 @@ def slow_and_fast(context: StudyContext) -> Findings:
 
 
 def _figures(runs: list[RatesRun]) -> dict[str, float]:
-    trusted = [run.after for run in runs if not run.lowers]
     return {
         "asymmetry": float(np.mean(["model_choice.asymmetry" in run.named for run in runs])),
         "nonlinearity": float(np.mean(["model_choice.nonlinearity" in run.named for run in runs])),
         "lowers": float(np.mean([run.lowers for run in runs])),
         "before": float(np.mean(np.abs([run.before for run in runs]) <= 1)),
         "after": float(np.mean(np.abs([run.after for run in runs]) <= 1)),
-        "trusted": float(np.mean(np.abs(trusted) <= 1)) if trusted else float("nan"),
+        "right": float(np.mean([run.lowers | (np.abs(run.after) <= 1) for run in runs])),
     }
