@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imufield.deliver.parameters.file import EDITED, Context, Parameters, from_document, load, write_document
+from imufield.deliver.parameters.file import Context, Parameters, from_document, load, write_document
+from imufield.deliver.parameters.write import EDITED
 from imufield.earth import Gravity
 from imufield.pipeline.calibration import Measured, SolveSettings, calibrate
 from imufield.simulate.truth.grades import TACTICAL, perfect_instrument
