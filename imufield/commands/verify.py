@@ -159,7 +159,8 @@ def _left_out(task: _Task, chain: Chain, problems: list[ImufieldError]) -> LeftO
         observations = chain.observations() if chain.guide is not None else chain.still_intervals().observations
         before = _before_accelerometer(task, protocol)
         if not task.is_its_own:
-            return check_positions(calibration, observations, task.gravity, before)
+            grade = task.parameters.context.instrument.grade
+            return check_positions(calibration, observations, task.gravity, before, grade=grade)
         not_used = [table["name"] for table in task.parameters.document["position"] if not table["used"]]
         observations, _ = leave_out(observations, not_used)
         # Predicting positions from the others says nothing of parameters that did not come from these.

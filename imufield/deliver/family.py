@@ -26,44 +26,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imufield.calibrate.model.grades import Grade
 from imufield.deliver.parameters.gauge_free import GaugeFree, Number
+from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S
+from imufield.earth import MILLI_G_M_S2
 from imufield.samples import FloatArray
 
 FAMILY_CHANCE = 0.05
 """Share of unchanged pairs that are called different."""
 _DRAWS = 20_000  # They tell the limit to 0.3 % and the chance to 0.15 %.
-_DEG_PER_ROOT_HOUR = 60 * 180 / math.pi  # Of 1 rad/s/sqrt(Hz).
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TurnOn:
-    """Typical change of the biases of a grade of instruments from one power-on to another, 1 sigma."""
-
-    gyroscope_noise_deg_root_h: float
-    """Noise density of the gyroscope up to which an instrument is of this grade."""
-    bias_mg: float
-    gyroscope_bias_deg_h: float
-
-    def of(self, name: str) -> float:
-        """Return the figure of a number in its unit; infinite where no figure is known."""
-        figures = {"bias": self.bias_mg, "gyroscope bias": self.gyroscope_bias_deg_h}
-        return figures.get(name.rpartition(" ")[0], math.inf)
-
-
-# By datasheets: QA-2000 and GG1320AN; STIM300; Xsens MTi-100 (one-year repeatability). Consumer chips have none: a third of
-# their offset. The limits of noise lie between those of the classes (simulate/truth/grades.toml).
-TURN_ONS = (
-    TurnOn(gyroscope_noise_deg_root_h=0.02, bias_mg=0.16, gyroscope_bias_deg_h=0.0035),
-    TurnOn(gyroscope_noise_deg_root_h=0.3, bias_mg=0.75, gyroscope_bias_deg_h=10.0),
-    TurnOn(gyroscope_noise_deg_root_h=0.7, bias_mg=3.0, gyroscope_bias_deg_h=720.0),
-    TurnOn(gyroscope_noise_deg_root_h=math.inf, bias_mg=10.0, gyroscope_bias_deg_h=3600.0),
-)
-
-
-def turn_on_of(gyroscope_noise_rad_s_per_root_hz: float) -> TurnOn:
-    """Return the typical figures of an instrument by the noise of its gyroscope; infinite: not known."""
-    noise = gyroscope_noise_rad_s_per_root_hz * _DEG_PER_ROOT_HOUR
-    return next(grade for grade in TURN_ONS if noise <= grade.gyroscope_noise_deg_root_h)
+def typical_turn_on(grade: Grade, name: str) -> float:
+    """Return how much a number typically changes from one power-on to another, 1 sigma, in its unit; infinite: not known."""
+    biases = {
+        "bias": grade.accelerometer.turn_on / MILLI_G_M_S2,
+        "gyroscope bias": grade.gyroscope.turn_on / DEG_PER_HOUR_RAD_S,
+    }
+    return biases.get(name.rpartition(" ")[0], math.inf)
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,8 @@ from pathlib import Path
 
 import numpy as np
 
-from imufield.deliver.family import Change, Shared, compare, family_of, turn_on_of
+from imufield.calibrate.model.grades import GRADES, grade_by_noise
+from imufield.deliver.family import Change, Shared, compare, family_of, typical_turn_on
 from imufield.deliver.parameters.file import Parameters, load_found
 from imufield.deliver.parameters.gauge_free import GaugeFree, Number, gauge_free
 from imufield.errors import ImufieldError, ParameterFileError, Reason, UsageError
@@ -34,7 +35,7 @@ from imufield.sentences import Sentence, Sentences
 sentence = Sentences(__package__)
 
 INDEX_FILE = ".imufield-history.json"
-INDEX_VERSION = 8  # Of the index alone, which is made anew when it changes.
+INDEX_VERSION = 9  # Of the index alone, which is made anew when it changes.
 _ROW_LIMIT_BYTES = 1 << 16  # Four times the row of a model with every term.
 _INDEX_LIMIT_BYTES = 1 << 28  # Of some 50,000 files.
 STALE_DAYS = 365.0  # The usual interval of calibration; --stale-days says another.
@@ -79,6 +80,8 @@ class Entry:
     raw_unit: str
     gravity_m_s2: float
     gravity_source: str
+    grade: str
+    """Empty where the file does not say it."""
     gyroscope_noise_rad_s_per_root_hz: float
     """Infinite where it is not known."""
     numbers: tuple[Number, ...]
@@ -109,6 +112,7 @@ class Entry:
             raw_unit=calibration.accelerometer_raw_unit,
             gravity_m_s2=calibration.gravity.gravity_m_s2,
             gravity_source=calibration.gravity.source,
+            grade=context.instrument.grade,
             gyroscope_noise_rad_s_per_root_hz=float(np.max(np.nan_to_num(noise, nan=np.inf))),
             numbers=found.numbers,
             setup=f"{'quadratic' if calibration.quadratic_fitted else 'linear'} {names}",
@@ -404,9 +408,9 @@ def _differences(old: Entry, new: Entry, *, sessions: int) -> Iterator[Sentence]
     """Yield a sentence for each number that differs, or one that none does."""
     family = family_of(old.gauge_free, new.gauge_free, new.shared_with(old))
     since = _moment(old, new)
-    grade = turn_on_of(new.gyroscope_noise_rad_s_per_root_hz)
+    grade = GRADES.get(new.grade) or grade_by_noise(new.gyroscope_noise_rad_s_per_root_hz)
     for change in family.beyond:
-        turn_on = grade.of(change.name)
+        turn_on = typical_turn_on(grade, change.name)
         said = {"name": change.name, "since": since, "difference": change.difference, "unit": change.unit}
         key = "history.moved"
         if sessions < _SESSIONS_FOR_A_MOVE and not family.exceeds(change, turn_on):

@@ -16,10 +16,10 @@ from imufield.calibrate.gyroscope.methods import cross_check_gyroscope, solve_gy
 from imufield.calibrate.gyroscope.model_choice import GyroscopeModel
 from imufield.calibrate.gyroscope.moves import MoveCollector, Moves, cut_moves, no_slots
 from imufield.calibrate.gyroscope.whole_turns import Stop, stops_at
+from imufield.calibrate.model.grades import DEFAULT_GRADE
 from imufield.calibrate.model.models import recover_vectors, to_vector
 from imufield.calibrate.model.observations import Observations, join_observations
 from imufield.calibrate.model.result import Calibration, Gauge, ModelChoice, PositionResult, without_drift
-from imufield.calibrate.model.typical import DEFAULT_GRADE
 from imufield.calibrate.solvers.agreement import LEAST_SQUARES
 from imufield.deliver.parameters.clock import clock_words
 from imufield.deliver.parameters.file import Context, Parameters, from_document, to_document
@@ -127,8 +127,9 @@ def calibrate(measured: Measured, settings: SolveSettings) -> Parameters:
     ParameterFileError
         If the preset is for another instrument.
     """
-    preset = None
+    preset, grade = None, settings.grade or measured.grade
     if settings.preset is not None:
+        grade = grade or settings.preset.context.instrument.grade
         # In other raw units, or of another instrument, its scale would mean something else.
         settings.preset.check_instrument(measured.context.instrument.serial_number)
         units = measured.observations.units
@@ -143,7 +144,7 @@ def calibrate(measured: Measured, settings: SolveSettings) -> Parameters:
         gauge=settings.gauge,
         preset=preset,
         raw_zero=measured.raw_zero if settings.raw_zero is None else settings.raw_zero,
-        grade=settings.grade or measured.grade or DEFAULT_GRADE,
+        grade=grade or DEFAULT_GRADE,
         seed=settings.seed,
     )
     rng = np.random.default_rng(settings.seed)
@@ -164,6 +165,9 @@ def calibrate(measured: Measured, settings: SolveSettings) -> Parameters:
         )
     # After the accelerometer, which tells in what position each still was.
     calibration = _with_gyroscope(calibration, measured, settings, rng)
+    gyroscope = calibration.gyroscope
+    if gyroscope is None or np.isnan(gyroscope.range_rad_s).all():
+        sentences.append(sentence("calibration.range"))
     quality = replace(calibration.quality, reasons=(*calibration.quality.reasons, *sentences))
     if measured.doubts:
         quality = quality.lowered("usable", *measured.doubts)
@@ -172,7 +176,8 @@ def calibrate(measured: Measured, settings: SolveSettings) -> Parameters:
         observations = join_observations(observations, measured.left_out)
         calibration = _recording_left_out(calibration, observations)
     # Through the document and back: what is printed is what the file holds, digit by digit.
-    return from_document(to_document(calibration, observations, measured.context))
+    instrument = replace(measured.context.instrument, grade=grade or DEFAULT_GRADE)
+    return from_document(to_document(calibration, observations, replace(measured.context, instrument=instrument)))
 
 
 def _recording_left_out(calibration: Calibration, observations: Observations) -> Calibration:

@@ -25,6 +25,7 @@ from imufield.guide.positions import scheme
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import FloatArray, Samples
 from imufield.simulate.truth.drift import BiasDrift
+from imufield.simulate.truth.effects import NO_EFFECTS, Effects
 from imufield.simulate.truth.grades import GRADES, TrueInstrument, draw_truth
 from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.motion import Site
@@ -177,9 +178,10 @@ def simulate(
     latitude_deg: float | None = 45.0,
     positions: FloatArray | None = None,
     damage: Damage | None = None,
+    effects: Effects = NO_EFFECTS,
 ) -> Session:
     """Simulate a session and bring it to where the gyroscope is calibrated; ``damage`` is done to every block."""
-    drawn = steady(draw_truth(GRADES[grade], np.random.default_rng([seed, 7])))
+    drawn = replace(steady(draw_truth(GRADES[grade], np.random.default_rng([seed, 7]))), effects=effects)
     habits = OperatorSettings(hold_s=hold_s, initial_still_s=hold_s)
     directions = scheme("paper24").directions() if positions is None else positions
     operator = Turner(directions, seed, habits, Site(), turns)

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm, t
 
-from imufield.deliver.family import TURN_ONS, Change, Family, Shared, family_of, turn_on_of
+from imufield.calibrate.model.grades import GRADES
+from imufield.deliver.family import Change, Family, Shared, family_of, typical_turn_on
 from imufield.deliver.parameters.gauge_free import GaugeFree, Number
 from imufield.samples import FloatArray
 
@@ -72,11 +73,10 @@ def test_two_sigmas_of_one_size_are_one_of_both_residuals() -> None:
 
 
 def test_a_turn_on_is_no_move() -> None:
-    tactical = turn_on_of(np.radians(0.15) / 60)
-    assert tactical is TURN_ONS[1]
-    assert turn_on_of(math.inf) is TURN_ONS[-1]
+    tactical = GRADES["tactical"]
+    assert typical_turn_on(tactical, "gyroscope bias z") == pytest.approx(10.0)
     small, large = Change("bias x", "mg", 2.0, 0.1), Change("bias x", "mg", 4.0, 0.1)
     family = Family((small, large), 3.0)
     # Two turn-ons of 0.75 mg differ by 1.06 mg, 1 sigma: three of them are 3.2 mg.
-    assert [family.exceeds(one, tactical.of(one.name)) for one in (small, large)] == [False, True]
-    assert not family.exceeds(Change("angle xy", "mrad", 1e6, 0.1), tactical.of("angle xy"))
+    assert [family.exceeds(one, typical_turn_on(tactical, one.name)) for one in (small, large)] == [False, True]
+    assert not family.exceeds(Change("angle xy", "mrad", 1e6, 0.1), typical_turn_on(tactical, "angle xy"))

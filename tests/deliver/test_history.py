@@ -28,9 +28,9 @@ NOW = datetime(2026, 9, 1, tzinfo=UTC)
 
 @pytest.fixture
 def write(tmp_path: Path, calibration: Calibration, observations: Observations, context: Context):  # type: ignore[no-untyped-def]
-    """Return a writer of calibrations: date, bias y moved by so many sigma, serial number."""
+    """Return a writer of calibrations: date, bias y moved by so many sigma, and facts of the instrument."""
 
-    def writer(name: str, created: str, moved: float = 0.0, serial: str = "N1", session: str = "", model: str = "") -> Path:
+    def writer(name: str, created: str, moved: float = 0.0, session: str = "", **who: str) -> Path:
         found = calibration.intrinsic
         raw = found.bias_raw + moved * found.bias_raw_sigma * np.array([0.0, 1.0, 0.0])
         K = calibration.accelerometer.scale
@@ -39,7 +39,7 @@ def write(tmp_path: Path, calibration: Calibration, observations: Observations, 
         seen = replace(observations, mean_raw=observations.mean_raw + raw - found.bias_raw)
         facts = replace(context.session, sha256=session or f"{hash(name) % 16:x}" * 64)
         moment = created if "T" in created else f"{created}T10:00:00Z"
-        instrument = replace(context.instrument, serial_number=serial, model=model or context.instrument.model)
+        instrument = replace(context.instrument, **{"serial_number": "N1", **who})
         where = replace(context, created=moment, instrument=instrument, session=facts)
         path = tmp_path / name / "parameters.toml"
         path.parent.mkdir(exist_ok=True)
@@ -72,6 +72,15 @@ def test_two_sessions_cannot_tell_a_change_from_a_turn_on(tmp_path: Path, write)
     write("b", "2026-08-01", moved=900.0, session="b" * 64)
     (told,) = sentences(read_history(tmp_path).instruments[0], NOW)
     assert key_of(told) == "history.moved"
+
+
+def test_the_grade_of_the_file_goes_before_its_noise(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2026-03-04", session="a" * 64)
+    # 9 mg: more than tactical instruments turn on to, which this one is by its noise; not more than industrial ones do.
+    write("b", "2026-08-01", moved=900.0, session="b" * 64, grade="industrial")
+    (told,) = sentences(read_history(tmp_path).instruments[0], NOW)
+    assert key_of(told) == "history.differs_as_turn_on"
+    assert told.values["turn_on"] == pytest.approx(3.0)
 
 
 def test_three_sessions_may_say_moved(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
@@ -173,8 +182,8 @@ def test_only_the_newest_solution_of_a_recording_counts(tmp_path: Path, write) -
 
 
 def test_instruments_are_kept_apart_and_one_can_be_chosen(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
-    write("a", "2026-03-04", serial="N1")
-    write("b", "2026-03-05", serial="N2")
+    write("a", "2026-03-04", serial_number="N1")
+    write("b", "2026-03-05", serial_number="N2")
     assert [one.serial_number for one in read_history(tmp_path).instruments] == ["N1", "N2"]
     assert [one.serial_number for one in read_history(tmp_path, "N2").instruments] == ["N2"]
     with refused(ParameterFileError, Reason.FOREIGN, "N3", key="history.none_of_serial"):
@@ -182,8 +191,8 @@ def test_instruments_are_kept_apart_and_one_can_be_chosen(tmp_path: Path, write)
 
 
 def test_unknown_serial_numbers_are_not_trusted(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
-    write("a", "2026-03-04", serial="", session="a" * 64)
-    write("b", "2026-03-05", serial="", session="b" * 64)
+    write("a", "2026-03-04", serial_number="", session="a" * 64)
+    write("b", "2026-03-05", serial_number="", session="b" * 64)
     (instrument,) = read_history(tmp_path).instruments
     assert key_of(next(iter(sentences(instrument, NOW)))) == "history.no_serial"
 
@@ -294,7 +303,7 @@ def test_plot_is_a_drawing_of_every_kind(tmp_path: Path, write) -> None:  # type
 def test_the_calibration_closest_in_time_is_found(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
     dates = ["2026-01-10T00:00:00Z", "2026-03-10T00:00:00Z", "2026-08-10T00:00:00Z"]
     paths = [write(f"{k}.toml", date, session=str(k) * 64) for k, date in enumerate(dates)]
-    write("other.toml", "2026-05-01T00:00:00Z", serial="N2", session="f" * 64)
+    write("other.toml", "2026-05-01T00:00:00Z", serial_number="N2", session="f" * 64)
     for day, expected in ((datetime(2025, 1, 1), 0), (datetime(2026, 3, 20, tzinfo=UTC), 1), (datetime(2026, 6, 1), 2)):  # noqa: DTZ001
         assert find(tmp_path, "N1", day).path == paths[expected]
     assert find(str(tmp_path), "N1").path == paths[2]

@@ -22,6 +22,7 @@ from imufield.calibrate.accelerometer.start import (
     find_signs,
 )
 from imufield.calibrate.model.gauge import change_gauge, intrinsic, make_intrinsic
+from imufield.calibrate.model.grades import Grade, find_grade
 from imufield.calibrate.model.models import (
     PARAMETERS,
     SCALE,
@@ -49,7 +50,7 @@ from imufield.calibrate.model.result import (
     PositionResult,
     QuadraticAxes,
 )
-from imufield.calibrate.model.typical import open_terms, typical_of
+from imufield.calibrate.model.typical import open_terms
 from imufield.calibrate.model.uncertainty import (
     SPARE_POSITIONS,
     Influence,
@@ -127,10 +128,8 @@ def calibrate_accelerometer(  # noqa: PLR0913 (the settings of `solve`, by keywo
     zero = np.full(3, 0.0 if raw_zero is None else raw_zero, dtype=np.float64)
     if raw_zero is None and preset is not None:
         zero = preset.raw_zero
-    typical = None if grade is None else typical_of(grade)
-    data = _checked_data(observations, gravity, zero, quadratic_axes, loss=loss)
-    if typical is not None:
-        data = replace(data, least_scatter_m_s2=typical.scatter_m_s2)
+    typical = None if grade is None else find_grade(grade)
+    data = _checked_data(observations, gravity, zero, quadratic_axes, loss=loss, typical=typical)
     before = None if preset is None else _checked_preset(preset)
     signs = find_signs(data.raw, observations.direction, None if before is None else before[SCALE])
     origin, observability = find_origin(data, signs.sign, before, model)
@@ -139,12 +138,12 @@ def calibrate_accelerometer(  # noqa: PLR0913 (the settings of `solve`, by keywo
     wanted: Gauge = gauge or ("lower" if preset is None else "preset")
     fitted, to_gauge = _in_gauge(data, chosen, wanted, before)
     derivatives = norm_derivatives(chosen.fit.vector, data.raw, quadratic_axes)
-    hidden_roots = [to_gauge @ chosen.hidden_root]
+    open_root = np.zeros((PARAMETERS, 0))
     if typical is not None:
         is_open = _open_entries(chosen, model, has_preset=preset is not None)
-        columns = open_terms(derivatives.a / derivatives.norm[:, None], typical, is_open)
-        hidden_roots.append(_open_root(fitted, columns))
-    known = _uncertainty(fitted, chosen.free, data, gravity, hidden_root=np.hstack(hidden_roots), to_gauge=to_gauge)
+        open_root = _open_root(fitted, open_terms(derivatives.a / derivatives.norm[:, None], typical, is_open))
+    hidden_root = np.hstack([to_gauge @ chosen.hidden_root, open_root])
+    known = _uncertainty(fitted, chosen.free, data, gravity, hidden_root=hidden_root, to_gauge=to_gauge)
     evidence = Evidence(
         observations=observations,
         gravity=gravity,
@@ -160,6 +159,7 @@ def calibrate_accelerometer(  # noqa: PLR0913 (the settings of `solve`, by keywo
         scale_ratio=None if before is None else common_scale_ratio(fitted.vector[SCALE], before[SCALE]),
         sigma=known.sigma,
         grade=grade,
+        typical_sigma=np.linalg.norm(open_root, axis=1),
     )
     keep = np.append(np.isfinite(known.sigma), True)
     return Calibration(
@@ -226,7 +226,7 @@ def _intrinsic(vector: FloatArray, data: FitData, known: _Uncertainty) -> Intrin
 
 
 def _checked_data(
-    observations: Observations, gravity: Gravity, zero: FloatArray, axes: QuadraticAxes, *, loss: Loss
+    observations: Observations, gravity: Gravity, zero: FloatArray, axes: QuadraticAxes, *, loss: Loss, typical: Grade | None
 ) -> FitData:
     m = len(observations)
     if m < FEWEST_FOR_SCALE_AND_BIAS:
@@ -244,7 +244,14 @@ def _checked_data(
     require_outputs(raw, observations.name)
     require_space(raw)
     covariance = known_covariance(observations.covariance_raw)
-    return FitData(raw=raw, covariance_raw=covariance, gravity_m_s2=gravity.gravity_m_s2, quadratic_axes=axes, loss=loss)
+    return FitData(
+        raw=raw,
+        covariance_raw=covariance,
+        gravity_m_s2=gravity.gravity_m_s2,
+        quadratic_axes=axes,
+        loss=loss,
+        least_scatter_m_s2=0.0 if typical is None else typical.scatter_m_s2,
+    )
 
 
 def _checked_preset(preset: AccelerometerParameters) -> FloatArray:

@@ -71,6 +71,8 @@ class Evidence:
     """1 sigma of the 15 parameters."""
     grade: str | None
     """Whose typical errors stand for what no residual shows."""
+    typical_sigma: FloatArray
+    """What they make of the sigma of the 15 parameters."""
 
     @property
     def leave_one_out_m_s2(self) -> FloatArray:
@@ -260,7 +262,9 @@ def _outlier_sentences(evidence: Evidence, outliers: Iterable[Outlier]) -> list[
 def _notes(evidence: Evidence) -> list[str]:
     notes: list[str] = [*evidence.chosen.sentences]
     if evidence.grade is not None:
-        notes.append(sentence("quality.typical", grade=evidence.grade))
+        scale_ppm = 1e6 * np.max(evidence.typical_sigma[SCALE] / np.abs(evidence.fitted.vector[SCALE]))
+        bias_mg = np.max(evidence.typical_sigma[BIAS]) / MILLI_G_M_S2
+        notes.append(sentence("quality.typical", grade=evidence.grade, bias_mg=bias_mg, scale_ppm=scale_ppm))
     if evidence.data.covariance_raw is None:
         notes.append(sentence("quality.no_covariance"))
     if evidence.sign_source == "assumed":

@@ -20,7 +20,7 @@ import numpy as np
 
 from imufield.calibrate.gyroscope.fit import fit_jointly
 from imufield.calibrate.gyroscope.input import GyroscopeInput, handedness_error, make_data, refuse_dead, refuse_foreign
-from imufield.calibrate.gyroscope.model_choice import FULL, GyroscopeModel, choose_model
+from imufield.calibrate.gyroscope.model_choice import FULL, GyroscopeModel, check_linearity, choose_model
 from imufield.calibrate.gyroscope.move_integration import INVERSE, PARAMETERS, rough_inverse
 from imufield.calibrate.gyroscope.observability import observe
 from imufield.calibrate.gyroscope.report import (
@@ -101,7 +101,15 @@ def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -
         sigma_rad_s = float(np.sqrt(loose.covariance[place, place]))
         warnings += (latitude_words(given.latitude_deg, float(loose.p[VERTICAL]), sigma_rad_s),)
     return joint_result(
-        JointSolution(given=given, data=data, chosen=chosen, start=start, observability=observability, warnings=warnings)
+        JointSolution(
+            given=given,
+            data=data,
+            chosen=chosen,
+            linearity=check_linearity(data, fitted),
+            start=start,
+            observability=observability,
+            warnings=warnings,
+        )
     )
 
 

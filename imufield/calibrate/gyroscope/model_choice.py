@@ -1,7 +1,24 @@
-"""The gyroscope's model: whether the g-sensitivity G is fitted.
+"""The gyroscope's model: whether the g-sensitivity G is fitted, and whether one scale serves all rates.
 
 The choice "auto" keeps G where an F test on its nine entries together says 95 %. Where it does not, the best guess of what it
 hides goes into the covariance, as for the accelerometer's quadratic term.
+
+A scale that differs between the senses of rotation, or changes with the rate, is not fitted but tested. With the rate ``s``
+along the sensing axes and its largest value ``S``, the output has another ``K f(s) c``:
+
+    asymmetry    f = |s|           nonlinearity    f = s^3 / S^2
+
+In the linearisation of the fit this is a column ``C`` of what the residuals change by: of a move ``sum_k W_k A K f(s_k) T_k``
+in place of its turn, of a pair of turntable runs ``f`` of its half difference (nonlinearity) or half sum (asymmetry). Half sums
+hold bias, g-sensitivity and centripetal force besides: a constant and ``s^2`` for each axis of the table. With the whitened
+residual ``r`` and C less what the Jacobian of the fit explains of them, the score test [1]_ of three columns is
+
+    F = (|P r|^2 / 3) / ((|r|^2 - |P r|^2) / (n - 3)),        P on C
+
+References
+----------
+.. [1] C. R. Rao, "Large sample tests of statistical hypotheses concerning several parameters", Proc. Cambridge Phil. Soc. 44
+   (1948).
 """
 
 from __future__ import annotations
@@ -11,13 +28,14 @@ from typing import Literal
 
 import numpy as np
 
-from imufield.calibrate.gyroscope.fit import JointFit, fit_jointly
-from imufield.calibrate.gyroscope.move_integration import PARAMETERS, SENSITIVITY
+from imufield.calibrate.gyroscope.fit import JointFit, fit_jointly, make_prior
+from imufield.calibrate.gyroscope.move_integration import INVERSE, PARAMETERS, SENSITIVITY
 from imufield.calibrate.gyroscope.observability import Observability
 from imufield.calibrate.gyroscope.residuals import GyroscopeData
-from imufield.calibrate.model.uncertainty import f_limit_95, told_apart
+from imufield.calibrate.model.rotation import skew
+from imufield.calibrate.model.uncertainty import NORMAL_FACTOR_95, f_chance, f_limit_95, told_apart
 from imufield.errors import CalibrationError, Reason
-from imufield.samples import FloatArray
+from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
@@ -69,3 +87,119 @@ def choose_model(data: GyroscopeData, start: FloatArray, observability: Observab
     hidden_change = np.sqrt(max(0.0, 1 - 1 / F)) * (full.p - basic.p)
     hidden_change[SENSITIVITY] = 0.0
     return ChosenModel(basic, False, hidden_change, sentence("model_choice.left_out", **told))
+
+
+_SCALES = [0, 4, 8]  # The diagonal of A.
+_RATE_LEVEL = 0.005  # Of each of the two tests: one clean session of a hundred is named.
+# 1 sigma from which on a term counts as not shown, ten times what data sheets of consumer chips give for nonlinearity.
+_SHOWN = 0.01
+# Of whitened residuals, 0.6 to 1 in simulated sessions: without noise a ratio of rounding means nothing.
+_LEAST_VARIANCE = 0.5
+_EXPLAINED = 1e-9  # Share of a direction's length below which it is rounding.
+_ROUNDING = 1e-300
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Linearity:
+    """Whether one scale serves all rates."""
+
+    range_rad_s: FloatArray
+    """Largest rate about each axis, shape (3,)."""
+    sigma: FloatArray
+    """1 sigma of asymmetry (half of the difference) and nonlinearity on the axis that shows them least, shape (2,)."""
+    sentences: tuple[Sentence, ...]
+    """What is there."""
+    matters: bool
+    """Whether one of them moves a scale by more than its 95 % limit."""
+    hidden_change: FloatArray
+    """By how much it moved the parameters, shape (parameters,)."""
+
+
+def check_linearity(data: GyroscopeData, fit: JointFit) -> Linearity:
+    """Test whether the scale is the same for both senses of rotation and at all rates."""
+    range_rad_s, C, C_sum = _rate_columns(data, fit)
+    r, columns, freedom = _left_over(data, fit, C, C_sum)
+    sigma = 1 / np.maximum(np.linalg.norm(columns, axis=0), _ROUNDING)
+    found, sentences = np.zeros(6), []
+    for kind, key in enumerate(("model_choice.asymmetry", "model_choice.nonlinearity")):
+        # Half of the difference between the senses is what the column stands for.
+        to_ppm = 1e6 * (2 - kind)
+        seen = [k for k in range(3 * kind, 3 * kind + 3) if sigma[k] < _SHOWN]
+        spare = freedom - len(seen)
+        if not seen or spare < 1:
+            continue
+        size = -np.linalg.lstsq(columns[:, seen], r, rcond=None)[0]
+        rest = float(np.sum((r + columns[:, seen] @ size) ** 2))
+        variance = max(rest / spare, _LEAST_VARIANCE)
+        if f_chance((float(r @ r) - rest) / len(seen) / variance, len(seen), spare) < _RATE_LEVEL:
+            found[seen] = size
+            worst = seen[int(np.argmax(np.abs(size) / sigma[seen]))]
+            sizes = {"size_ppm": to_ppm * found[worst], "sigma_ppm": to_ppm * sigma[worst]}
+            rate_deg_s = float(np.degrees(range_rad_s[worst % 3]))
+            sentences.append(sentence(key, axis=AXES[worst % 3], rate_deg_s=rate_deg_s, **sizes))
+    hidden_change = np.zeros(data.parameters)
+    hidden_change[fit.free] = fit.gain @ C @ found
+    known = np.zeros(data.parameters)
+    known[fit.free] = np.sqrt(np.diag(fit.covariance))
+    limit = NORMAL_FACTOR_95 * known[_SCALES] / np.abs(fit.p[_SCALES])
+    return Linearity(
+        range_rad_s=range_rad_s,
+        sigma=sigma.reshape(2, 3).max(axis=1),
+        sentences=tuple(sentences),
+        matters=bool(np.any(np.abs(found.reshape(2, 3)) > limit)),
+        hidden_change=hidden_change,
+    )
+
+
+def _left_over(data: GyroscopeData, fit: JointFit, C: FloatArray, C_sum: FloatArray) -> tuple[FloatArray, FloatArray, int]:
+    """Return whitened residual and columns (n, 6) less what is fitted explains, and the degrees of freedom."""
+    L = np.linalg.cholesky(fit.parts.total(fit.scatter))
+    rows = np.linalg.solve(L, np.column_stack([fit.evaluation.residual, C, fit.evaluation.jacobian[:, fit.free]]))
+    prior_residual, prior_jacobian = make_prior(data, heading=fit.heading_fitted).rows(fit.p, fit.free)
+    of_prior = np.column_stack([prior_residual, np.zeros((len(prior_residual), 6)), prior_jacobian])
+    residual, else_held, root = _half_sums(data, fit)
+    of_sums = np.linalg.solve(root, np.column_stack([residual, C_sum, else_held]))
+    left, freedom = [], 0
+    for part in (np.vstack([rows, of_prior]), of_sums):
+        values, jacobian = part[:, :7], part[:, 7:]
+        size = np.maximum(np.linalg.norm(jacobian, axis=0), _ROUNDING)
+        U, lengths, _ = np.linalg.svd(jacobian / size, full_matrices=False)
+        U = U[:, lengths > _EXPLAINED]
+        left.append(values - U @ (U.T @ values))
+        freedom += len(U) - U.shape[1]
+    every = np.vstack(left)
+    return every[:, 0], every[:, 1:], freedom
+
+
+def _rate_columns(data: GyroscopeData, fit: JointFit) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the largest rates, shape (3,), and what the residuals of the fit and of half sums change by, six columns each."""
+    A, now = fit.p[INVERSE].reshape(3, 3), fit.evaluation
+    K, slots, m = np.diag(np.linalg.inv(A)), data.moves.slots, fit.evaluation.moves
+    T = slots.duration_s[:, None]
+    s, s_table = slots.turn / np.maximum(T, 1e-9) / K, data.table.half_difference_raw / K
+    S = np.abs(np.vstack([s, s_table])).max(axis=0)
+    shape = np.hstack([np.abs(s), s**3 / S**2])
+    by_slot = now.turns.by_slot @ np.tile(A * K, 2) * (shape * T)[:, None, :]
+    by_turn = np.add.reduceat(by_slot, data.moves.first)
+    C, t = np.zeros((len(now.residual), 6)), len(s_table)
+    C[: 2 * m] = (now.tangent @ skew(now.predicted) @ by_turn).reshape(-1, 6)
+    start = 2 * m + 3 * now.stills
+    C[start : start + len(data.stops)] = np.einsum("ci,cij->cj", data.up[data.moves.after[data.stops]], by_turn[data.stops])
+    # Half differences are odd in the rate, half sums even.
+    C[len(C) - 3 * t :, 3:] = -(A * K * (s_table**3 / S**2)[:, None, :]).reshape(-1, 3)
+    C_sum = np.zeros((3 * t, 6))
+    C_sum[:, :3] = -(A * K * np.abs(s_table)[:, None, :]).reshape(-1, 3)
+    return S, C, C_sum
+
+
+def _half_sums(data: GyroscopeData, fit: JointFit) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return residuals (3 t,) of the half sums of turntable pairs, what else they hold, and the root of their covariance."""
+    A, table, t = fit.p[INVERSE].reshape(3, 3), data.table, len(data.table)
+    own = (table.axis[:, None] == np.unique(table.axis)).astype(np.float64)
+    square = np.sum(table.rate_rad_s**2, axis=1)
+    else_held = np.kron(np.hstack([own, own * square[:, None]]), np.eye(3))
+    covariance = np.zeros((3 * t, 3 * t))
+    for k, block in enumerate(A @ table.covariance_raw @ A.T + fit.scatter.drift_rad_s**2 * np.eye(3)):
+        covariance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = block
+    residual: FloatArray = ((table.half_sum_raw - data.rest_raw) @ A.T).ravel()
+    return residual, np.asarray(else_held, dtype=np.float64), np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)

@@ -38,6 +38,8 @@ class Turns:
         Takes body vectors at the end to the body frame at the start, relative to inertial space.
     jacobian : ndarray, shape (m, 3, 21)
         d turn / d x, rotation vector at the end.
+    by_slot : ndarray, shape (k, 3, 3)
+        W_k of every slot.
     duration : ndarray, shape (m, 3, 3)
         Sum of W_k T_k: what a constant rate error does.
     spread : ndarray, shape (m, 3, 3)
@@ -46,6 +48,7 @@ class Turns:
 
     quaternion: FloatArray
     jacobian: FloatArray
+    by_slot: FloatArray
     duration: FloatArray
     spread: FloatArray
     net_rad: FloatArray
@@ -117,6 +120,7 @@ def integrate(x: FloatArray, moves: Moves, noise_density_raw: FloatArray) -> Tur
     return Turns(
         quaternion=end,
         jacobian=np.concatenate([by_inverse, -duration, -by_force], axis=2),
+        by_slot=W,
         duration=duration,
         spread=total(spread),
         net_rad=total((to_end @ vectors[:, :, None])[:, :, 0]),

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.calibrate.gyroscope.input import GyroscopeInput
-from imufield.calibrate.gyroscope.model_choice import ChosenModel
+from imufield.calibrate.gyroscope.model_choice import ChosenModel, Linearity
 from imufield.calibrate.gyroscope.move_integration import BIAS, INVERSE, PARAMETERS, SENSITIVITY
 from imufield.calibrate.gyroscope.observability import Observability
 from imufield.calibrate.gyroscope.residuals import GyroscopeData, evaluate
@@ -39,6 +39,8 @@ GYROSCOPE_NAMES = (
 # Share of the angle error before that is left where a fit has gained little; a session of placed positions leaves 0.12.
 _HARDLY_BETTER = 0.8
 _WORSE = 1.1
+_FOUND_SIGMAS = 4.0  # A term as large on one axis is found in two of three sessions.
+_FOUND = 0.01  # A gyroscope's scale that differs by more is said not to be tested for it.
 _SUSPICIOUS_SIGMAS = 4.5  # A residual has two components; one good move in 25 000 is further off.
 
 
@@ -119,6 +121,7 @@ class JointSolution:
     given: GyroscopeInput
     data: GyroscopeData
     chosen: ChosenModel
+    linearity: Linearity
     start: FloatArray
     observability: Observability
     warnings: tuple[str, ...]
@@ -136,13 +139,15 @@ class StaticSolution:
 def joint_result(solution: JointSolution) -> GyroscopeResult:
     """Return the result of a joint fit."""
     chosen, fitted, observability = solution.chosen, solution.chosen.fit, solution.observability
-    # The covariance of the fit in all 21 parameters; what a rejected g-sensitivity may hide adds d d^T.
+    linearity = solution.linearity
+    # The covariance of the fit in all 21 parameters; what a rejected g-sensitivity or one scale for all rates hides adds d d^T.
     own = np.zeros((PARAMETERS, PARAMETERS))
     places = np.flatnonzero(fitted.free < PARAMETERS)
     columns = fitted.free[places]
     # Parameters that were not fitted have no variance of their own.
     own[np.ix_(columns, columns)] = fitted.covariance[np.ix_(places, places)]
-    own += np.outer(chosen.hidden_change[:PARAMETERS], chosen.hidden_change[:PARAMETERS])
+    for hidden in (chosen.hidden_change[:PARAMETERS], linearity.hidden_change[:PARAMETERS]):
+        own += np.outer(hidden, hidden)
     # An error of the accelerometer moves the residuals, and the fit follows with -gain.
     with_accelerometer = np.zeros((PARAMETERS, 16))
     with_accelerometer[columns] = -fitted.gain[places] @ fitted.parts.with_accelerometer
@@ -160,14 +165,16 @@ def joint_result(solution: JointSolution) -> GyroscopeResult:
         sigma=np.sqrt(np.einsum("mi,mij,mj->m", residual, np.linalg.inv(blocks), residual)),
     )
     result = _result(solution, fitted.p[:PARAMETERS], own, known, path=_path(solution, turns))
+    unsettled = () if fitted.solved.converged else (_unsettled(fitted.solved.message, solution.given.latitude_deg),)
     return replace(
         result,
+        calibration=replace(result.calibration, range_rad_s=linearity.range_rad_s),
         with_accelerometer=(forward(fitted.p[:PARAMETERS], data.rest_raw)[1] @ with_accelerometer)[known],
         moves=moves,
         turns=turns,
         unobservable=observability.hidden_names,
         reasons=_reasons(solution, moves, turns),
-        cautions=() if fitted.solved.converged else (_unsettled(fitted.solved.message, solution.given.latitude_deg),),
+        cautions=(*unsettled, *(linearity.sentences if linearity.matters else ())),
     )
 
 
@@ -270,7 +277,13 @@ def _path(solution: JointSolution, turns: tuple[Sentence, ...]) -> str:
 
 
 def _reasons(solution: JointSolution, moves: MoveReport, turns: tuple[Sentence, ...]) -> tuple[str, ...]:
-    sentences: list[str] = [solution.chosen.sentence, *solution.warnings]
+    linearity = solution.linearity
+    found_from = dict(zip(("asymmetry", "nonlinearity"), _FOUND_SIGMAS * linearity.sigma * [2, 1], strict=True))
+    key = "report.range" if max(found_from.values()) < _FOUND else "report.range_not_shown"
+    not_shown = " and ".join(kind for kind, size in found_from.items() if not size < _FOUND)
+    rates_deg_s = np.degrees(linearity.range_rad_s).tolist()
+    sentences: list[str] = [sentence(key, rates_deg_s=rates_deg_s, not_shown=not_shown, **found_from)]
+    sentences += [solution.chosen.sentence, *solution.warnings, *(() if linearity.matters else linearity.sentences)]
     if len(moves.after_deg):
         before_deg, after_deg = moves.rms_before_deg, moves.rms_after_deg
         key = "report.angle_errors" if np.isfinite(before_deg) else "report.angle_error"

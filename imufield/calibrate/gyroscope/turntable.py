@@ -63,7 +63,12 @@ class TableRows:
     ----------
     half_difference_raw : ndarray, shape (t, 3)
         (N+ - N-) / 2.
+    half_sum_raw : ndarray, shape (t, 3)
+        (N+ + N-) / 2: what does not change sign with the rate.
+    axis : ndarray, shape (t,)
+        Number of the first pair about the same axis.
     covariance_raw : ndarray, shape (t, 3, 3)
+        Of half difference and half sum alike.
     rate_rad_s : ndarray, shape (t, 3)
         Body rate in the positive run.
     rate_covariance : ndarray, shape (t, 3, 3)
@@ -71,6 +76,8 @@ class TableRows:
     """
 
     half_difference_raw: FloatArray
+    half_sum_raw: FloatArray
+    axis: FloatArray
     covariance_raw: FloatArray
     rate_rad_s: FloatArray
     rate_covariance: FloatArray
@@ -82,7 +89,7 @@ class TableRows:
 def no_table() -> TableRows:
     """Return zero pairs."""
     vectors, matrices = np.empty((0, 3)), np.empty((0, 3, 3))
-    return TableRows(vectors, matrices, vectors, matrices)
+    return TableRows(*[vectors, vectors, np.empty(0), matrices, vectors, matrices])
 
 
 def pair_runs(runs: Sequence[TurntableRun]) -> TableRows:
@@ -94,7 +101,7 @@ def pair_runs(runs: Sequence[TurntableRun]) -> TableRows:
         If a run has no counterpart.
     """
     left = list(runs)
-    rows = []
+    rows, axes = [], list[FloatArray]()
     while left:
         run = left.pop(0)
         partners = [
@@ -112,7 +119,9 @@ def pair_runs(runs: Sequence[TurntableRun]) -> TableRows:
         u = plus.axis / np.linalg.norm(plus.axis)
         along, across = plus.rate_sigma_rad_s**2 / 2, (w * plus.axis_sigma_rad) ** 2
         # (N+ - N-) / 2 = K E w, [1]_ eq. 25
-        half_difference = (plus.mean_raw - minus.mean_raw) / 2
+        half_difference, half_sum = (plus.mean_raw - minus.mean_raw) / 2, (plus.mean_raw + minus.mean_raw) / 2
         covariance = along * np.outer(u, u) + across * (np.eye(3) - np.outer(u, u))
-        rows.append((half_difference, (plus.covariance_raw + minus.covariance_raw) / 4, w * u, covariance))
+        axis = next((k for k, other in enumerate(axes) if float(u @ other) > _SAME_AXIS), len(axes))
+        axes.append(u)
+        rows.append((half_difference, half_sum, axis, (plus.covariance_raw + minus.covariance_raw) / 4, w * u, covariance))
     return TableRows(*(np.array(column) for column in zip(*rows, strict=True)))

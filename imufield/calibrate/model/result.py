@@ -83,6 +83,8 @@ class GyroscopeCalibration:
     path: str
     """In words, e.g. "static bias, Earth rate accounted for"."""
     raw_unit: str = "rad/s"
+    range_rad_s: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+    """Largest rate about each axis that the scale comes from, shape (3,); NaN where it comes from none."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -281,8 +281,8 @@ class SolveOptions:
         import numpy as np
 
         from imufield.calibrate.gyroscope.model_choice import GyroscopeModel
+        from imufield.calibrate.model.grades import GRADES
         from imufield.calibrate.model.result import Gauge, ModelChoice
-        from imufield.calibrate.model.typical import grades
         from imufield.calibrate.solvers.registry import load_solver
         from imufield.deliver.parameters.file import load
         from imufield.pipeline.calibration import SolveSettings, one_of
@@ -300,7 +300,7 @@ class SolveOptions:
             gyroscope_model=one_of("gyro-model", self.gyroscope_model, get_args(GyroscopeModel)),
             preset=None if self.preset is None else load(self.preset),
             raw_zero=None if zero is None else np.array(zero),
-            grade=None if self.grade is None else one_of("grade", self.grade, tuple(grades())),
+            grade=None if self.grade is None else one_of("grade", self.grade, tuple(GRADES)),
             seed=self.seed,
             without=tuple(self.without or ()),
             clock_sigma=None if self.clock_sigma_ppm is None else 1e-6 * self.clock_sigma_ppm,

@@ -30,6 +30,8 @@ class InstrumentFacts:
     model: str = ""
     serial_number: str = ""
     firmware: str = ""
+    grade: str = ""
+    """Whose typical errors stand in the uncertainty for what the session does not show."""
 
 
 @dataclass(frozen=True, slots=True)

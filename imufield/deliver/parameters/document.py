@@ -79,6 +79,8 @@ def to_document(calibration: Calibration, observations: Observations, context: C
             **_lists(parameters, ("raw_zero", *_ACCELEROMETER_VECTORS)),
             "quadratic_axes": parameters.quadratic_axes,
             "quadratic_fitted": calibration.quadratic_fitted,
+            # At rest nothing else is seen.
+            "range_m_s2": float(gravity.gravity_m_s2),
             "uncertainty": _lists(calibration.accelerometer_sigma, _ACCELEROMETER_VECTORS),
             "intrinsic": _lists(calibration.intrinsic, _INTRINSIC),
         },
@@ -114,6 +116,7 @@ def _gyroscope_table(gyroscope: GyroscopeCalibration, gauge: str, clock: ClockFa
         "raw_unit": gyroscope.raw_unit,
         "gauge": gauge,
         "path": gyroscope.path,
+        "range_rad_s": gyroscope.range_rad_s.tolist(),
         **_lists(gyroscope.parameters, _GYROSCOPE_ARRAYS),
         "bias_rad_s": bias_rad_s.tolist(),
         "uncertainty": uncertainty,
@@ -211,6 +214,7 @@ def calibration_from_document(document: Document) -> Calibration:
             sigma=GyroscopeParameters(**_arrays(gyroscope["uncertainty"], _GYROSCOPE_ARRAYS)),
             path=gyroscope["path"],
             raw_unit=gyroscope["raw_unit"],
+            range_rad_s=_array(gyroscope.get("range_rad_s", [np.nan] * 3)),
         ),
         unobservable=tuple(quality["unobservable"]),
     )

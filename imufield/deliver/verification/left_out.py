@@ -27,7 +27,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
-from imufield.calibrate.model.models import NormDerivatives, norm_derivatives, to_vector
+from imufield.calibrate.model.grades import GRADES
+from imufield.calibrate.model.models import BIAS, NormDerivatives, norm_derivatives, to_vector
 from imufield.calibrate.model.observability import parameter_scale
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import (
@@ -39,7 +40,7 @@ from imufield.calibrate.model.result import (
 )
 from imufield.calibrate.model.uncertainty import f_chance, f_limit_95, known_covariance, within_variance
 from imufield.calibrate.solvers.agreement import AGREEMENT_SIGMA
-from imufield.earth import MICRO_G_M_S2, Gravity
+from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2, Gravity
 from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
@@ -138,6 +139,8 @@ class LeftOutPositions:
     """In words: which positions, and who predicted them."""
     chance: float = float("nan")
     """Probability of a misfit at least so large where instrument and uncertainty are as stated; NaN where not known."""
+    turn_on_m_s2: float = float("nan")
+    """Turn-on typical of the instrument's grade, 1 sigma; NaN where it does not explain the misfit, or is not known."""
     is_own: bool = False
     """Whether the positions are those of the calibration."""
     objection: str = ""
@@ -173,6 +176,8 @@ class LeftOutPositions:
         figures = sentence("left_out.figures", misfit=self.misfit, limit=self.misfit_limit)
         if self.as_forecast:
             return sentence("left_out.as_forecast", figures=figures)
+        if np.isfinite(self.turn_on_m_s2):
+            return sentence("left_out.turn_on", figures=figures, turn_on_mg=self.turn_on_m_s2 / MILLI_G_M_S2)
         if self.chance >= STRONG:
             again = sentence("left_out.again_own" if self.is_own else "left_out.again_other")
             return sentence("left_out.larger", one_of=1 / self.chance, figures=figures, again=again)
@@ -182,9 +187,14 @@ class LeftOutPositions:
 
 
 def check_positions(
-    calibration: Calibration, observations: Observations, gravity: Gravity, before: AccelerometerParameters | None = None
+    calibration: Calibration,
+    observations: Observations,
+    gravity: Gravity,
+    before: AccelerometerParameters | None = None,
+    *,
+    grade: str = "",
 ) -> LeftOutPositions:
-    """Return what a calibration makes of positions of another session.
+    """Return what a calibration makes of positions of another session, by an instrument of this grade where it is known.
 
     Raises
     ------
@@ -196,6 +206,11 @@ def check_positions(
     m = len(observations)
     # With no residual to spare F has no limit at all; that of one degree of freedom is the widest there is.
     freedom, misfit = max(calibration.quality.degrees_of_freedom, 1), _misfit(residual, S)
+    limit = f_limit_95(m, freedom)
+    # Another session is another power-on.
+    turn_on = GRADES[grade].accelerometer.turn_on if grade else 0.0
+    by_bias = _derivatives(calibration.accelerometer, observations).jacobian[:, BIAS]
+    explains = misfit > limit >= _misfit(residual, S + turn_on**2 * by_bias @ by_bias.T)
     return LeftOutPositions(
         name=observations.name,
         up=_up(calibration, observations),
@@ -203,9 +218,10 @@ def check_positions(
         before_m_s2=_residual_of(before, observations, gravity),
         sigma_m_s2=np.sqrt(np.diag(S)),
         misfit=misfit,
-        misfit_limit=f_limit_95(m, freedom),
+        misfit_limit=limit,
         how=sentence("left_out.other_session", found=m),
         chance=f_chance(misfit, m, freedom),
+        turn_on_m_s2=turn_on if explains else np.nan,
     )
 
 

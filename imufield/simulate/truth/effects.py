@@ -26,6 +26,9 @@ class Effects:
     Beside the quadratic term the output of an axis has odd and even terms of its input s in g [5]_: a scale that differs by 2 c
     between the sides adds ``c |s|``, a cubic term ``c s^3``, and cross terms ``c s_j s_k`` of two axes.
 
+    A gyroscope whose scale differs by 2 c between the senses of rotation adds ``c |w|`` to the rate w about an axis, one whose
+    scale changes with the rate ``c w^3`` [6]_.
+
     A converter with codes that stick gives the code ``n - n mod P`` for every n with ``n mod P < W``: of each P codes the first
     W read as the lowest of them, a differential nonlinearity of W - 1 steps, which the histogram of the codes shows [3]_.
 
@@ -39,6 +42,8 @@ class Effects:
     .. [4] Newton's law of cooling, for the temperature; the bias follows it linearly.
     .. [5] IEEE Std 1293-2018, "Specification format guide and test procedure for linear single-axis nongyroscopic
        accelerometers": the model equation, with its odd quadratic and cross-coupling coefficients.
+    .. [6] IEEE Std 528-2019: scale factor asymmetry and nonlinearity. IEEE Std 952: the model equation, in which the error of
+       the scale factor holds a function of the input rate.
     """
 
     turn_on_m_s2: float = 0.0
@@ -54,6 +59,10 @@ class Effects:
     """Of each axis, g per g^3."""
     cross: tuple[tuple[float, float, float], ...] = ((0.0, 0.0, 0.0),) * 3
     """Of each pair x y, x z, y z on each axis, g per g^2."""
+    gyroscope_asymmetry: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Of each axis, rad/s per rad/s."""
+    gyroscope_cubic: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Of each axis, rad/s per (rad/s)^3."""
     touched_holds: int = 0
     """How many holds of a session are touched."""
     touch_m_s2: float = 0.0
@@ -87,6 +96,13 @@ class Effects:
         pairs = s[:, [0, 0, 1]] * s[:, [1, 2, 2]]
         more = np.array(self.asymmetry) * np.abs(s) + np.array(self.cubic) * s**3 + pairs @ np.array(self.cross)
         return np.asarray(force_m_s2 + STANDARD_GRAVITY_M_S2 * more)
+
+    def distorted_rate(self, rate_rad_s: FloatArray) -> FloatArray:
+        """Return angular rates (n, 3) as a gyroscope without these terms would have to feel them to read the same."""
+        if not np.any([*self.gyroscope_asymmetry, *self.gyroscope_cubic]):
+            return rate_rad_s
+        more = np.array(self.gyroscope_asymmetry) * np.abs(rate_rad_s) + np.array(self.gyroscope_cubic) * rate_rad_s**3
+        return np.asarray(rate_rad_s + more)
 
     def touch(self, force_m_s2: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, IntArray]:
         """Return mean specific forces of holds, shape (m, 3), some of them touched, and which, ascending."""

@@ -174,7 +174,7 @@ class Imu:
         accelerometer = predict(
             unit.accelerometer, unit.effects.distorted(self._accelerometer_delay.feed(motion.specific_force))
         )
-        rate = self._gyroscope_delay.feed(motion.angular_rate)
+        rate = unit.effects.distorted_rate(self._gyroscope_delay.feed(motion.angular_rate))
         gyroscope = predict_gyroscope(unit.gyroscope, rate, motion.specific_force)
         zero = unit.accelerometer.raw_zero
         if np.any(warm_degc):

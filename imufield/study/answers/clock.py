@@ -8,22 +8,17 @@ import numpy as np
 
 from imufield.acquire.clock.loss_watch import HostBaseline
 from imufield.acquire.decode.statistics import DecoderStatistics
-from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
 from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
-from imufield.calibrate.gyroscope.input import GyroscopeInput
-from imufield.calibrate.gyroscope.moves import MoveCollector
 from imufield.calibrate.model.gauge import change_gauge, turn_gyroscope
 from imufield.calibrate.model.models import to_vector
 from imufield.calibrate.model.uncertainty import NORMAL_FACTOR_95
 from imufield.deliver.parameters.clock import HOST_SIGMA, clock_facts
-from imufield.earth import Gravity
-from imufield.guide.lead.unguided import StillIntervalFinder
 from imufield.guide.positions import scheme
-from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import FloatArray
 from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
 from imufield.simulate.truth.imu import Imu
 from imufield.simulate.truth.operator import OperatorSettings
+from imufield.study.answers.sessions import imported_moves
 from imufield.study.context import StudyContext
 from imufield.study.report import Findings, keyed_table
 
@@ -32,7 +27,6 @@ LATE_S = 2e-3
 """Mean delay of a read beyond the least: a USB adapter of a computer at work."""
 WAITED_S = 0.3
 """What lay at the port when it was opened."""
-_BLOCK = 2000
 _READ = 4  # Samples.
 
 
@@ -76,19 +70,9 @@ def run_clock(kind: ClockKind, rng: np.random.Generator) -> ClockRun:
         Emulation(rate_hz=RATE_HZ, seed=seed, grade="mems", directions=scheme("paper24").directions(), operator=habits)
     )
     truth = replace(drawn.imu.instrument, clock_error_ppm=1e6 * error)
-    imu, operator, units = Imu(truth, seed, drawn.imu.settings), drawn.operator, truth.grade.units
-    finder, collector = StillIntervalFinder(units, RoughScale.of_units(units)), MoveCollector(units)
-    count = int(operator.plan_all() / imu.interval_s)
-    for first in range(0, count, _BLOCK):
-        block = imu.feed(operator.block(first, min(_BLOCK, count - first), imu.interval_s))
-        finder.feed(block)
-        collector.feed(block)
-    observations, site = finder.finish().observations, operator.site
-    gravity = Gravity(gravity_m_s2=site.gravity_m_s2, sigma_m_s2=1e-5, source="measured", latitude_deg=site.latitude_deg)
-    calibration = calibrate_accelerometer(observations, gravity)
-    moves = collector.finish(observations.start_s, observations.duration_s)
-    given = GyroscopeInput(observations=observations, moves=moves, calibration=calibration, latitude_deg=site.latitude_deg)
-    found = calibrate_gyroscope(given).calibration
+    imu = Imu(truth, seed, drawn.imu.settings)
+    count = int(drawn.operator.plan_all() / imu.interval_s)
+    found = calibrate_gyroscope(imported_moves(imu, drawn.operator)).calibration
     scale, sigma = found.parameters.scale, found.sigma.scale
     true_scale = turn_gyroscope(truth.gyroscope, change_gauge(to_vector(truth.accelerometer), "lower").rotation).scale
     statistics = DecoderStatistics(samples=count, nominal_rate_hz=RATE_HZ)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imufield.calibrate.model.result import ModelChoice
-from imufield.deliver.family import Shared, family_of, turn_on_of
+from imufield.deliver.family import Shared, family_of, typical_turn_on
 from imufield.deliver.parameters.gauge_free import GaugeFree
 from imufield.earth import MILLI_G_M_S2
 from imufield.simulate.truth.effects import Effects
@@ -69,11 +69,10 @@ def _judged(old: GaugeFree, new: GaugeFree, *, grade: Grade) -> PairRun:
     # The quadratic term is among the numbers where the model has it.
     same_model = [number.name for number in old.numbers] == [number.name for number in new.numbers]
     family = family_of(old, new, Shared(gravity=True, setup=same_model))
-    typical = turn_on_of(grade.gyroscope.noise_density)
     return PairRun(
         differs=bool(family.beyond),
         single=any(abs(change.in_sigma) > _SINGLE_SIGMA for change in family.changes),
-        moved=any(family.exceeds(change, typical.of(change.name)) for change in family.beyond),
+        moved=any(family.exceeds(change, typical_turn_on(grade, change.name)) for change in family.beyond),
     )
 
 

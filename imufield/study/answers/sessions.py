@@ -17,10 +17,13 @@ from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S
 from imufield.earth import MILLI_G_M_S2, Gravity, choose_gravity
 from imufield.guide.lead.guide import Guide
 from imufield.guide.lead.settings import GuideSettings
+from imufield.guide.lead.unguided import StillIntervalFinder
 from imufield.guide.positions import scheme
+from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import AXES
 from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
-from imufield.simulate.truth.operator import OperatorSettings
+from imufield.simulate.truth.imu import Imu
+from imufield.simulate.truth.operator import Operator, OperatorSettings
 from imufield.study.answers.means import MeanSession
 
 LATITUDE_DEG = 48.1
@@ -65,6 +68,25 @@ def guided_numbers(grade: str, seed: int, day: int) -> GaugeFree:
     added = dict(zip((*(f"bias {axis}" for axis in AXES), *(f"gyroscope bias {axis}" for axis in AXES)), drift, strict=True))
     numbers = tuple(replace(number, value=number.value - added.get(number.name, 0.0)) for number in found.numbers)
     return replace(found, numbers=numbers)
+
+
+def imported_moves(imu: Imu, operator: Operator) -> GyroscopeInput:
+    """Return what an import makes of a whole session: stills, moves between them, and the accelerometer calibrated."""
+    units, site = imu.instrument.grade.units, operator.site
+    finder, collector = StillIntervalFinder(units, RoughScale.of_units(units)), MoveCollector(units)
+    count = int(operator.plan_all() / imu.interval_s)
+    for first in range(0, count, _BLOCK):
+        block = imu.feed(operator.block(first, min(_BLOCK, count - first), imu.interval_s))
+        finder.feed(block)
+        collector.feed(block)
+    observations = finder.finish().observations
+    gravity = Gravity(gravity_m_s2=site.gravity_m_s2, sigma_m_s2=1e-5, source="measured", latitude_deg=site.latitude_deg)
+    return GyroscopeInput(
+        observations=observations,
+        moves=collector.finish(observations.start_s, observations.duration_s),
+        calibration=calibrate_accelerometer(observations, gravity),
+        latitude_deg=site.latitude_deg,
+    )
 
 
 def _gauge_free(calibration: Calibration, observations: Observations) -> GaugeFree:

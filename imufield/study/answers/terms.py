@@ -8,7 +8,6 @@ from functools import cache
 import numpy as np
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
-from imufield.calibrate.model.typical import grades
 from imufield.calibrate.model.uncertainty import degrees_of_freedom, student_factor
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity
 from imufield.simulate.truth.effects import Effects
@@ -74,7 +73,7 @@ def _instrument(case: Case, rng: np.random.Generator) -> TrueInstrument:
     warm_up = case.warm_up_mg * MILLI_G_M_S2 * rng.choice([-1.0, 1.0], 3)
     effects = Effects(warm_up_m_s2=(float(warm_up[0]), float(warm_up[1]), float(warm_up[2])))
     if case.has_typical_terms:
-        typical = grades()[_GRADE]
+        typical = GRADES[_GRADE]
         asymmetry, cubic, *cross = (
             (float(x), float(y), float(z))
             for x, y, z in np.repeat([typical.asymmetry, typical.cubic, *[typical.cross] * 3], 3).reshape(5, 3)

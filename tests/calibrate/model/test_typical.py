@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
 from imufield.calibrate.model.gauge import intrinsic
+from imufield.calibrate.model.grades import GRADES
 from imufield.calibrate.model.models import to_vector
-from imufield.calibrate.model.typical import grades, open_terms, typical_of
+from imufield.calibrate.model.typical import open_terms
 from imufield.earth import Gravity
-from imufield.errors import UsageError
 from imufield.samples import FloatArray
-from tests.refused import refused
+from tests.told import told
 
 EXACT = Gravity(gravity_m_s2=GRAVITY_M_S2, sigma_m_s2=1e-9, source="measured")
-MEMS = grades()["mems"]
+MEMS = GRADES["mems"]
 
 
 def drawn(rng: np.random.Generator) -> FloatArray:
@@ -66,7 +66,7 @@ def test_intervals_hold_instruments_of_the_grade(directions: FloatArray, has_noi
         has_noise_known=has_noise_known,
         quadratic_ug=quadratic_ug,
         placement_deg=6.0,
-        misalignment_rad=MEMS.misalignment_rad,
+        misalignment_rad=MEMS.accelerometer.misalignment_rad,
     )
     rng = np.random.default_rng(12)
     inside: list[NDArray[np.bool_]] = []
@@ -82,8 +82,17 @@ def test_intervals_hold_instruments_of_the_grade(directions: FloatArray, has_noi
     assert np.mean(inside) > 0.92
 
 
-def test_grades() -> None:
-    best_first = [grade.quadratic for grade in grades().values()]
-    assert best_first == sorted(best_first)
-    with refused(UsageError, key="typical.no_grade"):
-        typical_of("toy")
+def test_the_verdict_says_what_the_priors_add() -> None:
+    session = Session(directions=proposed("paper24"))
+    observations, _ = session.take(np.random.default_rng(3))
+    with_priors, without = (calibrate_accelerometer(observations, EXACT, grade=grade) for grade in ("mems", None))
+    (told_once,) = told(with_priors.quality.reasons, "quality.typical")
+    assert not told(without.quality.reasons, "quality.typical")
+
+    def largest_added(name: str) -> float:
+        more, less = (getattr(found.accelerometer_sigma, name) for found in (with_priors, without))
+        return float(np.sqrt(np.max(more**2 - less**2)))
+
+    assert told_once.values["bias_mg"] == pytest.approx(largest_added("bias_m_s2") / (1e-3 * 9.80665), rel=1e-6)
+    scale = with_priors.accelerometer.scale[0]
+    assert told_once.values["scale_ppm"] == pytest.approx(1e6 * largest_added("scale") / scale, rel=0.02)

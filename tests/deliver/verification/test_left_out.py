@@ -76,6 +76,19 @@ def test_a_bias_that_moved_is_found_and_the_preset_compared() -> None:
     found = check_positions(calibrated(), observe(5, truth=moved), GRAVITY, before=moved)
     assert not found.as_forecast
     assert found.before_rms_m_s2 < found.rms_m_s2 / 3
+    assert key_of(found.words) == "left_out.defect"
+
+
+def test_a_turn_on_of_the_grade_is_named_as_what_it_is() -> None:
+    moved = replace(TRUTH, bias_m_s2=TRUTH.bias_m_s2 + np.array([0.01, 0, 0]))
+    tactical = check_positions(calibrated(), observe(5, truth=moved), GRAVITY, grade="tactical")
+    assert not tactical.as_forecast
+    assert key_of(tactical.words) == "left_out.turn_on"
+    assert tactical.turn_on_m_s2 == pytest.approx(0.75e-3 * 9.80665)
+    # Twenty times what such an instrument turns on to.
+    far = replace(TRUTH, bias_m_s2=TRUTH.bias_m_s2 + np.array([0.03, 0, 0]))
+    navigation = check_positions(calibrated(), observe(5, truth=far), GRAVITY, grade="navigation")
+    assert key_of(navigation.words) == "left_out.defect"
 
 
 def test_cross_validation_predicts_every_position_once() -> None:

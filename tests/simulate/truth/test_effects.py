@@ -39,6 +39,15 @@ def test_a_silent_range_clips_and_says_nothing() -> None:
     np.testing.assert_array_equal(clipped.gyroscope, plain.gyroscope)
 
 
+def test_a_gyroscope_may_differ_by_sense_and_size_of_the_rate() -> None:
+    effects = Effects(gyroscope_asymmetry=(1e-3, 0.0, -2e-3), gyroscope_cubic=(0.0, 1e-4, 0.0))
+    rate = np.array([[2.0, -3.0, -1.0], [-2.0, 3.0, 1.0], [0.0, 0.0, 0.0]])
+    # c |w| and c w^3, worked out by hand.
+    expected = [[2.002, -3.0027, -1.002], [-1.998, 3.0027, 0.998], [0.0, 0.0, 0.0]]
+    np.testing.assert_allclose(effects.distorted_rate(rate), expected, rtol=1e-12)
+    assert NO_EFFECTS.distorted_rate(rate) is rate
+
+
 def test_codes_that_stick_read_as_the_lowest_of_them() -> None:
     (plain,), (stuck,) = fed(Effects()), fed(Effects(sticking_period=256, sticking_width=32))
     codes, read = (np.rint(samples.accelerometer / STEP).astype(int) for samples in (plain, stuck))

@@ -1,0 +1,136 @@
+"""A gyroscope whose scale depends on sense and size of the rate: how often it is named, and what the stated sigma is worth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
+from imufield.calibrate.gyroscope.report import JointSolution, joint_result
+from imufield.calibrate.gyroscope.turntable import TurntableRun
+from imufield.calibrate.model.gauge import change_gauge, turn_gyroscope
+from imufield.calibrate.model.models import predict_gyroscope, to_vector
+from imufield.calibrate.model.result import GyroscopeParameters
+from imufield.calibrate.model.uncertainty import NORMAL_FACTOR_95
+from imufield.guide.positions import scheme
+from imufield.samples import FloatArray
+from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
+from imufield.simulate.truth.effects import Effects
+from imufield.simulate.truth.grades import TrueInstrument
+from imufield.simulate.truth.imu import Imu
+from imufield.simulate.truth.operator import OperatorSettings
+from imufield.study.answers.sessions import RATE_HZ, imported_moves
+from imufield.study.context import StudyContext
+from imufield.study.report import Findings, keyed_table
+
+ASYMMETRY_PPM = 500.0
+"""Between positive and negative rates."""
+NONLINEARITY_PPM = 1000.0
+AT_DEG_S = 200.0
+TABLE_DEG_S = (25.0, 50.0, 100.0, 200.0)
+_TABLE_S = 20.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RatesKind:
+    """A kind of sessions."""
+
+    grade: str
+    asymmetry_ppm: float = 0.0
+    nonlinearity_ppm: float = 0.0
+    has_turntable: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class RatesRun:
+    """One session."""
+
+    named: frozenset[str]
+    lowers: bool
+    """Whether the verdict is no better than usable because of it."""
+    before: FloatArray
+    """Error of the scales over their 95 % limits, shape (3,), as they would be without the test."""
+    after: FloatArray
+
+
+def run_rates(kind: RatesKind, rng: np.random.Generator) -> RatesRun:
+    """Calibrate the gyroscope of one session by moves between 24 positions."""
+    habits = OperatorSettings(hold_s=5.0, initial_still_s=8.0)
+    seed = int(rng.integers(2**31))
+    drawn = make_virtual_imu(
+        Emulation(rate_hz=RATE_HZ, seed=seed, grade=kind.grade, directions=scheme("paper24").directions(), operator=habits)
+    )
+    asymmetry, cubic = (
+        (float(x), float(y), float(z))
+        for x, y, z in rng.choice([-1e-6, 1e-6], (2, 3))
+        * [[kind.asymmetry_ppm / 2], [kind.nonlinearity_ppm / np.radians(AT_DEG_S) ** 2]]
+    )
+    effects = Effects(gyroscope_asymmetry=asymmetry, gyroscope_cubic=cubic)
+    truth = replace(drawn.imu.instrument, clock_error_ppm=0.0, effects=effects)
+    given = imported_moves(Imu(truth, seed, drawn.imu.settings), drawn.operator)
+    gyroscope = turn_gyroscope(truth.gyroscope, change_gauge(to_vector(truth.accelerometer), "lower").rotation)
+    if kind.has_turntable:
+        given = replace(given, turntable=_turntable(truth, gyroscope, rng))
+    found = calibrate_gyroscope(given)
+    solution = found.basis
+    assert isinstance(solution, JointSolution)  # noqa: S101  (there are moves)
+    linearity = solution.linearity
+    untested = joint_result(
+        replace(solution, linearity=replace(linearity, hidden_change=np.zeros_like(linearity.hidden_change)))
+    )
+    before, after = (
+        (each.calibration.parameters.scale - gyroscope.scale) / (NORMAL_FACTOR_95 * each.calibration.sigma.scale)
+        for each in (untested, found)
+    )
+    named = frozenset(told.key for told in linearity.sentences)
+    return RatesRun(named, linearity.matters, before, after)
+
+
+def _turntable(truth: TrueInstrument, gyroscope: GyroscopeParameters, rng: np.random.Generator) -> list[TurntableRun]:
+    """Return the means of runs about each axis at several rates, both ways, in the frame of the calibration."""
+    sigma = truth.gyroscope.scale * truth.grade.gyroscope.noise_density / np.sqrt(_TABLE_S)
+    runs = []
+    for axis in np.eye(3):
+        for rate_rad_s in np.radians([way * rate for rate in TABLE_DEG_S for way in (1.0, -1.0)]):
+            rate = truth.effects.distorted_rate(rate_rad_s * axis[np.newaxis])
+            mean_raw = predict_gyroscope(gyroscope, rate, 9.8 * axis[np.newaxis])[0] + sigma * rng.standard_normal(3)
+            runs.append(
+                TurntableRun(
+                    axis=axis, rate_rad_s=float(rate_rad_s), mean_raw=mean_raw, covariance_raw=np.diag(sigma**2),
+                    rate_sigma_rad_s=1e-5 * abs(rate_rad_s), axis_sigma_rad=1e-4,
+                )
+            )  # fmt: skip
+    return runs
+
+
+_SIZES = {
+    "no effect": {},
+    "asymmetry": {"asymmetry_ppm": ASYMMETRY_PPM},
+    "nonlinearity": {"nonlinearity_ppm": NONLINEARITY_PPM},
+}
+KINDS = {
+    f"{what}, {grade}{', turntable' if has_turntable else ''}": RatesKind(grade=grade, has_turntable=has_turntable, **sizes)
+    for grade, has_turntable in (("industrial", False), ("mems", False), ("industrial", True))
+    for what, sizes in _SIZES.items()
+}
+
+
+def slow_and_fast(context: StudyContext) -> Findings:
+    """Count how often the two effects are named, and the scales inside their limits."""
+    runs = context.runs(400, 1)
+    found = context.campaign_of_each("answers-rates", run_rates, [*KINDS.values()], runs)
+    rows = {name: _figures(of_kind) for name, of_kind in zip(KINDS, found, strict=True)}
+    sizes = {"asymmetry_ppm": ASYMMETRY_PPM, "nonlinearity_ppm": NONLINEARITY_PPM, "at_deg_s": AT_DEG_S}
+    return Findings(values={"rows": rows, "runs": runs} | sizes, tables=(keyed_table("shares", "session", rows),))
+
+
+def _figures(runs: list[RatesRun]) -> dict[str, float]:
+    return {
+        "asymmetry": float(np.mean(["model_choice.asymmetry" in run.named for run in runs])),
+        "nonlinearity": float(np.mean(["model_choice.nonlinearity" in run.named for run in runs])),
+        "lowers": float(np.mean([run.lowers for run in runs])),
+        "before": float(np.mean(np.abs([run.before for run in runs]) <= 1)),
+        "after": float(np.mean(np.abs([run.after for run in runs]) <= 1)),
+        "right": float(np.mean([run.lowers | (np.abs(run.after) <= 1) for run in runs])),
+    }
