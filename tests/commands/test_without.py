@@ -42,7 +42,7 @@ def test_a_position_that_is_left_out_is_shown_everywhere_and_used_nowhere(
     predicted = next(position for position in whole["position"] if position["name"] == name)["leave_one_out_m_s2"]
     # A fit without it, and the linearised forecast of one.
     assert left_out["leave_one_out_m_s2"] == pytest.approx(predicted, rel=0.1)
-    assert any(not missing(reason, name, "left out") for reason in found["quality"]["reasons"])
+    assert any(not missing(reason, name, "excluded") for reason in found["quality"]["reasons"])
     assert len(whole["position"]) - whole["quality"]["parameters_fitted"] - 1 == found["quality"]["degrees_of_freedom"]
     load(session / "parameters.toml")
     assert run(["verify", str(session / "parameters.toml"), str(session)]) == 0

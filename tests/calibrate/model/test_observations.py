@@ -29,7 +29,9 @@ def test_a_copy_counts_once_and_is_said(tmp_path: Path) -> None:
     whole = observations(tmp_path, "name,ax,ay,az\na,1,2,3\nb,4,5,6\nc,1,2,3\nd,1,2,3.5\ne,4,5,6\n")
     once, sentences = count_repeats_once(whole)
     assert once.name == ("a", "b", "d")
-    assert sentences == ("2 of 5 rows repeat the numbers of an earlier one and count once: c is a, e is b",)
+    (said,) = sentences
+    assert said.key == "observations.repeated"
+    assert said.values == {"count": 2, "rows": 5, "pairs": "c is a, e is b"}
 
 
 def test_where_only_the_gyroscope_differs_it_is_no_copy(tmp_path: Path) -> None:
