@@ -31,7 +31,7 @@ def test_a_copy_counts_once_and_is_said(tmp_path: Path) -> None:
     assert once.name == ("a", "b", "d")
     (said,) = sentences
     assert said.key == "observations.repeated"
-    assert said.values == {"count": 2, "rows": 5, "pairs": "c is a, e is b"}
+    assert said.values == {"count": 2, "rows": 5, "pairs": ["c is a", "e is b"]}
 
 
 def test_where_only_the_gyroscope_differs_it_is_no_copy(tmp_path: Path) -> None:
