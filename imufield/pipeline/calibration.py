@@ -36,6 +36,8 @@ AChoice = TypeVar("AChoice")
 
 FEWEST_POSITIONS = 6
 """For scale and bias, each axis up and down."""
+_NOT_CALIBRATED = "not calibrated"
+_BIAS_ONLY = "bias only"
 # Reasons for a gyroscope without a calibration that say that its data are not what they are said to be.
 _CONTRADICTED = (Reason.UNITS, Reason.HANDEDNESS)
 
@@ -164,11 +166,17 @@ def calibrate(measured: Measured, settings: SolveSettings) -> Parameters:
             seed=settings.seed,
         )
     # After the accelerometer, which tells in what position each still was.
-    calibration = _with_gyroscope(calibration, measured, settings, rng)
+    accelerometer_verdict = calibration.quality.verdict
+    calibration, gyroscope_verdict = _with_gyroscope(calibration, measured, settings, rng)
     gyroscope = calibration.gyroscope
     if gyroscope is None or np.isnan(gyroscope.range_rad_s).all():
         sentences.append(sentence("calibration.range"))
-    quality = replace(calibration.quality, reasons=(*calibration.quality.reasons, *sentences))
+    quality = replace(
+        calibration.quality,
+        reasons=(*calibration.quality.reasons, *sentences),
+        accelerometer_verdict=accelerometer_verdict,
+        gyroscope_verdict=gyroscope_verdict,
+    )
     if measured.doubts:
         quality = quality.lowered("usable", *measured.doubts)
     calibration, observations = replace(calibration, quality=quality), measured.observations
@@ -207,12 +215,12 @@ def _recording_left_out(calibration: Calibration, observations: Observations) ->
 
 def _with_gyroscope(
     calibration: Calibration, measured: Measured, settings: SolveSettings, rng: np.random.Generator
-) -> Calibration:
-    """Join the gyroscope, where the session holds its output."""
+) -> tuple[Calibration, str]:
+    """Join the gyroscope, where the session holds its output; return the verdict on it too."""
     observations = measured.observations if measured.rests is None else join_observations(measured.observations, measured.rests)
     there = np.isfinite(observations.gyroscope_mean_raw).all(axis=1)
     if int(there.sum()) < FEWEST_STILLS:
-        return calibration
+        return calibration, ""
     before = None if settings.preset is None else settings.preset.calibration.gyroscope
     moves = measured.moves
     given = GyroscopeInput(
@@ -236,20 +244,24 @@ def _with_gyroscope(
         # The accelerometer is known all the same; axes that contradict it were refused before.
         why, quality = sentence("calibration.no_gyroscope", error=error.message), calibration.quality
         if error.reason in _CONTRADICTED:
-            return replace(calibration, quality=quality.lowered("usable", why))
-        return replace(calibration, quality=replace(quality, reasons=(*quality.reasons, why)))
+            quality = quality.lowered("usable", why)
+        else:
+            quality = replace(quality, reasons=(*quality.reasons, why))
+        return replace(calibration, quality=quality), _NOT_CALIBRATED
     quality = joined.quality
+    verdict = "usable" if result.cautions else "good" if np.isfinite(result.calibration.sigma.scale).any() else _BIAS_ONLY
     if solved is not None:
         key = "calibration.solved_by" if solved.converged else "calibration.not_converged"
         how = sentence(key, method=settings.method, message=solved.message)
         reasons = (*quality.reasons, how)
         quality = replace(quality, reasons=reasons) if solved.converged else quality.lowered("poor", how)
+        verdict = verdict if solved.converged else "poor"
     if check is not None:
         quality = replace(quality, reasons=(*quality.reasons, check.sentence))
     clock = measured.context.clock
     if clock is not None and np.isfinite(result.calibration.sigma.scale).any():
         quality = replace(quality, reasons=(*quality.reasons, clock_words(clock)))
-    return replace(joined, quality=quality)
+    return replace(joined, quality=quality), verdict
 
 
 def one_of(name: str, value: str, choices: tuple[AChoice, ...]) -> AChoice:

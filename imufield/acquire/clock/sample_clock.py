@@ -88,7 +88,7 @@ class SampleClock(Clock):
         """Return what is still kept back; nothing will follow."""
         done = [] if self._started or not self._early else self._start_blocks()
         done += self._following_host(self._watch.finish())
-        self._count_losses(np.empty(0), 0)
+        self._count_losses(np.empty(0), len(self._block_ticks))
         return self._emit(done)
 
     def _enough_to_start(self) -> bool:

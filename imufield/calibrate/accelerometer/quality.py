@@ -111,6 +111,7 @@ def judge(evidence: Evidence) -> Quality:
         condition=evidence.observability.condition,
         verdict="poor" if poor else "usable" if cautions else "good",
         reasons=(summary, *poor, *cautions, *_notes(evidence)),
+        warnings=(*poor, *cautions),
     )
 
 

@@ -137,7 +137,18 @@ class Quality:
     verdict: str
     """"good", "usable" or "poor"."""
     reasons: tuple[str, ...]
-    """Sentences: what the verdict rests on, then what lowered it, then every other warning."""
+    """Sentences: what the verdict rests on, then what lowered it, then every other one."""
+    warnings: tuple[str, ...] = ()
+    """Those of them that lowered the verdict."""
+    accelerometer_verdict: str = ""
+    """The verdict on this triad alone; empty in files of before."""
+    gyroscope_verdict: str = ""
+    """The same, or "bias only", "not calibrated"; empty without a gyroscope."""
+
+    @property
+    def details(self) -> tuple[str, ...]:
+        """The reasons that neither sum up nor warn."""
+        return tuple(reason for reason in self.reasons[1:] if reason not in self.warnings)
 
     @property
     def main_reason(self) -> str:
@@ -147,7 +158,8 @@ class Quality:
     def lowered(self, verdict: str, *why: str) -> Quality:
         """Return the same with a verdict no better than ``verdict``, and the sentences that say why."""
         worst = max(self.verdict, verdict, key=("good", "usable", "poor").index)
-        return replace(self, verdict=worst, reasons=(*self.reasons[:1], *why, *self.reasons[1:]))
+        reasons = (*self.reasons[:1], *why, *self.reasons[1:])
+        return replace(self, verdict=worst, reasons=reasons, warnings=(*why, *self.warnings))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -44,7 +44,8 @@ _GYROSCOPE_ARRAYS = _names(GyroscopeParameters)
 _INTRINSIC = _names(Intrinsic)
 _NOISE = _names(Noise, "source")
 _CLOCK = _names(ClockFacts)
-_QUALITY_FIGURES = _names(Quality, "verdict", "reasons")
+_TRIAD_VERDICTS = ("accelerometer_verdict", "gyroscope_verdict")
+_QUALITY_FIGURES = _names(Quality, "verdict", "reasons", "warnings", *_TRIAD_VERDICTS)
 _POSITION_RESULTS = _names(PositionResult, "used", "bias_drift_m_s2")
 
 
@@ -97,7 +98,9 @@ def to_document(calibration: Calibration, observations: Observations, context: C
         **_plain(quality, ("verdict", *_QUALITY_FIGURES)),
         # Infinite where the positions leave a parameter open, which the file calls not known.
         "condition": float(quality.condition) if math.isfinite(quality.condition) else math.nan,
+        **{key: value for key, value in _plain(quality, _TRIAD_VERDICTS).items() if value},
         "reasons": list(quality.reasons),
+        "warnings": list(quality.warnings),
         "unobservable": list(calibration.unobservable),
     }
     document["position"] = _positions(calibration.positions, observations)
@@ -204,7 +207,11 @@ def calibration_from_document(document: Document) -> Calibration:
         ),
         solver=SolverSummary(**document["solver"]),
         quality=Quality(
-            verdict=quality["verdict"], **{key: quality[key] for key in _QUALITY_FIGURES}, reasons=tuple(quality["reasons"])
+            verdict=quality["verdict"],
+            **{key: quality[key] for key in _QUALITY_FIGURES},
+            reasons=tuple(quality["reasons"]),
+            warnings=tuple(quality.get("warnings", ())),
+            **{key: quality.get(key, "") for key in _TRIAD_VERDICTS},
         ),
         quadratic_fitted=accelerometer["quadratic_fitted"],
         gyroscope=None

@@ -88,7 +88,10 @@ def summary(parameters: Parameters, outcome: Outcome | None = None) -> Renderabl
     parts: list[RenderableType] = [_heading(parameters), "", _table("Accelerometer", calibration)]
     if calibration.gyroscope is not None:
         parts += ["", _table("Gyroscope", calibration), Text(calibration.gyroscope.path, style="dim")]
-    parts += ["", _facts(calibration), "", *_residuals(parameters), "", _verdict(parameters)]
+    parts += ["", _facts(calibration), "", *_residuals(parameters)]
+    if calibration.quality.details:
+        parts += ["", Text("Details", style="bold"), *_bullets(calibration.quality.details)]
+    parts += ["", _verdict(parameters)]
     parts += _next_steps(parameters, outcome or Outcome())
     return Group(*parts)
 
@@ -225,7 +228,14 @@ def _verdict(parameters: Parameters) -> RenderableType:
         line.append(f" {sentence('summary.edited')}", style="bold yellow")
     if parameters.version != VERSION:
         line.append(f" {sentence('summary.converted', version=parameters.version)}", style="bold yellow")
-    return Group(line, *_bullets(quality.reasons))
+    if quality.gyroscope_verdict:
+        words = {"accelerometer": quality.accelerometer_verdict, "gyroscope": quality.gyroscope_verdict}
+        line.append(f" ({', '.join(f'{triad} {_loud(verdict)}' for triad, verdict in words.items())})", style="not bold")
+    return Group(line, *_bullets((*quality.reasons[:1], *quality.warnings)))
+
+
+def _loud(verdict: str) -> str:
+    return verdict.upper() if verdict in VERDICT_WORDS else verdict
 
 
 def _bullets(texts: Iterable[str]) -> Iterator[RenderableType]:
