@@ -10,7 +10,8 @@ is the wrong one.
 
 The rate is constant within a cell (0.1 s) here; at 180 deg/s this misjudges a move by about a degree, far below the tens of
 degrees that a wrong axis gives. Where the gyroscope's scale is not known, or no arrangement fits with the given one, one common
-factor is searched with each permutation, which tells a wrong unit or range from wrong axes.
+factor is searched with each permutation, which tells a wrong unit or range from wrong axes. That needs stills: where the noise of
+a gyroscope in a wrong unit is none of a unit at rest, they are found as if its scale were not known.
 """
 
 from __future__ import annotations
@@ -24,9 +25,11 @@ import numpy as np
 
 from imufield.errors import CalibrationError, Reason
 from imufield.guide import refusals
+from imufield.guide.cross_checks.centre import centred
 from imufield.guide.positions import angle_rad
 from imufield.guide.refusals import Refusal
 from imufield.guide.stillness.cells import CELL_S
+from imufield.guide.stillness.detector import LONGEST_WAIT_S, StillnessDetector
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import Judgement, Phase
 from imufield.samples import AXES, FloatArray
@@ -144,6 +147,16 @@ class MoveLog:
             if np.isfinite(rate).all() and angle_rad(start, end) > math.radians(_LEAST_TURN_DEG):
                 found.append(MoveBetweenStills(start, end, rate))
         return found
+
+
+def check_while_waiting(waiting: StillnessDetector) -> AxesCheck:
+    """Compare the turns so far while there is no noise floor by the given scales; at least one cell was judged."""
+    detector, moves, stills = StillnessDetector(replace(waiting.scale, gyroscope=None)), MoveLog(), []
+    for judgement in detector.judge(waiting.waited(LONGEST_WAIT_S)):
+        moves.follow(judgement, detector.stretch.mean)
+        stills += [] if judgement.ended is None else [judgement.ended.mean[:3]]
+    scale = centred(detector.scale, np.array(stills))
+    return check_axes(moves.moves(scale), waiting.scale.gyroscope)
 
 
 def check_axes(moves: list[MoveBetweenStills], gyroscope_scale: float | None) -> AxesCheck:

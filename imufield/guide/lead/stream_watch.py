@@ -10,7 +10,7 @@ from statistics import median
 import numpy as np
 
 from imufield.guide import refusals
-from imufield.guide.cross_checks.axes import ENOUGH_MOVES, AxesCheck, MoveLog, check_axes
+from imufield.guide.cross_checks.axes import ENOUGH_MOVES, AxesCheck, MoveLog, check_axes, check_while_waiting
 from imufield.guide.cross_checks.centre import centred
 from imufield.guide.cross_checks.outputs import Outputs
 from imufield.guide.cross_checks.sides import DeadAxis
@@ -174,6 +174,8 @@ class StreamWatch:
 
     def check_axes(self) -> AxesCheck:
         """Compare the turns by accelerometer and gyroscope between the stills so far."""
+        if self._detector.has_waited:
+            return check_while_waiting(self._detector)
         scale = self._detector.scale
         return check_axes(self._moves.moves(scale), scale.gyroscope)
 
@@ -187,6 +189,10 @@ class StreamWatch:
         if self._detector.frozen:
             self._speaker.reject(refusals.FROZEN.refusal(waited_s, 0.0))
             return
+        axes = self.check_axes()
+        if axes.turns_ratio != 1.0:
+            self._speaker.reject(axes.refusal)
+            return
         window, scale = self._detector.waited(), self._detector.scale
         window = window[np.flatnonzero(window.usable)]
         cause = why_not_quiet(window, scale) if len(window) > 1 else None
@@ -197,7 +203,7 @@ class StreamWatch:
         kind = refusals.NOT_QUIET_SHAKES if cause.shakes else refusals.NOT_QUIET_STRAYS
         # After a long wait the settings are suspected, too, where the motion looks like noise.
         if waited_s > _IN_VAIN * FLOOR_S and cause.shakes and is_even(window, measure_floor(window), scale):
-            kind = refusals.NOT_QUIET_EVEN
+            kind = refusals.NOT_QUIET_EVEN if cause.column < 3 else refusals.NOT_QUIET_GYROSCOPE
         triad, unit, factor = scale.triads[cause.column // 3]
         refusal = kind.refusal(
             cause.measured / factor,
@@ -206,5 +212,6 @@ class StreamWatch:
             unit=unit,
             triad=triad,
             floor_s=FLOOR_S,
+            sides=ENOUGH_MOVES + 1,
         )
         self._speaker.reject(refusal)
