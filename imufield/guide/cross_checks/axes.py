@@ -10,8 +10,8 @@ is the wrong one.
 
 The rate is constant within a cell (0.1 s) here; at 180 deg/s this misjudges a move by about a degree, far below the tens of
 degrees that a wrong axis gives. Where the gyroscope's scale is not known, or no arrangement fits with the given one, one common
-factor is searched with each permutation, which tells a wrong unit or range from wrong axes. That needs stills: where the noise of
-a gyroscope in a wrong unit is none of a unit at rest, they are found as if its scale were not known.
+factor is searched with each permutation, which tells a wrong unit or range from wrong axes. That needs stills: where in a wrong
+unit the gyroscope's noise is none of a unit at rest, they are found as if its scale were not known.
 """
 
 from __future__ import annotations

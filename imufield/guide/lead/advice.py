@@ -172,7 +172,8 @@ class Adviser:
     def _advise_suspects(self, now_s: float, fit: RunningFit) -> list[Advice]:
         """Return what to tell of suspects: suspicions that are settled, and the worst one if it was not told yet."""
         plan = self._plan
-        settled = {index: found for index, found in self._disagreements(fit).items() if index in plan.doubted - self.suspects.keys()}
+        no_more = plan.doubted - self.suspects.keys()
+        settled = {index: found for index, found in self._disagreements(fit).items() if index in no_more}
         new = {index: suspect for index, suspect in [*self.suspects.items()][:1] if index not in plan.doubted}
         plan.doubted = (plan.doubted & self.suspects.keys()) | new.keys()
         # What the guide asked for because of it, it asks for no longer; what the operator wants again stays.
