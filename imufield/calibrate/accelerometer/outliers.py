@@ -25,8 +25,6 @@ _LEVEL = 0.01  # Chance that any position of a good session is called an outlier
 _FEWEST_TO_SPARE = 3  # Below, Student's limit is beyond what a hold can be off.
 # Of the positions to spare at most this share is taken out: the rest must tell the scatter.
 _LARGEST_SHARE = 1 / 3
-GROSS_SIGMAS = 20.0
-"""No scatter reaches this: of 12 positions to spare one then makes 97 % of the misfit, and the scatter is no scatter."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,11 +35,6 @@ class Outlier:
     off_m_s2: float
     sigmas: float
     limit: float
-
-    @property
-    def is_gross(self) -> bool:
-        """Whether the stated uncertainty is no longer one of scatter."""
-        return self.sigmas > GROSS_SIGMAS
 
 
 def find_outliers(fitted: Fit) -> list[Outlier]:
