@@ -38,6 +38,8 @@ from imufield.sentences import Sentences
 sentence = Sentences(__package__)
 
 ENOUGH_MOVES = 4  # Moves about one or two axes fit several permutations alike.
+ENOUGH_FOR_UNITS = 2  # With a unit that is often confused and the axes as given they fit by chance in 1 of 10,000.
+_SURE_DEG = 10.0
 _LEAST_TURN_DEG = 20.0  # A move that turns up by less says nothing about axes.
 GOOD_DEG = 20.0  # Largest RMS misfit of the right axes: 1 m/s^2 of bias on each accelerometer axis alone makes 14 degrees.
 _MARGIN = 3.0  # The right permutation must fit better than any other by this factor.
@@ -170,7 +172,8 @@ def check_axes(moves: list[MoveBetweenStills], gyroscope_scale: float | None) ->
     """
     if len(moves) < ENOUGH_MOVES:
         few = sentence("axes.few_moves", moves=len(moves), least_deg=_LEAST_TURN_DEG, needed=ENOUGH_MOVES)
-        return AxesCheck(agrees=None, permutation=np.eye(3), words=few)
+        unknown = AxesCheck(agrees=None, permutation=np.eye(3), words=few)
+        return _confused(unknown, moves, gyroscope_scale) if gyroscope_scale and len(moves) >= ENOUGH_FOR_UNITS else unknown
     given = _arrange(moves, gyroscope_scale or _find_scale(moves))
     if gyroscope_scale is None and given.agrees:
         count_deg_s = math.degrees(1 / given.gyroscope_scale)
@@ -182,17 +185,33 @@ def check_axes(moves: list[MoveBetweenStills], gyroscope_scale: float | None) ->
     # Turns about one axis leave others open, but that the given ones fit with a factor is enough to contradict the scale.
     if not scaled.fits or abs(math.log(ratio)) < _SAME_FACTOR:
         return given
+    return _contradicted(scaled, given.misfit_deg, ratio)
+
+
+def _confused(unknown: AxesCheck, moves: list[MoveBetweenStills], scale: float) -> AxesCheck:
+    """Return the check with a unit that is often confused with the given one, where a few moves fit it and not the given."""
+    scales = scale / np.array([1.0, *(factor for factor, _ in _CONFUSED)])
+    given, *others = (math.degrees(float(_misfit(moves, np.eye(3)[None], each)[0])) for each in scales)
+    best = int(np.argmin(others))
+    if given <= GOOD_DEG or others[best] > _SURE_DEG:
+        return unknown
+    scaled = replace(unknown, best_misfit_deg=others[best], gyroscope_scale=float(scales[1 + best]))
+    return _contradicted(scaled, given, _CONFUSED[best][0])
+
+
+def _contradicted(scaled: AxesCheck, given_deg: float, ratio: float) -> AxesCheck:
+    """Return the check with another scale than the given one, with which the moves misfit by ``given_deg``."""
     kind = refusals.SCALE_AND_AXES if scaled.agrees is False else refusals.SCALE_DIFFERS
     refusal = kind.refusal(
-        # The scale as given is contradicted, so the misfit is the one that it makes.
-        given.misfit_deg,
+        given_deg,
         GOOD_DEG,
         ratio=ratio,
         cause=next((f" ({cause})" for factor, cause in _CONFUSED if abs(math.log(ratio / factor)) < _SAME_FACTOR), ""),
         axes=axes_words(scaled.permutation),
         best=scaled.best_misfit_deg,
     )
-    return replace(scaled, misfit_deg=given.misfit_deg, words=refusal.words, refusal=refusal, turns_ratio=ratio)
+    # The scale as given is contradicted, so the misfit is the one that it makes.
+    return replace(scaled, misfit_deg=given_deg, words=refusal.words, refusal=refusal, turns_ratio=ratio)
 
 
 def _arrange(moves: list[MoveBetweenStills], scale: float) -> AxesCheck:

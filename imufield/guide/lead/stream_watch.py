@@ -10,7 +10,7 @@ from statistics import median
 import numpy as np
 
 from imufield.guide import refusals
-from imufield.guide.cross_checks.axes import ENOUGH_MOVES, AxesCheck, MoveLog, check_axes, check_while_waiting
+from imufield.guide.cross_checks.axes import ENOUGH_FOR_UNITS, AxesCheck, MoveLog, check_axes, check_while_waiting
 from imufield.guide.cross_checks.centre import centred
 from imufield.guide.cross_checks.outputs import Outputs
 from imufield.guide.cross_checks.sides import DeadAxis
@@ -158,7 +158,7 @@ class StreamWatch:
     def follow_move(self, judgement: Judgement, accepted: int, planned: int) -> None:
         """Follow the moves; check axes and scale with each new position until the moves decide, and tell a contradiction."""
         self._moves.follow(judgement, self._detector.stretch.mean)
-        if accepted <= max(self._positions_checked, ENOUGH_MOVES):
+        if accepted <= max(self._positions_checked, ENOUGH_FOR_UNITS):
             return
         axes = self.check_axes()
         self._positions_checked = accepted if axes.agrees is None else planned
@@ -212,6 +212,6 @@ class StreamWatch:
             unit=unit,
             triad=triad,
             floor_s=FLOOR_S,
-            sides=ENOUGH_MOVES + 1,
+            sides=ENOUGH_FOR_UNITS + 1,
         )
         self._speaker.reject(refusal)
