@@ -72,9 +72,8 @@ class Plan:
 
     def proposed(self) -> int | None:
         """Return the next position in the proposed order, None when nothing is left to ask for."""
-        before = (index for index in (self.first, self.preferred) if index is not None)
-        order = (*before, *range(len(self.scheme)))
-        return next((index for index in order if self.is_pending(index) and index not in self.skipped), None)
+        pending = self.pending()
+        return next((index for index in (self.first, self.preferred, *pending) if index in pending), None)
 
     def pending(self) -> list[int]:
         """Return the positions that are asked for, in the proposed order."""

@@ -112,7 +112,7 @@ class StreamWatch:
         self.bad_cells += 1
         if self._bad_in_a_row >= _BAD_IN_A_ROW and not silent:
             self._speaker.advance(cells, row)
-            refusal = explain_flags(cells[row : row + 1], 0.0, USABLE_SHARE)
+            refusal = explain_flags(cells[row : row + 1], 1.0, 1 - USABLE_SHARE)
             if self._speaker.due(f"data {refusal.reason.value}", REMIND_S):
                 self._speaker.reject(refusal)
 

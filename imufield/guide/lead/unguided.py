@@ -134,7 +134,7 @@ class StillIntervalFinder:
         placement = observe(cells, detector.limits, ""), examine(hold)
         if not self._put_down:
             # A soft support gives way, a table is knocked: the unit was not put down a second time.
-            placement = max(placement, self._placements.pop(), key=lambda one: (one[1] is None, one[0].duration_s))
+            placement = max(placement, self._placements.pop(), key=lambda found: (found[1] is None, found[0].duration_s))
         self._outputs.add(placement[0].output, again=not self._put_down)
         self._placements.append(placement)
         self._put_down = False
@@ -145,5 +145,5 @@ class StillIntervalFinder:
         if before is None:
             return False
         away = int(cells.slot[0] - before.cells().slot[0]) - before.judged
-        up, up_before = (self.detector.scale.up(np.array(one.mean[:3])) for one in (stretch, before))
+        up, up_before = (self.detector.scale.up(np.array(each.mean[:3])) for each in (stretch, before))
         return away < cells_in(MOVED_S) and angle_deg(up, up_before) < MOVED_DEG
