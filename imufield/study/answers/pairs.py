@@ -50,11 +50,11 @@ class PairRun:
 
 def run_pair(kind: Kind, rng: np.random.Generator) -> PairRun:
     """Draw an instrument without a quadratic term and calibrate its accelerometer twice at one place."""
-    drawn = draw_truth(find_grade(kind.grade), rng)
+    drawn, warm_up = draw_truth(find_grade(kind.grade), rng), kind.warm_up_m_s2
     truth = replace(
         drawn,
         accelerometer=replace(drawn.accelerometer, quadratic=np.zeros(3)),
-        effects=Effects(turn_on_m_s2=kind.turn_on_m_s2, warm_up_m_s2=(kind.warm_up_m_s2,) * 3, warm_up_s=_SLOW_S),
+        effects=Effects(turn_on_m_s2=kind.turn_on_m_s2, warm_up_m_s2=(warm_up, warm_up, warm_up), warm_up_s=_SLOW_S),
     )
     gravity = site_gravity()
     # True gravity is off the normal one by an anomaly, the same in both sessions.
