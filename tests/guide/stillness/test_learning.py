@@ -35,7 +35,6 @@ def test_the_moves_tell_the_factor_of_a_gyroscope_whose_noise_is_none_of_a_unit_
     told = of(events, Rejected)
     assert is_said_by(refusals.SCALE_DIFFERS, told[-1])
     assert values_of(told[-1].words)["ratio"] == pytest.approx(1 / 57.3, rel=0.03)
-    assert "--set" in told[-1].words
     # Before there were moves enough, nothing was known.
     assert {event.reason for event in told} == {RefusalCode.NOT_QUIET, RefusalCode.SCALE}
     with refused(CalibrationError, Reason.UNITS, key="refusals.scale_differs"):
