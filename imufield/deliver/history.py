@@ -101,6 +101,8 @@ class Entry:
         raw = (np.array([position[key] for position in positions], dtype=np.float64) for key in ("mean_raw", "sigma_raw"))
         found = gauge_free(calibration, *raw)
         names = " ".join(sorted(position["name"] for position in positions))
+        # A drift shows in the number of parameters.
+        model = f"{'quadratic' if calibration.quadratic_fitted else 'linear'} {calibration.quality.parameters_fitted}"
         noise = np.inf if context.noise is None else context.noise.gyroscope_density_rad_s_per_sqrt_hz
         return cls(
             path=path,
@@ -115,7 +117,7 @@ class Entry:
             grade=context.instrument.grade,
             gyroscope_noise_rad_s_per_root_hz=float(np.max(np.nan_to_num(noise, nan=np.inf))),
             numbers=found.numbers,
-            setup=f"{'quadratic' if calibration.quadratic_fitted else 'linear'} {names}",
+            setup=f"{model} {names}",
             error=_triangle(found.error),
             scatter=_triangle(found.scatter),
             edited=parameters.edited,

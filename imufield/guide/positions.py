@@ -138,7 +138,7 @@ def _shipped_direction(name: str) -> FloatArray:
     return direction
 
 
-def scheme(name_or_path: str | Path, origin: Origin = Origin.TYPED, *, revisit_first: bool = False) -> Scheme:
+def scheme(name_or_path: str | Path, origin: Origin = Origin.TYPED) -> Scheme:
     """Return a shipped scheme, or the user's own from a TOML file.
 
     Parameters
@@ -148,8 +148,6 @@ def scheme(name_or_path: str | Path, origin: Origin = Origin.TYPED, *, revisit_f
         (optional). A file's positions keep their order.
     origin : Origin
         Who chose the file.
-    revisit_first : bool
-        Append the first position again: a check for drift over the session.
 
     Raises
     ------
@@ -157,13 +155,8 @@ def scheme(name_or_path: str | Path, origin: Origin = Origin.TYPED, *, revisit_f
         If there is no such scheme or file, or the file says something that makes no sense.
     """
     if str(name_or_path) in SCHEMES:
-        name = str(name_or_path)
-        positions = _shipped(name)
-    else:
-        positions, name = read_positions(Path(name_or_path), origin)
-    if revisit_first:
-        first = positions[0]
-        positions = (*positions, Position(f"{first.name} again", first.direction, first.words))
+        return Scheme(str(name_or_path), _shipped(str(name_or_path)))
+    positions, name = read_positions(Path(name_or_path), origin)
     return Scheme(name, positions)
 
 

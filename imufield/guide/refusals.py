@@ -133,6 +133,7 @@ RATE = RefusalKind(RefusalCode.RATE, "refusals.rate", "refusals.rate_remedy", "H
 NOT_QUIET_MISSING = RefusalKind(RefusalCode.NOT_QUIET, "refusals.not_quiet_missing", "refusals.not_quiet_missing_remedy", "s")
 NOT_QUIET_SHAKES = RefusalKind(RefusalCode.NOT_QUIET, "refusals.not_quiet_shakes", "refusals.not_quiet_remedy")
 NOT_QUIET_EVEN = RefusalKind(RefusalCode.NOT_QUIET, "refusals.not_quiet_shakes", "refusals.not_quiet_even_remedy")
+NOT_QUIET_GYROSCOPE = RefusalKind(RefusalCode.NOT_QUIET, "refusals.not_quiet_shakes", "refusals.not_quiet_gyroscope_remedy")
 NOT_QUIET_STRAYS = RefusalKind(RefusalCode.NOT_QUIET, "refusals.not_quiet_strays", "refusals.not_quiet_remedy")
 
 # What the positions and the moves between them contradict.

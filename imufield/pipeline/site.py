@@ -47,8 +47,10 @@ class SiteOptions(SiteRecord):
         A value of gravity does not tell the place: latitude and height of the session stay known with it.
         """
         if recorded.is_known and (self.is_default or not self.is_known):
-            sigma_m_s2 = recorded_sigma(recorded.gravity_m_s2, recorded.gravity_sigma_m_s2)
-            return replace(SiteOptions(**asdict(recorded)), gravity_sigma_m_s2=sigma_m_s2)
+            known = SiteOptions(**asdict(recorded))
+            if recorded.gravity_sigma_is_given:
+                return known
+            return replace(known, gravity_sigma_m_s2=recorded_sigma(recorded.gravity_m_s2, recorded.gravity_sigma_m_s2))
         if self.gravity_m_s2 is not None and self.latitude_deg is None:
             return replace(self, latitude_deg=recorded.latitude_deg, height_m=self.height_m or recorded.height_m)
         return self

@@ -141,7 +141,10 @@ def solve_observations(path: Path, settings: SolveSettings, site: SiteOptions) -
 
 def _guided(chain: Chain, guide: Guide, refusals: list[Rejected]) -> _Usable:
     """Return the accepted positions of a guided session."""
-    observations = chain.observations()
+    observations, axes = chain.observations(), guide.check_axes()
+    # In a wrong unit the noise of the gyroscope may be none of a unit at rest.
+    if not len(observations) and axes.turns_ratio != 1.0:
+        raise CalibrationError(axes.words, Reason.UNITS)
     spoilt = [event for event in refusals if event.position or event.reason in _SPOIL_DATA]
     _check_count(len(observations), spoilt)
     missing = guide.plan.missing()
@@ -150,7 +153,7 @@ def _guided(chain: Chain, guide: Guide, refusals: list[Rejected]) -> _Usable:
         event for event in refusals if event.reason in _AT_LIMIT and missing and (event.position or missing[0]) in missing
     ]
     saturated = _saturation_sentence([(event.time_s, event.words) for event in clipped])
-    return observations, guide.check_axes(), _missing_sentences(guide, refusals), saturated, guide.sticking()
+    return observations, axes, _missing_sentences(guide, refusals), saturated, guide.sticking()
 
 
 def _unguided(chain: Chain) -> _Usable:

@@ -13,6 +13,7 @@ import pytest
 from imufield.acquire.recording.session import Session
 from imufield.commands.import_files import import_session
 from imufield.commands.options.commands import ImportOptions
+from imufield.errors import CalibrationError, Reason
 from imufield.pipeline.calibration import SolveSettings
 from imufield.pipeline.site import SiteOptions
 from imufield.pipeline.solving import solve_session
@@ -23,7 +24,8 @@ from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.operator import Operator, OperatorSettings
 from imufield.simulate.truth.source import VirtualImu
 from tests.commands.told import missing
-from tests.told import key_of
+from tests.refused import refused
+from tests.told import key_of, told
 
 G = 9.80665
 RATE_HZ = 50.0
@@ -131,6 +133,20 @@ def test_lines_of_an_unknown_logger(tmp_path: Path, setting: dict[str, str], uni
     session, said = import_session(options)
     assert session.record.setting_values["gyroscope_unit"] == unit
     assert key in map(key_of, said)
+
+
+def test_a_wrong_unit_of_the_gyroscope_is_told_by_solve_with_its_factor(tmp_path: Path) -> None:
+    """Rates that are too small leave the accelerometer; in those too large no noise is that of a unit at rest."""
+    session, _ = imported(table(tmp_path), gyroscope_unit="deg/s")
+    quality = solve_session(session, SolveSettings(), SiteOptions(gravity_m_s2=G)).calibration.quality
+    assert quality.verdict == "usable"
+    (words,) = told(quality.reasons, "refusals.scale_differs")
+    assert words.values["ratio"] == pytest.approx(57.3, rel=0.03)
+    path = table(tmp_path, gyroscope=np.degrees(1.0))
+    session, _ = import_session(ImportOptions(files=[path], output=tmp_path / "large", settings={"gyroscope_unit": "rad/s"}))
+    with refused(CalibrationError, Reason.UNITS, key="refusals.scale_differs") as caught:
+        solve_session(session, SolveSettings(), SiteOptions(gravity_m_s2=G))
+    assert "deg/s taken for rad/s" in caught.value.message
 
 
 def test_what_was_refused_stands_in_the_verdict(tmp_path: Path) -> None:

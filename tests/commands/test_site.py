@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 import tomli_w
 
+from imufield.acquire.recording.session import Session
 from imufield.acquire.recording.session_record import SiteRecord
 from imufield.cli.run import run
 from imufield.commands.options.commands import VerifyOptions
@@ -91,6 +92,19 @@ def test_an_older_session_kept_the_digits_of_a_textbook_as_sigma(session: Path, 
     assert solved(session)["site"]["gravity_sigma_m_s2"] >= 5e-4
     with_site(session, gravity_m_s2=gravity_m_s2, gravity_sigma_m_s2=2e-5)
     assert solved(session)["site"]["gravity_source"] == "typed"
+
+
+@pytest.mark.parametrize("value", ["9.80665", "9.81"])
+def test_a_session_keeps_that_its_sigma_was_given(tmp_path: Path, value: str) -> None:
+    """Also one that is just what the digits would leave open."""
+    table, given_m_s2 = tmp_path / "table.csv", sigma_of_digits(value)
+    rows = "".join(f"{k / 100},0.1,0.2,{9.8 + k % 2 / 100},{k % 3 / 100},0,0\n" for k in range(200))
+    table.write_text(f"time_s,ax (m/s^2),ay (m/s^2),az (m/s^2),gx (rad/s),gy (rad/s),gz (rad/s)\n{rows}", encoding="utf-8")
+    for gravity, wanted in ((f"{value}+-{given_m_s2!r}", ("typed", given_m_s2)), (value, ("assumed", 0.018))):
+        folder = tmp_path / gravity
+        assert run(["import", str(table), "-o", str(folder), "--gravity", gravity]) == 0
+        found = SiteOptions().gravity(Session.open(folder).record.site)
+        assert (found.source, found.sigma_m_s2) == wanted
 
 
 @pytest.mark.parametrize("given", ["9.81+-0", "9.81+-nan", "9.81+--0.1", "9.81+-1"])

@@ -81,12 +81,6 @@ def test_nearest_of_26() -> None:
     assert nearest_cube_direction(np.array([0.1, -9.8, 0.3])) == "-y"
 
 
-def test_first_again() -> None:
-    found = scheme("faces6", revisit_first=True)
-    assert len(found) == 7
-    assert found.positions[-1].name == f"{found.positions[0].name} again"
-
-
 GOOD = """name = "mine"
 [[position]]
 name = "top"

@@ -115,8 +115,9 @@ class SiteRecord:
     """Table ``site``: what was typed, nothing computed."""
 
     gravity_m_s2: float | None = _number(*GRAVITY_RANGE_M_S2)
-    # By the digits typed; None where gravity has none of its own.
+    # By the digits typed, or as it was given beside them; None where gravity has none of its own.
     gravity_sigma_m_s2: float | None = _number(MEASURED_GRAVITY_SIGMA_M_S2, GRAVITY_RANGE_M_S2[1])
+    gravity_sigma_is_given: bool | None = None
     latitude_deg: float | None = _number(-90.0, 90.0)
     height_m: float | None = _number(*HEIGHT_RANGE_M)
 

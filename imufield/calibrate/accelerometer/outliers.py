@@ -4,6 +4,8 @@ One hold that was touched enters the scatter between positions, and so hides oth
 one after the other, the worst first, whether or not it stands out, and all up to the last that does are outliers: the
 generalized extreme studentized deviate procedure [1]_, with the externally studentised residuals of a fit for deviates.
 
+A position that alone shows a parameter is never taken out: the fit goes through it, and the others say nothing about it.
+
 References
 ----------
 .. [1] B. Rosner, "Percentage points for a generalized ESD many-outlier procedure", Technometrics 25 (1983).
@@ -16,15 +18,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from imufield.calibrate.accelerometer.fit import Fit
-from imufield.calibrate.model.uncertainty import student_factor
+from imufield.calibrate.model.uncertainty import NOT_LEFT_OUT, student_factor
 from imufield.samples import FloatArray
 
 _LEVEL = 0.01  # Chance that any position of a good session is called an outlier (both sides, Bonferroni).
 _FEWEST_TO_SPARE = 3  # Below, Student's limit is beyond what a hold can be off.
 # Of the positions to spare at most this share is taken out: the rest must tell the scatter.
 _LARGEST_SHARE = 1 / 3
-GROSS_SIGMAS = 20.0
-"""No scatter reaches this: of 12 positions to spare one then makes 97 % of the misfit, and the scatter is no scatter."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,11 +35,6 @@ class Outlier:
     off_m_s2: float
     sigmas: float
     limit: float
-
-    @property
-    def is_gross(self) -> bool:
-        """Whether the stated uncertainty is no longer one of scatter."""
-        return self.sigmas > GROSS_SIGMAS
 
 
 def find_outliers(fitted: Fit) -> list[Outlier]:
@@ -76,12 +71,16 @@ class _Weighted:
         self.parameters = fitted.jacobian.shape[1]
 
     def external(self, kept: list[int]) -> FloatArray:
-        """Return each of the kept residuals over its sigma by the scatter of the other kept ones."""
+        """Return each of the kept residuals over its sigma by the scatter of the other kept ones; -1 where those tell none."""
         Q = np.linalg.qr(self._jacobian[kept])[0]
         rest = self._residual[kept] - Q @ (Q.T @ self._residual[kept])
-        student = rest**2 / np.maximum(1 - np.sum(Q**2, axis=1), 1e-6)
+        # Leverages add up to the parameters, so some are below one while a position is to spare.
+        leverage = np.sum(Q**2, axis=1)
+        can_go = leverage < NOT_LEFT_OUT
+        student = rest**2 / np.where(can_go, 1 - leverage, 1.0)
         freedom = len(kept) - self.parameters
-        return np.asarray(np.sqrt(student / self._variance(kept, (rest @ rest - student) / (freedom - 1))))
+        sigmas = np.sqrt(student / self._variance(kept, (rest @ rest - student) / (freedom - 1)))
+        return np.where(can_go, sigmas, -1.0)
 
     def predicted(self, others: list[int], position: int) -> tuple[float, float]:
         """Return how far a position is off a fit to the others, in units of its sigma, and over the sigma of that."""

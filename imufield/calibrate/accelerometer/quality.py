@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from imufield.calibrate.accelerometer.drift import MOST_CONFUSION
 from imufield.calibrate.accelerometer.fit import Fit, FitData
 from imufield.calibrate.accelerometer.model_choice import ChosenModel
-from imufield.calibrate.accelerometer.outliers import GROSS_SIGMAS, Outlier, find_outliers
+from imufield.calibrate.accelerometer.outliers import Outlier, find_outliers
 from imufield.calibrate.model.models import BIAS, SCALE
 from imufield.calibrate.model.observability import Observability
 from imufield.calibrate.model.observations import Observations
@@ -25,7 +24,8 @@ from imufield.sentences import Sentences
 sentence = Sentences(__package__)
 
 POOR_RESIDUAL_M_S2 = 5 * MILLI_G_M_S2
-"""Leave-one-out RMS above this: a hold that was touched or a wrong column, not a consumer-grade sensor's noise."""
+"""Leave-one-out RMS above this, or an outlier by more: a hold that was touched or a wrong column, not a consumer-grade sensor's
+noise. One hold moves the bias by a third of what it is off."""
 USABLE_SCALE_SIGMA = 1e-3
 USABLE_BIAS_SIGMA_M_S2 = 2 * MILLI_G_M_S2
 """Above these, 1 sigma, a consumer-grade factory calibration is as good."""
@@ -94,10 +94,11 @@ def judge(evidence: Evidence) -> Quality:
         left_out_mg=without / MILLI_G_M_S2,
     )
     outliers = find_outliers(fitted)
+    gross = [outlier for outlier in outliers if abs(outlier.off_m_s2) > POOR_RESIDUAL_M_S2]
     # First: what else is poor, and large, is so because of them.
-    poor = _outlier_sentences(evidence, (outlier for outlier in outliers if outlier.is_gross))
+    poor = _outlier_sentences(evidence, "quality.gross_outlier", gross)
     poor += poor_sentences(None if fitted.solved.converged else fitted.solved.message, freedom, without)
-    mild = _outlier_sentences(evidence, (outlier for outlier in outliers if not outlier.is_gross))
+    mild = _outlier_sentences(evidence, "quality.outlier", [outlier for outlier in outliers if outlier not in gross])
     cautions = [*_position_sentences(evidence), *mild, *_cautions(evidence), *_sigma_sentences(evidence)]
     return Quality(
         residual_rms_m_s2=residual_rms,
@@ -245,15 +246,16 @@ def _position_sentences(evidence: Evidence) -> list[str]:
     return sentences
 
 
-def _outlier_sentences(evidence: Evidence, outliers: Iterable[Outlier]) -> list[str]:
+def _outlier_sentences(evidence: Evidence, key: str, outliers: list[Outlier]) -> list[str]:
     """Name the positions that the others contradict, and how to leave them out."""
     return [
         sentence(
-            "quality.gross_outlier" if outlier.is_gross else "quality.outlier",
+            key,
             position=(name := evidence.observations.name[outlier.position]),
             off_mg=outlier.off_m_s2 / MILLI_G_M_S2,
             sigmas=outlier.sigmas,
-            limit=GROSS_SIGMAS if outlier.is_gross else outlier.limit,
+            limit=outlier.limit,
+            limit_mg=POOR_RESIDUAL_M_S2 / MILLI_G_M_S2,
             option=shlex.quote(f"--without={name}"),
         )
         for outlier in outliers

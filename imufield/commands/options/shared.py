@@ -254,6 +254,7 @@ def _site_options(place: Place, typed: frozenset[str]) -> "SiteOptions":
         height_m=place.height,
         is_default=not typed,
         gravity_sigma_m_s2=sigma_as_typed(value.text, value.sigma_text) if isinstance(value, TypedNumber) else None,
+        gravity_sigma_is_given=True if isinstance(value, TypedNumber) and value.sigma_text else None,
     )
 
 

@@ -8,9 +8,9 @@ with the joint covariance C and J by central differences; it is smooth and nearl
 The numbers of one calibration hang together: for a known gravity their covariance is ``J (C - c c^T / C_gg) J^T``, with c the
 column of gravity in C. Much of that is the same in every session of an instrument, so that it is no reason for two of them to
 differ: what a term that was not fitted may hide, a prior. What differs is the covariance of the fit alone, rebuilt from the
-positions: ``(r^T W r / n) (A^T W A)^-1`` with A the Jacobian of the norms, W their weights, r the residuals and n their degrees
-of freedom. Scaled by its own residuals it is Student's with n; a sigma that may not fall below the noise of a hold would be
-right on the average only.
+positions: ``(r^T W r / n) (A^T W A)^-1`` with A the Jacobian of the norms, that of a fitted drift with it, W their weights, r
+the residuals and n their degrees of freedom. Scaled by its own residuals it is Student's with n; a sigma that may not fall
+below the noise of a hold would be right on the average only.
 """
 
 from __future__ import annotations
@@ -21,11 +21,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from imufield.calibrate.accelerometer.fit import column_basis
 from imufield.calibrate.model.gauge import change_gauge, intrinsic, turn_gyroscope
-from imufield.calibrate.model.models import QUADRATIC, norm_derivatives, to_vector
-from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS, parameter_scale
+from imufield.calibrate.model.models import QUADRATIC, to_vector
+from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, GRAVITY_NAME, Calibration, GyroscopeParameters
 from imufield.calibrate.model.uncertainty import degrees_of_freedom
+from imufield.calibrate.solvers.costs import NormProblem
 from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2
 from imufield.samples import AXES, FloatArray
@@ -52,6 +54,7 @@ _NAMES = tuple(
 _GYROSCOPE = 12  # Where the numbers of the gyroscope begin.
 _ACCELEROMETER_NAMES = frozenset(_NAMES[:_GYROSCOPE])
 _TINY = np.finfo(np.float64).tiny
+_ROUNDING = 1e-9  # Of a drift: what of three axes is smaller than the largest by this is no form of it.
 _STEP_SIGMA = 0.1  # Of the central differences: far above rounding, far below what bends the function.
 
 
@@ -134,29 +137,41 @@ def _fit_covariance(calibration: Calibration, mean_raw: FloatArray, sigma_raw: F
 
     None where the residuals do not tell the weights, or the file does not say which parameters were fitted.
     """
-    used = calibration.accelerometer
+    used, quality, positions = calibration.accelerometer, calibration.quality, calibration.positions
     vector = change_gauge(to_vector(used), "lower").vector
-    columns = [
+    columns = tuple(
         k
         for k in LOWER_GAUGE_COLUMNS
         if ACCELEROMETER_NAMES[k] not in calibration.unobservable and (k < QUADRATIC.start or calibration.quadratic_fitted)
-    ]
-    quality = calibration.quality
-    rows = calibration.positions.used
-    derivatives = norm_derivatives(vector, mean_raw[rows] - used.raw_zero, used.quadratic_axes)
+    )
+    rows = positions.used
+    basis = column_basis(vector, columns, calibration.gravity.gravity_m_s2)
+    drift = positions.bias_drift_m_s2[rows]
+    # The forms of a fitted drift are what its three axes have in common.
+    left, size, _ = np.linalg.svd(drift, full_matrices=False)
+    forms = left[:, size > _ROUNDING * size[0]]
+    problem = NormProblem(
+        raw=mean_raw[rows] - used.raw_zero,
+        gravity_m_s2=calibration.gravity.gravity_m_s2,
+        sigma_m_s2=np.ones(len(drift)),
+        origin=vector,
+        basis=np.hstack([basis, np.zeros((len(vector), 3 * forms.shape[1]))]),
+        quadratic_axes=used.quadratic_axes,
+        drift=forms if forms.size else None,
+    )
+    derivatives, jacobian = problem.derivatives(np.concatenate([np.zeros(len(columns)), (forms.T @ drift).ravel()]))
     within = np.sum((derivatives.raw_gradient * np.nan_to_num(sigma_raw[rows])) ** 2, axis=1)
     variance = within + quality.between_position_sigma_m_s2**2
-    if len(columns) != quality.parameters_fitted or quality.degrees_of_freedom < 1 or not np.all(variance > 0):
+    if jacobian.shape[1] != quality.parameters_fitted or quality.degrees_of_freedom < 1 or not np.all(variance > 0):
         return None
-    size = parameter_scale(vector, calibration.gravity.gravity_m_s2)[columns]
-    A = derivatives.jacobian[:, columns] * size / np.sqrt(variance)[:, None]
+    A = jacobian / np.sqrt(variance)[:, None]
     own, J = intrinsic(vector, used.quadratic_axes)
     K = own[:3]
     # Bias and quadratic term over the scale, as in ``_values``.
     over = [*range(3, 6), *range(9, 12)]
     J[over] = (J[over] - own[over, None] * np.tile(J[:3] / K[:, None], (2, 1))) / np.tile(K, 2)[:, None]
-    J = J[:, columns] * size
-    birge = float(np.sum(calibration.positions.residual_m_s2[rows] ** 2 / variance)) / quality.degrees_of_freedom
+    J = J @ problem.basis
+    birge = float(np.sum(positions.residual_m_s2[rows] ** 2 / variance)) / quality.degrees_of_freedom
     return np.asarray(birge * J @ np.linalg.inv(A.T @ A) @ J.T)
 
 

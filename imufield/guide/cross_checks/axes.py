@@ -10,7 +10,8 @@ is the wrong one.
 
 The rate is constant within a cell (0.1 s) here; at 180 deg/s this misjudges a move by about a degree, far below the tens of
 degrees that a wrong axis gives. Where the gyroscope's scale is not known, or no arrangement fits with the given one, one common
-factor is searched with each permutation, which tells a wrong unit or range from wrong axes.
+factor is searched with each permutation, which tells a wrong unit or range from wrong axes. That needs stills: where in a wrong
+unit the gyroscope's noise is none of a unit at rest, they are found as if its scale were not known.
 """
 
 from __future__ import annotations
@@ -24,9 +25,11 @@ import numpy as np
 
 from imufield.errors import CalibrationError, Reason
 from imufield.guide import refusals
+from imufield.guide.cross_checks.centre import centred
 from imufield.guide.positions import angle_rad
 from imufield.guide.refusals import Refusal
 from imufield.guide.stillness.cells import CELL_S
+from imufield.guide.stillness.detector import LONGEST_WAIT_S, StillnessDetector
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import Judgement, Phase
 from imufield.samples import AXES, FloatArray
@@ -35,6 +38,8 @@ from imufield.sentences import Sentences
 sentence = Sentences(__package__)
 
 ENOUGH_MOVES = 4  # Moves about one or two axes fit several permutations alike.
+ENOUGH_FOR_UNITS = 2  # With a unit that is often confused and the axes as given they fit by chance in 1 of 10,000.
+_SURE_DEG = 10.0
 _LEAST_TURN_DEG = 20.0  # A move that turns up by less says nothing about axes.
 GOOD_DEG = 20.0  # Largest RMS misfit of the right axes: 1 m/s^2 of bias on each accelerometer axis alone makes 14 degrees.
 _MARGIN = 3.0  # The right permutation must fit better than any other by this factor.
@@ -146,6 +151,16 @@ class MoveLog:
         return found
 
 
+def check_while_waiting(waiting: StillnessDetector) -> AxesCheck:
+    """Compare the turns so far while there is no noise floor by the given scales; at least one cell was judged."""
+    detector, moves, stills = StillnessDetector(replace(waiting.scale, gyroscope=None)), MoveLog(), []
+    for judgement in detector.judge(waiting.waited(LONGEST_WAIT_S)):
+        moves.follow(judgement, detector.stretch.mean)
+        stills += [] if judgement.ended is None else [judgement.ended.mean[:3]]
+    scale = centred(detector.scale, np.array(stills))
+    return check_axes(moves.moves(scale), waiting.scale.gyroscope)
+
+
 def check_axes(moves: list[MoveBetweenStills], gyroscope_scale: float | None) -> AxesCheck:
     """Compare the turns of up by the accelerometer with those by the gyroscope, over all signed permutations.
 
@@ -157,7 +172,8 @@ def check_axes(moves: list[MoveBetweenStills], gyroscope_scale: float | None) ->
     """
     if len(moves) < ENOUGH_MOVES:
         few = sentence("axes.few_moves", moves=len(moves), least_deg=_LEAST_TURN_DEG, needed=ENOUGH_MOVES)
-        return AxesCheck(agrees=None, permutation=np.eye(3), words=few)
+        unknown = AxesCheck(agrees=None, permutation=np.eye(3), words=few)
+        return _confused(unknown, moves, gyroscope_scale) if gyroscope_scale and len(moves) >= ENOUGH_FOR_UNITS else unknown
     given = _arrange(moves, gyroscope_scale or _find_scale(moves))
     if gyroscope_scale is None and given.agrees:
         count_deg_s = math.degrees(1 / given.gyroscope_scale)
@@ -169,17 +185,33 @@ def check_axes(moves: list[MoveBetweenStills], gyroscope_scale: float | None) ->
     # Turns about one axis leave others open, but that the given ones fit with a factor is enough to contradict the scale.
     if not scaled.fits or abs(math.log(ratio)) < _SAME_FACTOR:
         return given
+    return _contradicted(scaled, given.misfit_deg, ratio)
+
+
+def _confused(unknown: AxesCheck, moves: list[MoveBetweenStills], scale: float) -> AxesCheck:
+    """Return the check with a unit that is often confused with the given one, where a few moves fit it and not the given."""
+    scales = scale / np.array([1.0, *(factor for factor, _ in _CONFUSED)])
+    given, *others = (math.degrees(float(_misfit(moves, np.eye(3)[None], each)[0])) for each in scales)
+    best = int(np.argmin(others))
+    if given <= GOOD_DEG or others[best] > _SURE_DEG:
+        return unknown
+    scaled = replace(unknown, best_misfit_deg=others[best], gyroscope_scale=float(scales[1 + best]))
+    return _contradicted(scaled, given, _CONFUSED[best][0])
+
+
+def _contradicted(scaled: AxesCheck, given_deg: float, ratio: float) -> AxesCheck:
+    """Return the check with another scale than the given one, with which the moves misfit by ``given_deg``."""
     kind = refusals.SCALE_AND_AXES if scaled.agrees is False else refusals.SCALE_DIFFERS
     refusal = kind.refusal(
-        # The scale as given is contradicted, so the misfit is the one that it makes.
-        given.misfit_deg,
+        given_deg,
         GOOD_DEG,
         ratio=ratio,
         cause=next((f" ({cause})" for factor, cause in _CONFUSED if abs(math.log(ratio / factor)) < _SAME_FACTOR), ""),
         axes=axes_words(scaled.permutation),
         best=scaled.best_misfit_deg,
     )
-    return replace(scaled, misfit_deg=given.misfit_deg, words=refusal.words, refusal=refusal, turns_ratio=ratio)
+    # The scale as given is contradicted, so the misfit is the one that it makes.
+    return replace(scaled, misfit_deg=given_deg, words=refusal.words, refusal=refusal, turns_ratio=ratio)
 
 
 def _arrange(moves: list[MoveBetweenStills], scale: float) -> AxesCheck:

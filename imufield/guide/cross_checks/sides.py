@@ -16,7 +16,7 @@ import numpy as np
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.guide import refusals
 from imufield.guide.cross_checks.axes import axes_words, signed_permutations
-from imufield.guide.positions import nearest_cube_direction
+from imufield.guide.positions import angle_deg, nearest_cube_direction
 from imufield.guide.refusals import Refusal
 from imufield.guide.stillness.cells import Cells
 from imufield.guide.stillness.noise_floor import NoiseFloor
@@ -74,14 +74,14 @@ class SidesCheck:
     def follow(self, direction: FloatArray) -> None:
         """Add a direction of up while the unit moves: a side counts again only after it was left."""
         if self._sides and not self._left:
-            self._left = _angle_deg(self._sides[-1][1], direction) > _LEFT_DEG
+            self._left = angle_deg(self._sides[-1][1], direction) > _LEFT_DEG
 
     def note(self, asked: FloatArray, shown: FloatArray, *, chosen: bool = True) -> Refusal | None:
         """Add a side, unit vectors (3,) of up in the body; return the refusal where the axes are contradicted.
 
         ``chosen`` is False where the side asked for is the one that the accelerometer showed, which proves nothing.
         """
-        if _angle_deg(asked, shown) <= _NEAR_DEG:
+        if angle_deg(asked, shown) <= _NEAR_DEG:
             self._sides = []
             if chosen:
                 along = np.einsum("i,pij,j->p", asked, self._could_be, asked)
@@ -100,12 +100,12 @@ class SidesCheck:
         """Refuse the same wrong side, shown several times for the same one asked for."""
         last = self._sides[-_ENOUGH_TIMES:]
         first_asked, first_shown = last[0]
-        same = all(np.allclose(asked, first_asked) and _angle_deg(shown, first_shown) <= _NEAR_DEG for asked, shown in last)
+        same = all(np.allclose(asked, first_asked) and angle_deg(shown, first_shown) <= _NEAR_DEG for asked, shown in last)
         if len(last) < _ENOUGH_TIMES or not same:
             return None
         asked_name, shown_name = (nearest_cube_direction(side) for side in last[0])
         if len(self._could_be) == 1:
-            return refusals.OTHER_SIDE.refusal(_angle_deg(*last[-1]), _NEAR_DEG, asked=asked_name, shown=shown_name)
+            return refusals.OTHER_SIDE.refusal(angle_deg(*last[-1]), _NEAR_DEG, asked=asked_name, shown=shown_name)
         times = float(_ENOUGH_TIMES)
         return refusals.SAME_SIDE_AGAIN.refusal(times, times, asked=asked_name, shown=shown_name)
 
@@ -121,7 +121,3 @@ class SidesCheck:
             return None
         axes, enough = axes_words(permutations[fitting[0]]), float(ENOUGH_SIDES)
         return refusals.SIDES_EXPLAINED.refusal(enough, enough, count=len(self._sides), axes=axes)
-
-
-def _angle_deg(first: FloatArray, second: FloatArray) -> float:
-    return float(np.degrees(np.arccos(np.clip(first @ second, -1.0, 1.0))))

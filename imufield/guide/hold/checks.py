@@ -83,14 +83,14 @@ def _check_flags(hold: HoldUnderTest) -> Refusal | None:
     """Refuse a hold of which too many samples are lost or unusable, or the accelerometer clipped."""
     cells = hold.cells
     slots = int(cells.slot[-1] - cells.slot[0]) + 1
-    usable_share = float(cells.usable.sum()) / (slots * hold.floor.samples_per_cell)
-    if usable_share < 1 - LOST_SHARE:
-        return explain_flags(cells, usable_share, 1 - LOST_SHARE)
+    lost_share = 1 - float(cells.usable.sum()) / (slots * hold.floor.samples_per_cell)
+    if lost_share > LOST_SHARE:
+        return explain_flags(cells, lost_share, LOST_SHARE)
     # Clipped samples stay out of the mean by their flags: those that are left show one side of the noise.
     out = int(cells.clipped.sum())
     share = out / int(cells.count.sum())
     clipped = out >= CLIPPED_SAMPLES and share > CLIPPED_SHARE
-    return explain_flags(cells, 1 - share, 1 - CLIPPED_SHARE) if clipped else None
+    return explain_flags(cells, share, CLIPPED_SHARE) if clipped else None
 
 
 def check_gravity(mean_raw: FloatArray, scale: RoughScale) -> Refusal | None:
@@ -103,10 +103,10 @@ def check_gravity(mean_raw: FloatArray, scale: RoughScale) -> Refusal | None:
     return refusals.GRAVITY.refusal(norm, limit_m_s2) if abs(norm - STANDARD_GRAVITY_M_S2) > limit_m_s2 else None
 
 
-def explain_flags(cells: Cells, usable_share: float, limit: float) -> Refusal:
-    """Return the refusal of cells with too few usable samples, by their flags."""
+def explain_flags(cells: Cells, share: float, limit: float) -> Refusal:
+    """Return the refusal of cells of whose samples too large a share is unusable, by their flags."""
     flags = Status(int(np.bitwise_or.reduce(cells.flags)) & 0xFFFF)
-    percent, limit_percent = 100 * (1 - usable_share), 100 * (1 - limit)
+    percent, limit_percent = 100 * share, 100 * limit
     if flags & (Status.ACCELEROMETER_SATURATED | Status.GYROSCOPE_SATURATED):
         triad, first = ("accelerometer", 0) if flags & Status.ACCELEROMETER_SATURATED else ("gyroscope", 3)
         peak = np.fmax(np.abs(cells.low), np.abs(cells.high))[:, first : first + 3]

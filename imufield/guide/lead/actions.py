@@ -403,7 +403,7 @@ class GuideActions:
         if activity.ratio <= LEAVE_FACTOR:
             # Nothing moved: samples are missing.
             cells = judgement.cells[judgement.row : judgement.row + 1]
-            self.hold.refusal = explain_flags(cells, 0.0, 1 - LOST_SHARE)
+            self.hold.refusal = explain_flags(cells, 1.0, LOST_SHARE)
             self._reject_hold()
         elif lasted_s >= _SILENT_S:
             self._moved_in_a_row += 1

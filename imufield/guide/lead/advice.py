@@ -97,23 +97,22 @@ class Adviser:
         self._plan = plan
         self._settings = settings
         self.fit: RunningFit | None = None
-        self.suspects: list[Disagreement] = []  # Positions that the fit to the others contradicts, the worst first.
+        self.suspects: dict[int, Disagreement] = {}  # Positions that the fit to the others contradicts, the worst first.
         self._told: set[Topic] = set()
-        self._told_suspects: set[str] = set()
-        self._asked_again: set[str] = set()
         self._revisited = False
 
     @property
     def suspect_names(self) -> tuple[str, ...]:
         """Names of the suspects, the worst first."""
-        return tuple(suspect.name for suspect in self.suspects)
+        return tuple(suspect.name for suspect in self.suspects.values())
 
     def fit_again(self, scale: RoughScale) -> None:
         """Fit everything measured so far, and choose the next position where another helps clearly more."""
         settings, plan = self._settings, self._plan
         self.fit = running_fit(list(plan.accepted.values()), scale, settings.gravity_m_s2)
-        found = [] if self.fit is None else self.fit.disagreements()
-        self.suspects = sorted((found for found in found if found.is_suspect), key=lambda suspect: -abs(suspect.sigmas))
+        found = {} if self.fit is None else self._disagreements(self.fit)
+        suspects = ((index, found) for index, found in found.items() if found.is_suspect)
+        self.suspects = dict(sorted(suspects, key=lambda suspect: -abs(suspect[1].sigmas)))
         plan.preferred = None
         pending = plan.pending()
         if self.fit is None or len(pending) < 2:
@@ -172,28 +171,32 @@ class Adviser:
 
     def _advise_suspects(self, now_s: float, fit: RunningFit) -> list[Advice]:
         """Return what to tell of suspects: suspicions that are settled, and the worst one if it was not told yet."""
-        plan, suspects = self._plan, set(self.suspect_names)
-        settled = [found for found in fit.disagreements() if found.name in self._told_suspects - suspects]
-        new = [suspect for suspect in self.suspects[:1] if suspect.name not in self._told_suspects]
-        self._told_suspects = (self._told_suspects & suspects) | {suspect.name for suspect in new}
+        plan = self._plan
+        no_more = plan.doubted - self.suspects.keys()
+        settled = {index: found for index, found in self._disagreements(fit).items() if index in no_more}
+        new = {index: suspect for index, suspect in [*self.suspects.items()][:1] if index not in plan.doubted}
+        plan.doubted = (plan.doubted & self.suspects.keys()) | new.keys()
         # What the guide asked for because of it, it asks for no longer; what the operator wants again stays.
-        asked = {found.name for found in settled} & self._asked_again
-        plan.wanted_again = {index for index in plan.wanted_again if plan.position(index).name not in asked}
+        plan.wanted_again -= settled.keys() & plan.asked_again
         told = []
-        for kind, found in [(_SETTLED, found) for found in settled] + [(_DOUBTFUL, found) for found in new]:
+        for kind, found in [(_SETTLED, found) for found in settled.values()] + [(_DOUBTFUL, found) for found in new.values()]:
             off_m_s2, sigmas = abs(found.leave_one_out_m_s2), abs(found.sigmas)
             limit_m_s2 = off_m_s2 / sigmas * found.limit_sigmas if sigmas else 0.0
             off_mg = off_m_s2 / MILLI_G_M_S2
             told.append(kind.advice(now_s, off_m_s2, limit_m_s2, found.name, off_mg=off_mg, sigmas=sigmas))
         return told
 
+    def _disagreements(self, fit: RunningFit) -> dict[int, Disagreement]:
+        """Return the disagreement of each position of the fit, which is that of all accepted ones."""
+        return dict(zip(self._plan.accepted, fit.disagreements(), strict=True))
+
     def ask_again(self) -> None:
         """Ask for suspects once more, each once, and then for the first position, as a check for drift."""
         plan = self._plan
-        for name in self.suspect_names:
-            if name not in self._asked_again and (index := plan.find(name)) is not None:
+        for index in self.suspects:
+            if index not in plan.asked_again:
                 plan.want_again(index)
-        self._asked_again.update(self.suspect_names)
+        plan.asked_again.update(self.suspects)
         first, open_still = next(iter(plan.accepted), None), not self._revisited and plan.revisited is None
         if plan.proposed() is None and self._settings.revisit_first and open_still and first is not None:
             self._revisited, plan.revisiting = True, first

@@ -50,6 +50,8 @@ class Plan:
         self.accepted: dict[int, Observation] = {}  # By position, in order of acceptance.
         self.skipped: set[int] = set()
         self.wanted_again: set[int] = set()
+        self.doubted: set[int] = set()  # Told as contradicted by the others, and not settled since.
+        self.asked_again: set[int] = set()  # Asked for once more because of that, each once.
         self.withdrawn: list[Observation] = []  # Replaced or undone; kept, not used.
         self.faulty: list[Observation] = []  # Taken back because of what they show; no undo brings them back.
         self.first: int | None = None  # Asked for before all others: where the unit is when the session begins.
@@ -70,9 +72,8 @@ class Plan:
 
     def proposed(self) -> int | None:
         """Return the next position in the proposed order, None when nothing is left to ask for."""
-        before = (index for index in (self.first, self.preferred) if index is not None)
-        order = (*before, *range(len(self.scheme)))
-        return next((index for index in order if self.is_pending(index) and index not in self.skipped), None)
+        pending = self.pending()
+        return next((index for index in (self.first, self.preferred, *pending) if index in pending), None)
 
     def pending(self) -> list[int]:
         """Return the positions that are asked for, in the proposed order."""
@@ -117,7 +118,8 @@ class Plan:
     def take_back(self, index: int) -> None:
         """Withdraw an observation that does not count any more; the position is pending again."""
         self.faulty.append(self.accepted.pop(index))
-        self.wanted_again.discard(index)
+        for marked in (self.wanted_again, self.doubted, self.asked_again):
+            marked.discard(index)
         if index == self.revisiting:
             self.revisiting = None
         # Nothing that led to it is left to undo.
@@ -149,7 +151,8 @@ class Plan:
             moved.get(i, i): self._named(observation, moved[i]) if i in moved else observation
             for i, observation in self.accepted.items()
         }
-        self.wanted_again = {moved.get(i, i) for i in self.wanted_again}
+        marks = (self.wanted_again, self.doubted, self.asked_again)
+        self.wanted_again, self.doubted, self.asked_again = ({moved.get(i, i) for i in marked} for marked in marks)
         self.revisiting = None if self.revisiting is None else moved.get(self.revisiting, self.revisiting)
         self.skipped.difference_update(moved.values())
         # A position is skipped whatever was measured where.

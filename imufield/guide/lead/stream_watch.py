@@ -10,7 +10,7 @@ from statistics import median
 import numpy as np
 
 from imufield.guide import refusals
-from imufield.guide.cross_checks.axes import ENOUGH_MOVES, AxesCheck, MoveLog, check_axes
+from imufield.guide.cross_checks.axes import ENOUGH_FOR_UNITS, AxesCheck, MoveLog, check_axes, check_while_waiting
 from imufield.guide.cross_checks.centre import centred
 from imufield.guide.cross_checks.outputs import Outputs
 from imufield.guide.cross_checks.sides import DeadAxis
@@ -112,7 +112,7 @@ class StreamWatch:
         self.bad_cells += 1
         if self._bad_in_a_row >= _BAD_IN_A_ROW and not silent:
             self._speaker.advance(cells, row)
-            refusal = explain_flags(cells[row : row + 1], 0.0, USABLE_SHARE)
+            refusal = explain_flags(cells[row : row + 1], 1.0, 1 - USABLE_SHARE)
             if self._speaker.due(f"data {refusal.reason.value}", REMIND_S):
                 self._speaker.reject(refusal)
 
@@ -158,7 +158,7 @@ class StreamWatch:
     def follow_move(self, judgement: Judgement, accepted: int, planned: int) -> None:
         """Follow the moves; check axes and scale with each new position until the moves decide, and tell a contradiction."""
         self._moves.follow(judgement, self._detector.stretch.mean)
-        if accepted <= max(self._positions_checked, ENOUGH_MOVES):
+        if accepted <= max(self._positions_checked, ENOUGH_FOR_UNITS):
             return
         axes = self.check_axes()
         self._positions_checked = accepted if axes.agrees is None else planned
@@ -174,6 +174,8 @@ class StreamWatch:
 
     def check_axes(self) -> AxesCheck:
         """Compare the turns by accelerometer and gyroscope between the stills so far."""
+        if self._detector.has_waited:
+            return check_while_waiting(self._detector)
         scale = self._detector.scale
         return check_axes(self._moves.moves(scale), scale.gyroscope)
 
@@ -187,6 +189,10 @@ class StreamWatch:
         if self._detector.frozen:
             self._speaker.reject(refusals.FROZEN.refusal(waited_s, 0.0))
             return
+        axes = self.check_axes()
+        if axes.turns_ratio != 1.0:
+            self._speaker.reject(axes.refusal)
+            return
         window, scale = self._detector.waited(), self._detector.scale
         window = window[np.flatnonzero(window.usable)]
         cause = why_not_quiet(window, scale) if len(window) > 1 else None
@@ -197,7 +203,7 @@ class StreamWatch:
         kind = refusals.NOT_QUIET_SHAKES if cause.shakes else refusals.NOT_QUIET_STRAYS
         # After a long wait the settings are suspected, too, where the motion looks like noise.
         if waited_s > _IN_VAIN * FLOOR_S and cause.shakes and is_even(window, measure_floor(window), scale):
-            kind = refusals.NOT_QUIET_EVEN
+            kind = refusals.NOT_QUIET_EVEN if cause.column < 3 else refusals.NOT_QUIET_GYROSCOPE
         triad, unit, factor = scale.triads[cause.column // 3]
         refusal = kind.refusal(
             cause.measured / factor,
@@ -206,5 +212,6 @@ class StreamWatch:
             unit=unit,
             triad=triad,
             floor_s=FLOOR_S,
+            sides=ENOUGH_FOR_UNITS + 1,
         )
         self._speaker.reject(refusal)

@@ -8,7 +8,7 @@ import numpy as np
 
 from imufield.calibrate.model.observations import Observations
 from imufield.errors import CalibrationError, Reason
-from imufield.guide.cross_checks.axes import AxesCheck, MoveLog, check_axes
+from imufield.guide.cross_checks.axes import AxesCheck, MoveLog, check_axes, check_while_waiting
 from imufield.guide.cross_checks.centre import centred
 from imufield.guide.cross_checks.outputs import Outputs
 from imufield.guide.hold.checks import HoldUnderTest, check_gravity, examine
@@ -83,10 +83,7 @@ class StillIntervalFinder:
             self._add(self.detector.stretch)
             self.detector.restart()
         if self.detector.floor is None:
-            why: str = sentence("unguided.never_quiet", floor_s=FLOOR_S, limit_m_s2=MAX_FLOOR_M_S2)
-            if self.detector.frozen:
-                why = FROZEN.refusal(FLOOR_S, 0.0).words
-            raise CalibrationError(why, Reason.TOO_FEW)
+            raise self._never_quiet()
         sound = [observation.mean_raw for observation, own in self._placements if own is None]
         scale = centred(self.detector.scale, np.array(sound))
         found, refused = list[Observation](), list[tuple[float, Refusal]]()
@@ -107,6 +104,15 @@ class StillIntervalFinder:
             sticking=self._outputs.sticking(),
         )
 
+    def _never_quiet(self) -> CalibrationError:
+        """Return why there is no noise floor."""
+        if self.detector.frozen:
+            return CalibrationError(FROZEN.refusal(FLOOR_S, 0.0).words, Reason.TOO_FEW)
+        if self.detector.has_waited and (axes := check_while_waiting(self.detector)).turns_ratio != 1.0:
+            return CalibrationError(axes.words, Reason.UNITS)
+        never = sentence("unguided.never_quiet", floor_s=FLOOR_S, limit_m_s2=MAX_FLOOR_M_S2)
+        return CalibrationError(never, Reason.TOO_FEW)
+
     def _process(self, cells: Cells | None) -> None:
         if cells is None:
             return
@@ -126,10 +132,10 @@ class StillIntervalFinder:
             return
         hold = HoldUnderTest(cells=cells, floor=floor, limits=detector.limits, scale=detector.scale)
         placement = observe(cells, detector.limits, ""), examine(hold)
-        self._outputs.add(placement[0].output)
         if not self._put_down:
             # A soft support gives way, a table is knocked: the unit was not put down a second time.
-            placement = max(placement, self._placements.pop(), key=lambda one: (one[1] is None, one[0].duration_s))
+            placement = max(placement, self._placements.pop(), key=lambda found: (found[1] is None, found[0].duration_s))
+        self._outputs.add(placement[0].output, again=not self._put_down)
         self._placements.append(placement)
         self._put_down = False
 
@@ -139,5 +145,5 @@ class StillIntervalFinder:
         if before is None:
             return False
         away = int(cells.slot[0] - before.cells().slot[0]) - before.judged
-        up, up_before = (self.detector.scale.up(np.array(one.mean[:3])) for one in (stretch, before))
+        up, up_before = (self.detector.scale.up(np.array(each.mean[:3])) for each in (stretch, before))
         return away < cells_in(MOVED_S) and angle_deg(up, up_before) < MOVED_DEG

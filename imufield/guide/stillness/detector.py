@@ -57,7 +57,8 @@ USABLE_SHARE = 0.5  # A cell with fewer usable samples than this share of the us
 _HAND_RAD_S = math.radians(0.35)
 _HAND_CHANGE_RAD_S = math.radians(0.15)  # The same for the change from cell to cell: the sway of an arm.
 _HAND_CHANGE_SIGMAS = 3.0  # Changes of noise alone are smaller.
-_LONGEST_WAIT_S = 600.0  # Cells kept while no quiet stretch has occurred; older ones are discarded.
+LONGEST_WAIT_S = 600.0
+"""Cells kept while no quiet stretch has occurred; older ones are discarded."""
 _LEARN_FROM_S = 2.0  # Shortest stretch that may lower the noise floor or tell the gyroscope's bias.
 _LOOK_AGAIN_S = 1.0  # Between two checks whether a unit in the hand was put down.
 
@@ -133,15 +134,20 @@ class StillnessDetector:
                 judged += 1
                 yield judgement
 
-    def waited(self) -> Cells:
-        """Return the last cells, as many as a noise floor needs, while there is none; at least one was judged."""
-        window = cells_in(FLOOR_S)
+    def waited(self, duration_s: float = FLOOR_S) -> Cells:
+        """Return the last cells while there is no noise floor, by default as many as it needs; at least one was judged."""
+        window = cells_in(duration_s)
         return join_cells(self._waiting[-window:])[-window:]
+
+    @property
+    def has_waited(self) -> bool:
+        """Whether cells were judged and there is no noise floor yet."""
+        return bool(self._waiting)
 
     @property
     def frozen(self) -> bool:
         """Whether there is no noise floor because no output changes."""
-        return bool(self._waiting) and len(cells := self.waited()) >= cells_in(FLOOR_S) and is_frozen(cells)
+        return self.has_waited and len(cells := self.waited()) >= cells_in(FLOOR_S) and is_frozen(cells)
 
     def explain(self, judgement: Judgement) -> Activity:
         """Return the cause of a cell's activity, with value and limit in SI where the scale is known."""
@@ -177,7 +183,7 @@ class StillnessDetector:
                 self._set_floor(measure_floor(tail[end - window : end]))
                 waiting, self._waiting, self._cells_waiting = join_cells(self._waiting), [], 0
                 return waiting
-        while self._cells_waiting > cells_in(_LONGEST_WAIT_S):
+        while self._cells_waiting > cells_in(LONGEST_WAIT_S):
             self._cells_waiting -= len(self._waiting.pop(0))
         return cells[:0]
 

@@ -118,9 +118,7 @@ def is_quiet(cells: Cells, scale: RoughScale) -> bool:
     # At 10 Hz a sample near the edge of a slot leaves one empty.
     longest = 2 if np.median(cells.usable) < 2 else 1
     unbroken = bool((np.diff(cells.slot) <= longest).all()) and bool((2 * cells.usable >= np.median(cells.count)).all())
-    if not unbroken or np.isnan(cells.mean[:, :3]).any() or not cells.usable.all():
-        return False
-    if is_frozen(cells):
+    if not unbroken or np.isnan(cells.mean[:, :3]).any() or not cells.usable.all() or is_frozen(cells):
         return False
     floor = measure_floor(cells)
     limits = scale.learn(floor.mean[:3]).per_axis(MAX_FLOOR_M_S2, MAX_FLOOR_RAD_S, missing=np.inf)

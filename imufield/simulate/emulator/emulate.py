@@ -130,12 +130,15 @@ def choose_wire(options: Emulation) -> WireChoice:
     def load(settings: Mapping[str, object]) -> Protocol:
         return load_protocol(options.device, settings) if driver is None else driver.load_protocol(settings)
 
+    def told_hz(settings: Mapping[str, object]) -> float:
+        return load(settings).clock.rate_hz if "rate_hz" in settings else 0.0
+
     base = load({})
     form: WireForm | None
     if base.can is not None or options.device in OWN_RATE_HZ:
         form = None if base.can is not None else _OWN_FORM
-        rate_hz = options.rate_hz or OWN_RATE_HZ.get(options.device, DEFAULT_RATE_HZ)
         told = dict(options.settings)
+        rate_hz = options.rate_hz or told_hz(told) or OWN_RATE_HZ.get(options.device, DEFAULT_RATE_HZ)
         # Increments are nothing without their rate, which a reader must be told, too.
         if "increment" in told.values():
             told.setdefault("rate_hz", rate_hz)
@@ -144,8 +147,7 @@ def choose_wire(options: Emulation) -> WireChoice:
         form = choose_form(base, options.form, options.settings)
         settings: dict[str, object] = {**form.settings, **options.settings}
         defaults = {name: setting.value for name, setting in base.settings.items()}
-        told_hz = load(settings).clock.rate_hz if "rate_hz" in settings else 0.0
-        rate_hz = options.rate_hz or told_hz or form.rate_hz
+        rate_hz = options.rate_hz or told_hz(settings) or form.rate_hz
         # A reader measures the rate; increments need it said.
         if "rate_hz" in defaults and "rate_hz" not in settings:
             settings["rate_hz"] = rate_hz
@@ -328,7 +330,7 @@ def make_device(options: Emulation, wire: WireChoice) -> Device:
         script = SCRIPTS.get(device)
         return ProtocolDevice(wire.protocol, form, rate_hz, None if script is None else script(rate_hz, form))
     # Values as the protocol has read them, which a format of the same names takes.
-    chosen: dict[str, Any] = {name: wire.protocol.settings[name].value for name in options.settings}
+    chosen: dict[str, Any] = {name: wire.protocol.settings[name].value for name in options.settings if name != "rate_hz"}
     if wrong := [name for name in chosen if name not in _EMULATED_SETTINGS[device]]:
         allowed = _EMULATED_SETTINGS[device]
         raise UsageError(sentence("emulate.setting", setting=wrong[0], device=device, allowed=allowed))

@@ -43,6 +43,7 @@ class ClockKind:
 
 KINDS = {
     "typed rate, exactly 0.5 % off": ClockKind(error=0.005, is_exact=True),
+    "typed rate, exactly 3 % off": ClockKind(error=0.03, is_exact=True),
     "typed rate, within 1 %": ClockKind(error=0.01),
     "typed rate, within 5 %": ClockKind(error=0.05),
     "instrument's time beside the host's, within 1 %": ClockKind(error=0.01, has_host=True),

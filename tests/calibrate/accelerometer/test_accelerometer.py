@@ -280,7 +280,7 @@ def test_a_moved_position_is_named_and_does_not_pass_as_good() -> None:
     observations = campaign(random_parameters(rng), rng)
     observations.mean_raw[9] *= 1.005
     calibration = calibrate_accelerometer(observations, EXACT)
-    assert "p10" in [one.values["position"] for one in told(calibration.quality.reasons, "quality.gross_outlier")]
+    assert "p10" in [one.values["position"] for one in told(calibration.quality.reasons, "quality.outlier")]
     assert calibration.quality.verdict != "good"
 
 

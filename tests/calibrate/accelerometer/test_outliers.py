@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
+from imufield.calibrate.accelerometer.fit import FitData, column_basis, fit
+from imufield.calibrate.accelerometer.outliers import find_outliers
+from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS
 from imufield.calibrate.model.observations import Observations, leave_out
 from imufield.calibrate.model.result import Calibration
 from imufield.earth import MILLI_G_M_S2, Gravity
@@ -18,11 +23,11 @@ EXACT = Gravity(gravity_m_s2=GRAVITY, sigma_m_s2=1e-5, source="typed")
 BOTH = ("quality.gross_outlier", "quality.outlier")
 
 
-def session(seed: int, touched_mg: dict[int, float]) -> Observations:
-    """A session with 0.1 mg between positions, some of which show a norm that is longer by so many mg."""
+def session(seed: int, touched_mg: dict[int, float], noise: float = 1.0) -> Observations:
+    """A session with 0.1 mg between positions (times ``noise``), some of which show a norm that is longer by so many mg."""
     rng = np.random.default_rng(seed)
     truth = random_parameters(rng)
-    observations = campaign(truth, rng, within_m_s2=3e-4, between_m_s2=1e-3)
+    observations = campaign(truth, rng, within_m_s2=3e-4 * noise, between_m_s2=1e-3 * noise)
     for position, off_mg in touched_mg.items():
         mean = observations.mean_raw[position]
         zero = outputs(truth, np.zeros((1, 3)))[0]
@@ -45,6 +50,15 @@ def test_gross_ones_are_named_with_their_size_however_many(touched: dict[int, fl
         assert one.values["option"] == f"--without={one.values['position']}"
 
 
+@pytest.mark.parametrize(("off_mg", "noise", "verdict"), [(1.0, 0.01, "usable"), (9.0, 1.0, "poor")])
+def test_size_and_not_sigma_makes_one_poor(off_mg: float, noise: float, verdict: str) -> None:
+    """1 mg in an instrument so quiet that this is 1000 sigma, and 9 mg where it is 90."""
+    calibration = calibrate_accelerometer(session(3, {7: off_mg}, noise=noise), EXACT)
+    assert calibration.quality.verdict == verdict
+    found = named(calibration, "quality.gross_outlier" if verdict == "poor" else "quality.outlier")
+    assert found == {"p08": pytest.approx(off_mg, abs=0.7 * noise)}
+
+
 def test_without_them_the_numbers_are_those_of_a_session_that_never_had_them() -> None:
     kept, left_out = leave_out(session(3, {7: 20.0, 11: -20.0}), ("p08", "p12"))
     clean, _ = leave_out(session(3, {}), ("p12", "p08"))
@@ -54,6 +68,19 @@ def test_without_them_the_numbers_are_those_of_a_session_that_never_had_them() -
     assert found.quality.verdict == "good"
     with refused(UsageError, Reason.USAGE, key="observations.not_there"):
         leave_out(clean, ("p12",))
+
+
+def test_a_hold_that_alone_shows_a_parameter_is_not_taken_out() -> None:
+    """Whatever its residual is, of a fit that did not converge too: without it the others do not tell their parameters."""
+    faces = np.repeat(np.vstack([np.eye(3), -np.eye(3)]), 3, axis=0)
+    alone = np.array([[1, 1, 0], [1, 0, 1], [0, 1, 1]]) / np.sqrt(2)
+    data = FitData(raw=GRAVITY * np.vstack([alone, faces]), covariance_raw=None, gravity_m_s2=GRAVITY, quadratic_axes="sensing")
+    perfect = np.repeat([1.0, 0.0], [3, 12])
+    fitted = fit(data, perfect, column_basis(perfect, LOWER_GAUGE_COLUMNS[:9], GRAVITY))
+    rest = np.random.default_rng(0).normal(0, 1e-3, len(data.raw))
+    rest[[0, 7]] = 1e14, 1.0
+    found = find_outliers(replace(fitted, residual_m_s2=rest, sigma_m_s2=np.full(len(rest), 1e-3)))
+    assert [outlier.position for outlier in found] == [7]
 
 
 @pytest.mark.numerical

@@ -18,6 +18,7 @@ from imufield.deliver.navigation.uncertain import draw_parameters
 from imufield.deliver.parameters.gauge_free import _NAMES, Number, _values, gauge_free
 from imufield.earth import STANDARD_GRAVITY_M_S2, choose_gravity
 from imufield.errors import CalibrationError, Reason
+from imufield.simulate.truth.effects import Effects
 from imufield.simulate.truth.grades import TACTICAL, perfect_instrument
 from imufield.study.answers.means import MeanSession
 from tests.refused import refused
@@ -25,6 +26,7 @@ from tests.refused import refused
 E = np.array([[0, 1.2e-3, -8e-4], [2.1e-3, 0, 5e-4], [-1.7e-3, 9e-4, 0]])
 G = np.array([[3e-6, -1e-6, 2e-6], [0.5e-6, 4e-6, -2e-6], [1e-6, 1.5e-6, -3e-6]])
 SCALE = np.array([1.002, 0.998, 1.001])
+GRAVITY = choose_gravity(latitude_deg=48.0)
 
 
 @pytest.fixture
@@ -100,10 +102,9 @@ def test_sigma_and_correlation_are_what_draws_show(whole: Calibration, observati
 
 def test_what_differs_between_sessions_is_the_fit_alone() -> None:
     truth = perfect_instrument(TACTICAL)
-    gravity = choose_gravity(latitude_deg=48.0)
-    session = MeanSession(instrument=truth, gravity_m_s2=gravity.gravity_m_s2)
+    session = MeanSession(instrument=truth, gravity_m_s2=GRAVITY.gravity_m_s2)
     observations = session.observe(np.random.default_rng(3)).observations
-    found = calibrate_accelerometer(observations, gravity, gauge="symmetric")
+    found = calibrate_accelerometer(observations, GRAVITY, gauge="symmetric")
     assert not found.quadratic_fitted
     sigma_raw = np.sqrt(np.diagonal(observations.covariance_raw, axis1=1, axis2=2))
     numbers = gauge_free(found, observations.mean_raw, sigma_raw)
@@ -122,6 +123,27 @@ def test_what_differs_between_sessions_is_the_fit_alone() -> None:
     error = np.sqrt(np.diag(numbers.error))
     assert error[by_name["bias y"]] > 1.5 * scatter[by_name["bias y"]]
     assert error[by_name["angle yz"]] == pytest.approx(scatter[by_name["angle yz"]], rel=0.01)
+
+
+def test_a_drift_that_was_fitted_is_part_of_the_fit() -> None:
+    """What the numbers of sessions with other noise scatter is what each says of them, within 25 % for each kind."""
+    effects = Effects(warm_up_m_s2=(0.01, -0.01, 0.01))
+    truth = replace(perfect_instrument(TACTICAL), effects=effects)
+    session = MeanSession(instrument=truth, gravity_m_s2=GRAVITY.gravity_m_s2, order="corners24")
+    rng = np.random.default_rng(5)
+    found = []
+    for _ in range(40):
+        observations = session.observe(rng).observations
+        calibration = calibrate_accelerometer(observations, GRAVITY, gauge="symmetric")
+        if np.any(calibration.positions.bias_drift_m_s2) and not calibration.quadratic_fitted:
+            sigma_raw = np.sqrt(np.diagonal(observations.covariance_raw, axis1=1, axis2=2))
+            found.append(gauge_free(calibration, observations.mean_raw, sigma_raw))
+    assert len(found) > 30
+    assert {number.scatter_freedom for one in found for number in one.numbers} == {24 - 15}
+    values = np.array([[number.value for number in one.numbers] for one in found])
+    stated = np.sqrt(np.mean([np.diag(one.scatter) for one in found], axis=0))
+    ratio = (values.std(axis=0, ddof=1) / stated).reshape(3, 3)
+    np.testing.assert_allclose(np.sqrt(np.mean(ratio**2, axis=1)), 1.0, atol=0.25)
 
 
 def test_names_units_and_what_was_not_estimated(whole: Calibration) -> None:

@@ -102,6 +102,22 @@ def test_a_scale_that_the_moves_contradict_is_named(moves: Any, factor: float, c
     assert told["ratio"] == pytest.approx(1 / factor, rel=0.03)
 
 
+@pytest.mark.parametrize(("factor", "confused"), [(1 / 57.3, ["rad/s", "deg/s"]), (57.3, ["deg/s", "rad/s"])])
+def test_two_moves_tell_a_unit_that_is_often_confused(moves: Any, factor: float, confused: list[str]) -> None:
+    wrong = [dataclasses.replace(move, rate_raw=move.rate_raw * factor) for move in moves]
+    found = check_axes(wrong[1:3], 1.0)
+    assert is_said_by(SCALE_DIFFERS, found.refusal)
+    assert re.findall("deg/s|rad/s", values_of(found.words)["cause"]) == confused
+    # One move, another factor, the right unit and wrong axes are no such thing.
+    assert check_axes(wrong[1:2], 1.0).refusal is None
+    assert check_axes([dataclasses.replace(move, rate_raw=move.rate_raw * 0.4) for move in moves[1:3]], 1.0).refusal is None
+    for wrong_axes in signed_permutations():
+        assert (
+            check_axes([dataclasses.replace(one, rate_raw=one.rate_raw @ wrong_axes) for one in moves[1:3]], 1.0).refusal
+            is None
+        )
+
+
 def test_turns_about_one_axis_tell_a_wrong_scale(make_path: Any) -> None:
     ups = [np.array([0, np.sin(angle), np.cos(angle)]) for angle in np.radians(np.arange(0, 270, 45))]
     path = make_path(200.0).hold(ups[0], 5)

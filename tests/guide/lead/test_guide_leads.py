@@ -162,13 +162,35 @@ def test_a_doubt_that_others_settle_asks_for_nothing_any_more(make_path: Any) ->
     adviser, plan = guide.adviser, guide.plan
     assert adviser.fit is not None
     first = adviser.fit.names[3]
-    adviser.suspects = [replace(adviser.fit.disagreements()[3], sigmas=50.0)]
+    adviser.suspects = {[*plan.accepted][3]: replace(adviser.fit.disagreements()[3], sigmas=50.0)}
     assert [(one.topic, one.position) for one in adviser.advise(1.0)] == [(Topic.DOUBTFUL, first)]
     adviser.ask_again()
     assert plan.wanted_again == {plan.find(first)}
     adviser.fit_again(guide.detector.scale)
     assert [(one.topic, one.position) for one in adviser.advise(2.0)] == [(Topic.SETTLED, first)]
     assert not plan.wanted_again
+    adviser.ask_again()
+    assert not plan.wanted_again
+
+
+def test_a_doubt_follows_its_position_where_an_offset_renames_it(make_path: Any) -> None:
+    guide, _ = feed(corners(make_path), "corners24")
+    adviser, plan = guide.adviser, guide.plan
+    assert adviser.fit is not None
+    (index, doubtful), (other, _) = list(zip(plan.accepted, adviser.fit.disagreements(), strict=True))[3:5]
+    adviser.suspects = {index: replace(doubtful, sigmas=50.0)}
+    adviser.advise(1.0)
+    adviser.ask_again()
+    observed = {plan.accepted[index].start_s: other, plan.accepted[other].start_s: index}
+    shown = {one.start_s: plan.position(observed.get(one.start_s, i)).direction for i, one in plan.accepted.items()}
+    # The two change places.
+    assert plan.place_anew(lambda observation: shown[observation.start_s]) == 2
+    adviser.fit_again(guide.detector.scale)
+    renamed = plan.position(other).name
+    assert [(one.topic, one.position) for one in adviser.advise(2.0)] == [(Topic.SETTLED, renamed)]
+    assert not plan.wanted_again
+    # Asked for once already.
+    adviser.suspects = {other: replace(doubtful, sigmas=50.0)}
     adviser.ask_again()
     assert not plan.wanted_again
 

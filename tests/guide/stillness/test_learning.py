@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from imufield.errors import CalibrationError, Reason
 from imufield.guide import refusals
 from imufield.guide.events import NoiseFloorMeasured, RefusalCode, Rejected
 from imufield.guide.lead.state_table import State
@@ -12,7 +13,8 @@ from imufield.guide.stillness.cells import Cells
 from imufield.guide.stillness.detector import StillnessDetector
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import SampleUnits, make_samples
-from tests.guide.guided import FACES, cells_of, faces_session, is_said_by, of, run, values_of
+from tests.guide.guided import FACES, cells_of, faces_session, find_still_intervals, is_said_by, of, run, values_of
+from tests.refused import refused
 
 
 def test_even_noise_waited_for_in_vain_is_said_to_be_a_wrong_unit(make_path: Any) -> None:
@@ -21,9 +23,22 @@ def test_even_noise_waited_for_in_vain_is_said_to_be_a_wrong_unit(make_path: Any
     _, events = run(samples)
     assert {event.reason for event in events} == {RefusalCode.NOT_QUIET}
     assert is_said_by(refusals.NOT_QUIET_SHAKES, events[0])
-    assert is_said_by(refusals.NOT_QUIET_EVEN, events[-1])
-    assert "gyroscope" in events[-1].remedy
+    assert is_said_by(refusals.NOT_QUIET_GYROSCOPE, events[-1])
     assert "--set" in events[-1].remedy
+
+
+def test_the_moves_tell_the_factor_of_a_gyroscope_whose_noise_is_none_of_a_unit_at_rest(make_path: Any) -> None:
+    samples = faces_session(make_path).samples(sigma_rad_s=2e-3)
+    samples.gyroscope[:] *= 57.3
+    guide, events = run(samples)
+    assert guide.state is State.LEARNING
+    told = of(events, Rejected)
+    assert is_said_by(refusals.SCALE_DIFFERS, told[-1])
+    assert values_of(told[-1].words)["ratio"] == pytest.approx(1 / 57.3, rel=0.03)
+    # Before there were moves enough, nothing was known.
+    assert {event.reason for event in told} == {RefusalCode.NOT_QUIET, RefusalCode.SCALE}
+    with refused(CalibrationError, Reason.UNITS, key="refusals.scale_differs"):
+        find_still_intervals([samples])
 
 
 @pytest.mark.parametrize("rate_hz", [10.0, 12.5, 15.0, 20.0, 25.0, 35.0])

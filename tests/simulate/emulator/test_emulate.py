@@ -100,6 +100,16 @@ def test_text_at_any_rate_and_stim300_at_its_own() -> None:
     assert caught.value.values["rate_hz"] == 333
 
 
+@pytest.mark.parametrize("device", ["stim300", "text"])
+def test_the_rate_is_also_a_setting(device: str) -> None:
+    """As of other instruments: who copies the settings of a capture gets the stream that they describe."""
+    options = replace(OPTIONS, device=device, rate_hz=None, settings={"rate_hz": "250"})
+    emulator = make_emulator(options)
+    emulator.stop()
+    assert choose_wire(options).rate_hz == 250
+    assert choose_wire(replace(options, rate_hz=125.0)).rate_hz == 125
+
+
 @pytest.mark.parametrize(
     "names", [["accelerometer_output"], ["gyroscope_output"], ["accelerometer_output", "gyroscope_output"]]
 )
