@@ -180,6 +180,8 @@ def _announce(options: EmulateOptions, emulation: Emulation, emulator: EmulatorC
     # A protocol file of the user's own is no driver that another command knows by name.
     which = f"{'--driver' if wire.driver else '--protocol'} {options.driver}"
     told = "".join(f"--set {name}={spell(value)} " for name, value in wire.settings.items())
+    if options.truth is not None:
+        echo(beside("truth in", options.truth))
     echo("read it with:")
     echo(f"  {clock}imufield capture --{kind} {shlex.quote(address)} {which} {told}{place}")
     waits = "it begins when a program opens the port; " if options.waits_for_reader and kind == "port" else ""

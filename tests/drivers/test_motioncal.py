@@ -24,8 +24,10 @@ def test_numbers_by_hand() -> None:
     decoder = Decoder(load_driver("motioncal").load_protocol())
     data = SAMPLE + b"Raw:8192,0,0,16,-16,32,0,0,0\r\nCal1:0.000,0.000\r\n"
     samples = concatenate([decoder.feed(data, 0.0), decoder.flush()])
-    np.testing.assert_allclose(samples.accelerometer, G * np.array([[36, -72, 8412], [8192, 0, 0]]) / 8192, rtol=1e-12)
-    np.testing.assert_allclose(samples.gyroscope, np.radians([[-0.5, 0, -0.1875], [1, -1, 2]]), rtol=1e-12)
+    np.testing.assert_allclose(
+        samples.accelerometer, np.array([[36.0, -72.0, 8412.0], [8192.0, 0.0, 0.0]]) * G / 8192, rtol=1e-12
+    )
+    np.testing.assert_allclose(samples.gyroscope, np.array([[-0.5, 0.0, -0.1875], [1.0, -1.0, 2.0]]) * np.pi / 180, rtol=1e-12)
     assert (decoder.statistics.samples_lost, decoder.statistics.gaps, decoder.statistics.bytes_skipped) == (0, 0, 0)
 
 

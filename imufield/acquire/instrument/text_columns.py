@@ -34,7 +34,7 @@ _CHECKSUM = re.compile(r"\*[0-9A-F]{2}$", re.IGNORECASE)
 _MOST = 0.9  # Of the lines: the first may be cut, and some damaged.
 # Orders of triads and temperature in boards' examples, by how many numbers there are beside time and counter.
 _A, _G, _T, _NONE = ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, ("temperature",), ("-",) * 3
-_ORDERS = {
+_ORDERS: dict[int, list[tuple[str, ...]]] = {
     3: [_A],
     6: [_A + _G, _G + _A],
     7: [_A + _G + _T, _A + _T + _G, _G + _A + _T, _G + _T + _A, _T + _A + _G, _T + _G + _A],
