@@ -4,9 +4,15 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import shlex
+import sys
+from collections.abc import Iterable, Iterator
 from dataclasses import fields
+from pathlib import Path
 from typing import Any, get_args
+
+import numpy as np
 
 from imufield.acquire.protocol.toml import spell
 from imufield.acquire.registry import driver_names, load_driver
@@ -14,18 +20,21 @@ from imufield.commands.options.commands import EmulateOptions
 from imufield.commands.terminal.output import echo, replace_only, say
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import UsageError
-from imufield.guide.positions import scheme
+from imufield.files import read_small_file
+from imufield.guide.positions import named_direction, scheme
 from imufield.pipeline.calibration import one_of
 from imufield.pipeline.chain import REVISIT_FROM, ROTATIONS
 from imufield.sentences import Sentences
 from imufield.simulate.emulator.core import EmulatorCore, EmulatorSettings
 from imufield.simulate.emulator.emulate import TRUTH_FORMAT, Emulation, choose_wire, emulate
 from imufield.simulate.emulator.faults import CanFaults, Faults, WireFaults
-from imufield.simulate.truth.operator import OperatorSettings, StillKind
+from imufield.simulate.truth.operator import NO_POSITION, OperatorSettings, StillKind, Visit
 
 sentence = Sentences(__package__)
 
 STANDS_STILL = "none"
+STANDARD_INPUT = "-"
+TYPED_HOLD_S = 0.5  # Who types a pose wants to see it.
 INITIAL_STILL_S = 6.0
 """Before the first hold; the guide needs 3 s of it for the noise floor."""
 ROUNDS = 20
@@ -60,10 +69,11 @@ def make_emulation(options: EmulateOptions) -> Emulation:
         if options.driver not in names:
             raise UsageError(sentence("emulate.no_emulator", driver=options.driver, names=names))
         on_bus = load_driver(options.driver).wire == "can"
+    is_typed = str(options.poses) == STANDARD_INPUT and sys.stdin.isatty()
     style: StillKind = one_of("style", options.style, get_args(StillKind))
     if options.rotations is not None:
         one_of("rotations", options.rotations, tuple(ROTATIONS))
-    positions = None if options.positions == STANDS_STILL else scheme(options.positions)
+    positions = None if options.poses or options.positions == STANDS_STILL else scheme(options.positions)
     rounds = options.rounds or (ROUNDS if options.rotations is None else 1)
     # A long session ends with the first position again, as ``capture`` asks for it.
     order = [] if positions is None else [*range(len(positions))] * rounds + [0] * (len(positions) >= REVISIT_FROM)
@@ -76,7 +86,7 @@ def make_emulation(options: EmulateOptions) -> Emulation:
         directions=() if positions is None else positions.directions()[order],
         operator=OperatorSettings(
             style=style,
-            hold_s=options.hold_s,
+            hold_s=TYPED_HOLD_S if is_typed else options.hold_s,
             initial_still_s=INITIAL_STILL_S,
             begins_in_first_position=style == "placed",
             rotations=options.rotations,  # type: ignore[arg-type]  # checked above
@@ -89,7 +99,36 @@ def make_emulation(options: EmulateOptions) -> Emulation:
         form=options.form,
         settings=dict(options.settings),
         bus=options.bus,
+        visits=_visits(options.poses) if options.poses else (),
     )
+
+
+def _visits(path: Path) -> Iterable[Visit]:
+    """Return the poses of a file, or those that come on standard input while they come, where a wrong one is told."""
+    if str(path) != STANDARD_INPUT:
+        try:
+            return [_visit(line) for line in read_small_file(path).decode().splitlines() if line.strip()]
+        except (OSError, UnicodeError) as error:
+            raise UsageError(sentence("emulate.no_poses", path=path, cause=error)) from error
+    return _typed_visits()
+
+
+def _typed_visits() -> Iterator[Visit]:
+    # A file of its own: the program could not end while a thread waits for a line of sys.stdin.
+    with open(sys.stdin.fileno(), closefd=False) as lines:
+        for line in filter(str.strip, lines):
+            try:
+                yield _visit(line)
+            except UsageError as error:
+                say(error.message, err=True)
+
+
+def _visit(line: str) -> Visit:
+    """Read a pose: a position, or a turn about an axis of the unit in degrees."""
+    if turn := re.fullmatch(r"\s*(roll|pitch|yaw)\s+([+-]?\d{1,3})\s*", line):
+        axis = np.eye(3)[("roll", "pitch", "yaw").index(turn[1])]
+        return Visit(NO_POSITION, axis, turn_rad=math.radians(int(turn[2])) * axis)
+    return Visit(NO_POSITION, named_direction(line.strip()))
 
 
 def parse_faults(texts: list[str], kind: type[WireFaults] = Faults) -> WireFaults:
@@ -141,7 +180,10 @@ def _announce(options: EmulateOptions, emulation: Emulation, emulator: EmulatorC
     # A protocol file of the user's own is no driver that another command knows by name.
     which = f"{'--driver' if wire.driver else '--protocol'} {options.driver}"
     told = "".join(f"--set {name}={spell(value)} " for name, value in wire.settings.items())
+    if options.truth is not None:
+        echo(beside("truth in", options.truth))
     echo("read it with:")
     echo(f"  {clock}imufield capture --{kind} {shlex.quote(address)} {which} {told}{place}")
     waits = "it begins when a program opens the port; " if options.waits_for_reader and kind == "port" else ""
-    echo(f"{waits}Ctrl-C ends it")
+    asks = "type poses, e.g. x+ or z+135 or roll 30; " if str(options.poses) == STANDARD_INPUT else ""
+    echo(f"{waits}{asks}Ctrl-C ends it")

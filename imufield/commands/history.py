@@ -24,7 +24,7 @@ from imufield.deliver.history import (
     to_csv,
 )
 from imufield.deliver.parameters.gauge_free import Number
-from imufield.deliver.parameters.numbers import WIDTH, beside, hanging, to_ascii, with_sigma
+from imufield.deliver.parameters.numbers import WIDTH, hanging, to_ascii, with_sigma
 from imufield.errors import UsageError
 from imufield.files import refuse_overwriting, utf8_text
 from imufield.sentences import Sentences, counted, printable
@@ -55,16 +55,14 @@ def run_history(options: HistoryOptions, now: datetime | None = None) -> History
             path, (options.folder / entry.path for instrument in history.instruments for entry in instrument.entries)
         )
     if options.csv is not None:
-        write_output(options.csv, utf8_text(to_csv(history)).encode())
+        write_output(options.csv, utf8_text(to_csv(history)).encode(), as_json=options.as_json)
     for path, instrument in plots.items():
-        write_output(path, plot_history(instrument))
+        write_output(path, plot_history(instrument), as_json=options.as_json)
     if options.as_json:
         instruments = [_instrument(instrument, options, now) for instrument in history.instruments]
         echo(json.dumps({"folder": str(history.folder), "instruments": instruments, "faults": list(history.faults)}))
     else:
         _print(history, options, now)
-        for path in plots if len(plots) > 1 else ():
-            echo(beside("drawn:", path))
     for fault in history.faults:
         say(f"left out: {fault}", err=True, indent=2)
     return history

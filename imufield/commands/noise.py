@@ -16,10 +16,12 @@ from imufield.commands.options.commands import NoiseOptions
 from imufield.commands.terminal.output import echo, say, write_output
 from imufield.deliver.parameters.document import noise_table
 from imufield.deliver.parameters.file import Noise, Parameters, load, write_document
+from imufield.deliver.parameters.numbers import beside
 from imufield.files import refuse_overwriting
 from imufield.pipeline.calibration import one_of
 from imufield.pipeline.chain import session_protocol, session_samples
 from imufield.pipeline.damage import naming_damage
+from imufield.samples import AXES
 
 # Title of each figure, and what its unit has behind that of the axis.
 _FIGURES = {
@@ -50,11 +52,14 @@ def run_noise(options: NoiseOptions) -> None:
     for entry in damage:
         say(entry.what, err=True)
     if options.output is not None:
-        write_output(options.output, noise_text(result, form).encode())
+        write_output(options.output, noise_text(result, form).encode(), as_json=options.as_json)
     if options.plot is not None:
-        write_output(options.plot, draw_plot(result, options.plot.suffix.removeprefix(".").lower() or "png"))
+        picture = draw_plot(result, options.plot.suffix.removeprefix(".").lower() or "png")
+        write_output(options.plot, picture, as_json=options.as_json)
     if options.parameters is not None and parameters is not None:
-        _write_into(parameters.path or options.parameters, parameters, result)
+        path = parameters.path or options.parameters
+        _write_into(path, parameters, result)
+        echo(beside("written to", path), err=options.as_json)
     if options.as_json:
         echo(json.dumps(_document(result)))
         return
@@ -81,6 +86,9 @@ def _print(result: NoiseResult) -> None:
         echo(f"{title:<18}{'value':>12}   {'95 % interval':<23} unit")
         for axis in result.axes:
             echo(f"  {axis.name:<16}{_value_and_limits(getattr(axis, name))} {axis.unit}{per}".rstrip())
+    rows = [(f"{sheet.triad[:3]} {sheet.title}", map(_in_short, figures), sheet.unit) for sheet, figures in result.data_sheet()]
+    for title, cells, unit in [("as in data sheets", AXES, "unit"), *rows] if rows else ():
+        echo(f"{title:<29}{''.join(f'{cell:>11}' for cell in cells)}   {unit}")
     for sentence in (*result.sentences, *(sentence for axis in result.axes for sentence in axis.sentences)):
         say(f" · {sentence}", indent=3)
 
@@ -90,6 +98,10 @@ def _value_and_limits(figure: NoiseFigure) -> str:
     if not math.isfinite(figure.value):
         return f"{'not seen':>12}   {f'below {figure.high:.2g}' if math.isfinite(figure.high) else '':<23}"
     return f"{figure.value:>12.3g}   {f'{figure.low:.2g} to {figure.high:.2g}':<23}"
+
+
+def _in_short(figure: NoiseFigure) -> str:
+    return f"{figure.value:.3g}" if math.isfinite(figure.value) else f"< {figure.high:.2g}"
 
 
 def _document(result: NoiseResult) -> dict[str, object]:
@@ -107,5 +119,9 @@ def _document(result: NoiseResult) -> dict[str, object]:
             axis.name: {name: numbers(getattr(axis, name)) | {"unit": axis.unit + per} for name, (_, per) in _FIGURES.items()}
             for axis in result.axes
         },
+        "data_sheet": [
+            {"triad": sheet.triad, "figure": sheet.title, "unit": sheet.unit, "axes": [numbers(figure) for figure in figures]}
+            for sheet, figures in result.data_sheet()
+        ],
         "sentences": list(result.sentences) + [sentence for axis in result.axes for sentence in axis.sentences],
     }

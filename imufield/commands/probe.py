@@ -18,7 +18,7 @@ from imufield.commands.options.commands import ProbeOptions
 from imufield.commands.terminal.output import echo, host_clock, say
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import ImufieldError, LinkError, Reason
-from imufield.sentences import Sentences
+from imufield.sentences import Sentences, printable
 
 sentence = Sentences(__package__)
 
@@ -43,6 +43,8 @@ class Probed:
         What the instrument said of itself.
     others : list of Finding
         What else had frames in it.
+    taken : list of str
+        Settings that the bytes themselves show, or that were assumed, and why.
     error : ImufieldError or None
         Why nothing was found.
     """
@@ -53,7 +55,13 @@ class Probed:
     command: str = ""
     identity: dict[str, str] = field(default_factory=dict)
     others: list[Finding] = field(default_factory=list)
+    taken: list[str] = field(default_factory=list)
     error: ImufieldError | None = None
+
+    @property
+    def lines(self) -> list[str]:
+        """The first lines of a text that is not understood."""
+        return [] if self.error is None else [printable(line) for line in self.error.values.get("lines", ())]
 
     def to_dict(self) -> dict[str, object]:
         """Return plain values."""
@@ -64,6 +72,8 @@ class Probed:
             "command": self.command,
             "identity": self.identity,
             "others": [finding.to_dict() for finding in self.others],
+            "taken": self.taken,
+            "lines": self.lines,
             "error": None if self.error is None else {"reason": self.error.reason.value, "message": self.error.message},
         }
 
@@ -151,7 +161,15 @@ def probe_port(
         # A rate of 9600 in the command for a USB port would look as if it mattered.
         rate = None if has_no_baud(port) and baud is None else result.last.baud
         command, identity = _command(port, listener, rate), _identity(result, listener, clock, ask=ask)
-        return Probed(port=port, found=listener.finding(), baud=rate, command=command, identity=identity, others=others)
+        return Probed(
+            port=port,
+            found=listener.finding(),
+            baud=rate,
+            command=command,
+            identity=identity,
+            others=others,
+            taken=listener.candidate.taken(),
+        )
 
 
 def _identity(result: Search, listener: Listener, clock: HostClock, *, ask: bool) -> dict[str, str]:
@@ -192,10 +210,14 @@ def _show(probed: Probed, *, alone: bool) -> None:
         say(f"  evidence    {probed.found.evidence()}", indent=_SECOND_COLUMN)
         if probed.baud is not None:
             echo(f"  baud rate   {probed.baud}")
+        for taken in probed.taken:
+            say(f"  taken       {taken}", indent=_SECOND_COLUMN)
         _show_rest(probed.identity, probed.command)
     elif not alone and probed.error is not None:
         # Of one port alone the command ends with this sentence.
         say(f"nothing recognised: {probed.error.message}", indent=2)
+    for line in probed.lines:
+        say(f"  first lines {line}", indent=_SECOND_COLUMN)
     for other in probed.others:
         say(
             f"  not         {other.name}: {other.reason or 'less of it was understood'} ({other.frames} frames)",

@@ -14,10 +14,9 @@ import numpy as np
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session, open_or_newest
 from imufield.commands.options.commands import ReportOptions
-from imufield.commands.terminal.output import echo, write_output
+from imufield.commands.terminal.output import write_output
 from imufield.deliver.parameters.document import VERSION
 from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, load
-from imufield.deliver.parameters.numbers import beside
 from imufield.deliver.parameters.write import content_sha256
 from imufield.deliver.report.data import (
     Closure,
@@ -76,7 +75,6 @@ def run_report(options: ReportOptions) -> tuple[Path, ...]:
     # One after the other: a PDF takes seconds.
     for number, path in enumerate(pages):
         write_output(path, texts[number].encode() if number < len(texts) else to_pdf(texts[number - len(texts)]))
-        echo(beside("written to", path))
     return pages
 
 

@@ -44,6 +44,8 @@ def run_study_command(options: StudyOptions) -> None:
     for report in run_study(options.name, context, folder=folder):
         echo(as_text(report), end="")
         reports.append(report)
+    if folder is not None:
+        echo(printable(f"written to: {folder}"))
     if document is not None:
         write_document(reports, document, context, options.name)
         echo(printable(f"written: {document}"))

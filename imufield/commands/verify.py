@@ -20,7 +20,7 @@ from imufield.deliver.navigation.alignment import Heading
 from imufield.deliver.navigation.check import Apply, CheckSettings, NavigationResult, StaticNavigation
 from imufield.deliver.parameters.apply import correct_accelerometer, correct_gyroscope
 from imufield.deliver.parameters.file import Corrected, json_ready, load
-from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S, to_ascii
+from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S, beside, to_ascii
 from imufield.deliver.verification.left_out import LeftOutPositions, check_positions, contradiction, cross_validate
 from imufield.deliver.verification.result import (
     Verification,
@@ -110,6 +110,7 @@ def run_verify(options: VerifyOptions) -> Verification:
     else:
         text, console = verification_text(found), PlainTextConsole()
         console.out(to_ascii(text) if console.options.ascii_only else text, end="", highlight=False)
+    echo(beside("written to", output), err=options.as_json)
     # An objection goes first: parameters that contradict the data are refused whatever the limits.
     if found.objections:
         raise VerificationError(sentence("verify.objection", objection=found.objections[0]))

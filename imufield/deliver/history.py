@@ -431,7 +431,7 @@ def _moment(old: Entry, new: Entry) -> str:
 
 
 def plot_history(instrument: InstrumentHistory) -> bytes:
-    """Return an SVG file: every kind of number over time, relative to the first calibration, with 1 sigma.
+    """Return an SVG file: what changed since the first calibration, with 1 sigma; a number that one alone has is left out.
 
     Raises
     ------
@@ -440,18 +440,21 @@ def plot_history(instrument: InstrumentHistory) -> bytes:
     """
     from imufield.deliver.report import plots
 
-    names = [number.name for number in instrument.entries[-1].numbers]
+    known: dict[str, list[tuple[datetime, Number]]] = {}
+    for entry in instrument.entries:
+        for number in entry.numbers:
+            known.setdefault(number.name, []).append((entry.time, number))
+    names = [name for name, points in known.items() if len(points) >= min(2, len(instrument.entries))]
     kinds = list(dict.fromkeys(name.rpartition(" ")[0] for name in names))
+    rows = max(len(kinds), 1)
     with plots.style():
-        drawn = plots.figure(1.7 * len(kinds) + 0.6)
-        panels = drawn.subplots(len(kinds), 1, sharex=True, squeeze=False)[:, 0]
-        for axes, kind in zip(panels, kinds, strict=True):
+        drawn = plots.figure(1.7 * rows + 0.6)
+        panels = drawn.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
+        for axes, kind in zip(panels, kinds, strict=False):
             shown = [name for name in names if name.rpartition(" ")[0] == kind]
             is_scale, unit = "scale" in kind, ""
             for name, marker, style, color in zip(shown, _MARKERS, ("-", "--", ":") * 3, _COLORS * 3, strict=False):
-                points = [
-                    (entry.time, number) for entry in instrument.entries for number in entry.numbers if number.name == name
-                ]
+                points = known[name]
                 first, unit = points[0][1].value, points[0][1].unit
                 # Scales differ by parts in a million of one another, whatever their unit.
                 size = 1e6 / abs(first) if is_scale else 1.0
@@ -466,7 +469,11 @@ def plot_history(instrument: InstrumentHistory) -> bytes:
                     color=color,
                 )
             axes.set_ylabel(f"{kind}\n{'ppm' if is_scale else unit}")
-            axes.legend(ncols=3, loc="upper left", fontsize=7)
-        panels[0].set_title(instrument.title, loc="left", fontweight="bold")
+            # Beside the curves, not over them.
+            axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=7, frameon=False)
+        since = sentence("history.change_since", title=instrument.title, day=instrument.entries[0].created[:10])
+        panels[0].set_title(since, loc="left", fontweight="bold")
         panels[-1].tick_params(axis="x", rotation=30)
+        if not kinds:
+            panels[0].set_axis_off()
         return plots.to_svg(drawn, "history").encode("utf-8")

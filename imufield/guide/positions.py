@@ -121,15 +121,25 @@ def nearest_cube_direction(direction: FloatArray) -> str:
 @cache
 def _shipped(name: str) -> tuple[Position, ...]:
     table = tomllib.loads((Path(__file__).parent / "schemes.toml").read_text(encoding="utf-8"))
-    named = [(entry, _shipped_direction(entry)) for entry in table[name]]
+    named = [(entry, named_direction(entry)) for entry in table[name]]
     return tuple(Position(entry, direction, describe(direction)) for entry, direction in named)
 
 
-def _shipped_direction(name: str) -> FloatArray:
-    """Return up at a position of ``schemes.toml``: a side of a cube, "+x-y (2)", or a turn about an axis, "x+45"."""
-    if name[0] in "+-":
-        return cube_directions()[name.partition(" ")[0]]
-    axis, angle = AXES.index(name[0]), math.radians(int(name[2:]))
+def named_direction(name: str) -> FloatArray:
+    """Return up at a position by its name: a side of a cube, "+z", "z+" or "+x-y (2)", or a turn about an axis, "x+45".
+
+    Raises
+    ------
+    UsageError
+        If that is no such name.
+    """
+    side = re.sub(r"^([xyz])([+-])$", r"\2\1", name.partition(" ")[0])
+    known, turned = cube_directions(), re.fullmatch(r"([xyz])([+-]\d{1,3})", side)
+    if turned is None:
+        if side not in known:
+            raise UsageError(sentence("positions.no_name", name=name))
+        return known[side]
+    axis, angle = AXES.index(turned[1]), math.radians(int(turned[2]))
     direction = np.zeros(3)
     # x horizontal starts with +z up and comes to +y; the others follow by cyclic exchange.
     direction[(axis + 2) % 3] = math.cos(angle)

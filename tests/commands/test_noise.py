@@ -9,6 +9,7 @@ import pytest
 
 from imufield.cli.run import run
 from tests.commands.test_verify import rest_session
+from tests.commands.told import missing
 
 UNITS = {"density": "/sqrt(Hz)", "instability": "", "walk": "/sqrt(s)"}
 
@@ -31,5 +32,30 @@ def test_every_figure_has_its_interval_and_unit_in_80_columns(tmp_path: Path, ca
             assert line[at:] == unit == figures[name]["unit"]
             value = figures[name]["value"]
             assert line[18:30].strip() == ("not seen" if value is None else f"{value:.3g}")
+    sheet = {(each["triad"], each["figure"], each["unit"]): each["axes"] for each in found["data_sheet"]}
+    assert {unit for _, _, unit in sheet} == {"ug/sqrt(Hz)", "m/s/sqrt(h)", "ug", "deg/sqrt(h)", "deg/h"}
+    begin = next(k for k, line in enumerate(lines) if line.startswith("as in data sheets"))
+    for line, ((triad, title, unit), axes) in zip(lines[begin + 1 :], sheet.items(), strict=False):
+        assert len(line) <= 80
+        assert line.startswith(f"{triad[:3]} {title}")
+        assert line.endswith(f"   {unit}")
+        told = line[29:62].replace("< ", "<").split()
+        assert told == [f"<{one['high']:.2g}" if one["value"] is None else f"{one['value']:.3g}" for one in axes]
+    # One sentence for each kind of figure that was not seen.
+    assert sum("too short" in line for line in lines) <= 2
     density = [found["axes"][f"gyroscope {axis}"]["density"]["value"] for axis in "xyz"]
     assert density == pytest.approx([1e-6 / 20**0.5] * 3, rel=0.1)
+
+
+def test_every_file_that_is_written_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = rest_session(tmp_path, 600.0).folder
+    files = [tmp_path / "noise.yaml", tmp_path / "allan.svg"]
+    arguments = ["noise", str(folder), "--output", str(files[0]), "--plot", str(files[1])]
+    assert run(arguments) == 0
+    assert not missing(capsys.readouterr().out, *files)
+    drawn = files[1].read_text()
+    assert drawn.startswith("<?xml")
+    assert run([*arguments, "--json"]) == 0
+    told = capsys.readouterr()
+    assert json.loads(told.out)["axes"]
+    assert not missing(told.err, *files)

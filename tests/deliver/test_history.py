@@ -300,6 +300,20 @@ def test_plot_is_a_drawing_of_every_kind(tmp_path: Path, write) -> None:  # type
     assert all(f">{kind}<" in drawn for kind in ("bias", "scale", "angle"))
 
 
+def test_a_number_of_one_calibration_alone_is_not_drawn(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2026-03-04", session="a" * 64)
+    write("b", "2026-08-01", session="b" * 64)
+    (instrument,) = read_history(tmp_path).instruments
+    first, second = instrument.entries
+    without = replace(first, numbers=tuple(number for number in first.numbers if not number.name.startswith("angle")))
+    drawn = plot_history(replace(instrument, entries=(without, second))).decode()
+    assert ">bias<" in drawn
+    assert ">angle<" not in drawn
+    assert "change since the first calibration, 2026-03-04" in drawn
+    nothing = tuple(replace(entry, numbers=()) for entry in instrument.entries)
+    assert plot_history(replace(instrument, entries=nothing)).decode().startswith("<svg")
+
+
 def test_the_calibration_closest_in_time_is_found(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
     dates = ["2026-01-10T00:00:00Z", "2026-03-10T00:00:00Z", "2026-08-10T00:00:00Z"]
     paths = [write(f"{k}.toml", date, session=str(k) * 64) for k, date in enumerate(dates)]

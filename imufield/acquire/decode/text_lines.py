@@ -100,11 +100,12 @@ class LineReader:
             is_too_long = len(line) > LONGEST_LINE
             self._lost += is_too_long
             text, frames = b"" if is_too_long else line.strip(), self._statistics.frames
-            row = self._numbers(text) if text and not text.startswith(self._comments) else None
+            is_comment = text.startswith(self._comments)
+            row = self._numbers(text) if text and not is_comment else None
             self._offset += len(line) + 1
             if row is None:
-                # A sentence without a sample is a good frame all the same.
-                self._statistics.bytes_skipped += (len(line) + 1) * (self._statistics.frames == frames)
+                # A sentence without a sample is a good frame all the same, and a comment is understood.
+                self._statistics.bytes_skipped += (len(line) + 1) * (self._statistics.frames == frames and not is_comment)
                 continue
             rows.append(row)
             lost.append(self._lost)

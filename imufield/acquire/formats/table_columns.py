@@ -36,7 +36,7 @@ UNITS_OF = {
     for quantity, units in _WORDS["units"].items()
 }
 _NAMES = {quantity: frozenset(names.split()) for quantity, names in _WORDS["names"].items()}
-_HEADERLESS = {
+HEADERLESS = {
     3: ACCELEROMETER_COLUMNS,
     6: (*ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS),
     7: (TIME, *ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS),
@@ -220,7 +220,7 @@ def columns_by_count(path: Path, width: int, number: int, files: int) -> Meaning
     elif width == 3 and files > 1:
         fields = triad
     else:
-        fields = _HEADERLESS.get(width) if number == 0 else None
+        fields = HEADERLESS.get(width) if number == 0 else None
     if fields is None:
         raise UsageError(sentence("table_columns.no_header", path=str(path), width=width, example=",".join(FIELDS)))
     said = sentence("table_columns.taken_as", name=path.name, width=width, fields=[*fields])

@@ -145,11 +145,11 @@ class TextTable:
             text = row.split("#")[0].strip()
             if not text:
                 continue
-            cells = _split(text, self.delimiter)
+            cells = split_cells(text, self.delimiter)
             if len(cells) != self.width:
                 shown = {"found": len(cells), "width": self.width, "line": number, "text": shortened(text)}
                 return _bad("table_text.other_width", self.path, **shown)
-            wrong = next((cells[column] for column in columns if not _is_number(cells[column])), None)
+            wrong = next((cells[column] for column in columns if not is_number(cells[column])), None)
             if wrong is not None:
                 # A date is the usual one.
                 key = "table_text.date" if _DATE.match(wrong) else "table_text.no_number"
@@ -178,9 +178,9 @@ def open_table(path: str | Path) -> TextTable:
         if mark is not None:
             marked.append(text.lstrip(mark).strip())
         elif text:
-            delimiter, decimal_comma = _delimiter(text)
-            cells = _split(text, delimiter)
-            if any(_is_number(cell.replace(",", ".") if decimal_comma else cell) and cell for cell in cells):
+            delimiter, decimal_comma = delimiter_of(text)
+            cells = split_cells(text, delimiter)
+            if any(is_number(cell.replace(",", ".") if decimal_comma else cell) and cell for cell in cells):
                 header, units = _header(path, names, marked, delimiter=delimiter, width=len(cells))
                 return TextTable(
                     path=path,
@@ -207,19 +207,19 @@ def _header(
         return header, below[0] if below else None
     # Comments may hold anything; the one right above the numbers is the likeliest heading.
     found = (_names(line, delimiter, width) for line in reversed(marked))
-    return next((cells for cells in found if len(cells) == width and not any(map(_is_number, cells))), None), None
+    return next((cells for cells in found if len(cells) == width and not any(map(is_number, cells))), None), None
 
 
 def _names(line: str, delimiter: str | None, width: int) -> tuple[str, ...]:
     """Return the cells of a line of names: parted as the rows are if that makes as many, else by what the line has itself."""
-    own = _delimiter(line)[0]
+    own = delimiter_of(line)[0]
     # Blanks may stand in names, and part rows below a line that commas part.
-    ways = (_split(line, mark) for mark in (delimiter or own, own, None))
-    cells = next((cells for cells in ways if len(cells) == width), _split(line, own))
+    ways = (split_cells(line, mark) for mark in (delimiter or own, own, None))
+    cells = next((cells for cells in ways if len(cells) == width), split_cells(line, own))
     return tuple(printable(cell.strip('" ')) for cell in cells)
 
 
-def _delimiter(line: str) -> tuple[str | None, bool]:
+def delimiter_of(line: str) -> tuple[str | None, bool]:
     """Return what separates cells, and whether commas are decimal ones."""
     if ";" in line:
         return ";", "," in line
@@ -229,7 +229,8 @@ def _delimiter(line: str) -> tuple[str | None, bool]:
     return None, False
 
 
-def _split(line: str, delimiter: str | None) -> list[str]:
+def split_cells(line: str, delimiter: str | None) -> list[str]:
+    """Return the cells of a line without the blanks around them."""
     return [cell.strip() for cell in line.split(delimiter)]
 
 
@@ -238,7 +239,7 @@ def _is_row(line: str) -> bool:
     return bool(text) and not text.startswith("#")
 
 
-def _is_number(text: str) -> bool:
+def is_number(text: str) -> bool:
     """Tell whether NumPy reads a cell as a number; an empty cell counts as one."""
     # Python reads 1_000 as a number, NumPy does not.
     if "_" in text:

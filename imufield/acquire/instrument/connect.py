@@ -86,7 +86,7 @@ def connect(options: ConnectOptions, clock: HostClock, say: Say) -> Connected:
             instrument = _woken(result, clock, say)
         listener = result.recognised
         if listener is None:
-            raise nothing_recognised(port, result)
+            raise _not_understood(port, result, say)
         if instrument is None and listener.candidate.driver is not None:
             instrument = Instrument(listener.candidate.driver, clock)
         return _introduced(result, listener, instrument, options, say=say)
@@ -98,6 +98,14 @@ def connect(options: ConnectOptions, clock: HostClock, say: Say) -> Connected:
         finally:
             result.link.close()
         raise
+
+
+def _not_understood(port: str, result: Search, say: Say) -> LinkError:
+    """Tell the first lines of a text, and return the error."""
+    error = nothing_recognised(port, result)
+    for line in error.values.get("lines", ()):
+        say(sentence("connect.line", line=line))
+    return error
 
 
 def _only_port(say: Say) -> str:
@@ -163,8 +171,8 @@ def _introduced(
     if candidate.driver is not None and options.driver is None:
         evidence = listener.finding().evidence()
         say(sentence("connect.recognised", driver=candidate.name, evidence=evidence, title=candidate.title))
-        for name, value in candidate.variant.items():
-            say(f"{name} = {value} (recognised)")
+    for taken in candidate.taken():
+        say(taken)
     # An address has no baud rate that anybody could set.
     if options.baud is None and "://" not in port:
         say(f"baud rate {baud} (assumed)")

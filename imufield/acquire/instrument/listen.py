@@ -9,6 +9,7 @@ from pathlib import Path
 
 from imufield.acquire.driver import Driver, Wire
 from imufield.acquire.instrument.recognise import FEWEST_SAMPLES, Candidate, Listener, best
+from imufield.acquire.instrument.text_columns import LineListener, first_lines, read_lines, usual_columns
 from imufield.acquire.link.host_clock import HostClock, patience_s
 from imufield.acquire.link.serial import Chunk, SerialLink, open_link
 from imufield.acquire.protocol.protocol import load_protocol
@@ -41,6 +42,11 @@ class Hearing:
     baud: int
     chunks: list[Chunk]
     listeners: list[Listener]
+
+    @property
+    def data(self) -> bytes:
+        """All of it."""
+        return b"".join(chunk.data for chunk in self.chunks)
 
     @property
     def byte_count(self) -> int:
@@ -149,7 +155,9 @@ def search(port: str, candidates: list[Candidate], bauds: list[int], clock: Host
                     continue
                 raise
             listeners = [
-                Listener(candidate, is_given=is_given) for candidate in candidates if len(bauds) == 1 or baud in candidate.bauds
+                listener_of(candidate, is_given=is_given)
+                for candidate in candidates
+                if len(bauds) == 1 or baud in candidate.bauds
             ]
             is_silent = bool(result.hearings) and not any(hearing.byte_count for hearing in result.hearings)
             quiet_s = LISTEN_S if len(bauds) == 1 else SILENT_TRY_S if is_silent else TRY_S
@@ -161,6 +169,13 @@ def search(port: str, candidates: list[Candidate], bauds: list[int], clock: Host
         link.close()
         raise
     return result
+
+
+def listener_of(candidate: Candidate, *, is_given: bool) -> Listener:
+    """Return who listens to a candidate."""
+    columns = candidate.protocol.settings.get("columns")
+    is_open = candidate.driver is not None and columns is not None and columns.origin == "assumed"
+    return (LineListener if is_open else Listener)(candidate, is_given=is_given)
 
 
 def listen_again(result: Search, clock: HostClock) -> None:
@@ -209,7 +224,8 @@ def nothing_recognised(port: str, result: Search) -> LinkError:
     listeners = [listener for hearing in result.hearings for listener in hearing.listeners]
     # The closest one helps to see what is wrong: a baud rate, a setting, a damaged line.
     closest = max(listeners, key=lambda listener: (listener.decoder.statistics.frames, listener.accelerations)).finding()
-    heard = {
+    heard: dict[str, object] = {
+        "lines": first_lines(b"".join(hearing.data for hearing in result.hearings)),
         "port": port,
         "names": [*dict.fromkeys(listener.candidate.name for listener in listeners)],
         "bytes": total,
@@ -220,6 +236,16 @@ def nothing_recognised(port: str, result: Search) -> LinkError:
     if closest.holds_no_sample:
         other = sentence("listen.without_samples", port=port, title=closest.title, why=closest.reason)
         return LinkError(other, Reason.NO_FRAMES)
+    lines = next(filter(None, (read_lines(hearing.data) for hearing in reversed(result.hearings))), None)
+    texts = [listener for listener in listeners if listener.candidate.protocol.lines and listener.candidate.driver]
+    text = next((listener.candidate for listener in texts if "columns" in listener.candidate.protocol.settings), None)
+    if lines is not None and text is not None and text.protocol.lines is not None:
+        width, expected = lines.rows.shape[1], len(text.protocol.lines.columns)
+        settings = text.variant or {"columns": usual_columns(width)}
+        option = " ".join(f"--set {name}={value}" for name, value in settings.items())
+        key = "listen.few_columns" if width != expected else "listen.columns"
+        said = {"found": width, "expected": expected, "why": closest.reason, "name": text.name, "option": option}
+        return LinkError(sentence(key, **heard, **said), Reason.NO_FRAMES)
     if closest.frames:
         return LinkError(sentence("listen.closest", **heard, closest=closest.name, why=closest.reason), Reason.NO_FRAMES)
     return LinkError(sentence("listen.nothing", **heard), Reason.NO_FRAMES)

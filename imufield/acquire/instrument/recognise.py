@@ -57,6 +57,8 @@ class Candidate:
         None where only a protocol file is known.
     variant : mapping
         Settings of a form of the stream that is not the usual one.
+    reasons : mapping
+        Why settings were taken, by name; "recognised" where there is none.
     """
 
     name: str
@@ -65,6 +67,14 @@ class Candidate:
     bauds: tuple[int, ...]
     driver: type[Driver] | None
     variant: Mapping[str, object] = field(default_factory=dict)
+    reasons: Mapping[str, str] = field(default_factory=dict)
+
+    def taken(self) -> list[str]:
+        """Return in sentences the settings that were taken, and why."""
+        return [
+            sentence("recognise.taken", name=name, value=self.protocol.settings[name].value, why=why)
+            for name, why in {**dict.fromkeys(self.variant, "recognised"), **self.reasons}.items()
+        ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -311,9 +321,10 @@ def checked_bits(protocol: Protocol) -> int:
     """Return how many bits of the weakest frame of a protocol are fixed or a checksum."""
     if protocol.frame is not None:
         return 8 * min(len(form.sync) + form.tail for form in protocol.frame.forms)
-    if protocol.lines is None or not protocol.lines.sentences:
-        return 0
     rule = protocol.lines
+    if rule is None or not rule.sentences:
+        # A prefix that was found in the lines, or given, proves nothing.
+        return 8 * len(rule.prefix) if rule and "prefix" not in protocol.settings else 0
     # Of a sentence its "$", its name and the checksum are fixed.
     shortest = min(len(sentence.name) for sentence in rule.sentences)
     return 8 * (1 + shortest + min((checksum.size for checksum in rule.checksums), default=0))

@@ -7,7 +7,7 @@ nothing was moved goes into the Allan deviation, and each axis is identified by 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -22,9 +22,10 @@ from imufield.calibrate.noise.allan import (
     degrees_of_freedom,
 )
 from imufield.calibrate.noise.noise_fit import NoiseFigure, NoiseModel, identify
+from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import CalibrationError, Reason, RecordingError
 from imufield.samples import AXES, FloatArray, Samples, SampleUnits
-from imufield.sentences import Sentences
+from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
 
@@ -90,6 +91,28 @@ class AxisNoise:
         return _NOT_KNOWN if self.model is None else self.model.walk
 
 
+@dataclass(frozen=True, slots=True)
+class SheetFigure:
+    """A figure as data sheets state it: ``figure`` of an axis times ``factor``."""
+
+    triad: str
+    title: str
+    figure: str
+    unit: str
+    factor: float
+
+
+_MICRO_G = 1e6 / STANDARD_GRAVITY_M_S2
+_SQRT_HOUR = math.sqrt(_HOURS)
+DATA_SHEET = (
+    SheetFigure("accelerometer", "velocity random walk", "density", "ug/sqrt(Hz)", _MICRO_G),
+    SheetFigure("accelerometer", "velocity random walk", "density", "m/s/sqrt(h)", _SQRT_HOUR),
+    SheetFigure("accelerometer", "bias instability", "instability", "ug", _MICRO_G),
+    SheetFigure("gyroscope", "angle random walk", "density", "deg/sqrt(h)", math.degrees(_SQRT_HOUR)),
+    SheetFigure("gyroscope", "bias instability", "instability", "deg/h", math.degrees(_HOURS)),
+)
+
+
 _NOT_KNOWN = NoiseFigure(math.nan, 0.0, math.nan, False)
 
 
@@ -117,6 +140,12 @@ class NoiseResult:
     def triad(self, name: str) -> tuple[AxisNoise, ...]:
         """Return the axes of "accelerometer" or "gyroscope"."""
         return tuple(axis for axis in self.axes if axis.name.startswith(name))
+
+    def data_sheet(self) -> Iterator[tuple[SheetFigure, tuple[NoiseFigure, ...]]]:
+        """Yield the figures of data sheets, each with those of its three axes; none where the noise is in raw units."""
+        for sheet in DATA_SHEET if self.is_si else ():
+            if axes := self.triad(sheet.triad):
+                yield sheet, tuple(getattr(axis, sheet.figure).times(sheet.factor) for axis in axes)
 
     def values(self, triad: str, figure: str) -> FloatArray:
         """Return "density", "instability" or "walk" of a triad, shape (3,); NaN where it was not observed."""
@@ -197,6 +226,7 @@ class NoiseStream:
             sentences.append(sentence("noise.more_disturbances", count=len(self._splits) - _SPLITS_NAMED))
         if best.bridged:
             sentences.append(sentence("noise.bridged", count=best.bridged))
+        sentences += _hidden(axes, best.duration_s / _HOURS)
         return NoiseResult(
             axes=tuple(axes),
             start_s=best.start_s,
@@ -317,6 +347,18 @@ def measure_noise(
     return stream.finish()
 
 
+def _hidden(axes: Sequence[AxisNoise], hours: float) -> Iterator[Sentence]:
+    """Yield a sentence for each figure that the recording was too short for, whatever the number of axes."""
+    known = [axis for axis in axes if axis.model is not None]
+    for key, names in (
+        ("noise.axis_too_short", [axis.name for axis in axes if axis.model is None and math.isfinite(axis.step)]),
+        ("noise.no_instability", [axis.name for axis in known if not axis.instability.observed]),
+        ("noise.no_walk", [axis.name for axis in known if not axis.walk.observed]),
+    ):
+        if names:
+            yield sentence(key, hours=hours, names=names if len(names) < len(axes) else ["any axis"])
+
+
 def _axis(name: str, column: int, best: _Stretch, allan: AllanDeviation, *, unit: str) -> AxisNoise:
     deviation, freedom = allan.deviation[:, column], degrees_of_freedom(allan, column)
     low, high = deviation_limits_95(deviation, freedom)
@@ -333,16 +375,8 @@ def _axis(name: str, column: int, best: _Stretch, allan: AllanDeviation, *, unit
     sentences: list[str] = []
     if not math.isfinite(step):
         sentences.append(sentence("noise.dead", name=name))
-    else:
-        if quantised:
-            sentences.append(sentence("noise.quantised", name=name, sigma=sigma, step=step, unit=unit))
-        if model is None:
-            sentences.append(sentence("noise.axis_too_short", name=name))
-        else:
-            hours = best.duration_s / _HOURS
-            figures = {"noise.no_instability": model.instability, "noise.no_walk": model.walk}
-            hidden = {key: figure.high for key, figure in figures.items() if not figure.observed}
-            sentences += [sentence(key, hours=hours, name=name, limit=limit, unit=unit) for key, limit in hidden.items()]
+    elif quantised:
+        sentences.append(sentence("noise.quantised", name=name, sigma=sigma, step=step, unit=unit))
     return AxisNoise(
         name=name,
         unit=unit,

@@ -53,6 +53,10 @@ class NoiseFigure:
     high: float
     observed: bool
 
+    def times(self, factor: float) -> NoiseFigure:
+        """Return it in another unit."""
+        return NoiseFigure(self.value * factor, self.low * factor, self.high * factor, self.observed)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoiseModel:

@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 
 from imufield.calibrate.noise.noise import NoiseResult
+from imufield.calibrate.noise.noise_fit import NoiseFigure
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import Reason, UsageError
 from imufield.sentences import Sentences, shortened
@@ -80,6 +81,10 @@ def _largest(result: NoiseResult, triad: str, figure: str) -> str:
     return f"{np.nanmax(result.upper_limits(triad, figure)):.6e}  # upper 95 % limit, not seen;"
 
 
+def _shown(figure: NoiseFigure) -> str:
+    return f"{figure.value:.3g}" if figure.observed else f"< {figure.high:.2g}"
+
+
 def draw_plot(result: NoiseResult, kind: str) -> bytes:
     """Return a picture of the Allan deviation of all axes, with 95 % limits and the model.
 
@@ -100,14 +105,17 @@ def draw_plot(result: NoiseResult, kind: str) -> bytes:
     if date and not re.fullmatch("[0-9]{1,11}", date):
         raise UsageError(sentence("noise_texts.source_date", date=shortened(date)))
     try:
-        figure = importlib.import_module("matplotlib.figure").Figure(figsize=(9.0, 4.5), layout="constrained")
+        figure = importlib.import_module("matplotlib.figure").Figure(figsize=(9.0, 5.2), layout="constrained")
     except ImportError as error:
         raise UsageError(sentence("noise_texts.no_matplotlib"), Reason.MISSING_PACKAGE) from error
     for place, triad in enumerate(("accelerometer", "gyroscope")):
         axes = figure.add_subplot(1, 2, place + 1)
-        for axis in result.triad(triad):
-            (line,) = axes.loglog(axis.tau_s, axis.deviation, ".", label=axis.name[-1])
-            axes.fill_between(axis.tau_s, axis.low, axis.high, alpha=0.2, color=line.get_color())
+        sheets = [(sheet, figures) for sheet, figures in result.data_sheet() if sheet.triad == triad]
+        for number, axis in enumerate(result.triad(triad)):
+            told = ", ".join(f"{_shown(figures[number])} {sheet.unit}" for sheet, figures in sheets)
+            label = f"{axis.name[-1]}  {told}"
+            (line,) = axes.loglog(axis.tau_s, axis.deviation, "osD"[number], markersize=4, markerfacecolor="white", label=label)
+            axes.fill_between(axis.tau_s, axis.low, axis.high, alpha=0.15, linewidth=0, color=line.get_color())
             if axis.model is not None:
                 axes.loglog(axis.tau_s, axis.model.deviation(axis.tau_s), "-", linewidth=1, color=line.get_color())
             axes.set_ylabel(f"Allan deviation, {axis.unit}")
@@ -115,7 +123,8 @@ def draw_plot(result: NoiseResult, kind: str) -> bytes:
         axes.set_xlabel("averaging time, s")
         axes.grid(visible=True, which="both", alpha=0.3)
         if result.triad(triad):
-            axes.legend()
+            # Below, where no curve can be.
+            axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), fontsize=8, frameon=False)
     figure.suptitle(result.source)
     kinds = figure.canvas.get_supported_filetypes()
     if kind not in kinds:

@@ -216,6 +216,9 @@ class EmulateOptions:
     rounds: Annotated[
         int | None, option(help="How often: what a reader missed comes up again (20; 1 before turns).", low=1, high=1000)
     ] = None
+    poses: Annotated[Path | None, option(help="Poses instead, a line each, e.g. z+135 or roll 30; `-`: as you type them.")] = (
+        None
+    )
     style: Annotated[str, option(help="placed (on a surface) or held (in the hand).")] = "placed"
     rotations: Annotated[str | None, option(help="Whole turns after the positions: rolled or table.")] = None
     hold_s: Annotated[float, option(help="Seconds the virtual operator holds each position.", within=HOLD_RANGE_S)] = 14.0

@@ -12,6 +12,7 @@ from pathlib import Path
 import typer
 
 from imufield.acquire.link.host_clock import HostClock, ScaledClock, SystemClock
+from imufield.deliver.parameters.numbers import beside
 from imufield.errors import UsageError
 from imufield.files import open_to_read, refuse_overwriting, typed_write_errors, write_atomically
 from imufield.sentences import Sentences, printable, printable_lines
@@ -40,8 +41,8 @@ def before_recording() -> Iterator[None]:
         raise NothingRecorded(*interrupt.args) from interrupt
 
 
-def write_output(path: Path, data: bytes) -> None:
-    """Write a file in one step.
+def write_output(path: Path, data: bytes, *, as_json: bool = False) -> None:
+    """Write a file in one step and say which; on standard error where standard output is for a program.
 
     Raises
     ------
@@ -50,6 +51,7 @@ def write_output(path: Path, data: bytes) -> None:
     """
     with typed_write_errors(path):
         write_atomically(path, data)
+    echo(beside("written to", path), err=as_json)
 
 
 def replace_only(path: Path, mark: str, option: str, what: str) -> None:

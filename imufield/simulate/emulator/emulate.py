@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping
+import threading
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -37,7 +38,7 @@ from imufield.simulate.instruments.xsens import XsensInstrument
 from imufield.simulate.truth.grades import draw_truth, find_grade
 from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.motion import Site
-from imufield.simulate.truth.operator import Operator, OperatorSettings, StillInterval, TrueMove
+from imufield.simulate.truth.operator import Operator, OperatorSettings, StillInterval, TrueMove, Visit
 from imufield.simulate.truth.source import SampleSource, VirtualImu
 from imufield.simulate.wire.forms import DEFAULT_RATE_HZ, WireForm, choose_form
 from imufield.simulate.wire.stim300 import ACCELEROMETER_BITS, Stim300Format
@@ -99,6 +100,8 @@ class Emulation:
     """Of an instrument on CAN; None: an adapter on a pseudo-terminal."""
     day: int = 0
     """Of the same instrument: on each its noise, drift, operator and faults are others."""
+    visits: Iterable[Visit] = ()
+    """What the operator does behind ``directions``; may wait for somebody who says it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -198,6 +201,7 @@ def make_emulator(options: Emulation) -> EmulatorCore:
         scale = (grade.accelerometer_scale, grade.gyroscope_scale)
         source = InProtocolUnits(virtual, scale, wire.protocol, wire.rate_hz)
     seed = session_seed(options)
+    threading.Thread(target=_lead, args=(virtual.operator, options.visits), daemon=True).start()
     emulator: EmulatorCore
     if wire.form is not None:
         device = make_device(options, wire)
@@ -219,6 +223,11 @@ def make_emulator(options: Emulation) -> EmulatorCore:
     if options.truth is not None:
         emulator.on_progress = _truth_writer(options, virtual, options.truth)
     return emulator
+
+
+def _lead(operator: Operator, visits: Iterable[Visit]) -> None:
+    for visit in visits:
+        operator.show(visit)
 
 
 def emulate(

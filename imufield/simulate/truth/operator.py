@@ -115,11 +115,15 @@ class TrueMove:
 
 
 @dataclass(frozen=True, slots=True)
-class _Visit:
+class Visit:
+    """What the operator does next: turn the unit, and hold it."""
+
     position: int
     direction: FloatArray
     # Instead of a visit: a whole turn where the unit is, rotation vector in the body frame.
     spin_rad: FloatArray | None = None
+    # Instead of the direction: by how much the unit is turned, rotation vector in the body frame.
+    turn_rad: FloatArray | None = None
 
 
 class Operator:
@@ -152,10 +156,11 @@ class Operator:
         self.directions: FloatArray = rows / length
         self.lever_arm_m = np.array(self.settings.lever_arm_m)
         self._seed = seed
-        self._agenda = [_Visit(index, row) for index, row in enumerate(self.directions)]
+        self._agenda = [Visit(index, row) for index, row in enumerate(self.directions)]
         self._agenda += _spins(self.settings.rotations) if len(self.directions) else []
         self._visit_number = 0
         self._heard: deque[int | None] = deque()
+        self._asked: deque[Visit] = deque()
         self._generated_s = 0.0
         # True time when the last planned hold ends, None while not known; the unit then stays where it is.
         self.finished_s: float | None = None
@@ -190,8 +195,18 @@ class Operator:
         """
         self._heard.append(next_position)
 
+    def show(self, visit: Visit) -> None:
+        """Hear what to do when all that was planned or asked before is done.
+
+        Takes effect in the next ``block``, so another thread may call it.
+        """
+        self._asked.append(visit)
+
     def block(self, first: int, count: int, interval_s: float) -> TrueMotion:
         """Return the true motion at samples ``first`` to ``first + count - 1``."""
+        while self._asked:
+            self._agenda.append(self._asked.popleft())
+            self._leave(None)
         while self._heard:
             self._leave(self._heard.popleft())
         # Two samples more than asked: the differences of ``sample_motion`` reach over the end of the block.
@@ -265,12 +280,12 @@ class Operator:
         self._put_down(rng)
         self._hold_still(NO_POSITION, SPIN_REST_S)
 
-    def _choose(self, rng: np.random.Generator) -> _Visit:
+    def _choose(self, rng: np.random.Generator) -> Visit:
         if rng.random() < self.settings.wrong_probability:
             if rng.random() < 0.5:
                 index = int(rng.integers(len(self.directions)))
-                return _Visit(index, self.directions[index])
-            return _Visit(NO_POSITION, _random_direction(rng))
+                return Visit(index, self.directions[index])
+            return Visit(NO_POSITION, _random_direction(rng))
         return self._agenda.pop(0)
 
     def _target(self, quaternion: FloatArray, direction: FloatArray, rng: np.random.Generator) -> FloatArray:
@@ -299,10 +314,12 @@ class Operator:
             lift_m=rng.uniform(*self.settings.lift_m),
         )
 
-    def _turn_to(self, visit: _Visit, rng: np.random.Generator) -> None:
+    def _turn_to(self, visit: Visit, rng: np.random.Generator) -> None:
         settings, last = self.settings, self._pieces[-1]
         start, in_hand = last.final_quaternion, settings.style == "held"
-        turn_rad = logarithm(multiply(conjugate(start), self._target(start, visit.direction, rng)))
+        turn_rad = visit.turn_rad
+        if turn_rad is None:
+            turn_rad = logarithm(multiply(conjugate(start), self._target(start, visit.direction, rng)))
         # A minimum-jerk turn peaks at 15/8 of its mean rate: d/du (10 u^3 - 15 u^4 + 6 u^5) at u = 1/2.
         shortest_s = 15 / 8 * float(np.linalg.norm(turn_rad)) / settings.peak_rate_rad_s
         piece = self._turn(turn_rad, max(rng.uniform(*settings.turn_s), shortest_s), settings.wobble_rad, rng)
@@ -332,7 +349,7 @@ class Operator:
             decay_s=rng.uniform(0.01, 0.03),
         )
 
-    def _hold(self, visit: _Visit, rng: np.random.Generator) -> None:
+    def _hold(self, visit: Visit, rng: np.random.Generator) -> None:
         settings = self.settings
         duration_s = settings.hold_s
         if rng.random() < settings.pause_probability:
@@ -386,13 +403,13 @@ class Operator:
         self.stills[-1] = replace(self.stills[-1], end_s=end_s)
 
 
-def _spins(kind: str | None) -> list[_Visit]:
+def _spins(kind: str | None) -> list[Visit]:
     """Return what is done for whole turns: lay each axis level (or up), and turn about it, both ways."""
-    visits: list[_Visit] = []
+    visits: list[Visit] = []
     for axis in range(3) if kind is not None else ():
         body = np.eye(3)
-        visits.append(_Visit(NO_POSITION, body[axis if kind == "table" else (axis + 1) % 3]))
-        visits += [_Visit(NO_POSITION, body[axis], sense * 2 * math.pi * body[axis]) for sense in (1, -1)]
+        visits.append(Visit(NO_POSITION, body[axis if kind == "table" else (axis + 1) % 3]))
+        visits += [Visit(NO_POSITION, body[axis], sense * 2 * math.pi * body[axis]) for sense in (1, -1)]
     return visits
 
 

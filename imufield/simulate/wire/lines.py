@@ -35,12 +35,15 @@ class LineEncoder:
     def __init__(self, protocol: Protocol, clock: WireClock) -> None:
         assert protocol.lines is not None  # noqa: S101  checked by the caller
         rule, ticks_per_s = protocol.lines, protocol.clock.time_ticks_per_s
-        raw = {"accelerometer": protocol.units.accelerometer, "gyroscope": protocol.units.gyroscope}
-        whole = [raw.get(quantity_of(name)) in RAW_UNITS for name in rule.columns]
+        units = {"accelerometer": protocol.units.accelerometer, "gyroscope": protocol.units.gyroscope}
+        # Who scales numbers prints whole ones.
+        counted = {part for part, unit in units.items() if unit in RAW_UNITS or protocol.samples.quantity(part).scale != 1.0}
+        whole = [quantity_of(name) in counted for name in rule.columns]
         cells = [number_template(name, ticks_per_s, whole=count) for name, count in zip(rule.columns, whole, strict=True)]
         self._table = _Table(protocol, clock, rule.columns, cells)
         self._separator = _SEPARATORS.get(rule.delimiter, ",")
-        self._head = rule.prefix + self._separator if rule.prefix else ""
+        # Behind a word as behind a number, but not behind "Raw:".
+        self._head = rule.prefix + (self._separator if rule.prefix[-1:].isalnum() else "")
         self.has_counter = "counter" in rule.columns
 
     def encode(self, samples: Samples) -> list[bytes]:

@@ -39,6 +39,7 @@ HALF_STEPS = {
     "novatel_oem7_ascii": (2**-30, 2**-34),
     "sbg_sbgecom-IMU_SHORT": (2**-21, 2**-27),
     "sbg_sbgecom-IMU_DATA": SINGLE,
+    "motioncal": (G / 16384, DEG / 32),
     "vectornav_ascii": (0.0005, 0.0000005),
     "vectornav_binary": SINGLE,
     "witmotion": (8 * G / 32768, 1000 * DEG / 32768),
@@ -74,7 +75,7 @@ STAMPS_WRAP_AT_S = {
     "kvh_17xx-B": 2**32 / 1e6,
     "sbg_sbgecom": 2**32 / 1e6,
 }
-WITHOUT_TIME = ("vectornav_ascii", "witmotion")
+WITHOUT_TIME = ("motioncal", "vectornav_ascii", "witmotion")
 
 
 def decode(protocol: Protocol, device: Device, samples: Samples) -> tuple[Samples, Decoder]:
