@@ -115,7 +115,7 @@ class Entry:
             grade=context.instrument.grade,
             gyroscope_noise_rad_s_per_root_hz=float(np.max(np.nan_to_num(noise, nan=np.inf))),
             numbers=found.numbers,
-            setup=f"{'quadratic' if calibration.quadratic_fitted else 'linear'} {names}",
+            setup=f"{calibration.model} {names}",
             error=_triangle(found.error),
             scatter=_triangle(found.scatter),
             edited=parameters.edited,
