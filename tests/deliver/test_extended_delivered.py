@@ -100,7 +100,7 @@ def test_what_was_left_out_is_judged_with_them(parameters: Parameters) -> None:
 
 def test_the_report_names_them(parameters: Parameters) -> None:
     rows = {row.name: row for row in parameter_rows(parameters.calibration, None)}
-    cubic, cross = rows["cubic x"], rows["cross xy on x"]
+    cubic, cross = rows["cubic x"], rows["cross xy x"]
     assert (cubic.unit, cross.unit) == ("µg/g³", "µg/g²")
     assert abs(cubic.value - 2000) < 3 * cubic.sigma
     assert abs(cross.value - 1000) < 3 * cross.sigma
