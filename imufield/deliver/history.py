@@ -102,7 +102,7 @@ class Entry:
         found = gauge_free(calibration, *raw)
         names = " ".join(sorted(position["name"] for position in positions))
         # A drift shows in the number of parameters.
-        model = f"{'quadratic' if calibration.quadratic_fitted else 'linear'} {calibration.quality.parameters_fitted}"
+        model = f"{calibration.model} {calibration.quality.parameters_fitted}"
         noise = np.inf if context.noise is None else context.noise.gyroscope_density_rad_s_per_sqrt_hz
         return cls(
             path=path,

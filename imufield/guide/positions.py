@@ -26,7 +26,7 @@ sentence = Sentences(__package__)
 _SAME_DIRECTION_DEG = 1.0  # Repeats of one direction differ by rounding, neighbours of a scheme by 30 degrees and more.
 _SAME_SIZE = 0.02  # Parts of a direction that differ by less are those of an edge or a corner.
 
-SCHEMES = ("paper24", "paper36", "corners24", "faces6")
+SCHEMES = ("paper24", "paper36", "corners24", "all26", "faces6")
 """Names of the shipped schemes."""
 
 

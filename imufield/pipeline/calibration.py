@@ -194,7 +194,8 @@ def _recording_left_out(calibration: Calibration, observations: Observations) ->
     out = np.arange(len(observations)) >= len(calibration.positions.used)
     left_out, steady = observations[out], without_drift(observations, calibration)[out]
     drift = (left_out.mean_raw - steady.mean_raw) / parameters.scale
-    force = recover_vectors(to_vector(parameters), steady.mean_raw - parameters.raw_zero, parameters.quadratic_axes)
+    zeroed = steady.mean_raw - parameters.raw_zero
+    force = recover_vectors(to_vector(parameters), zeroed, parameters.quadratic_axes, parameters.higher)
     off_m_s2, unknown = np.linalg.norm(force, axis=1) - gravity, np.full(len(left_out), np.nan)
     rows = {
         "residual_m_s2": unknown,

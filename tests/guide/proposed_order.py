@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from imufield.guide.positions import cube_directions
 from imufield.samples import AXES, FloatArray
 
 _SHUFFLES = 2000  # The best of more is hardly better, and it is improved afterwards.
@@ -24,6 +25,7 @@ IN_TURN = {
     "paper24": [f"{axis}+{angle}" for axis in AXES for angle in range(0, 360, 45)],
     "paper36": [f"{axis}+{angle}" for axis in AXES for angle in range(0, 360, 30)],
     "corners24": _FACES * 2 + _CORNERS + _TWICE,
+    "all26": list(cube_directions()),
     "faces6": _FACES,
 }
 """What each scheme is made of, without the numbers of repeats."""

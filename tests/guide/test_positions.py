@@ -3,6 +3,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from imufield.calibrate.accelerometer.drift import MOST_CONFUSION, order_confusion
 from imufield.errors import Reason, UsageError
 from imufield.guide.positions import (
     SCHEMES,
@@ -19,7 +20,7 @@ from tests.refused import refused
 sentence = Sentences("imufield.guide")
 
 # Seen how often: positions of a direction, directions.
-COUNTS = {"paper24": {1: 12, 2: 6}, "paper36": {1: 24, 2: 6}, "corners24": {1: 4, 2: 10}, "faces6": {1: 6}}
+COUNTS = {"paper24": {1: 12, 2: 6}, "paper36": {1: 24, 2: 6}, "corners24": {1: 4, 2: 10}, "all26": {1: 26}, "faces6": {1: 6}}
 
 
 @pytest.mark.parametrize("name", SCHEMES)
@@ -40,7 +41,12 @@ def test_repeats_are_far_apart(name: str) -> None:
                 assert i - j >= len(directions) // 5
 
 
-@pytest.mark.parametrize("name", ["paper24", "paper36", "corners24"])
+@pytest.mark.parametrize("name", ["paper24", "corners24", "all26"])
+def test_no_order_confuses_drift_with_the_quadratic_term(name: str) -> None:
+    assert order_confusion(scheme(name).directions()) < MOST_CONFUSION
+
+
+@pytest.mark.parametrize("name", ["paper24", "paper36", "corners24", "all26"])
 def test_a_linear_drift_looks_like_no_bias(name: str) -> None:
     directions = scheme(name).directions()
     time = np.linspace(-1, 1, len(directions))
@@ -126,5 +132,6 @@ def test_own_positions_that_make_no_sense(tmp_path: Any, text: str, key: str, fa
 
 
 def test_no_such_scheme() -> None:
-    with refused(UsageError, Reason.USAGE, "'paper25'", "paper24, paper36, corners24, faces6", key="positions.no_scheme"):
+    schemes = "paper24, paper36, corners24, all26, faces6"
+    with refused(UsageError, Reason.USAGE, "'paper25'", schemes, key="positions.no_scheme"):
         scheme("paper25")

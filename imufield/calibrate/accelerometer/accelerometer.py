@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.calibrate.accelerometer.fit import Fit, FitData, fit, summarise
-from imufield.calibrate.accelerometer.model_choice import ChosenModel, choose_model, find_origin
+from imufield.calibrate.accelerometer.model_choice import ChosenModel, choose_model, find_origin, left_out_terms
 from imufield.calibrate.accelerometer.quality import Evidence, common_scale_ratio, judge, refuse_saturation
 from imufield.calibrate.accelerometer.start import (
     FEWEST_FOR_MISALIGNMENT,
@@ -21,8 +21,10 @@ from imufield.calibrate.accelerometer.start import (
     FEWEST_FOR_SCALE_AND_BIAS,
     find_signs,
 )
+from imufield.calibrate.accelerometer.unshown import Unshown, higher_sigma, unshown
 from imufield.calibrate.model.gauge import change_gauge, intrinsic, make_intrinsic
 from imufield.calibrate.model.grades import Grade, find_grade
+from imufield.calibrate.model.higher import HigherTerms, higher_scale
 from imufield.calibrate.model.models import (
     PARAMETERS,
     SCALE,
@@ -50,7 +52,6 @@ from imufield.calibrate.model.result import (
     PositionResult,
     QuadraticAxes,
 )
-from imufield.calibrate.model.typical import open_terms
 from imufield.calibrate.model.uncertainty import (
     SPARE_POSITIONS,
     Influence,
@@ -72,6 +73,10 @@ sentence = Sentences(__package__)
 EQUATIONS = {
     "sensing": "N - raw_zero = K (T a + b) + K2 (T a)^2",
     "body": "N - raw_zero = K (T a + b) + K2 a^2",
+}
+HIGHER_EQUATIONS = {
+    "sensing": "N - raw_zero = K (f + b) + K2 f^2, f = T a + h(T a)",
+    "body": "N - raw_zero = K (f + b) + K2 (T^-1 f)^2, f = T a + h(T a)",
 }
 # A number that takes more than this share (in scaled coordinates) of a parameter that was not fitted has no sigma.
 _MIXED = 0.1
@@ -98,7 +103,7 @@ def calibrate_accelerometer(  # noqa: PLR0913 (the settings of `solve`, by keywo
         At least six positions; their covariances weight them where all are known, otherwise all weigh the same.
     gravity : Gravity
         Its sigma enters the covariance as a common scale.
-    model : {"auto", "linear", "quadratic"}
+    model : {"auto", "linear", "quadratic", "extended"}
     gauge : {"preset", "lower", "upper", "symmetric"}, optional
         Default: "preset" where there is one, else "lower".
     preset : AccelerometerParameters, optional
@@ -134,16 +139,16 @@ def calibrate_accelerometer(  # noqa: PLR0913 (the settings of `solve`, by keywo
     signs = find_signs(data.raw, observations.direction, None if before is None else before[SCALE])
     origin, observability = find_origin(data, signs.sign, before, model)
     chosen = choose_model(data, origin, observability, model, observations)
+    if len(observability.free) == len(LOWER_GAUGE_COLUMNS):
+        chosen = replace(chosen, left_out=left_out_terms(data, chosen, typical))
     refuse_saturation(observations.mean_raw, chosen.fit.residual_m_s2)
     wanted: Gauge = gauge or ("lower" if preset is None else "preset")
     fitted, to_gauge = _in_gauge(data, chosen, wanted, before)
-    derivatives = norm_derivatives(chosen.fit.vector, data.raw, quadratic_axes)
-    open_root = np.zeros((PARAMETERS, 0))
-    if typical is not None:
-        is_open = _open_entries(chosen, model, has_preset=preset is not None)
-        open_root = _open_root(fitted, open_terms(derivatives.a / derivatives.norm[:, None], typical, is_open))
-    hidden_root = np.hstack([to_gauge @ chosen.hidden_root, open_root])
-    known = _uncertainty(fitted, chosen.free, data, gravity, hidden_root=hidden_root, to_gauge=to_gauge)
+    derivatives = norm_derivatives(chosen.fit.vector, data.raw, quadratic_axes, chosen.fit.higher)
+    up = derivatives.a / derivatives.norm[:, None]
+    is_open = _open_entries(chosen, model, has_preset=preset is not None)
+    hidden = unshown(fitted, chosen, typical, up, is_open=is_open, to_gauge=to_gauge, gravity_m_s2=gravity.gravity_m_s2)
+    known = _uncertainty(fitted, chosen, data, gravity, hidden=hidden, to_gauge=to_gauge)
     evidence = Evidence(
         observations=observations,
         gravity=gravity,
@@ -159,14 +164,14 @@ def calibrate_accelerometer(  # noqa: PLR0913 (the settings of `solve`, by keywo
         scale_ratio=None if before is None else common_scale_ratio(fitted.vector[SCALE], before[SCALE]),
         sigma=known.sigma,
         grade=grade,
-        typical_sigma=np.linalg.norm(open_root, axis=1),
+        typical_sigma=np.linalg.norm(hidden.typical, axis=1),
     )
     keep = np.append(np.isfinite(known.sigma), True)
     return Calibration(
-        accelerometer=from_vector(fitted.vector, zero, quadratic_axes),
-        accelerometer_sigma=from_vector(known.sigma, None, quadratic_axes),
+        accelerometer=replace(from_vector(fitted.vector, zero, quadratic_axes), higher=fitted.higher),
+        accelerometer_sigma=replace(from_vector(known.sigma, None, quadratic_axes), higher=known.higher_sigma),
         accelerometer_raw_unit=observations.units.accelerometer_rate_unit,
-        equation=EQUATIONS[quadratic_axes],
+        equation=(EQUATIONS if fitted.higher is None else HIGHER_EQUATIONS)[quadratic_axes],
         gauge=wanted,
         intrinsic=_intrinsic(fitted.vector, data, known),
         covariance_names=tuple(name for name, kept in zip((*ACCELEROMETER_NAMES, GRAVITY_NAME), keep, strict=True) if kept),
@@ -203,13 +208,6 @@ def _open_entries(chosen: ChosenModel, model: ModelChoice, *, has_preset: bool) 
     if chosen.is_quadratic_tested or model == "linear":
         is_open[3:] = False
     return is_open
-
-
-def _open_root(fitted: Fit, columns: FloatArray) -> FloatArray:
-    """Return the root of what terms that are not fitted add to the covariance of the 15 parameters, shape (15, k)."""
-    sigma = fitted.sigma_m_s2[:, None]
-    alias = np.linalg.lstsq(fitted.jacobian / sigma, columns / sigma, rcond=None)[0]
-    return np.asarray(fitted.basis @ alias)
 
 
 def _is_known(by_left_out: FloatArray, size: FloatArray) -> NDArray[np.bool_]:
@@ -271,8 +269,10 @@ def _in_gauge(data: FitData, chosen: ChosenModel, gauge: Gauge, before: FloatArr
     if data.quadratic_axes == "body" and np.any(change.vector[12:]) and gauge != "lower":
         # The turn is exact on sensing axes only; the printed form needs a few more steps from there.
         columns = None if chosen.drift is None else chosen.drift.columns
-        return fit(data, change.vector, basis[:, : len(chosen.free)], columns), change.jacobian
-    return replace(chosen.fit, vector=change.vector, basis=basis), change.jacobian
+        combinations = higher_scale(data.gravity_m_s2)[:, None] * chosen.higher if chosen.higher.size else None
+        return fit(data, change.vector, basis[:, : len(chosen.free)], columns, combinations), change.jacobian
+    higher = None if chosen.fit.higher is None else chosen.fit.higher.turned(change.vector[SCALE] / chosen.fit.vector[SCALE])
+    return replace(chosen.fit, vector=change.vector, basis=basis, higher=higher), change.jacobian
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -281,6 +281,7 @@ class _Uncertainty:
     """Of 15 parameters and gravity."""
     sigma: FloatArray
     """Of the parameters; NaN where one hangs on what was not fitted."""
+    higher_sigma: HigherTerms | None
     by_left_out: FloatArray
     """How parameters that were not fitted, in steps of their scale, reach all, shape (15, k)."""
     spread: Influence
@@ -290,10 +291,10 @@ class _Uncertainty:
 
 
 def _uncertainty(
-    fitted: Fit, free: tuple[int, ...], data: FitData, gravity: Gravity, *, hidden_root: FloatArray, to_gauge: FloatArray
+    fitted: Fit, chosen: ChosenModel, data: FitData, gravity: Gravity, *, hidden: Unshown, to_gauge: FloatArray
 ) -> _Uncertainty:
-    """Return how sure the parameters are; ``hidden_root`` is the root of what choosing the model adds, in columns."""
-    parameters = len(free)
+    """Return how sure the parameters are."""
+    parameters = len(chosen.free)
     residual, jacobian = fitted.residual_m_s2 / fitted.sigma_m_s2, fitted.jacobian / fitted.sigma_m_s2[:, None]
     spread = influence(residual, jacobian)
     # What carries a parameter alone is a matter of the positions; a drift beside it takes half of what they have to spare.
@@ -308,9 +309,17 @@ def _uncertainty(
     # Gravity is a common scale: its sigma moves all parameters together.
     t = np.append(gravity_sensitivity(fitted.vector, gravity.gravity_m_s2), 1.0)
     joint = np.outer(t, t) * gravity.sigma_m_s2**2
-    joint[:PARAMETERS, :PARAMETERS] += fitted.basis @ covariance @ fitted.basis.T + hidden_root @ hidden_root.T
+    joint[:PARAMETERS, :PARAMETERS] += fitted.basis @ covariance @ fitted.basis.T + hidden.parameters @ hidden.parameters.T
     scale = parameter_scale(fitted.vector, gravity.gravity_m_s2)
-    left_out = [k for k in LOWER_GAUGE_COLUMNS if k not in free]
+    left_out = [k for k in LOWER_GAUGE_COLUMNS if k not in chosen.free]
     by_left_out = to_gauge[:, left_out] * scale[left_out]
     sigma = np.where(_is_known(by_left_out, scale), np.sqrt(np.diag(joint)[:PARAMETERS]), np.nan)
-    return _Uncertainty(covariance=joint, sigma=sigma, by_left_out=by_left_out, spread=spread, singles=singles, factors=factors)
+    return _Uncertainty(
+        covariance=joint,
+        sigma=sigma,
+        higher_sigma=higher_sigma(chosen, covariance[parameters:, parameters:], hidden, gravity.gravity_m_s2),
+        by_left_out=by_left_out,
+        spread=spread,
+        singles=singles,
+        factors=factors,
+    )

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from imufield.calibrate.model.higher import HigherTerms
 from imufield.calibrate.model.observability import parameter_scale
 from imufield.calibrate.model.result import QuadraticAxes, SolverSummary
 from imufield.calibrate.model.uncertainty import SPARE_POSITIONS, between_position_sigma, within_variance
@@ -40,9 +41,10 @@ class Fit:
 
     vector: FloatArray
     basis: FloatArray
-    """Shape (15, n); zero for the coordinates of the drift, which are the last ones."""
+    """Shape (15, n); zero for the coordinates of drift or higher terms, which are the last ones."""
     drift_m_s2: FloatArray
     """Bias at each position less ``vector``'s, which is their mean, shape (m, 3)."""
+    higher: HigherTerms | None
     residual_m_s2: FloatArray
     """norm(a) - g, shape (m,)."""
     jacobian: FloatArray
@@ -99,7 +101,9 @@ def column_basis(vector: FloatArray, free: tuple[int, ...], gravity_m_s2: float)
     return np.diag(parameter_scale(vector, gravity_m_s2))[:, list(free)]
 
 
-def fit(data: FitData, origin: FloatArray, basis: FloatArray, drift: FloatArray | None = None) -> Fit:
+def fit(
+    data: FitData, origin: FloatArray, basis: FloatArray, drift: FloatArray | None = None, higher: FloatArray | None = None
+) -> Fit:
     """Fit ``origin + basis z``: first unweighted, then with s_i^2 = within^2 + tau^2 until tau settles.
 
     Parameters
@@ -109,16 +113,21 @@ def fit(data: FitData, origin: FloatArray, basis: FloatArray, drift: FloatArray 
     basis : ndarray, shape (15, n)
     drift : ndarray, shape (m, k), optional
         Forms of a drift of the bias, each fitted to the three axes; of mean zero, so that the bias is its mean.
+    higher : ndarray, shape (12, k), optional
+        Combinations of higher terms; not with a drift.
     """
+    extra = 0 if drift is None else 3 * drift.shape[1]
+    extra += 0 if higher is None else higher.shape[1]
     m = len(data.raw)
     problem = NormProblem(
         raw=data.raw,
         gravity_m_s2=data.gravity_m_s2,
         sigma_m_s2=np.ones(m),
         origin=origin,
-        basis=basis if drift is None else np.hstack([basis, np.zeros((len(basis), 3 * drift.shape[1]))]),
+        basis=np.hstack([basis, np.zeros((len(basis), extra))]),
         quadratic_axes=data.quadratic_axes,
         drift=drift,
+        higher=higher,
     )
     # Unweighted first: within needs parameters to carry raw covariances to the norm.
     solved = solve_least_squares(problem, loss="linear")
@@ -150,6 +159,7 @@ def _evaluate(data: FitData, problem: NormProblem, solved: SolverResult) -> Fit:
         vector=problem.vector(solved.x),
         basis=problem.basis,
         drift_m_s2=problem.bias_drift(solved.x),
+        higher=problem.higher_terms(solved.x),
         residual_m_s2=residual,
         jacobian=jacobian,
         sigma_m_s2=sigma,

@@ -27,6 +27,7 @@ from imufield.calibrate.model.models import (
     from_vector,
     norm_derivatives,
     to_vector,
+    without_higher,
 )
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration, without_drift
@@ -96,8 +97,8 @@ def restart(observations: Observations, calibration: Calibration, preset: Accele
     used, fits_quadratic = calibration.accelerometer, calibration.quadratic_fitted
     vector, before = to_vector(used), None if preset is None else to_vector(preset)
     gravity = calibration.gravity.gravity_m_s2
-    # The drift that was found is taken out: the other methods look for the parameters alone.
-    raw = without_drift(observations, calibration).mean_raw - used.raw_zero
+    # The drift and the higher terms that were found are taken out: the other methods look for the parameters alone.
+    raw = without_higher(used, without_drift(observations, calibration).mean_raw) - used.raw_zero
     data = FitData(raw=raw, covariance_raw=None, gravity_m_s2=gravity, quadratic_axes=used.quadratic_axes)
     origin, observability = find_origin(data, np.sign(used.scale), before, "auto" if fits_quadratic else "linear")
     free = tuple(k for k in observability.free if k < QUADRATIC.start or fits_quadratic)
@@ -185,7 +186,7 @@ def solve_with(  # noqa: PLR0913 (the settings of `solve`, by keyword)
         problem = replace(again.problem, origin=vector, basis=basis)
         found = solve_least_squares(problem).as_polish_of(found)
         vector = problem.vector(found.x)
-    axes, old = problem.quadratic_axes, calibration.intrinsic
+    axes, old, used = problem.quadratic_axes, calibration.intrinsic, calibration.accelerometer
     residual = norm_derivatives(vector, problem.raw, axes).norm - calibration.gravity.gravity_m_s2
     quality = replace(
         calibration.quality,
@@ -197,7 +198,7 @@ def solve_with(  # noqa: PLR0913 (the settings of `solve`, by keyword)
     sigma = np.concatenate([old.scale_sigma, old.bias_raw_sigma, old.angle_sigma_rad, old.quadratic_sigma])
     return replace(
         calibration,
-        accelerometer=from_vector(vector, calibration.accelerometer.raw_zero, axes),
+        accelerometer=replace(from_vector(vector, used.raw_zero, axes), higher=used.higher),
         intrinsic=make_intrinsic(intrinsic(vector, axes)[0], sigma),
         positions=replace(calibration.positions, residual_m_s2=residual),
         solver=summarise(found, method, seed),

@@ -9,7 +9,7 @@ import numpy as np
 
 from imufield.calibrate.accelerometer.drift import MOST_CONFUSION
 from imufield.calibrate.accelerometer.fit import Fit, FitData
-from imufield.calibrate.accelerometer.model_choice import ChosenModel
+from imufield.calibrate.accelerometer.model_choice import HIGHER_LEVEL, ChosenModel
 from imufield.calibrate.accelerometer.outliers import Outlier, find_outliers
 from imufield.calibrate.model.models import BIAS, SCALE
 from imufield.calibrate.model.observability import Observability
@@ -183,12 +183,7 @@ def _cautions(evidence: Evidence) -> list[str]:
     condition = evidence.observability.condition
     if condition > HIGH_CONDITION:
         reasons.append(sentence("quality.one_sided", condition=condition, limit=HIGH_CONDITION))
-    chosen = evidence.chosen
-    drift_mg, most_mg = evidence.fitted.drift_span_m_s2 / MILLI_G_M_S2, MOST_DRIFT_M_S2 / MILLI_G_M_S2
-    if drift_mg > most_mg:
-        reasons.append(sentence("quality.drift", drift_mg=drift_mg, limit_mg=most_mg))
-    if chosen.confusion > MOST_CONFUSION:
-        reasons.append(sentence("quality.confounded", factor=chosen.confusion, limit=MOST_CONFUSION))
+    reasons += _model_sentences(evidence)
     gravity = evidence.gravity
     if gravity.source == "assumed":
         share_ppm = gravity.sigma_m_s2 / gravity.gravity_m_s2 * 1e6
@@ -203,6 +198,21 @@ def _cautions(evidence: Evidence) -> list[str]:
     if known.size and np.ptp(known) > TEMPERATURE_SPAN_DEGC:
         span = {"low_degc": known.min(), "high_degc": known.max(), "limit_degc": TEMPERATURE_SPAN_DEGC}
         reasons.append(sentence("quality.temperature", **span))
+    return reasons
+
+
+def _model_sentences(evidence: Evidence) -> list[str]:
+    """Return what the model says of drift, and of terms that it does not have."""
+    reasons: list[str] = []
+    chosen = evidence.chosen
+    drift_mg, most_mg = evidence.fitted.drift_span_m_s2 / MILLI_G_M_S2, MOST_DRIFT_M_S2 / MILLI_G_M_S2
+    if drift_mg > most_mg:
+        reasons.append(sentence("quality.drift", drift_mg=drift_mg, limit_mg=most_mg))
+    if chosen.confusion > MOST_CONFUSION:
+        reasons.append(sentence("quality.confounded", factor=chosen.confusion, limit=MOST_CONFUSION))
+    if (left_out := chosen.left_out) is not None:
+        sizes_mg = {"cubic_mg": left_out.cubic_m_s2 / MILLI_G_M_S2, "cross_mg": left_out.cross_m_s2 / MILLI_G_M_S2}
+        reasons.append(sentence("quality.left_out_terms", p=left_out.p, limit=HIGHER_LEVEL, **sizes_mg))
     return reasons
 
 

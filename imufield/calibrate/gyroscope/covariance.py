@@ -51,8 +51,8 @@ def force_errors(observations: Observations, calibration: Calibration, rests: in
 
     def difference(change: FloatArray, shift: FloatArray) -> FloatArray:
         size = float(np.abs(change).max() + np.abs(shift).max())
-        upper, lower = recover_vectors(p + change, raw + shift, axes), recover_vectors(p - change, raw - shift, axes)
-        return (upper - lower) / (2 * size)
+        ends = (recover_vectors(p + sign * change, raw + sign * shift, axes, parameters.higher) for sign in (1.0, -1.0))
+        return (next(ends) - next(ends)) / (2 * size)
 
     raw_step = _DIFFERENCE * np.abs(raw).max()
     by_noise = np.stack([difference(np.zeros(15), np.eye(3)[k] * raw_step) for k in range(3)], axis=2)
@@ -71,7 +71,7 @@ def force_errors(observations: Observations, calibration: Calibration, rests: in
     tau = calibration.quality.between_position_sigma_m_s2
     noise = np.nan_to_num(observations.covariance_raw) + np.diag((tau * parameters.scale) ** 2)
     # The gain of the accelerometer fit: weighted least squares moves its parameters by -C J^T v / s^2 for noise in a mean.
-    derivatives = norm_derivatives(p, raw, axes)
+    derivatives = norm_derivatives(p, raw, axes, parameters.higher)
     v = derivatives.raw_gradient
     variance = np.einsum("mi,mij,mj->m", v, noise, v)
     measured = len(raw) - rests

@@ -119,7 +119,10 @@ def turn_gyroscope(parameters: GyroscopeParameters, rotation: FloatArray) -> Gyr
 
 def turn_accelerometer(parameters: AccelerometerParameters, rotation: FloatArray) -> AccelerometerParameters:
     """Return accelerometer parameters for a body frame turned by a' = R a."""
-    return from_vector(turn(to_vector(parameters), rotation)[0], parameters.raw_zero, parameters.quadratic_axes)
+    turned = from_vector(turn(to_vector(parameters), rotation)[0], parameters.raw_zero, parameters.quadratic_axes)
+    if parameters.higher is None:
+        return turned
+    return replace(turned, higher=parameters.higher.turned(turned.scale / parameters.scale))
 
 
 def constraint_jacobian(vector: FloatArray, gauge: Gauge, preset: FloatArray | None = None) -> FloatArray:

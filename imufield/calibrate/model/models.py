@@ -12,8 +12,12 @@ vanishing ``K2`` is wanted, in the form without cancellation::
 
 On body axes ``a = T^-1 ((N - K2 a**2) / K - b)`` is a contraction for any sane instrument ([1]_ eq. 14) and is iterated.
 
+With higher terms (``higher``) ``f = s + h(s)`` stands in place of ``s``, and ``T^-1 f`` in place of ``a``: what is recovered
+without them is f, and ``s = f - h(s)`` is a contraction too.
+
 The derivative of ``norm(a)`` with fixed outputs follows from ``N(a, p) = const``: with ``u = a / norm(a)`` and
-``v = (dN/da)^-T u``, ``d norm(a) / dp = -v . dN/dp`` and ``d norm(a) / dN = v``.
+``v = (dN/da)^-T u``, ``d norm(a) / dp = -v . dN/dp`` and ``d norm(a) / dN = v``. With higher terms and ``H = dh/ds``,
+``y = (I + H)^-T T^-T u`` is ``d norm(a) / df``, and ``d norm(a) / dh = -y``.
 
 Vectors of parameters have 15 entries in the order of ``ACCELEROMETER_NAMES``.
 
@@ -25,10 +29,12 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from imufield.calibrate.model.higher import HigherTerms, higher_columns
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters, QuadraticAxes
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray
@@ -52,7 +58,7 @@ _CONTRACTION_PASSES = 60  # A contraction by 0.6 a pass reaches the tolerance in
 
 
 def to_vector(parameters: AccelerometerParameters) -> FloatArray:
-    """Return the 15 parameters as a vector (``raw_zero`` is not one of them)."""
+    """Return the 15 parameters as a vector (``raw_zero`` and higher terms are none of them)."""
     off_diagonal = parameters.misalignment_rad[MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS]
     return np.concatenate([parameters.scale, parameters.bias_m_s2, off_diagonal, parameters.quadratic])
 
@@ -83,6 +89,9 @@ def alignment_matrix(vector: FloatArray) -> FloatArray:
 def predict(parameters: AccelerometerParameters, a: FloatArray) -> FloatArray:
     """Return raw outputs, ``raw_zero`` included, for specific forces in m/s^2, both of shape (..., 3)."""
     s = a + a @ parameters.misalignment_rad.T
+    if parameters.higher is not None:
+        s = s + parameters.higher.of(s)
+        a = s @ np.linalg.inv(np.eye(3) + parameters.misalignment_rad).T
     squared = s if parameters.quadratic_axes == "sensing" else a
     return np.asarray(parameters.scale * (s + parameters.bias_m_s2) + parameters.quadratic * squared**2 + parameters.raw_zero)
 
@@ -96,14 +105,16 @@ def recover(parameters: AccelerometerParameters, raw: FloatArray) -> FloatArray:
         If no specific force gives such an output with these parameters.
     """
     raw = np.asarray(raw, dtype=np.float64)
-    a = recover_vectors(to_vector(parameters), raw - parameters.raw_zero, parameters.quadratic_axes)
+    zeroed = raw - parameters.raw_zero
+    a = recover_vectors(to_vector(parameters), zeroed, parameters.quadratic_axes, parameters.higher)
     lost = np.isnan(a).any(axis=-1) & np.isfinite(raw).all(axis=-1)
     for row in np.flatnonzero(lost):
         output = raw.reshape(-1, 3)[row]
-        if parameters.quadratic_axes == "body":
-            lost_row = sentence("models.no_inverse", raw=output.tolist(), row=int(row), passes=_CONTRACTION_PASSES)
-            raise CalibrationError(lost_row, Reason.NOT_CONVERGED)
         s = _sensing_input(to_vector(parameters), output - parameters.raw_zero)
+        if parameters.quadratic_axes == "body" or not np.isnan(s).any():
+            key = "models.no_inverse" if parameters.higher is None else "models.no_higher_inverse"
+            lost_row = sentence(key, raw=output.tolist(), row=int(row), passes=_CONTRACTION_PASSES)
+            raise CalibrationError(lost_row, Reason.NOT_CONVERGED)
         axis = int(np.argmax(np.isnan(s).reshape(3)))
         model = {"scale": parameters.scale[axis], "quadratic": parameters.quadratic[axis]}
         beyond = sentence("models.turning_point", raw=float(output[axis]), axis=AXES[axis], row=int(row), **model)
@@ -111,7 +122,16 @@ def recover(parameters: AccelerometerParameters, raw: FloatArray) -> FloatArray:
     return a
 
 
-def recover_vectors(vector: FloatArray, raw: FloatArray, quadratic_axes: QuadraticAxes) -> FloatArray:
+def without_higher(parameters: AccelerometerParameters, raw: FloatArray) -> FloatArray:
+    """Return the outputs (n, 3) that the same instrument without its higher terms would give; raises as ``recover``."""
+    if parameters.higher is None:
+        return raw
+    return predict(replace(parameters, higher=None), recover(parameters, raw))
+
+
+def recover_vectors(
+    vector: FloatArray, raw: FloatArray, quadratic_axes: QuadraticAxes, higher: HigherTerms | None = None
+) -> FloatArray:
     """Return specific forces for one or many candidate vectors; NaN where there is no solution.
 
     Parameters
@@ -120,23 +140,34 @@ def recover_vectors(vector: FloatArray, raw: FloatArray, quadratic_axes: Quadrat
     raw : ndarray, shape (m, 3)
         Zeroed outputs.
     quadratic_axes : {"sensing", "body"}
+    higher : HigherTerms, optional
+        The same of all candidates.
 
     Returns
     -------
     ndarray, shape (..., m, 3)
     """
-    inverse = np.asarray(np.swapaxes(np.linalg.inv(alignment_matrix(vector)), -1, -2), dtype=np.float64)
+    T = alignment_matrix(vector)
+    inverse = np.asarray(np.swapaxes(np.linalg.inv(T), -1, -2), dtype=np.float64)
+    if higher is not None:
+        felt = recover_vectors(vector, raw, quadratic_axes) @ np.swapaxes(T, -1, -2)
+        return np.asarray(_contracted(felt, lambda s: felt - higher.of(s)) @ inverse)
     if quadratic_axes == "sensing":
         return np.asarray(_sensing_input(vector, raw) @ inverse)
     K, b, K2 = (vector[..., None, part] for part in (SCALE, BIAS, QUADRATIC))
     a: FloatArray = (raw / K - b) @ inverse
     if not np.any(K2):
         return a
+    return _contracted(a, lambda a: ((raw - K2 * a**2) / K - b) @ inverse)  # [1]_ eq. 14
+
+
+def _contracted(a: FloatArray, step: Callable[[FloatArray], FloatArray]) -> FloatArray:
+    """Return where steps from ``a`` stand still, NaN where they do not, shape (..., 3)."""
+    change: FloatArray | float = np.inf
     with np.errstate(over="ignore", invalid="ignore"):
-        change = np.inf
         for _ in range(_CONTRACTION_PASSES):
-            previous, a = a, ((raw - K2 * a**2) / K - b) @ inverse  # [1]_ eq. 14
-            change = np.abs(a - previous).max(axis=-1) / np.abs(a).max(axis=-1)
+            previous, a = a, step(a)
+            change = np.abs(a - previous).max(axis=-1) / np.maximum(np.abs(a).max(axis=-1), np.finfo(float).tiny)
             if not np.any(change > _CONTRACTION_TOLERANCE):
                 break
     stuck = np.asarray(~(change <= _CONTRACTION_ACCEPTED))
@@ -164,28 +195,52 @@ class NormDerivatives:
     """d norm / d parameters, shape (m, 15)."""
     raw_gradient: FloatArray
     """d norm / d raw output, shape (m, 3)."""
+    by_higher: FloatArray
+    """d norm / d higher terms, shape (m, 12); (m, 0) without them."""
 
 
-def norm_derivatives(vector: FloatArray, raw: FloatArray, quadratic_axes: QuadraticAxes = "sensing") -> NormDerivatives:
+def norm_derivatives(
+    vector: FloatArray, raw: FloatArray, quadratic_axes: QuadraticAxes = "sensing", higher: HigherTerms | None = None
+) -> NormDerivatives:
     """Return norm(a) and its analytic derivatives for zeroed outputs, shape (m, 3)."""
     K, b, K2 = vector[SCALE], vector[BIAS], vector[QUADRATIC]
     T = alignment_matrix(vector)
-    a = recover_vectors(vector, raw, quadratic_axes)
+    felt = a = recover_vectors(vector, raw, quadratic_axes)
+    if higher is not None:
+        a = recover_vectors(vector, raw, quadratic_axes, higher)
     norm = np.linalg.norm(a, axis=1)
-    s = a @ T.T
+    s = felt @ T.T
     sensing = quadratic_axes == "sensing"
     slope = K + 2 * K2 * s if sensing else np.broadcast_to(K, s.shape)
     dN_da = slope[:, :, None] * T
     if not sensing:
-        dN_da[:, range(3), range(3)] += 2 * K2 * a
+        dN_da[:, range(3), range(3)] += 2 * K2 * felt
     with np.errstate(invalid="ignore"):  # a position without any specific force has no direction: NaN
         u = a / norm[:, None]
+    by_T, by_higher = np.zeros((len(raw), 6)), np.zeros((len(raw), 0))
+    if higher is not None:
+        u, by_T, by_higher = _through_higher(T, a, felt, u, higher)
     v = np.linalg.solve(np.swapaxes(dN_da, 1, 2), u[:, :, None])[:, :, 0]  # (dN/da)^-T u = d norm / dN
     # d norm / dp = -v . dN/dp
-    misalignment = (v * slope)[:, MISALIGNMENT_ROWS] * a[:, MISALIGNMENT_COLUMNS]
-    squared = s**2 if sensing else a**2
+    misalignment = (v * slope)[:, MISALIGNMENT_ROWS] * felt[:, MISALIGNMENT_COLUMNS] + by_T
+    squared = s**2 if sensing else felt**2
     jacobian = -np.hstack([v * (s + b), v * K, misalignment, v * squared])
-    return NormDerivatives(a, norm, jacobian, v)
+    return NormDerivatives(a, norm, jacobian, np.asarray(v, dtype=np.float64), by_higher)
+
+
+def _through_higher(
+    T: FloatArray, a: FloatArray, felt: FloatArray, u: FloatArray, higher: HigherTerms
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return d norm / d T^-1 f, what the derivatives by misalignments have beside it, and those by higher terms."""
+    s = a @ T.T
+    H = higher.slope(s)
+    by_felt = np.linalg.solve(np.eye(3) + np.swapaxes(H, 1, 2), (u @ np.linalg.inv(T))[:, :, None])
+    y = np.asarray(by_felt[:, :, 0], dtype=np.float64)
+    # f = T a + h(T a) hangs on T itself, and T^-1 f once more.
+    bent = (y[:, None, :] @ H)[:, 0]
+    rows, columns = MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS
+    by_T = bent[:, rows] * a[:, columns] - y[:, rows] * (felt - a)[:, columns]
+    return y @ T, by_T, -higher_columns(y, s)
 
 
 def predict_gyroscope(parameters: GyroscopeParameters, rate: FloatArray, a: FloatArray | None = None) -> FloatArray:

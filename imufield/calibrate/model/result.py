@@ -7,13 +7,14 @@ from typing import Literal
 
 import numpy as np
 
+from imufield.calibrate.model.higher import HigherTerms
 from imufield.calibrate.model.observations import Observations
 from imufield.earth import Gravity
 from imufield.samples import FloatArray
 
 Gauge = Literal["preset", "lower", "upper", "symmetric"]
 QuadraticAxes = Literal["sensing", "body"]
-ModelChoice = Literal["linear", "quadratic", "auto"]
+ModelChoice = Literal["linear", "quadratic", "extended", "auto"]
 
 ACCELEROMETER_NAMES = (
     *(f"accelerometer.scale.{axis}" for axis in "xyz"),
@@ -30,7 +31,10 @@ GRAVITY_NAME = "gravity_m_s2"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AccelerometerParameters:
-    """N - raw_zero = K (T a + b) + K2 (T a)**2, or with a**2 where ``quadratic_axes`` is "body"."""
+    """N - raw_zero = K (T a + b) + K2 (T a)**2, or with a**2 where ``quadratic_axes`` is "body".
+
+    With higher terms T a + h(T a) stands in place of T a.
+    """
 
     scale: FloatArray
     """K, shape (3,), raw unit per m/s^2."""
@@ -41,6 +45,8 @@ class AccelerometerParameters:
     """K2, shape (3,), raw unit per (m/s^2)^2."""
     raw_zero: FloatArray = field(default_factory=lambda: np.zeros(3))
     quadratic_axes: QuadraticAxes = "sensing"
+    higher: HigherTerms | None = None
+    """h; None where there are none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -184,6 +190,13 @@ class Calibration:
     gyroscope: GyroscopeCalibration | None = None
     unobservable: tuple[str, ...] = ()
     """Names of parameters left at the preset because these positions cannot show them."""
+
+    @property
+    def model(self) -> ModelChoice:
+        """What was fitted."""
+        if self.accelerometer.higher is not None:
+            return "extended"
+        return "quadratic" if self.quadratic_fitted else "linear"
 
 
 def without_drift(observations: Observations, calibration: Calibration) -> Observations:

@@ -23,14 +23,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.calibrate.model.grades import Grade
+from imufield.calibrate.model.higher import TERMS
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.samples import FloatArray
 
+HIGHER_COLUMNS = slice(3, 3 + TERMS)
+"""Of ``open_terms``."""
 _PAIRS = ((0, 1), (0, 2), (1, 2))
+
+
+def typical_higher(typical: Grade) -> FloatArray:
+    """Return 1 sigma of the higher terms, m/s^2 at 1 g, shape (12,)."""
+    return STANDARD_GRAVITY_M_S2 * np.repeat([typical.cubic, typical.cross], [3, TERMS - 3])
 
 
 def open_terms(up: FloatArray, typical: Grade, is_open: NDArray[np.bool_]) -> FloatArray:
     """Return d norm / d term times 1 sigma of each term that is not fitted, m/s^2, shape (m, k).
+
+    Asymmetry 3, higher terms 12, and those of the others that are open.
 
     Parameters
     ----------

@@ -28,6 +28,7 @@ from typing import Literal
 
 import numpy as np
 
+from imufield.calibrate.model.higher import HigherTerms
 from imufield.calibrate.model.models import (
     BIAS,
     MISALIGNMENT,
@@ -91,6 +92,8 @@ class NormProblem(Coordinates):
     cost_name : {"absolute", "squares", "weighted"}
     drift : ndarray, shape (m, k), optional
         The last 3 k coordinates are a drift of the bias, m/s^2: each column times a vector of three axes. Least squares only.
+    higher : ndarray, shape (12, k), optional
+        The last k coordinates are combinations of higher terms. Least squares only, and not with a drift.
     """
 
     raw: FloatArray
@@ -99,6 +102,7 @@ class NormProblem(Coordinates):
     quadratic_axes: QuadraticAxes = "sensing"
     cost_name: CostName = "weighted"
     drift: FloatArray | None = None
+    higher: FloatArray | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -168,10 +172,17 @@ class NormProblem(Coordinates):
         columns = self.drift.shape[1]
         return np.asarray(self.drift @ z[-3 * columns :].reshape(columns, 3))
 
+    def higher_terms(self, z: FloatArray) -> HigherTerms | None:
+        """Return the higher terms of coordinates, shape (n,)."""
+        if self.higher is None:
+            return None
+        return HigherTerms.from_vector(self.higher @ z[-self.higher.shape[1] :])
+
     def residuals(self, z: FloatArray) -> FloatArray:
         """Return what least squares minimises for this cost, shape (m,)."""
         vector = self.vector(z)
-        a = recover_vectors(vector, self.raw - vector[SCALE] * self.bias_drift(z), self.quadratic_axes)
+        raw = self.raw - vector[SCALE] * self.bias_drift(z)
+        a = recover_vectors(vector, raw, self.quadratic_axes, self.higher_terms(z))
         # Levenberg-Marquardt squares and adds: the root of eq. 7 has the same minimum.
         norm = np.linalg.norm(a, axis=-1)
         if self.cost_name == "squares":
@@ -181,8 +192,12 @@ class NormProblem(Coordinates):
     def derivatives(self, z: FloatArray) -> tuple[NormDerivatives, FloatArray]:
         """Return norm(a) at all positions, and its derivative by the coordinates, shape (m, n)."""
         vector, drift = self.vector(z), self.bias_drift(z)
-        derivatives = norm_derivatives(vector, self.raw - vector[SCALE] * drift, self.quadratic_axes)
+        derivatives = norm_derivatives(vector, self.raw - vector[SCALE] * drift, self.quadratic_axes, self.higher_terms(z))
         by_parameters = derivatives.jacobian
+        if self.higher is not None:
+            jacobian = by_parameters @ self.basis
+            jacobian[:, -self.higher.shape[1] :] = derivatives.by_higher @ self.higher
+            return derivatives, jacobian
         if self.drift is None:
             return derivatives, by_parameters @ self.basis
         # N = K (s + b + drift): the drift moves the norm as the bias does, and the scale acts on it too.

@@ -96,7 +96,7 @@ class CaptureOptions:
     """
 
     connect: ConnectionOptions
-    positions: Annotated[str | None, option(help="Scheme: paper24, paper36, corners24, faces6 or a TOML list.")] = None
+    positions: Annotated[str | None, option(help="Scheme: paper24, paper36, corners24, all26, faces6 or a TOML list.")] = None
     hold_s: Annotated[float | None, option(help="Seconds to hold each position.", within=HOLD_RANGE_S)] = None
     session: SessionFolder = None
     resume: Annotated[bool, option("--resume", help="Go on with an unfinished session.")] = False
@@ -250,7 +250,7 @@ class SolveOptions:
     )
     observations: Annotated[Path | None, option(help="CSV of position means instead of a session.")] = None
     site: PlaceOptions = field(default_factory=unknown_site)
-    model: Annotated[str, option(help="auto, linear or quadratic.")] = "auto"
+    model: Annotated[str, option(help="auto, linear, quadratic or extended.")] = "auto"
     gauge: Annotated[str | None, option(help="preset, lower, upper or symmetric.")] = None
     preset: Annotated[Path | None, option(help="Parameter file in force before.")] = None
     zero: Annotated[str | None, option(help="Raw output at zero input, one or three numbers.")] = None

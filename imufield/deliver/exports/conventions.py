@@ -13,6 +13,7 @@ A target that wants a triangular matrix wants another body frame: one rotation `
 Quadratic term. On a sensing axis ``N = K (s + b) + K2 s**2``. Over all directions at 1 g, s is spread evenly over [-g, g]
 (Archimedes' hat-box theorem), so the straight line nearest to it in the least-squares sense has the same K and the bias
 ``b + K2 g**2 / (3 K)``; what is left is ``K2 / K g**2 (x**2 - 1/3)``, ``0.298 K2 / K g**2`` rms and two thirds of it at most.
+A cubic term ``c s**3`` makes the scale ``1 + 3 c g**2 / 5`` times as large, by the same means; cross terms do nothing to it.
 
 Scale and bias only. With unit sensing axes ``u_i = T_i / norm(T_i)``, the diagonal model whose norm stays right on average
 over all directions is ``S_i = 1 / (K_i norm(T_i))`` in the frame nearest to the sensing axes (``Frame`` "sensor"): the cross
@@ -177,12 +178,14 @@ def diagonal_corrections(calibration: Calibration) -> Corrections:
 
 
 def linearised(parameters: AccelerometerParameters, gravity_m_s2: float) -> AccelerometerParameters:
-    """Return the linear model nearest to a quadratic one over all directions at 1 g."""
+    """Return the linear model nearest to one with more terms over all directions at 1 g."""
     squared_length = np.ones(3)
     if parameters.quadratic_axes == "sensing":
         squared_length = np.sum((np.eye(3) + parameters.misalignment_rad) ** 2, axis=1)
     mean = parameters.quadratic / parameters.scale * gravity_m_s2**2 * squared_length / 3
-    return replace(parameters, bias_m_s2=parameters.bias_m_s2 + mean, quadratic=np.zeros(3))
+    bias = parameters.bias_m_s2 + mean
+    slope = np.ones(3) if parameters.higher is None else 1 + parameters.higher.cubic * gravity_m_s2**2 * squared_length * 3 / 5
+    return replace(parameters, scale=parameters.scale * slope, bias_m_s2=bias / slope, quadratic=np.zeros(3), higher=None)
 
 
 def rotation_to(parameters: AccelerometerParameters, frame: Frame) -> FloatArray:

@@ -41,8 +41,10 @@ def loss_sentences(
     raw = predict(calibration.accelerometer, force)
     rms, largest = _length(target.apply_accelerometer(raw) - force @ target.rotation.T)
     if largest > _NOTHING * calibration.gravity.gravity_m_s2:
-        quadratic = np.any(calibration.accelerometer.quadratic)
+        quadratic, higher = np.any(calibration.accelerometer.quadratic), calibration.accelerometer.higher is not None
         lacks = accelerometer_lacks or sentence("loss.quadratic" if quadratic else "loss.model")
+        if higher:
+            lacks = f"{lacks}; {sentence('loss.higher')}" if accelerometer_lacks or quadratic else sentence("loss.higher")
         sizes = {"rms": rms / MILLI_G_M_S2, "largest": largest / MILLI_G_M_S2}
         at_positions = _at_positions(parameters, target)
         sentences.append(sentence("loss.accelerometer", lacks=lacks, at_positions=at_positions, **sizes))

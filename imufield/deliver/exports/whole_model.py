@@ -42,10 +42,13 @@ def whole_model(job: Job) -> WholeModel:
     Raises
     ------
     UsageError
-        If another frame is asked for and the quadratic term stands on body axes, which no turn leaves as they are.
+        If another frame is asked for and the quadratic term stands on body axes, which no turn leaves as they are, or the
+        calibration has higher terms.
     """
     calibration = job.parameters.calibration
     accelerometer, corrections = calibration.accelerometer, linear_corrections(calibration, job.free_frame)
+    if accelerometer.higher is not None:
+        raise UsageError(sentence("whole_model.higher"))
     # A zero term on body axes stays zero in every frame.
     on_body = accelerometer.quadratic_axes == "body" and bool(np.any(accelerometer.quadratic))
     if job.options.gauge is not None:

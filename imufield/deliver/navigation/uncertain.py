@@ -33,7 +33,7 @@ class DrawnParameters:
         """Return the errors of corrected values at a true input, both of shape (3,); m/s^2 and rad/s, shape (m, 6)."""
         p = self.calibration.accelerometer
         raw = predict(p, force) - p.raw_zero
-        recovered = recover_vectors(self.vector, raw[None], p.quadratic_axes)[:, 0]
+        recovered = recover_vectors(self.vector, raw[None], p.quadratic_axes, p.higher)[:, 0]
         errors = np.zeros((len(self.vector), 6))
         errors[:, :3] = recovered - force
         if self.calibration.gyroscope is not None and self.gyroscope:

@@ -2,7 +2,7 @@
 
 A linear model is one product per sample: ``a = C N - d`` with ``C = (K T)^-1`` and ``d = C (raw_zero + K b)``, likewise
 for the gyroscope. The matrices are formed once, and the rows are worked on in pieces that stay in the processor's cache, so
-the cost is that of reading and writing the arrays once. The quadratic model goes through
+the cost is that of reading and writing the arrays once. The quadratic and the extended model go through
 ``imufield.calibrate.model.models.recover``.
 """
 
@@ -34,12 +34,16 @@ def correct_accelerometer(parameters: AccelerometerParameters, raw: FloatArray, 
         If the last axis of ``raw`` has not 3 entries.
     """
     raw = three_columns(raw, "accelerometer")
-    if np.any(parameters.quadratic):
+    if _is_curved(parameters):
         out = np.empty(raw.shape) if out is None else out
         out[...] = recover(parameters, raw.reshape(-1, 3)).reshape(raw.shape)
         return out
     inverse = correction_matrix(parameters.scale, parameters.misalignment_rad)
     return _affine(inverse, parameters.raw_zero + parameters.scale * parameters.bias_m_s2, raw, out=out)
+
+
+def _is_curved(parameters: AccelerometerParameters) -> bool:
+    return parameters.higher is not None or bool(np.any(parameters.quadratic))
 
 
 def correct_gyroscope(
@@ -80,7 +84,7 @@ def correct_gyroscope(
 def correct_both(accelerometer: AccelerometerParameters, gyroscope: GyroscopeParameters, raw: FloatArray) -> FloatArray:
     """Return specific force and angular rate side by side for raw outputs side by side, both of shape (n, 6).
 
-    Without a quadratic term the two are one affine map of six numbers, g-sensitivity included: the rows are read once.
+    In the linear model the two are one affine map of six numbers, g-sensitivity included: the rows are read once.
 
     Raises
     ------
@@ -88,7 +92,7 @@ def correct_both(accelerometer: AccelerometerParameters, gyroscope: GyroscopePar
         If no specific force gives such an output with these parameters; NaN stays in its triad.
     """
     corrected = np.empty(raw.shape)
-    if np.any(accelerometer.quadratic):
+    if _is_curved(accelerometer):
         return _by_triads(accelerometer, gyroscope, raw, corrected)
     force = correction_matrix(accelerometer.scale, accelerometer.misalignment_rad)
     rate = correction_matrix(gyroscope.scale, gyroscope.misalignment_rad)

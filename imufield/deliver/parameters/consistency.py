@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from imufield.acquire.protocol.units import nominal_scale
-from imufield.calibrate.accelerometer.accelerometer import EQUATIONS
+from imufield.calibrate.accelerometer.accelerometer import EQUATIONS, HIGHER_EQUATIONS
 from imufield.calibrate.accelerometer.quality import poor_sentences
 from imufield.calibrate.model.gauge import constraint_jacobian, intrinsic, make_intrinsic
 from imufield.calibrate.model.models import to_vector
@@ -50,7 +50,7 @@ def _contradictions(document: Document, *, is_edited: bool) -> Iterator[str]:
     yield from _shape(document)
     # From what is typed most often to what only a program gets wrong: the first sentence is the one a person reads.
     calibration, table = calibration_from_document(document), document["accelerometer"]
-    wanted = EQUATIONS[table["quadratic_axes"]]
+    wanted = (HIGHER_EQUATIONS if "higher" in table else EQUATIONS)[table["quadratic_axes"]]
     if table["equation"] != wanted:
         yield sentence("consistency.equation", stated=table["equation"], axes=table["quadratic_axes"], wanted=wanted)
     yield from _units(document)

@@ -10,6 +10,7 @@ from dataclasses import fields
 
 import numpy as np
 
+from imufield.calibrate.model.higher import HigherTerms
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import (
     AccelerometerParameters,
@@ -42,6 +43,7 @@ def _names(kind: type, *without: str) -> tuple[str, ...]:
 
 _GYROSCOPE_ARRAYS = _names(GyroscopeParameters)
 _INTRINSIC = _names(Intrinsic)
+_HIGHER = _names(HigherTerms)
 _NOISE = _names(Noise, "source")
 _CLOCK = _names(ClockFacts)
 _TRIAD_VERDICTS = ("accelerometer_verdict", "gyroscope_verdict")
@@ -86,6 +88,10 @@ def to_document(calibration: Calibration, observations: Observations, context: C
             "intrinsic": _lists(calibration.intrinsic, _INTRINSIC),
         },
     }
+    if parameters.higher is not None:
+        document["accelerometer"]["higher"] = _lists(parameters.higher, _HIGHER) | {
+            f"{key}_sigma": values for key, values in _lists(calibration.accelerometer_sigma.higher, _HIGHER).items()
+        }
     if gyroscope is not None:
         document["gyroscope"] = _gyroscope_table(gyroscope, calibration.gauge, context.clock)
     if context.clock is not None:
@@ -182,10 +188,12 @@ def calibration_from_document(document: Document) -> Calibration:
     axes = accelerometer["quadratic_axes"]
     return Calibration(
         accelerometer=AccelerometerParameters(
-            **_arrays(accelerometer, ("raw_zero", *_ACCELEROMETER_VECTORS)), quadratic_axes=axes
+            **_arrays(accelerometer, ("raw_zero", *_ACCELEROMETER_VECTORS)), quadratic_axes=axes, higher=_higher(accelerometer)
         ),
         accelerometer_sigma=AccelerometerParameters(
-            **_arrays(accelerometer["uncertainty"], _ACCELEROMETER_VECTORS), quadratic_axes=axes
+            **_arrays(accelerometer["uncertainty"], _ACCELEROMETER_VECTORS),
+            quadratic_axes=axes,
+            higher=_higher(accelerometer, "_sigma"),
         ),
         accelerometer_raw_unit=accelerometer["raw_unit"],
         equation=accelerometer["equation"],
@@ -229,6 +237,11 @@ def calibration_from_document(document: Document) -> Calibration:
 
 def _array(values: object) -> FloatArray:
     return np.array(values, dtype=np.float64)
+
+
+def _higher(accelerometer: Document, suffix: str = "") -> HigherTerms | None:
+    table = accelerometer.get("higher")
+    return None if table is None else HigherTerms(**{key: _array(table[key + suffix]) for key in _HIGHER})
 
 
 def _arrays(table: Document, names: tuple[str, ...]) -> dict[str, FloatArray]:

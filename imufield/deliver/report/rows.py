@@ -109,6 +109,14 @@ def quantities(calibration: Calibration, preset: Calibration | None = None) -> I
         # K2 / K is (m/s²) per (m/s²)²; times g it is g per g², of which a millionth is µg/g².
         size = STANDARD_GRAVITY_M_S2 / p.scale * 1e6
         yield _quantity(triad, "quadratic", "µg/g²", _numbers(*sources, "quadratic"), factor=size)
+    if p.higher is not None:
+        before = None if preset is None else preset.accelerometer.higher
+        terms = (p.higher, calibration.accelerometer_sigma.higher, before)
+        # m/s² per (m/s²)³ times g² is g per g³.
+        per_g, cross = STANDARD_GRAVITY_M_S2 * 1e6, _numbers(*terms, "cross")
+        yield _quantity(triad, "cubic", "µg/g³", _numbers(*terms, "cubic"), factor=per_g * STANDARD_GRAVITY_M_S2)
+        for product, numbers in zip(("xy", "xz", "yz"), np.split(cross, 3, axis=1), strict=True):
+            yield _quantity(triad, f"cross {product}", "µg/g²", numbers, factor=per_g)
     if calibration.gyroscope is not None:
         yield from _gyroscope(calibration.gyroscope, None if preset is None else preset.gyroscope)
 

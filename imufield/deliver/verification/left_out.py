@@ -28,8 +28,8 @@ from numpy.typing import NDArray
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
 from imufield.calibrate.model.grades import GRADES
-from imufield.calibrate.model.models import BIAS, NormDerivatives, norm_derivatives, to_vector
-from imufield.calibrate.model.observability import parameter_scale
+from imufield.calibrate.model.models import BIAS, NormDerivatives, norm_derivatives, to_vector, without_higher
+from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS, parameter_scale
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import (
     ACCELEROMETER_NAMES,
@@ -281,6 +281,8 @@ def cross_validate(
     _require_finite(observations)
     # Each group would be fitted without the drift that all of them show together.
     observations = without_drift(observations, calibration)
+    before_m_s2 = _residual_of(before, observations, calibration.gravity)
+    calibration, observations = _without_higher(calibration, observations)
     m = len(observations)
     if not 1 <= hold_out <= m - FEWEST_LEFT:
         most = max(m - FEWEST_LEFT, 1)
@@ -299,7 +301,7 @@ def cross_validate(
         name=observations.name,
         up=_up(calibration, observations),
         residual_m_s2=residual,
-        before_m_s2=_residual_of(before, observations, calibration.gravity),
+        before_m_s2=before_m_s2,
         sigma_m_s2=sigma,
         misfit=misfit,
         misfit_limit=float(np.quantile(by_chance, 0.95)),
@@ -322,6 +324,17 @@ def _require_finite(observations: Observations) -> None:
         raise CalibrationError(sentence("left_out.not_finite", position=observations.name[row], mean=mean), Reason.NOT_FINITE)
 
 
+def _without_higher(calibration: Calibration, observations: Observations) -> tuple[Calibration, Observations]:
+    """Return both without higher terms, which the groups would be fitted without: all positions show them together."""
+    used = calibration.accelerometer
+    if used.higher is None:
+        return calibration, observations
+    quality = replace(calibration.quality, parameters_fitted=len(LOWER_GAUGE_COLUMNS))
+    raw = without_higher(used, observations.mean_raw)
+    plain = replace(calibration, accelerometer=replace(used, higher=None), quality=quality)
+    return plain, replace(observations, mean_raw=raw)
+
+
 def _again(calibration: Calibration, observations: Observations) -> Calibration:
     return calibrate_accelerometer(
         observations,
@@ -334,7 +347,8 @@ def _again(calibration: Calibration, observations: Observations) -> Calibration:
 
 
 def _derivatives(parameters: AccelerometerParameters, observations: Observations) -> NormDerivatives:
-    return norm_derivatives(to_vector(parameters), observations.mean_raw - parameters.raw_zero, parameters.quadratic_axes)
+    raw = observations.mean_raw - parameters.raw_zero
+    return norm_derivatives(to_vector(parameters), raw, parameters.quadratic_axes, parameters.higher)
 
 
 def _up(calibration: Calibration, observations: Observations) -> FloatArray:

@@ -88,14 +88,18 @@ class Effects:
         """Return what warming up adds to the bias of the accelerometer, shape (n,) to (n, 3), m/s^2."""
         return np.outer(1 - np.exp(-time_s / self.warm_up_s), self.warm_up_m_s2)
 
-    def distorted(self, force_m_s2: FloatArray) -> FloatArray:
-        """Return specific forces (n, 3) as an instrument without these terms would have to feel them to read the same."""
+    def distorted(self, force_m_s2: FloatArray, misalignment_rad: FloatArray) -> FloatArray:
+        """Return specific forces (n, 3) as an instrument without these terms would have to feel them to read the same.
+
+        The terms stand on its sensing axes, the rows of the identity and ``misalignment_rad``, shape (3, 3).
+        """
         if not np.any([*self.asymmetry, *self.cubic, *np.ravel(self.cross)]):
             return force_m_s2
-        s = force_m_s2 / STANDARD_GRAVITY_M_S2
+        T = np.eye(3) + misalignment_rad
+        s = force_m_s2 @ T.T / STANDARD_GRAVITY_M_S2
         pairs = s[:, [0, 0, 1]] * s[:, [1, 2, 2]]
         more = np.array(self.asymmetry) * np.abs(s) + np.array(self.cubic) * s**3 + pairs @ np.array(self.cross)
-        return np.asarray(force_m_s2 + STANDARD_GRAVITY_M_S2 * more)
+        return np.asarray(force_m_s2 + STANDARD_GRAVITY_M_S2 * np.linalg.solve(T, more.T).T)
 
     def distorted_rate(self, rate_rad_s: FloatArray) -> FloatArray:
         """Return angular rates (n, 3) as a gyroscope without these terms would have to feel them to read the same."""

@@ -171,9 +171,8 @@ class Imu:
         """Return the noise-free outputs of both triads in raw units per second, shape (n, 6)."""
         unit = self.instrument
         # The measurement equations of imufield/__init__.py, with the true parameters.
-        accelerometer = predict(
-            unit.accelerometer, unit.effects.distorted(self._accelerometer_delay.feed(motion.specific_force))
-        )
+        force = self._accelerometer_delay.feed(motion.specific_force)
+        accelerometer = predict(unit.accelerometer, unit.effects.distorted(force, unit.accelerometer.misalignment_rad))
         rate = unit.effects.distorted_rate(self._gyroscope_delay.feed(motion.angular_rate))
         gyroscope = predict_gyroscope(unit.gyroscope, rate, motion.specific_force)
         zero = unit.accelerometer.raw_zero

@@ -64,7 +64,7 @@ class MeanSession:
         unknown = np.full((m, 3), np.nan)
         observations = Observations(
             name=names,
-            mean_raw=predict(unit.accelerometer, effects.distorted(force)) + scale * error,
+            mean_raw=predict(unit.accelerometer, effects.distorted(force, unit.accelerometer.misalignment_rad)) + scale * error,
             covariance_raw=np.broadcast_to(np.diag((scale * noise) ** 2), (m, 3, 3)),
             gyroscope_mean_raw=unknown,
             gyroscope_covariance_raw=np.full((m, 3, 3), np.nan),
