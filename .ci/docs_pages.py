@@ -52,7 +52,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 def commands() -> Iterator[str]:
     """Yield the page of all commands, from what ``--help`` says."""
-    yield "# Commands\n\n`imufield COMMAND -h` says the same, and [the man page](imufield.1). Exit codes: [errors](errors.md).\n"
+    yield "# Commands\n\n`imufield COMMAND -h` and [the man page](imufield.1) say the same. Exit codes: [errors](errors.md).\n"
     group: Any = get_command(app)
     for name, command in sorted(group.commands.items()):
         text = inspect.cleandoc(command.help or "")

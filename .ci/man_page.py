@@ -36,12 +36,13 @@ def lines() -> Iterator[str]:
     """Yield its lines."""
     group: Any = get_command(app)
     yield f'.TH IMUFIELD 1 "" "imufield {__version__}" "User Commands"'
-    # Words whole, and only the left side even: names of options are long.
-    yield ".nh\n.ad l"
+    # Words whole, and only the left side even: names of options and ports are long. Every heading sets both from these.
+    yield ".nr HY 0\n.ds AD l\n.nh\n.ad l"
     yield f".SH NAME\nimufield \\- {roff(group.help[0].lower() + group.help[1:].rstrip('.'))}"
     yield ".SH SYNOPSIS\n.B imufield\n.RI [ option ...]\n.I command\n.RI [ argument ...]"
     yield ".SH OPTIONS"
     yield from options(group)
+    yield ".TP\n.B \\-\\-help, \\-h\nHelp; behind a command, of that command."
     yield ".SH COMMANDS"
     for name, command in group.commands.items():
         yield from command_lines(name, command)
@@ -77,7 +78,8 @@ def options(command: Any) -> Iterator[str]:
         is_option = one.param_type_name == "option"
         spelled = ", ".join((*one.opts, *one.secondary_opts)) if is_option else argument(one)
         value = "" if not is_option or one.is_flag else f" {one.metavar or one.name.upper()}"
-        default = "" if one.default in (None, False, (), "") or callable(one.default) else f" (default: {one.default})"
+        is_told = one.default not in (None, "", ()) and one.default is not False and not callable(one.default)
+        default = f" (default: {one.default})" if is_told else ""
         yield f".TP\n.B {roff(spelled + value)}\n{roff((one.help or '') + default)}"
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, cast
+from collections.abc import Iterable
+from typing import Annotated, cast
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -16,21 +17,21 @@ from imufield.version import __version__
 _UsageError = cast("type[Exception]", typer.BadParameter.__bases__[0])
 
 
-def _without_type(parameters: list[Any]) -> list[Any]:
+def _without_type(parameters: Iterable[object]) -> list[object]:
     """Return the parameters, and let help show no type beside those that have no value."""
-    for parameter in parameters:
+    for parameter in (parameters := [*parameters]):
         if getattr(parameter, "is_flag", False):
-            parameter.metavar = ""
+            vars(parameter)["metavar"] = ""
     return parameters
 
 
 class _Command(TyperCommand):
-    def get_params(self, ctx: typer.Context) -> list[Any]:  # type: ignore[override]  # typer names the base of it
+    def get_params(self, ctx: typer.Context) -> list[object]:  # type: ignore[override]  # typer names the base of it
         return _without_type(super().get_params(ctx))
 
 
 class _Commands(TyperGroup):
-    def get_params(self, ctx: typer.Context) -> list[Any]:  # type: ignore[override]  # the same
+    def get_params(self, ctx: typer.Context) -> list[object]:  # type: ignore[override]  # the same
         return _without_type(super().get_params(ctx))
 
     def invoke(self, ctx: typer.Context) -> object:  # type: ignore[override]  # typer names the base of it

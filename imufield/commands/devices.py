@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import json
-import textwrap
 from dataclasses import asdict
 from typing import Any
 
@@ -70,12 +69,11 @@ def list_devices(options: DevicesOptions) -> None:
 
 
 def _show(facts: dict[str, Any]) -> None:
-    rate = "bit rate" if facts["wire"] == "can" else "baud rate"
-    others = ", ".join(str(baud) for baud in facts["bauds"] if baud != facts["default_baud"])
+    on_bus = facts["wire"] == "can"
     rows = {
         "driver": f"{facts['name']}; {facts['status']}",
-        "wiring": sentence(f"devices.{facts['wire']}"),
-        rate: f"{facts['default_baud']}{f' as delivered; can be set to {others}' if others else ''}",
+        "wiring": sentence("devices.can" if on_bus else "devices.serial"),
+        "bit rate" if on_bus else "baud rate": f"{', '.join(map(str, facts['bauds']))} (the usual one first)",
         "commands": "; ".join(f"{ability} ({tried})" for ability, tried in facts["abilities"].items()) or "none",
         "manual": facts["manual"],
     }
@@ -88,7 +86,11 @@ def _show(facts: dict[str, Any]) -> None:
         echo(f"  {name} = {setting['value']}".rstrip())
         for words in (setting["meaning"], setting["allowed"]):
             echo(hanging("      ", words))
-    echo(f"\nwhat it sends\n{textwrap.indent(facts['about'], '  ')}")
+    echo()
+    # The tables of bytes are for whoever writes a driver; JSON has them.
+    for paragraph in facts["about"].split("\n\n"):
+        if "==" not in paragraph and not paragraph.rstrip().endswith(":"):
+            echo(hanging("", paragraph.replace("``", "")))
 
 
 def _describe(name: str, *, whole: bool = False) -> dict[str, Any]:
@@ -107,16 +109,7 @@ def _describe(name: str, *, whole: bool = False) -> dict[str, Any]:
     }
     if not whole:
         return facts
-    protocol = driver.load_protocol()
-    settings = {
-        key: {"value": protocol.settings[key].value, "meaning": rule.help, "allowed": rule.allowed}
-        for key, rule in protocol.rules.items()
-    }
-    about = inspect.getdoc(driver) or ""
-    return facts | {
-        "wire": driver.wire,
-        "bauds": driver.bauds,
-        "manual": driver.manual,
-        "settings": settings,
-        "about": about,
-    }
+    settings, rules = driver.load_protocol().settings, driver.load_protocol().rules
+    told = {key: {"value": settings[key].value, "meaning": rules[key].help, "allowed": rules[key].allowed} for key in rules}
+    of_wire = {"wire": driver.wire, "bauds": driver.bauds, "manual": driver.manual}
+    return facts | of_wire | {"settings": told, "about": inspect.getdoc(driver) or ""}

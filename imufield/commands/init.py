@@ -15,7 +15,7 @@ from imufield.acquire.registry import load_driver
 from imufield.commands.configuration import FILE_NAME
 from imufield.commands.options.commands import InitOptions
 from imufield.commands.terminal.output import echo, say
-from imufield.commands.terminal.questions import ask_until, confirm
+from imufield.commands.terminal.questions import ask, ask_until, confirm
 from imufield.commands.terminal.site import NOT_KNOWN, ask_site, read_number
 from imufield.earth import HEIGHT_RANGE_M
 from imufield.errors import UsageError
@@ -78,20 +78,18 @@ def _values(options: InitOptions) -> dict[str, object]:
 
 def _asked(options: InitOptions) -> InitOptions:
     """Return the options with what was typed to the questions, which are asked where an option is not given."""
-    site, port = options.site, options.port
+    site, port, target = options.site, options.port, _number(*TARGET_RANGE)
     if not site.is_known:
         site = ask_site(site, options.root)
         if site.latitude_deg is not None and site.height_m is None:
-            height_m = ask_until(sentence("init.height"), _number(*HEIGHT_RANGE_M))
-            site = replace(site, height_m=height_m)
-    driver = options.driver or ask_until(sentence("init.driver"), _driver)
+            site = replace(site, height_m=ask_until(sentence("init.height"), _number(*HEIGHT_RANGE_M)))
+    driver = options.driver or ask_until(sentence("init.driver"), lambda name: load_driver(name).name if name else None)
     # An instrument on a bus has no port.
     if port is None and (driver is None or load_driver(driver).wire == "serial"):
         port = _ask_port()
-    targets = {name: getattr(options, name) for name in ("target_bias_ug", "target_scale_ppm")}
-    for name, given in targets.items():
-        targets[name] = given or ask_until(sentence(f"init.{name}"), _number(*TARGET_RANGE))
-    return replace(options, site=site, driver=driver, port=port, **targets)
+    bias_ug = options.target_bias_ug or ask_until(sentence("init.target_bias_ug"), target)
+    scale_ppm = options.target_scale_ppm or ask_until(sentence("init.target_scale_ppm"), target)
+    return replace(options, site=site, driver=driver, port=port, target_bias_ug=bias_ug, target_scale_ppm=scale_ppm)
 
 
 def _ask_port() -> str | None:
@@ -99,24 +97,15 @@ def _ask_port() -> str | None:
     if len(found) > 1:
         say(sentence("init.ports", ports=found))
     only = found[0] if len(found) == 1 else None
-    question = sentence("init.no_port") if only is None else sentence("init.port", port=only)
-    return ask_until(question, lambda answer: only if not answer else None if answer == NOT_KNOWN else answer)
-
-
-def _driver(answer: str) -> str | None:
-    if not answer:
-        return None
-    load_driver(answer)
-    return answer
+    answer = ask(sentence("init.no_port") if only is None else sentence("init.port", port=only))
+    return {"": only, NOT_KNOWN: None}.get(answer, answer)
 
 
 def _number(low: float, high: float) -> Callable[[str], float | None]:
     def read(answer: str) -> float | None:
-        if not answer:
-            return None
-        value = read_number(answer)
+        value = read_number(answer) if answer else None
         # Written so that NaN is outside.
-        if not low <= value <= high:
+        if value is not None and not low <= value <= high:
             raise UsageError(sentence("init.outside", value=value, low=low, high=high))
         return value
 

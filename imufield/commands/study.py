@@ -30,7 +30,7 @@ def run_study_command(options: StudyOptions) -> None:
     folder, document, name = options.output, options.document, options.name
     if name is None:
         for study in STUDIES:
-            echo(hanging(f"{study:<15} ", texts()[study]["title"]))
+            echo(hanging(f"{study:<15} ", texts()[study]["title"].format(runs="several runs")))
         return
     # Refused before hours of computing what would be refused after them, and before a folder is made.
     find_studies(name)

@@ -1,4 +1,4 @@
-"""What a shell completes: instruments, sessions, export targets and ports. What finds them is imported when they are asked for."""
+"""What a shell completes: instruments, sessions, export targets and ports; what finds them is imported when it is needed."""
 
 from __future__ import annotations
 

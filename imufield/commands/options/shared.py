@@ -7,6 +7,7 @@ and annotations are not postponed, because the command line is made from them.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
@@ -77,9 +78,8 @@ def argument(**more: Any) -> Any:
     return typer.Argument(readable=False, **more)
 
 
-def session_argument(**more: Any) -> Any:
-    """Return ``argument`` of a session's folder, which stands for its parameter file, too."""
-    return argument(autocompletion=completion.sessions, **more)
+# Of a session's folder, which stands for its parameter file, too.
+session_argument = partial(argument, autocompletion=completion.sessions)
 
 
 def _within(low: float, high: float) -> Callable[[Any], Any]:
