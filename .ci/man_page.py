@@ -69,7 +69,7 @@ def command_lines(name: str, command: Any) -> Iterator[str]:
         yield f"{roff(paragraph)}\n.PP"
     yield from options(command)
     for example in examples:
-        yield f".PP\n.EX\n$ {roff(example)}\n.EE"
+        yield f".PP\n$ {roff(example)}"
 
 
 def options(command: Any) -> Iterator[str]:

@@ -38,13 +38,15 @@ def test_all_that_help_says_is_there(page: str) -> None:
 
 
 def test_no_line_is_taken_for_a_request(page: str) -> None:
-    known = {".TH", ".SH", ".SS", ".TP", ".B", ".I", ".RI", ".PP", ".EX", ".EE", ".nh", ".ad", ".nr", ".ds"}
+    known = {".TH", ".SH", ".SS", ".TP", ".B", ".I", ".RI", ".PP", ".nh", ".ad", ".nr", ".ds"}
     assert {line.split()[0] for line in page.splitlines() if line.startswith((".", "'"))} <= known
 
 
 @pytest.mark.skipif(shutil.which("groff") is None, reason="needs groff")
 def test_the_formatter_has_no_objection(page: str) -> None:
-    done = subprocess.run(["groff", "-man", "-Tutf8", "-ww", "-rLL=78n"], input=page, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        ["groff", "-man", "-Tutf8", "-ww", "-rLL=78n"], input=page, capture_output=True, text=True, check=True
+    )
     assert done.stderr == ""
     # Bold and underlined letters are sequences, or printed twice.
     shown = re.sub(r"\x1b\[[0-9;]*m|.\x08", "", done.stdout)
