@@ -15,7 +15,6 @@ from typing import Any
 
 from typer.main import get_command
 
-from imufield import errors
 from imufield.cli.app import app
 from imufield.errors import EXIT_INTERRUPTED, ImufieldError
 from imufield.version import __version__
@@ -54,7 +53,7 @@ def lines() -> Iterator[str]:
     for file, words in FILES.items():
         yield f".TP\n.I {roff(file)}\n{roff(words)}"
     yield ".SH EXIT STATUS\n.TP\n0\nDone.\n.TP\n1\nA defect of imufield, with its traceback."
-    kinds = [kind for kind in vars(errors).values() if isinstance(kind, type) and ImufieldError in kind.__bases__]
+    kinds = ImufieldError.__subclasses__()
     for code in sorted({kind.exit_code for kind in kinds}):
         yield f".TP\n{code}\n{roff(' '.join(inspect.getdoc(kind) or '' for kind in kinds if kind.exit_code == code))}"
     yield f".TP\n{EXIT_INTERRUPTED}\nInterrupted."

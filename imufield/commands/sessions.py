@@ -74,10 +74,10 @@ def _solved(path: Path) -> Row:
     cut = {"fault": sentence("sessions.cut", path=path)}
     try:
         text = decode_toml(read_small_file(path, Origin.INSIDE), str(path), ParameterFileError)
-        tables = parse_toml("".join(_TABLES.findall(text)), str(path), ParameterFileError)
+        tables: dict[str, Row] = parse_toml("".join(_TABLES.findall(text)), str(path), ParameterFileError)
     except (OSError, ParameterFileError):
         return cut
-    verdict, positions = (tables.get(table, {}).get(key) for table, key in (("quality", "verdict"), ("session", "positions")))
+    verdict, positions = tables.get("quality", {}).get("verdict"), tables.get("session", {}).get("positions")
     is_whole = verdict in ("good", "usable", "poor") and isinstance(positions, int) and "integrity" in tables
     return {"verdict": verdict, "positions": positions} if is_whole else cut
 
