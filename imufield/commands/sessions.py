@@ -74,7 +74,7 @@ def _solved(path: Path) -> Row:
     cut = {"fault": sentence("sessions.cut", path=path)}
     try:
         text = decode_toml(read_small_file(path, Origin.INSIDE), str(path), ParameterFileError)
-        tables: dict[str, Row] = parse_toml("".join(_TABLES.findall(text)), str(path), ParameterFileError)
+        tables: Row = parse_toml("".join(_TABLES.findall(text)), str(path), ParameterFileError)
     except (OSError, ParameterFileError):
         return cut
     verdict, positions = tables.get("quality", {}).get("verdict"), tables.get("session", {}).get("positions")

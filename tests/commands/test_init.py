@@ -19,7 +19,7 @@ from tests.commands.conftest import Program
 from tests.commands.pty_terminal import Terminal
 from tests.commands.told import fails, missing
 
-QUESTIONS = ("Latitude in degrees", "Height above", "Instrument", "Port", "Biases wanted", "Scale factors wanted")
+QUESTIONS = ("Latitude in degrees", "Height above", "Instrument", "Port", "Target for biases", "Target for scale")
 
 
 @pytest.fixture
@@ -71,8 +71,8 @@ def test_an_answer_that_makes_no_sense_is_asked_again(program: Program, terminal
         ("Height", ""),
         ("Instrument", "stim30"),
         ("Instrument, e.g.", "stim300"),
-        ("Biases", "-5"),
-        ("Biases", ""),
+        ("Target for biases", "-5"),
+        ("Target for biases", ""),
     ):
         screen.wait_for(question)
         screen.type(f"{typed}\n")
@@ -128,7 +128,7 @@ def test_the_last_site_is_offered_again(program: Program, terminal: Callable[...
     broken = Session.create(program.folder / DEFAULT_ROOT, "stim300", {})
     (broken.folder / "session.toml").write_text("format = ")
     screen = terminal("init")
-    assert not missing(screen.wait_for("not known)"), "latitude 47.5", "height 610 m")
+    assert not missing(screen.wait_for("unknown)"), "latitude 47.5", "height 610 m")
     screen.type("\n")
     for question in QUESTIONS[2:]:
         screen.wait_for(question)
@@ -142,7 +142,7 @@ def test_a_capture_offers_it_too(program: Program, terminal: Callable[..., Termi
     port = program.emulate("--positions", "faces6", "--wait")
     line = program.capture(port)
     screen = terminal(*line, "--session", "mine")
-    assert not missing(screen.wait_for("not known)"), "gravity 9.80813 m/s^2")
+    assert not missing(screen.wait_for("unknown)"), "gravity 9.80813 m/s^2")
     screen.type("\n")
     screen.wait_for("0 of 6 done")
     screen.type("q")
@@ -153,7 +153,7 @@ def test_a_capture_offers_it_too(program: Program, terminal: Callable[..., Termi
 
 def test_without_a_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    fails("init", 2, Reason.USAGE, "--latitude", "--port", key="init.no_terminal")
+    fails("init", 2, Reason.USAGE, "--latitude", "--driver", key="init.no_terminal")
     fails("init --driver stim30", 2, Reason.UNKNOWN_DRIVER, "stim300", key="registry.unknown")
     assert not (tmp_path / "imufield.toml").exists()
     assert run(["init", "--gravity", "9.8081+-0.0002", "--driver", "text", "--target-bias-ug", "80"]) == 0
