@@ -36,8 +36,11 @@ def run_capture(options: CaptureOptions, clock: HostClock | None = None) -> Capt
         if earlier is not None:
             check_plan(earlier, options.positions, asked)
         how = options.connect if earlier is None else connect_as_before(options.connect, earlier)
-        check_options(how)
         site = options.site if earlier is None else options.site.over(earlier.record.site)
+        # A place that is nowhere on Earth is a slip of what was typed, whatever the port.
+        if site.is_known:
+            site.gravity()
+        check_options(how)
         if interactive and not site.is_known:
             site = ask_site(site, options.root)
         elif not site.is_known and options.view != "json":

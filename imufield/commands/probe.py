@@ -92,10 +92,7 @@ def _probe_ports(options: ProbeOptions, clock: HostClock) -> None:
     ports = [port.device for port in serial_ports()] if port is None else [port]
     if not ports:
         raise LinkError(sentence("probe.no_ports"), Reason.PORT_NOT_FOUND)
-
-    def announce() -> None:
-        _tell_begin(options, ports, limit_s=10)
-
+    announce = partial(_tell_begin, options, ports, limit_s=10)
     if port is None:
         # Ports that the system lists are there.
         announce()
