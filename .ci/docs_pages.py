@@ -6,6 +6,7 @@ A hook of mkdocs. What is generated is never stored, so it cannot be out of date
 from __future__ import annotations
 
 import inspect
+import runpy
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -17,7 +18,6 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from typer.main import get_command
 
-from imufield.acquire.protocol.protocol import load_protocol
 from imufield.acquire.registry import driver_names, load_driver
 from imufield.cli.app import app
 
@@ -42,6 +42,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         "security.md": root_page("SECURITY.md"),
         "contributing.md": root_page("CONTRIBUTING.md"),
         "changes.md": changes(),
+        "imufield.1": runpy.run_path(str(Path(__file__).with_name("man_page.py")))["man_page"](),
         **{name: (resources(package) / name).read_text(encoding="utf-8") for name, package in SCHEMAS.items()},
     }
     for name, text in pages.items():
@@ -51,7 +52,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 def commands() -> Iterator[str]:
     """Yield the page of all commands, from what ``--help`` says."""
-    yield "# Commands\n\n`imufield COMMAND --help` says the same. Exit codes: [errors](errors.md).\n"
+    yield "# Commands\n\n`imufield COMMAND -h` and [the man page](imufield.1) say the same. Exit codes: [errors](errors.md).\n"
     group: Any = get_command(app)
     for name, command in sorted(group.commands.items()):
         text = inspect.cleandoc(command.help or "")
@@ -97,11 +98,12 @@ def instruments() -> Iterator[str]:
 
 def settings_of(driver: Any) -> Iterator[str]:
     """Yield the table of a driver's settings."""
-    protocol = load_protocol(driver.protocol, {}, read=dict(driver.settings))
+    protocol = driver.load_protocol()
     if not protocol.settings:
         return
-    yield "| setting | value where nothing is said |\n|---|---|"
-    yield from (f"| `{name}` | `{one.value}` |" for name, one in protocol.settings.items())
+    yield "| setting | value where nothing is said | allowed | meaning |\n|---|---|---|---|"
+    for name, rule in protocol.rules.items():
+        yield f"| `{name}` | `{protocol.settings[name].value}` | {cell(rule.allowed)} | {cell(rule.help)} |"
     yield ""
 
 

@@ -34,12 +34,19 @@ def test_help_has_an_example(command: str, monkeypatch: pytest.MonkeyPatch, caps
     # Neither cut names nor limits that take the room of the words.
     assert "…" not in shown
     assert "<=x" not in shown
+    # A type stands beside what has a value.
+    assert "<bool>" not in shown
+    assert run([command, "-h"]) == 0
+    assert capsys.readouterr().out == shown
 
 
 def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["--help"]) == 0
     shown = capsys.readouterr().out
     assert all(command in shown for command in COMMANDS)
+    assert "<bool>" not in shown
+    assert run(["-h"]) == 0
+    assert capsys.readouterr().out == shown
 
 
 @pytest.mark.parametrize(("option", "value"), [("--seed", "-1"), ("--seed", str(2**63)), ("--workers", "0")])

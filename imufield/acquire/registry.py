@@ -10,11 +10,13 @@ import pkgutil
 import sys
 from functools import cache
 from importlib.metadata import EntryPoint, EntryPoints, entry_points
+from typing import TYPE_CHECKING
 
-from imufield.acquire.driver import Driver
-from imufield.acquire.protocol.toml import near
 from imufield.errors import ProtocolError, Reason, UnknownNameError
 from imufield.sentences import Sentences
+
+if TYPE_CHECKING:  # A shell completes names of drivers, and should not wait for NumPy.
+    from imufield.acquire.driver import Driver
 
 sentence = Sentences(__package__)
 
@@ -48,6 +50,8 @@ def load_driver(name: str) -> type[Driver]:
         return _load(EntryPoint(name, f"{GROUP}.{name}:DRIVER", GROUP))
     if points:
         return _load(points[0])
+    from imufield.acquire.protocol.toml import near
+
     names = driver_names()
     unknown = sentence("registry.unknown", name=name, near=near(name, names), names=names)
     raise UnknownNameError(unknown, Reason.UNKNOWN_DRIVER)
@@ -70,6 +74,8 @@ def _points_on(path: tuple[str, ...]) -> EntryPoints:  # noqa: ARG001  (where th
 
 
 def _load(point: EntryPoint) -> type[Driver]:
+    from imufield.acquire.driver import Driver
+
     where = {"name": point.name, "place": point.value}
     try:
         found = point.load()

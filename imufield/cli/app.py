@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Annotated, cast
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from imufield.cli.command import make_command
 from imufield.commands.options import commands
@@ -16,7 +17,23 @@ from imufield.version import __version__
 _UsageError = cast("type[Exception]", typer.BadParameter.__bases__[0])
 
 
+def _without_type(parameters: Iterable[object]) -> list[object]:
+    """Return the parameters, and let help show no type beside those that have no value."""
+    for parameter in (parameters := [*parameters]):
+        if getattr(parameter, "is_flag", False):
+            vars(parameter)["metavar"] = ""
+    return parameters
+
+
+class _Command(TyperCommand):
+    def get_params(self, ctx: typer.Context) -> list[object]:  # type: ignore[override]  # typer names the base of it
+        return _without_type(super().get_params(ctx))
+
+
 class _Commands(TyperGroup):
+    def get_params(self, ctx: typer.Context) -> list[object]:  # type: ignore[override]  # the same
+        return _without_type(super().get_params(ctx))
+
     def invoke(self, ctx: typer.Context) -> object:  # type: ignore[override]  # typer names the base of it
         try:
             return super().invoke(ctx)
@@ -31,7 +48,7 @@ app = typer.Typer(
     cls=_Commands,
     help="Calibrate an IMU in the field: no turntable, 24 hand-held positions, a parameter file for your INS.",
     no_args_is_help=True,
-    add_completion=False,
+    context_settings={"help_option_names": ["--help", "-h"]},
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
@@ -59,6 +76,7 @@ def root(
 # Under each heading: name, options, and the function below imufield.commands that does the work.
 _COMMANDS: dict[str, tuple[tuple[str, type, str], ...]] = {
     "Calibrate": (
+        ("init", commands.InitOptions, "init.run_init"),
         ("devices", commands.DevicesOptions, "devices.list_devices"),
         ("probe", commands.ProbeOptions, "probe.run_probe"),
         ("capture", commands.CaptureOptions, "capture.run_capture"),
@@ -72,6 +90,7 @@ _COMMANDS: dict[str, tuple[tuple[str, type, str], ...]] = {
         ("noise", commands.NoiseOptions, "noise.run_noise"),
     ),
     "Recordings": (
+        ("sessions", commands.SessionsOptions, "sessions.list_sessions"),
         ("record", commands.RecordOptions, "record.run_record"),
         ("import", commands.ImportOptions, "import_files.run_import"),
         ("replay", commands.ReplayOptions, "replay.run_replay"),
@@ -87,4 +106,4 @@ _COMMANDS: dict[str, tuple[tuple[str, type, str], ...]] = {
 
 for _panel, _row in _COMMANDS.items():
     for _name, _options, _work in _row:
-        app.command(_name, rich_help_panel=_panel)(make_command(_options, _work))
+        app.command(_name, cls=_Command, rich_help_panel=_panel)(make_command(_options, _work))

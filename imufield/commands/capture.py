@@ -5,16 +5,14 @@ from __future__ import annotations
 import sys
 from contextlib import ExitStack
 
-from imufield.acquire.instrument.connect import check_files, connect
+from imufield.acquire.instrument.connect import check_options, connect
 from imufield.acquire.link.host_clock import HostClock
 from imufield.commands.options.commands import CaptureOptions
 from imufield.commands.terminal.guided import DEFAULT_SCHEME, Captured, guide_record, guided_session, new_session
 from imufield.commands.terminal.output import before_recording, host_clock, say, say_assumed
-from imufield.commands.terminal.questions import ask
 from imufield.commands.terminal.resume import check_instrument, check_plan, connect_as_before, find_unfinished
-from imufield.errors import UsageError
+from imufield.commands.terminal.site import ask_site
 from imufield.guide.positions import scheme
-from imufield.pipeline.site import SiteOptions
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -37,12 +35,17 @@ def run_capture(options: CaptureOptions, clock: HostClock | None = None) -> Capt
         earlier = find_unfinished(options.session, options.root, resume=options.resume, interactive=interactive)
         if earlier is not None:
             check_plan(earlier, options.positions, asked)
-        check_files(options.connect)
-        site = ask_site(options.site if earlier is None else options.site.over(earlier.record.site), interactive)
-        if not (site.is_known or interactive or options.view == "json"):
+        how = options.connect if earlier is None else connect_as_before(options.connect, earlier)
+        site = options.site if earlier is None else options.site.over(earlier.record.site)
+        # A place that is nowhere on Earth is a slip of what was typed, whatever the port.
+        if site.is_known:
+            site.gravity()
+        check_options(how)
+        if interactive and not site.is_known:
+            site = ask_site(site, options.root)
+        elif not site.is_known and options.view != "json":
             say(sentence("capture.gravity_unknown"), err=True)
         site.gravity()
-        how = options.connect if earlier is None else connect_as_before(options.connect, earlier)
         connected = connect(how, clock, say_assumed)
     with ExitStack() as stack:
         stack.callback(connected.close)
@@ -53,17 +56,3 @@ def run_capture(options: CaptureOptions, clock: HostClock | None = None) -> Capt
             check_instrument(session, connected)
             session.update(site=site.record(), finished=False)
         return guided_session(session, connected, clock, options)
-
-
-def ask_site(site: SiteOptions, interactive: bool) -> SiteOptions:
-    """Return the site, asking once where nothing is known and somebody is there to answer."""
-    if site.is_known or not interactive:
-        return site
-    say(sentence("capture.why_latitude"))
-    answer = ask(sentence("capture.latitude"))
-    if not answer:
-        return site
-    try:
-        return SiteOptions(latitude_deg=float(answer), height_m=site.height_m)
-    except ValueError as error:
-        raise UsageError(sentence("capture.no_number", answer=answer)) from error

@@ -138,10 +138,16 @@ def _emulator(seed: int, speed: float, truth: Path) -> Iterator[tuple[str, Calla
 def _errors_in_sigma(calibration: Calibration, truth: dict[str, Any]) -> FloatArray:
     """Return the gauge-free errors in units of their stated sigma, shape (12,); NaN where nothing was fitted."""
     table = truth["accelerometer"]
-    given = {name: np.array(table[name]) for name in ("scale", "bias_m_s2", "misalignment_rad", "quadratic", "raw_zero")}
-    # The bias with what the slow drift added on average.
-    given["bias_m_s2"] = given["bias_m_s2"] + np.array(table["mean_drift_m_s2"])
-    true, _ = intrinsic(to_vector(AccelerometerParameters(**given, quadratic_axes=table["quadratic_axes"])))
+    given = AccelerometerParameters(
+        scale=np.array(table["scale"]),
+        # With what the slow drift added on average.
+        bias_m_s2=np.array(table["bias_m_s2"]) + np.array(table["mean_drift_m_s2"]),
+        misalignment_rad=np.array(table["misalignment_rad"]),
+        quadratic=np.array(table["quadratic"]),
+        raw_zero=np.array(table["raw_zero"]),
+        quadratic_axes=table["quadratic_axes"],
+    )
+    true, _ = intrinsic(to_vector(given))
     found = calibration.intrinsic
     values = np.concatenate([found.scale, found.bias_raw, found.angle_rad, found.quadratic])
     sigma = np.concatenate([found.scale_sigma, found.bias_raw_sigma, found.angle_sigma_rad, found.quadratic_sigma])

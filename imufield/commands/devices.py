@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 from dataclasses import asdict
 from typing import Any
@@ -12,12 +13,29 @@ from imufield.commands.options.commands import DevicesOptions
 from imufield.commands.terminal.output import echo
 from imufield.deliver.parameters.numbers import hanging
 from imufield.errors import ProtocolError
+from imufield.sentences import Sentences, printable
+
+sentence = Sentences(__package__)
 
 _TRIED = "verified on real bytes"
 
 
 def list_devices(options: DevicesOptions) -> None:
-    """Print ports, CAN channels and drivers; a driver that cannot be loaded is listed with its error."""
+    """Print ports, CAN channels and drivers, or one of them; a driver that cannot be loaded is listed with its error.
+
+    Raises
+    ------
+    ProtocolError
+        If the instrument that was named has no driver, or it cannot be loaded.
+    """
+    if options.name is not None:
+        load_driver(options.name)
+        facts = _describe(options.name, whole=True)
+        if options.as_json:
+            echo(json.dumps(facts))
+        else:
+            _show(facts)
+        return
     ports = [asdict(port) for port in serial_ports()]
     buses = can_channels()
     drivers = [_describe(name) for name in driver_names()]
@@ -47,19 +65,51 @@ def list_devices(options: DevicesOptions) -> None:
         rate = f"{driver['default_baud']} bit/s" if driver["default_baud"] else ""
         echo(hanging(" " * width, "; ".join(filter(None, (rate, driver["status"], told)))))
     echo(hanging("* ", "experimental: commands and answers from documents, never seen on a real instrument"))
+    echo("\nimufield devices NAME shows one with its settings and wiring")
 
 
-def _describe(name: str) -> dict[str, Any]:
-    """Return what is said of a driver, in JSON under the same names."""
+def _show(facts: dict[str, Any]) -> None:
+    on_bus = facts["wire"] == "can"
+    rows = {
+        "driver": f"{facts['name']}; {facts['status']}",
+        "wiring": sentence("devices.can" if on_bus else "devices.serial"),
+        "bit rate" if on_bus else "baud rate": f"{', '.join(map(str, facts['bauds']))} (the usual one first)",
+        "commands": "; ".join(f"{ability} ({tried})" for ability, tried in facts["abilities"].items()) or "none",
+        "manual": facts["manual"],
+    }
+    echo(printable(facts["title"]))
+    for name, words in rows.items():
+        echo(hanging(f"  {name:<11}", words))
+    if facts["settings"]:
+        echo("\nsettings, each as --set NAME=VALUE")
+    for name, setting in facts["settings"].items():
+        echo(f"  {name} = {setting['value']}".rstrip())
+        for words in (setting["meaning"], setting["allowed"]):
+            echo(hanging("      ", words))
+    echo()
+    # The tables of bytes are for whoever writes a driver; JSON has them.
+    for paragraph in facts["about"].split("\n\n"):
+        if "==" not in paragraph and not paragraph.rstrip().endswith(":"):
+            echo(hanging("", paragraph.replace("``", "")))
+
+
+def _describe(name: str, *, whole: bool = False) -> dict[str, Any]:
+    """Return what is said of a driver, in JSON under the same names; ``whole`` with its wire and its settings."""
     try:
         driver = load_driver(name)
     except ProtocolError as error:
         # Drivers come from other packages too: a broken one must not hide the rest.
         return {"name": name, "title": error.message, "default_baud": "", "status": "cannot be loaded", "abilities": {}}
-    return {
+    facts = {
         "name": name,
         "title": driver.title,
         "default_baud": driver.default_baud,
         "status": driver.status,
         "abilities": {str(ability): str(tried) for ability, tried in driver.abilities.items()},
     }
+    if not whole:
+        return facts
+    settings, rules = driver.load_protocol().settings, driver.load_protocol().rules
+    told = {key: {"value": settings[key].value, "meaning": rules[key].help, "allowed": rules[key].allowed} for key in rules}
+    of_wire = {"wire": driver.wire, "bauds": driver.bauds, "manual": driver.manual}
+    return facts | of_wire | {"settings": told, "about": inspect.getdoc(driver) or ""}

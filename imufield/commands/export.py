@@ -6,9 +6,10 @@ import json
 
 from imufield.commands.options.commands import ExportOptions
 from imufield.commands.terminal.output import echo
-from imufield.deliver.exports import TARGETS, export_options, export_parameters, write_exported
+from imufield.deliver.exports import TARGETS, export_options, export_parameters, target, write_exported
 from imufield.deliver.parameters.file import load
 from imufield.deliver.parameters.numbers import hanging
+from imufield.errors import UsageError
 from imufield.sentences import Sentences, printable
 
 sentence = Sentences(__package__)
@@ -21,11 +22,19 @@ def run_export(options: ExportOptions) -> None:
     ------
     ParameterFileError
         If the file cannot be read, or the target cannot express it.
+    UsageError
+        If a target is given and no file.
     """
     if options.to is None:
-        for target in TARGETS.values():
-            echo(hanging(f"{target.name:<12} ", f"{target.title}: {target.holds}"))
+        if options.as_json:
+            rows = [{"name": each.name, "title": each.title, "holds": each.holds} for each in TARGETS.values()]
+            echo(json.dumps({"targets": rows}))
+            return
+        for each in TARGETS.values():
+            echo(hanging(f"{each.name:<12} ", f"{each.title}: {each.holds}"))
         return
+    if options.parameters is None:
+        raise UsageError(sentence("export.which", to=target(options.to).name))
     parameters = load(options.parameters)
     exported = export_parameters(parameters, options.to, export_options(dict(options.settings)))
     written = write_exported(exported, options.output, inputs=[options.parameters])

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import shlex
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import asdict, dataclass, field
+from functools import partial
 
 from imufield.acquire.instrument.connected import read_identity
 from imufield.acquire.instrument.instrument import Instrument
@@ -100,11 +102,15 @@ def _probe_ports(options: ProbeOptions, clock: HostClock) -> None:
     ports = [port.device for port in serial_ports()] if port is None else [port]
     if not ports:
         raise LinkError(sentence("probe.no_ports"), Reason.PORT_NOT_FOUND)
-    _tell_begin(options, ports, limit_s=10)
+    announce = partial(_tell_begin, options, ports, limit_s=10)
+    if port is None:
+        # Ports that the system lists are there.
+        announce()
     with ThreadPoolExecutor(min(len(ports), PORTS_AT_ONCE)) as pool:
         # Once for all ports: a driver that cannot be loaded is said once.
         candidates = serial_candidates(say=_tell)
-        results = list(pool.map(lambda port: probe_port(port, baud, clock, ask=options.ask, candidates=candidates), ports))
+        probe = partial(probe_port, baud=baud, clock=clock, ask=options.ask, candidates=candidates)
+        results = list(pool.map(probe if port is None else partial(probe, opened=announce), ports))
     if options.as_json:
         echo(json.dumps({"ports": [probed.to_dict() for probed in results]}))
     else:
@@ -123,8 +129,7 @@ def _probe_bus(options: ProbeOptions, bus: str, clock: HostClock) -> None:
     from imufield.acquire.instrument.connect_can import probe_bus
 
     baud = options.connect.baud
-    _tell_begin(options, [bus], limit_s=5)
-    found = probe_bus(options.connect, clock, _tell, ask=options.ask)
+    found = probe_bus(options.connect, clock, _tell, ask=options.ask, opened=lambda: _tell_begin(options, [bus], limit_s=5))
     words = ["imufield", "capture", "--bus", bus, *([] if baud is None else ["--baud", str(baud)])]
     command = shlex.join([*words, "--driver", found.name])
     if options.as_json:
@@ -145,13 +150,22 @@ def _tell(line: str) -> None:
 
 
 def probe_port(
-    port: str, baud: int | None, clock: HostClock, *, ask: bool = False, candidates: list[Candidate] | None = None
+    port: str,
+    baud: int | None,
+    clock: HostClock,
+    *,
+    ask: bool = False,
+    candidates: list[Candidate] | None = None,
+    opened: Callable[[], None] = lambda: None,
 ) -> Probed:
-    """Listen on one port, and (``ask``) let the instrument say who it is; errors of the port are part of the result."""
+    """Listen on one port, and (``ask``) let the instrument say who it is; errors of the port are part of the result.
+
+    ``opened`` is called when the port is open.
+    """
     candidates = candidates or serial_candidates()
     bauds = bauds_to_try(candidates, port, baud)
     try:
-        result = search(port, candidates, bauds, clock)
+        result = search(port, candidates, bauds, clock, opened=opened)
     except ImufieldError as error:
         return Probed(port=port, error=error)
     with closing(result.link):

@@ -6,18 +6,19 @@ import sys
 
 from imufield.commands.options.commands import StudyOptions
 from imufield.commands.terminal.output import echo, replace_only
+from imufield.deliver.parameters.numbers import hanging
 from imufield.errors import UsageError
 from imufield.files import typed_write_errors
 from imufield.sentences import Sentences, printable
 from imufield.study.context import StudyContext
-from imufield.study.report import StudyReport, as_text
-from imufield.study.run import document_title, run_study, write_document
+from imufield.study.report import StudyReport, as_text, texts
+from imufield.study.run import STUDIES, document_title, find_studies, run_study, write_document
 
 sentence = Sentences(__package__)
 
 
 def run_study_command(options: StudyOptions) -> None:
-    """Run studies and print each as it is done.
+    """Run studies and print each as it is done; without a name list them.
 
     Raises
     ------
@@ -26,8 +27,13 @@ def run_study_command(options: StudyOptions) -> None:
     LinkError
         If the scheduler does not answer.
     """
-    folder, document = options.output, options.document
-    # Refused before hours of computing what would be refused after them.
+    folder, document, name = options.output, options.document, options.name
+    if name is None:
+        for study in STUDIES:
+            echo(hanging(f"{study:<15} ", texts()[study]["title"].format(runs="several runs")))
+        return
+    # Refused before hours of computing what would be refused after them, and before a folder is made.
+    find_studies(name)
     if folder is not None and folder.exists() and not folder.is_dir():
         raise UsageError(sentence("study.no_folder", folder=folder))
     if folder is not None:
@@ -36,18 +42,18 @@ def run_study_command(options: StudyOptions) -> None:
     if document is not None:
         if document.is_dir() or not document.parent.is_dir():
             raise UsageError(sentence("study.no_place", document=document))
-        replace_only(document, document_title(options.name), "--document", "the results of a study")
+        replace_only(document, document_title(name), "--document", "the results of a study")
     context = StudyContext(
         seed=options.seed, quick=options.quick, workers=options.workers, scheduler=options.scheduler, progress=_tell
     )
     reports: list[StudyReport] = []
-    for report in run_study(options.name, context, folder=folder):
+    for report in run_study(name, context, folder=folder):
         echo(as_text(report), end="")
         reports.append(report)
     if folder is not None:
         echo(printable(f"written to: {folder}"))
     if document is not None:
-        write_document(reports, document, context, options.name)
+        write_document(reports, document, context, name)
         echo(printable(f"written: {document}"))
 
 

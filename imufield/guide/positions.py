@@ -28,6 +28,8 @@ _SAME_SIZE = 0.02  # Parts of a direction that differ by less are those of an ed
 
 SCHEMES = ("paper24", "paper36", "corners24", "all26", "faces6")
 """Names of the shipped schemes."""
+SCHEME_FILE = "positions.toml"
+"""Copy, in the session's folder, of positions that are not shipped: the session must be solved again without their file."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -26,7 +26,7 @@ from imufield.guide.lead.guide import Guide
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.lead.turns import HORIZONTAL, VERTICAL
 from imufield.guide.lead.unguided import StillIntervalFinder, StillIntervals
-from imufield.guide.positions import SCHEMES, scheme
+from imufield.guide.positions import SCHEME_FILE, SCHEMES, scheme
 from imufield.guide.stillness.scale import RoughScale
 from imufield.pipeline.damage import require_samples
 from imufield.samples import FloatArray, Samples, Status
@@ -40,8 +40,6 @@ REVISIT_FROM = 12
 """Schemes with at least this many positions end with the first one again, as a check for drift; a quick one does without."""
 ROTATIONS = {"rolled": HORIZONTAL, "table": VERTICAL}
 """Kinds of whole turns, as ``--rotations`` names them, and the axis they are about."""
-SCHEME_FILE = "positions.toml"
-"""Copy, in the session's folder, of positions that are not shipped: the session must be solved again without their file."""
 UNPLUGGED = "unplugged"
 """Name of a recorded event: the link was lost, and what comes behind it is read anew. Recordings that are older have only what
 the guide said of it, ``link_lost``."""

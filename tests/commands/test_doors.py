@@ -22,7 +22,7 @@ from imufield.acquire.recording.session import LOCK_FILE, Session
 from imufield.cli.run import run
 from imufield.commands.terminal.resume import connect_as_before
 from imufield.errors import ProtocolError, Reason, RecordingError, UsageError
-from imufield.pipeline.chain import SCHEME_FILE
+from imufield.guide.positions import SCHEME_FILE
 from tests.commands.told import fails, failure
 from tests.refused import refused
 

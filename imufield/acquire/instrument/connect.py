@@ -34,6 +34,7 @@ from imufield.acquire.instrument.listen import (
 from imufield.acquire.instrument.recognise import Candidate, Listener
 from imufield.acquire.link.background import BackgroundLink
 from imufield.acquire.link.host_clock import HostClock
+from imufield.acquire.link.link_errors import check_port
 from imufield.acquire.link.ports import serial_ports
 from imufield.acquire.protocol.protocol import load_protocol, parse_protocol
 from imufield.acquire.registry import driver_names, load_driver
@@ -69,17 +70,17 @@ def connect(options: ConnectOptions, clock: HostClock, say: Say) -> Connected:
         from imufield.acquire.instrument.connect_can import connect_bus
 
         return connect_bus(options, clock, say)
-    if options.dbc is not None or options.mapping:
-        raise UsageError(sentence("connect.dbc_without_bus"))
-    if options.driver in driver_names() and load_driver(options.driver).wire == "can":
-        raise UsageError(sentence("connect.driver_of_bus", driver=options.driver))
+    _refuse_bus_options(options)
     port = options.port or _only_port(say)
     candidates = _candidates(options, say)
     bauds = bauds_to_try(candidates, port, options.baud)
-    if len(bauds) > 1:
-        say(sentence("connect.search", port=port, bauds=len(bauds), limit_s=SEARCH_S))
+
+    def announce() -> None:
+        if len(bauds) > 1:
+            say(sentence("connect.search", port=port, bauds=len(bauds), limit_s=SEARCH_S))
+
     is_given = any(way is not None for way in (options.driver, options.protocol, options.protocol_text))
-    result = search(port, candidates, bauds, clock, is_given=is_given)
+    result = search(port, candidates, bauds, clock, is_given=is_given, opened=announce)
     instrument = None
     try:
         if result.recognised is None:
@@ -108,6 +109,13 @@ def _not_understood(port: str, result: Search, say: Say) -> LinkError:
     return error
 
 
+def _refuse_bus_options(options: ConnectOptions) -> None:
+    if options.dbc is not None or options.mapping:
+        raise UsageError(sentence("connect.dbc_without_bus"))
+    if options.driver in driver_names() and load_driver(options.driver).wire == "can":
+        raise UsageError(sentence("connect.driver_of_bus", driver=options.driver))
+
+
 def _only_port(say: Say) -> str:
     """Return the one serial port of the machine; a UsageError where there is none, or more than one."""
     ports = [port.device for port in serial_ports()]
@@ -117,15 +125,21 @@ def _only_port(say: Say) -> str:
     raise UsageError(sentence("connect.which_port" if ports else "connect.no_port", ports=ports), Reason.PORT_NOT_FOUND)
 
 
-def check_files(options: ConnectOptions) -> None:
-    """Refuse a protocol, a driver or a DBC file that cannot be used, before anybody is asked anything; raises as they do."""
+def check_options(options: ConnectOptions) -> None:
+    """Refuse a protocol, a driver, a DBC file or a port that cannot be used, before anybody is asked anything.
+
+    Raises as ``connect``, as far as nothing need be opened for it.
+    """
     if options.bus is not None:
         from imufield.acquire.instrument.connect_can import bus_candidates
 
         bus_candidates(options)
+        return
+    _refuse_bus_options(options)
     # Without either, all drivers are tried; those that cannot be used are named then.
-    elif options.protocol is not None or options.driver is not None:
+    if options.protocol is not None or options.driver is not None:
         _candidates(options)
+    check_port(options.port or _only_port(lambda _: None))
 
 
 def _candidates(options: ConnectOptions, say: Say | None = None) -> list[Candidate]:

@@ -8,7 +8,7 @@ the same frames, the user says which it is.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from imufield.acquire.decode.statistics import LEFT_OUT
@@ -110,9 +110,11 @@ class BusFinding:
     identity: dict[str, str]
 
 
-def probe_bus(options: ConnectOptions, clock: HostClock, say: Say, *, ask: bool) -> BusFinding:
-    """Listen on a bus, send nothing unless ``ask``, and leave it; raises as ``connect_bus``."""
-    link, chunks, listener = _recognised(options, clock, say)
+def probe_bus(
+    options: ConnectOptions, clock: HostClock, say: Say, *, ask: bool, opened: Callable[[], None] = lambda: None
+) -> BusFinding:
+    """Listen on a bus, send nothing unless ``ask``, and leave it; raises as ``connect_bus``. ``opened`` as in ``search``."""
+    link, chunks, listener = _recognised(options, clock, say, opened)
     candidate, identity = listener.candidate, {}
     try:
         messages: list[Message] = [*listener.messages()]
@@ -132,7 +134,9 @@ def probe_bus(options: ConnectOptions, clock: HostClock, say: Say, *, ask: bool)
     )
 
 
-def _recognised(options: ConnectOptions, clock: HostClock, say: Say) -> tuple[CanLink, list[Chunk], Listener]:
+def _recognised(
+    options: ConnectOptions, clock: HostClock, say: Say, opened: Callable[[], None] = lambda: None
+) -> tuple[CanLink, list[Chunk], Listener]:
     """Return the open bus, what arrived, and who understood it; raises as ``connect_bus``."""
     bus = options.bus or ""
     address = parse_bus(bus)
@@ -151,6 +155,7 @@ def _recognised(options: ConnectOptions, clock: HostClock, say: Say) -> tuple[Ca
     link = open_can_link(bus, bit_rate=bit_rate, clock=clock)
     listeners = [Listener(candidate) for candidate in candidates]
     try:
+        opened()
         chunks = _listen(link, listeners, clock)
         return link, chunks, _best(bus, chunks, listeners)
     except BaseException:

@@ -121,7 +121,15 @@ def has_no_baud(port: str) -> bool:
     return "://" in port or str(Path(port).resolve()).startswith("/dev/pts/")
 
 
-def search(port: str, candidates: list[Candidate], bauds: list[int], clock: HostClock, *, is_given: bool = False) -> Search:
+def search(
+    port: str,
+    candidates: list[Candidate],
+    bauds: list[int],
+    clock: HostClock,
+    *,
+    is_given: bool = False,
+    opened: Callable[[], None] = lambda: None,
+) -> Search:
     """Listen at each baud rate until a candidate is recognised.
 
     Parameters
@@ -132,6 +140,8 @@ def search(port: str, candidates: list[Candidate], bauds: list[int], clock: Host
     clock : HostClock
     is_given : bool
         The user said what it is, so plausibility is not asked for.
+    opened : callable
+        Called when the port is open: what is announced before may not happen.
 
     Raises
     ------
@@ -143,6 +153,7 @@ def search(port: str, candidates: list[Candidate], bauds: list[int], clock: Host
     link = open_link(port, baud=first, clock=clock)
     result = Search(link, [])
     try:
+        opened()
         end_s = clock.monotonic_s() + patience_s(clock, SEARCH_S)
         for baud in bauds:
             try:

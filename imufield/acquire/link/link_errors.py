@@ -69,6 +69,13 @@ def open_error(port: str, baud: int, error: Exception) -> ImufieldError:
     return LinkError(sentence(key, port=port, cause=cause, there_are=_there_are()), reason)
 
 
+def check_port(port: str) -> None:
+    """Raise the error of opening a port that is not there; whether another can be opened only opening it tells."""
+    # The ports of Windows are no files.
+    if os.name == "posix" and "://" not in port and not Path(port).exists():
+        raise open_error(port, 0, OSError(errno.ENOENT, os.strerror(errno.ENOENT), port))
+
+
 def baud_refused(port: str, baud: int) -> LinkError:
     """Say that a port cannot be set to a baud rate."""
     return LinkError(sentence("link_errors.baud", port=port, baud=baud), Reason.BOUNDS)

@@ -9,7 +9,7 @@ import hashlib
 import importlib.resources
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,7 +27,7 @@ from imufield.acquire.protocol.samples_and_clock import (
     read_text,
     sample_units,
 )
-from imufield.acquire.protocol.settings import Setting, choose_settings, read_rules
+from imufield.acquire.protocol.settings import Setting, SettingRule, choose_settings, read_rules
 from imufield.acquire.protocol.toml import FILE_LIMIT_BYTES, LEAST_SCALE, Source, Table, near
 from imufield.acquire.protocol.units import SI_UNITS, TO_SI, UNITS_OF
 from imufield.errors import ProtocolError, Reason, UnknownNameError
@@ -93,6 +93,8 @@ class Protocol:
     """For frames of a CAN bus, which have neither ``frame`` nor ``lines``."""
     kind_names: Mapping[str, str] = field(default_factory=dict)
     """What the manual calls kinds of frames, by their key as ``[frames]`` writes it."""
+    rules: Mapping[str, SettingRule] = field(default_factory=dict)
+    """What each of ``settings`` may be."""
     status: str = VERIFIED
     """Or ``DOCUMENT_ONLY``: never tried on bytes of a real instrument."""
 
@@ -153,9 +155,10 @@ def parse_protocol(
     if version > SCHEMA_VERSION:
         raise top.error("version", sentence("protocol.version", version=version, newest=SCHEMA_VERSION))
     # Settings first: every other value of the file may be taken from one.
-    chosen = choose_settings(read_rules(top.table("settings")), settings or {}, read or {}, source)
+    rules = read_rules(top.table("settings"))
+    chosen = choose_settings(rules, settings or {}, read or {}, source)
     top.settings = {name: setting.value for name, setting in chosen.items()}
-    return _build(top, chosen)
+    return replace(_build(top, chosen), rules=rules)
 
 
 def _find_text(name_or_path: str | Path) -> tuple[str, str]:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 from imufield.commands.configuration import parse_zero
+from imufield.commands.options import completion
 from imufield.commands.options.shared import (
     LARGEST_SEED,
     AsJson,
@@ -16,20 +17,24 @@ from imufield.commands.options.shared import (
     NewestSession,
     PlaceOptions,
     Plain,
+    Port,
     PortOrBusOptions,
     Scheduler,
     SessionFolder,
     Settings,
     SignalMap,
     TableRateHz,
+    TargetBiasUg,
+    TargetScalePpm,
     Workers,
     argument,
     option,
+    session_argument,
     unknown_site,
 )
 from imufield.errors import UsageError
 from imufield.files import DEFAULT_ROOT
-from imufield.limits import BAUD_RANGE, HOLD_RANGE_S, RATE_RANGE_HZ, TARGET_RANGE
+from imufield.limits import BAUD_RANGE, HOLD_RANGE_S, RATE_RANGE_HZ
 from imufield.sentences import Sentences
 
 if TYPE_CHECKING:
@@ -38,7 +43,7 @@ if TYPE_CHECKING:
 sentence = Sentences(__package__)
 
 ViewName = Literal["auto", "plain", "json"]
-ParameterFile = Annotated[Path, argument(help="Parameter file.")]
+ParameterFile = Annotated[Path, session_argument(help="Parameter file.")]
 # Signs are part of the name: `--cable=-x` needs its equals sign, or the parser takes -x for an option.
 SIDES = ("+x", "-x", "+y", "-y", "+z", "-z")
 
@@ -64,12 +69,35 @@ class DemoOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DevicesOptions:
-    """List serial ports, CAN interfaces and the instruments that have a driver.
+    """List serial ports, CAN interfaces and the instruments that have a driver, or show one of them.
 
     Example: imufield devices
+
+    Example: imufield devices stim300
     """
 
+    name: Annotated[
+        str | None,
+        argument(help="Instrument to show, with its settings and wiring.", autocompletion=completion.drivers),
+    ] = None
     as_json: AsJson = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InitOptions:
+    """Write imufield.toml, the defaults of this folder: place, instrument, port and accuracy, asked for at a terminal.
+
+    Example: imufield init
+
+    Example: imufield init --latitude 48.1 --height 520 --driver stim300
+    """
+
+    site: PlaceOptions = field(default_factory=unknown_site)
+    driver: DriverName = None
+    port: Port = None
+    target_bias_ug: TargetBiasUg = None
+    target_scale_ppm: TargetScalePpm = None
+    root: Path = DEFAULT_ROOT
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,13 +131,8 @@ class CaptureOptions:
     site: PlaceOptions = field(default_factory=unknown_site)
     plain: Plain = False
     as_json: EventsAsJson = False
-    target_bias_ug: Annotated[
-        float | None,
-        option("--target-bias-ug", help="Hold and go on until biases are known so well, 1 sigma.", within=TARGET_RANGE),
-    ] = None
-    target_scale_ppm: Annotated[
-        float | None, option("--target-scale-ppm", help="The same for scale factors.", within=TARGET_RANGE)
-    ] = None
+    target_bias_ug: TargetBiasUg = None
+    target_scale_ppm: TargetScalePpm = None
     preset: Annotated[Path | None, option(help="Parameter file in force before: shows a wrong gravity.")] = None
     rotations: Annotated[
         str | None, option(help="Whole turns for the gyroscope: rolled (edge over edge) or table (against a stop).")
@@ -127,6 +150,18 @@ class CaptureOptions:
     def view(self) -> ViewName:
         """What shows the events; "auto" is pictures where there is a terminal."""
         return "json" if self.as_json else "plain" if self.plain else "auto"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SessionsOptions:
+    """List sessions, the newest first: when, how complete, the verdict, the instrument.
+
+    Example: imufield sessions --find "stim300 usable"
+    """
+
+    folder: Annotated[Path, argument(help="Folder of sessions.")] = DEFAULT_ROOT
+    find: Annotated[str | None, option(help="Only those that show all these words, e.g. 2026-03 or unfinished.")] = None
+    as_json: AsJson = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -201,7 +236,12 @@ class EmulateOptions:
     Example: imufield emulate xsens_mtdata2 --form fp16.32 --wait --link /tmp/imu
     """
 
-    driver: Annotated[str, argument(help="Instrument family, see `imufield devices`, or your protocol file (.toml).")]
+    driver: Annotated[
+        str,
+        argument(
+            help="Instrument family, see `imufield devices`, or your protocol file (.toml).", autocompletion=completion.drivers
+        ),
+    ]
     form: Annotated[str | None, option(help="What it sends, e.g. RAWIMUX; a wrong name lists all.")] = None
     settings: Settings = field(default_factory=dict)
     bus: Annotated[str | None, option(help="CAN bus, e.g. udp_multicast:239.0.0.1 (default: slcan on a port).")] = None
@@ -245,9 +285,9 @@ class SolveOptions:
     Example: imufield solve --latitude 48.1 --height 520
     """
 
-    sessions: Annotated[list[Path] | None, argument(metavar="[SESSION]...", help="Session folders (default: the newest).")] = (
-        None
-    )
+    sessions: Annotated[
+        list[Path] | None, session_argument(metavar="[SESSION]...", help="Session folders (default: the newest).")
+    ] = None
     observations: Annotated[Path | None, option(help="CSV of position means instead of a session.")] = None
     site: PlaceOptions = field(default_factory=unknown_site)
     model: Annotated[str, option(help="auto, linear, quadratic or extended.")] = "auto"
@@ -331,15 +371,14 @@ class StudyOptions:
 
     BAS is beetle antennae search, BSAS the swarm of it (with m beetles); IDE is improved differential evolution.
 
-    Studies: bsas-table1, bsas-table2, bsas-fig3, bsas-fig4, bsas-fig5, bsas-fig6, bsas-fig7, bsas-table3,
-    bsas-staged, bsas-whitened, bsas-bound, bsas-table4, bsas-table5, bsas-fig9, bsas-table6, bsas-fig10,
-    bsas-fig11, ide-table1, ide-fig2, ide-fig3, ide-fig4, ide-fig5, ide-table2, ide-table3, ide-fig6, ide-fig8,
-    ide-table4, ide-table5, ide-fig10, ide-complexity. Of what a calibration says of itself: answers.
+    Example: imufield study
 
     Example: imufield study bsas-table3 --quick
     """
 
-    name: Annotated[str, argument(help="One of the studies below, a paper (bsas, ide), all of the papers, or answers.")]
+    name: Annotated[
+        str | None, argument(help="A study, a paper (bsas, ide), all of the papers, or answers (default: list them).")
+    ] = None
     quick: Annotated[bool, option("--quick", help="Few runs, to see that it works.")] = False
     seed: Annotated[int, option(help="Seed of all runs.", low=0, high=LARGEST_SEED)] = 0
     workers: Workers = None
@@ -355,8 +394,10 @@ class ExportOptions:
     Example: imufield export my-session/parameters.toml --to c -o calibration.h
     """
 
-    parameters: ParameterFile
-    to: Annotated[str | None, option(help="Target, e.g. c, px4, vectornav (default: list them).")] = None
+    parameters: Annotated[Path | None, session_argument(help="Parameter file.")] = None
+    to: Annotated[
+        str | None, option(help="Target, e.g. c, px4, vectornav (default: list them).", autocompletion=completion.targets)
+    ] = None
     settings: Settings = field(default_factory=dict)
     output: Annotated[Path | None, option("-o", "--output", help="File or folder (default: the usual names here).")] = None
     as_json: AsJson = False
@@ -370,7 +411,7 @@ class ApplyOptions:
     """
 
     parameters: ParameterFile
-    source: Annotated[Path, argument(help="Session folder, or a table (CSV).")]
+    source: Annotated[Path, session_argument(help="Session folder, or a table (CSV).")]
     output: Annotated[Path, option("-o", "--output", help="CSV to write.")]
     rate_hz: TableRateHz = None
 
@@ -394,8 +435,8 @@ class VerifyOptions:
     Example: imufield verify parameters.toml rest-of-5-hours --require nav-nmi-per-h=1
     """
 
-    parameters: Annotated[Path, argument(help="Parameter file under test.")]
-    session: Annotated[Path | None, argument(help="Session they have not seen (default: the newest).")] = None
+    parameters: Annotated[Path, session_argument(help="Parameter file under test.")]
+    session: Annotated[Path | None, session_argument(help="Session they have not seen (default: the newest).")] = None
     preset: Annotated[Path | None, option(help="Parameter file to compare with (default: no correction).")] = None
     hold_out: Annotated[int | None, option(help="Solve without so many positions at a time and check those.", low=1)] = None
     turned: Annotated[bool, option("--turned", help="The instrument was turned over after the alignment.")] = False

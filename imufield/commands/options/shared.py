@@ -7,14 +7,16 @@ and annotations are not postponed, because the command line is made from them.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import typer
 
 from imufield.commands.configuration import parse_settings
+from imufield.commands.options import completion
 from imufield.errors import UsageError
-from imufield.limits import BAUD_RANGE, RATE_RANGE_HZ
+from imufield.limits import BAUD_RANGE, RATE_RANGE_HZ, TARGET_RANGE
 from imufield.sentences import Sentences
 
 if TYPE_CHECKING:
@@ -76,6 +78,10 @@ def argument(**more: Any) -> Any:
     return typer.Argument(readable=False, **more)
 
 
+# Of a session's folder, which stands for its parameter file, too.
+session_argument = partial(argument, autocompletion=completion.sessions)
+
+
 def _within(low: float, high: float) -> Callable[[Any], Any]:
     def check(value: Any) -> Any:
         # Written so that NaN is outside.
@@ -114,7 +120,11 @@ def _parse_mapping(texts: list[str] | None) -> dict[str, str]:
 
 Port = Annotated[
     str | None,
-    option(help="Serial port or pyserial URL, e.g. /dev/ttyUSB0, COM3, socket://host:4001.", envvar="IMUFIELD_PORT"),
+    option(
+        help="Serial port or pyserial URL, e.g. /dev/ttyUSB0, COM3, socket://host:4001.",
+        envvar="IMUFIELD_PORT",
+        autocompletion=completion.ports,
+    ),
 ]
 Bus = Annotated[
     str | None, option(help="CAN bus, INTERFACE:CHANNEL, e.g. socketcan:can0, slcan:/dev/ttyACM0.", envvar="IMUFIELD_BUS")
@@ -127,7 +137,13 @@ SignalMap = Annotated[
     ),
 ]
 DriverName = Annotated[
-    str | None, option("--driver", help="Instrument family, see `imufield devices`.", envvar="IMUFIELD_DRIVER")
+    str | None,
+    option(
+        "--driver",
+        help="Instrument family, see `imufield devices`.",
+        envvar="IMUFIELD_DRIVER",
+        autocompletion=completion.drivers,
+    ),
 ]
 Baud = Annotated[
     int | None,
@@ -150,8 +166,16 @@ MethodSettings = Annotated[
 TableRateHz = Annotated[
     float | None, option("--rate-hz", help="Sample rate, where the file has no time.", within=RATE_RANGE_HZ)
 ]
-NewestSession = Annotated[Path | None, argument(help="Session folder (default: the newest).")]
-SessionFolder = Annotated[Path | None, option("--session", help="Folder of the session (default: a new one).")]
+NewestSession = Annotated[Path | None, session_argument(help="Session folder (default: the newest).")]
+SessionFolder = Annotated[
+    Path | None,
+    option("--session", help="Folder of the session (default: a new one).", autocompletion=completion.sessions),
+]
+TargetBiasUg = Annotated[
+    float | None,
+    option("--target-bias-ug", help="Hold and go on until biases are known so well, 1 sigma.", within=TARGET_RANGE),
+]
+TargetScalePpm = Annotated[float | None, option("--target-scale-ppm", help="The same for scale factors.", within=TARGET_RANGE)]
 AsJson = Annotated[bool, option("--json", help="JSON on standard output and nothing else.")]
 EventsAsJson = Annotated[bool, option("--json", help="Events as JSON lines on standard output.")]
 Plain = Annotated[bool, option("--plain", help="Plain lines instead of pictures.")]

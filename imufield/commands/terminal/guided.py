@@ -29,7 +29,7 @@ from imufield.deliver.parameters.numbers import beside
 from imufield.errors import ImufieldError, RecordingError, UsageError
 from imufield.files import read_small_file, typed_write_errors, write_atomically
 from imufield.guide.events import Advice, Event, Topic
-from imufield.guide.positions import SCHEMES, scheme
+from imufield.guide.positions import SCHEME_FILE, SCHEMES, scheme
 from imufield.guide.view.plain import known_words, words
 from imufield.guide.view.terminal import Keyboard
 from imufield.pipeline.calibration import FEWEST_POSITIONS, one_of
@@ -37,7 +37,6 @@ from imufield.pipeline.chain import (
     MARK,
     REVISIT_FROM,
     ROTATIONS,
-    SCHEME_FILE,
     Chain,
     ReadingPlan,
     part_metadata,

@@ -5,10 +5,15 @@ from __future__ import annotations
 import os
 import select
 import sys
+from collections.abc import Callable
+from typing import TypeVar
 
 import typer
 
-from imufield.commands.terminal.output import echo
+from imufield.commands.terminal.output import echo, say
+from imufield.errors import ImufieldError
+
+Answer = TypeVar("Answer")
 
 LOOK_S = 0.1
 """How long an interrupt may go unnoticed."""
@@ -31,6 +36,21 @@ def ask(question: str) -> str:
     if not line:
         raise typer.Abort
     return line.strip()
+
+
+def ask_until(question: str, read: Callable[[str], Answer]) -> Answer:
+    """Return what ``read`` makes of an answer; one that it refuses by an ``ImufieldError`` is asked again.
+
+    Raises
+    ------
+    typer.Abort
+        At the end of the input.
+    """
+    while True:
+        try:
+            return read(ask(question))
+        except ImufieldError as error:
+            say(f"{error.message}.")
 
 
 def confirm(question: str) -> bool:

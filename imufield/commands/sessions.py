@@ -1,0 +1,98 @@
+"""``imufield sessions``: the sessions of a folder, from what stands beside the recordings; nothing is decoded."""
+
+from __future__ import annotations
+
+import json
+import re
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from imufield.acquire.recording.session import SETTINGS_FILE, Session
+from imufield.commands.options.commands import SessionsOptions
+from imufield.commands.terminal.output import echo, say
+from imufield.deliver.parameters.file import PARAMETER_FILE
+from imufield.errors import ImufieldError, ParameterFileError, RecordingError, UsageError
+from imufield.files import DEFAULT_ROOT, Origin, read_small_file
+from imufield.guide.positions import SCHEME_FILE, SCHEMES, scheme
+from imufield.sentences import Sentences
+from imufield.toml_files import decode_toml, parse_toml
+
+sentence = Sentences(__package__)
+
+
+Row = dict[str, Any]  # Texts and numbers, in JSON under the same names.
+# The others of a parameter file are most of it, and take most of the time.
+_TABLES = re.compile(r"^\[(?:session|quality|integrity)\]\n(?:(?!\[).*\n)*", re.MULTILINE)
+_NOT_KNOWN = ("created", "instrument", "serial_number", "kind", "planned", "positions", "verdict", "fault")
+
+
+def list_sessions(options: SessionsOptions) -> None:
+    """Print the sessions of a folder, the newest first; one that cannot be read is listed as damaged, with its error.
+
+    Raises
+    ------
+    UsageError
+        If the folder that was named is none.
+    """
+    folder, words = options.folder, (options.find or "").lower().split()
+    if not folder.is_dir() and folder != DEFAULT_ROOT:
+        raise UsageError(sentence("sessions.no_folder", folder=folder))
+    listed = [_row(path.parent) for path in folder.glob(f"*/{SETTINGS_FILE}")]
+    listed.sort(key=lambda row: (row["created"] or "", row["folder"]), reverse=True)
+    found = [row for row in listed if all(word in f"{_line(row)} {row['folder']}".lower() for word in words)]
+    if options.as_json:
+        echo(json.dumps({"folder": str(folder), "sessions": found}))
+        return
+    for row in found:
+        echo(f"{_line(row)}\n  {row['folder']}")
+        if row["fault"]:
+            say(f"  {row['fault']}", indent=2)
+    if not found:
+        key = "sessions.none_such" if listed else "sessions.none"
+        say(sentence(key, folder=folder, sessions=len(listed), find=options.find), err=True)
+
+
+def _row(folder: Path) -> Row:
+    """Return what is listed of a session: ``planned`` positions were asked for, the parameters come from ``positions``."""
+    row: Row = {"folder": str(folder), "state": "damaged", **dict.fromkeys(_NOT_KNOWN)}
+    try:
+        session = Session.open(folder)
+    except RecordingError as error:
+        return row | {"fault": error.message}
+    record = session.record
+    row |= {"created": record.created, "instrument": record.model, "serial_number": record.instrument.serial_number}
+    row |= {"kind": record.kind, "planned": _planned(session)}
+    row["state"] = "recording" if session.is_being_recorded else "finished" if record.finished else "unfinished"
+    # Most have no parameters because nobody has solved them yet.
+    path = folder / PARAMETER_FILE
+    return row | _solved(path) if path.exists() else row
+
+
+def _solved(path: Path) -> Row:
+    """Return what a parameter file says of itself; whoever uses it checks all of it, which takes ten times as long."""
+    cut = {"fault": sentence("sessions.cut", path=path)}
+    try:
+        text = decode_toml(read_small_file(path, Origin.INSIDE), str(path), ParameterFileError)
+        tables: Row = parse_toml("".join(_TABLES.findall(text)), str(path), ParameterFileError)
+    except (OSError, ParameterFileError):
+        return cut
+    verdict, positions = tables.get("quality", {}).get("verdict"), tables.get("session", {}).get("positions")
+    is_whole = verdict in ("good", "usable", "poor") and isinstance(positions, int) and "integrity" in tables
+    return {"verdict": verdict, "positions": positions} if is_whole else cut
+
+
+def _planned(session: Session) -> int | None:
+    name = session.record.scheme
+    with suppress(ImufieldError):
+        if name:
+            return len(scheme(name) if name in SCHEMES else scheme(session.folder / SCHEME_FILE, Origin.INSIDE))
+    return None
+
+
+def _line(row: Row) -> str:
+    """Return all but folder and fault."""
+    state = f"{row['state']}, not solved" if row["verdict"] is None else row["verdict"].upper()
+    complete = "" if row["positions"] is None else f"{row['positions']} of {row['planned'] or '?'} positions"
+    when, who = (row["created"] or "")[:16].replace("T", " "), f"{row['instrument'] or ''} {row['serial_number'] or ''}"
+    return f"{when:<16}  {state:<22}  {complete:<18}  {who}".rstrip()
