@@ -8,6 +8,7 @@ import numpy as np
 
 from imufield.calibrate.model.observation_files import read_observations
 from imufield.calibrate.model.observations import Observations, count_repeats_once
+from imufield.sentences import Sentence
 
 
 def observations(folder: Path, rows: str) -> Observations:
@@ -30,6 +31,7 @@ def test_a_copy_counts_once_and_is_said(tmp_path: Path) -> None:
     once, sentences = count_repeats_once(whole)
     assert once.name == ("a", "b", "d")
     (said,) = sentences
+    assert isinstance(said, Sentence)
     assert said.key == "observations.repeated"
     assert said.values == {"count": 2, "rows": 5, "pairs": ["c is a", "e is b"]}
 
