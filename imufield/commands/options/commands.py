@@ -331,7 +331,8 @@ class StudyOptions:
     Studies: bsas-table1, bsas-table2, bsas-fig3, bsas-fig4, bsas-fig5, bsas-fig6, bsas-fig7, bsas-table3,
     bsas-staged, bsas-whitened, bsas-bound, bsas-table4, bsas-table5, bsas-fig9, bsas-table6, bsas-fig10,
     bsas-fig11, ide-table1, ide-fig2, ide-fig3, ide-fig4, ide-fig5, ide-table2, ide-table3, ide-fig6, ide-fig8,
-    ide-table4, ide-table5, ide-fig10, ide-complexity. Of what a calibration says of itself: answers.
+    ide-table4, ide-table5, ide-fig10, ide-complexity. Answers measures what a calibration says of itself
+    (docs/answers.md): effects one at a time, and how often its verdict and its limits are right.
 
     Example: imufield study bsas-table3 --quick
     """

@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
+from imufield.calibrate.model.models import BIAS, SCALE
 from imufield.calibrate.model.typical import grades
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity, choose_gravity, sigma_of_digits
 from imufield.sentences import Sentence
 from imufield.simulate.truth.effects import Effects
 from imufield.simulate.truth.grades import GRADES, draw_truth, perfect_instrument
-from imufield.study.answers.means import PLACED_M_S2, MeanSession, true_gravity
+from imufield.study.answers.means import PLACED_M_S2, Answer, MeanSession, true_gravity
 from imufield.study.answers.tables import Statistics, Study, Table, least
 
 EXPLICIT_M_S2 = 2e-4
@@ -67,32 +68,49 @@ def with_touched_holds(count: int, size_mg: float, rng: np.random.Generator) -> 
         "named_right": named == session.touched,
         "named_wrong": bool(named - session.touched),
         "inside": found.inside[:6],
+        "beyond": found.is_good_and_beyond,
         "error_mg": found.bias_error_mg,
         "inside_without": without.inside[:6],
+        "beyond_without": without.is_good_and_beyond,
         "error_without_mg": without.bias_error_mg,
     }
 
 
 def with_terms(
-    rng: np.random.Generator, *, order: str, warm_up_mg: float = 0.0, quadratic_sigmas: float = 0.0, is_typical: bool = False
+    rng: np.random.Generator, *, order: str, warm_up_mg: float = 0.0, quadratic_sigmas: float = 0.0
 ) -> dict[str, ArrayLike]:
-    """Solve one session; ``is_typical``: with terms that no residual shows, drawn from what is typical of the grade."""
+    """Solve one session with a warm-up and a quadratic term of so many of its sigmas."""
     drawn = draw_truth(_INDUSTRIAL, rng)
     scale = drawn.accelerometer.scale
     quadratic = scale * _quadratic_sigma(order) * quadratic_sigmas * rng.choice([-1.0, 1.0], 3)
     warm_up = warm_up_mg * MILLI_G_M_S2 * rng.choice([-1.0, 1.0], 3)
     effects = Effects(warm_up_m_s2=tuple(warm_up.tolist()))
-    if is_typical:
-        typical = grades()[_INDUSTRIAL.name]
-        sizes = np.array([typical.asymmetry, typical.cubic, *[typical.cross] * 3])
-        asymmetry, cubic, *cross = (tuple(axes.tolist()) for axes in sizes[:, None] * rng.standard_normal((5, 3)))
-        effects = replace(effects, asymmetry=asymmetry, cubic=cubic, cross=tuple(cross))
     instrument = replace(drawn, accelerometer=replace(drawn.accelerometer, quadratic=quadratic), effects=effects)
     session = MeanSession(instrument=instrument, gravity_m_s2=STANDARD_GRAVITY_M_S2, order=order)
-    found = session.observe(rng).answer(_KNOWN, grade=_INDUSTRIAL.name if is_typical else None)
+    found = session.observe(rng).answer(_KNOWN)
+    return {"inside": found.inside, "least": found.inside, **_judged(found)}
+
+
+def with_typical_terms(grade: str, order: str, rng: np.random.Generator) -> dict[str, ArrayLike]:
+    """Solve one session of which everything is drawn from what is typical of a grade, which the calibration is told."""
+    typical = grades()[grade]
+    sizes = np.array([typical.asymmetry, typical.cubic, *[typical.cross] * 3])
+    asymmetry, cubic, *cross = (tuple(axes.tolist()) for axes in sizes[:, None] * rng.standard_normal((5, 3)))
+    effects = Effects(asymmetry=asymmetry, cubic=cubic, cross=tuple(cross))
+    session = MeanSession(
+        # Misalignments and quadratic terms of the grade are the typical ones.
+        instrument=replace(draw_truth(GRADES[grade], rng), effects=effects),
+        gravity_m_s2=STANDARD_GRAVITY_M_S2,
+        order=order,
+        scatter_m_s2=typical.scatter_m_s2,
+    )
+    found = session.observe(rng).answer(_KNOWN, grade=grade)
+    groups = {name: found.inside[rows] for name, rows in (("scale", SCALE), ("bias", BIAS), ("angle", slice(6, 9)))}
+    return {"inside": found.inside, **groups, **_judged(found)}
+
+
+def _judged(found: Answer) -> dict[str, ArrayLike]:
     return {
-        "inside": found.inside,
-        "least": found.inside,
         "good": found.is_good,
         "beyond": found.is_good_and_beyond,
         "bias_sigma_mg": float(np.mean(found.calibration.accelerometer_sigma.bias_m_s2)) / MILLI_G_M_S2,
@@ -123,11 +141,11 @@ _TERMS = {
     for order, mg in product(ORDERS, WARM_UPS_MG)
 }
 _NONE = {order: partial(with_terms, order=order) for order in ORDERS}
-_TYPICAL = {order: partial(with_terms, order=order, is_typical=True) for order in ORDERS}
+_TYPICAL = {f"{grade}, {order}": partial(with_typical_terms, grade, order) for grade in grades() for order in ORDERS}
 typed_gravity = Study(Table(label="typed", campaign="answers-gravity", rows=_TYPED, runs=(500, 3)))
 touched_holds = Study(Table(label="touched", campaign="answers-outlier", rows=_TOUCHED, runs=(500, 3), statistics=_COUNTED))
 drift_and_quadratic = Study(
     Table(name="terms", label="session", campaign="answers-terms", rows=_TERMS, runs=(100, 1), statistics=_COUNTED),
     Table(name="gate", label="order", campaign="answers-gate", rows=_NONE, runs=(2000, 4), statistics=_COUNTED),
-    Table(name="typical", label="order", campaign="answers-typical", rows=_TYPICAL, runs=(600, 6), statistics=_COUNTED),
+    Table(name="typical", label="grade, order", campaign="answers-typical", rows=_TYPICAL, runs=(300, 2), statistics=_COUNTED),
 )
