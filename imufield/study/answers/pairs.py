@@ -8,10 +8,12 @@ from functools import partial
 import numpy as np
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
+from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
 from imufield.calibrate.gyroscope.moves import MoveCollector
+from imufield.calibrate.model.grades import find_grade
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration, ModelChoice
-from imufield.deliver.family import Shared, family_of, turn_on_of
+from imufield.deliver.family import Shared, family_of, typical_turn_on
 from imufield.deliver.parameters.gauge_free import GaugeFree, gauge_free
 from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S
 from imufield.earth import MILLI_G_M_S2, choose_gravity
@@ -21,10 +23,10 @@ from imufield.guide.positions import scheme
 from imufield.samples import AXES, FloatArray
 from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
 from imufield.simulate.truth.effects import Effects
-from imufield.simulate.truth.grades import draw_truth, find_grade
+from imufield.simulate.truth.grades import draw_truth
 from imufield.simulate.truth.operator import OperatorSettings
 from imufield.study.answers.means import MeanSession, true_gravity
-from imufield.study.answers.recorded import calibrate_both
+from imufield.study.answers.recorded import moves_of
 from imufield.study.answers.tables import Statistics, Study, Table
 
 LATITUDE_DEG = 48.1
@@ -59,14 +61,14 @@ def _judged(old: GaugeFree, new: GaugeFree, *, grade: str) -> dict[str, bool]:
     # The quadratic term is among the numbers where the model has it.
     same_model = [number.name for number in old.numbers] == [number.name for number in new.numbers]
     family = family_of(old, new, Shared(gravity=True, setup=same_model))
-    typical = turn_on_of(find_grade(grade).gyroscope.noise_density)
+    typical = find_grade(grade)
     return {
         "pairs": True,
         "called different": bool(family.beyond),
         "known to": True,
         "any beyond 3 sigma": any(abs(change.in_sigma) > _SINGLE_SIGMA for change in family.changes),
         # As history says with two sessions.
-        "said to have moved": any(family.exceeds(change, typical.of(change.name)) for change in family.beyond),
+        "said to have moved": any(family.exceeds(change, typical_turn_on(typical, change.name)) for change in family.beyond),
     }
 
 
@@ -89,8 +91,8 @@ def _guided(grade: str, seed: int, day: int) -> GaugeFree:
         collector.feed(block)
     observations = guide.observations()
     gravity = choose_gravity(options.site.gravity_m_s2)
-    calibration, gyroscope = calibrate_both(observations, collector, gravity, options.site.latitude_deg)
-    found = _gauge_free(gyroscope.join(calibration), observations)
+    given = moves_of(observations, collector, gravity, options.site.latitude_deg)
+    found = _gauge_free(calibrate_gyroscope(given).join(given.calibration), observations)
     drift = source.imu.mean_drift / np.repeat([MILLI_G_M_S2, DEG_PER_HOUR_RAD_S], 3)
     added = dict(zip((*(f"bias {axis}" for axis in AXES), *(f"gyroscope bias {axis}" for axis in AXES)), drift, strict=True))
     numbers = tuple(replace(number, value=number.value - added.get(number.name, 0.0)) for number in found.numbers)

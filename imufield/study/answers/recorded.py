@@ -22,11 +22,10 @@ from imufield.calibrate.accelerometer.accelerometer import calibrate_acceleromet
 from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
 from imufield.calibrate.gyroscope.input import GyroscopeInput
 from imufield.calibrate.gyroscope.moves import MoveCollector
-from imufield.calibrate.gyroscope.report import GyroscopeResult
 from imufield.calibrate.model.gauge import change_gauge, turn_gyroscope
+from imufield.calibrate.model.grades import find_grade
 from imufield.calibrate.model.models import to_vector
 from imufield.calibrate.model.observations import Observations
-from imufield.calibrate.model.result import Calibration
 from imufield.calibrate.model.uncertainty import NORMAL_FACTOR_95
 from imufield.deliver.parameters.clock import HOST_SIGMA, clock_facts
 from imufield.earth import STANDARD_GRAVITY_M_S2, Gravity
@@ -38,7 +37,7 @@ from imufield.guide.positions import scheme
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import FloatArray, Samples, concatenate
 from imufield.simulate.truth.effects import NO_EFFECTS, Effects
-from imufield.simulate.truth.grades import TrueInstrument, draw_truth, find_grade
+from imufield.simulate.truth.grades import TrueInstrument, draw_truth
 from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.operator import Operator, OperatorSettings
 from imufield.simulate.truth.source import VirtualImu
@@ -52,7 +51,7 @@ UNITS = {"rad/s": 1.0, "deg/s": math.degrees(1.0)}
 PEAK_DEG_S = (15.0, 400.0)
 """Fastest turn of a person: a careful one, and one in a hurry."""
 RATE_HZ = 50.0
-CLOCK_RATE_HZ = 100.0
+MOVES_RATE_HZ = 100.0
 LATE_S = 2e-3
 """Mean delay of a read beyond the least: a USB adapter of a computer at work."""
 WAITED_S = 0.3
@@ -167,14 +166,23 @@ def with_offset(offset_g: float, unit: str, rng: np.random.Generator) -> dict[st
     }
 
 
-def calibrate_both(
-    observations: Observations, collector: MoveCollector, gravity: Gravity, latitude_deg: float
-) -> tuple[Calibration, GyroscopeResult]:
-    """Calibrate the accelerometer, and the gyroscope with it."""
+def moves_of(observations: Observations, collector: MoveCollector, gravity: Gravity, latitude_deg: float) -> GyroscopeInput:
+    """Return what the gyroscope is calibrated from, the accelerometer calibrated."""
     calibration = calibrate_accelerometer(observations, gravity)
     moves = collector.finish(observations.start_s, observations.duration_s)
-    given = GyroscopeInput(observations=observations, moves=moves, calibration=calibration, latitude_deg=latitude_deg)
-    return calibration, calibrate_gyroscope(given)
+    return GyroscopeInput(observations=observations, moves=moves, calibration=calibration, latitude_deg=latitude_deg)
+
+
+def imported_moves(imu: Imu, operator: Operator) -> GyroscopeInput:
+    """Return what an import makes of a whole session: stills, moves between them, and the accelerometer calibrated."""
+    units = imu.instrument.grade.units
+    finder, collector = StillIntervalFinder(units), MoveCollector(units)
+    for block in _blocks(VirtualImu(imu, operator)):
+        finder.feed(block)
+        collector.feed(block)
+    observations, site = finder.finish().observations, operator.site
+    gravity = Gravity(gravity_m_s2=site.gravity_m_s2, sigma_m_s2=1e-5, source="measured", latitude_deg=site.latitude_deg)
+    return moves_of(observations, collector, gravity, site.latitude_deg)
 
 
 def with_clock(
@@ -188,24 +196,18 @@ def with_clock(
     seed = int(rng.integers(2**31))
     truth = replace(_instrument(seed), clock_error_ppm=1e6 * error)
     operator = Operator(_PAPER24, seed, OperatorSettings(hold_s=5.0, initial_still_s=8.0))
-    source = _played(truth, seed, CLOCK_RATE_HZ, operator)
-    finder, collector, count = StillIntervalFinder(truth.grade.units), MoveCollector(truth.grade.units), 0
-    for block in _blocks(source):
-        finder.feed(block)
-        collector.feed(block)
-        count += len(block)
-    observations, site = finder.finish().observations, operator.site
-    gravity = Gravity(gravity_m_s2=site.gravity_m_s2, sigma_m_s2=1e-5, source="measured", latitude_deg=site.latitude_deg)
-    found = calibrate_both(observations, collector, gravity, site.latitude_deg)[1].calibration
+    imu = Imu(truth, seed, ImuSettings(rate_hz=MOVES_RATE_HZ))
+    count = int(operator.plan_all() / imu.interval_s)
+    found = calibrate_gyroscope(imported_moves(imu, operator)).calibration
     scale, sigma = found.parameters.scale, found.sigma.scale
     true_scale = turn_gyroscope(truth.gyroscope, change_gauge(to_vector(truth.accelerometer), "lower").rotation).scale
-    statistics = DecoderStatistics(samples=count, nominal_rate_hz=CLOCK_RATE_HZ)
+    statistics = DecoderStatistics(samples=count, nominal_rate_hz=MOVES_RATE_HZ)
     rate_error = math.nan
     if has_host:
         host_error = HOST_SIGMA * float(rng.standard_normal())
-        baseline = _arrivals(count, source.interval_s * (1 + host_error), rng)
-        statistics.rate_hz, statistics.rate_sigma = (1 - (baseline.slope or 0.0)) * CLOCK_RATE_HZ, baseline.slope_sigma
-        rate_error = statistics.rate_hz * source.interval_s - 1
+        baseline = _arrivals(count, imu.interval_s * (1 + host_error), rng)
+        statistics.rate_hz, statistics.rate_sigma = (1 - (baseline.slope or 0.0)) * MOVES_RATE_HZ, baseline.slope_sigma
+        rate_error = statistics.rate_hz * imu.interval_s - 1
     off, limit, by_clock = scale - true_scale, NORMAL_FACTOR_95 * sigma, scale * clock_facts(statistics).sigma
     return {
         "alone": np.abs(off) <= limit,
@@ -224,7 +226,7 @@ def _arrivals(count: int, interval_s: float, rng: np.random.Generator) -> HostBa
     true_s = taken * interval_s
     late_s = np.maximum(rng.exponential(LATE_S, len(taken)), WAITED_S - true_s)
     for number, arrival_s in zip(taken, true_s + late_s, strict=True):
-        baseline.add(float(arrival_s), float(number) / CLOCK_RATE_HZ)
+        baseline.add(float(arrival_s), float(number) / MOVES_RATE_HZ)
     return baseline
 
 

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
+from imufield.calibrate.model.grades import GRADES
 from imufield.calibrate.model.models import BIAS, SCALE
-from imufield.calibrate.model.typical import grades
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity, choose_gravity, sigma_of_digits
 from imufield.sentences import Sentence
 from imufield.simulate.truth.effects import Effects
-from imufield.simulate.truth.grades import GRADES, draw_truth, perfect_instrument
+from imufield.simulate.truth.grades import draw_truth, perfect_instrument
 from imufield.study.answers.means import PLACED_M_S2, Answer, MeanSession, true_gravity
 from imufield.study.answers.tables import Statistics, Study, Table, least
 
@@ -93,13 +93,13 @@ def with_terms(
 
 def with_typical_terms(grade: str, order: str, rng: np.random.Generator) -> dict[str, ArrayLike]:
     """Solve one session of which everything is drawn from what is typical of a grade, which the calibration is told."""
-    typical = grades()[grade]
+    typical = GRADES[grade]
     sizes = np.array([typical.asymmetry, typical.cubic, *[typical.cross] * 3])
     asymmetry, cubic, *cross = (tuple(axes.tolist()) for axes in sizes[:, None] * rng.standard_normal((5, 3)))
     effects = Effects(asymmetry=asymmetry, cubic=cubic, cross=tuple(cross))
     session = MeanSession(
         # Misalignments and quadratic terms of the grade are the typical ones.
-        instrument=replace(draw_truth(GRADES[grade], rng), effects=effects),
+        instrument=replace(draw_truth(typical, rng), effects=effects),
         gravity_m_s2=STANDARD_GRAVITY_M_S2,
         order=order,
         scatter_m_s2=typical.scatter_m_s2,
@@ -141,7 +141,7 @@ _TERMS = {
     for order, mg in product(ORDERS, WARM_UPS_MG)
 }
 _NONE = {order: partial(with_terms, order=order) for order in ORDERS}
-_TYPICAL = {f"{grade}, {order}": partial(with_typical_terms, grade, order) for grade in grades() for order in ORDERS}
+_TYPICAL = {f"{grade}, {order}": partial(with_typical_terms, grade, order) for grade in GRADES for order in ORDERS}
 typed_gravity = Study(Table(label="typed", campaign="answers-gravity", rows=_TYPED, runs=(500, 3)))
 touched_holds = Study(Table(label="touched", campaign="answers-outlier", rows=_TOUCHED, runs=(500, 3), statistics=_COUNTED))
 drift_and_quadratic = Study(
