@@ -15,7 +15,7 @@ help:
 	@echo "make demo    the whole chain on a virtual instrument, about a minute"
 	@echo "make test    the tests"
 	@echo "make bench   speed, memory and accuracy, measured"
-	@echo "make study   the papers' tables and figures in full, minutes on all cores; writes docs/study.md"
+	@echo "make study   the papers' tables and figures, and the answers, in full: an hour of one core; writes docs/study.md, docs/answers.md"
 	@echo "make fuzz    a minute of random and damaged bytes for every instrument"
 	@echo "make lint    style, types"
 	@echo "make docs    build the documentation into build/docs; broken links and examples fail"
@@ -41,9 +41,10 @@ test: $(TEST)
 bench: $(TEST)
 	$(BIN)/python -m benchmarks
 
-# Without --seed: the page must be what "imufield study all" gives.
+# Without --seed: the pages must be what "imufield study all" and "imufield study answers" give.
 study: $(TEST)
 	$(BIN)/imufield study all --document docs/study.md --output build/study
+	$(BIN)/imufield study answers --document docs/answers.md --output build/study
 
 fuzz: $(TEST)
 	IMUFIELD_FUZZ_S=60 $(BIN)/python -m pytest -p no:xdist tests/acquire/test_fuzz_wires.py

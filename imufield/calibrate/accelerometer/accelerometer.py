@@ -56,6 +56,7 @@ from imufield.calibrate.model.uncertainty import (
     SPARE_POSITIONS,
     Influence,
     SinglePosition,
+    estimated_share,
     gravity_sensitivity,
     influence,
     known_covariance,
@@ -163,6 +164,7 @@ def calibrate_accelerometer(  # noqa: PLR0913 (the settings of `solve`, by keywo
         sign_source=signs.source,
         scale_ratio=None if before is None else common_scale_ratio(fitted.vector[SCALE], before[SCALE]),
         sigma=known.sigma,
+        estimated_share=estimated_share(known.covariance, hidden.typical),
         grade=grade,
         typical_sigma=np.linalg.norm(hidden.typical, axis=1),
     )

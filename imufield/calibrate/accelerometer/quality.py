@@ -44,6 +44,7 @@ TEMPERATURE_SPAN_DEGC = 5.0
 _SATURATED_POSITIONS = 2
 # Share of an axis' span within which two means are the same number: the mean of a constant is that to rounding.
 _SAME_OUTPUT = 1e-9
+_LEAST_SHARE = 1e-3  # Below, the residuals tell nothing.
 _WORTH_TELLING = 1.05  # A sigma that is raised by less is not told.
 
 
@@ -69,6 +70,8 @@ class Evidence:
     """Common scale over the preset's; None without a preset."""
     sigma: FloatArray
     """1 sigma of the 15 parameters."""
+    estimated_share: float
+    """Share of their variance that the residuals tell."""
     grade: str | None
     """Whose typical errors stand for what no residual shows."""
     typical_sigma: FloatArray
@@ -78,6 +81,11 @@ class Evidence:
     def leave_one_out_m_s2(self) -> FloatArray:
         """Residual of each position with parameters fitted without it, shape (m,)."""
         return self.spread.leave_one_out * self.fitted.sigma_m_s2
+
+    @property
+    def student_factor_95(self) -> float:
+        """From sigma to the 95 % limit: one for all numbers, so that of their mean."""
+        return student_factor(self.fitted.effective_degrees_of_freedom / max(self.estimated_share, _LEAST_SHARE) ** 2)
 
 
 def judge(evidence: Evidence) -> Quality:
@@ -106,7 +114,7 @@ def judge(evidence: Evidence) -> Quality:
         leave_one_out_rms_m_s2=without,
         between_position_sigma_m_s2=fitted.tau_m_s2,
         degrees_of_freedom=freedom,
-        student_factor_95=student_factor(fitted.effective_degrees_of_freedom),
+        student_factor_95=evidence.student_factor_95,
         rank=evidence.observability.rank,
         parameters_fitted=parameters,
         condition=evidence.observability.condition,
@@ -178,8 +186,7 @@ def _cautions(evidence: Evidence) -> list[str]:
         reasons.append(_unobservable_sentence(evidence))
     freedom = evidence.fitted.degrees_of_freedom
     if 0 < freedom < SPARE_POSITIONS:
-        factor = student_factor(evidence.fitted.effective_degrees_of_freedom)
-        reasons.append(sentence("quality.few_to_spare", spare=freedom, factor=factor))
+        reasons.append(sentence("quality.few_to_spare", spare=freedom, factor=evidence.student_factor_95))
     condition = evidence.observability.condition
     if condition > HIGH_CONDITION:
         reasons.append(sentence("quality.one_sided", condition=condition, limit=HIGH_CONDITION))

@@ -11,6 +11,7 @@ has the residual ``r_i / (1 - h_i)`` there and moves by ``R^-1 Q_i^T r_i / (1 - 
 References
 ----------
 .. [1] R. C. Paule and J. Mandel, "Consensus values and weighting factors", J. Res. NBS 87 (1982).
+.. [2] F. E. Satterthwaite, "An approximate distribution of estimates of variance components", Biometrics Bulletin 2 (1946).
 """
 
 from __future__ import annotations
@@ -194,6 +195,24 @@ def gravity_sensitivity(vector: FloatArray, gravity_m_s2: float) -> FloatArray:
     sensitivity[BIAS] = vector[BIAS] / gravity_m_s2
     sensitivity[QUADRATIC] = -2 * vector[QUADRATIC] / gravity_m_s2
     return sensitivity
+
+
+def estimated_share(covariance: FloatArray, prior_root: FloatArray) -> float:
+    """Return the share of the variance of the parameters that the residuals tell, mean over the parameters.
+
+    Gravity and what is typical are known beforehand, with infinitely many degrees of freedom. By Welch and Satterthwaite's rule
+    a sum of variances of which this share has n degrees of freedom has n over its square [2]_.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (16, 16)
+        Of the parameters and gravity.
+    prior_root : ndarray, shape (15, k)
+        Root of the part of it that is typical, in columns.
+    """
+    variance, gravity = np.diag(covariance)[:PARAMETERS], covariance[:PARAMETERS, -1] ** 2 / covariance[-1, -1]
+    prior, has_any = np.sum(prior_root**2, axis=1) + gravity, variance > 0
+    return float(np.mean(1 - prior[has_any] / variance[has_any])) if has_any.any() else 1.0
 
 
 def student_factor(degrees_of_freedom: float, of: int = 1, chance: float = 0.05) -> float:

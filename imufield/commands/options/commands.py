@@ -371,6 +371,9 @@ class StudyOptions:
 
     BAS is beetle antennae search, BSAS the swarm of it (with m beetles); IDE is improved differential evolution.
 
+    Answers measures what a calibration says of itself (docs/answers.md): effects one at a time, and how often its verdict
+    and its limits are right.
+
     Example: imufield study
 
     Example: imufield study bsas-table3 --quick

@@ -5,15 +5,19 @@ A mean has the noise of its hold, which its covariance tells, and scatter from h
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
 from imufield.calibrate.model.gauge import intrinsic
 from imufield.calibrate.model.models import predict, to_vector
-from imufield.calibrate.model.observations import Observations
+from imufield.calibrate.model.observations import Observations, leave_out
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration
-from imufield.earth import MICRO_G_M_S2
+from imufield.calibrate.model.uncertainty import degrees_of_freedom, student_factor
+from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2, Gravity
 from imufield.guide.positions import scheme
 from imufield.samples import FloatArray, SampleUnits
 from imufield.simulate.truth.grades import TrueInstrument
@@ -25,6 +29,49 @@ FLICKER_M_S2 = 20 * MICRO_G_M_S2
 PLACED_M_S2 = 100 * MICRO_G_M_S2
 """The same of a placed industrial unit."""
 _PLACEMENT_RAD = 0.03
+_FOUR_SIGMA = 6.3e-5  # Chance that a normal number is beyond 4 sigma.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answer:
+    """What a calibration said of itself, and how right that was."""
+
+    over_limit: FloatArray
+    """Errors of scale, bias, angles and quadratic terms over their stated 95 % limits, NaN where there is none, shape (12,)."""
+    four_sigma: float
+    """What 4 normal sigma are, over the 95 % limit."""
+    bias_error_mg: float
+    """Largest."""
+    calibration: Calibration
+
+    @property
+    def inside(self) -> NDArray[np.bool_]:
+        """Which of scale, bias and angles are inside their limits, shape (9,)."""
+        return np.abs(self.over_limit[:9]) <= 1
+
+    @property
+    def is_good(self) -> bool:
+        """Whether the verdict is good."""
+        return self.calibration.quality.verdict == "good"
+
+    @property
+    def is_good_and_beyond(self) -> bool:
+        """Whether the verdict is good and one of them further off than 4 normal sigma."""
+        return self.is_good and bool(np.any(np.abs(self.over_limit[:9]) > self.four_sigma))
+
+
+def answer_of(calibration: Calibration, truth: AccelerometerParameters) -> Answer:
+    """Compare a calibration with the truth, by numbers that no turn of the frame changes."""
+    true = intrinsic(to_vector(truth), truth.quadratic_axes)[0]
+    own, factor = calibration.intrinsic, calibration.quality.student_factor_95
+    error = np.concatenate([own.scale, own.bias_raw, own.angle_rad, own.quadratic]) - true
+    sigma = np.concatenate([own.scale_sigma, own.bias_raw_sigma, own.angle_sigma_rad, own.quadratic_sigma])
+    return Answer(
+        over_limit=error / (factor * sigma),
+        four_sigma=student_factor(degrees_of_freedom(factor), chance=_FOUR_SIGMA) / factor,
+        bias_error_mg=float(np.abs(error[3:6] / truth.scale).max()) / MILLI_G_M_S2,
+        calibration=calibration,
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,6 +83,11 @@ class Observed:
     """With the mean bias over the holds."""
     touched: frozenset[str]
     """Names of the holds that were."""
+
+    def answer(self, gravity: Gravity, *, grade: str | None = None, without: Collection[str] = ()) -> Answer:
+        """Calibrate, some holds left out."""
+        kept = leave_out(self.observations, without)[0]
+        return answer_of(calibrate_accelerometer(kept, gravity, grade=grade), self.truth)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,6 +130,11 @@ class MeanSession:
         return Observed(observations=observations, truth=truth, touched=frozenset(names[k] for k in touched))
 
 
+def true_gravity(normal: Gravity, rng: np.random.Generator) -> float:
+    """Return true gravity at a place, which is off the normal one by an anomaly."""
+    return normal.gravity_m_s2 + normal.sigma_m_s2 * float(rng.standard_normal())
+
+
 def directions(order: str, rng: np.random.Generator) -> tuple[tuple[str, ...], FloatArray]:
     """Return names and directions of a scheme in its own order, or of "SCHEME, faces first", "in turn" or "shuffled"."""
     name, _, how = order.partition(", ")
@@ -90,35 +147,3 @@ def directions(order: str, rng: np.random.Generator) -> tuple[tuple[str, ...], F
         "shuffled": rng.permutation(len(up)),
     }
     return tuple(names[k] for k in keys[how]), up[keys[how]]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Answer:
-    """What a calibration said of itself, and how right that was."""
-
-    verdict: str
-    scale: FloatArray
-    """Error of each scale over its stated 95 % limit, shape (3,): 1 is the limit."""
-    bias: FloatArray
-    angle: FloatArray
-    bias_error_m_s2: float
-    """Largest."""
-
-    @property
-    def all(self) -> FloatArray:
-        """All nine over their limits."""
-        return np.concatenate([self.scale, self.bias, self.angle])
-
-
-def answer_of(calibration: Calibration, truth: AccelerometerParameters) -> Answer:
-    """Compare a calibration with the truth, by numbers that no turn of the frame changes."""
-    numbers = intrinsic(to_vector(truth), truth.quadratic_axes)[0]
-    found, factor = calibration.intrinsic, calibration.quality.student_factor_95
-    bias_error = found.bias_raw - numbers[3:6]
-    return Answer(
-        verdict=calibration.quality.verdict,
-        scale=(found.scale - numbers[:3]) / (factor * found.scale_sigma),
-        bias=bias_error / (factor * found.bias_raw_sigma),
-        angle=(found.angle_rad - numbers[6:9]) / (factor * found.angle_sigma_rad),
-        bias_error_m_s2=float(np.abs(bias_error / truth.scale).max()),
-    )

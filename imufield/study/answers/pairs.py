@@ -2,118 +2,140 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from imufield.calibrate.model.result import ModelChoice
+from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
+from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
+from imufield.calibrate.gyroscope.moves import MoveCollector
+from imufield.calibrate.model.grades import find_grade
+from imufield.calibrate.model.observations import Observations
+from imufield.calibrate.model.result import Calibration, ModelChoice
 from imufield.deliver.family import Shared, family_of, typical_turn_on
-from imufield.deliver.parameters.gauge_free import GaugeFree
-from imufield.earth import MILLI_G_M_S2
+from imufield.deliver.parameters.gauge_free import GaugeFree, gauge_free
+from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S
+from imufield.earth import MILLI_G_M_S2, choose_gravity
+from imufield.guide.lead.guide import Guide
+from imufield.guide.lead.settings import GuideSettings
+from imufield.guide.positions import scheme
+from imufield.samples import AXES, FloatArray
+from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
 from imufield.simulate.truth.effects import Effects
-from imufield.simulate.truth.grades import Grade, draw_truth, find_grade
-from imufield.study import figures
-from imufield.study.answers.means import MeanSession
-from imufield.study.answers.sessions import guided_numbers, mean_numbers, site_gravity
-from imufield.study.context import StudyContext
-from imufield.study.report import Findings, keyed_table
+from imufield.simulate.truth.grades import draw_truth
+from imufield.simulate.truth.operator import OperatorSettings
+from imufield.study.answers.means import MeanSession, true_gravity
+from imufield.study.answers.recorded import moves_of
+from imufield.study.answers.tables import Statistics, Study, Table
 
+LATITUDE_DEG = 48.1
+RATE_HZ = 100.0
 TURN_ON_M_S2 = 0.5 * MILLI_G_M_S2
 """Between two power-ons, 1 sigma: a better MEMS module's."""
 WARM_UP_M_S2 = 2 * MILLI_G_M_S2
 _SLOW_S = 600.0
 _SINGLE_SIGMA = 3.0  # What one number alone passes in 1 of 370.
+_BLOCK = 2000
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Kind:
-    """A kind of pairs."""
+def compare(
+    rng: np.random.Generator,
+    *,
+    grade: str,
+    positions: str = "paper24",
+    model: ModelChoice = "auto",
+    turn_on_m_s2: float = 0.0,
+    warm_up_m_s2: float = 0.0,
+) -> dict[str, bool]:
+    """Draw an instrument without a quadratic term and calibrate its accelerometer twice at one place.
 
-    grade: str
-    positions: str = "paper24"
-    model: ModelChoice = "auto"
-    turn_on_m_s2: float = 0.0
-    warm_up_m_s2: float = 0.0
-    """In each axis, the same in both sessions, and slow: what two orders of time do not follow would be scatter."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PairRun:
-    """What one pair shows."""
-
-    differs: bool
-    single: bool
-    """Whether any number is beyond 3 sigma."""
-    moved: bool
-    """Whether history would say that a number moved, with two sessions."""
-
-
-def run_pair(kind: Kind, rng: np.random.Generator) -> PairRun:
-    """Draw an instrument without a quadratic term and calibrate its accelerometer twice at one place."""
-    drawn, warm_up = draw_truth(find_grade(kind.grade), rng), kind.warm_up_m_s2
-    truth = replace(
-        drawn,
-        accelerometer=replace(drawn.accelerometer, quadratic=np.zeros(3)),
-        effects=Effects(turn_on_m_s2=kind.turn_on_m_s2, warm_up_m_s2=(warm_up, warm_up, warm_up), warm_up_s=_SLOW_S),
-    )
-    gravity = site_gravity()
-    # True gravity is off the normal one by an anomaly, the same in both sessions.
-    anomaly = gravity.sigma_m_s2 * float(rng.standard_normal())
-    session = MeanSession(instrument=truth, gravity_m_s2=gravity.gravity_m_s2 + anomaly, order=kind.positions)
-    return _judged(*(mean_numbers(session, gravity, rng, model=kind.model) for _ in range(2)), grade=truth.grade)
+    A warm-up is the same in each axis and in both sessions, and slow: what two orders of time do not follow would be scatter.
+    """
+    drawn = draw_truth(find_grade(grade), rng)
+    linear = replace(drawn.accelerometer, quadratic=np.zeros(3))
+    effects = Effects(turn_on_m_s2=turn_on_m_s2, warm_up_m_s2=(warm_up_m_s2,) * 3, warm_up_s=_SLOW_S)
+    truth = replace(drawn, accelerometer=linear, effects=effects)
+    gravity = choose_gravity(latitude_deg=LATITUDE_DEG)
+    # The same in both sessions.
+    session = MeanSession(instrument=truth, gravity_m_s2=true_gravity(gravity, rng), order=positions)
+    taken = [session.observe(rng).observations for _ in range(2)]
+    return _judged(*(_gauge_free(calibrate_accelerometer(each, gravity, model=model), each) for each in taken), grade=grade)
 
 
-def run_whole_pair(grade: str, rng: np.random.Generator) -> PairRun:
+def compare_guided(rng: np.random.Generator, *, grade: str) -> dict[str, bool]:
     """Let the guide take two sessions of one instrument on two days, and compare both triads."""
     seed = int(rng.integers(2**31))
-    return _judged(*(guided_numbers(grade, seed, day) for day in (0, 1)), grade=find_grade(grade))
+    return _judged(*(_guided(grade, seed, day) for day in (0, 1)), grade=grade)
 
 
-def _judged(old: GaugeFree, new: GaugeFree, *, grade: Grade) -> PairRun:
+def _judged(old: GaugeFree, new: GaugeFree, *, grade: str) -> dict[str, bool]:
     # The quadratic term is among the numbers where the model has it; a drift takes degrees of freedom.
     models = [[(number.name, number.scatter_freedom) for number in side.numbers] for side in (old, new)]
     same_model = models[0] == models[1]
     family = family_of(old, new, Shared(gravity=True, setup=same_model))
-    return PairRun(
-        differs=bool(family.beyond),
-        single=any(abs(change.in_sigma) > _SINGLE_SIGMA for change in family.changes),
-        moved=any(family.exceeds(change, typical_turn_on(grade, change.name)) for change in family.beyond),
-    )
-
-
-KINDS = {
-    "tactical, paper24, linear model": Kind(grade="tactical", model="linear"),
-    "tactical, paper24, model auto": Kind(grade="tactical"),
-    "consumer, corners24, model auto": Kind(grade="mems", positions="corners24"),
-    "industrial, corners24, slow warm-up of 2 mg": Kind(grade="industrial", positions="corners24", warm_up_m_s2=WARM_UP_M_S2),
-}
-TURNED_ON = {"industrial, paper24, turn-on of 0.5 mg": Kind(grade="industrial", turn_on_m_s2=TURN_ON_M_S2)}
-_WHOLE = "tactical, guided sessions, both triads"
-
-
-def unchanged_pairs(context: StudyContext) -> Findings:
-    """Count pairs that are called different."""
-    kinds = KINDS | TURNED_ON
-    runs = context.runs(2000, 3)
-    found = dict(zip(kinds, context.campaign_of_each("answers-pairs", run_pair, [*kinds.values()], runs), strict=True))
-    found[_WHOLE] = context.campaign("answers-pairs whole", run_whole_pair, ["tactical"] * context.runs(400, 1))
-    shares = {
-        name: {
-            "pairs": len(of_kind),
-            "called different": float(np.mean([run.differs for run in of_kind])),
-            # 1 sigma of a share of 5 %.
-            "known to": float(np.sqrt(0.05 * 0.95 / len(of_kind))),
-            "any beyond 3 sigma": float(np.mean([run.single for run in of_kind])),
-            "said to have moved": float(np.mean([run.moved for run in of_kind])),
-        }
-        for name, of_kind in found.items()
+    typical = find_grade(grade)
+    return {
+        "pairs": True,
+        "called different": bool(family.beyond),
+        "known to": True,
+        "any beyond 3 sigma": any(abs(change.in_sigma) > _SINGLE_SIGMA for change in family.changes),
+        # As history says with two sessions.
+        "said to have moved": any(family.exceeds(change, typical_turn_on(typical, change.name)) for change in family.beyond),
     }
-    columns = ("called different", "any beyond 3 sigma", "said to have moved")
-    return Findings(
-        values={
-            "unchanged": {name: row for name, row in shares.items() if name not in TURNED_ON},
-            "turned_on": {name: row for name, row in shares.items() if name in TURNED_ON},
-        },
-        tables=(keyed_table("shares", "kind", shares),),
-        draw=figures.bars(tuple(shares), {name: np.array([row[name] for row in shares.values()]) for name in columns}, "share"),
+
+
+def _guided(grade: str, seed: int, day: int) -> GaugeFree:
+    """Return the gauge-free numbers of both triads from a session on one day of an instrument, taken by the guide.
+
+    What slow drift added to the biases on average over the session is a change of the instrument, and is taken off.
+    """
+    positions = scheme("paper24")
+    habits = OperatorSettings(hold_s=5.5, initial_still_s=6.0, begins_in_first_position=True)
+    options = Emulation(
+        device="text", rate_hz=RATE_HZ, grade=grade, seed=seed, day=day, directions=positions.directions(), operator=habits
     )
+    source = make_virtual_imu(options)
+    units, end_s = source.imu.instrument.grade.units, source.operator.plan_all() + 2.0
+    guide, collector = Guide(positions, units, settings=GuideSettings(hold_s=2.5)), MoveCollector(units)
+    while not guide.done and source.time_s < end_s:
+        block = source.next_block(_BLOCK)
+        guide.feed(block)
+        collector.feed(block)
+    observations = guide.observations()
+    gravity = choose_gravity(options.site.gravity_m_s2)
+    given = moves_of(observations, collector, gravity, options.site.latitude_deg)
+    found = _gauge_free(calibrate_gyroscope(given).join(given.calibration), observations)
+    drift = source.imu.mean_drift / np.repeat([MILLI_G_M_S2, DEG_PER_HOUR_RAD_S], 3)
+    added = dict(zip((*(f"bias {axis}" for axis in AXES), *(f"gyroscope bias {axis}" for axis in AXES)), drift, strict=True))
+    numbers = tuple(replace(number, value=number.value - added.get(number.name, 0.0)) for number in found.numbers)
+    return replace(found, numbers=numbers)
+
+
+def _gauge_free(calibration: Calibration, observations: Observations) -> GaugeFree:
+    sigma_raw = np.sqrt(np.diagonal(observations.covariance_raw, axis1=1, axis2=2))
+    return gauge_free(calibration, observations.mean_raw, sigma_raw)
+
+
+def _known_to(pairs: FloatArray) -> float:
+    """Return 1 sigma of a share of 5 %."""
+    return float(np.sqrt(0.05 * 0.95 / pairs.size))
+
+
+_COUNTED: Statistics = {"pairs": np.sum, "known to": _known_to}
+TURNED_ON = "industrial, paper24, turn-on of 0.5 mg"
+_PAIRS = {
+    "tactical, paper24, linear model": partial(compare, grade="tactical", model="linear"),
+    "tactical, paper24, model auto": partial(compare, grade="tactical"),
+    "consumer, corners24, model auto": partial(compare, grade="mems", positions="corners24"),
+    "industrial, corners24, slow warm-up of 2 mg": partial(
+        compare, grade="industrial", positions="corners24", warm_up_m_s2=WARM_UP_M_S2
+    ),
+    TURNED_ON: partial(compare, grade="industrial", turn_on_m_s2=TURN_ON_M_S2),
+}
+_GUIDED = {"tactical, guided sessions, both triads": partial(compare_guided, grade="tactical")}
+unchanged_pairs = Study(
+    Table(label="kind", campaign="answers-pairs", rows=_PAIRS, runs=(2000, 3), statistics=_COUNTED),
+    Table(label="kind", campaign="answers-pairs whole", rows=_GUIDED, runs=(100, 1), statistics=_COUNTED),
+    bars=("called different", "any beyond 3 sigma", "said to have moved"),
+)

@@ -20,7 +20,8 @@ from imufield.simulate.truth.effects import Effects
 from imufield.simulate.truth.grades import TrueInstrument
 from imufield.simulate.truth.imu import Imu
 from imufield.simulate.truth.operator import OperatorSettings
-from imufield.study.answers.sessions import RATE_HZ, imported_moves
+from imufield.study.answers.recorded import MOVES_RATE_HZ as RATE_HZ
+from imufield.study.answers.recorded import imported_moves
 from imufield.study.context import StudyContext
 from imufield.study.report import Findings, keyed_table
 

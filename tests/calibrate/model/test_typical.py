@@ -96,3 +96,11 @@ def test_the_verdict_says_what_the_priors_add() -> None:
     assert told_once.values["bias_mg"] == pytest.approx(largest_added("bias_m_s2") / (1e-3 * 9.80665), rel=1e-6)
     scale = with_priors.accelerometer.scale[0]
     assert told_once.values["scale_ppm"] == pytest.approx(1e6 * largest_added("scale") / scale, rel=0.02)
+
+
+@pytest.mark.numerical
+def test_the_factor_is_smaller_where_more_is_known_beforehand() -> None:
+    observations, _ = Session(directions=proposed("paper24")).take(np.random.default_rng(3))
+    grades = (None, "tactical", "mems")
+    factors = [calibrate_accelerometer(observations, EXACT, grade=grade).quality.student_factor_95 for grade in grades]
+    assert factors[0] > factors[1] > factors[2] > 1.95

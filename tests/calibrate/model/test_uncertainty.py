@@ -8,11 +8,12 @@ from calibration_truth import GRAVITY, campaign, random_parameters
 
 from imufield.calibrate.accelerometer.fit import FitData, column_basis, fit
 from imufield.calibrate.accelerometer.start import closed_form_start
-from imufield.calibrate.model.models import from_vector, norm_derivatives, predict, recover, to_vector
+from imufield.calibrate.model.models import PARAMETERS, from_vector, norm_derivatives, predict, recover, to_vector
 from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS
 from imufield.calibrate.model.uncertainty import (
     between_position_sigma,
     bounded_cross_covariance,
+    estimated_share,
     f_limit_95,
     gravity_sensitivity,
     influence,
@@ -142,3 +143,21 @@ def test_two_numbers_are_shown_with_the_digits_that_tell_them_apart() -> None:
     assert told_apart(3.14, 2.01) == ("3.1", "2.0")
     assert told_apart(2.03, 2.01) == ("2.03", "2.01")
     assert told_apart(2.0, 2.0) == ("2.0000", "2.0000")
+
+
+def test_what_is_known_beforehand_has_no_degrees_of_freedom_to_lose() -> None:
+    # Half of the variance of each parameter is gravity's or typical, half is told by five residuals.
+    told, gravity, typical = np.full(PARAMETERS, 0.5), np.zeros(PARAMETERS), np.zeros((PARAMETERS, PARAMETERS))
+    gravity[:6] = np.sqrt(0.5) * 0.01
+    typical[range(6, PARAMETERS), range(6, PARAMETERS)] = np.sqrt(0.5)
+    step = np.append(gravity, 1e-4)
+    covariance = np.outer(step, step) / 1e-4
+    covariance[:PARAMETERS, :PARAMETERS] += np.diag(told) + typical @ typical.T
+    share = estimated_share(covariance, typical)
+    assert share == pytest.approx(0.5)
+    rng = np.random.default_rng(4)
+    error = np.sqrt(0.5) * (rng.standard_normal(100_000) + rng.standard_normal(100_000))
+    sigma = np.sqrt(0.5 * (1 + rng.chisquare(5, 100_000) / 5))
+    inside = [np.mean(np.abs(error) < student_factor(freedom) * sigma) for freedom in (5 / share**2, 5)]
+    assert inside[0] == pytest.approx(0.95, abs=0.01)
+    assert inside[1] > 0.97
