@@ -13,7 +13,7 @@ from imufield.calibrate.model.grades import Grade
 from imufield.calibrate.model.higher import KINDS, TERMS, HigherTerms, higher_scale
 from imufield.calibrate.model.models import PARAMETERS
 from imufield.calibrate.model.typical import HIGHER_COLUMNS, open_terms, typical_higher
-from imufield.calibrate.model.uncertainty import f_chance, student_factor
+from imufield.calibrate.model.uncertainty import NORMAL_FACTOR_95, f_chance, student_factor
 from imufield.samples import FloatArray
 
 
@@ -88,7 +88,8 @@ def _excess(fitted: Fit, shown: FloatArray, found_m_s2: FloatArray, typical: Gra
         square, count = found_m_s2[own] ** 2, int(own.sum())
         ratio = float(np.mean(square / (variance[own] + size**2))) if count else 0.0
         if count and f_chance(ratio, count, fitted.degrees_of_freedom) < HIGHER_LEVEL:
-            factor = student_factor(count) / student_factor(fitted.effective_degrees_of_freedom)
+            # The factor that is stated goes down to the normal one, the larger the part that residuals do not tell.
+            factor = student_factor(count) / NORMAL_FACTOR_95
             excess[kind] = max(1.0, factor * float(np.sqrt(np.mean(square))) / size)
     return excess
 

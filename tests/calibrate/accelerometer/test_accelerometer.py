@@ -330,7 +330,7 @@ def test_a_temperature_that_runs_away_is_told(change_degc: float, verdict: str) 
     temperature_degc = 21 + change_degc * np.linspace(0, 1, len(observations))
     temperature_degc[3] = np.nan
     quality = calibrate_accelerometer(replace(observations, temperature_degc=temperature_degc), EXACT).quality
-    warned = [one for one in told(quality.reasons, "quality.temperature") if "from 21.0 to 28.2 degC" in one]
+    warned = [one for one in told(quality.reasons, "quality.temperature") if "21.0 to 28.2 degC" in one]
     assert (quality.verdict, len(warned)) == (verdict, verdict == "usable")
 
 
