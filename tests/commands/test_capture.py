@@ -53,7 +53,7 @@ def test_port_alone_is_enough_and_what_is_assumed_is_said(program: Program) -> N
     assert "baud rate 921600 (assumed)" in error
     unknown = Sentences("imufield.commands")("capture.gravity_unknown")
     assert " ".join(error.split()).count(unknown) == 1
-    assert "--latitude LATITUDE" in unknown
+    assert "--latitude DEGREES" in unknown
     assert lines[0].startswith("session imufield-sessions/")
     metadata = newest(program).metadata
     assert metadata["scheme"] == "paper24"

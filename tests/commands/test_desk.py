@@ -137,7 +137,7 @@ def test_the_means_of_a_parameter_file_give_the_same_parameters(program: Program
         difference = np.array(from_means["accelerometer"][key]) - np.array(from_session["accelerometer"][key])
         # Between the axes of one mean the session knows a covariance that a table of sigmas does not hold.
         assert np.all(np.abs(difference) <= 0.1 * sigma + 1e-12), key
-    assert any("signs of the axes are assumed" in reason for reason in from_means["quality"]["reasons"])
+    assert any("axis signs and order" in reason for reason in from_means["quality"]["reasons"])
 
 
 def test_exported_samples_come_back_as_they_were(program: Program, whole: Path) -> None:

@@ -43,7 +43,7 @@ def test_tables_say_their_units_and_what_to_leave_out(
     marked = sum(int(line.rsplit(",", 1)[1]) & Status.START_UP != 0 for line in table.read_text().splitlines()[1:])
     assert marked > 100
     assert (
-        f"{marked} rows are marked as not usable in the column status, {marked} of them from the instrument's start-up" in told
+        f"{marked} rows are marked unusable in the column status, {marked} of them during start-up" in told
     )
     assert run(["apply", str(solved_session), str(session.folder), "-o", str(tmp_path / "corrected.csv")]) == 0
     assert "specific force in m/s^2, angular rate in rad/s" in capsys.readouterr().out
@@ -131,7 +131,7 @@ def test_rows_missing_in_an_imported_table_were_not_lost_on_a_wire(
     told = " ".join(capsys.readouterr().out.split())
     assert f"40 of {len(rows)} samples are missing in the file" in told
     assert "wire" not in told
-    assert "axes agree" in told
+    assert "axes verified" in told
 
 
 def test_a_session_that_goes_on_does_not_speak_of_a_link_that_is_gone(make_session: Callable[..., Session]) -> None:

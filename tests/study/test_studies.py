@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imufield.commands.options.commands import StudyOptions
 from imufield.errors import Reason, UsageError
 from imufield.study import bsas_bound, bsas_runs, instruments
 from imufield.study.context import StudyContext
@@ -239,7 +238,3 @@ def test_text_that_is_wide_is_folded_to_80_columns() -> None:
     assert max(map(len, text.splitlines())) <= 80
 
 
-def test_help_names_every_study() -> None:
-    assert StudyOptions.__doc__ is not None
-    assert set(re.findall(r"(?:bsas|ide)-\w+", StudyOptions.__doc__)) == set(find_studies("all"))
-    assert "answers" in StudyOptions.__doc__

@@ -111,7 +111,7 @@ def test_lines_that_come_in_bursts_are_doubted() -> None:
         late = 0.0 if number < 100 else 20.0
         text.feed(type(chunk)(chunk.data, chunk.monotonic_s + late, 0))
     text.close()
-    assert text.finding().reason == "its frames come unsteadily"
+    assert text.finding().reason == "its frames arrive irregularly"
 
 
 def test_how_much_a_frame_proves() -> None:
