@@ -244,4 +244,4 @@ def _show_rest(identity: dict[str, str], command: str) -> None:
         told = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in identity.items())
         say(f"  instrument  {told}", indent=_SECOND_COLUMN)
     # The word in capitals is for the reader to fill in; programs are given the command without it.
-    echo(beside("  command    ", f"{command} --latitude LATITUDE"))
+    echo(beside("  command    ", f"{command} --latitude DEGREES"))

@@ -31,6 +31,7 @@ ELSEWHERE = {
     "imufield import dump.bin": "tests/commands/test_desk.py reads bytes of instruments",
     "imufield study": "tests/study runs every study",
     "imufield probe": "tests/commands/test_probe.py finds instruments on ports",
+    "--poses": "tests/commands/test_emulate_poses.py leads a capture by them",
     "imufield emulate xsens_can": "tests/simulate/emulator/test_slcan.py opens its adapter, which waits for somebody to do so",
     "imufield emulate my_imu.toml": "tests/simulate/instruments/test_protocol_device.py emulates formats of the user's own",
     "imufield emulate my_logger.toml": "tests/commands/test_emulate_own.py emulates and captures it",

@@ -161,7 +161,7 @@ def test_a_stopped_process_goes_on_where_it_was(program: Program, terminals: lis
     terminal.process.send_signal(signal.SIGCONT)
     place = terminal.expect("of 6 done", after=place)
     assert terminal.wait() == 0
-    assert "known to (1 sigma): bias" in " ".join(terminal.text.split())
+    assert "accuracy so far (1 sigma): bias" in " ".join(terminal.text.split())
     session = newest(program)
     assert session.finished
     assert len(session.parts) == 1

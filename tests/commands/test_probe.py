@@ -190,8 +190,8 @@ def test_the_command(program: Program) -> None:
         assert f"imufield capture --port {there.port} --driver vectornav_binary" in words.stdout
         # Another form of it is no other instrument.
         assert "not         vectornav_binary" not in words.stdout
-        assert "--latitude LATITUDE" in words.stdout
-        assert "LATITUDE" not in port["command"]
+        assert "--latitude DEGREES" in words.stdout
+        assert "DEGREES" not in port["command"]
     gone = program.run("probe", "--port", "/dev/nowhere", "--json")
     assert gone.returncode == 3
     assert json.loads(gone.stdout)["ports"][0]["error"]["reason"] == "port_not_found"
@@ -342,7 +342,7 @@ def test_what_cannot_be_put_back_is_said() -> None:
     with emulated("witmotion", 50) as there:
         found, said = connected(there.port, rate_hz=100)
     found.close()
-    assert "not put back" in said[-1]
+    assert "not restored" in said[-1]
 
 
 def test_a_protocol_file_knows_no_commands() -> None:
