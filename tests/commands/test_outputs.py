@@ -10,7 +10,7 @@ import pytest
 from imufield.cli.run import run
 
 USAGE = 2
-ENDS = (" choose another output.", " choose a new file.", " choose a folder.", " in a folder that exists.")
+ENDS = (" choose another output.", " choose a new file.", " choose a folder.", " in an existing folder.")
 
 
 @pytest.fixture

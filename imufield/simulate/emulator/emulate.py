@@ -296,7 +296,8 @@ def truth_document(options: Emulation, source: VirtualImu) -> dict[str, object]:
 
 
 def _plain(record: AccelerometerParameters | GyroscopeParameters | StillInterval | TrueMove) -> dict[str, object]:
-    values = asdict(record)
+    # TOML has no null: what an instrument has not is left out.
+    values = {name: value for name, value in asdict(record).items() if value is not None}
     return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in values.items()}
 
 
