@@ -236,5 +236,3 @@ def test_text_that_is_wide_is_folded_to_80_columns() -> None:
     )
     assert f"K_ax\n  paper  {long}\n  ours   {long}\n" in text
     assert max(map(len, text.splitlines())) <= 80
-
-

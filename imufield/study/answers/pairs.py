@@ -54,7 +54,7 @@ def compare(
     """
     drawn = draw_truth(find_grade(grade), rng)
     linear = replace(drawn.accelerometer, quadratic=np.zeros(3))
-    effects = Effects(turn_on_m_s2=turn_on_m_s2, warm_up_m_s2=(warm_up_m_s2,) * 3, warm_up_s=_SLOW_S)
+    effects = Effects(turn_on_m_s2=turn_on_m_s2, warm_up_m_s2=(warm_up_m_s2, warm_up_m_s2, warm_up_m_s2), warm_up_s=_SLOW_S)
     truth = replace(drawn, accelerometer=linear, effects=effects)
     gravity = choose_gravity(latitude_deg=LATITUDE_DEG)
     # The same in both sessions.
