@@ -42,8 +42,8 @@ HEAD = """# Reliability
 What was done to the program, how often, and what was lost. `make torture` does all of it again (the tests of these rows took
 {minutes:.0f} min one after another, some on a busy machine) and writes this page, `make torture PART=link` does one file of
 `tests/torture`; `make test` runs a short form of every line. Instruments are simulated; ports, files, processes and kills are
-real. A row stands for tests that passed; what failed, or has not been run in full, has none. The last columns name the commit a row was
-made on, and the day.
+real. A row stands for tests that passed; what failed, or has not been run in full, has none. The last columns name the
+commit a row was made on, and the day.
 
 Version {version}, Python {python}.
 
