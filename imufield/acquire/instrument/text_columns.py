@@ -32,8 +32,11 @@ _DELETE = 127
 _WORD = re.compile(r"(?!nan|inf)[$A-Z]\w*:?", re.IGNORECASE)  # Before the numbers of every line: "$IMU,", "Raw:".
 _CHECKSUM = re.compile(r"\*[0-9A-F]{2}$", re.IGNORECASE)
 _MOST = 0.9  # Of the lines: the first may be cut, and some damaged.
+_A = ACCELEROMETER_COLUMNS
+_G = GYROSCOPE_COLUMNS
+_T = ("temperature",)
+_NONE = ("-",) * 3
 # Orders of triads and temperature in boards' examples, by how many numbers there are beside time and counter.
-_A, _G, _T, _NONE = ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, ("temperature",), ("-",) * 3
 _ORDERS: dict[int, list[tuple[str, ...]]] = {
     3: [_A],
     6: [_A + _G, _G + _A],
