@@ -9,7 +9,7 @@ TEST := $(VENV)/.test
 DEV := $(VENV)/.dev
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test bench study fuzz lint docs torture coverage audit lock changelog wheel clean screens
+.PHONY: help demo test bench study fuzz lint style mypy pyright docs torture coverage audit lock changelog wheel clean screens
 
 help:
 	@echo "make demo    the whole chain on a virtual instrument, about a minute"
@@ -49,10 +49,17 @@ study: $(TEST)
 fuzz: $(TEST)
 	IMUFIELD_FUZZ_S=60 $(BIN)/python -m pytest -p no:xdist tests/acquire/test_fuzz_wires.py
 
-lint: $(DEV)
+# "make -j2 lint" keeps two cores busy.
+lint: style mypy pyright
+
+style: $(DEV)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+mypy: $(DEV)
 	$(BIN)/mypy imufield drivers tests benchmarks .ci/*.py
+
+pyright: $(DEV)
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
 # Not --quiet: mkdocs counts only the warnings that it prints.
