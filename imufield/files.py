@@ -40,6 +40,8 @@ SMALL_FILE_LIMIT_BYTES = 1 << 24
 """A thousand positions take half a mebibyte; what is read whole is never larger than this."""
 PIPE_LIMIT_S = 60.0
 """A pipe that a person names may wait for a password or a slow network; a minute is longer than either."""
+PIPE_OPEN_LIMIT_S = 5.0
+"""A shell starts both ends of a pipe at once: whoever has not opened it to write by then, never will."""
 
 # Windows has none of the first two: names are looked at before the opening there, and what was opened after it everywhere.
 _NO_LINK = getattr(os, "O_NOFOLLOW", 0)
@@ -153,7 +155,8 @@ def read_start(path: str | Path, size: int, origin: Origin = Origin.TYPED) -> by
     Raises
     ------
     OSError
-        As ``open_regular``, or the pipe has not ended after ``PIPE_LIMIT_S``.
+        As ``open_regular``, or nobody opens the pipe to write in ``PIPE_OPEN_LIMIT_S``, or it has not ended after
+        ``PIPE_LIMIT_S``.
     """
     if origin is Origin.TYPED and stat.S_ISFIFO(Path(path).stat().st_mode):
         return _read_pipe(path, size)
@@ -169,6 +172,14 @@ def _read_pipe(path: str | Path, size: int) -> bytes:
     pipe = os.fdopen(os.open(path, os.O_RDONLY | _NO_WAIT), "rb", buffering=0)
     with pipe, selectors.DefaultSelector() as selector:
         selector.register(pipe, selectors.EVENT_READ)
+        if not selector.select(PIPE_OPEN_LIMIT_S):
+            # Blocked by a writer that has nothing yet; without one it ends at once.
+            with suppress(BlockingIOError):
+                content += os.read(pipe.fileno(), 1)
+                if not content:
+                    raise TimeoutError(
+                        errno.ETIMEDOUT, f"nobody opened the pipe to write in {PIPE_OPEN_LIMIT_S:g} s", str(path)
+                    )
         while len(content) < size:
             left_s = end_s - time.monotonic()
             if left_s <= 0 or not selector.select(left_s):

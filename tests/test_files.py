@@ -184,13 +184,15 @@ def test_a_pipe_that_a_person_names_is_read(tmp_path: Path) -> None:
 def test_a_silent_or_endless_pipe_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "pipe"
     os.mkfifo(path)
-    monkeypatch.setattr(files, "PIPE_LIMIT_S", 0.1)
+    monkeypatch.setattr(files, "PIPE_OPEN_LIMIT_S", 0.1)
+    # Nobody is there who would write: not waited for as one who is.
     with pytest.raises(TimeoutError, match=r"0\.1 s"):
         read_small_file(path)
+    monkeypatch.setattr(files, "PIPE_LIMIT_S", 0.2)
     # One that is open for writing and says nothing.
     both = os.open(path, os.O_RDWR)
     try:
-        with pytest.raises(TimeoutError):
+        with pytest.raises(TimeoutError, match=r"0\.2 s"):
             read_small_file(path)
     finally:
         os.close(both)

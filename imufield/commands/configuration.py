@@ -7,6 +7,7 @@ before both, options before everything.
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 
 from imufield.errors import Reason, UsageError
@@ -42,7 +43,8 @@ def default_map() -> dict[str, dict[str, object]]:
 
     # The file in the working folder comes last, as what is set last stands.
     for path in (platformdirs.user_config_path("imufield") / FILE_NAME, Path(FILE_NAME)):
-        if not path.is_file():
+        # Also what is no file: somebody put it there, and it would be passed over without a word.
+        if not os.path.lexists(path):
             continue
         try:
             text = decode_toml(read_small_file(path, Origin.FOUND), str(path), UsageError)

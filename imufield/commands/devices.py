@@ -50,13 +50,13 @@ def list_devices(options: DevicesOptions) -> None:
     console = PlainTextConsole()
     table = Table(title="serial ports", title_justify="left", box=None, padding=(0, 2, 0, 0))
     table.add_column("port", no_wrap=True, min_width=max((len(port["device"]) for port in ports), default=0))
-    table.add_column("what the system says of it")
+    table.add_column("description by the system")
     for port in ports:
         table.add_row(port["device"], port["description"])
     console.print(table if ports else "no serial ports found: plug the instrument in, or give --port socket://host:port")
     for bus in buses:
         console.print(f"CAN bus {bus.bus} ({bus.state})", highlight=False)
-    echo("\ninstruments: bit rate, how it was tried, what it can be told to")
+    echo("\ninstruments: bit rate, how well tested, supported commands")
     width = max(len(driver["name"]) for driver in drivers) + 2
     for driver in drivers:
         # A table of five columns would break every name at 80 columns.

@@ -61,7 +61,9 @@ class _Task:
         self.limits = parse_requirements(options.require)
         self.parameters = load(options.parameters)
         self.preset = None if options.preset is None else load(options.preset)
-        self.session = open_or_newest(options.session)
+        # A folder stands for the parameters in it: alone it is the session as well.
+        its_own = options.parameters if options.parameters.is_dir() else None
+        self.session = open_or_newest(options.session or its_own)
         for checked in filter(None, (self.parameters, self.preset)):
             checked.check_instrument(self.session.serial_number)
         # By the bytes and not by the name: a folder may be renamed or copied. Parameters of no session have no hash.

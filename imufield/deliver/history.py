@@ -74,6 +74,7 @@ class Entry:
     instrument: str
     serial_number: str
     created: str
+    """When the session was recorded; when it was solved where nobody knows."""
     verdict: str
     session: str
     """SHA-256 of what was solved."""
@@ -108,7 +109,7 @@ class Entry:
             path=path,
             instrument=context.instrument.model or context.instrument.driver,
             serial_number=context.instrument.serial_number,
-            created=context.created,
+            created=context.measured,
             verdict=calibration.quality.verdict,
             session=context.session.sha256,
             raw_unit=calibration.accelerometer_raw_unit,

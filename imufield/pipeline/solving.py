@@ -105,7 +105,7 @@ def solve_session(
             gravity=(site or SiteOptions()).gravity(session.record.site),
             context=Context(
                 instrument=InstrumentFacts(**asdict(session.record.instrument)),
-                session=SessionFacts(session.name, session_sha256(session), true_rate_hz, chain.temperature_degc),
+                session=_facts(session, chain, true_rate_hz),
                 clock=None if best is None else clock_facts(best, is_import=is_import, stated_sigma=settings.clock_sigma),
             ),
             moves=between,
@@ -125,6 +125,11 @@ def solve_session(
             # Clipped outputs are the cause where what is left cannot be calibrated from.
             why = sentence("solving.rest", saturated=saturated.removesuffix("."), error=error.message)
             raise CalibrationError(why, Reason.SATURATED, **error.values) from error
+
+
+def _facts(session: Session, chain: Chain, rate_hz: float) -> SessionFacts:
+    recorded = session.record.recorded
+    return SessionFacts(session.name, session_sha256(session), rate_hz, chain.temperature_degc, recorded=recorded)
 
 
 def solve_observations(path: Path, settings: SolveSettings, site: SiteOptions) -> Parameters:

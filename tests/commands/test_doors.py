@@ -17,6 +17,7 @@ from types import FrameType
 import pytest
 import tomli_w
 
+from imufield import files
 from imufield.acquire.instrument.connected import ConnectOptions
 from imufield.acquire.recording.session import LOCK_FILE, Session
 from imufield.cli.run import run
@@ -189,6 +190,19 @@ def test_means_come_through_a_pipe(session: Path) -> None:
     piped, file = (tomllib.loads(Path(name).read_text()) for name in ("piped.toml", "file.toml"))
     assert piped["session"]["sha256"] == file["session"]["sha256"]
     assert str(piped["accelerometer"]) == str(file["accelerometer"])
+
+
+@pytest.mark.parametrize("line", ["solve --observations pipe -o out.toml", "report S --parameters pipe"])
+def test_a_pipe_that_nobody_writes_to_is_no_reason_to_wait(session: Path, line: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(files, "PIPE_OPEN_LIMIT_S", 0.1)
+    os.mkfifo(session.parent / "pipe")
+    assert "pipe" in failure(*line.split()).message
+
+
+def test_defaults_in_a_pipe_are_refused(session: Path) -> None:
+    # Passed over, the place that somebody wrote there would be missing without a word.
+    os.mkfifo(session.parent / "imufield.toml")
+    fails("devices", 2, Reason.USAGE, "pipe")
 
 
 def imufield(*arguments: object) -> subprocess.CompletedProcess[bytes]:

@@ -21,7 +21,7 @@ from imufield.acquire.instrument.recognise import CERTAIN_SAMPLES, FEWEST_SAMPLE
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.acquire.protocol.units import nominal_scale
-from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, FloatArray
+from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, LARGEST_OUTPUT, FloatArray
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -100,7 +100,10 @@ def read_lines(data: bytes) -> Lines | None:
     words = (split_cells(line, delimiter_of(line)[0]) for line, _, _ in parted)
     heading = next((cells for cells in words if len(cells) == width and not any(map(is_number, cells))), ())
     table = np.array([[float(cell or "nan") for cell in cells] for _, cells in rows])
-    return Lines(table, tuple(heading), prefix)
+    table[np.abs(table) > LARGEST_OUTPUT] = np.nan
+    # A line that lacks what the others have tells nothing, and its gaps would spread through every sum.
+    usual = np.mean(np.isfinite(table), axis=0) > _MOST
+    return Lines(table[np.isfinite(table[:, usual]).all(axis=1)], tuple(heading), prefix)
 
 
 def _parted(line: str) -> tuple[str, list[str]]:

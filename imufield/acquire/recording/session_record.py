@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from datetime import UTC, datetime
 from enum import Enum
 from pathlib import Path, PurePath
 from typing import Any, TypeVar
@@ -150,6 +151,15 @@ class SessionRecord:
     nominal: NominalRecord = NominalRecord()
     guide: GuideRecord = GuideRecord()
     site: SiteRecord = SiteRecord()
+
+    @property
+    def recorded(self) -> str:
+        """When the recording began, UTC, ISO 8601; empty for that of another program, and where the file was edited."""
+        try:
+            datetime.strptime(self.created, "%Y-%m-%dT%H:%M:%SZ").replace(tzinfo=UTC)
+        except ValueError:
+            return ""
+        return "" if self.kind == "import" else self.created
 
     @property
     def setting_values(self) -> dict[str, object]:

@@ -62,7 +62,9 @@ class DemoOptions:
     """
 
     seed: Annotated[int, option(help="Seed of the simulated instrument and operator.", low=0, high=LARGEST_SEED)] = 2
-    speed: Annotated[float, option(help="Times real time.", low=1)] = 8.0  # What a small machine keeps up with.
+    speed: Annotated[float, option(help="Speed relative to real time, e.g. 8 is eight times as fast.", low=1)] = (
+        8.0  # What a small machine keeps up with.
+    )
     plain: Plain = False
     root: Path = DEFAULT_ROOT
 
@@ -118,7 +120,7 @@ class ProbeOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CaptureOptions:
-    """Record a guided session: the screen leads you through 24 positions, hands-free.
+    """Record a guided session: the screen leads you through 24 positions, without a key press.
 
     Example: imufield capture --port /dev/ttyUSB0 --latitude 48.1 --height 520
     """
@@ -133,7 +135,9 @@ class CaptureOptions:
     as_json: EventsAsJson = False
     target_bias_ug: TargetBiasUg = None
     target_scale_ppm: TargetScalePpm = None
-    preset: Annotated[Path | None, option(help="Parameter file in force before: shows a wrong gravity.")] = None
+    preset: Annotated[
+        Path | None, option(help="Previous parameter file; comparison with its scale reveals a wrong latitude or gravity.")
+    ] = None
     rotations: Annotated[
         str | None, option(help="Whole turns for the gyroscope: rolled (edge over edge) or table (against a stop).")
     ] = None
@@ -205,16 +209,16 @@ class ImportOptions:
     rate_hz: TableRateHz = None
     zero: Annotated[str | None, option(help="Raw output at zero input, one or three numbers (mid-scale).")] = None
     site: PlaceOptions = field(default_factory=unknown_site)
-    replace: Annotated[bool, option("--replace", help="Put it in the place of an earlier import that is not solved yet.")] = (
-        False
-    )
+    replace: Annotated[
+        bool, option("--replace", help="Overwrite an earlier import in the folder --output, if it has not been solved.")
+    ] = False
     as_json: AsJson = False
     root: Path = DEFAULT_ROOT
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplayOptions:
-    """Run a recorded session through the same chain again, or to a port or bus for other programs.
+    """Run a recorded session through the guide again, or send its data to a port or bus.
 
     Example: imufield replay imufield-sessions/20260301T101500Z-stim300
     """
@@ -223,9 +227,11 @@ class ReplayOptions:
     to_pty: Annotated[bool, option("--to-pty", help="Replay the bytes to a virtual serial port.")] = False
     bus: Annotated[str | None, option(help="Replay the frames to a CAN bus, e.g. socketcan:vcan0.")] = None
     bit_rate: Annotated[
-        int | None, option("--baud", help="Bit rate of the bus, where it is set on opening.", within=BAUD_RANGE)
+        int | None, option("--baud", help="Bit rate, for CAN adapters that set it when opened.", within=BAUD_RANGE)
     ] = None
-    speed: Annotated[float, option(help="Times real time for --to-pty and --bus; 0 is as fast as possible.", low=0)] = 1.0
+    speed: Annotated[
+        float, option(help="Speed of --to-pty and --bus relative to real time; 0 is as fast as possible.", low=0)
+    ] = 1.0
     as_json: EventsAsJson = False
 
 
@@ -248,17 +254,23 @@ class EmulateOptions:
     rate_hz: Annotated[
         float | None, option(help="Sample rate (default: the instrument's usual one).", low=1, high=RATE_RANGE_HZ[1])
     ] = None
-    speed: Annotated[float, option(help="Times real time.", low=0.1)] = 1.0
+    speed: Annotated[float, option(help="Speed relative to real time, e.g. 8 is eight times as fast.", low=0.1)] = 1.0
     grade: Annotated[str, option(help="navigation, tactical, industrial or mems.")] = "tactical"
     seed: Annotated[int, option(help="Seed of instrument, operator and faults.", low=0, high=LARGEST_SEED)] = 1
     day: Annotated[int, option(help="Another day of the instrument: other noise, tilts, faults.", low=0, high=LARGEST_SEED)] = 0
     positions: Annotated[str, option(help="Scheme the operator works through; `none`: it lies still.")] = "paper24"
     rounds: Annotated[
-        int | None, option(help="How often: what a reader missed comes up again (20; 1 before turns).", low=1, high=1000)
+        int | None,
+        option(
+            help="How many times the operator goes through all positions (default: 20; 1 with --rotations).", low=1, high=1000
+        ),
     ] = None
-    poses: Annotated[Path | None, option(help="Poses instead, a line each, e.g. z+135 or roll 30; `-`: as you type them.")] = (
-        None
-    )
+    poses: Annotated[
+        Path | None,
+        option(
+            help="File of poses to use instead of --positions, one per line, e.g. z+135 or roll 30; `-` reads the keyboard."
+        ),
+    ] = None
     style: Annotated[str, option(help="placed (on a surface) or held (in the hand).")] = "placed"
     rotations: Annotated[str | None, option(help="Whole turns after the positions: rolled or table.")] = None
     hold_s: Annotated[float, option(help="Seconds the virtual operator holds each position.", within=HOLD_RANGE_S)] = 14.0
@@ -280,7 +292,7 @@ class EmulateOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SolveOptions:
-    """Solve a session: parameters with uncertainty, and a verdict in words. Several: on all cores, with a table of verdicts.
+    """Solve a session: parameters with uncertainty, and a verdict. Several are solved in parallel, with a table of verdicts.
 
     Example: imufield solve --latitude 48.1 --height 520
     """
@@ -290,9 +302,22 @@ class SolveOptions:
     ] = None
     observations: Annotated[Path | None, option(help="CSV of position means instead of a session.")] = None
     site: PlaceOptions = field(default_factory=unknown_site)
-    model: Annotated[str, option(help="auto, linear, quadratic or extended.")] = "auto"
-    gauge: Annotated[str | None, option(help="preset, lower, upper or symmetric.")] = None
-    preset: Annotated[Path | None, option(help="Parameter file in force before.")] = None
+    model: Annotated[
+        str,
+        option(
+            help="Accelerometer model: linear, quadratic, extended (cubic and cross terms), or auto, which "
+            "chooses linear or quadratic by a test."
+        ),
+    ] = "auto"
+    gauge: Annotated[
+        str | None,
+        option(
+            help="How the body axes are fixed in the sensor: lower (default), upper, symmetric or preset; see docs/glossary.md."
+        ),
+    ] = None
+    preset: Annotated[
+        Path | None, option(help="Previous parameter file: compared with, and kept for what this session cannot show.")
+    ] = None
     zero: Annotated[str | None, option(help="Raw output at zero input, one or three numbers.")] = None
     without: Annotated[list[str] | None, option(help="Name of a position to leave out; may be repeated.")] = None
     clock_sigma_ppm: Annotated[
@@ -300,10 +325,16 @@ class SolveOptions:
     ] = None
     method: Annotated[str, option(help="least-squares, bsas, ide and others, see docs/study.md.")] = "least-squares"
     method_settings: MethodSettings = field(default_factory=dict)
-    polish: Annotated[bool, option(help="Finish another method by least squares.")] = True
+    polish: Annotated[bool, option(help="Refine the result of any other --method by least squares.")] = True
     cross_check: Annotated[bool, option("--cross-check", help="Solve by bsas, ide and least squares, compare.")] = False
     gyroscope_model: Annotated[str, option("--gyro-model", help="auto, basic or g-sensitive.")] = "auto"
-    grade: Annotated[str | None, option(help="navigation, tactical, industrial or mems: typical of what is not shown.")] = None
+    grade: Annotated[
+        str | None,
+        option(
+            help="Instrument class, whose typical errors widen sigma where data cannot show them: navigation, "
+            "tactical, industrial or mems."
+        ),
+    ] = None
     seed: Annotated[int, option(help="Seed of everything random.", low=0, high=LARGEST_SEED)] = 0
     workers: Workers = None
     scheduler: Scheduler = None
@@ -371,8 +402,7 @@ class StudyOptions:
 
     BAS is beetle antennae search, BSAS the swarm of it (with m beetles); IDE is improved differential evolution.
 
-    Answers measures what a calibration says of itself (docs/answers.md): effects one at a time, and how often its verdict
-    and its limits are right.
+    The studies answers-* simulate one disturbance each and count how often verdict and warnings are right (docs/answers.md).
 
     Example: imufield study
 
@@ -435,13 +465,20 @@ class ExportDataOptions:
 class VerifyOptions:
     """Prove parameters on data they have not seen: held-out positions, and hours of static navigation.
 
-    Example: imufield verify parameters.toml rest-of-5-hours --require nav-nmi-per-h=1
+    Example: imufield verify parameters.toml standstill-5h --require nav-nmi-per-h=1
     """
 
     parameters: Annotated[Path, session_argument(help="Parameter file under test.")]
     session: Annotated[Path | None, session_argument(help="Session they have not seen (default: the newest).")] = None
     preset: Annotated[Path | None, option(help="Parameter file to compare with (default: no correction).")] = None
-    hold_out: Annotated[int | None, option(help="Solve without so many positions at a time and check those.", low=1)] = None
+    hold_out: Annotated[
+        int | None,
+        option(
+            help="Positions left out of each solve and then predicted (default: 4); only for the session the "
+            "parameters came from.",
+            low=1,
+        ),
+    ] = None
     turned: Annotated[bool, option("--turned", help="The instrument was turned over after the alignment.")] = False
     align_s: Annotated[float, option(help="Seconds of rest at the start to align with.", low=1)] = 600.0
     # From -360, as headings are written from 0 to 360 or from -180 to 180.
@@ -490,5 +527,7 @@ class HistoryOptions:
     # A year, as calibrations are usually dated.
     stale_days: Annotated[float, option(help="Age at which a calibration is old.", low=0)] = 365.0
     csv: Annotated[Path | None, option(help="Write every number of every calibration to this file.")] = None
-    plot: Annotated[Path | None, option(help="Draw instruments over time, SVG, a file each.")] = None
+    plot: Annotated[
+        Path | None, option(help="Plot the change of the parameters over time as SVG, one file per instrument.")
+    ] = None
     as_json: AsJson = False

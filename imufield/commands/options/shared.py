@@ -152,14 +152,26 @@ Baud = Annotated[
 Settings = Annotated[
     Mapping[str, str],
     Converted(
-        Annotated[list[str] | None, option("--set", help="What the wire does not tell, e.g. accelerometer_range_g=30.")],
+        Annotated[
+            list[str] | None,
+            option(
+                "--set",
+                help="Setting of the instrument that its data does not state, e.g. accelerometer_range_g=30; "
+                "`imufield devices NAME` lists them.",
+            ),
+        ],
         parse_settings,
     ),
 ]
 MethodSettings = Annotated[
     Mapping[str, str],
     Converted(
-        Annotated[list[str] | None, option("--set", help="Setting of --method: the paper's symbol or a word, e.g. m=20.")],
+        Annotated[
+            list[str] | None,
+            option(
+                "--set", help="Setting of --method, NAME=VALUE, e.g. m=20 (number of beetles of bsas); names in docs/study.md."
+            ),
+        ],
         parse_settings,
     ),
 ]
@@ -173,9 +185,20 @@ SessionFolder = Annotated[
 ]
 TargetBiasUg = Annotated[
     float | None,
-    option("--target-bias-ug", help="Hold and go on until biases are known so well, 1 sigma.", within=TARGET_RANGE),
+    option(
+        "--target-bias-ug",
+        help="Accuracy wanted for the biases, 1 sigma, micro-g; holds are lengthened (up to 60 s) to reach it.",
+        within=TARGET_RANGE,
+    ),
 ]
-TargetScalePpm = Annotated[float | None, option("--target-scale-ppm", help="The same for scale factors.", within=TARGET_RANGE)]
+TargetScalePpm = Annotated[
+    float | None,
+    option(
+        "--target-scale-ppm",
+        help="Accuracy wanted for the scale factors, 1 sigma, ppm; holds are lengthened to reach it.",
+        within=TARGET_RANGE,
+    ),
+]
 AsJson = Annotated[bool, option("--json", help="JSON on standard output and nothing else.")]
 EventsAsJson = Annotated[bool, option("--json", help="Events as JSON lines on standard output.")]
 Plain = Annotated[bool, option("--plain", help="Plain lines instead of pictures.")]
@@ -250,14 +273,14 @@ class Place:
         float | None,
         option(
             "--gravity",
-            help="Local gravity, m/s^2, e.g. 9.8089+-0.0001; else as uncertain as its last digit.",
+            help="Local gravity, m/s^2, e.g. 9.8089+-0.0001; without +-, the last digit sets its uncertainty.",
             envvar="IMUFIELD_GRAVITY_M_S2",
             parser=TypedNumber,
             metavar="FLOAT",
         ),
     ] = None
     latitude: Annotated[
-        float | None, option(help="Latitude, decimal degrees: gravity by WGS-84.", envvar="IMUFIELD_LATITUDE_DEG")
+        float | None, option(help="Latitude, decimal degrees, from which WGS-84 gives gravity.", envvar="IMUFIELD_LATITUDE_DEG")
     ] = None
     height: Annotated[float | None, option(help="Height above the ellipsoid, m.", envvar="IMUFIELD_HEIGHT_M")] = None
 

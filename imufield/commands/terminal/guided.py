@@ -251,11 +251,15 @@ class CaptureLoop:
         )
 
     def _summary(self) -> Iterator[str]:
-        """Say how well the parameters are known, and what was advised at the end."""
-        known = None if self.chain.guide is None else self.chain.guide.snapshot().forecast
+        """Say how well the parameters are known, what was advised at the end, and what solving will refuse."""
+        guide = self.chain.guide
+        known = None if guide is None else guide.snapshot().forecast
         if known is not None:
             yield sentence("guided.known", bias=known_words(known, "bias_ug"), scale=known_words(known, "scale_ppm"))
         yield from (words(advice) for advice in self._advice.values())
+        wrong = None if guide is None else guide.check_axes().error
+        if wrong is not None:
+            yield wrong.message
 
     @property
     def _done(self) -> bool:

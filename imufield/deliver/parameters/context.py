@@ -39,7 +39,8 @@ class SessionFacts:
     """Which recording.
 
     ``sha256`` is the hash of what was solved (the session's parts in order, or the observation file); ``sample_rate_hz``
-    is the true rate, device counter against host time; NaN where not known.
+    is the true rate, device counter against host time; NaN where not known. ``recorded`` is when the recording began, UTC,
+    ISO 8601; empty where another program recorded it.
     """
 
     name: str = ""
@@ -47,6 +48,7 @@ class SessionFacts:
     sample_rate_hz: float = float("nan")
     temperature_degc: tuple[float, float] = (float("nan"), float("nan"))
     """Lowest and highest."""
+    recorded: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,3 +91,8 @@ class Context:
     created: str = field(default_factory=now_text)
     """UTC, ISO 8601."""
     software: str = SOFTWARE
+
+    @property
+    def measured(self) -> str:
+        """When the session was recorded; when it was solved where nobody knows. A session may be solved again years later."""
+        return self.session.recorded or self.created

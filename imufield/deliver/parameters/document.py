@@ -74,6 +74,7 @@ def to_document(calibration: Calibration, observations: Observations, context: C
             "positions": len(observations),
             "sample_rate_hz": float(session.sample_rate_hz),
             "temperature_degc": [float(value) for value in session.temperature_degc],
+            **({"recorded": session.recorded} if session.recorded else {}),
         },
         "accelerometer": {
             "equation": calibration.equation,
@@ -254,7 +255,9 @@ def context_from_document(document: Document) -> Context:
     low, high = session["temperature_degc"]
     return Context(
         instrument=InstrumentFacts(**document["instrument"]),
-        session=SessionFacts(session["name"], session["sha256"], session["sample_rate_hz"], (low, high)),
+        session=SessionFacts(
+            session["name"], session["sha256"], session["sample_rate_hz"], (low, high), session.get("recorded", "")
+        ),
         clock=None if "clock" not in document else ClockFacts(**document["clock"]),
         noise=None if noise is None else Noise(source=noise["source"], **_arrays(noise, _NOISE)),
         created=document["created"],

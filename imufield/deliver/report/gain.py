@@ -43,11 +43,12 @@ class Gain:
 
 
 def gain(parameters: Parameters, preset: Parameters | None = None) -> Gain | None:
-    """Return what the calibration has gained; None without a position that tells it."""
+    """Return what the calibration has gained; None where no position is left to tell it."""
     tables = [table for table in parameters.document["position"] if table["used"]]
-    if not tables:
-        return None
     calibration = parameters.calibration
+    # As many parameters as positions fit them all, and that is no gain.
+    if not tables or calibration.quality.degrees_of_freedom < 1:
+        return None
     accelerometer, gravity = calibration.accelerometer, calibration.gravity.gravity_m_s2
     used, results = calibration.positions.used, calibration.positions
     raw = np.array([table["mean_raw"] for table in tables], dtype=np.float64)

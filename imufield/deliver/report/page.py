@@ -186,7 +186,8 @@ def _identity(data: ReportData) -> Iterator[tuple[str, str]]:
     yield "Serial number", instrument.serial_number or UNKNOWN
     if instrument.firmware:
         yield "Firmware", instrument.firmware
-    yield "Calibrated", context.created.replace("T", " ").replace("Z", " UTC")
+    yield from (("Measured", _when(context.session.recorded)),) if context.session.recorded else ()
+    yield "Solved", _when(context.created)
     if data.operator:
         yield "By", data.operator
     place = UNKNOWN
@@ -201,6 +202,10 @@ def _identity(data: ReportData) -> Iterator[tuple[str, str]]:
     yield "Positions", str(len(data.parameters.document["position"]))
     if math.isfinite(session.sample_rate_hz):
         yield "Sample rate", f"{session.sample_rate_hz:.3f} Hz"
+
+
+def _when(moment: str) -> str:
+    return moment.replace("T", " ").replace("Z", " UTC")
 
 
 def _quality(calibration: Calibration) -> Iterator[tuple[str, str]]:

@@ -103,7 +103,7 @@ def _heading(parameters: Parameters) -> RenderableType:
     facts = [f"{len(parameters.document['position'])} positions"]
     if math.isfinite(low) and math.isfinite(high):
         facts.append(f"{low:.0f} °C" if round(low) == round(high) else f"{low:.0f} to {high:.0f} °C")
-    facts.append(parameters.context.created.replace("T", " ").replace("Z", " UTC"))
+    facts.append(parameters.context.measured.replace("T", " ").replace("Z", " UTC"))
     return Group(Text(f"Calibration of {who}", style="bold"), Text(" · ".join(facts), style="dim"))
 
 

@@ -53,7 +53,7 @@ class _Kind:
             time_s=now_s,
             topic=self.topic,
             position=position,
-            words=sentence(self.words, position=position, **values),
+            words=sentence(self.words, position=position, limit=limit, **values),
             remedy=sentence(self.remedy),
             measured=measured,
             limit=limit,

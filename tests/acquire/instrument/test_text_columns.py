@@ -54,6 +54,14 @@ def test_gravity_tells_which_columns_and_their_unit(delimiter: str, turned: bool
     assert (got["columns"], got["accelerometer_unit"]) == ("gx,gy,gz,ax,ay,az", unit)
 
 
+def test_numbers_beyond_every_output_leave_their_line_out() -> None:
+    table = held(turned=True)[:, 1:].copy()
+    clean = found(np.delete(table, [7, 90, 91], axis=0))
+    # One that is still a number, and two that are written with more digits than a number holds: their sum is none.
+    table[[7, 90, 91], [0, 1, 1]] = 1e300, np.inf, -np.inf
+    assert settings(found(table)) == settings(clean)
+
+
 @pytest.mark.parametrize("accelerometer", [1.0, 1 / G])
 @pytest.mark.parametrize(("unit", "size"), [("rad/s", 1.0), ("deg/s", DEG), ("count", 1000.0)])
 def test_a_turn_shows_the_unit_of_the_gyroscope(accelerometer: float, unit: str, size: float) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from imufield.calibrate.accelerometer.drift import MOST_CONFUSION
 from imufield.guide import refusals
 from imufield.guide.events import Accepted, Advice, Done, Event, Move, RefusalCode, Rejected, Topic
 from imufield.guide.lead.guide import Guide
@@ -351,3 +352,15 @@ def test_undone_positions_are_known_no_longer(make_path: Any) -> None:
     guide.flush()
     assert len(guide.plan.accepted) == 3
     assert guide.snapshot().forecast is None
+
+
+def test_an_order_that_cannot_tell_drift_from_curvature_is_told(make_path: Any) -> None:
+    positions = scheme("paper24").positions
+    faces = [position for position in positions if np.max(np.abs(position.direction)) > 0.99]
+    path = make_path(100.0).hold(faces[0].direction, 6.0)
+    for position in faces[1:9]:
+        path.turn(position.direction, 1.5).hold(position.direction, 5.0)
+    _, events = feed(path.samples(), "paper24")
+    (told,) = [event for event in of(events, Advice) if event.topic is Topic.ORDER]
+    assert told.measured > told.limit == MOST_CONFUSION
+    assert f"{told.limit:g}" in told.words
