@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import importlib
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -164,6 +165,8 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_damaged_files(
     corpus: Corpus, sound: Path, tmp_path: Path, campaign: Campaign, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    # Once in a home folder Matplotlib asks the system for its fonts and keeps the answer there: no file leads to that.
+    importlib.import_module("matplotlib.font_manager")
     content = corpus.make(sound)
     ends: list[Outcome] = []
     folder = tmp_path / "place"

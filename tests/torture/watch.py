@@ -80,7 +80,7 @@ def attempt(arguments: list[str], allowed: Path) -> Outcome:
             code = run(arguments)
         finally:
             _WATCH.allowed = None
-    assert not _WATCH.seen, _WATCH.seen
+    assert not _WATCH.seen, [*_WATCH.seen]
     assert code in EXIT_CODES, (code, error.getvalue())
     assert (code == 0) or error.getvalue().strip(), f"left with {code} and said nothing"
     return Outcome(code, out.getvalue(), error.getvalue())
