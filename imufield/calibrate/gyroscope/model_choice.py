@@ -21,9 +21,11 @@ whitened residual, X the columns less what is fitted, and moves the parameters b
     c | r ~ N(m, V),    V = (X^T X + S^-1)^-1,    m = -V X^T r,    and    D (V + m m^T) D^T
 
 is added: all of S where the moves show nothing, what they leave open where they show something. A term that is named is not
-drawn towards zero. A data sheet's nonlinearity n is the largest deviation from the best straight line over the range R, as a
-share of it. By least squares that line leaves 2/5 c R of c s^3 / R^2, so c is 5 n / 2 (S / R)^2, and c R / 2 of c |s|, so an
-asymmetry would be 2 n at most. No data sheet gives it; differential electrodes and two beams are even in the rate: a tenth.
+drawn towards zero; of others S is the mean of the squares of what is shown less its variance, where this is more than typical.
+
+A data sheet's nonlinearity n is the largest deviation from the best straight line over the range R, as a share of it. By least
+squares that line leaves 2/5 c R of c s^3 / R^2, so c is 5 n / 2 (S / R)^2, and c R / 2 of c |s|, so an asymmetry is 2 n at most.
+No data sheet gives it apart; differential electrodes and two beams make both senses alike, so a tenth of that is taken.
 
 References
 ----------
@@ -151,6 +153,8 @@ def check_linearity(data: GyroscopeData, fit: JointFit, typical: Grade | None = 
             sizes = {"size_ppm": to_ppm * found[worst], "sigma_ppm": to_ppm * sigma[worst]}
             rate_deg_s = float(np.degrees(range_rad_s[worst % 3]))
             sentences.append(sentence(key, axis=AXES[worst % 3], rate_deg_s=rate_deg_s, **sizes))
+        elif typical is not None:
+            prior[seen] = np.maximum(prior[seen], np.sqrt(max(float(np.mean(size**2 - sigma[seen] ** 2)), 0.0)))
     # With R = X S^1/2: V = S^1/2 (1 + R^T R)^-1 S^1/2, also where S is zero.
     R = columns * prior
     L = prior[:, None] * np.linalg.inv(np.linalg.cholesky(np.eye(6) + R.T @ R)).T
