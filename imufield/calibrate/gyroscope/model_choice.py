@@ -24,8 +24,8 @@ is added: all of S where the moves show nothing, what they leave open where they
 drawn towards zero; of others S is the mean of the squares of what is shown less its variance, where this is more than typical.
 
 A data sheet's nonlinearity n is the largest deviation from the best straight line over the range R, as a share of it. By least
-squares that line leaves 2/5 c R of c s^3 / R^2, so c is 5 n / 2 (S / R)^2, and c R / 2 of c |s|, so an asymmetry is 2 n at most.
-No data sheet gives it apart; differential electrodes and two beams make both senses alike, so a tenth of that is taken.
+squares that line leaves 2/5 c R of c s^3 / R^2, so c is 5 n / 2 (S / R)^2, and c R / 2 of c |s|, so 2 n is the most that an
+asymmetry can be. No data sheet gives it apart; differential electrodes and two beams make both senses alike: a tenth is taken.
 
 References
 ----------

@@ -121,7 +121,9 @@ _SIZES = {
     "nonlinearity": {"nonlinearity_ppm": NONLINEARITY_PPM},
 }
 KINDS = {
-    f"{what}, {grade}{', turntable' if has_turntable else ''}": RatesKind(grade=grade, has_turntable=has_turntable, **sizes)
+    f"{what}, {grade}{', turntable' if has_turntable else ''}": RatesKind(
+        grade=grade, has_turntable=has_turntable, is_typical=False, **sizes
+    )
     for grade, has_turntable in (("industrial", False), ("mems", False), ("industrial", True))
     for what, sizes in _SIZES.items()
 } | {f"typical, {grade}": RatesKind(grade=grade, is_typical=True) for grade in GRADES}

@@ -174,7 +174,8 @@ def test_typical_terms_are_covered_as_stated(result: GyroscopeResult, grade: str
         hidden = check_linearity(data, drawn, GRADES[grade]).hidden_root
         sigma = np.sqrt(np.diag(fit.covariance)[SCALES] + np.sum(hidden[SCALES] ** 2, axis=1))
         inside.append(np.abs(fit.gain @ residual)[SCALES] < NORMAL_FACTOR_95 * sigma)
-    assert 0.93 < np.mean(inside) < 0.975
+    # Somewhat more than 95 %: what is shown of a term counts, and the scale is not corrected by it.
+    assert 0.93 < np.mean(inside) < 0.98
 
 
 def test_what_moves_leave_open_is_a_fit_of_both_with_priors(result: GyroscopeResult) -> None:
