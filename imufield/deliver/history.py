@@ -115,7 +115,7 @@ class Entry:
             raw_unit=calibration.accelerometer_raw_unit,
             gravity_m_s2=calibration.gravity.gravity_m_s2,
             gravity_source=calibration.gravity.source,
-            grade=context.instrument.grade,
+            grade=context.instrument.stated_grade,
             gyroscope_noise_rad_s_per_root_hz=float(np.max(np.nan_to_num(noise, nan=np.inf))),
             numbers=found.numbers,
             setup=f"{model} {names}",

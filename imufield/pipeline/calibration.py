@@ -131,7 +131,7 @@ def calibrate(measured: Measured, settings: SolveSettings) -> Parameters:
     """
     preset, grade = None, settings.grade or measured.grade
     if settings.preset is not None:
-        grade = grade or settings.preset.context.instrument.grade
+        grade = grade or settings.preset.context.instrument.stated_grade
         # In other raw units, or of another instrument, its scale would mean something else.
         settings.preset.check_instrument(measured.context.instrument.serial_number)
         units = measured.observations.units
@@ -139,6 +139,7 @@ def calibrate(measured: Measured, settings: SolveSettings) -> Parameters:
         if settings.preset.gyroscope_is_complete and np.isfinite(measured.observations.gyroscope_mean_raw).any():
             settings.preset.check_unit("gyroscope", units.gyroscope_rate_unit)
         preset = settings.preset.calibration.accelerometer
+    grade, grade_source = (grade, "stated") if grade else (DEFAULT_GRADE, "assumed")
     calibration = calibrate_accelerometer(
         measured.observations,
         measured.gravity,
@@ -146,7 +147,7 @@ def calibrate(measured: Measured, settings: SolveSettings) -> Parameters:
         gauge=settings.gauge,
         preset=preset,
         raw_zero=measured.raw_zero if settings.raw_zero is None else settings.raw_zero,
-        grade=grade or DEFAULT_GRADE,
+        grade=grade,
         seed=settings.seed,
     )
     rng = np.random.default_rng(settings.seed)
@@ -167,7 +168,7 @@ def calibrate(measured: Measured, settings: SolveSettings) -> Parameters:
         )
     # After the accelerometer, which tells in what position each still was.
     accelerometer_verdict = calibration.quality.verdict
-    calibration, gyroscope_verdict = _with_gyroscope(calibration, measured, settings, rng)
+    calibration, gyroscope_verdict = _with_gyroscope(calibration, measured, settings, rng, grade=grade)
     gyroscope = calibration.gyroscope
     if gyroscope is None or np.isnan(gyroscope.range_rad_s).all():
         sentences.append(sentence("calibration.range"))
@@ -184,7 +185,7 @@ def calibrate(measured: Measured, settings: SolveSettings) -> Parameters:
         observations = join_observations(observations, measured.left_out)
         calibration = _recording_left_out(calibration, observations)
     # Through the document and back: what is printed is what the file holds, digit by digit.
-    instrument = replace(measured.context.instrument, grade=grade or DEFAULT_GRADE)
+    instrument = replace(measured.context.instrument, grade=grade, grade_source=grade_source)
     return from_document(to_document(calibration, observations, replace(measured.context, instrument=instrument)))
 
 
@@ -215,7 +216,7 @@ def _recording_left_out(calibration: Calibration, observations: Observations) ->
 
 
 def _with_gyroscope(
-    calibration: Calibration, measured: Measured, settings: SolveSettings, rng: np.random.Generator
+    calibration: Calibration, measured: Measured, settings: SolveSettings, rng: np.random.Generator, *, grade: str
 ) -> tuple[Calibration, str]:
     """Join the gyroscope, where the session holds its output; return the verdict on it too."""
     observations = measured.observations if measured.rests is None else join_observations(measured.observations, measured.rests)
@@ -233,6 +234,7 @@ def _with_gyroscope(
         nominal_scale=measured.gyroscope_scale,
         stops=measured.stops,
         rests=0 if measured.rests is None else len(measured.rests),
+        grade=grade,
     )
     try:
         result = calibrate_gyroscope(given, settings.gyroscope_model)

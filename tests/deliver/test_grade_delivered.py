@@ -40,9 +40,13 @@ def test_the_file_says_whose_priors_it_holds(tactical: Parameters, tmp_path: Pat
 
 def test_without_a_word_it_is_the_presets_grade_and_then_the_worst(measured: Measured, tactical: Parameters) -> None:
     unnamed = calibrate(measured, SolveSettings())
-    assert unnamed.context.instrument.grade == "mems"
+    assert (unnamed.context.instrument.grade, unnamed.context.instrument.stated_grade) == ("mems", "")
+    assert unnamed.document["instrument"]["grade_source"] == "assumed"
     again = calibrate(measured, SolveSettings(preset=tactical))
-    assert again.context.instrument.grade == "tactical"
+    assert again.context.instrument.stated_grade == "tactical"
+    # An assumption does not become a statement by being handed on.
+    twice = calibrate(measured, SolveSettings(preset=unnamed))
+    assert twice.document["instrument"]["grade_source"] == "assumed"
     sigma = [found.calibration.accelerometer_sigma.bias_m_s2.max() for found in (unnamed, tactical, again)]
     assert sigma[0] > 1.3 * sigma[1]
     assert sigma[2] == pytest.approx(sigma[1], rel=0.05)
@@ -50,6 +54,6 @@ def test_without_a_word_it_is_the_presets_grade_and_then_the_worst(measured: Mea
 
 def test_a_file_of_before_knows_neither(tactical: Parameters) -> None:
     document = copy.deepcopy(tactical.document)
-    del document["instrument"]["grade"], document["accelerometer"]["range_m_s2"]
+    del document["instrument"]["grade"], document["instrument"]["grade_source"], document["accelerometer"]["range_m_s2"]
     document["integrity"] = {"sha256": EDITED}
     assert from_document(document).context.instrument.grade == ""

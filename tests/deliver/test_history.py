@@ -81,6 +81,10 @@ def test_the_grade_of_the_file_goes_before_its_noise(tmp_path: Path, write) -> N
     (told,) = sentences(read_history(tmp_path).instruments[0], NOW)
     assert key_of(told) == "history.differs_as_turn_on"
     assert told.values["turn_on"] == pytest.approx(3.0)
+    # One that nobody stated tells nothing of the instrument.
+    write("b", "2026-08-01", moved=900.0, session="b" * 64, grade="mems", grade_source="assumed")
+    (told,) = sentences(read_history(tmp_path).instruments[0], NOW)
+    assert key_of(told) == "history.moved"
 
 
 def test_three_sessions_may_say_moved(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]

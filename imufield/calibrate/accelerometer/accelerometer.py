@@ -7,6 +7,7 @@ the quadratic term (``fit``); choose the model (``model_choice``); turn into the
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -64,7 +65,7 @@ from imufield.calibrate.model.uncertainty import (
     single_positions,
 )
 from imufield.calibrate.solvers.least_squares import Loss
-from imufield.earth import Gravity
+from imufield.earth import STANDARD_GRAVITY_M_S2, Gravity
 from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
@@ -251,6 +252,7 @@ def _checked_data(
         quadratic_axes=axes,
         loss=loss,
         least_scatter_m_s2=0.0 if typical is None else typical.scatter_m_s2,
+        typical_quadratic_m_s2=math.inf if typical is None else typical.quadratic * STANDARD_GRAVITY_M_S2,
     )
 
 
@@ -302,7 +304,7 @@ def _uncertainty(
     # What carries a parameter alone is a matter of the positions; a drift beside it takes half of what they have to spare.
     geometry = influence(residual, jacobian[:, :parameters])
     singles, factors = single_positions(geometry), np.ones(fitted.basis.shape[1])
-    covariance = spread.covariance
+    covariance = spread.covariance * chosen.choice.variance_ratio
     if fitted.degrees_of_freedom >= SPARE_POSITIONS:
         factors[:parameters] = single_position_factors(geometry, singles)
         covariance = covariance * np.outer(factors, factors)

@@ -33,6 +33,8 @@ class FitData:
     loss: Loss = "linear"
     least_scatter_m_s2: float = 0.0
     """Typical scatter between positions, taken where there are too few to show it."""
+    typical_quadratic_m_s2: float = math.inf
+    """Typical quadratic term at 1 g, 1 sigma, for one that is not admitted; infinite where nothing says it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,6 +13,10 @@ The weights are posterior probabilities by Zellner's g prior with g = m [2]_, ea
 term that is not admitted counts as present in all: no test sees one the size of its own sigma, and it moves the bias by three
 times the sigma of the linear model. So stated intervals hold the truth for terms of any size (docs/maths.md, simulated).
 
+Where the grade says what is typical, such a term k of variance V is drawn from N(0, S): with f = S / (S + V) it is known as
+N(f k, f V), so of p_k and C_k the share f beyond those without it counts. S is the typical variance, or by the fit's own F,
+(F - 1) V, where that is more: an instrument that has a larger term is held too.
+
 References
 ----------
 .. [1] S. Holm, "A simple sequentially rejective multiple test procedure", Scand. J. Statistics 6 (1979).
@@ -22,14 +26,14 @@ References
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Literal
 
 import numpy as np
 
 from imufield.calibrate.accelerometer.fit import Fit
-from imufield.calibrate.model.models import BIAS
+from imufield.calibrate.model.models import BIAS, PARAMETERS
 from imufield.calibrate.model.uncertainty import f_chance
 from imufield.samples import FloatArray
 
@@ -51,6 +55,20 @@ class _Part:
     """From the parameters of the fit of all, shape (15,)."""
     covariance: FloatArray
     """Of the 15 parameters at unit sigma, shape (15, 15)."""
+    quadratic_variance: float
+    """Mean variance of the quadratic terms at unit sigma, (m/s^2)^2 at 1 g; 0 without."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Choice:
+    """What choosing makes of the covariance of the 15 parameters."""
+
+    root: FloatArray = field(default_factory=lambda: np.zeros((PARAMETERS, 0)))
+    """Of what it adds, in columns, shape (15, k)."""
+    variance_ratio: float = 1.0
+    """Variance of the residuals over that of the fit: a term that counts and is not fitted is among its residuals."""
+    freedom_ratio: float = 1.0
+    """Of the degrees of freedom of that variance."""
 
 
 class Gate:
@@ -90,13 +108,16 @@ class Gate:
         goal = r + J @ step
         step[stays] = -np.linalg.solve(R, Q.T @ goal)
         rest = r + J @ step
-        to_parameters = fit.basis[:, stays] @ np.linalg.inv(R)
+        inverse = np.linalg.inv(R)
+        to_parameters = fit.basis[:, stays] @ inverse
+        quadratic = np.isin(stays, self._coordinates.get("quadratic", ()))
         return _Part(
             # Ideal outputs leave nothing but rounding, and no ratio of it means anything.
             chi_squared=max(float(rest @ rest), _ROUNDING * len(rest)),
             freedom=len(r) - len(stays),
             change=fit.basis @ step,
             covariance=to_parameters @ to_parameters.T,
+            quadratic_variance=float(np.mean(np.sum(inverse[quadratic] ** 2, axis=1))) if quadratic.any() else 0.0,
         )
 
     def chance(self, terms: Terms) -> float:
@@ -117,23 +138,49 @@ class Gate:
             return kept
         return self.all
 
-    def beyond(self, kept: Terms) -> FloatArray:
-        """Return a root of what choosing adds to the covariance of the 15 parameters, in columns, shape (15, k)."""
+    def choice(self, kept: Terms, typical_quadratic_m_s2: float = math.inf) -> Choice:
+        """Return what choosing some terms makes of the covariance.
+
+        Parameters
+        ----------
+        kept : set of terms
+        typical_quadratic_m_s2 : float
+            1 sigma of a quadratic term that is not admitted, at 1 g; infinite where nothing says it.
+        """
         own = self._parts[kept]
         counted = [terms for terms in self._parts if "quadratic" not in self.all - kept or "quadratic" in terms]
         log_odds = np.array([self._log_odds(terms) for terms in counted])
         weights = np.exp(log_odds - log_odds.max())
-        total = np.zeros_like(own.covariance)
+        total, variance, freedom = np.zeros_like(own.covariance), 0.0, 0.0
         for weight, terms in zip(weights / weights.sum(), counted, strict=True):
-            part = self._parts[terms]
+            part = self._drawn(terms, math.inf if "quadratic" in kept else typical_quadratic_m_s2)
             change = part.change - own.change
             total += weight * (part.covariance * self._variance(part) + np.outer(change, change))
-        more = total - own.covariance * self._variance(own)
+            variance += weight * self._variance(part)
+            freedom += weight * part.freedom
+        more = total - own.covariance * variance
         # As correlations: parameters differ in unit by ten powers of ten.
         size = np.sqrt(np.maximum(np.diag(total), np.finfo(float).tiny))
         values, vectors = np.linalg.eigh(more / np.outer(size, size))
-        root: FloatArray = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-        return root
+        return Choice(
+            root=size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)),
+            variance_ratio=variance / self._variance(own),
+            freedom_ratio=freedom / own.freedom,
+        )
+
+    def _drawn(self, terms: Terms, typical_m_s2: float) -> _Part:
+        """Return a part with its quadratic term drawn from what is typical."""
+        part, without = self._parts[terms], self._parts[terms - {"quadratic"}]
+        if typical_m_s2 == math.inf or part is without:
+            return part
+        unit, V = self._variance(part), self._variance(part) * part.quadratic_variance
+        F = (without.chi_squared - part.chi_squared) / (without.freedom - part.freedom) / unit
+        f = 1 / (1 + V / max(typical_m_s2**2, (F - 1) * V))
+        return replace(
+            part,
+            change=without.change + f * (part.change - without.change),
+            covariance=without.covariance + f * (part.covariance - without.covariance),
+        )
 
     def confusion(self) -> float:
         """Return how much less sure the bias is with all terms than with the worse of them alone."""

@@ -16,7 +16,7 @@ import numpy as np
 
 from imufield.calibrate.accelerometer.drift import FEWEST_TO_SPARE, DriftForm, drift_forms
 from imufield.calibrate.accelerometer.fit import Fit, FitData, column_basis, fit
-from imufield.calibrate.accelerometer.gate import LEVEL, Gate, Term, Terms
+from imufield.calibrate.accelerometer.gate import LEVEL, Choice, Gate, Term, Terms
 from imufield.calibrate.accelerometer.start import FEWEST_FOR_MISALIGNMENT, FEWEST_FOR_QUADRATIC, closed_form_start
 from imufield.calibrate.model.gauge import change_gauge
 from imufield.calibrate.model.grades import Grade
@@ -70,8 +70,8 @@ class ChosenModel:
     quadratic: bool
     is_quadratic_tested: bool = False
     drift: DriftForm | None = None
-    hidden_root: FloatArray = field(default_factory=lambda: np.zeros((PARAMETERS, 0)))
-    """Root of the covariance that choosing the model adds, in columns, shape (15, k)."""
+    choice: Choice = Choice()  # noqa: RUF009 - frozen, so one default may be shared
+    """What choosing the model makes of the covariance."""
     confusion: float = 1.0
     """How much less sure the bias is because quadratic term and drift are told apart."""
     higher: FloatArray = field(default_factory=lambda: np.zeros((TERMS, 0)))
@@ -158,9 +158,9 @@ def choose_model(
     terms = gate.admitted(level)
     with_quadratic, kept = "quadratic" in terms, form if "drift" in terms else None
     fitted = _fit(data, origin, free, quadratic=with_quadratic, drift=kept)
-    hidden_root = gate.beyond(terms)
+    choice = gate.choice(terms, data.typical_quadratic_m_s2)
     if not with_quadratic:
-        hidden_root[list(quadratic_free)] = 0.0
+        choice.root[list(quadratic_free)] = 0.0
     sentences: list[Sentence] = []
     if is_open:
         # Where the drift explains what the linear model does not, the term is asked for beside it.
@@ -179,7 +179,7 @@ def choose_model(
         quadratic=with_quadratic,
         is_quadratic_tested=is_open,
         drift=kept,
-        hidden_root=hidden_root,
+        choice=choice,
         confusion=gate.confusion() if terms else 1.0,
         sentences=tuple(sentences),
     )

@@ -85,7 +85,8 @@ class Evidence:
     @property
     def student_factor_95(self) -> float:
         """From sigma to the 95 % limit: one for all numbers, so that of their mean."""
-        return student_factor(self.fitted.effective_degrees_of_freedom / max(self.estimated_share, _LEAST_SHARE) ** 2)
+        freedom = self.fitted.effective_degrees_of_freedom * self.chosen.choice.freedom_ratio
+        return student_factor(freedom / max(self.estimated_share, _LEAST_SHARE) ** 2)
 
 
 def judge(evidence: Evidence) -> Quality:

@@ -59,7 +59,7 @@ def unshown(
         From the gauge of ``chosen``.
     gravity_m_s2 : float
     """
-    by_choice = to_gauge @ chosen.hidden_root
+    by_choice = to_gauge @ chosen.choice.root
     if typical is None:
         return Unshown(by_choice, np.zeros((PARAMETERS, 0)), np.zeros((TERMS, 0)))
     shown, columns, sigma = chosen.higher, open_terms(up, typical, is_open), fitted.sigma_m_s2[:, None]

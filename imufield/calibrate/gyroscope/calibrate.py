@@ -34,6 +34,7 @@ from imufield.calibrate.gyroscope.report import (
 from imufield.calibrate.gyroscope.residuals import VERTICAL
 from imufield.calibrate.gyroscope.static import StaticData, fit_static, latitude_words, sees_earth, static_bias
 from imufield.calibrate.gyroscope.whole_turns import find_stops, whole_stops
+from imufield.calibrate.model.grades import find_grade
 from imufield.errors import CalibrationError, Reason
 from imufield.sentences import Sentences
 
@@ -105,7 +106,7 @@ def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -
             given=given,
             data=data,
             chosen=chosen,
-            linearity=check_linearity(data, fitted),
+            linearity=check_linearity(data, fitted, None if given.grade is None else find_grade(given.grade)),
             start=start,
             observability=observability,
             warnings=warnings,

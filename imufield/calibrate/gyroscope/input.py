@@ -58,6 +58,8 @@ class GyroscopeInput:
         What the static norm path fits.
     rests : int
         Stills between whole turns, which had no say in ``calibration``.
+    grade : {"navigation", "tactical", "industrial", "mems"}, optional
+        Whose typical nonlinearity stands in the uncertainty for what these rates do not show; without it nothing does.
     """
 
     observations: Observations
@@ -70,6 +72,7 @@ class GyroscopeInput:
     turntable: Sequence[TurntableRun] = ()
     static_free: StaticFree = "bias"
     rests: int = 0
+    grade: str | None = None
 
     @property
     def rest_raw(self) -> FloatArray:

@@ -15,6 +15,18 @@ residual ``r`` and C less what the Jacobian of the fit explains of them, the sco
 
     F = (|P r|^2 / 3) / ((|r|^2 - |P r|^2) / (n - 3)),        P on C
 
+What it does not name is in the uncertainty by what is typical of the grade. A term c ~ N(0, S), S diagonal, leaves -X c of the
+whitened residual, X the columns less what is fitted, and moves the parameters by D c, D the gain of the fit times C. So
+
+    c | r ~ N(m, V),    V = (X^T X + S^-1)^-1,    m = -V X^T r,    and    D (V + m m^T) D^T
+
+is added: all of S where the moves show nothing, what they leave open where they show something. A term that is named is not
+drawn towards zero; of others S is the mean of the squares of what is shown less its variance, where this is more than typical.
+
+A data sheet's nonlinearity n is the largest deviation from the best straight line over the range R, as a share of it. By least
+squares that line leaves 2/5 c R of c s^3 / R^2, so c is 5 n / 2 (S / R)^2, and c R / 2 of c |s|, so 2 n is the most that an
+asymmetry can be. No data sheet gives it apart; differential electrodes and two beams make both senses alike: a tenth is taken.
+
 References
 ----------
 .. [1] C. R. Rao, "Large sample tests of statistical hypotheses concerning several parameters", Proc. Cambridge Phil. Soc. 44
@@ -32,6 +44,7 @@ from imufield.calibrate.gyroscope.fit import JointFit, fit_jointly, make_prior
 from imufield.calibrate.gyroscope.move_integration import INVERSE, PARAMETERS, SENSITIVITY
 from imufield.calibrate.gyroscope.observability import Observability
 from imufield.calibrate.gyroscope.residuals import GyroscopeData
+from imufield.calibrate.model.grades import Grade
 from imufield.calibrate.model.rotation import skew
 from imufield.calibrate.model.uncertainty import NORMAL_FACTOR_95, f_chance, f_limit_95, told_apart
 from imufield.errors import CalibrationError, Reason
@@ -89,12 +102,15 @@ def choose_model(data: GyroscopeData, start: FloatArray, observability: Observab
     return ChosenModel(basic, False, hidden_change, sentence("model_choice.left_out", **told))
 
 
-_SCALES = [0, 4, 8]  # The diagonal of A.
+SCALES = [0, 4, 8]
+"""The diagonal of A."""
 _RATE_LEVEL = 0.005  # Of each of the two tests: one clean session of a hundred is named.
 # 1 sigma from which on a term counts as not shown, ten times what data sheets of consumer chips give for nonlinearity.
 _SHOWN = 0.01
 # Of whitened residuals, 0.6 to 1 in simulated sessions: without noise a ratio of rounding means nothing.
 _LEAST_VARIANCE = 0.5
+_TYPICAL_ASYMMETRY = 0.2  # Half of the difference over a data sheet's nonlinearity, 1 sigma: a tenth of what that allows.
+_ANY_SIZE = 1.0  # 1 sigma of a term that is not drawn towards zero: a hundred times what counts as shown.
 _EXPLAINED = 1e-9  # Share of a direction's length below which it is rounding.
 _ROUNDING = 1e-300
 
@@ -111,16 +127,16 @@ class Linearity:
     """What is there."""
     matters: bool
     """Whether one of them moves a scale by more than its 95 % limit."""
-    hidden_change: FloatArray
-    """By how much it moved the parameters, shape (parameters,)."""
+    hidden_root: FloatArray
+    """Root of what it adds to the covariance of the parameters, shape (parameters, 7)."""
 
 
-def check_linearity(data: GyroscopeData, fit: JointFit) -> Linearity:
-    """Test whether the scale is the same for both senses of rotation and at all rates."""
+def check_linearity(data: GyroscopeData, fit: JointFit, typical: Grade | None = None) -> Linearity:
+    """Test whether the scale is the same for both senses of rotation and at all rates; what is not shown is typical."""
     range_rad_s, C, C_sum = _rate_columns(data, fit)
     r, columns, freedom = _left_over(data, fit, C, C_sum)
     sigma = 1 / np.maximum(np.linalg.norm(columns, axis=0), _ROUNDING)
-    found, sentences = np.zeros(6), []
+    found, prior, sentences = np.zeros(6), typical_rate_terms(range_rad_s, typical), []
     for kind, key in enumerate(("model_choice.asymmetry", "model_choice.nonlinearity")):
         # Half of the difference between the senses is what the column stands for.
         to_ppm = 1e6 * (2 - kind)
@@ -132,23 +148,36 @@ def check_linearity(data: GyroscopeData, fit: JointFit) -> Linearity:
         rest = float(np.sum((r + columns[:, seen] @ size) ** 2))
         variance = max(rest / spare, _LEAST_VARIANCE)
         if f_chance((float(r @ r) - rest) / len(seen) / variance, len(seen), spare) < _RATE_LEVEL:
-            found[seen] = size
+            found[seen], prior[seen] = size, _ANY_SIZE
             worst = seen[int(np.argmax(np.abs(size) / sigma[seen]))]
             sizes = {"size_ppm": to_ppm * found[worst], "sigma_ppm": to_ppm * sigma[worst]}
             rate_deg_s = float(np.degrees(range_rad_s[worst % 3]))
             sentences.append(sentence(key, axis=AXES[worst % 3], rate_deg_s=rate_deg_s, **sizes))
-    hidden_change = np.zeros(data.parameters)
-    hidden_change[fit.free] = fit.gain @ C @ found
+        elif typical is not None:
+            prior[seen] = np.maximum(prior[seen], np.sqrt(max(float(np.mean(size**2 - sigma[seen] ** 2)), 0.0)))
+    # With R = X S^1/2: V = S^1/2 (1 + R^T R)^-1 S^1/2, also where S is zero.
+    R = columns * prior
+    L = prior[:, None] * np.linalg.inv(np.linalg.cholesky(np.eye(6) + R.T @ R)).T
+    hidden_root = np.zeros((data.parameters, 7))
+    hidden_root[fit.free] = fit.gain @ C @ np.column_stack([L, -L @ (L.T @ (columns.T @ r))])
     known = np.zeros(data.parameters)
     known[fit.free] = np.sqrt(np.diag(fit.covariance))
-    limit = NORMAL_FACTOR_95 * known[_SCALES] / np.abs(fit.p[_SCALES])
+    limit = NORMAL_FACTOR_95 * known[SCALES] / np.abs(fit.p[SCALES])
     return Linearity(
         range_rad_s=range_rad_s,
         sigma=sigma.reshape(2, 3).max(axis=1),
         sentences=tuple(sentences),
         matters=bool(np.any(np.abs(found.reshape(2, 3)) > limit)),
-        hidden_change=hidden_change,
+        hidden_root=hidden_root,
     )
+
+
+def typical_rate_terms(range_rad_s: FloatArray, typical: Grade | None) -> FloatArray:
+    """Return 1 sigma of asymmetry (half of the difference) and nonlinearity up to a rate, shape (3,) to (6,)."""
+    if typical is None:
+        return np.zeros(6)
+    share = (range_rad_s / typical.gyroscope.range_si) ** 2
+    return typical.rate_nonlinearity * np.concatenate([np.full(3, _TYPICAL_ASYMMETRY), 2.5 * share])
 
 
 def _left_over(data: GyroscopeData, fit: JointFit, C: FloatArray, C_sum: FloatArray) -> tuple[FloatArray, FloatArray, int]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.calibrate.gyroscope.input import GyroscopeInput
-from imufield.calibrate.gyroscope.model_choice import ChosenModel, Linearity
+from imufield.calibrate.gyroscope.model_choice import SCALES, ChosenModel, Linearity
 from imufield.calibrate.gyroscope.move_integration import BIAS, INVERSE, PARAMETERS, SENSITIVITY
 from imufield.calibrate.gyroscope.observability import Observability
 from imufield.calibrate.gyroscope.residuals import GyroscopeData, evaluate
@@ -140,14 +140,14 @@ def joint_result(solution: JointSolution) -> GyroscopeResult:
     """Return the result of a joint fit."""
     chosen, fitted, observability = solution.chosen, solution.chosen.fit, solution.observability
     linearity = solution.linearity
-    # The covariance of the fit in all 21 parameters; what a rejected g-sensitivity or one scale for all rates hides adds d d^T.
+    # The covariance of the fit in all 21 parameters; what a rejected g-sensitivity or one scale for all rates hides adds more.
     own = np.zeros((PARAMETERS, PARAMETERS))
     places = np.flatnonzero(fitted.free < PARAMETERS)
     columns = fitted.free[places]
     # Parameters that were not fitted have no variance of their own.
     own[np.ix_(columns, columns)] = fitted.covariance[np.ix_(places, places)]
-    for hidden in (chosen.hidden_change[:PARAMETERS], linearity.hidden_change[:PARAMETERS]):
-        own += np.outer(hidden, hidden)
+    for root in (chosen.hidden_change[:PARAMETERS, None], linearity.hidden_root[:PARAMETERS]):
+        own += root @ root.T
     # An error of the accelerometer moves the residuals, and the fit follows with -gain.
     with_accelerometer = np.zeros((PARAMETERS, 16))
     with_accelerometer[columns] = -fitted.gain[places] @ fitted.parts.with_accelerometer
@@ -283,6 +283,10 @@ def _reasons(solution: JointSolution, moves: MoveReport, turns: tuple[Sentence, 
     not_shown = " and ".join(kind for kind, size in found_from.items() if not size < _FOUND)
     rates_deg_s = np.degrees(linearity.range_rad_s).tolist()
     sentences: list[str] = [sentence(key, rates_deg_s=rates_deg_s, not_shown=not_shown, **found_from)]
+    if solution.given.grade is not None:
+        M = np.diag(np.linalg.inv(solution.chosen.fit.p[INVERSE].reshape(3, 3)))
+        by_scale = np.linalg.norm(linearity.hidden_root[SCALES], axis=1) * np.abs(M)
+        sentences.append(sentence("report.typical", scale_ppm=1e6 * float(by_scale.max()), grade=solution.given.grade))
     sentences += [solution.chosen.sentence, *solution.warnings, *(() if linearity.matters else linearity.sentences)]
     if len(moves.after_deg):
         before_deg, after_deg = moves.rms_before_deg, moves.rms_after_deg

@@ -72,6 +72,8 @@ class Grade:
     """Of a position, beyond the noise within it."""
     g_sensitivity: float
     """1 sigma of each element, rad/s per m/s^2."""
+    rate_nonlinearity: float
+    """1 sigma of how far the gyroscope's output is off its best straight line, over the full range."""
     clock_error_ppm: float
     """1 sigma of the sample clock."""
     triad_delay_s: float

@@ -32,6 +32,13 @@ class InstrumentFacts:
     firmware: str = ""
     grade: str = ""
     """Whose typical errors stand in the uncertainty for what the session does not show."""
+    grade_source: str = ""
+    """"stated", or "assumed" where nobody says which."""
+
+    @property
+    def stated_grade(self) -> str:
+        """Empty where nobody says which: an assumed one tells nothing of the instrument."""
+        return "" if self.grade_source == "assumed" else self.grade
 
 
 @dataclass(frozen=True, slots=True)

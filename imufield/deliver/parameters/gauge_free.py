@@ -53,8 +53,10 @@ _NAMES = tuple(
 )
 _GYROSCOPE = 12  # Where the numbers of the gyroscope begin.
 _ACCELEROMETER_NAMES = frozenset(_NAMES[:_GYROSCOPE])
-_TINY = np.finfo(np.float64).tiny
 _ROUNDING = 1e-9  # Of a drift: what of three axes is smaller than the largest by this is no form of it.
+_TINY = np.finfo(np.float64).tiny
+# Of the whole over its part: what choosing counts are other residuals, with a third of the variance at least.
+_LEAST_RATIO = 0.3
 _STEP_SIGMA = 0.1  # Of the central differences: far above rounding, far below what bends the function.
 
 
@@ -118,7 +120,8 @@ def gauge_free(calibration: Calibration, mean_raw: FloatArray, sigma_raw: FloatA
             replace(number, scatter_freedom=freedom) if number.name in _ACCELEROMETER_NAMES else number for number in numbers
         )
         # A part is no larger than the whole: correlations between the axes of a mean are not in the file.
-        size = np.sqrt(np.minimum(np.diag(error)[:_GYROSCOPE] / np.maximum(np.diag(fitted), _TINY), 1.0))
+        ratio = np.diag(error)[:_GYROSCOPE] / np.maximum(np.diag(fitted), _TINY)
+        size = np.sqrt(np.where(ratio < _LEAST_RATIO, ratio, 1.0))
         scatter[:_GYROSCOPE, :_GYROSCOPE] = fitted * np.outer(size, size)
     places = [_NAMES.index(number.name) for number in numbers]
     stated = np.sqrt([max(number.sigma**2 - number.common**2, 0.0) for number in numbers])

@@ -7,9 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
+from imufield.calibrate.gyroscope.model_choice import typical_rate_terms
 from imufield.calibrate.gyroscope.report import JointSolution, joint_result
 from imufield.calibrate.gyroscope.turntable import TurntableRun
 from imufield.calibrate.model.gauge import change_gauge, turn_gyroscope
+from imufield.calibrate.model.grades import GRADES
 from imufield.calibrate.model.models import predict_gyroscope, to_vector
 from imufield.calibrate.model.result import GyroscopeParameters
 from imufield.calibrate.model.uncertainty import NORMAL_FACTOR_95
@@ -41,6 +43,8 @@ class RatesKind:
     asymmetry_ppm: float = 0.0
     nonlinearity_ppm: float = 0.0
     has_turntable: bool = False
+    is_typical: bool = False
+    """Both drawn from what is typical of the grade instead."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,9 +71,9 @@ def run_rates(kind: RatesKind, rng: np.random.Generator) -> RatesRun:
         for x, y, z in rng.choice([-1e-6, 1e-6], (2, 3))
         * [[kind.asymmetry_ppm / 2], [kind.nonlinearity_ppm / np.radians(AT_DEG_S) ** 2]]
     )
-    effects = Effects(gyroscope_asymmetry=asymmetry, gyroscope_cubic=cubic)
+    effects = _typical(kind.grade, rng) if kind.is_typical else Effects(gyroscope_asymmetry=asymmetry, gyroscope_cubic=cubic)
     truth = replace(drawn.imu.instrument, clock_error_ppm=0.0, effects=effects)
-    given = imported_moves(Imu(truth, seed, drawn.imu.settings), drawn.operator)
+    given = replace(imported_moves(Imu(truth, seed, drawn.imu.settings), drawn.operator), grade=kind.grade)
     gyroscope = turn_gyroscope(truth.gyroscope, change_gauge(to_vector(truth.accelerometer), "lower").rotation)
     if kind.has_turntable:
         given = replace(given, turntable=_turntable(truth, gyroscope, rng))
@@ -77,15 +81,21 @@ def run_rates(kind: RatesKind, rng: np.random.Generator) -> RatesRun:
     solution = found.basis
     assert isinstance(solution, JointSolution)  # noqa: S101  (there are moves)
     linearity = solution.linearity
-    untested = joint_result(
-        replace(solution, linearity=replace(linearity, hidden_change=np.zeros_like(linearity.hidden_change)))
-    )
+    untested = joint_result(replace(solution, linearity=replace(linearity, hidden_root=np.zeros_like(linearity.hidden_root))))
     before, after = (
         (each.calibration.parameters.scale - gyroscope.scale) / (NORMAL_FACTOR_95 * each.calibration.sigma.scale)
         for each in (untested, found)
     )
     named = frozenset(told.key for told in linearity.sentences)
     return RatesRun(named, linearity.matters, before, after)
+
+
+def _typical(grade: str, rng: np.random.Generator) -> Effects:
+    """Draw terms up to the full range, as ``check_linearity`` takes them to be."""
+    range_rad_s = GRADES[grade].gyroscope.range_si
+    drawn = typical_rate_terms(np.full(3, range_rad_s), GRADES[grade]) * rng.standard_normal(6)
+    x, y, z, *cubic = (float(size) for size in drawn * np.repeat([1.0, range_rad_s**-2], 3))
+    return Effects(gyroscope_asymmetry=(x, y, z), gyroscope_cubic=(cubic[0], cubic[1], cubic[2]))
 
 
 def _turntable(truth: TrueInstrument, gyroscope: GyroscopeParameters, rng: np.random.Generator) -> list[TurntableRun]:
@@ -111,10 +121,12 @@ _SIZES = {
     "nonlinearity": {"nonlinearity_ppm": NONLINEARITY_PPM},
 }
 KINDS = {
-    f"{what}, {grade}{', turntable' if has_turntable else ''}": RatesKind(grade=grade, has_turntable=has_turntable, **sizes)
+    f"{what}, {grade}{', turntable' if has_turntable else ''}": RatesKind(
+        grade=grade, has_turntable=has_turntable, is_typical=False, **sizes
+    )
     for grade, has_turntable in (("industrial", False), ("mems", False), ("industrial", True))
     for what, sizes in _SIZES.items()
-}
+} | {f"typical, {grade}": RatesKind(grade=grade, is_typical=True) for grade in GRADES}
 
 
 def slow_and_fast(context: StudyContext) -> Findings:

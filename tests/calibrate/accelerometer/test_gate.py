@@ -16,6 +16,7 @@ from imufield.calibrate.model.gauge import intrinsic
 from imufield.calibrate.model.models import QUADRATIC, to_vector
 from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS
 from imufield.calibrate.model.result import Calibration
+from imufield.calibrate.model.uncertainty import student_factor
 from imufield.earth import MICRO_G_M_S2, Gravity
 from imufield.samples import FloatArray
 
@@ -68,6 +69,39 @@ def test_without_any_term_one_session_in_twenty_is_admitted(directions: FloatArr
         drawn = replace(fitted, residual_m_s2=outside @ noise * fitted.sigma_m_s2)
         admitted += Gate(drawn, PLACES, step).admitted() != NO_TERM
     assert 0.04 < admitted / 4000 < 0.06
+
+
+@pytest.mark.numerical
+@pytest.mark.parametrize("directions", [proposed("paper24"), proposed("corners24"), faces_first()])
+@pytest.mark.parametrize("in_sigmas", [0.5, 1.5])
+def test_typical_quadratic_terms_are_covered_as_stated(directions: FloatArray, in_sigmas: float) -> None:
+    """Terms drawn from what is typical, in the linearisation: by error and truth of 800 sessions, whatever was admitted."""
+    _, _, _, fitted = everything(Session(directions=directions), 3)
+    # No part of the variance is known beforehand, so all has the degrees of freedom of the residuals.
+    fitted = replace(fitted, tau_m_s2=float(fitted.sigma_m_s2.min()))
+    weighted = fitted.jacobian / fitted.sigma_m_s2[:, None]
+    inverse = np.linalg.pinv(weighted)
+    outside = np.eye(len(weighted)) - weighted @ inverse
+    # Without a drift, as nearly all of these sessions have none.
+    alone = np.linalg.pinv(weighted[:, :12])
+    typical = in_sigmas * float(np.sqrt(np.mean(np.sum(alone[9:12] ** 2, axis=1))))
+    rng = np.random.default_rng(7)
+    inside = []
+    for _ in range(800):
+        noise, true = rng.standard_normal(len(weighted)), typical * rng.standard_normal(3)
+        step = inverse @ noise
+        value = step.copy()
+        value[9:12] += true
+        gate = Gate(replace(fitted, residual_m_s2=outside @ noise * fitted.sigma_m_s2), PLACES, value)
+        kept = gate.admitted()
+        own, choice = gate._parts[kept], gate.choice(kept, typical)
+        variance = gate._variance(own) * choice.variance_ratio * np.diag(own.covariance) + np.sum(choice.root**2, axis=1)
+        limit = student_factor(own.freedom * choice.freedom_ratio) * np.sqrt(variance[:6])
+        inside.append(np.abs(fitted.basis @ step + own.change)[:6] < limit)
+    of_scale, of_bias = np.mean(inside, axis=0).reshape(2, 3).mean(axis=1)
+    assert 0.93 < (of_scale + of_bias) / 2 < 0.97
+    # With any size as likely as another the bias would be held in 99 % where half a sigma is typical.
+    assert 0.92 < of_scale < of_bias < 0.985
 
 
 @pytest.mark.numerical

@@ -10,12 +10,15 @@ import pytest
 from gyroscope_sessions import Session, simulate
 
 from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
+from imufield.calibrate.gyroscope.fit import make_prior
 from imufield.calibrate.gyroscope.input import make_data
-from imufield.calibrate.gyroscope.model_choice import _rate_columns, check_linearity
+from imufield.calibrate.gyroscope.model_choice import SCALES, _rate_columns, check_linearity, typical_rate_terms
 from imufield.calibrate.gyroscope.moves import cut_moves, no_slots
 from imufield.calibrate.gyroscope.report import GyroscopeResult, JointSolution
 from imufield.calibrate.gyroscope.residuals import evaluate
 from imufield.calibrate.gyroscope.turntable import TurntableRun
+from imufield.calibrate.model.grades import GRADES
+from imufield.calibrate.model.uncertainty import NORMAL_FACTOR_95
 from imufield.samples import FloatArray
 from imufield.simulate.truth.effects import Effects
 from imufield.simulate.truth.imu import ImuSettings
@@ -98,7 +101,7 @@ def test_what_is_named_is_in_the_sigma() -> None:
     off = np.abs(found.calibration.parameters.scale - session.truth.scale)
     linearity = solution_of(found).linearity
     assert np.all(off < 2 * found.calibration.sigma.scale)
-    assert np.linalg.norm(linearity.hidden_change[:9]) > 5e-4
+    assert np.linalg.norm(linearity.hidden_root[:9]) > 5e-4
 
 
 def table(session: Session, rates_deg_s: Sequence[float], *, asymmetry: float = 0.0, cubic: float = 0.0) -> list[TurntableRun]:
@@ -154,3 +157,53 @@ def test_false_alarms_are_rare_in_linear_data(result: GyroscopeResult) -> None:
         linearity = check_linearity(solution.data, replace(fit, evaluation=replace(fit.evaluation, residual=drawn)))
         named.append(bool(linearity.sentences))
     assert 0.001 < np.mean(named) < 0.025
+
+
+@pytest.mark.parametrize("grade", ["navigation", "mems"])
+def test_typical_terms_are_covered_as_stated(result: GyroscopeResult, grade: str) -> None:
+    """Terms drawn from what is typical and residuals from the stated covariance: by error and truth of the linear model."""
+    solution = solution_of(result)
+    data, fit, rng = solution.data, solution.chosen.fit, np.random.default_rng(4)
+    root = np.linalg.cholesky(fit.parts.total(fit.scatter))
+    range_rad_s, C, _ = _rate_columns(data, fit)
+    typical = typical_rate_terms(range_rad_s, GRADES[grade])
+    inside = []
+    for _ in range(400):
+        residual = root @ rng.standard_normal(len(root)) - C @ (typical * rng.standard_normal(6))
+        drawn = replace(fit, evaluation=replace(fit.evaluation, residual=residual))
+        hidden = check_linearity(data, drawn, GRADES[grade]).hidden_root
+        sigma = np.sqrt(np.diag(fit.covariance)[SCALES] + np.sum(hidden[SCALES] ** 2, axis=1))
+        inside.append(np.abs(fit.gain @ residual)[SCALES] < NORMAL_FACTOR_95 * sigma)
+    # Somewhat more than 95 %: what is shown of a term counts, and the scale is not corrected by it.
+    assert 0.93 < np.mean(inside) < 0.98
+
+
+def test_what_moves_leave_open_is_a_fit_of_both_with_priors(result: GyroscopeResult) -> None:
+    """The variance that is added is that of a fit of parameters and terms together, with one more row for each prior."""
+    solution = solution_of(result)
+    data, fit = solution.data, solution.chosen.fit
+    range_rad_s, C, _ = _rate_columns(data, fit)
+    typical = typical_rate_terms(range_rad_s, GRADES["mems"])
+    L = np.linalg.cholesky(fit.parts.total(fit.scatter))
+    rows = np.linalg.solve(L, np.hstack([fit.evaluation.jacobian[:, fit.free], C]))
+    prior_jacobian = make_prior(data, heading=fit.heading_fitted).rows(fit.p, fit.free)[1]
+    more = np.hstack([prior_jacobian, np.zeros((len(prior_jacobian), 6))])
+    together = np.vstack([rows, more, np.hstack([np.zeros((6, len(fit.free))), np.diag(1 / typical)])])
+    expected = np.diag(np.linalg.inv(together.T @ together))[SCALES] - np.diag(fit.covariance)[SCALES]
+    hidden = check_linearity(data, fit, GRADES["mems"]).hidden_root
+    assert np.sum(hidden[SCALES, :6] ** 2, axis=1) == pytest.approx(expected, rel=0.02)
+
+
+def test_the_verdict_says_what_a_typical_nonlinearity_adds(plain: Session, result: GyroscopeResult) -> None:
+    found = calibrate_gyroscope(replace(plain.given, grade="mems"))
+    (said,) = told(found.reasons, "report.typical")
+    assert said.values["grade"] == "mems"
+    assert not told(result.reasons, "report.typical")
+    more, less = (each.calibration.sigma.scale for each in (found, result))
+    added_ppm = 1e6 * np.sqrt(np.max(more**2 - less**2)) / found.calibration.parameters.scale[0]
+    assert said.values["scale_ppm"] == pytest.approx(added_ppm, rel=0.02)
+    # Where the rates show all, little is left.
+    runs = table(plain, (25.0, 50.0, 100.0, 200.0))
+    shown = calibrate_gyroscope(replace(plain.given, grade="mems", turntable=runs))
+    (less_said,) = told(shown.reasons, "report.typical")
+    assert less_said.values["scale_ppm"] < said.values["scale_ppm"] / 5

@@ -122,7 +122,8 @@ def test_what_differs_between_sessions_is_the_fit_alone() -> None:
     # A quadratic term that was left out may hide in the bias, in every session alike.
     error = np.sqrt(np.diag(numbers.error))
     assert error[by_name["bias y"]] > 1.5 * scatter[by_name["bias y"]]
-    assert error[by_name["angle yz"]] == pytest.approx(scatter[by_name["angle yz"]], rel=0.01)
+    # Nor is it among the residuals that say how sure an angle is, which it is in those of the fit alone.
+    assert error[by_name["angle yz"]] == pytest.approx(scatter[by_name["angle yz"]], rel=0.15)
 
 
 def test_a_drift_that_was_fitted_is_part_of_the_fit() -> None:
