@@ -83,6 +83,7 @@ def test_a_bump_is_found_as_soon_as_degrees_of_freedom_are_spare(grade: str, pla
     """5.8 mg in the hold of that number, in the order proposed: nine parameters and a hold to spare, and no good one named."""
     some = observations(grade, 1)
     some[place - 1] = replace(some[place - 1], mean_raw=some[place - 1].mean_raw * (1 + 5.8e-3))
+    suspects: list[str] = []
     for count in range(max(place, FEWEST), place + most_later + 1):
         fit = running_fit(some[:count], SI, G)
         assert fit is not None
