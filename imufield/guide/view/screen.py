@@ -43,7 +43,7 @@ _PANEL_HEIGHT = 18  # Of 24 lines: link, four messages and keys stand below.
 _WIDE = 100  # Columns from which the log stands beside the pictures.
 _LOG_SHARE = 0.4  # Of a wide window.
 _LOG_WIDTH = 84  # At most: longer lines are not read better.
-_TRACES_FROM = 34  # Lines from which the signals are drawn.
+_TRACES_FROM = (34, 38)  # Lines from which the signals are drawn, in a wide window and in a narrow one.
 _LINES_FOR_TRACE_ROW = 20  # Of a window, for each row of a trace.
 _PICTURE_SIZE = (20, 8)  # Of the least picture.
 _BAR_WIDTH = 16
@@ -230,7 +230,7 @@ def draw(
     wide = columns >= _WIDE
     right_width = min(int(_LOG_SHARE * columns), _LOG_WIDTH) if wide else _MAP_WIDTH
     left_width = columns - right_width if wide else WIDTH - right_width
-    traces = 0 if lines < _TRACES_FROM else 6 * max(lines // _LINES_FOR_TRACE_ROW, 2) + 2
+    traces = 0 if lines < _TRACES_FROM[not wide] else 6 * max(lines // _LINES_FOR_TRACE_ROW, 2) + 2
     guide_height = lines - 2 - traces if wide else _PANEL_HEIGHT
     title = f"{scheme.name}: {_done(snapshot)}"
     picture = _pictures_and_bars(screen, snapshot, link.cable, (left_width - 4, guide_height - 2), ascii_only=ascii_only)
