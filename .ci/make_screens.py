@@ -1,7 +1,8 @@
 """Make the pictures of the guide's screens: ``make screens``.
 
-An emulated session runs in a pseudo-terminal of 80 by 24, as a person would see it. At chosen moments the cells of that
-terminal are written as text and as SVG, in the colours that were sent. They stand in the README and in the documentation.
+An emulated session runs in a pseudo-terminal, of 80 by 24 and of 120 by 40, as a person would see it. At chosen moments the
+cells of that terminal are written as text and as SVG, in the colours that were sent. They stand in the README and in the
+documentation.
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ from rich.text import Text
 ROOT = Path(__file__).parent.parent
 FOLDER = ROOT / "docs" / "screens"
 README = ROOT / "README.md"
-WIDTH, HEIGHT = 80, 24
+USUAL = (80, 24)
+LARGE = (120, 40)
 SPEED = 8
 LONGEST_S = 300.0
 BEGIN, END = "<!-- screen: turn -->\n```text\n", "\n```\n<!-- end of screen -->"
@@ -55,15 +57,17 @@ PICTURES = (
     Moment("hold", 4, lambda text: "H O L D" in text and "########...." in text),
     Moment("turn", 8, lambda text: "T U R N" in text and "G O O D" not in text and "moving" in text and "->" in text),
 )
+WIDE = (Moment("large", 8, lambda text: "T U R N" in text and "G O O D" not in text and "moving" in text and "->" in text),)
 BIG = (Moment("big", 0, lambda text: "##" in text and "HOLD" in text),)
 
 
 class Terminal:
-    """A terminal of 80 by 24 with the program in it."""
+    """A terminal of columns and lines with the program in it."""
 
-    def __init__(self, arguments: list[str], folder: Path) -> None:
+    def __init__(self, arguments: list[str], folder: Path, size: tuple[int, int]) -> None:
         self._master, slave = pty.openpty()
-        fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", HEIGHT, WIDTH, 0, 0))
+        self.width, self._height = size
+        fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", self._height, self.width, 0, 0))
         kept = {name: value for name, value in os.environ.items() if name not in ("NO_COLOR", "COLORTERM")}
         variables = {**kept, "TERM": "xterm-256color", "HOME": str(folder), "IMUFIELD_CLOCK_SPEED": str(SPEED)}
         command = [sys.executable, "-m", "imufield", *arguments]
@@ -71,7 +75,7 @@ class Terminal:
             command, stdin=slave, stdout=slave, stderr=slave, cwd=folder, env=variables, start_new_session=True
         )
         os.close(slave)
-        self._screen = pyte.Screen(WIDTH, HEIGHT)
+        self._screen = pyte.Screen(*size)
         self._stream = pyte.ByteStream(self._screen)
 
     @property
@@ -91,17 +95,21 @@ class Terminal:
 
     def close(self) -> None:
         """End the program."""
+        # First the terminal: nobody reads it any more, and a program that has filled it would wait for ever.
+        os.close(self._master)
         self.process.terminate()
         self.process.wait()
-        os.close(self._master)
 
     def styled(self) -> Text:
         """Return the screen with its colours."""
         text = Text()
-        for row in range(HEIGHT):
-            cells = [self._screen.buffer[row][column] for column in range(WIDTH)]
-            for (colour, bold), run in groupby(cells, key=lambda cell: (cell.fg, cell.bold)):
-                text.append("".join(cell.data for cell in run), Style(color=_colour(colour), bold=bold))
+        for row in range(self._height):
+            cells = [self._screen.buffer[row][column] for column in range(self.width)]
+            for (colour, bold, dots), run in groupby(
+                cells, key=lambda cell: (cell.fg, cell.bold, "\u2800" <= cell.data <= "\u28ff")
+            ):
+                # Dots come from another font, often a wider one: by themselves they move no letters.
+                text.append("".join(cell.data for cell in run), Style(color=_colour(colour), bold=bold, meta={"dots": dots}))
             text.append("\n")
         return text
 
@@ -131,11 +139,11 @@ def emulator(folder: Path) -> Iterator[str]:
             process.terminate()
 
 
-def take(moments: tuple[Moment, ...], *options: str) -> None:
+def take(moments: tuple[Moment, ...], *options: str, size: tuple[int, int] = USUAL) -> None:
     """Run a session and write its pictures."""
     with tempfile.TemporaryDirectory() as name, emulator(Path(name)) as port:
         command = ["capture", "--port", port, "--driver", "stim300", "--hold-s", "4", "--latitude", "48", "--quiet"]
-        terminal = Terminal([*command, "--cable=-x", *options], Path(name))
+        terminal = Terminal([*command, "--cable=-x", *options], Path(name), size)
         try:
             for moment in moments:
                 terminal.wait_for(moment)
@@ -148,7 +156,7 @@ def write(name: str, terminal: Terminal) -> None:
     """Write the screen as text and as SVG."""
     FOLDER.mkdir(exist_ok=True)
     (FOLDER / f"{name}.txt").write_text(terminal.text + "\n", encoding="utf-8")
-    console = Console(record=True, width=WIDTH, file=StringIO(), force_terminal=True, color_system="256")
+    console = Console(record=True, width=terminal.width, file=StringIO(), force_terminal=True, color_system="256")
     console.print(terminal.styled(), end="")
     svg = console.export_svg(title="imufield capture", theme=MONOKAI, unique_id=f"imufield-{name}")
     # Whoever looks at the picture need not ask a server for a font.
@@ -165,5 +173,6 @@ def refresh_readme() -> None:
 
 if __name__ == "__main__":
     take(PICTURES)
+    take(WIDE, size=LARGE)
     take(BIG, "--big")
     refresh_readme()

@@ -190,6 +190,8 @@ class Accepted(Event, kind="accepted"):
     tremor_deg: float | None = None
     sway_deg: float | None = None
     """Rms of each axis above and below 4 Hz, of a unit in the hand."""
+    suspect: bool = False
+    """The others contradict it already: it was probably moved or bumped."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -21,7 +21,7 @@ _CONTROL = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 
 
 class Terminal:
-    """A terminal of 80 columns and 24 lines with the program in it; ``at_start`` as in ``forks.Forked``."""
+    """A terminal of columns and lines with the program in it; ``at_start`` as in ``forks.Forked``."""
 
     def __init__(
         self,
@@ -29,10 +29,11 @@ class Terminal:
         *arguments: object,
         variables: dict[str, str] | None = None,
         at_start: Iterable[Sequence[object]] = (),
+        size: tuple[int, int] = (80, 24),
     ) -> None:
         self._master, self._slave = pty.openpty()
         self._is_open = True
-        fcntl.ioctl(self._slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+        fcntl.ioctl(self._slave, termios.TIOCSWINSZ, struct.pack("HHHH", size[1], size[0], 0, 0))
         self._before = termios.tcgetattr(self._slave)
         self.process = program.start(
             *arguments,

@@ -62,7 +62,7 @@ def test_a_session_with_pictures_keys_big_letters_and_bell(program: Program, ter
     place = terminal.expect(" undone", after=place)
     # A key without a meaning is answered, one of an arrow is none.
     terminal.type("\x1b[A?")
-    place = terminal.expect("retake the last position", after=place)
+    place = terminal.expect("retake the suspect or the last position", after=place)
     terminal.type("x")
     terminal.expect("does nothing", after=place)
     assert terminal.text.count("does nothing") == terminal.text.count("'x' does nothing")
@@ -71,6 +71,23 @@ def test_a_session_with_pictures_keys_big_letters_and_bell(program: Program, ter
     assert "\a" in terminal.raw
     assert "imufield capture --resume" in terminal.text
     assert newest(program).finished
+
+
+@pytest.mark.parametrize("size", [(60, 20), (120, 40), (200, 60)])
+def test_the_window_is_used_whatever_its_size(program: Program, terminals: list[Terminal], size: tuple[int, int]) -> None:
+    """Keys and what to do in each; traces and log in the large ones, which are filled to the last line."""
+    port = program.emulate("--positions", "faces6", "--hold-s", 6, "--wait")
+    terminal = Terminal(program, *program.capture(port, "--quiet", "--latitude", 48), size=size)
+    terminals.append(terminal)
+    place = terminal.expect("1 of ")
+    terminal.expect("q quit", after=place)
+    assert ("signals: acc m/s^2, gyro deg/s" in terminal.text) == (size[1] >= 40)
+    # From one line of keys to the next lies a whole picture: as many lines as the window has.
+    place = terminal.expect("q quit", after=terminal.expect("q quit", after=len(terminal.text)))
+    frame = terminal.text[:place].split("q quit")[-2]
+    assert frame.count("\n") == size[1] - 1
+    terminal.type("q")
+    assert terminal.wait() == 0
 
 
 def test_quiet_is_quiet_and_no_colour_is_none(program: Program, terminals: list[Terminal]) -> None:

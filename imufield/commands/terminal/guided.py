@@ -326,7 +326,7 @@ class CaptureLoop:
         self._last_refresh_s = now_s
         silent = self._link.lost is None and now_s - self._last_byte_s > patience_s(self.clock, SILENCE_S)
         lost = sum(part.lost for part in self.chain.statistics)
-        self.view.refresh(self.chain.guide.snapshot(), self.connected.link.name, silent=silent, samples_lost=lost)
+        self.view.refresh(self.chain.guide.snapshot, self.connected.link.name, silent=silent, samples_lost=lost)
 
 
 def farewell(captured: Captured, view: ViewName, clock: HostClock) -> None:

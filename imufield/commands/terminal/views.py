@@ -47,11 +47,11 @@ class View:
         else:
             self._events += events
 
-    def refresh(self, snapshot: Snapshot, port: str, *, silent: bool, samples_lost: int) -> None:
-        """Draw the state between events; lines have nothing to draw, but say when the wire falls silent."""
+    def refresh(self, snapshot: Callable[[], Snapshot], port: str, *, silent: bool, samples_lost: int) -> None:
+        """Draw the state between events, asked for only then; lines draw nothing, but say when the wire falls silent."""
         if self._pictures is not None:
             events, self._events = self._events, []
-            self._pictures.show(events, snapshot, samples_lost, silent=silent)
+            self._pictures.show(events, snapshot(), samples_lost, silent=silent)
         # Once for each silence: a line ten times a second would push away what was said before.
         elif isinstance(self._lines, PlainView) and silent and not self._was_silent:
             say(sentence("views.silent", port=port))

@@ -5,7 +5,9 @@ there is a result from the fourth observation on and every parameter has a forec
 once the positions tell more. This is for leading the operator; the numbers that are delivered come from ``calibrate``.
 
 Disagreement is judged by the residual of a fit without the position over its sigma (externally studentised), where the
-scatter between positions is estimated from the others and from an expectation of ``EXPECTED_SCATTER_M_S2``.
+scatter between positions is estimated from the others and from an expectation of ``EXPECTED_SCATTER_M_S2``. The fit has that
+expectation as its weight: a weight by the scatter found would count the bad position among the scatter, and hide it while few
+positions tell otherwise. The forecast has the scatter found.
 """
 
 from __future__ import annotations
@@ -26,13 +28,13 @@ from imufield.samples import FloatArray
 
 FEWEST = 4  # Fewer observations leave every residual to the priors.
 EXPECTED_SCATTER_M_S2 = 1e-4 * STANDARD_GRAVITY_M_S2  # Between positions: what good instruments repeat to.
-_EXPECTED_FREEDOM = 3.0  # Weight of that expectation, as if it came from this number of residuals.
+EXPECTED_FREEDOM = 2.0  # Weight of that expectation, as if it came from this number of residuals.
 _LEAST_VARIANCE = 0.05  # Of the expected one: positions that agree by chance make no suspects of the others.
 _SUSPECT_SIGMAS = 5.0  # A position that the others contradict by this much is a suspect, where there are many.
 # Share of good positions that may become suspects in one fit: a session of 24 makes some hundred fits, to much the same data.
-SUSPECT_SHARE = 1e-4
-# Two-sided quantiles of Student's distribution at ``SUSPECT_SHARE``, from ``_EXPECTED_FREEDOM`` degrees of freedom on.
-_FEW = (28.0, 15.54, 11.18, 9.08, 7.88, 7.12, 6.59, 6.21, 5.92, 5.69, 5.51, 5.36, 5.24, 5.13, 5.04)
+SUSPECT_SHARE = 3e-5
+# Two-sided quantiles of Student's distribution at ``SUSPECT_SHARE``, from ``EXPECTED_FREEDOM`` degrees of freedom on.
+_FEW = (182.6, 41.9, 21.1, 14.3, 11.2, 9.5, 8.43, 7.7, 7.18, 6.79, 6.49, 6.24, 6.05, 5.88, 5.75, 5.63, 5.53, 5.44, 5.36, 5.29)
 SUSPECT_M_S2 = 3e-4 * STANDARD_GRAVITY_M_S2  # And by this much: less does no harm that another hold would cure.
 _TOLD_SHARE = 0.5  # A sigma of more than this share of the prior's was assumed rather than measured.
 _STEPS = 8  # Of Gauss-Newton: with priors it converges in four.
@@ -73,7 +75,10 @@ class RunningFit:
     vector: FloatArray
     scale: RoughScale
     residual_m_s2: FloatArray
+    expected_m_s2: FloatArray
+    """1 sigma of each norm by which it was weighted: of its mean, and expected between positions."""
     sigma_m_s2: FloatArray
+    """The same by the scatter that the positions show."""
     jacobian: FloatArray
     """Of the norms, shape (m, 12)."""
     prior_sigma: FloatArray
@@ -83,8 +88,8 @@ class RunningFit:
     @cached_property
     def covariance(self) -> FloatArray:
         """Forecast covariance, priors included, shape (12, 12)."""
-        weighted = self.jacobian / self.sigma_m_s2[:, None]
-        return np.asarray(np.linalg.inv(weighted.T @ weighted + np.diag(self.prior_sigma**-2.0)), dtype=np.float64)
+        weighted = np.vstack([self.jacobian / self.sigma_m_s2[:, None], np.diag(1 / self.prior_sigma)])
+        return np.asarray(np.linalg.inv(weighted.T @ weighted), dtype=np.float64)
 
     def forecast(self) -> dict[str, float]:
         """Return 1 sigma of the groups of parameters, the largest axis of each, in the units people use.
@@ -113,9 +118,8 @@ class RunningFit:
 
     def disagreements(self) -> list[Disagreement]:
         """Return the disagreement of each position with the others, in their order."""
-        weighted = self.jacobian / self.sigma_m_s2[:, None]
-        leverage = np.minimum(np.einsum("mi,ij,mj->m", weighted, self.covariance, weighted), 1 - 1e-6)
-        ratio = self.residual_m_s2 / self.sigma_m_s2
+        leverage = np.minimum(_leverage(self.jacobian, self.expected_m_s2, self.prior_sigma), 1 - 1e-6)
+        ratio = self.residual_m_s2 / self.expected_m_s2
         without = ratio / (1 - leverage)
         squares = ratio**2 / (1 - leverage)
         freedom = max(float((1 - leverage).sum()), 0.0)
@@ -124,9 +128,9 @@ class RunningFit:
         found = []
         for k, name in enumerate(self.names):
             others = max(float(ratio @ ratio - squares[k]), 0.0)
-            variance = (_EXPECTED_FREEDOM + others) / (_EXPECTED_FREEDOM + max(freedom - 1, 0.0))
+            variance = (EXPECTED_FREEDOM + others) / (EXPECTED_FREEDOM + max(freedom - 1, 0.0))
             sigmas = without[k] * math.sqrt(1 - leverage[k]) / math.sqrt(max(variance, _LEAST_VARIANCE))
-            found.append(Disagreement(name, float(without[k] * self.sigma_m_s2[k]), float(sigmas), limit))
+            found.append(Disagreement(name, float(without[k] * self.expected_m_s2[k]), float(sigmas), limit))
         return found
 
     def gain(self, directions: FloatArray) -> FloatArray:
@@ -182,10 +186,9 @@ def running_fit(observations: list[Observation], scale: RoughScale, gravity_m_s2
     try:
         vector, residual, jacobian, across = _minimise(start, raw, sigma, prior, gravity_m_s2=gravity_m_s2)
         own = np.einsum("mi,mij,mj->m", across, within, across)
-        # Weights from the first fit, the fit again, and the weights that belong to it.
-        sigma = _sigma(residual, jacobian, own, prior)
-        vector, residual, jacobian, _ = _minimise(start, raw, sigma, prior, gravity_m_s2=gravity_m_s2)
-        sigma = _sigma(residual, jacobian, own, prior)
+        # The first fit tells how sure each mean is along its norm.
+        expected = np.sqrt(np.maximum(own, 0.0) + EXPECTED_SCATTER_M_S2**2)
+        vector, residual, jacobian, _ = _minimise(start, raw, expected, prior, gravity_m_s2=gravity_m_s2)
         observability = observe(norm_derivatives(vector, raw), vector, gravity_m_s2, quadratic=True)
     except (CalibrationError, np.linalg.LinAlgError):
         return None
@@ -194,7 +197,8 @@ def running_fit(observations: list[Observation], scale: RoughScale, gravity_m_s2
         vector=vector,
         scale=scale,
         residual_m_s2=residual,
-        sigma_m_s2=sigma,
+        expected_m_s2=expected,
+        sigma_m_s2=_sigma(residual, jacobian, expected, prior),
         jacobian=jacobian,
         prior_sigma=prior,
         rank=observability.rank,
@@ -218,7 +222,14 @@ def _minimise(
     return vector, found.norm - gravity_m_s2, found.jacobian[:, columns], found.raw_gradient
 
 
-def _sigma(residual: FloatArray, jacobian: FloatArray, within: FloatArray, prior: FloatArray) -> FloatArray:
+def _leverage(jacobian: FloatArray, sigma: FloatArray, prior: FloatArray) -> FloatArray:
+    """Return how much each norm determines its own fit, shape (m,)."""
+    weighted = np.vstack([jacobian / sigma[:, None], np.diag(1 / prior)])
+    leverage: FloatArray = np.einsum("mi,im->m", weighted, np.linalg.pinv(weighted))[: len(sigma)]
+    return leverage
+
+
+def _sigma(residual: FloatArray, jacobian: FloatArray, expected: FloatArray, prior: FloatArray) -> FloatArray:
     """Return 1 sigma of each norm: of its mean, and between positions.
 
     The variance between positions comes from the residuals, pulled towards the expected one while there are few. The median
@@ -226,11 +237,8 @@ def _sigma(residual: FloatArray, jacobian: FloatArray, within: FloatArray, prior
     """
     scatter, freedom = 1.0, max(len(residual) - _LINEAR, 0)
     if freedom >= 2:
-        sigma = np.sqrt(within + EXPECTED_SCATTER_M_S2**2)
-        weighted = np.vstack([jacobian / sigma[:, None], np.diag(1 / prior)])
-        leverage = np.einsum("mi,mi->m", weighted, np.linalg.pinv(weighted).T)[: len(residual)]
-        squares = (residual / EXPECTED_SCATTER_M_S2) ** 2 / np.maximum(1 - leverage, _LEAST_FREEDOM)
-        robust = float(np.median(squares)) / _MEDIAN_OF_SQUARES
-        scatter = (_EXPECTED_FREEDOM + freedom * robust) / (_EXPECTED_FREEDOM + freedom)
-    result: FloatArray = np.sqrt(np.maximum(within, 0.0) + EXPECTED_SCATTER_M_S2**2 * scatter)
+        spare = np.maximum(1 - _leverage(jacobian, expected, prior), _LEAST_FREEDOM)
+        robust = float(np.median((residual / EXPECTED_SCATTER_M_S2) ** 2 / spare)) / _MEDIAN_OF_SQUARES
+        scatter = (EXPECTED_FREEDOM + freedom * robust) / (EXPECTED_FREEDOM + freedom)
+    result: FloatArray = np.sqrt(expected**2 + EXPECTED_SCATTER_M_S2**2 * (scatter - 1))
     return result

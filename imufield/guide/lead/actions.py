@@ -334,7 +334,8 @@ class GuideActions:
         replaces = plan.accept(index, observation)
         self.hold.learn(hold)
         adviser.fit_again(self.detector.scale)
-        self.speaker.say(accepted_event(now_s, observation, hold.scale, plan, replaces=replaces, fit=adviser.fit))
+        fit, others = adviser.fit, adviser.compared.get(index)
+        self.speaker.say(accepted_event(now_s, observation, hold.scale, plan, replaces=replaces, fit=fit, others=others))
         self._lingering = Lingering()
         self.hold.forget()
         self._moved_in_a_row = 0
@@ -418,6 +419,13 @@ class GuideActions:
             self._reject_hold()
         self.hold.forget()
         self.lift()
+
+    def give_up(self) -> Input | None:
+        """End the hold as the operator wants; where the unit lies now, none begins before it is moved."""
+        if self.hold.position is not None:
+            self.resting.begin(self.hold.position, self.up_now())
+        self.hold.forget()
+        return self.go_on()
 
     def lift(self) -> None:
         """Begin to watch whether the unit is lifted or only knocked."""

@@ -97,6 +97,7 @@ class Adviser:
         self._plan = plan
         self._settings = settings
         self.fit: RunningFit | None = None
+        self.compared: dict[int, Disagreement] = {}  # Each accepted position with the others.
         self.suspects: dict[int, Disagreement] = {}  # Positions that the fit to the others contradicts, the worst first.
         self._told: set[Topic] = set()
         self._revisited = False
@@ -110,9 +111,7 @@ class Adviser:
         """Fit everything measured so far, and choose the next position where another helps clearly more."""
         settings, plan = self._settings, self._plan
         self.fit = running_fit(list(plan.accepted.values()), scale, settings.gravity_m_s2)
-        found = {} if self.fit is None else self._disagreements(self.fit)
-        suspects = ((index, found) for index, found in found.items() if found.is_suspect)
-        self.suspects = dict(sorted(suspects, key=lambda suspect: -abs(suspect[1].sigmas)))
+        self._compare(scale)
         plan.preferred = None
         pending = plan.pending()
         if self.fit is None or len(pending) < 2:
@@ -125,11 +124,25 @@ class Adviser:
             if self._confusion([preferred, *(index for index in pending if index != preferred)]) <= MOST_CONFUSION:
                 plan.preferred = preferred
 
+    def _compare(self, scale: RoughScale) -> None:
+        """Compare each position with the others, without the suspects found before: a bump makes good ones disagree."""
+        self.compared, self.suspects = {}, {}
+        left, fit = dict(self._plan.accepted), self.fit
+        while fit is not None:
+            self.compared |= zip(left, fit.disagreements(), strict=True)
+            suspects = [index for index in left if self.compared[index].is_suspect]
+            if not suspects:
+                break
+            worst = max(suspects, key=lambda index: abs(self.compared[index].sigmas))
+            self.suspects[worst] = self.compared[worst]
+            del left[worst]
+            fit = running_fit(list(left.values()), scale, self._settings.gravity_m_s2)
+
     def advise(self, now_s: float) -> list[Advice]:
         """Return what the running fit shows that the operator may want to act on; each topic once."""
         if self.fit is None:
             return []
-        told = self._advise_suspects(now_s, self.fit)
+        told = self._advise_suspects(now_s)
         for advice in self._advise_once(now_s, self.fit):
             if advice.topic not in self._told:
                 self._told.add(advice.topic)
@@ -149,7 +162,8 @@ class Adviser:
             known = [f"{key.split('_')[0]} {forecast[key]:.3g} {kinds[key].unit} (wanted {asked[key]:g})" for key in asked]
             key, value = next(iter(asked.items()))
             yield kinds[key].advice(now_s, forecast[key], value, known=known)
-        sigmas = fit.quadratic_sigmas()
+        # A bump looks like a quadratic term, too.
+        sigmas = 0.0 if self.suspects else fit.quadratic_sigmas()
         if count >= _FEWEST_FOR_QUADRATIC and self._plan.scheme.name.startswith("paper") and sigmas >= _MATTERS_SIGMAS:
             yield _SCHEME.advice(now_s, sigmas, _MATTERS_SIGMAS, sigmas=sigmas)
         confusion = self._confusion(self._plan.pending())
@@ -169,11 +183,11 @@ class Adviser:
         plan = self._plan
         return order_confusion(np.array([plan.position(index).direction for index in (*plan.accepted, *pending)]))
 
-    def _advise_suspects(self, now_s: float, fit: RunningFit) -> list[Advice]:
+    def _advise_suspects(self, now_s: float) -> list[Advice]:
         """Return what to tell of suspects: suspicions that are settled, and the worst one if it was not told yet."""
         plan = self._plan
         no_more = plan.doubted - self.suspects.keys()
-        settled = {index: found for index, found in self._disagreements(fit).items() if index in no_more}
+        settled = {index: found for index, found in self.compared.items() if index in no_more}
         new = {index: suspect for index, suspect in [*self.suspects.items()][:1] if index not in plan.doubted}
         plan.doubted = (plan.doubted & self.suspects.keys()) | new.keys()
         # What the guide asked for because of it, it asks for no longer; what the operator wants again stays.
@@ -185,10 +199,6 @@ class Adviser:
             off_mg = off_m_s2 / MILLI_G_M_S2
             told.append(kind.advice(now_s, off_m_s2, limit_m_s2, found.name, off_mg=off_mg, sigmas=sigmas))
         return told
-
-    def _disagreements(self, fit: RunningFit) -> dict[int, Disagreement]:
-        """Return the disagreement of each position of the fit, which is that of all accepted ones."""
-        return dict(zip(self._plan.accepted, fit.disagreements(), strict=True))
 
     def ask_again(self) -> None:
         """Ask for suspects once more, each once, and then for the first position, as a check for drift."""

@@ -17,10 +17,11 @@ from imufield.guide.cross_checks.axes import AxesCheck
 from imufield.guide.events import Event, Marked, Vector, vector
 from imufield.guide.hold.observe import gather
 from imufield.guide.lead.actions import GuideActions
+from imufield.guide.lead.live import LiveFeed, Signals
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.lead.state_table import TABLE, Input, State
 from imufield.guide.positions import Scheme
-from imufield.guide.stillness.cells import CELL_S, CellBuilder, Cells, join_cells, slots_of
+from imufield.guide.stillness.cells import CELL_S, CellBuilder, Cells, slots_of
 from imufield.guide.stillness.limits import Activity
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import Judgement, Phase
@@ -45,6 +46,8 @@ class Snapshot:
         The position proposed, and the one under way.
     fraction : float
         Part of the hold that is done.
+    suspects, again : tuple of str
+        Measured positions that the others contradict, and those to be measured once more.
     activity : Activity or None
         Stillness of the latest cell against its limit; without a link nobody knows.
     rate_hz : float
@@ -55,6 +58,8 @@ class Snapshot:
         Where up is in the body now, unit vector, None before the first sample or in free fall; and where it should be.
     forecast : dict or None
         1 sigma of the parameters now, see ``Accepted``; None until there are four positions.
+    signals : Signals or None
+        The live feed; None before the first.
     """
 
     state: State
@@ -68,11 +73,13 @@ class Snapshot:
     accepted: tuple[str, ...]
     skipped: tuple[str, ...]
     suspects: tuple[str, ...]
+    again: tuple[str, ...]
     planned: int
     direction: Vector | None
     target_direction: Vector | None
     in_hand: bool
     forecast: dict[str, float] | None
+    signals: Signals | None
 
 
 class Guide:
@@ -98,7 +105,7 @@ class Guide:
         self._speaker, self._watch = actions.speaker, actions.watch
         self._builder = CellBuilder()
         self._marks: list[tuple[int, str, str | None]] = []  # Slot of the cell, action and position.
-        self._recent: Cells | None = None
+        self._feed = LiveFeed()
 
     @property
     def done(self) -> bool:
@@ -189,14 +196,15 @@ class Guide:
 
     def snapshot(self) -> Snapshot:
         """Return the state for a live view."""
-        plan, hold, judgement, up = self.plan, self._actions.hold, self._actions.judgement, self._actions.up_now()
+        plan, hold, judgement, up = self.plan, self._actions.hold, self._actions.judgement, self._feed.up(self.detector.scale)
         target = plan.proposed() if self._actions.announced else None
         rate_hz = temperature_degc = math.nan
-        if self._recent is not None:
-            span_s = float(self._recent.slot[-1] - self._recent.slot[0] + 1) * CELL_S
+        recent = self._feed.newest(_RECENT_CELLS)
+        if recent is not None:
+            span_s = float(recent.slot[-1] - recent.slot[0] + 1) * CELL_S
             # A clock that was set back leaves no span.
-            rate_hz = float(self._recent.count.sum()) / span_s if span_s > 0 else math.nan
-            temperature_degc = float(self._recent.temperature_degc[-1])
+            rate_hz = float(recent.count.sum()) / span_s if span_s > 0 else math.nan
+            temperature_degc = float(recent.temperature_degc[-1])
         return Snapshot(
             state=self.state,
             target=None if target is None else plan.position(target).name,
@@ -209,11 +217,13 @@ class Guide:
             accepted=tuple(plan.position(i).name for i in plan.accepted),
             skipped=tuple(plan.position(i).name for i in sorted(plan.skipped)),
             suspects=self.adviser.suspect_names,
+            again=tuple(plan.position(i).name for i in plan.wanted_again),
             planned=len(plan.scheme),
             direction=vector(up) if np.isfinite(up).all() else None,
             target_direction=None if target is None else vector(plan.position(target).direction),
             in_hand=self.detector.in_hand,
             forecast=None if self.adviser.fit is None else self.adviser.fit.forecast(),
+            signals=self._feed.signals(self.detector.scale),
         )
 
     def _process(self, cells: Cells) -> None:
@@ -227,8 +237,7 @@ class Guide:
             self._judge(cells)
 
     def _judge(self, cells: Cells) -> None:
-        newest = cells[-_RECENT_CELLS:]
-        self._recent = newest if self._recent is None else join_cells([self._recent, newest])[-_RECENT_CELLS:]
+        self._feed.add(cells)
         # One by one while the noise floor is not known: the events must not depend on where a block was cut.
         while len(cells) and self.detector.floor is None:
             self._watch.follow(cells, 0, silent=self.done)
@@ -278,18 +287,17 @@ class Guide:
         if action in _INPUTS:
             self._handle(_INPUTS[action])
             return
-        if action == "go_on":
-            self._actions.goes_on_cold = True
-            self._speaker.say(Marked(now_s, action, None, sentence("guide.goes_on_cold")))
-            return
-        before = plan.proposed()
-        index, words = {"retake": self._retake, "skip": self._skip, "undo": self._undo}[action](name)
+        before, held = plan.proposed(), self._held()
+        answers = {"retake": self._retake, "skip": self._skip, "undo": self._undo, "go_on": self._go_on_cold}
+        index, words = answers[action](name)
         self._speaker.say(Marked(now_s, action, None if index is None else plan.position(index).name, words))
         if action == "skip" and self.state is State.ROLLING and index is None:
             self._actions.turns.skip()
             self._actions.propose_turn()
             if not self._actions.turns.left:
                 self._handle(Input.COMPLETE)
+        elif action == "skip" and index is not None and index == held:
+            self._handle(Input.SKIPPED)
         elif plan.proposed() is None:
             answer = self._actions.go_on()
             if answer is not None:
@@ -301,10 +309,15 @@ class Guide:
             elif self._actions.announced:
                 self._actions.propose()
 
+    def _held(self) -> int | None:
+        """Return the position of the hold under way."""
+        return self._actions.hold.position if self.state is State.HOLDING else None
+
     def _retake(self, name: str | None) -> tuple[int | None, str]:
-        suspects = (suspect for suspect in self.adviser.suspect_names if self.plan.find(suspect) not in self.plan.wanted_again)
-        named = name or next(suspects, None)
-        index = next(reversed(self.plan.accepted), None) if named is None else self.plan.find(named)
+        last = next(reversed(self.plan.accepted), None)
+        suspects = [suspect for suspect in self.adviser.suspects if suspect not in self.plan.wanted_again]
+        # The line of the last one says that it is repeated where it is a suspect, be another worse.
+        index = self.plan.find(name) if name else last if last in suspects or not suspects else suspects[0]
         if index is None or index not in self.plan.accepted:
             return None, sentence("guide.not_measured" if name else "guide.nothing_to_retake", position=name)
         self.plan.want_again(index)
@@ -312,16 +325,23 @@ class Guide:
         return index, sentence("guide.retake", position=self.plan.position(index).name)
 
     def _skip(self, name: str | None) -> tuple[int | None, str]:
-        index = self.plan.proposed() if name is None else self.plan.find(name)
+        index = self.plan.find(name) if name else self.plan.proposed() if (held := self._held()) is None else held
         if index is None or not self.plan.is_pending(index):
             return None, sentence("guide.nothing_to_skip")
         self.plan.skip(index)
         return index, sentence("guide.skip", position=self.plan.position(index).name)
+
+    def _go_on_cold(self, _name: str | None) -> tuple[int | None, str]:
+        self._actions.goes_on_cold = True
+        return None, sentence("guide.goes_on_cold")
 
     def _undo(self, _name: str | None) -> tuple[int | None, str]:
         undone = self.plan.undo()
         if undone is None:
             return None, sentence("guide.nothing_to_undo")
         action, index = undone
+        if action == "skip":
+            # The unit may lie there still, from the hold that was given up.
+            self._actions.resting.position = None
         self._actions.judge_restored(index)
         return index, sentence("guide.undo", action=action, position=self.plan.position(index).name)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from imufield.guide.cross_checks.running_fit import RunningFit
+from imufield.guide.cross_checks.running_fit import Disagreement, RunningFit
 from imufield.guide.events import Accepted, Event, Move, NoiseFloorMeasured, vector
 from imufield.guide.hold.observe import Observation
 from imufield.guide.lead.plan import Plan
@@ -118,9 +118,16 @@ def floor_event(now_s: float, floor: NoiseFloor, detector: StillnessDetector) ->
 
 
 def accepted_event(
-    now_s: float, observation: Observation, scale: RoughScale, plan: Plan, *, replaces: bool, fit: RunningFit | None
+    now_s: float,
+    observation: Observation,
+    scale: RoughScale,
+    plan: Plan,
+    *,
+    replaces: bool,
+    fit: RunningFit | None,
+    others: Disagreement | None,
 ) -> Accepted:
-    """Return the event of an observation just taken; the results of a running fit are None while there is none."""
+    """Return the event of an observation just taken; running fit and comparison with the others are None before the first."""
     direction = scale.up(observation.mean_raw)
     sigma = math.sqrt(float(np.diag(observation.covariance_raw).max())) / (scale.accelerometer or math.nan)
     hand = observation.hand_mean
@@ -139,14 +146,15 @@ def accepted_event(
     )
     if hand is not None:
         event = replace(event, held=True, tremor_deg=hand.tremor_deg, sway_deg=hand.sway_deg)
-    if fit is not None:
+    if fit is not None and others is not None:
         # A revisit replaces nothing: the row is that of the measurement before, which has the same name.
         row = fit.names.index(observation.name)
         event = replace(
             event,
             residual_m_s2=float(fit.residual_m_s2[row]),
             forecast=fit.forecast(),
-            leave_one_out_m_s2=fit.disagreements()[row].leave_one_out_m_s2,
+            leave_one_out_m_s2=others.leave_one_out_m_s2,
+            suspect=others.is_suspect,
             rank=fit.rank,
             condition=fit.condition,
         )

@@ -55,6 +55,8 @@ class Input(Enum):
     """All positions are done, whole turns are wanted."""
     COMPLETE = "complete"
     REOPENED = "reopened"
+    SKIPPED = "skipped"
+    """The operator does not want the hold under way."""
     RESUMED = "resumed"
     """A session that was finished early is to go on."""
     PAUSE = "pause"

@@ -18,6 +18,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imufield.samples import AXES, FloatArray
 
@@ -33,7 +34,7 @@ def _letters() -> dict[str, bytes]:
     return {letter: bytes.fromhex(columns) + b"\0" for letter, columns in table.items()}
 
 
-def big_lines(text: str, width: int) -> list[str]:
+def big_lines(text: str, width: int, times: int = 1) -> list[str]:
     """Return a word in big letters, cut off at the width; a character without a shape becomes a space.
 
     Parameters
@@ -41,11 +42,14 @@ def big_lines(text: str, width: int) -> list[str]:
     text : str
     width : int
         Characters of the screen.
+    times : int
+        Size, in that of the smallest letters.
     """
-    letters = text.upper()[: width // LETTER_WIDTH]
+    letters = text.upper()[: width // (LETTER_WIDTH * times)]
     dots = b"".join(_letters().get(letter, bytes(6)) for letter in letters)
-    blank = " " * len(_DOT)
-    return ["".join(_DOT if column >> row & 1 else blank for column in dots).rstrip() for row in range(ROWS)]
+    dot, blank = _DOT * times, " " * len(_DOT) * times
+    lines = ["".join(dot if column >> row & 1 else blank for column in dots).rstrip() for row in range(ROWS)]
+    return [line for line in lines for _ in range(times)]
 
 
 _HALF_SIZE = (1.0, 0.72, 0.42)  # Of the box along body x, y, z: three lengths, so that the sides are distinct.
@@ -58,6 +62,7 @@ _BRAILLE = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
 _REACH = 1.42  # Screen units from the middle to the edge: half the diagonal of the box and room for the cable.
 _CABLE_LENGTH = 0.55
 _TOWARDS = -0.05  # Of a face's normal: one seen edge-on has no room for its name.
+_UPSIDE_DOWN = -0.98  # Cosine: nearer than 11 degrees to a half turn.
 _LABEL_WIDTH = 3  # Columns from one name to the next.
 
 
@@ -71,16 +76,16 @@ def turn_shortest(attitude: FloatArray, up: FloatArray) -> FloatArray:
     up : ndarray, shape (3,)
         Unit vector.
     """
-    now = attitude @ up
     goal = np.array([0.0, 0.0, 1.0])
+    if (attitude @ up)[2] < _UPSIDE_DOWN:
+        # The shortest way would be about an axis that noise chooses, another one in each frame.
+        attitude = np.diag([1.0, -1.0, -1.0]) @ attitude
+    now = attitude @ up
     axis = np.cross(now, goal)
     sine, cosine = float(np.linalg.norm(axis)), float(now @ goal)
     if sine < 1e-9:
-        if cosine > 0:
-            return attitude
-        axis, sine, cosine = np.array([1.0, 0.0, 0.0]), 0.0, -1.0
-    else:
-        axis = axis / sine
+        return attitude
+    axis = axis / sine
     K = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
     turned: FloatArray = (np.eye(3) + sine * K + (1 - cosine) * K @ K) @ attitude
     # Rounding adds up over thousands of frames.
@@ -124,6 +129,15 @@ def draw_box(attitude: FloatArray, width: int, height: int, *, cable: str | None
     return canvas.lines()
 
 
+def characters(dots: NDArray[np.bool_], down: int) -> list[list[str]]:
+    """Return dots as characters: 4 by 2 of them as one of Braille where ``down`` is 4, else a point each."""
+    if down == 1:
+        return [["." if dot else " " for dot in row] for row in dots]
+    blocks = dots.reshape(dots.shape[0] // 4, 4, dots.shape[1] // 2, 2)
+    codes = np.einsum("rdcs,ds->rc", blocks, np.array(_BRAILLE))
+    return [[chr(0x2800 + int(code)) if code else " " for code in row] for row in codes]
+
+
 class _Canvas:
     """Dots and labels on a grid of characters."""
 
@@ -157,15 +171,16 @@ class _Canvas:
         row, column = self._place(point)
         line = min(max(round((row - self._down / 2 + 0.5) / self._down), 0), self._height - 1)
         place = min(max(round(column / self._across - len(text) / 2), 0), self._width - len(text))
-        if free or not any(line == other and abs(place - begin) < _LABEL_WIDTH for other, begin, _ in self._labels):
-            self._labels.append((line, place, text))
+        # A name that has no room is left out; one that stands beside the box moves to the next line.
+        for there in (line, line + 1, line - 1) if free else (line,):
+            beside = [begin for other, begin, _ in self._labels if other == there]
+            taken = any(begin - len(text) <= place < begin + _LABEL_WIDTH for begin in beside)
+            if 0 <= there < self._height and not taken:
+                self._labels.append((there, place, text))
+                return
 
     def lines(self) -> list[str]:
-        rows = [["." if dot else " " for dot in row] for row in self._dots]
-        if self._down == 4:
-            blocks = self._dots.reshape(self._height, 4, self._width, 2)
-            codes = np.einsum("rdcs,ds->rc", blocks, np.array(_BRAILLE))
-            rows = [[chr(0x2800 + int(code)) if code else " " for code in row] for row in codes]
+        rows = characters(self._dots, self._down)
         for row, column, text in self._labels:
             rows[row][column : column + len(text)] = text
         return ["".join(row) for row in rows]

@@ -12,9 +12,9 @@ import math
 from collections.abc import Callable
 from functools import singledispatch
 
-from imufield.earth import MICRO_G_M_S2
+from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2
 from imufield.guide import events
-from imufield.guide.events import Event, RefusalCode
+from imufield.guide.events import Event, RefusalCode, Topic
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -62,7 +62,7 @@ class PlainView:
 
     def show(self, events: list[Event]) -> None:
         """Write events; those of progress now and then."""
-        for event in events:
+        for event in said_once(events):
             is_progress = isinstance(event, _PROGRESS)
             if is_progress and 0 <= event.time_s - self._last_s < _EVERY_S:
                 continue
@@ -76,6 +76,22 @@ def line(event: Event, origin_s: float = 0.0) -> str:
     """Return the line of an event: time since ``origin_s``, then words."""
     time = f"{event.time_s - origin_s:9.1f} s" if math.isfinite(event.time_s) else " " * 9 + "- s"
     return f"{time}  {words(event)}"
+
+
+def said_once(some: list[Event]) -> list[Event]:
+    """Return events for a person: the line of an accepted hold that is suspect says so itself."""
+    suspects = {event.position for event in some if isinstance(event, events.Accepted) and event.suspect}
+    return [
+        event
+        for event in some
+        if not (isinstance(event, events.Advice) and event.topic is Topic.DOUBTFUL and event.position in suspects)
+    ]
+
+
+def suspect_words(event: events.Accepted) -> str:
+    """Return what the line of an accepted hold says of a suspect, else nothing."""
+    off_m_s2 = event.leave_one_out_m_s2
+    return sentence("plain.suspect", off_mg=off_m_s2 / MILLI_G_M_S2) if event.suspect and off_m_s2 is not None else ""
 
 
 def known_words(forecast: dict[str, float], name: str) -> str:
@@ -130,7 +146,8 @@ def _accepted(event: events.Accepted) -> str:
         bias, scale = known_words(event.forecast, "bias_ug"), known_words(event.forecast, "scale_ppm")
         known = f"; {sentence('plain.known', bias=bias, scale=scale)}"
     again = f" {sentence('plain.again')}" if event.replaces else ""
-    return sentence("plain.accepted", event=event, again=again, details=details, known=known)
+    suspect = f"{suspect_words(event)} " if event.suspect else ""
+    return sentence("plain.accepted", event=event, again=again, suspect=suspect, details=details, known=known)
 
 
 @words.register

@@ -1,6 +1,8 @@
-"""The screen of the live view, drawn from events and a snapshot; 80 columns by 24 lines, readable without colour.
+"""The screen of the live view, drawn from events and a snapshot, readable without colour.
 
-Colour only repeats what signs and words say already. Nothing here decides anything.
+80 columns by 24 lines show instruction, pictures, bars, map and the newest messages; a larger window has larger pictures, the
+log beside them, and the traces of the six signals. Colour only repeats what signs and words say already. Nothing here decides
+anything.
 """
 
 from __future__ import annotations
@@ -26,8 +28,9 @@ from imufield.guide.lead.guide import Snapshot
 from imufield.guide.lead.state_table import State
 from imufield.guide.positions import Scheme, nearest_cube_direction
 from imufield.guide.refusals import quantities
-from imufield.guide.view.pictures import big_lines, draw_box, turn_shortest
-from imufield.guide.view.plain import NOT_TOLD, known_words, words
+from imufield.guide.view.pictures import ROWS, big_lines, draw_box, turn_shortest
+from imufield.guide.view.plain import NOT_TOLD, known_words, said_once, suspect_words, words
+from imufield.guide.view.traces import draw_signals, signals_title
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 
@@ -36,17 +39,21 @@ sentence = Sentences(__package__)
 WIDTH = 80
 HEIGHT = 24
 _MAP_WIDTH = 34  # Three columns of the longest names.
-_LEFT_WIDTH = WIDTH - _MAP_WIDTH
 _PANEL_HEIGHT = 18  # Of 24 lines: link, four messages and keys stand below.
-_PICTURE_WIDTH = 20
-_PICTURE_HEIGHT = 8
+_WIDE = 100  # Columns from which the log stands beside the pictures.
+_LOG_SHARE = 0.4  # Of a wide window.
+_LOG_WIDTH = 84  # At most: longer lines are not read better.
+_TRACES_FROM = (34, 38)  # Lines from which the signals are drawn, in a wide window and in a narrow one.
+_LINES_FOR_TRACE_ROW = 20  # Of a window, for each row of a trace.
+_PICTURE_SIZE = (20, 8)  # Of the least picture.
 _BAR_WIDTH = 16
 _BAR_ROWS = 4
+_BESIDE_BAR = 26  # Columns of its name and of what stands behind it.
 _DETAIL_ROWS = 3
 _MAP_ROWS = 12
 _MESSAGES = 4
 _BIG_MESSAGES = 2  # Below the big letters.
-_KEPT = 20  # Messages that a large window shows.
+_KEPT = 80  # Messages that a large window shows.
 _READ_S = 4.0  # A refusal stays on the screen for this long although the unit moves on.
 # A refusal that is nobody's mistake: words, style, and the word in big letters.
 _REFUSED = {
@@ -61,6 +68,16 @@ _WAITS = (RefusalCode.START_UP, RefusalCode.WARMING_UP, RefusalCode.NOT_QUIET)
 _NO_MESSAGE = (events.Turning, events.Hold, events.Holding, events.Move, events.Turn)
 # Events after which a refusal is over.
 _ANSWERS = (events.Hold, events.Accepted, events.Marked, events.Done, events.Turn, events.Turned)
+# Events after which the hold accepted last is no longer what the screen speaks of.
+_AFTER = (events.Hold, events.Rejected, events.Marked)
+# What the screen keeps the latest of, under these names.
+_LATEST: dict[type[Event], str] = {
+    events.Move: "move",
+    events.Hold: "hold",
+    events.Turn: "turn",
+    events.Rejected: "refused",
+    events.Accepted: "accepted",
+}
 
 _KEYS = "r retake  s skip  u undo  p pause  f finish  ? keys  q quit (resume later)"
 _NARROW_KEYS = "r retake s skip u undo p pause f finish q quit ? keys"
@@ -83,8 +100,8 @@ class Screen:
 
     Attributes
     ----------
-    move, hold, turn, refused
-        The latest event of each kind; ``refused`` as long as it is to be read.
+    move, hold, turn, refused, accepted
+        The latest event of each kind; ``refused`` as long as it is to be read, ``accepted`` until something else happens.
     angle_deg, remaining_s : float
         To the target, and of the hold.
     link_paused : bool
@@ -97,6 +114,7 @@ class Screen:
     hold: events.Hold | None = None
     turn: events.Turn | None = None
     refused: events.Rejected | None = None
+    accepted: events.Accepted | None = None
     angle_deg: float = math.nan
     remaining_s: float = math.nan
     link: bool = True
@@ -111,27 +129,27 @@ class Screen:
 
     def follow(self, events: list[Event]) -> None:
         """Update the screen with events in order."""
-        for event in events:
+        for event in said_once(events):
             self._update(event)
             self._update_messages(event)
 
     def _update(self, event: Event) -> None:
         if isinstance(event, _ANSWERS):
             self.refused = None
+        if isinstance(event, _AFTER):
+            self.accepted = None
+        if (name := _LATEST.get(type(event))) is not None:
+            setattr(self, name, event)
         if isinstance(event, events.Move):
-            self.move, self.angle_deg = event, math.nan
+            self.angle_deg = math.nan
         elif isinstance(event, events.Turning):
             self.angle_deg = event.target_angle_deg
             if self.refused is not None and event.time_s - self.refused.time_s > _READ_S:
                 self.refused = None
         elif isinstance(event, events.Hold):
-            self.hold, self.remaining_s = event, event.hold_s
+            self.remaining_s = event.hold_s
         elif isinstance(event, events.Holding):
             self.remaining_s = event.remaining_s
-        elif isinstance(event, events.Rejected):
-            self.refused = event
-        elif isinstance(event, events.Turn):
-            self.turn = event
         elif isinstance(event, (events.LinkLost, events.LinkBack)):
             self.link, self.link_paused = isinstance(event, events.LinkBack), True
 
@@ -147,6 +165,8 @@ class Screen:
 
 def _accepted(event: events.Accepted) -> str:
     """Return one short line; the panel of positions shows the rest."""
+    if event.suspect:
+        return sentence("screen.accepted_suspect", event=event, suspect=suspect_words(event))
     off_m_s2 = event.leave_one_out_m_s2
     fits = "" if off_m_s2 is None else f", {sentence('screen.off_fit', off_mg=off_m_s2 / MILLI_G_M_S2)}"
     return sentence("screen.accepted_in_hand" if event.held else "screen.accepted", event=event, fits=fits)
@@ -187,7 +207,11 @@ def instruct(screen: Screen, snapshot: Snapshot) -> Instruction:
         return Instruction("HOLD STILL", place + " (in the hand)" * snapshot.in_hand, "bold yellow", ("HOLD", left))
     if state is State.ROLLING and turn is not None:
         return Instruction("ROLL", turn.words, "bold cyan", ("ROLL", f"{'+' if turn.sense > 0 else '-'}{turn.axis}"))
-    if state is State.RESTING:
+    if state is State.RESTING and (accepted := screen.accepted) is not None:
+        if accepted.suspect:
+            off_mg = (accepted.leave_one_out_m_s2 or 0.0) / MILLI_G_M_S2
+            details = sentence("screen.suspect", position=accepted.position, off_mg=off_mg, target=target)
+            return Instruction("SUSPECT - PRESS R", details, "bold red", ("PRESS", "R"))
         return Instruction("GOOD - TURN", target, "bold green", ("GOOD", side))
     return Instruction("TURN", target, "bold cyan", ("TURN", side))
 
@@ -201,43 +225,77 @@ def draw(
     ascii_only: bool = False,
     size: tuple[int, int] = (WIDTH, HEIGHT),
 ) -> RenderableType:
-    """Return the whole screen; what the window (columns, lines) has beyond the least size is for messages."""
+    """Return the whole screen for a window (columns, lines) of ``WIDTH`` by ``HEIGHT`` at least."""
+    columns, lines = size
+    wide = columns >= _WIDE
+    right_width = min(int(_LOG_SHARE * columns), _LOG_WIDTH) if wide else _MAP_WIDTH
+    left_width = columns - right_width if wide else WIDTH - right_width
+    traces = 0 if lines < _TRACES_FROM[not wide] else 6 * max(lines // _LINES_FOR_TRACE_ROW, 2) + 2
+    guide_height = lines - 2 - traces if wide else _PANEL_HEIGHT
+    title = f"{scheme.name}: {_done(snapshot)}"
+    picture = _pictures_and_bars(screen, snapshot, link.cable, (left_width - 4, guide_height - 2), ascii_only=ascii_only)
+    map_height = _map_shape(scheme)[0] + 6 if wide else guide_height
+    positions = Group(_map(snapshot, scheme), _dim("screen.legend"), _dim("screen.legend_again"), *_known(snapshot.forecast))
+    left, right = [_panel(picture, title, guide_height)], [_panel(positions, "positions", map_height)]
+    below: list[RenderableType] = [_link_line(screen, snapshot, link, columns)]
+    signals: list[RenderableType] = []
+    if traces:
+        drawn = _traces(snapshot, (left_width if wide else WIDTH) - 4, traces - 2, ascii_only=ascii_only)
+        signals = [_panel(drawn, signals_title(snapshot.signals), traces)]
+    if wide:
+        left += signals
+        log = _messages(screen, lines - 4 - map_height, right_width - 4)
+        right.append(_panel(Group(*log), "log", lines - 2 - map_height))
+    else:
+        below += [*_messages(screen, lines - guide_height - traces - 2, columns), *signals]
+    middle = Table.grid(padding=0, expand=False)
+    middle.add_column(width=left_width)
+    middle.add_column(width=right_width)
+    middle.add_row(Group(*left), Group(*right))
+    return Group(middle, *below, _keys(columns))
+
+
+def _panel(content: RenderableType, title: str, height: int) -> RenderableType:
+    return Panel(content, box=ROUNDED, title=title, title_align="left", height=height)
+
+
+def _pictures_and_bars(
+    screen: Screen, snapshot: Snapshot, cable: str | None, size: tuple[int, int], *, ascii_only: bool
+) -> RenderableType:
+    """Return what to do, how the unit is held and should be, and how still it is, in a number of columns and lines."""
+    width, height = size
     now = instruct(screen, snapshot)
-    details = textwrap.wrap(now.details, _LEFT_WIDTH - 4, max_lines=_DETAIL_ROWS, placeholder="...", break_on_hyphens=False)
-    left = Group(
+    details = textwrap.wrap(now.details, width, max_lines=_DETAIL_ROWS, placeholder="...", break_on_hyphens=False)
+    one = ((width - 2) // 2, height - 1 - _DETAIL_ROWS - _BAR_ROWS)
+    return Group(
         Text(" ".join(now.headline), style=now.style, no_wrap=True),
         Text("\n".join([*details, *[""] * (_DETAIL_ROWS - len(details))]), no_wrap=True),
-        _pictures(screen, snapshot, link.cable, ascii_only=ascii_only),
-        _bars(screen, snapshot),
+        _pictures(screen, snapshot, cable, one, ascii_only=ascii_only),
+        _bars(screen, snapshot, width - _BESIDE_BAR),
     )
-    right = Group(_map(snapshot, scheme), _dim("screen.legend"), *_known(snapshot.forecast))
-    middle = Table.grid(padding=0, expand=False)
-    middle.add_column(width=_LEFT_WIDTH)
-    middle.add_column(width=_MAP_WIDTH)
-    middle.add_row(
-        *(
-            Panel(content, box=ROUNDED, title=title, title_align="left", height=_PANEL_HEIGHT)
-            for content, title in ((left, f"{scheme.name}: {_done(snapshot)}"), (right, "positions"))
-        )
-    )
-    messages = _messages(screen, _MESSAGES + size[1] - HEIGHT, size[0])
-    return Group(middle, _link_line(screen, snapshot, link), *messages, _keys(size[0]))
 
 
-def draw_big(screen: Screen, snapshot: Snapshot, link: LinkState) -> RenderableType:
-    """Return the screen in letters to be read from three metres."""
+def _traces(snapshot: Snapshot, width: int, height: int, *, ascii_only: bool) -> RenderableType:
+    lines = [] if snapshot.signals is None else draw_signals(snapshot.signals, width, height, ascii_only=ascii_only)
+    return Text("\n".join(lines), no_wrap=True, overflow="crop")
+
+
+def draw_big(screen: Screen, snapshot: Snapshot, link: LinkState, size: tuple[int, int] = (WIDTH, HEIGHT)) -> RenderableType:
+    """Return the screen in letters to be read from three metres; from farther in a larger window."""
+    width, height = size
     now = instruct(screen, snapshot)
-    first, second = (big_lines(word, WIDTH) for word in now.big)
-    text = f"{now.headline}: {now.details}"
+    times = max(1, min(width // WIDTH, (height - HEIGHT) // (2 * ROWS) + 1))
+    first, second = (big_lines(word, width, times) for word in now.big)
+    messages = _BIG_MESSAGES + height - HEIGHT - 2 * ROWS * (times - 1)
     return Group(
         *(Text(line, style=now.style, no_wrap=True) for line in (*first, "", *second)),
         Text(),
-        Text(text if len(text) <= WIDTH else f"{text[: WIDTH - 3]}...", no_wrap=True, overflow="crop"),
+        Text(textwrap.shorten(f"{now.headline}: {now.details}", width, placeholder="..."), no_wrap=True, overflow="crop"),
         Text.assemble(" still ", _stillness_bar(snapshot), "  hold ", bar(snapshot.fraction, "green"), f"  {_done(snapshot)}"),
         Text(),
-        _link_line(screen, snapshot, link),
-        *_messages(screen, _BIG_MESSAGES, WIDTH),
-        _keys(WIDTH),
+        _link_line(screen, snapshot, link, width),
+        *_messages(screen, messages, width),
+        _keys(width),
     )
 
 
@@ -251,18 +309,19 @@ def draw_small(
         Text(now.headline, style=now.style, no_wrap=True),
         *(Text(line, no_wrap=True) for line in textwrap.wrap(now.details, width, break_on_hyphens=False)),
         Text(_done(snapshot)),
-        _link_line(screen, snapshot, link),
+        _link_line(screen, snapshot, link, width),
     ]
     # What to do and the newest words stand whole before there are bars, and these before there are pictures.
     room = height - len(lines) - 1
     needed = len(messages[0] if messages else [])
     if room >= _BAR_ROWS + needed:
-        lines.append(_bars(screen, snapshot))
+        lines.append(_bars(screen, snapshot, _BAR_WIDTH))
         room -= _BAR_ROWS
-    if room >= _PICTURE_HEIGHT + needed and width >= 2 * _PICTURE_WIDTH + 2:
-        lines.insert(-2, _pictures(screen, snapshot, link.cable, ascii_only=ascii_only))
-        room -= _PICTURE_HEIGHT
+    if room >= _PICTURE_SIZE[1] + needed and width >= 2 * _PICTURE_SIZE[0] + 2:
+        lines.insert(-2, _pictures(screen, snapshot, link.cable, _PICTURE_SIZE, ascii_only=ascii_only))
+        room -= _PICTURE_SIZE[1]
     newest = _newest(messages, room)[: max(room, 0)]
+    newest += [""] * (room - len(newest))
     return Group(*lines, *(Text(line, no_wrap=True) for line in newest), _keys(width))
 
 
@@ -278,35 +337,36 @@ def _done(snapshot: Snapshot) -> str:
     return f"{len(snapshot.accepted)} of {snapshot.planned} done"
 
 
-def _pictures(screen: Screen, snapshot: Snapshot, cable: str | None, *, ascii_only: bool) -> Text:
-    """Return two boxes side by side: how the unit is held, and how it should be."""
-    now: list[str] = [""] * _PICTURE_HEIGHT
+def _pictures(screen: Screen, snapshot: Snapshot, cable: str | None, size: tuple[int, int], *, ascii_only: bool) -> Text:
+    """Return two boxes of a size side by side: how the unit is held, and how it should be."""
+    width, height = size
+    now: list[str] = [""] * height
     goal = list(now)
     if snapshot.direction is not None:
         screen.attitude = turn_shortest(screen.attitude, np.array(snapshot.direction))
-        now = draw_box(screen.attitude, _PICTURE_WIDTH, _PICTURE_HEIGHT, cable=cable, ascii_only=ascii_only)
+        now = draw_box(screen.attitude, width, height, cable=cable, ascii_only=ascii_only)
     if snapshot.target_direction is not None and snapshot.state is not State.HOLDING:
         wanted = turn_shortest(screen.attitude, np.array(snapshot.target_direction))
-        goal = draw_box(wanted, _PICTURE_WIDTH, _PICTURE_HEIGHT, cable=cable, ascii_only=ascii_only)
+        goal = draw_box(wanted, width, height, cable=cable, ascii_only=ascii_only)
     text = Text(no_wrap=True)
     shows_goal = any(goal)
-    for row in range(_PICTURE_HEIGHT):
-        between = "->" if shows_goal and row == _PICTURE_HEIGHT // 2 else "  "
-        left, right = now[row].ljust(_PICTURE_WIDTH), goal[row].ljust(_PICTURE_WIDTH)
+    for row in range(height):
+        between = "->" if shows_goal and row == height // 2 else "  "
+        left, right = now[row].ljust(width), goal[row].ljust(width)
         if row == 0:
             # In the corner, where nothing is drawn there.
             left = left if left[:4].strip() else f"now {left[4:]}"
             right = right if right[:4].strip() else f"goal{right[4:]}"
         text.append(left).append(between, style="bold").append(right if shows_goal else "", style="cyan")
-        text.append("\n" if row < _PICTURE_HEIGHT - 1 else "")
+        text.append("\n" if row < height - 1 else "")
     return text
 
 
-def _bars(screen: Screen, snapshot: Snapshot) -> RenderableType:
+def _bars(screen: Screen, snapshot: Snapshot, width: int) -> RenderableType:
     """Return three bars, and what moves most against its limit, in words and physical units."""
     table = Table.grid(padding=(0, 1))
     table.add_column(width=9, no_wrap=True)
-    table.add_column(width=_BAR_WIDTH, no_wrap=True)
+    table.add_column(width=width, no_wrap=True)
     table.add_column(no_wrap=True)
     turning = snapshot.state is State.TURNING and math.isfinite(screen.angle_deg)
     holding = snapshot.state is State.HOLDING
@@ -314,11 +374,11 @@ def _bars(screen: Screen, snapshot: Snapshot) -> RenderableType:
     left = f"{screen.remaining_s:.0f} s left" if holding and math.isfinite(screen.remaining_s) else ""
     # At the target it stays full, and it is drawn with another sign than the hold's.
     there = 1 - screen.angle_deg / 180 if turning else float(holding)
-    table.add_row("to target", bar(there, "cyan", sign="="), angle)
-    table.add_row("hold", bar(snapshot.fraction if holding else 0.0, "green"), left)
+    table.add_row("to target", bar(there, "cyan", width, sign="="), angle)
+    table.add_row("hold", bar(snapshot.fraction if holding else 0.0, "green", width), left)
     activity = snapshot.activity
     state = "" if activity is None else "still" if activity.ratio <= 1 else "moving"
-    table.add_row("stillness", _stillness_bar(snapshot), state)
+    table.add_row("stillness", _stillness_bar(snapshot, width), state)
     if activity is None:
         return Group(table, Text())
     measured, limit = quantities(activity.measured, activity.limit, activity.unit)
@@ -328,17 +388,17 @@ def _bars(screen: Screen, snapshot: Snapshot) -> RenderableType:
     return Group(table, _dim("screen.cause", **cause))
 
 
-def bar(fraction: float, style: str, sign: str = "#") -> Text:
+def bar(fraction: float, style: str, width: int = _BAR_WIDTH, *, sign: str = "#") -> Text:
     """Return a bar that reads without colour."""
-    full = round(min(max(fraction, 0.0), 1.0) * _BAR_WIDTH)
-    return Text(sign * full, style=style).append("." * (_BAR_WIDTH - full), style="dim")
+    full = round(min(max(fraction, 0.0), 1.0) * width)
+    return Text(sign * full, style=style).append("." * (width - full), style="dim")
 
 
-def _stillness_bar(snapshot: Snapshot) -> Text:
+def _stillness_bar(snapshot: Snapshot, width: int = _BAR_WIDTH) -> Text:
     """Return activity against the limit, which stands in the middle of the bar."""
     ratio = 0.0 if snapshot.activity is None else snapshot.activity.ratio
-    shown = bar(ratio / 2, "green" if ratio <= 1 else "red")
-    middle = _BAR_WIDTH // 2
+    shown = bar(ratio / 2, "green" if ratio <= 1 else "red", width)
+    middle = width // 2
     return Text.assemble(shown[:middle], "|", shown[middle + 1 :])
 
 
@@ -357,14 +417,13 @@ def _known(forecast: dict[str, float] | None) -> list[Text]:
 def _map(snapshot: Snapshot, scheme: Scheme) -> RenderableType:
     """Return the positions in groups by their names, not in the order asked for."""
     names = sorted((position.name for position in scheme.positions), key=_natural)
-    width = max(len(name) for name in names) + 4
-    columns = max(1, (_MAP_WIDTH - 3) // width)
-    rows = min(math.ceil(len(names) / columns), _MAP_ROWS)
+    rows, columns, width = _map_shape(scheme)
     # The first that applies.
     signs = (
         ("@", "bold yellow", (snapshot.position,)),
         (">", "bold cyan", (snapshot.target,)),
         ("-", "dim", snapshot.skipped),
+        ("r", "bold yellow", snapshot.again),
         ("?", "bold red", snapshot.suspects),
         ("x", "green", snapshot.accepted),
         (" ", "", names),
@@ -379,13 +438,21 @@ def _map(snapshot: Snapshot, scheme: Scheme) -> RenderableType:
     return table
 
 
+def _map_shape(scheme: Scheme) -> tuple[int, int, int]:
+    """Return rows and columns of the map, and their width; the same in every window: a turn about one axis stays together."""
+    width = max(len(position.name) for position in scheme.positions) + 4
+    columns = max(1, (_MAP_WIDTH - 3) // width)
+    return min(math.ceil(len(scheme) / columns), _MAP_ROWS), columns, width
+
+
 def _natural(name: str) -> tuple[int, str, int]:
     """Sort key: x+45 before x+135, faces before corners, +x (2) after +x."""
     turn = re.fullmatch(r"([xyz])\+(\d+)", name)
     return (0, turn[1], int(turn[2])) if turn else (len(name.split(maxsplit=1)[0]), name, 0)
 
 
-def _link_line(screen: Screen, snapshot: Snapshot, state: LinkState) -> Text:
+def _link_line(screen: Screen, snapshot: Snapshot, state: LinkState, width: int) -> Text:
+    """Return the state of the link, from the left as much as there is room for."""
     arrives = screen.link and not state.silent
     rate = f"{snapshot.rate_hz:.0f} Hz" if arrives and math.isfinite(snapshot.rate_hz) else "- Hz"
     lost = f"{state.lost_samples} samples lost" if state.lost_samples is not None else f"{snapshot.lost_cells} gaps"
@@ -393,7 +460,10 @@ def _link_line(screen: Screen, snapshot: Snapshot, state: LinkState) -> Text:
         lost += ", pauses not counted"
     warmth = f"{snapshot.temperature_degc:.1f} degC" if math.isfinite(snapshot.temperature_degc) else "no temperature"
     link = "link ok" if arrives else sentence("screen.nothing_arrives") if screen.link else "LINK LOST"
-    return Text(f" {link}   {rate}   {lost}   {warmth}", style="bold" if arrives else "bold red", no_wrap=True)
+    text = f" {link}"
+    for part in (rate, lost, warmth):
+        text += f"   {part}" if len(text) + 3 + len(part) <= width else ""
+    return Text(text, style="bold" if arrives else "bold red", no_wrap=True)
 
 
 def _messages(screen: Screen, count: int, width: int) -> list[Text]:

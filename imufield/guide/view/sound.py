@@ -27,6 +27,7 @@ import numpy as np
 
 from imufield.guide import events
 from imufield.guide.events import Event, RefusalCode, Topic
+from imufield.guide.view.plain import said_once
 from imufield.samples import AXES
 
 RATE_HZ = 22050  # Every sound card plays it.
@@ -97,6 +98,8 @@ def heard(event: Event) -> tuple[Cue | None, str | None]:
         return Cue.REFUSED, _SPOKEN_REFUSALS.get(event.reason, "refused, see the screen")
     if isinstance(event, events.Advice) and event.topic is Topic.DOUBTFUL:
         return Cue.REFUSED, None
+    if isinstance(event, events.Accepted) and event.suspect:
+        return Cue.REFUSED, "suspect, again"
     return _HEARD.get(type(event), (None, None))
 
 
@@ -123,7 +126,7 @@ class SoundView:
 
     def show(self, events: list[Event]) -> None:
         """Play and speak events; returns at once."""
-        sounds = [(cue, None if self._speak is None else words) for cue, words in map(heard, events)]
+        sounds = [(cue, None if self._speak is None else words) for cue, words in map(heard, said_once(events))]
         sounds = [(cue, words) for cue, words in sounds if cue is not None or words is not None]
         if sounds:
             # Late sounds mislead: what does not fit is left out.

@@ -120,7 +120,7 @@ class TerminalView:
         if width < WIDTH or height < HEIGHT:
             picture = draw_small(self._screen, snapshot, link, width=width, height=height, ascii_only=ascii_only)
         elif self.big:
-            picture = draw_big(self._screen, snapshot, link)
+            picture = draw_big(self._screen, snapshot, link, (width, height))
         else:
             picture = draw(self._screen, snapshot, self._scheme, link, ascii_only=ascii_only, size=(width, height))
         self._live.update(picture, refresh=True)

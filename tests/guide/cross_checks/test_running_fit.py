@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from imufield.calibrate.model.models import predict
-from imufield.guide.cross_checks.running_fit import FEWEST, SUSPECT_M_S2, SUSPECT_SHARE, running_fit
+from imufield.guide.cross_checks.running_fit import EXPECTED_FREEDOM, FEWEST, SUSPECT_M_S2, SUSPECT_SHARE, running_fit
 from imufield.guide.hold.observe import Observation
 from imufield.guide.positions import scheme
 from imufield.guide.stillness.scale import RoughScale
@@ -77,6 +77,21 @@ def test_a_bumped_position_is_found_and_no_other(grade: str, seed: int) -> None:
     assert not any(one.is_suspect for one in running_fit(observations(grade, seed), SI, G).disagreements())
 
 
+@pytest.mark.parametrize("grade", ["mems", "tactical"])
+@pytest.mark.parametrize(("place", "most_later"), [(8, 6), (10, 4), (12, 4), (14, 0), (16, 0), (20, 0)])
+def test_a_bump_is_found_as_soon_as_degrees_of_freedom_are_spare(grade: str, place: int, most_later: int) -> None:
+    """5.8 mg in the hold of that number, in the order proposed: nine parameters and a hold to spare, and no good one named."""
+    some = observations(grade, 1)
+    some[place - 1] = replace(some[place - 1], mean_raw=some[place - 1].mean_raw * (1 + 5.8e-3))
+    suspects: list[str] = []
+    for count in range(max(place, FEWEST), place + most_later + 1):
+        fit = running_fit(some[:count], SI, G)
+        assert fit is not None
+        suspects = [one.name for one in fit.disagreements() if one.is_suspect]
+        assert set(suspects) <= {f"p{place - 1}"}
+    assert suspects
+
+
 def test_what_only_the_prior_says_is_not_forecast() -> None:
     """Faces tell scale and bias, not angles; the plain words say so of what is left out."""
     some = observations("mems", 2)
@@ -119,11 +134,12 @@ def test_few_positions_need_a_larger_disagreement() -> None:
     from scipy.special import stdtrit
 
     fit = running_fit(observations("tactical", 6), SI, G)
-    weighted = fit.jacobian / fit.sigma_m_s2[:, None]
-    freedom = 24 - np.trace(weighted @ fit.covariance @ weighted.T)
+    weighted = fit.jacobian / fit.expected_m_s2[:, None]
+    information = weighted.T @ weighted
+    freedom = 24 - np.trace(information @ np.linalg.inv(information + np.diag(fit.prior_sigma**-2.0)))
     assert 10 < freedom < 16
     (limit,) = {one.limit_sigmas for one in fit.disagreements()}
-    assert limit == pytest.approx(max(stdtrit(3 + freedom - 1, 1 - SUSPECT_SHARE / 2), 5.0), rel=0.01)
+    assert limit == pytest.approx(max(stdtrit(EXPECTED_FREEDOM + freedom - 1, 1 - SUSPECT_SHARE / 2), 5.0), rel=0.01)
     few = running_fit(observations("tactical", 6)[:8], SI, G)
     assert few.disagreements()[0].limit_sigmas > 10
 

@@ -12,10 +12,11 @@ import pytest
 
 from imufield.calibrate.accelerometer.drift import MOST_CONFUSION
 from imufield.guide import refusals
-from imufield.guide.events import Accepted, Advice, Done, Event, Move, RefusalCode, Rejected, Topic
+from imufield.guide.events import Accepted, Advice, Done, Event, Hold, Move, RefusalCode, Rejected, Topic
 from imufield.guide.lead.guide import Guide
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.positions import scheme
+from imufield.guide.view.plain import PlainView
 from imufield.samples import Samples
 from imufield.sentences import Sentences
 from imufield.simulate.truth.grades import TACTICAL, perfect_instrument
@@ -134,6 +135,62 @@ def test_a_position_that_disagrees_is_named_and_asked_for_again(make_path: Any) 
     assert [event.position for event in of(events, Accepted) if event.replaces] == [name]
     assert guide.done
     assert guide.snapshot().suspects == ()
+
+
+def test_a_bump_is_a_suspect_in_the_line_that_accepts_it_and_on_the_map(make_path: Any) -> None:
+    """The 18th hold of a session is bumped: suspect at once, no other, and ``r`` shows until it is measured again."""
+    name = scheme("corners24").positions[17].name
+    samples = corners(make_path, spoil=17, again=(17,))
+    guide = Guide(scheme("corners24"), samples.units, settings=GuideSettings(hold_s=3.0))
+    told: list[str] = []
+    view, suspects, again = PlainView(told.append), [], []
+    taken: list[Accepted] = []
+    for start in range(0, len(samples), 20):
+        new = guide.feed(samples[start : start + 20])
+        view.show(new)
+        taken += of(new, Accepted)
+        if any(event.suspect for event in of(new, Accepted)):
+            assert guide.snapshot().suspects == (name,)
+            # Programs hear of it as before, a person once.
+            assert [event.position for event in of(new, Advice) if event.topic is Topic.DOUBTFUL] == [name]
+        suspects += [one for one in guide.snapshot().suspects if one not in suspects]
+        if taken and taken[-1].position == scheme("corners24").positions[20].name and not again:
+            view.show(guide.mark("retake", float("nan")))
+            again = [*guide.snapshot().again]
+    assert suspects == again == [name]
+    assert [event.position for event in taken if event.suspect] == [name]
+    # What the others show of good holds is not what the bump makes of them.
+    assert all(abs(event.leave_one_out_m_s2 or 0.0) < 0.5e-3 * 9.8 for event in taken[9:] if not event.suspect)
+    assert guide.snapshot().again == guide.snapshot().suspects == ()
+    assert guide.done
+    lines = [line for line in told if "moved or bumped" in line or "SUSPECT" in line]
+    assert len(lines) == 1
+    assert f"accepted {name}: SUSPECT" in lines[0]
+    assert "press r" in lines[0]
+
+
+def test_skip_during_a_hold_ends_it_and_skips_its_position(make_path: Any) -> None:
+    """The unit is held at another position than the one proposed; where it lies, nothing begins before it is moved."""
+    path = make_path(100.0).hold([0, 0, 1], 5).turn([0, -1, 0], 1.5).hold([0, -1, 0], 12).turn([1, 0, 0], 1.5)
+    samples = path.hold([1, 0, 0], 6).samples()
+    guide = Guide(scheme("faces6"), samples.units, settings=GuideSettings(hold_s=4.0))
+    events = guide.feed(samples[:800])
+    assert guide.snapshot().position == "-y"
+    assert guide.snapshot().target != "-y"
+    events += guide.mark("skip", guide.time_s) + guide.feed(samples[800:])
+    assert [event.position for event in of(events, Accepted)] == ["+z", "+x"]
+    assert guide.snapshot().skipped == ("-y",)
+    assert [event.position for event in of(events, Hold)] == ["+z", "-y", "+x"]
+    assert not of(events, Rejected)
+
+
+def test_a_skip_undone_measures_where_the_unit_lies(make_path: Any) -> None:
+    samples = make_path(100.0).hold([0, 0, 1], 20).samples()
+    guide = Guide(scheme("faces6"), samples.units, settings=GuideSettings(hold_s=4.0))
+    events = guide.feed(samples[:350]) + guide.mark("skip", guide.time_s) + guide.feed(samples[350:1000])
+    assert not of(events, Accepted)
+    events = guide.mark("undo", guide.time_s) + guide.feed(samples[1000:])
+    assert [event.position for event in of(events, Accepted)] == ["+z"]
 
 
 def test_a_doubt_that_no_longer_stands_is_withdrawn_aloud(make_path: Any) -> None:

@@ -10,7 +10,18 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from imufield.guide.events import EVENT_VERSION, EVENTS, Hold, LinkBack, LinkLost, RefusalCode, Rejected, Turning
+from imufield.guide.events import (
+    EVENT_VERSION,
+    EVENTS,
+    Accepted,
+    Hold,
+    LinkBack,
+    LinkLost,
+    Marked,
+    RefusalCode,
+    Rejected,
+    Turning,
+)
 from imufield.guide.lead.guide import Guide
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.positions import SCHEMES, scheme
@@ -46,12 +57,17 @@ def open_nothing() -> Any:
     return StringIO()
 
 
-def shown(session: Any, until_s: Any) -> Any:
-    screen = Screen()
-    played = list(session(until_s))
-    for events, _ in played:
+def followed(session: Any, until_s: Any) -> Any:
+    """Return the screen that has followed a session until then, and its guide."""
+    screen, guide = Screen(), None
+    for events, now in session(until_s):
         screen.follow(events)
-    return picture(screen, played[-1][1])
+        guide = now
+    return screen, guide
+
+
+def shown(session: Any, until_s: Any) -> Any:
+    return picture(*followed(session, until_s))
 
 
 def test_every_event_has_a_line_and_a_dictionary(session: Any) -> None:
@@ -252,8 +268,9 @@ def test_instruction_reason_and_remedy_are_whole_in_every_window(session: Any, w
     console = Console(width=width, height=height, file=drawn, force_terminal=True, color_system=None)
     with TerminalView(scheme("faces6"), console) as view:
         view.show([refused(RefusalCode.AXES, words, LONG)], guide.snapshot())
-    text = " ".join(re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", drawn.getvalue()).split())
-    assert f"{words}; {LONG}" in text
+    shown = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", drawn.getvalue())
+    left = (line.split("││")[0].strip("│") for line in shown.splitlines())
+    assert f"{words}; {LONG}" in " ".join(" ".join(left).split())
 
 
 def test_a_large_window_shows_more_messages(session: Any) -> None:
@@ -265,6 +282,74 @@ def test_a_large_window_shows_more_messages(session: Any) -> None:
     text = console.export_text()
     assert all(f"number {i}" in text for i in range(8))
     assert len(text.splitlines()) <= 45
+
+
+SIZES = [(60, 20), (80, 24), (80, 50), (100, 24), (120, 40), (200, 60)]
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
+@pytest.mark.parametrize("until_s", [1.0, 3.35, 5.0, 6.8, 12.5])
+def test_every_window_is_filled_and_nothing_is_cut(session: Any, size: tuple[int, int], encoding: str, until_s: float) -> None:
+    drawn = TextIOWrapper(BytesIO(), encoding=encoding, errors="strict")
+    console = Console(width=size[0], height=size[1], file=drawn, force_terminal=True, color_system=None)
+    screen, guide = followed(session, until_s)
+    snapshot = guide.snapshot()
+    with TerminalView(scheme("faces6"), console) as view:
+        view._screen = screen
+        view.show([], snapshot)
+    drawn.flush()
+    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", drawn.buffer.getvalue().decode(encoding))
+    lines = text.splitlines()
+    assert len(lines) <= size[1]
+    assert max(map(len, lines)) <= size[0]
+    assert "\u2026" not in text
+    assert any("q quit" in line for line in lines[-2:])
+    headline = instruct(screen, snapshot).headline
+    assert headline in text or " ".join(headline) in text
+    if size[0] >= WIDTH:
+        # Every line of the window has something to show, but for those of the log at the beginning.
+        assert len(lines) == size[1]
+    assert ("signals: " in text) == (size[1] >= 40)
+    assert ("gyro z" in text) == (size[1] >= 40) or "gyro z)" in text
+    assert (" log " in text) == (size[0] >= 100)
+
+
+def test_the_pictures_grow_with_the_window(session: Any) -> None:
+    screen, guide = followed(session, 6.8)
+    dots = []
+    for size in ((80, 24), (120, 40), (200, 60)):
+        console = Console(width=size[0], height=size[1], record=True, file=open_nothing())
+        snapshot = replace(guide.snapshot(), signals=None)
+        console.print(draw(screen, snapshot, guide.plan.scheme, LinkState(0), size=size))
+        dots.append(len(re.findall("[\u2800-\u28ff]", console.export_text())))
+    assert dots[1] > 1.5 * dots[0]
+    assert dots[2] > 1.5 * dots[1]
+
+
+def test_a_suspect_is_said_instead_of_good(session: Any) -> None:
+    played = list(session(5.0))
+    good = next(event for some, _ in played for event in some if isinstance(event, Accepted))
+    snapshot = played[-1][1].snapshot()
+    screen = Screen()
+    screen.follow([good])
+    assert instruct(screen, snapshot).big[0] == "GOOD"
+    screen.follow([replace(good, suspect=True, leave_one_out_m_s2=0.057)])
+    now = instruct(screen, snapshot)
+    assert now.big == ("PRESS", "R")
+    assert "+5.81 mg" in now.details
+    assert "SUSPECT" in screen.messages[-1]
+    # What the operator answers is what the screen speaks of next.
+    screen.follow([Marked(9.0, "retake", "+z", "")])
+    assert instruct(screen, snapshot).headline == "TURN"
+
+
+@pytest.mark.parametrize(("kind", "sign"), [("suspects", "?"), ("again", "r"), ("skipped", "-")])
+def test_the_map_marks_what_is_to_be_done_about_a_position(session: Any, kind: str, sign: str) -> None:
+    guide = list(session(9.0))[-1][1]
+    console = Console(width=WIDTH, height=HEIGHT, record=True, file=open_nothing())
+    console.print(draw(Screen(), replace(guide.snapshot(), **{kind: ("+z",)}), guide.plan.scheme, LinkState(0)))
+    assert f"[{sign}]+z" in console.export_text()
 
 
 def test_without_a_link_nothing_old_is_shown(session: Any) -> None:
@@ -329,9 +414,9 @@ SNAPSHOT = """\
 ╭─ faces6: 1 of 6 done ──────────────────────╮╭─ positions ────────────────────╮
 │ G O O D   -   T U R N                      ││ [ ]+x [x]+z [ ]-y              │
 │ +y: +y up, standing on the -y face         ││ [>]+y [ ]-x [ ]-z              │
-│                                            ││ x done > next @ here ? suspect │
-│                                            ││ accuracy: from position 4 on   │
-│ now                   goal                 ││                                │
+│                                            ││ x done > next @ here           │
+│                                            ││ ? suspect r repeat - skipped   │
+│ now                   goal                 ││ accuracy: from position 4 on   │
 │          ⢀⣀⡠⠤⡀              ⢀⣀⡠⠤⠔⠒⠊⠑⠢⢄⡀    ││                                │
 │    ⣀⠤⠤⠒⠒⠉+z  ⠈⠑⠤⣀        ⢰⠮⣉⠁ ⣀+y⠤⠒⠒⠉⠁⡇    ││                                │
 │    ⡏⠑⠢⣀  ⣀⣀⠤⠤⠒⠊⠉⢹        ⢸  ⢹⠉        ⡇    ││                                │

@@ -1,0 +1,80 @@
+"""The live feed of a session: where up is, and the six signals of the last half minute, whoever draws them.
+
+It keeps the cells that the guide has anyway, and works them out only when somebody looks.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from imufield.guide.stillness.cells import CELL_S, Cells, cells_in, join_cells
+from imufield.guide.stillness.scale import RoughScale
+from imufield.samples import FloatArray
+
+SPAN_S = 30.0
+"""Time that the feed reaches back."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Signals:
+    """Accelerometer x, y, z and gyroscope x, y, z in blocks of 0.1 s, the newest last.
+
+    Attributes
+    ----------
+    age_s : ndarray, shape (n,)
+        Time from each block to the newest; samples that are missing leave a gap.
+    mean, low, high : ndarray, shape (n, 6)
+        Of each block, NaN where nothing usable arrived; rough, as the calibration is not known yet.
+    units : tuple of str
+        Of both triads: m/s^2 and rad/s, or "raw unit" where the scale is not known.
+    """
+
+    age_s: FloatArray
+    mean: FloatArray
+    low: FloatArray
+    high: FloatArray
+    units: tuple[str, str]
+
+
+class LiveFeed:
+    """The newest cells of a session, no more than ``SPAN_S``."""
+
+    def __init__(self) -> None:
+        self._blocks: deque[Cells] = deque()
+        self._count = 0
+
+    def add(self, cells: Cells) -> None:
+        """Append cells."""
+        cells = cells[-cells_in(SPAN_S) :]
+        self._blocks.append(cells)
+        self._count += len(cells)
+        while self._count - len(self._blocks[0]) >= cells_in(SPAN_S):
+            self._count -= len(self._blocks.popleft())
+
+    def newest(self, count: int) -> Cells | None:
+        """Return a number of cells at most, None before the first."""
+        return join_cells([*self._blocks][-count:])[-count:] if self._blocks else None
+
+    def up(self, scale: RoughScale) -> FloatArray:
+        """Return where up is in the body by the newest cell, unit vector (3,), NaN while not known."""
+        if not self._blocks or not scale.accelerometer:
+            return np.full(3, np.nan)
+        return scale.up(self._blocks[-1].mean[-1, :3])
+
+    def signals(self, scale: RoughScale) -> Signals | None:
+        """Return the six signals in the units of a scale, None before the first."""
+        if not self._blocks:
+            return None
+        slot = np.concatenate([block.slot for block in self._blocks])[-cells_in(SPAN_S) :]
+        # A clock that was set back leaves cells of the future.
+        kept = slot <= slot[-1]
+        (_, force_unit, force), (_, rate_unit, rate) = scale.triads
+        zero, factor = np.append(scale.raw_zero, np.zeros(3)), np.repeat([force, rate], 3)
+        mean, low, high = (
+            (np.concatenate([getattr(block, name) for block in self._blocks])[-len(slot) :][kept] - zero) / factor
+            for name in ("mean", "low", "high")
+        )
+        return Signals(age_s=(slot[-1] - slot[kept]) * CELL_S, mean=mean, low=low, high=high, units=(force_unit, rate_unit))
