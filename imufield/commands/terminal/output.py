@@ -15,6 +15,7 @@ from imufield.acquire.link.host_clock import HostClock, ScaledClock, SystemClock
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import UsageError
 from imufield.files import open_to_read, refuse_overwriting, typed_write_errors, write_atomically
+from imufield.progress import hidden
 from imufield.sentences import Sentences, printable, printable_lines
 
 sentence = Sentences(__package__)
@@ -87,13 +88,15 @@ def echo(text: str = "", *, begin: str = "", end: str = "\n", err: bool = False)
 
     What controls a terminal in ``text`` came from somebody else and is shown instead; ``begin`` and ``end`` are ours.
     """
-    typer.echo(f"{begin}{printable_lines(text)}{end}", nl=False, err=err)
+    with hidden():
+        typer.echo(f"{begin}{printable_lines(text)}{end}", nl=False, err=err)
 
 
 def echo_path(path: Path) -> None:
     """Print a path alone: a script gets what it can open, a terminal what it can show."""
     text = str(path)
-    typer.echo(printable(text) if sys.stdout.isatty() else text)
+    with hidden():
+        typer.echo(printable(text) if sys.stdout.isatty() else text)
 
 
 def say(line: str, *, err: bool = False, indent: int = 0, color: str | None = None) -> None:
@@ -110,7 +113,8 @@ def say(line: str, *, err: bool = False, indent: int = 0, color: str | None = No
             break_long_words=False,
             break_on_hyphens=False,
         )
-    typer.echo(line if color is None else typer.style(line, fg=color), err=err)
+    with hidden():
+        typer.echo(line if color is None else typer.style(line, fg=color), err=err)
 
 
 def say_assumed(assumption: str) -> None:
