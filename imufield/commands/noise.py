@@ -13,7 +13,7 @@ from imufield.calibrate.noise.noise import NoiseResult, measure_noise
 from imufield.calibrate.noise.noise_fit import NoiseFigure
 from imufield.calibrate.noise.noise_texts import NoiseFormat, draw_plot, noise_text
 from imufield.commands.options.commands import NoiseOptions
-from imufield.commands.terminal.output import echo, say, write_output
+from imufield.commands.terminal.output import echo, say, say_each, write_output
 from imufield.deliver.parameters.document import noise_table
 from imufield.deliver.parameters.file import Noise, Parameters, load, write_document
 from imufield.deliver.parameters.numbers import beside
@@ -49,8 +49,7 @@ def run_noise(options: NoiseOptions) -> None:
     damage: list[Damage] = []
     with naming_damage(session, damage):
         result = measure_noise(session_samples(session, damage), nominal.accelerometer_scale, nominal.gyroscope_scale)
-    for entry in damage:
-        say(entry.what, err=True)
+    say_each((entry.what for entry in damage), err=True)
     if options.output is not None:
         write_output(options.output, noise_text(result, form).encode(), as_json=options.as_json)
     if options.plot is not None:
@@ -89,8 +88,7 @@ def _print(result: NoiseResult) -> None:
     rows = [(f"{sheet.triad[:3]} {sheet.title}", map(_in_short, figures), sheet.unit) for sheet, figures in result.data_sheet()]
     for title, cells, unit in [("as in data sheets", AXES, "unit"), *rows] if rows else ():
         echo(f"{title:<29}{''.join(f'{cell:>11}' for cell in cells)}   {unit}")
-    for sentence in (*result.sentences, *(sentence for axis in result.axes for sentence in axis.sentences)):
-        say(f" · {sentence}", indent=3)
+    say_each((*result.sentences, *(told for axis in result.axes for told in axis.sentences)), indent=3, begin=" · ")
 
 
 def _value_and_limits(figure: NoiseFigure) -> str:

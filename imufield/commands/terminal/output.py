@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import sys
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from imufield.deliver.parameters.numbers import beside
 from imufield.errors import UsageError
 from imufield.files import open_to_read, refuse_overwriting, typed_write_errors, write_atomically
 from imufield.progress import hidden
-from imufield.sentences import Sentences, printable, printable_lines
+from imufield.sentences import Sentences, folded, printable, printable_lines
 
 sentence = Sentences(__package__)
 
@@ -115,6 +115,12 @@ def say(line: str, *, err: bool = False, indent: int = 0, color: str | None = No
         )
     with hidden():
         typer.echo(line if color is None else typer.style(line, fg=color), err=err)
+
+
+def say_each(sentences: Iterable[str], *, err: bool = False, indent: int = 0, begin: str = "") -> None:
+    """Print a list of sentences, of many of a kind the worst."""
+    for line in folded(sentences):
+        say(f"{begin}{line}", err=err, indent=indent)
 
 
 def say_assumed(assumption: str) -> None:
