@@ -109,9 +109,12 @@ def _visits(path: Path) -> Iterable[Visit]:
     """Return the poses of a file, or those that come on standard input while they come, where a wrong one is told."""
     if str(path) != STANDARD_INPUT:
         try:
-            return [_visit(line) for line in read_small_file(path).decode().splitlines() if line.strip()]
+            visits = [_visit(line) for line in read_small_file(path).decode().splitlines() if line.strip()]
         except (OSError, UnicodeError) as error:
             raise UsageError(sentence("emulate.no_poses", path=path, cause=error)) from error
+        if not visits:
+            raise UsageError(sentence("emulate.empty_poses", path=path))
+        return visits
     return _typed_visits()
 
 

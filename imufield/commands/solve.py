@@ -17,7 +17,7 @@ from rich.table import Table
 
 from imufield.acquire.recording.session import Session
 from imufield.commands.options.commands import SolveOptions
-from imufield.commands.terminal.output import echo, say
+from imufield.commands.terminal.output import echo, say, tell_written
 from imufield.console import PlainTextConsole
 from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, json_ready, write_document
 from imufield.deliver.parameters.numbers import hanging
@@ -59,6 +59,7 @@ def run_solve(options: SolveOptions) -> int:
     kept = write_document(path, solved.document, advice=sentence("solve.elsewhere"))
     if options.as_json:
         echo(json.dumps(json_ready(solved.document)))
+        tell_written(path, kept, as_json=True)
         return 0
     print_summary(solved, Outcome(path, kept, None if session is None else session.folder))
     for note in better:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from imufield.commands.options.commands import StudyOptions
-from imufield.commands.terminal.output import echo, replace_only
+from imufield.commands.terminal.output import echo, replace_only, tell_written
 from imufield.deliver.parameters.numbers import hanging
 from imufield.errors import UsageError
 from imufield.files import typed_write_errors
-from imufield.sentences import Sentences, printable
+from imufield.sentences import Sentences
 from imufield.study.context import StudyContext
 from imufield.study.report import StudyReport, as_text, texts
 from imufield.study.run import STUDIES, document_title, find_studies, run_study, write_document
@@ -47,7 +47,7 @@ def run_study_command(options: StudyOptions) -> None:
         echo(as_text(report), end="")
         reports.append(report)
     if folder is not None:
-        echo(printable(f"written to: {folder}"))
+        tell_written(folder)
     if document is not None:
         write_document(reports, document, context, name)
-        echo(printable(f"written: {document}"))
+        tell_written(document)

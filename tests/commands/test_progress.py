@@ -1,4 +1,4 @@
-"""Commands on a terminal say how far they are, leave it clean, and answer Ctrl-C at once with nothing half-written."""
+"""Commands on a terminal say how far they are and what they write, leave it clean, and end at Ctrl-C without half a file."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import pytest
 from imufield.errors import EXIT_INTERRUPTED
 from tests.commands.pty_terminal import Terminal
 from tests.commands.test_verify import rest_session
+from tests.commands.told import missing
 
 if TYPE_CHECKING:
     from tests.commands.conftest import Program
@@ -28,7 +29,7 @@ COMMANDS = {
     "history . --plot history.svg": ("history", "reading"),
     "noise still": ("noise", "reading"),
     "replay here": ("replay", "reading"),
-    "study bsas-bound --quick --workers 1": ("study", "computing"),
+    "study bsas-bound --quick --workers 1 --output tables": ("study", "computing"),
 }
 AT_ONCE = [("show_progress_at_once",)]
 
@@ -64,7 +65,7 @@ def test_the_screen_is_what_was_written_since_it_was_erased() -> None:
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_command_says_what_it_does_and_leaves_the_terminal_clean(
+def test_a_command_says_what_it_does_and_writes_and_leaves_the_terminal_clean(
     program: Program, here: Path, terminals: list[Terminal], command: str
 ) -> None:
     shutil.copytree(here, program.folder / "again")
@@ -72,8 +73,12 @@ def test_a_command_says_what_it_does_and_leaves_the_terminal_clean(
     (program.folder / "table.csv").write_text("\n".join(rows))
     if "still" in command:
         rest_session(program.folder / "still", 600.0)
+    before = set(program.folder.iterdir()) | set(here.iterdir())
     terminal = start(terminals, program, command)
     assert terminal.wait() == 0, terminal.text
+    # Hidden is the index of a history, which is nobody's result.
+    made = [path for path in (*program.folder.iterdir(), *here.iterdir()) if path not in before and path.name[0] != "."]
+    assert not missing(terminal.text, *(path.name for path in made))
     drawn = [words.partition(":")[0] for words in terminal.raw.split("\r\x1b[K") if ":" in words]
     assert set(COMMANDS[command]) <= set(drawn)
     left = lines(terminal)

@@ -52,7 +52,14 @@ def write_output(path: Path, data: bytes, *, as_json: bool = False) -> None:
     """
     with typed_write_errors(path):
         write_atomically(path, data)
+    tell_written(path, as_json=as_json)
+
+
+def tell_written(path: Path, kept: Path | None = None, *, as_json: bool = False) -> None:
+    """Say which file was written, and where the one that stood there is kept; on standard error beside JSON."""
     echo(beside("written to", path), err=as_json)
+    if kept is not None:
+        say(sentence("output.kept", name=kept.name), err=as_json)
 
 
 def replace_only(path: Path, mark: str, option: str, what: str) -> None:
