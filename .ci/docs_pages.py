@@ -91,7 +91,8 @@ def instruments() -> Iterator[str]:
         yield f"## {driver.title}\n\n`--driver {name}`; {driver.status}.\n"
         others = ", ".join(str(baud) for baud in driver.bauds if baud != driver.default_baud)
         also = f" (also {others})" if others else ""
-        yield f"* Wire: {driver.wire}, {driver.default_baud} bit/s{also}\n* Manual: {driver.manual}\n"
+        interface = driver.wiring if driver.wire == "serial" else driver.wire
+        yield f"* Wire: {interface}, {driver.default_baud} bit/s{also}\n* Manual: {driver.manual}\n"
         yield f"```text\n{inspect.getdoc(driver)}\n```\n"
         yield from settings_of(driver)
 

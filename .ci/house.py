@@ -25,6 +25,7 @@ CODE = ("imufield", "drivers")
 ROOMS = (
     ("version", "sentences", "limits"),
     ("errors",),
+    ("progress",),
     ("samples", "earth", "files", "toml_files", "console"),
     ("json_files",),
     ("acquire/protocol",),

@@ -23,6 +23,7 @@ class VectorNav(Driver):
     """What the forms of VectorNav's output have in common."""
 
     bauds = (115200, 921600, 460800, 230400, 128000, 57600, 38400, 19200, 9600)
+    wiring = "by model: RS-232 (rugged) or UART (3 V logic)"
     abilities = BY_DOCUMENT
 
     @classmethod

@@ -38,6 +38,7 @@ class AceinnaSerial(Driver):
     title = "Aceinna OpenIMU, DMU38x, IMU38x (serial)"
     protocol = "aceinna_serial"
     bauds = (115200, 57600, 38400, 230400, 460800)
+    wiring = "UART, 3.3 V logic"
     status = "verified on real bytes"
     manual = "OpenIMU serial messaging, openimu.readthedocs.io; Aceinna DMU38x user manual: packets S0, S1"
     abilities = BY_DOCUMENT

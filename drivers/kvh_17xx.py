@@ -26,6 +26,7 @@ class Kvh17xx(Driver):
     title = "KVH 1725, 1750, 1775, DSP-1760"
     protocol = "kvh_17xx"
     bauds = (921600, 460800, 230400, 115200, 4147200, 1843200, 57600, 38400, 19200, 9600)
+    wiring = "RS-422, a pair each way"
     status = "document only"
     manual = "KVH 56-0298, 1775 IMU Technical Manual: message formats A, B, C"
 

@@ -50,6 +50,7 @@ class MicroStrainMip(Driver):
     title = "MicroStrain 3DM series (MIP)"
     protocol = "microstrain_mip"
     bauds = (115200, 921600, 460800, 230400, 57600, 19200, 9600)
+    wiring = "by model: USB, RS-232 or UART (3 V logic)"
     status = "verified on real bytes"
     manual = "LORD MicroStrain, 3DM-GX5-25 Data Communications Protocol manual: MIP packets, IMU data set"
     abilities: ClassVar[Mapping[Ability, Evidence]] = {**BY_DOCUMENT, "start and stop": "verified on real bytes"}

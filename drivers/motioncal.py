@@ -16,6 +16,7 @@ class MotionCal(Driver):
     title = "Adafruit, Teensy and Arduino boards, MotionCal lines"
     protocol = "motioncal"
     bauds = (115200,)
+    wiring = "USB of the board, which is its power too"
     status = "document only"
     manual = "PaulStoffregen/MotionCal: imuread.h and serialdata.c; Adafruit AHRS library: examples/calibration"
 

@@ -24,6 +24,7 @@ class NovAtelOem7(Driver):
     title = "NovAtel OEM7 SPAN, binary IMU logs"
     protocol = "novatel_oem7"
     bauds = (115200, 9600, 57600, 230400, 460800, 921600)
+    wiring = "a COM port of the receiver, by model RS-232, RS-422 or 3.3 V logic; or its USB"
     status = "verified on real bytes"
     manual = "NovAtel OEM7 Commands and Logs Reference Manual: message formats, RAWIMU, RAWIMUX"
 

@@ -26,6 +26,7 @@ class SbgEcom(Driver):
     title = "SBG Systems (sbgECom)"
     protocol = "sbg_sbgecom"
     bauds = (115200, 921600, 460800, 230400, 57600, 38400, 19200, 9600)
+    wiring = "by model and setting: RS-232, RS-422, or UART (3.3 V logic)"
     status = "document only"
     manual = "SBG Systems sbgECom library (MIT): binary protocol, logs IMU_DATA and IMU_SHORT"
 

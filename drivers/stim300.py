@@ -54,6 +54,7 @@ class Stim300(Driver):
     title = "Sensonor STIM300"
     protocol = "stim300"
     bauds = (921600, 460800, 1843200, 374400)
+    wiring = "RS-422, a pair each way"
     answers_replace_samples = True
     status = "verified on real bytes"
     manual = "Sensonor TS1524 rev. 31, STIM300 Inertia Measurement Unit: datagrams, commands, status byte"

@@ -18,6 +18,7 @@ class Text(Driver):
     title = "any instrument that prints lines of numbers"
     protocol = "text"
     bauds = (115200, 9600, 57600, 230400, 460800, 921600, 38400, 19200)
+    wiring = "USB of a board, RS-232, RS-422 or UART, as its maker says"
     status = "verified on real bytes"
     manual = "imufield, docs/protocols.md: lines of numbers; NMEA 0183 for the optional checksum"
 

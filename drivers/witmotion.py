@@ -46,6 +46,7 @@ class WitMotion(Driver):
     title = "WitMotion WT901, HWT90x"
     protocol = "witmotion"
     bauds = (9600, 115200, 230400, 460800, 921600, 57600, 38400, 19200, 4800)
+    wiring = "by model: USB, RS-232, RS-485 or UART (TTL, 3.3 to 5 V)"
     status = "verified on real bytes"
     manual = "WITMOTION WitStandardProtocol_JY901: standard protocol and register map"
     variants: ClassVar[tuple[Mapping[str, object], ...]] = ({"form": "bluetooth"},)

@@ -41,6 +41,7 @@ class XsensMtData2(Driver):
     title = "Xsens MTi"
     protocol = "xsens_mtdata2"
     bauds = (115200, 921600, 460800, 230400, 2000000, 57600)
+    wiring = "by model: USB, RS-232, RS-422, RS-485 or UART (3.3 V logic)"
     status = "verified on real bytes"
     manual = "Xsens MT0101P, MT Low Level Communication Protocol Documentation: Xbus messages, MTData2"
     abilities: ClassVar[Mapping[Ability, Evidence]] = {

@@ -8,6 +8,7 @@ from typing import IO
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 
+from imufield.progress import hidden
 from imufield.sentences import printable_lines
 
 
@@ -32,3 +33,7 @@ class PlainTextConsole(Console):
         """Yield the pieces of a renderable; the sequences for colour and cursor are rich's own, added behind this."""
         for segment in super().render(renderable, options):
             yield segment if segment.control else segment._replace(text=printable_lines(segment.text))
+
+    def _check_buffer(self) -> None:
+        with hidden():
+            super()._check_buffer()

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 import string
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,33 @@ _LONGEST_SHOWN = 40
 # embeddings and isolates show text in another order than it has; a lone surrogate, of a file name that is no UTF-8, cannot be
 # encoded. All other characters stay, the marks that Arabic and Hebrew need among them.
 _UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
+
+_FOLDED_FROM = 4  # Up to three are read one by one.
+_VARIES = re.compile(r"\S*\d[^\s,;)]*|\b[xyz]\b")  # Numbers, names with a number ("y+45"), axes.
+_SIZE = re.compile(r"(\S+) \(?([+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?)(?=[\s,;)%]|$)")
+_PLACES = ("at", "from", "to", "before")  # Behind these a number is a place or a time.
+
+
+def folded(sentences: Iterable[str]) -> list[str]:
+    """Return sentences for people to read: of many that differ in numbers, positions and axes alone, the worst, and how many.
+
+    The worst has the largest number, of the first that differs between them and is no place.
+    """
+    listed = list(dict.fromkeys(sentences))
+    kinds: dict[str, list[str]] = {}
+    for text in listed:
+        kinds.setdefault(_VARIES.sub("#", text), []).append(text)
+    told = {alike[0]: _worst(alike) for alike in kinds.values() if len(alike) >= _FOLDED_FROM}
+    hidden = {text for alike in kinds.values() if len(alike) >= _FOLDED_FROM for text in alike[1:]}
+    return [told.get(text, text) for text in listed if text not in hidden]
+
+
+def _worst(alike: list[str]) -> str:
+    sizes = [[abs(float(size)) for word, size in _SIZE.findall(text) if word not in _PLACES] for text in alike]
+    differing = next((column for column in zip(*sizes, strict=False) if len(set(column)) > 1), None)
+    if differing is None:
+        return f"{len(alike)} of this kind, the first: {alike[0]}"
+    return f"{len(alike)} of this kind, the worst: {alike[differing.index(max(differing))]}"
 
 
 def counted(number: int, noun: str) -> str:

@@ -56,6 +56,12 @@ def driver(request: pytest.FixtureRequest) -> type[Driver]:
     return load_driver(request.param)
 
 
+def test_a_serial_driver_names_its_interface(driver: type[Driver]) -> None:
+    """Whoever buys the adapter has to know it."""
+    assert (driver.wiring != Driver.wiring) == (driver.wire == "serial")
+    assert driver.wire == "can" or re.search("RS-422|RS-232|UART|USB", driver.wiring)
+
+
 def test_name_is_the_file(driver: type[Driver]) -> None:
     file = Path(inspect.getfile(driver))
     assert (file.parent.name, file.name) == ("drivers", f"{driver.name}.py")

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from imufield.errors import Reason, RecordingError
-from imufield.sentences import Sentence, Sentences, counted, printable, printable_lines, shortened
+from imufield.sentences import Sentence, Sentences, counted, folded, printable, printable_lines, shortened
 
 sentence = Sentences("imufield")
 
@@ -75,3 +75,43 @@ def test_letters_of_any_language_stay() -> None:
 
 def test_ends_of_lines_of_ours_stay() -> None:
     assert printable_lines("a\n\tb\r\n") == "a\n\\tb\\r\n"
+
+
+MOVES = [(1.0, 0.2), (12.3, 1.1), (20.0, 0.3), (500.0, 0.15)]
+OFFS = {"x+0": 0.2, "y+45": -1.1, "z+90": 0.3, "x+180": 0.15}
+
+
+def lost(begin_s: float, missing_s: float) -> Sentence:
+    said = {"begin_s": begin_s, "end_s": begin_s + 2, "missing_s": missing_s, "bridged_s": 0.05}
+    return Sentences("imufield.calibrate.gyroscope")("moves.lost_samples", **said)
+
+
+def off(position: str, off_mg: float) -> Sentence:
+    said = {"off_mg": off_mg, "sigmas": 4.0, "limit": 3.0, "option": f"--without {position}"}
+    return Sentences("imufield.calibrate.accelerometer")("quality.outlier", position=position, **said)
+
+
+@pytest.mark.parametrize(
+    ("alike", "worst"),
+    [
+        # Neither the latest nor the one with the largest time of all.
+        ([lost(*move) for move in MOVES], lost(12.3, 1.1)),
+        ([off(*each) for each in OFFS.items()], off("y+45", -1.1)),
+    ],
+)
+def test_of_many_sentences_of_a_kind_the_worst_is_read_and_how_many(alike: list[str], worst: str) -> None:
+    first, told, last = folded(["before", *alike, "behind"])
+    assert (first, last) == ("before", "behind")
+    assert told.startswith("4 ")
+    assert told.endswith(worst)
+
+
+def test_few_of_a_kind_are_read_one_by_one_in_their_order() -> None:
+    few = [lost(*MOVES[0]), off("x+0", 0.2), lost(*MOVES[1]), off("y+45", 1.0), lost(*MOVES[2])]
+    assert folded(few) == few
+
+
+def test_sentences_without_a_size_have_a_first() -> None:
+    saturated = [Sentences("imufield.calibrate.gyroscope")("moves.saturated", begin_s=k, end_s=k + 1) for k in (1, 5, 3, 2)]
+    assert folded(saturated)[0].endswith(saturated[0])
+    assert "worst" not in folded(saturated)[0]

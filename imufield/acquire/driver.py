@@ -85,6 +85,8 @@ class Driver:
     """The first of ``bauds`` where it is not stated."""
     bauds: ClassVar[tuple[int, ...]]
     """All rates it can be set to, the likeliest first."""
+    wiring: ClassVar[str] = "RS-232, RS-422 or logic level, as its manual says"
+    """Interface and levels of a serial port: which adapter it takes."""
     status: ClassVar[Evidence]
     """Whether the protocol was tried on bytes of a real instrument."""
     manual: ClassVar[str]

@@ -11,6 +11,7 @@ from typing import Annotated, get_args, get_origin
 import typer
 
 from imufield.commands.options.shared import Converted, Group
+from imufield.progress import shown
 
 
 def make_command(options: type, work: str) -> Callable[..., None]:
@@ -30,7 +31,9 @@ def make_command(options: type, work: str) -> Callable[..., None]:
         sources = {name: context.get_parameter_source(name) for name in values}
         typed = frozenset(name for name, source in sources.items() if source is not None and source.name == "COMMANDLINE")
         module, _, function = work.rpartition(".")
-        code = getattr(importlib.import_module(f"imufield.commands.{module}"), function)(_build(options, values, typed))
+        # Packages that a command needs may be slow to import.
+        with shown(str(context.info_name)):
+            code = getattr(importlib.import_module(f"imufield.commands.{module}"), function)(_build(options, values, typed))
         if type(code) is int:
             raise typer.Exit(code)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
 from imufield.commands.options.commands import ApplyOptions
-from imufield.commands.terminal.output import echo, say
+from imufield.commands.terminal.output import echo, say, say_each
 from imufield.commands.terminal.row_count import RowCount
 from imufield.deliver.parameters.file import load
 from imufield.deliver.parameters.numbers import beside, hanging
@@ -41,8 +41,7 @@ def run_apply(options: ApplyOptions) -> None:
     count = RowCount()
     rows = apply_session(parameters, count.through(blocks), output, serial_number=serial_number)
     # On the other stream: the rows say nothing of what is missing between them.
-    for entry in damage:
-        say(entry.what, err=True)
+    say_each((entry.what for entry in damage), err=True)
     echo(beside(f"{rows} corrected samples in", output))
     say("time in s, specific force in m/s^2, angular rate in rad/s, temperature in degC")
     for note in filter(None, (parameters.edited_note, count.flags())):

@@ -64,7 +64,7 @@ def list_devices(options: DevicesOptions) -> None:
         told = ", ".join(f"{name}{'' if tried == _TRIED else '*'}" for name, tried in driver["abilities"].items())
         rate = f"{driver['default_baud']} bit/s" if driver["default_baud"] else ""
         echo(hanging(" " * width, "; ".join(filter(None, (rate, driver["status"], told)))))
-    echo(hanging("* ", "experimental: commands and answers from documents, never seen on a real instrument"))
+    echo(hanging("* ", sentence("devices.document_only")))
     echo("\nimufield devices NAME shows one with its settings and wiring")
 
 
@@ -72,7 +72,7 @@ def _show(facts: dict[str, Any]) -> None:
     on_bus = facts["wire"] == "can"
     rows = {
         "driver": f"{facts['name']}; {facts['status']}",
-        "wiring": sentence("devices.can" if on_bus else "devices.serial"),
+        "wiring": facts["wiring"],
         "bit rate" if on_bus else "baud rate": f"{', '.join(map(str, facts['bauds']))} (the usual one first)",
         "commands": "; ".join(f"{ability} ({tried})" for ability, tried in facts["abilities"].items()) or "none",
         "manual": facts["manual"],
@@ -111,5 +111,6 @@ def _describe(name: str, *, whole: bool = False) -> dict[str, Any]:
         return facts
     settings, rules = driver.load_protocol().settings, driver.load_protocol().rules
     told = {key: {"value": settings[key].value, "meaning": rules[key].help, "allowed": rules[key].allowed} for key in rules}
-    of_wire = {"wire": driver.wire, "bauds": driver.bauds, "manual": driver.manual}
+    wiring = sentence("devices.can" if driver.wire == "can" else "devices.serial", wiring=driver.wiring)
+    of_wire = {"wire": driver.wire, "wiring": wiring, "bauds": driver.bauds, "manual": driver.manual}
     return facts | of_wire | {"settings": told, "about": inspect.getdoc(driver) or ""}

@@ -24,6 +24,7 @@ from imufield.files import read_small_file
 from imufield.guide.positions import named_direction, scheme
 from imufield.pipeline.calibration import one_of
 from imufield.pipeline.chain import REVISIT_FROM, ROTATIONS
+from imufield.progress import hidden
 from imufield.sentences import Sentences
 from imufield.simulate.emulator.core import EmulatorCore, EmulatorSettings
 from imufield.simulate.emulator.emulate import TRUTH_FORMAT, Emulation, choose_wire, emulate
@@ -46,11 +47,12 @@ def run_emulate(options: EmulateOptions) -> None:
     if options.truth is not None:
         replace_only(options.truth, TRUTH_FORMAT, "--truth", "the truth of an emulation")
     emulation = make_emulation(options)
-    emulator = emulate(
-        emulation,
-        on_start=lambda running: _announce(options, emulation, running),
-        on_slow=lambda reached: _tell_slow(options, reached),
-    )
+    with hidden():
+        emulator = emulate(
+            emulation,
+            on_start=lambda running: _announce(options, emulation, running),
+            on_slow=lambda reached: _tell_slow(options, reached),
+        )
     if not options.as_json:
         echo(f"stopped after {emulator.samples_sent} samples")
 
@@ -107,9 +109,12 @@ def _visits(path: Path) -> Iterable[Visit]:
     """Return the poses of a file, or those that come on standard input while they come, where a wrong one is told."""
     if str(path) != STANDARD_INPUT:
         try:
-            return [_visit(line) for line in read_small_file(path).decode().splitlines() if line.strip()]
+            visits = [_visit(line) for line in read_small_file(path).decode().splitlines() if line.strip()]
         except (OSError, UnicodeError) as error:
             raise UsageError(sentence("emulate.no_poses", path=path, cause=error)) from error
+        if not visits:
+            raise UsageError(sentence("emulate.empty_poses", path=path))
+        return visits
     return _typed_visits()
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import open_or_newest
 from imufield.commands.options.commands import ExportDataOptions
-from imufield.commands.terminal.output import echo, say
+from imufield.commands.terminal.output import echo, say, say_each
 from imufield.commands.terminal.row_count import RowCount
 from imufield.deliver.parameters.numbers import beside, hanging
 from imufield.deliver.samples.export_data import FORMATS, export_samples, facts_of
@@ -44,8 +44,7 @@ def run_export_data(options: ExportDataOptions) -> None:
     count = RowCount()
     blocks = count.through(session_samples(session, damage))
     rows = export_samples(blocks, path, to, facts_of(protocol, raw_zero))
-    for entry in damage:
-        say(entry.what, err=True)
+    say_each((entry.what for entry in damage), err=True)
     echo(beside(f"{rows} samples in", path))
     if FORMATS[to].lacks:
         say(f"time in s, accelerometer in m/s^2, gyroscope in rad/s; {FORMATS[to].lacks}")

@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from imufield.commands.options.commands import HistoryOptions
-from imufield.commands.terminal.output import echo, echo_path, say, write_output
+from imufield.commands.terminal.output import echo, echo_path, say, say_each, write_output
 from imufield.deliver.family import Change
 from imufield.deliver.history import (
     History,
@@ -27,7 +27,7 @@ from imufield.deliver.parameters.gauge_free import Number
 from imufield.deliver.parameters.numbers import WIDTH, hanging, to_ascii, with_sigma
 from imufield.errors import UsageError
 from imufield.files import refuse_overwriting, utf8_text
-from imufield.sentences import Sentences, counted, printable
+from imufield.sentences import Sentences, counted, folded, printable
 
 sentence = Sentences(__package__)
 
@@ -63,8 +63,7 @@ def run_history(options: HistoryOptions, now: datetime | None = None) -> History
         echo(json.dumps({"folder": str(history.folder), "instruments": instruments, "faults": list(history.faults)}))
     else:
         _print(history, options, now)
-    for fault in history.faults:
-        say(f"left out: {fault}", err=True, indent=2)
+    say_each(history.faults, err=True, indent=2, begin="left out: ")
     return history
 
 
@@ -116,7 +115,7 @@ def _print(history: History, options: HistoryOptions, now: datetime) -> None:
         headings = [("parameter", "value ± sigma", "unit", "since the one before")] if numbers else []
         for line in _table(headings + [_cells(number, changes.get(number.name)) for number in numbers]):
             echo(line)
-        for line in sentences(instrument, now, options.stale_days):
+        for line in folded(sentences(instrument, now, options.stale_days)):
             echo(hanging("  - ", line))
     alone = sum(len(instrument.entries) == 1 for instrument in history.instruments)
     if alone:

@@ -27,7 +27,7 @@ from imufield.acquire.recording.session import LOCK_FILE, SETTINGS_FILE, Session
 from imufield.acquire.recording.session_record import SettingRecord
 from imufield.acquire.registry import load_driver
 from imufield.commands.options.commands import ImportOptions
-from imufield.commands.terminal.output import echo, say
+from imufield.commands.terminal.output import echo, say_each
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.guide.lead.still_scales import find_scales
@@ -54,8 +54,7 @@ def run_import(options: ImportOptions) -> Session:
     if options.as_json:
         echo(json.dumps({"event": "imported", "session": str(session.folder), "assumptions": assumptions}))
         return session
-    for assumption in assumptions:
-        say(assumption, err=True, indent=2)
+    say_each(assumptions, err=True, indent=2)
     echo(beside("session", session.folder))
     echo(beside("next: ", f"imufield solve {shlex.quote(str(session.folder))}"))
     return session

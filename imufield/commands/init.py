@@ -14,7 +14,7 @@ from imufield.acquire.link.ports import serial_ports
 from imufield.acquire.registry import load_driver
 from imufield.commands.configuration import FILE_NAME
 from imufield.commands.options.commands import InitOptions
-from imufield.commands.terminal.output import echo, say
+from imufield.commands.terminal.output import say, tell_written
 from imufield.commands.terminal.questions import ask, ask_until, confirm
 from imufield.commands.terminal.site import NOT_KNOWN, ask_site, read_number
 from imufield.earth import HEIGHT_RANGE_M
@@ -53,9 +53,7 @@ def run_init(options: InitOptions) -> None:
     text = f"# Defaults of imufield in this folder; all keys: docs/file-formats.md\n{tomli_w.dumps(values)}"
     with typed_write_errors(path):
         kept = write_keeping(path, text.encode())
-    echo(f"written: {path}")
-    if kept is not None:
-        say(sentence("init.kept", name=kept.name))
+    tell_written(path, kept)
     say(sentence("init.next"))
 
 

@@ -13,10 +13,9 @@ from imufield.calibrate.noise.noise import NoiseResult, measure_noise
 from imufield.calibrate.noise.noise_fit import NoiseFigure
 from imufield.calibrate.noise.noise_texts import NoiseFormat, draw_plot, noise_text
 from imufield.commands.options.commands import NoiseOptions
-from imufield.commands.terminal.output import echo, say, write_output
+from imufield.commands.terminal.output import echo, say, say_each, tell_written, write_output
 from imufield.deliver.parameters.document import noise_table
 from imufield.deliver.parameters.file import Noise, Parameters, load, write_document
-from imufield.deliver.parameters.numbers import beside
 from imufield.files import refuse_overwriting
 from imufield.pipeline.calibration import one_of
 from imufield.pipeline.chain import session_protocol, session_samples
@@ -49,8 +48,7 @@ def run_noise(options: NoiseOptions) -> None:
     damage: list[Damage] = []
     with naming_damage(session, damage):
         result = measure_noise(session_samples(session, damage), nominal.accelerometer_scale, nominal.gyroscope_scale)
-    for entry in damage:
-        say(entry.what, err=True)
+    say_each((entry.what for entry in damage), err=True)
     if options.output is not None:
         write_output(options.output, noise_text(result, form).encode(), as_json=options.as_json)
     if options.plot is not None:
@@ -58,16 +56,15 @@ def run_noise(options: NoiseOptions) -> None:
         write_output(options.plot, picture, as_json=options.as_json)
     if options.parameters is not None and parameters is not None:
         path = parameters.path or options.parameters
-        _write_into(path, parameters, result)
-        echo(beside("written to", path), err=options.as_json)
+        tell_written(path, _write_into(path, parameters, result), as_json=options.as_json)
     if options.as_json:
         echo(json.dumps(_document(result)))
         return
     _print(result)
 
 
-def _write_into(path: Path, parameters: Parameters, result: NoiseResult) -> None:
-    """Put the figures into the table [noise] of a parameter file; the file as it was is kept."""
+def _write_into(path: Path, parameters: Parameters, result: NoiseResult) -> Path | None:
+    """Put the figures into the table [noise] of a parameter file; return where the file as it was is kept."""
     noise = Noise(
         source=result.source,
         accelerometer_density_m_s2_per_sqrt_hz=result.values("accelerometer", "density"),
@@ -77,7 +74,7 @@ def _write_into(path: Path, parameters: Parameters, result: NoiseResult) -> None
     )
     # The hash is of the content as it was; it is written anew.
     document = {key: value for key, value in parameters.document.items() if key != "integrity"}
-    write_document(path, document | {"noise": noise_table(noise)})
+    return write_document(path, document | {"noise": noise_table(noise)})
 
 
 def _print(result: NoiseResult) -> None:
@@ -89,8 +86,7 @@ def _print(result: NoiseResult) -> None:
     rows = [(f"{sheet.triad[:3]} {sheet.title}", map(_in_short, figures), sheet.unit) for sheet, figures in result.data_sheet()]
     for title, cells, unit in [("as in data sheets", AXES, "unit"), *rows] if rows else ():
         echo(f"{title:<29}{''.join(f'{cell:>11}' for cell in cells)}   {unit}")
-    for sentence in (*result.sentences, *(sentence for axis in result.axes for sentence in axis.sentences)):
-        say(f" · {sentence}", indent=3)
+    say_each((*result.sentences, *(told for axis in result.axes for told in axis.sentences)), indent=3, begin=" · ")
 
 
 def _value_and_limits(figure: NoiseFigure) -> str:

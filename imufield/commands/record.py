@@ -20,6 +20,7 @@ from imufield.deliver.parameters.numbers import beside
 from imufield.errors import RecordingError
 from imufield.pipeline.chain import Chain, ReadingPlan, part_metadata
 from imufield.pipeline.intake import Intake
+from imufield.progress import hidden
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -40,6 +41,8 @@ def run_record(options: RecordOptions, clock: HostClock | None = None) -> Sessio
     options.site.gravity()
     connected = connect(options.connect, clock, say_assumed)
     with ExitStack() as stack:
+        # The recording has a line of its own.
+        stack.enter_context(hidden())
         stack.callback(connected.close)
         metadata = {**connected.session_tables(), "kind": "record", "site": options.site.record()}
         session = create_session(options.session, options.root, connected.model, metadata)

@@ -9,7 +9,7 @@ from imufield.acquire.decode.statistics import combined
 from imufield.acquire.recording.reader import Damage, EndOfRecordingError, RecordingLink
 from imufield.acquire.recording.session import Session, open_or_newest
 from imufield.commands.options.commands import ReplayOptions
-from imufield.commands.terminal.output import echo, say
+from imufield.commands.terminal.output import echo, say, say_each
 from imufield.deliver.parameters.file import PARAMETER_FILE, load_found
 from imufield.errors import ImufieldError, UsageError
 from imufield.files import Origin
@@ -49,8 +49,7 @@ def run_replay(options: ReplayOptions) -> None:
     chain = Chain(ReadingPlan.of(session))
     view = JsonLinesView(echo) if options.as_json else PlainView(say, origin_s=chain.origin_s)
     replay_into(chain, session, damage, view.show)
-    for entry in without_end_under_way(damage, session) if goes_on else damage:
-        say(entry.what, err=True)
+    say_each((entry.what for entry in (without_end_under_way(damage, session) if goes_on else damage)), err=True)
     if goes_on:
         say(sentence("replay.goes_on"), err=True)
     # JSON lines are for programs, which count for themselves.

@@ -36,6 +36,7 @@ from imufield.files import refuse_overwriting, utf8_text
 from imufield.pipeline.calibration import MoveListener
 from imufield.pipeline.chain import Chain, ReadingPlan, replay_into
 from imufield.pipeline.solving import session_sha256
+from imufield.progress import task
 from imufield.sentences import Sentences
 from imufield.version import __version__
 
@@ -71,10 +72,12 @@ def run_report(options: ReportOptions) -> tuple[Path, ...]:
     # Both before either is written: no page without the other.
     for path in pages:
         refuse_overwriting(path, inputs)
-    texts = [utf8_text(render_report(data)), utf8_text(render_record(data))]
+    with task("drawing"):
+        texts = [utf8_text(render_report(data)), utf8_text(render_record(data))]
     # One after the other: a PDF takes seconds.
     for number, path in enumerate(pages):
-        write_output(path, texts[number].encode() if number < len(texts) else to_pdf(texts[number - len(texts)]))
+        with task(f"writing {path.name}"):
+            write_output(path, texts[number].encode() if number < len(texts) else to_pdf(texts[number - len(texts)]))
     return pages
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Sequence
-from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,8 +17,7 @@ from rich.table import Table
 
 from imufield.acquire.recording.session import Session
 from imufield.commands.options.commands import SolveOptions
-from imufield.commands.terminal.output import echo, say
-from imufield.commands.terminal.progress import ProgressLine
+from imufield.commands.terminal.output import echo, say, tell_written
 from imufield.console import PlainTextConsole
 from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, json_ready, write_document
 from imufield.deliver.parameters.numbers import hanging
@@ -55,13 +53,13 @@ def run_solve(options: SolveOptions) -> int:
         session = Session.open(sessions[0]) if sessions else Session.newest()
         path = options.output or session.folder / PARAMETER_FILE
         refuse_overwriting(path, session.parts, advice=sentence("solve.elsewhere"))
-        with closing(ProgressLine("reading")) as line:
-            solved = solve_session(session, settings, options.site, listener=line.feed, on_read=lambda: line.say("solving"))
+        solved = solve_session(session, settings, options.site)
     # Asked before the file that stands there is replaced.
     better = better_gravity(path, solved.calibration.gravity)
     kept = write_document(path, solved.document, advice=sentence("solve.elsewhere"))
     if options.as_json:
         echo(json.dumps(json_ready(solved.document)))
+        tell_written(path, kept, as_json=True)
         return 0
     print_summary(solved, Outcome(path, kept, None if session is None else session.folder))
     for note in better:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import sys
-
 from imufield.commands.options.commands import StudyOptions
-from imufield.commands.terminal.output import echo, replace_only
+from imufield.commands.terminal.output import echo, replace_only, tell_written
 from imufield.deliver.parameters.numbers import hanging
 from imufield.errors import UsageError
 from imufield.files import typed_write_errors
-from imufield.sentences import Sentences, printable
+from imufield.sentences import Sentences
 from imufield.study.context import StudyContext
 from imufield.study.report import StudyReport, as_text, texts
 from imufield.study.run import STUDIES, document_title, find_studies, run_study, write_document
@@ -43,21 +41,13 @@ def run_study_command(options: StudyOptions) -> None:
         if document.is_dir() or not document.parent.is_dir():
             raise UsageError(sentence("study.no_place", document=document))
         replace_only(document, document_title(name), "--document", "the results of a study")
-    context = StudyContext(
-        seed=options.seed, quick=options.quick, workers=options.workers, scheduler=options.scheduler, progress=_tell
-    )
+    context = StudyContext(seed=options.seed, quick=options.quick, workers=options.workers, scheduler=options.scheduler)
     reports: list[StudyReport] = []
     for report in run_study(name, context, folder=folder):
         echo(as_text(report), end="")
         reports.append(report)
     if folder is not None:
-        echo(printable(f"written to: {folder}"))
+        tell_written(folder)
     if document is not None:
         write_document(reports, document, context, name)
-        echo(printable(f"written: {document}"))
-
-
-def _tell(done: int, total: int) -> None:
-    # One line that is written over; a log would get a thousand of them.
-    if sys.stderr.isatty():
-        echo(f"{done} of {total} runs", begin="\r", end="\n" if done == total else "", err=True)
+        tell_written(document)

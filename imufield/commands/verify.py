@@ -14,13 +14,13 @@ from imufield.acquire.recording.session_record import SiteRecord
 from imufield.calibrate.model.observations import leave_out
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters
 from imufield.commands.options.commands import VerifyOptions
-from imufield.commands.terminal.output import echo
+from imufield.commands.terminal.output import echo, tell_written
 from imufield.console import PlainTextConsole
 from imufield.deliver.navigation.alignment import Heading
 from imufield.deliver.navigation.check import Apply, CheckSettings, NavigationResult, StaticNavigation
 from imufield.deliver.parameters.apply import correct_accelerometer, correct_gyroscope
 from imufield.deliver.parameters.file import Corrected, json_ready, load
-from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S, beside, to_ascii
+from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S, to_ascii
 from imufield.deliver.verification.left_out import LeftOutPositions, check_positions, contradiction, cross_validate
 from imufield.deliver.verification.result import (
     Verification,
@@ -112,7 +112,7 @@ def run_verify(options: VerifyOptions) -> Verification:
     else:
         text, console = verification_text(found), PlainTextConsole()
         console.out(to_ascii(text) if console.options.ascii_only else text, end="", highlight=False)
-    echo(beside("written to", output), err=options.as_json)
+    tell_written(output, as_json=options.as_json)
     # An objection goes first: parameters that contradict the data are refused whatever the limits.
     if found.objections:
         raise VerificationError(sentence("verify.objection", objection=found.objections[0]))

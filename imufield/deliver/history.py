@@ -29,6 +29,7 @@ from imufield.deliver.parameters.file import Parameters, load_found
 from imufield.deliver.parameters.gauge_free import GaugeFree, Number, gauge_free
 from imufield.errors import ImufieldError, ParameterFileError, Reason, UsageError
 from imufield.files import Origin, open_to_read, write_atomically
+from imufield.progress import one_by_one
 from imufield.samples import FloatArray
 from imufield.sentences import Sentence, Sentences
 
@@ -325,7 +326,7 @@ def _read_files(folder: Path) -> tuple[list[_Row], list[str], int]:
     found = sorted(Path(below, name) for below, _, names in walk for name in names if name.endswith(".toml"))
     paths = {path.relative_to(folder).as_posix(): path for path in found}
     before = _read_index(folder, paths)
-    for name, path in paths.items():
+    for name, path in one_by_one("reading", paths.items()):
         try:
             state = path.stat()
         except FileNotFoundError:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -24,9 +24,10 @@ from imufield.guide.events import Event, RefusalCode, Rejected
 from imufield.guide.lead.guide import Guide
 from imufield.guide.refusals import Refusal
 from imufield.pipeline.calibration import FEWEST_POSITIONS, Measured, MoveListener, SolveSettings, calibrate
-from imufield.pipeline.chain import Chain, ReadingPlan, SamplesListener, replay_into
+from imufield.pipeline.chain import Chain, ReadingPlan, replay_into
 from imufield.pipeline.damage import naming_damage, without_end_under_way
 from imufield.pipeline.site import SiteOptions
+from imufield.progress import task
 from imufield.sentences import Sentences, printable
 
 sentence = Sentences(__package__)
@@ -47,9 +48,6 @@ def solve_session(
     session: Session,
     settings: SolveSettings,
     site: SiteOptions | None = None,
-    *,
-    listener: SamplesListener | None = None,
-    on_read: Callable[[], None] | None = None,
 ) -> Parameters:
     """Replay a session and solve it.
 
@@ -59,10 +57,6 @@ def solve_session(
     settings : SolveSettings
     site : SiteOptions, optional
         What was typed of the place.
-    listener : callable, optional
-        Given every block of samples, to show how far the replay is.
-    on_read : callable, optional
-        Called when the replay is over and the solving begins.
 
     Raises
     ------
@@ -72,7 +66,7 @@ def solve_session(
     damage: list[Damage] = []
     goes_on = session.is_being_recorded
     moves = MoveListener()
-    chain = Chain(ReadingPlan.of(session), listeners=(moves.feed,) if listener is None else (moves.feed, listener))
+    chain = Chain(ReadingPlan.of(session), listeners=(moves.feed,))
     refusals: list[Rejected] = []
 
     def hear(events: list[Event]) -> None:
@@ -83,9 +77,7 @@ def solve_session(
     if goes_on:
         damage = without_end_under_way(damage, session)
         chain.notes.append(sentence("solving.goes_on"))
-    if on_read is not None:
-        on_read()
-    with naming_damage(session, damage):
+    with naming_damage(session, damage), task("solving"):
         usable = _unguided(chain) if chain.guide is None else _guided(chain, chain.guide, refusals)
         observations, axes, refused, saturated, sticking = usable
         if axes.error is not None:

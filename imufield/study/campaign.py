@@ -13,6 +13,7 @@ import math
 import multiprocessing
 import os
 import re
+import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -22,6 +23,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from imufield.errors import LinkError, LinkTimeoutError, Reason, UsageError
+from imufield.progress import Task, task
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -29,7 +31,6 @@ sentence = Sentences(__package__)
 Argument = TypeVar("Argument")
 Result = TypeVar("Result")
 Run = Callable[[Argument, np.random.Generator], Result]
-Progress = Callable[[int, int], None]
 
 BLAS_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS", "NUMEXPR_NUM_THREADS")
 # A batch is at most this part of a worker's share of what is left: batches shrink to single runs, so that at the end no worker
@@ -52,7 +53,6 @@ def run_campaign(
     seed: int,
     workers: int | None = None,
     scheduler: str | None = None,
-    progress: Progress | None = None,
     on_killed: Callable[[Argument], Result] | None = None,
     on_result: Callable[[Result], None] | None = None,
 ) -> list[Result]:
@@ -69,8 +69,6 @@ def run_campaign(
         Processes; default one per core. 1 runs here.
     scheduler : str, optional
         Address of a Dask scheduler ("tcp://host:8786"); ``workers`` then is the cluster's business.
-    progress : callable, optional
-        Told runs done and runs in all.
     on_killed : callable, optional
         What takes the place of a result that kills its worker again and again; without it that ends the campaign. Runs are
         sent one by one then.
@@ -87,21 +85,22 @@ def run_campaign(
     if workers is not None and workers < 1:
         raise UsageError(sentence("campaign.workers", workers=workers))
     count = min(workers or os.cpu_count() or 1, max(len(arguments), 1))
-    campaign = _Campaign(
-        run=run,
-        arguments=tuple(arguments),
-        seeds=tuple(np.random.SeedSequence(seed).spawn(len(arguments))),
-        progress=progress,
-        on_killed=on_killed,
-        on_result=on_result,
-    )
-    if scheduler is not None:
-        return _on_cluster(campaign, scheduler)
-    if count > 1:
-        return _on_processes(campaign, count)
-    for first, (argument, own_seed) in enumerate(zip(campaign.arguments, campaign.seeds, strict=True)):
-        campaign.take(first, run_batch(run, (first, [argument], [own_seed])))
-    return campaign.in_order()
+    with task("computing", len(arguments)) as under_way:
+        campaign = _Campaign(
+            run=run,
+            arguments=tuple(arguments),
+            seeds=tuple(np.random.SeedSequence(seed).spawn(len(arguments))),
+            under_way=under_way,
+            on_killed=on_killed,
+            on_result=on_result,
+        )
+        if scheduler is not None:
+            return _on_cluster(campaign, scheduler)
+        if count > 1:
+            return _on_processes(campaign, count)
+        for first, (argument, own_seed) in enumerate(zip(campaign.arguments, campaign.seeds, strict=True)):
+            campaign.take(first, run_batch(run, (first, [argument], [own_seed])))
+        return campaign.in_order()
 
 
 @dataclass(slots=True, kw_only=True)
@@ -111,11 +110,10 @@ class _Campaign(Generic[Argument, Result]):
     run: Run[Argument, Result]
     arguments: tuple[Argument, ...]
     seeds: tuple[np.random.SeedSequence, ...]
-    progress: Progress | None
+    under_way: Task
     on_killed: Callable[[Argument], Result] | None
     on_result: Callable[[Result], None] | None
     results: dict[int, list[Result]] = field(default_factory=dict)  # By the number of the batch's first run.
-    done: int = 0
 
     def batches(self, workers: int) -> list[_Batch[Argument]]:
         """Return the runs in batches that get smaller to the end."""
@@ -133,9 +131,7 @@ class _Campaign(Generic[Argument, Result]):
         if self.on_result is not None:
             for result in results:
                 self.on_result(result)
-        self.done += len(results)
-        if self.progress is not None:
-            self.progress(self.done, len(self.arguments))
+        self.under_way.done += len(results)
 
     def in_order(self) -> list[Result]:
         """Return all results."""
@@ -172,12 +168,31 @@ def _pool_pass(campaign: _Campaign[Argument, Result], batches: list[_Batch[Argum
     # "spawn": a forked child would inherit BLAS with the threads the parent started it with.
     pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
     try:
-        first_runs = {pool.submit(run_batch, campaign.run, batch): batch[0] for batch in batches}
+        with _interrupts_held():
+            first_runs = {pool.submit(run_batch, campaign.run, batch): batch[0] for batch in batches}
         for future in as_completed(first_runs):
             campaign.take(first_runs[future], future.result())
+    except KeyboardInterrupt:
+        # Nobody waits for what they are computing.
+        for worker in multiprocessing.active_children():
+            worker.kill()
+        raise
     finally:
         # Also after an error of a run: no worker is left behind.
         pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextlib.contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Let a Ctrl-C wait until the end of the block; processes started within never hear one, which is for this process."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextlib.contextmanager

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
-from imufield.study.campaign import Argument, Progress, Result, Run, run_campaign
+from imufield.study.campaign import Argument, Result, Run, run_campaign
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -18,7 +18,6 @@ class StudyContext:
     """Few runs: enough to see that it works, not to quote."""
     workers: int | None = None
     scheduler: str | None = None
-    progress: Progress | None = field(default=None, compare=False)
 
     def runs(self, full: int, quick: int) -> int:
         """Return the number of runs."""
@@ -28,7 +27,7 @@ class StudyContext:
         """Do the runs of a study; each name has random numbers of its own."""
         seed = zlib.crc32(f"{self.seed} {name}".encode())
         # The name is part of the seed, so a study has the same runs whether it is done alone or with others.
-        return run_campaign(run, arguments, seed=seed, workers=self.workers, scheduler=self.scheduler, progress=self.progress)
+        return run_campaign(run, arguments, seed=seed, workers=self.workers, scheduler=self.scheduler)
 
     def campaign_of_each(
         self, name: str, run: Run[Argument, Result], arguments: Sequence[Argument], runs: int

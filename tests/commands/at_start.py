@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import ctypes
 import fcntl
+import importlib
 import os
 import resource
 import signal
@@ -60,3 +61,8 @@ def limit_and_measure(report: str, processor_s: int) -> None:
         Path(report).write_text(str(most_kib << 10))
 
     atexit.register(measure)
+
+
+def show_progress_at_once() -> None:
+    """Let commands that are over in no time say what they do, as those do that take longer."""
+    vars(importlib.import_module("imufield.progress"))["FIRST_S"] = -1.0

@@ -17,7 +17,7 @@ from imufield.cli.run import run
 from imufield.deliver.parameters.document import calibration_from_document
 from imufield.deliver.parameters.write import to_toml
 from imufield.errors import Reason
-from tests.commands.told import fails
+from tests.commands.told import fails, missing
 
 OLD = b"what stood there before\n"
 
@@ -66,6 +66,12 @@ def changed(table: str, key: str, value: object) -> Callable[[str], str]:
     return write
 
 
+def impossible(text: str) -> str:
+    terms = "cubic = [1e300, 0.0, 0.0]\ncross = [{0}]\ncubic_sigma = [0.0, 0.0, 0.0]\ncross_sigma = [{0}]\n"
+    zeros = ", ".join(["[0.0, 0.0, 0.0]"] * 3)
+    return on_purpose(f"{text}\n").replace("[covariance]", f"[accelerometer.higher]\n{terms.format(zeros)}\n[covariance]", 1)
+
+
 def reversed_axis(text: str) -> str:
     """Return the file of an instrument whose output y is the other way round, with all that follows from it."""
     document = tomllib.loads(text)
@@ -91,6 +97,7 @@ BAD: dict[str, tuple[Callable[[str], str], Reason, tuple[str, ...]]] = {
     "not a number": (not_a_number, Reason.NOT_FINITE, ("bad.toml", "scale[0]", "nan")),
     "other units": (other_unit, Reason.UNITS, ("count",)),
     "another instrument": (other_instrument, Reason.FOREIGN, ("A1",)),
+    "impossible": (impossible, Reason.DAMAGED, ("accelerometer.higher.cubic[0]", "10")),
     "reversed axis": (reversed_axis, Reason.BOUNDS, ("y",)),
 }
 COMMANDS = {
@@ -110,6 +117,7 @@ CASES = [
     *(("other units", command) for command in (*NEEDS_SESSION, "export px4")),
     *(("another instrument", command) for command in NEEDS_SESSION),
     ("reversed axis", "export px4"),
+    ("impossible", "export c"),
 ]
 
 
@@ -160,3 +168,16 @@ def test_every_command_says_that_a_file_was_edited(
             assert instrument["calibrations"][0]["edited"] is wanted
         else:
             assert ("edited" in said) is wanted
+
+
+def test_a_file_with_an_impossible_number_has_no_history(
+    solved: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    make, _, facts = BAD["impossible"]
+    whole = (solved / "parameters.toml").read_text(encoding="utf-8")
+    for name, text in (("good.toml", whole), ("bad.toml", make(whole))):
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    assert run(["history", str(tmp_path)]) == 0
+    told = capsys.readouterr()
+    assert "bad.toml" not in told.out
+    assert not missing(told.err, "bad.toml", *facts)

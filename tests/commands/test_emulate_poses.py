@@ -76,6 +76,9 @@ def test_what_is_no_pose_is_refused(tmp_path: Path) -> None:
     path.write_text("z+\nroll thirty\n")
     with refused(UsageError, Reason.USAGE, "roll thirty", key="positions.no_name"):
         operator_of(path)
+    (tmp_path / "empty").write_text("\n \n")
+    with refused(UsageError, Reason.USAGE, "empty", key="emulate.empty_poses"):
+        make_emulation(EmulateOptions(driver="stim300", poses=tmp_path / "empty"))
     with refused(UsageError, Reason.USAGE, "nowhere", key="emulate.no_poses"):
         operator_of(tmp_path / "nowhere")
 

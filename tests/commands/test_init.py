@@ -53,7 +53,7 @@ def earlier_session(folder: Path, **site: float) -> None:
 def test_all_questions(program: Program, terminal: Callable[..., Terminal]) -> None:
     screen = terminal("init")
     answer(screen, "48.1", "520", "stim300", "/dev/ttyUSB7", "100", "50")
-    screen.wait_for("written: imufield.toml")
+    screen.wait_for("written to imufield.toml")
     assert screen.wait() == 0
     place = {"latitude": 48.1, "height": 520.0}
     targets = {"target_bias_ug": 100.0, "target_scale_ppm": 50.0}

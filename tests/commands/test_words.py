@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -150,3 +151,23 @@ def test_what_comes_next_can_be_done(
         Captured(session=Session.open(whole_session), accepted=accepted, planned=24, finished=True), "plain", SystemClock()
     )
     assert command in capsys.readouterr().out
+
+
+def test_a_session_that_lost_samples_in_many_moves_says_so_once(
+    make_session: Callable[..., Session], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The file, JSON and with them other programs have every move."""
+
+    def lose(samples: Samples) -> Samples:
+        return samples[np.flatnonzero(np.linalg.norm(samples.gyroscope, axis=1) < 1.2)]
+
+    folder = str(make_session(change=lose).folder)
+    assert run(["solve", folder, "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    moves = [reason for reason in document["quality"]["reasons"] if "lost samples for" in reason]
+    assert len(moves) > 10
+    assert run(["solve", folder]) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    worst = max(moves, key=lambda move: float(move.split(" lost samples for ")[1].split()[0]))
+    assert told.count("lost samples for") == 1
+    assert f"{len(moves)} of this kind, the worst: {worst}" in told

@@ -21,6 +21,16 @@ def slow_draw(argument: int, rng: np.random.Generator) -> tuple[int, float]:
     return draw(argument, rng)
 
 
+def sleep(seconds: float, _rng: np.random.Generator) -> float:
+    time.sleep(seconds)
+    return seconds
+
+
+def interrupt_itself(argument: int, _rng: np.random.Generator) -> int:
+    os.kill(os.getpid(), signal.SIGINT)
+    return argument
+
+
 def live(_marker: str, rng: np.random.Generator) -> float:
     return float(rng.random())
 

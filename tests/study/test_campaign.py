@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
 import socket
@@ -76,10 +77,26 @@ def test_workers_have_one_blas_thread_and_the_parent_keeps_its_own(runs: Any) ->
         assert os.environ["OMP_NUM_THREADS"] == "1"
 
 
-def test_progress_is_told_to_the_end(runs: Any) -> None:
-    told: list[tuple[int, int]] = []
-    run_campaign(runs.draw, range(10), seed=5, workers=2, progress=lambda done, total: told.append((done, total)))
-    assert told[-1] == (10, 10)
+def test_results_are_told_as_they_come(runs: Any) -> None:
+    told: list[tuple[int, float]] = []
+    results = run_campaign(runs.draw, range(10), seed=5, workers=2, on_result=told.append)
+    assert sorted(told) == sorted(results)
+
+
+def test_an_interrupt_waits_for_no_worker(runs: Any) -> None:
+    """The run of the other worker takes longer than any test may."""
+
+    def interrupt(_: object) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_campaign(runs.sleep, [0, 3600], seed=5, workers=2, on_killed=float, on_result=interrupt)
+    assert not multiprocessing.active_children()
+
+
+def test_workers_hear_no_interrupt(runs: Any) -> None:
+    """Ctrl-C goes to all processes of a terminal; this one ends the others, who would have a traceback each to show."""
+    assert run_campaign(runs.interrupt_itself, range(4), seed=5, workers=2) == [0, 1, 2, 3]
 
 
 def test_no_workers_is_no_campaign(runs: Any) -> None:
@@ -124,11 +141,11 @@ def test_runs_of_a_killed_cluster_worker_are_done_again(cluster: Any, runs: Any)
     victim = next(iter(cluster.workers.values())).pid
     killed: list[int] = []
 
-    def kill(done: int, _total: int) -> None:
-        if done >= 4 and not killed:
+    def kill(result: tuple[int, float]) -> None:
+        if result[0] >= 4 and not killed:
             os.kill(victim, signal.SIGKILL)
             killed.append(victim)
 
-    results = run_campaign(runs.slow_draw, range(40), seed=5, scheduler=cluster.scheduler_address, progress=kill)
+    results = run_campaign(runs.slow_draw, range(40), seed=5, scheduler=cluster.scheduler_address, on_result=kill)
     assert killed
     assert results == run_campaign(runs.draw, range(40), seed=5, workers=1)

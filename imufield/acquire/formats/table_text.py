@@ -19,6 +19,7 @@ import numpy as np
 from imufield.acquire.formats.array_file_reader import SoundGzip
 from imufield.errors import Reason, RecordingError
 from imufield.files import open_to_read
+from imufield.progress import task
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences, printable, shortened
 
@@ -280,8 +281,10 @@ def read_pieces(path: Path, size: int) -> Iterator[bytes]:
             packed = raw.read(len(_GZIP_MAGIC)) == _GZIP_MAGIC
             raw.seek(0)
             file = cast("BinaryIO", SoundGzip(fileobj=raw)) if packed else raw
-            while piece := file.read(size):
-                yield piece
+            with task(f"reading {path.name}", path.stat().st_size) as reading:
+                while piece := file.read(size):
+                    yield piece
+                    reading.done = raw.tell()
     except OverflowError as error:
         raise RecordingError(sentence("table_text.too_packed", path=str(path), cause=error), Reason.DAMAGED) from error
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:

@@ -99,6 +99,8 @@ class PartFile:
     damage : list of Damage
     finished : bool
         Whether the proper end was found.
+    read_bytes : int
+        Where what was read last ends.
 
     Raises
     ------
@@ -111,6 +113,7 @@ class PartFile:
         self.metadata: dict[str, object] = {}
         self.damage: list[Damage] = []
         self.finished = False
+        self.read_bytes = 0
         self._in_head = True
         self._file = open_part(path)
         try:
@@ -134,6 +137,7 @@ class PartFile:
             self._file.seek(position)
             try:
                 opcode, body = self._record(position)
+                self.read_bytes = self._file.tell()
                 content = self._handle(opcode, body)
             except DamageError as error:
                 position = self._skip(position, error)

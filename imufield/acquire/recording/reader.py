@@ -25,6 +25,7 @@ from imufield.acquire.recording.part_file import Damage as Damage  # noqa: PLC04
 from imufield.acquire.recording.part_file import PartFile, open_part
 from imufield.errors import LinkError, Reason, UsageError
 from imufield.json_files import parse_json
+from imufield.progress import Task, task
 from imufield.samples import FloatArray, IntArray
 from imufield.sentences import Sentences
 
@@ -139,9 +140,15 @@ def read_blocks(
     span_s : float
         Nor beyond this time of the wire, nor over a pause of 0.25 s, nor over an event.
     """
-    joiner = _Joiner(block_bytes=block_bytes, span_s=span_s)
+    with task("reading", _size(session.parts)) as reading:
+        yield from _blocks(session, damage, _Joiner(block_bytes=block_bytes, span_s=span_s), reading)
+
+
+def _blocks(
+    session: Parts, damage: list[Damage] | None, joiner: _Joiner, reading: Task
+) -> Iterator[PartStart | RecordedBlock | RecordedEvent]:
     for path in _parts_begun(session, damage):
-        for item in _items_of(path, damage):
+        for item in _items_of(path, damage, reading):
             if isinstance(item, tuple):
                 data, monotonic_s, utc_ns = item
                 if joiner.must_end_before(monotonic_s, len(data)):
@@ -230,13 +237,21 @@ def _parts_begun(session: Parts, damage: list[Damage] | None) -> Iterator[Path]:
 _Chunk = tuple[bytes, float, int]
 
 
-def _items_of(path: Path, damage: list[Damage] | None) -> Iterator[PartStart | _Chunk | RecordedEvent]:
+def _size(paths: Iterable[Path]) -> int:
+    """Return the bytes of files; one that is gone is missed by whoever opens it."""
+    return sum(path.stat().st_size for path in paths if path.is_file())
+
+
+def _items_of(
+    path: Path, damage: list[Damage] | None, reading: Task | None = None
+) -> Iterator[PartStart | _Chunk | RecordedEvent]:
     """Yield the start of a part, then what our two channels hold."""
     with PartFile(path) as part:
         contents = part.contents()
         # The metadata stand before the first chunk: reading that far makes them known.
         first = next(contents, None)
         yield PartStart(path, part.metadata)
+        begun = 0 if reading is None else reading.done
         for offset, content in itertools.chain([] if first is None else [first], contents):
             try:
                 checked = [message for message in messages(content) if _is_sound(content, message)]
@@ -245,6 +260,8 @@ def _items_of(path: Path, damage: list[Damage] | None) -> Iterator[PartStart | _
                 continue
             # Nothing of a chunk is given away before all of it is checked: half of one would be lost samples without a trace.
             for channel, utc_ns, start, end in checked:
+                if reading is not None:
+                    reading.done = begun + offset + (part.read_bytes - offset) * end / len(content)
                 if channel == EVENTS_CHANNEL:
                     yield RecordedEvent(json.loads(content[start:end]), utc_ns)
                 else:
@@ -324,10 +341,16 @@ class RecordingLink:
         paths = list(session) if isinstance(session, Iterable) else session.parts
         self.name = str(paths[0].parent) if paths else "recording"
         self.damage: list[Damage] = []
-        self._items = itertools.chain.from_iterable(read_part(path, self.damage) for path in paths)
+        self._items = self._read(paths)
         self._pacer = Pacer(pace, clock)
         # Whether what was read so far says when it arrived; an imported dump does not, and has no pace.
         self.has_arrival_times = True
+
+    def _read(self, paths: list[Path]) -> Iterator[PartStart | Chunk | RecordedEvent]:
+        with task("sending", _size(paths)) as sending:
+            for path in paths:
+                for item in _items_of(path, self.damage, sending):
+                    yield Chunk(*item) if isinstance(item, tuple) else item
 
     def read(self) -> Chunk | None:
         """Return the next chunk with the arrival times of the recording.
@@ -357,4 +380,4 @@ class RecordingLink:
 
     def close(self) -> None:
         """Stop reading; may be called again."""
-        self._items = itertools.chain()
+        self._items = iter(())

@@ -1,1 +1,1 @@
-"""What talks to the person at the terminal: output, progress, questions, choice of the view."""
+"""What talks to the person at the terminal: output, questions, choice of the view."""

@@ -45,6 +45,7 @@ from imufield.pipeline.chain import (
 )
 from imufield.pipeline.intake import Intake
 from imufield.pipeline.site import SiteOptions
+from imufield.progress import hidden
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -164,7 +165,7 @@ def guided_session(
     metadata = part_metadata(connected.protocol, connected.session_tables())
     loop = None
     try:
-        with ExitStack() as stack:
+        with hidden(), ExitStack() as stack:
             recorder = stack.enter_context(Recorder(session.add_part(), metadata, clock=clock))
             keyboard = stack.enter_context(Keyboard())
             positions = scheme(chain.plan.scheme or DEFAULT_SCHEME)

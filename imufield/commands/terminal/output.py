@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import sys
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -15,7 +15,8 @@ from imufield.acquire.link.host_clock import HostClock, ScaledClock, SystemClock
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import UsageError
 from imufield.files import open_to_read, refuse_overwriting, typed_write_errors, write_atomically
-from imufield.sentences import Sentences, printable, printable_lines
+from imufield.progress import hidden
+from imufield.sentences import Sentences, folded, printable, printable_lines
 
 sentence = Sentences(__package__)
 
@@ -51,7 +52,14 @@ def write_output(path: Path, data: bytes, *, as_json: bool = False) -> None:
     """
     with typed_write_errors(path):
         write_atomically(path, data)
+    tell_written(path, as_json=as_json)
+
+
+def tell_written(path: Path, kept: Path | None = None, *, as_json: bool = False) -> None:
+    """Say which file was written, and where the one that stood there is kept; on standard error beside JSON."""
     echo(beside("written to", path), err=as_json)
+    if kept is not None:
+        say(sentence("output.kept", name=kept.name), err=as_json)
 
 
 def replace_only(path: Path, mark: str, option: str, what: str) -> None:
@@ -87,13 +95,15 @@ def echo(text: str = "", *, begin: str = "", end: str = "\n", err: bool = False)
 
     What controls a terminal in ``text`` came from somebody else and is shown instead; ``begin`` and ``end`` are ours.
     """
-    typer.echo(f"{begin}{printable_lines(text)}{end}", nl=False, err=err)
+    with hidden():
+        typer.echo(f"{begin}{printable_lines(text)}{end}", nl=False, err=err)
 
 
 def echo_path(path: Path) -> None:
     """Print a path alone: a script gets what it can open, a terminal what it can show."""
     text = str(path)
-    typer.echo(printable(text) if sys.stdout.isatty() else text)
+    with hidden():
+        typer.echo(printable(text) if sys.stdout.isatty() else text)
 
 
 def say(line: str, *, err: bool = False, indent: int = 0, color: str | None = None) -> None:
@@ -110,7 +120,14 @@ def say(line: str, *, err: bool = False, indent: int = 0, color: str | None = No
             break_long_words=False,
             break_on_hyphens=False,
         )
-    typer.echo(line if color is None else typer.style(line, fg=color), err=err)
+    with hidden():
+        typer.echo(line if color is None else typer.style(line, fg=color), err=err)
+
+
+def say_each(sentences: Iterable[str], *, err: bool = False, indent: int = 0, begin: str = "") -> None:
+    """Print a list of sentences, of many of a kind the worst."""
+    for line in folded(sentences):
+        say(f"{begin}{line}", err=err, indent=indent)
 
 
 def say_assumed(assumption: str) -> None:

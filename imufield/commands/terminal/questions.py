@@ -12,6 +12,7 @@ import typer
 
 from imufield.commands.terminal.output import echo, say
 from imufield.errors import ImufieldError
+from imufield.progress import hidden
 
 Answer = TypeVar("Answer")
 
@@ -30,9 +31,10 @@ def ask(question: str) -> str:
     typer.Abort
         At the end of the input.
     """
-    echo(f"{question}: ", end="")
-    _wait_for_line()
-    line = sys.stdin.readline()
+    with hidden():
+        echo(f"{question}: ", end="")
+        _wait_for_line()
+        line = sys.stdin.readline()
     if not line:
         raise typer.Abort
     return line.strip()

@@ -138,7 +138,9 @@ _VALUE_CHECKS: dict[str, tuple[str, Callable[[object, Any], bool]]] = {
 def _value_fault(value: object, rule: Document, key: str) -> Fault | None:
     for keyword, (name, holds) in _VALUE_CHECKS.items():
         if keyword in rule and not holds(value, rule[keyword]):
-            return _fault(key, name, shown=shown(value), value=value, limit=rule[keyword])
+            # An empty text stands for what is not known, which is nothing to choose.
+            limit = [*filter(None, rule[keyword])] if keyword == "enum" else rule[keyword]
+            return _fault(key, name, shown=shown(value), value=value, limit=limit)
     return None
 
 

@@ -20,6 +20,7 @@ from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.schema import Document
 from imufield.earth import EARTH_RATE_RAD_S
 from imufield.errors import CalibrationError
+from imufield.progress import one_by_one
 from imufield.samples import FloatArray, Samples, SampleUnits
 
 CELL_S = 0.5
@@ -183,7 +184,7 @@ def convergence(
 ) -> tuple[Convergence, ...]:
     """Solve again with the methods of the papers, from a start of their own, and return how they got there."""
     runs = []
-    for method in SHOWN_METHODS:
+    for method in one_by_one("solving with every method", SHOWN_METHODS):
         # A start of their own: from the result itself there would be no way to show.
         try:
             again = restart(observations, calibration, preset)

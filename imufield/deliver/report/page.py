@@ -21,7 +21,7 @@ from imufield.deliver.report.gain import gain
 from imufield.deliver.report.rows import VERDICT_WORDS, Row, parameter_rows
 from imufield.deliver.verification.result import duration_words
 from imufield.earth import MICRO_G_M_S2, height_words
-from imufield.sentences import Sentences, printable
+from imufield.sentences import Sentences, folded, printable
 
 sentence = Sentences(__package__)
 
@@ -126,8 +126,8 @@ def _facts(data: ReportData) -> Document:
         "verdict": quality.verdict,
         "verdict_words": VERDICT_WORDS[quality.verdict],
         "edited": parameters.edited,
-        "reasons": [*quality.reasons[:1], *quality.warnings, *data.notes],
-        "notes": quality.details,
+        "reasons": folded([*quality.reasons[:1], *quality.warnings, *data.notes]),
+        "notes": folded(quality.details),
         "triads": {"accelerometer": quality.accelerometer_verdict, "gyroscope": quality.gyroscope_verdict},
         "factor": f"{factor:.2f}" if math.isfinite(factor) else "",
         "gain": "" if gained is None else gained.words,

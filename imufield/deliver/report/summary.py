@@ -34,7 +34,7 @@ from imufield.deliver.report.gain import gain
 from imufield.deliver.report.rows import VERDICT_WORDS, Quantity, quantities
 from imufield.earth import MICRO_G_M_S2, height_words
 from imufield.samples import AXES, FloatArray
-from imufield.sentences import Sentences, printable
+from imufield.sentences import Sentences, folded, printable
 
 sentence = Sentences(__package__)
 
@@ -242,7 +242,7 @@ def _bullets(texts: Iterable[str]) -> Iterator[RenderableType]:
     table = Table.grid(padding=(0, 1, 0, 0))
     table.add_column(no_wrap=True)
     table.add_column()
-    for text in texts:
+    for text in folded(texts):
         table.add_row(" ·", Text(text))
     if table.row_count:
         yield table

@@ -42,6 +42,7 @@ from imufield.calibrate.model.uncertainty import f_chance, f_limit_95, known_cov
 from imufield.calibrate.solvers.agreement import AGREEMENT_SIGMA
 from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2, Gravity
 from imufield.errors import CalibrationError, Reason, UsageError
+from imufield.progress import one_by_one
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 
@@ -77,7 +78,7 @@ def _simulated_misfits(
     within, m = _within(at, observations), len(observations)
     sigma = np.sqrt(within + quality.between_position_sigma_m_s2**2)
     noise = sigma * np.random.default_rng(seed).standard_normal((RUNS, m))
-    squares = [_squares(J, within, group, noise, sigma=sigma) for group in groups]
+    squares = [_squares(J, within, group, noise, sigma=sigma) for group in one_by_one("simulating sessions", groups)]
     return np.asarray(np.sum(squares, axis=0) / m)
 
 
@@ -291,7 +292,7 @@ def cross_validate(
     residual, misfit, sigma = np.empty(m), 0.0, np.empty(m)
     # Every count-th position: neighbours in time, which drift alike, part ways.
     groups = [np.arange(m) % count == first for first in range(count)]
-    for group in groups:
+    for group in one_by_one("solving without some positions", groups):
         others = _again(calibration, observations[~group])
         residual[group], S = _residual(others, observations[group], calibration.gravity)
         sigma[group] = np.sqrt(np.diag(S))

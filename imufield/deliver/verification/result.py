@@ -28,7 +28,7 @@ from imufield.earth import MICRO_G_M_S2
 from imufield.errors import UsageError
 from imufield.files import Origin, read_small_file, typed_write_errors, write_atomically
 from imufield.json_files import parse_json
-from imufield.sentences import Sentences, printable_values
+from imufield.sentences import Sentences, folded, printable_values
 
 sentence = Sentences(__package__)
 
@@ -245,7 +245,7 @@ def verification_text(verification: Verification) -> str:
         lines += [*_position_lines(left_out), ""]
     if verification.navigation is not None:
         lines += [*_navigation_lines(verification.navigation), ""]
-    for note in verification.notes:
+    for note in folded(verification.notes):
         lines += textwrap.wrap(f" · {note}", _WIDTH, subsequent_indent="   ")
     for objection in verification.objections:
         if left_out is None or objection != left_out.objection:  # which stands below its table

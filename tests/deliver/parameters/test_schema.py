@@ -36,6 +36,13 @@ def test_the_schema_is_one_and_uses_only_what_is_enforced() -> None:
     assert all(rule["additionalProperties"] is False for rule in rules(parameter_schema()) if "properties" in rule)
 
 
+def test_every_number_has_the_limits_of_what_can_be() -> None:
+    """Numbers of any size would be computed with: one that a person mistyped must not reach a navigation system."""
+    numbers = [rule for rule in rules(parameter_schema()) if "number" in rule.get("type", ())]
+    assert len(numbers) > 10
+    assert not [rule for rule in numbers if not ({"minimum", "exclusiveMinimum"} & rule.keys() and "maximum" in rule)]
+
+
 def test_a_written_document_passes_both_validators(document: dict[str, Any]) -> None:
     assert first_fault(document) is None
     jsonschema.validate(json_ready(document), parameter_schema())
@@ -82,6 +89,9 @@ def test_agrees_with_a_full_validator_on_damage(document: dict[str, Any], choice
         ("quality", "rank", 2**60, Reason.DAMAGED, "type", ["a whole number"]),
         ("site", "gravity_sigma_m_s2", -1.0, Reason.DAMAGED, "minimum", ["-1", "0"]),
         ("site", "gravity_m_s2", 0.0, Reason.DAMAGED, "minimum", ["0", "9.76"]),
+        ("instrument", "grade", "golden", Reason.DAMAGED, "enum", ["'golden'", "one of navigation, tactical"]),
+        ("session", "sample_rate_hz", 1e300, Reason.DAMAGED, "maximum", ["session.sample_rate_hz", "1e+06"]),
+        ("accelerometer", "bias_m_s2", [0.0, 1e300, 0.0], Reason.DAMAGED, "maximum", ["accelerometer.bias_m_s2[1]", "100000"]),
         ("solver", "cost", float("inf"), Reason.NOT_FINITE, "infinite", ["solver.cost"]),
     ],
 )
