@@ -47,7 +47,8 @@ _HIGHER = _names(HigherTerms)
 _NOISE = _names(Noise, "source")
 _CLOCK = _names(ClockFacts)
 _TRIAD_VERDICTS = ("accelerometer_verdict", "gyroscope_verdict")
-_QUALITY_FIGURES = _names(Quality, "verdict", "reasons", "warnings", *_TRIAD_VERDICTS)
+_QUALITY_LISTS = ("reasons", "warnings", "suspects")
+_QUALITY_FIGURES = _names(Quality, "verdict", *_QUALITY_LISTS, *_TRIAD_VERDICTS)
 _POSITION_RESULTS = _names(PositionResult, "used", "bias_drift_m_s2")
 
 
@@ -108,6 +109,7 @@ def to_document(calibration: Calibration, observations: Observations, context: C
         **{key: value for key, value in _plain(quality, _TRIAD_VERDICTS).items() if value},
         "reasons": list(quality.reasons),
         "warnings": list(quality.warnings),
+        **({"suspects": list(quality.suspects)} if quality.suspects else {}),
         "unobservable": list(calibration.unobservable),
     }
     document["position"] = _positions(calibration.positions, observations)
@@ -218,8 +220,7 @@ def calibration_from_document(document: Document) -> Calibration:
         quality=Quality(
             verdict=quality["verdict"],
             **{key: quality[key] for key in _QUALITY_FIGURES},
-            reasons=tuple(quality["reasons"]),
-            warnings=tuple(quality.get("warnings", ())),
+            **{key: tuple(quality.get(key, ())) for key in _QUALITY_LISTS},
             **{key: quality.get(key, "") for key in _TRIAD_VERDICTS},
         ),
         quadratic_fitted=accelerometer["quadratic_fitted"],
