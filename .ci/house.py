@@ -27,6 +27,7 @@ ROOMS = (
     ("errors",),
     ("samples", "earth", "files", "toml_files", "console"),
     ("json_files",),
+    ("drawing",),
     ("acquire/protocol",),
     ("acquire/decode",),
     ("acquire/clock",),

@@ -216,7 +216,8 @@ def test_names_on_the_sphere_cover_neither_marks_nor_each_other() -> None:
 def test_record_has_all_parameters_and_lines_to_sign(data: ReportData) -> None:
     words = " ".join(Page(render_record(data)).text)
     for row in parameter_rows(data.parameters.calibration, None):
-        assert re.search(re.escape(row.shown), words)
+        value, _, sigma = row.shown.partition(" ± ")
+        assert re.search(rf"{re.escape(row.name)}\s+{re.escape(row.unit)}\s+{re.escape(value)}\s+{re.escape(sigma)}\s", words)
     for expected in ("Approved by", "A. Person", "a" * 64):
         assert expected in words
 
@@ -228,7 +229,7 @@ def test_the_same_data_give_the_same_page(data: ReportData) -> None:
 @pytest.mark.parametrize("package", ["matplotlib", "jinja2"])
 def test_missing_package_is_named(data: ReportData, monkeypatch: pytest.MonkeyPatch, package: str) -> None:
     monkeypatch.setitem(sys.modules, package, None)
-    with refused(UsageError, Reason.MISSING_PACKAGE, "pip install 'imufield[report]'", key="plots.package") as caught:
+    with refused(UsageError, Reason.MISSING_PACKAGE, "pip install 'imufield[report]'", key="style.package") as caught:
         render_report(data)
     assert caught.value.values["package"] == package
     assert caught.value.reason is Reason.MISSING_PACKAGE
@@ -263,5 +264,5 @@ def test_what_pdf_needs_is_named(monkeypatch: pytest.MonkeyPatch, error: type[Ex
         raise error(name)
 
     monkeypatch.setattr("importlib.import_module", missing)
-    with refused(UsageError, Reason.MISSING_PACKAGE, "pip install 'imufield[pdf]'", key="plots.package"):
+    with refused(UsageError, Reason.MISSING_PACKAGE, "pip install 'imufield[pdf]'", key="style.package"):
         to_pdf("")
