@@ -30,7 +30,7 @@ ORANGE = "#b45f06"
 GREY = "#8a8a8a"
 """Dark enough on paper; blue and orange differ in lightness too. Curves take the first three for x, y, z."""
 WIDTH_IN = 7.0
-_FEW_DECADES = 3  # Up to here there is room for the numbers 1, 2 and 5 of each.
+_FEW_DECADES = 2  # Up to here there is room for the numbers 1, 2 and 5 of each.
 
 
 def load_matplotlib(extra: str = "report") -> ModuleType:

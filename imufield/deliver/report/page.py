@@ -34,6 +34,7 @@ _GRAVITY_WORDS = {
     "assumed": "ASSUMED, place unknown",
 }
 UNKNOWN = "not known"
+_ROUNDING = 1e-6  # Of micro-g and nautical miles: what is left of ideal outputs.
 _STRONGEST_SHOWN = 5  # As many as a caption can name.
 
 
@@ -253,7 +254,7 @@ def _forecast_words(positions: Document) -> str:
 
 
 def _short(value: float) -> str:
-    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
+    return f"{value:.0f}" if abs(value) >= 100 or abs(value) < _ROUNDING else f"{value:.3g}"
 
 
 def _requirements(verification: Document) -> list[Document]:
@@ -290,7 +291,7 @@ def _figures(data: ReportData) -> Iterator[Figure]:
     gained = gain(data.parameters, data.preset)
     if gained is not None:
         yield Figure("Before and after", plots.before_and_after(gained), sentence("page.before_after"), "Errors by position")
-    if tables:
+    if tables and data.parameters.calibration.quality.degrees_of_freedom > 0:
         up = directions(data.parameters, np.array([table["mean_raw"] for table in tables], dtype=np.float64))
         svg = plots.sphere_map(up, results.residual_m_s2, names)
         yield Figure("Residual on the sphere", svg, sentence("page.sphere"), "Map of residuals by direction")

@@ -45,6 +45,8 @@ def position_cards(parameters: Parameters) -> tuple[list[PositionCard], str]:
     up = directions(parameters, raw)
     within = np.nan_to_num(np.linalg.norm(up * sigma_raw / calibration.accelerometer.scale, axis=1))
     sigma = np.hypot(within, quality.between_position_sigma_m_s2) * np.sqrt(np.maximum(1 - results.leverage, 0.0))
+    # What the others cannot predict has a residual of nothing but rounding.
+    sigma[np.isnan(results.leave_one_out_m_s2)] = np.nan
     shown = np.array([results.residual_m_s2, sigma, results.leave_one_out_m_s2])
     unit, size = acceleration_unit(float(np.nanmax(np.abs(shown), initial=0.0)))
     largest = float(np.nanmax(np.abs(results.residual_m_s2), initial=1e-12))
@@ -83,7 +85,7 @@ def draw_position(up: FloatArray) -> str:
     turned = turn_shortest(np.eye(3), up)
     # Of a position only "up" is known: the heading is the one that shows most of the sides that look up.
     seen = [[*visible_faces(_heading(angle) @ turned)] for angle in _HEADINGS]
-    faces = max(seen, key=lambda faces: sum(face.up > _UPWARDS for face in faces))
+    faces = max(seen, key=lambda faces: (sum(face.up > _UPWARDS for face in faces), len(faces)))
     sides, names = [], []
     for face in faces:
         x, y = (_SIZE / 2 + _SCALE * face.corners[:, [0, 2]] * (1, -1)).T
