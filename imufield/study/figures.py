@@ -83,4 +83,6 @@ def _panels(figure: Figure, count: int) -> Iterator[Axes]:
 def _finish(ax: Axes) -> None:
     if ax.get_yscale() == "log":
         plain_ticks(ax.yaxis)
-    legend_beside(ax)
+    # One alone is named by its axis.
+    if len(ax.get_legend_handles_labels()[0]) > 1:
+        legend_beside(ax)

@@ -13,14 +13,14 @@ from imufield.drawing.style import figure, legend_beside, plain_ticks, plot_styl
 from imufield.errors import Reason, UsageError
 from tests.refused import refused
 
-PALETTE = re.compile("#(111111|0b5394|b45f06|009e73|cc79a7|56b4e9|e69f00|8a8a8a|dddddd|ffffff|000000)", re.IGNORECASE)
+PALETTE = re.compile("#(111111|0b5394|b45f06|009e73|cc79a7|56b4e9|e69f00|8a8a8a|882255|dddddd|ffffff|000000)", re.IGNORECASE)
 
 
 def test_curves_differ_in_line_as_well_as_in_colour() -> None:
     with plot_style():
         axes = figure(2.0).subplots()
-        lines = [axes.plot([0, 1])[0] for _ in range(8)]
-    assert len({line.get_color() for line in lines}) == 8
+        lines = [axes.plot([0, 1])[0] for _ in range(9)]
+    assert len({line.get_color() for line in lines}) == 9
     for line, other in pairwise(lines):
         assert line.get_linestyle() != other.get_linestyle()
 
