@@ -35,8 +35,8 @@ def browse(page: Path, *options: str) -> str:
     return done.stderr
 
 
-@pytest.mark.parametrize(("name", "sheets"), [("report", None), ("record", 1)])
-def test_pages_open_without_a_message_and_print(tmp_path: Path, name: str, sheets: int | None) -> None:
+@pytest.mark.parametrize(("name", "sheets"), [("report", 5), ("record", 1)])
+def test_pages_open_without_a_message_and_print(tmp_path: Path, name: str, sheets: int) -> None:
     data = ReportData(parameters=load(EXAMPLE))
     page = tmp_path / f"{name}.html"
     page.write_text(render_report(data) if name == "report" else render_record(data), encoding="utf-8")
@@ -44,8 +44,7 @@ def test_pages_open_without_a_message_and_print(tmp_path: Path, name: str, sheet
     messages = browse(page, "--no-pdf-header-footer", f"--print-to-pdf={printed}")
     assert "CONSOLE" not in messages
     count = len(re.findall(rb"/Type\s*/Page\b", printed.read_bytes()))
-    assert count >= 1
-    assert sheets is None or count == sheets
+    assert 1 <= count <= sheets
 
 
 @pytest.mark.parametrize("name", ["report", "record"])
