@@ -107,9 +107,7 @@ def to_document(calibration: Calibration, observations: Observations, context: C
         # Infinite where the positions leave a parameter open, which the file calls not known.
         "condition": float(quality.condition) if math.isfinite(quality.condition) else math.nan,
         **{key: value for key, value in _plain(quality, _TRIAD_VERDICTS).items() if value},
-        "reasons": list(quality.reasons),
-        "warnings": list(quality.warnings),
-        **({"suspects": list(quality.suspects)} if quality.suspects else {}),
+        **{key: list(getattr(quality, key)) for key in _QUALITY_LISTS if key != "suspects" or quality.suspects},
         "unobservable": list(calibration.unobservable),
     }
     document["position"] = _positions(calibration.positions, observations)
