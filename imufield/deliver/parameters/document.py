@@ -218,7 +218,9 @@ def calibration_from_document(document: Document) -> Calibration:
         quality=Quality(
             verdict=quality["verdict"],
             **{key: quality[key] for key in _QUALITY_FIGURES},
-            **{key: tuple(quality.get(key, ())) for key in _QUALITY_LISTS},
+            reasons=tuple(quality["reasons"]),
+            warnings=tuple(quality.get("warnings", ())),
+            suspects=tuple(quality.get("suspects", ())),
             **{key: quality.get(key, "") for key in _TRIAD_VERDICTS},
         ),
         quadratic_fitted=accelerometer["quadratic_fitted"],
