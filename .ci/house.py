@@ -28,6 +28,7 @@ ROOMS = (
     ("progress",),
     ("samples", "earth", "files", "toml_files", "console"),
     ("json_files",),
+    ("drawing",),
     ("acquire/protocol",),
     ("acquire/decode",),
     ("acquire/clock",),

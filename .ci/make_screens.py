@@ -1,8 +1,8 @@
-"""Make the pictures of the guide's screens: ``make screens``.
+"""Make the pictures of the guide's screens and of the report: ``make screens``.
 
 An emulated session runs in a pseudo-terminal, of 80 by 24 and of 120 by 40, as a person would see it. At chosen moments the
-cells of that terminal are written as text and as SVG, in the colours that were sent. They stand in the README and in the
-documentation.
+cells of that terminal are written as text and as SVG, in the colours that were sent. The report is that of the demo, its top
+as a browser shows it. They stand in the README and in the documentation.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import os
 import pty
 import re
 import select
+import shutil
 import struct
 import subprocess
 import sys
@@ -38,6 +39,7 @@ README = ROOT / "README.md"
 USUAL = (80, 24)
 LARGE = (120, 40)
 SPEED = 8
+REPORT_SIZE = "760,700"
 LONGEST_S = 300.0
 BEGIN, END = "<!-- screen: turn -->\n```text\n", "\n```\n<!-- end of screen -->"
 _NAMES = {"brown": "yellow"}
@@ -163,6 +165,20 @@ def write(name: str, terminal: Terminal) -> None:
     (FOLDER / f"{name}.svg").write_text(re.sub(r"@font-face \{.*?\}\n", "", svg, flags=re.DOTALL), encoding="utf-8")
 
 
+def photograph_report() -> None:
+    """Run the demo and take a picture of its report."""
+    browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    if browser is None:
+        raise SystemExit("install chromium, which takes the picture of the report")
+    with tempfile.TemporaryDirectory() as name:
+        for command in (["demo", "--plain"], ["report"]):
+            subprocess.run([sys.executable, "-m", "imufield", *command], cwd=name, check=True, stdout=subprocess.DEVNULL)
+        (page,) = Path(name).rglob("report.html")
+        options = ["--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", f"--user-data-dir={name}/browser"]
+        picture = [f"--window-size={REPORT_SIZE}", f"--screenshot={FOLDER / 'report.png'}", page.as_uri()]
+        subprocess.run([browser, *options, *picture], check=True, capture_output=True)
+
+
 def refresh_readme() -> None:
     """Put the screen of a turn into the README."""
     before, rest = README.read_text(encoding="utf-8").split(BEGIN)
@@ -175,4 +191,5 @@ if __name__ == "__main__":
     take(PICTURES)
     take(WIDE, size=LARGE)
     take(BIG, "--big")
+    photograph_report()
     refresh_readme()

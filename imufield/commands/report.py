@@ -29,8 +29,8 @@ from imufield.deliver.report.data import (
     observations_of,
 )
 from imufield.deliver.report.page import load_weasyprint, render_record, render_report, to_pdf
-from imufield.deliver.report.plots import load_matplotlib
 from imufield.deliver.verification.result import read_verification, verification_note, verification_path
+from imufield.drawing.style import load_matplotlib
 from imufield.errors import ParameterFileError, Reason
 from imufield.files import refuse_overwriting, utf8_text
 from imufield.pipeline.calibration import MoveListener

@@ -27,6 +27,7 @@ from imufield.calibrate.model.grades import GRADES, grade_by_noise
 from imufield.deliver.family import Change, Shared, compare, family_of, typical_turn_on
 from imufield.deliver.parameters.file import Parameters, load_found
 from imufield.deliver.parameters.gauge_free import GaugeFree, Number, gauge_free
+from imufield.drawing.style import BLUE, INK, ORANGE, figure, legend_beside, plot_style, title, to_svg
 from imufield.errors import ImufieldError, ParameterFileError, Reason, UsageError
 from imufield.files import Origin, open_to_read, write_atomically
 from imufield.progress import one_by_one
@@ -55,7 +56,6 @@ CSV_COLUMNS = (
     "remark",
 )
 _SAME_GRAVITY_M_S2 = 1e-7  # Rounding of the figures in a file: a larger difference is another value.
-_COLORS = ("#111111", "#0b5394", "#b45f06")
 # Shape and line style tell the curves apart on grey paper; nine of a kind at most (g-sensitivity).
 _MARKERS = "osD^v<>Px"
 # Of the fields that an index holds.
@@ -440,8 +440,6 @@ def plot_history(instrument: InstrumentHistory) -> bytes:
     UsageError
         If matplotlib is not installed.
     """
-    from imufield.deliver.report import plots
-
     known: dict[str, list[tuple[datetime, Number]]] = {}
     for entry in instrument.entries:
         for number in entry.numbers:
@@ -449,13 +447,13 @@ def plot_history(instrument: InstrumentHistory) -> bytes:
     names = [name for name, points in known.items() if len(points) >= min(2, len(instrument.entries))]
     kinds = list(dict.fromkeys(name.rpartition(" ")[0] for name in names))
     rows = max(len(kinds), 1)
-    with plots.style():
-        drawn = plots.figure(1.7 * rows + 0.6)
+    with plot_style():
+        drawn = figure(1.7 * rows + 0.6)
         panels = drawn.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
         for axes, kind in zip(panels, kinds, strict=False):
             shown = [name for name in names if name.rpartition(" ")[0] == kind]
             is_scale, unit = "scale" in kind, ""
-            for name, marker, style, color in zip(shown, _MARKERS, ("-", "--", ":") * 3, _COLORS * 3, strict=False):
+            for name, marker, style, color in zip(shown, _MARKERS, ("-", "--", ":") * 3, (INK, BLUE, ORANGE) * 3, strict=False):
                 points = known[name]
                 first, unit = points[0][1].value, points[0][1].unit
                 # Scales differ by parts in a million of one another, whatever their unit.
@@ -471,11 +469,10 @@ def plot_history(instrument: InstrumentHistory) -> bytes:
                     color=color,
                 )
             axes.set_ylabel(f"{kind}\n{'ppm' if is_scale else unit}")
-            # Beside the curves, not over them.
-            axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=7, frameon=False)
+            legend_beside(axes)
         since = sentence("history.change_since", title=instrument.title, day=instrument.entries[0].created[:10])
-        panels[0].set_title(since, loc="left", fontweight="bold")
+        title(drawn, since)
         panels[-1].tick_params(axis="x", rotation=30)
         if not kinds:
             panels[0].set_axis_off()
-        return plots.to_svg(drawn, "history").encode("utf-8")
+        return to_svg(drawn, "history").encode("utf-8")

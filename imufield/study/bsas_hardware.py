@@ -120,7 +120,7 @@ def table_5(context: StudyContext) -> Findings:
             "shared": shared,
         },
         tables=(numbered_table("errors", columns, np.vstack([old, new, turntable]).T),),
-        draw=figures.runs({"old": old[0], "turntable": turntable[0], "recalibrated": new[0]}, "mean error (µg)"),
+        draw=figures.runs({"old": old[0], "turntable": turntable[0], "recalibrated": new[0]}, "mean error, µg"),
     )
 
 
@@ -131,7 +131,7 @@ def figure_9(context: StudyContext) -> Findings:
     return Findings(
         values={"old": run.old_error_ug, "new": run.new_error_ug},
         tables=(numbered_table("errors", ("position", "old (ug)", "recalibrated (ug)"), rows),),
-        draw=figures.runs({"old": run.old_error_ug, "recalibrated": run.new_error_ug}, "error (µg)", xlabel="position"),
+        draw=figures.runs({"old": run.old_error_ug, "recalibrated": run.new_error_ug}, "error, µg", xlabel="position"),
     )
 
 
@@ -183,7 +183,9 @@ def table_6(context: StudyContext) -> Findings:
             "runs": len(runs),
         },
         tables=(numbered_table("errors", columns, np.vstack([old, new]).T),),
-        draw=figures.bars(("maximum", "mean"), {name: np.median(found[name], axis=1) for name in ("old", "new")}, "nmi"),
+        draw=figures.bars(
+            ("maximum", "mean"), {name: np.median(found[name], axis=1) for name in ("old", "new")}, "position error, nmi"
+        ),
     )
 
 
@@ -207,7 +209,7 @@ def figure_10(context: StudyContext) -> Findings:
     return Findings(
         values={"errors": errors, "apart": apart, "largest": largest, "together": apart < largest / 10},
         tables=(minute_curves(runs, ("latitude_deg", "longitude_deg")),),
-        draw=figures.over_time({f"{angle} (deg)": of_run for angle, of_run in curves.items()}),
+        draw=figures.over_time({f"{angle}, deg": of_run for angle, of_run in curves.items()}),
     )
 
 
@@ -218,5 +220,5 @@ def figure_11(context: StudyContext) -> Findings:
     return Findings(
         values={"errors": {name: run.position_nmi for name, run in runs.items()}},
         tables=(minute_curves(runs, ("position_nmi",)),),
-        draw=figures.over_time({"position error (nmi)": curves}),
+        draw=figures.over_time({"position error, nmi": curves}),
     )

@@ -96,7 +96,7 @@ def figure_5(context: StudyContext) -> Findings:
             "runs": len(shared),
         },
         tables=(numbered_table("costs", ("run", "one data set", "fresh noise"), zip(last, all_fresh, strict=True)),),
-        draw=figures.runs({"one data set": last, "fresh noise": all_fresh}, "final cost (m/s$^2$)"),
+        draw=figures.runs({"one data set": last, "fresh noise": all_fresh}, "final cost, m/s²"),
     )
 
 
@@ -117,7 +117,7 @@ def figure_6(context: StudyContext) -> Findings:
             "runs": len(runs),
         },
         tables=(numbered_table("costs", ("run", *(f"category {k + 1}" for k in range(4))), costs),),
-        draw=figures.runs({"BAS": final}, "final cost (m/s$^2$)", log=True),
+        draw=figures.runs({"BAS": final}, "final cost, m/s²", log=True),
     )
 
 
@@ -139,7 +139,7 @@ def figure_7(context: StudyContext) -> Findings:
     return Findings(
         values={"errors": of_scale, "runs": len(runs), "ours": ours, "smaller": smaller},
         tables=(numbered_table("errors", ("run", *of_scale), errors),),
-        draw=figures.runs(of_scale, "error (raw per m/s$^2$)"),
+        draw=figures.runs(of_scale, "error, raw per m/s²"),
     )
 
 

@@ -121,7 +121,7 @@ def figure_3(context: StudyContext) -> Findings:
             "fewer_worse": np.all(paper[4:] > 1),
         },
         tables=(curves_table("convergence", "iteration", curves),),
-        draw=figures.convergence(panels, "cost (m/s$^2$)"),
+        draw=figures.convergence(panels, "cost, m/s²"),
     )
 
 
@@ -145,7 +145,7 @@ def figure_4(context: StudyContext) -> Findings:
             "as_paper": worst == "misalignments",
         },
         tables=(curves_table("convergence", "iteration", curves),),
-        draw=figures.convergence(panels, "cost (m/s$^2$)"),
+        draw=figures.convergence(panels, "cost, m/s²"),
     )
 
 
@@ -203,5 +203,5 @@ def staged(context: StudyContext) -> Findings:
             "runs": runs,
         },
         tables=(curves_table("rounds", "round", curves),),
-        draw=figures.convergence({"median cost": curves}, "cost (m/s$^2$)", xlabel="round"),
+        draw=figures.convergence({"median cost": curves}, "cost, m/s²", xlabel="round"),
     )

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from imufield.drawing.style import legend_beside, plain_ticks
 from imufield.samples import FloatArray
 from imufield.study.report import Draw
 
@@ -21,9 +22,9 @@ def convergence(panels: dict[str, dict[str, FloatArray]], ylabel: str, *, xlabel
     def draw(figure: Figure) -> None:
         for ax, (title, curves) in zip(_panels(figure, len(panels)), panels.items(), strict=True):
             for label, curve in curves.items():
-                ax.plot(np.arange(1, len(curve) + 1), curve, label=label, linewidth=1)
+                ax.plot(np.arange(1, len(curve) + 1), curve, label=label)
             ax.set(title=title, xlabel=xlabel, ylabel=ylabel, yscale="log" if log else "linear")
-            ax.legend(fontsize=7)
+            _finish(ax)
 
     return draw
 
@@ -34,9 +35,9 @@ def over_time(panels: dict[str, dict[str, tuple[FloatArray, FloatArray]]]) -> Dr
     def draw(figure: Figure) -> None:
         for ax, (ylabel, curves) in zip(_panels(figure, len(panels)), panels.items(), strict=True):
             for label, (hours, values) in curves.items():
-                ax.plot(hours, values, label=label, linewidth=1)
+                ax.plot(hours, values, label=label)
             ax.set(xlabel="hours", ylabel=ylabel)
-            ax.legend(fontsize=7)
+            _finish(ax)
 
     return draw
 
@@ -49,7 +50,7 @@ def runs(series: dict[str, FloatArray], ylabel: str, *, xlabel: str = "run", log
         for label, values in series.items():
             ax.plot(np.arange(1, len(values) + 1), values, ".-", label=label, linewidth=0.7, markersize=4)
         ax.set(xlabel=xlabel, ylabel=ylabel, yscale="log" if log else "linear")
-        ax.legend(fontsize=8)
+        _finish(ax)
 
     return draw
 
@@ -65,7 +66,7 @@ def bars(labels: Sequence[str], series: dict[str, FloatArray], ylabel: str, *, l
             ax.bar(np.arange(len(labels)) + (k - (len(series) - 1) / 2) * width, values, width, label=label)
         ax.set_xticks(range(len(labels)), labels, rotation=45, ha="right", fontsize=8)
         ax.set(ylabel=ylabel, yscale="log" if log else "linear")
-        ax.legend(fontsize=8)
+        _finish(ax)
 
     return draw
 
@@ -77,3 +78,11 @@ def _panels(figure: Figure, count: int) -> Iterator[Axes]:
     for ax in axes[count:]:
         ax.set_axis_off()
     yield from axes[:count]
+
+
+def _finish(ax: Axes) -> None:
+    if ax.get_yscale() == "log":
+        plain_ticks(ax.yaxis)
+    # One alone is named by its axis.
+    if len(ax.get_legend_handles_labels()[0]) > 1:
+        legend_beside(ax)

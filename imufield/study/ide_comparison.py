@@ -177,10 +177,10 @@ def figure_10(context: StudyContext) -> Findings:
     }
     first = {method: runs[0] for method, runs in flights.items()}
     quantities = {
-        "east velocity error (m/s)": "east_velocity_m_s",
-        "north velocity error (m/s)": "north_velocity_m_s",
-        "latitude error (deg)": "latitude_deg",
-        "longitude error (deg)": "longitude_deg",
+        "east velocity error, m/s": "east_velocity_m_s",
+        "north velocity error, m/s": "north_velocity_m_s",
+        "latitude error, deg": "latitude_deg",
+        "longitude error, deg": "longitude_deg",
     }
     panels = {label: {m: (run.hours, getattr(run, name)) for m, run in first.items()} for label, name in quantities.items()}
     drift = {method: float(np.median(of_method[2])) for method, of_method in largest.items()}

@@ -40,7 +40,7 @@ class Effort:
 
 
 def run_effort(effort: Effort, rng: np.random.Generator) -> tuple[int, float]:
-    """Return evaluations and processor time (s) of one run."""
+    """Return evaluations and processor time, s of one run."""
     problem = ide_problem(rng)
     solver = load_solver(effort.method, {"NP": str(effort.members), "EG": str(effort.generations)})
     start_s = time.process_time()
@@ -77,8 +77,8 @@ def complexity(context: StudyContext) -> Findings:
             "members": ", ".join(map(str, _MEMBERS)),
             "generations": ", ".join(map(str, _GENERATIONS)),
         },
-        tables=(CsvTable("times", ("method", "NP", "G", "evaluations", "processor time (s)"), rows),),
-        draw=figures.bars(tuple(map(str, _GENERATIONS)), curves, "processor time (s)", log=True),
+        tables=(CsvTable("times", ("method", "NP", "G", "evaluations", "processor time, s"), rows),),
+        draw=figures.bars(tuple(map(str, _GENERATIONS)), curves, "processor time, s", log=True),
     )
 
 

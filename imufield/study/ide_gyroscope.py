@@ -107,7 +107,7 @@ def table_4(context: StudyContext) -> Findings:
             "runs": len(found["static"]),
         },
         tables=(CsvTable("runs", columns, rows),),
-        draw=figures.bars(("K (ppm)", "E (µrad)"), bars, "RMSE", log=True),
+        draw=figures.bars(("K, ppm", "E, µrad"), bars, "RMSE", log=True),
     )
 
 

@@ -97,14 +97,14 @@ def table_2(context: StudyContext) -> Findings:
             "runs": len(excess),
         },
         tables=(CsvTable("runs", ("strategy", "run", "L_a", "optimum"), rows),),
-        draw=figures.bars(tuple(found), means, "mean L$_a$", log=True),
+        draw=figures.bars(tuple(found), means, "mean L_a", log=True),
     )
 
 
 def figure(context: StudyContext, *, strategy: str, tests: int) -> Findings:
     """Show the fitness of a strategy over the generations."""
     found = {name: runs[:tests] for name, runs in _evolutions(context).items()}
-    shown = fitness(found[strategy], "fitness 1 / L$_a$")
+    shown = fitness(found[strategy], "fitness 1 / L_a")
     mean = {name: float(np.mean([run.found.cost for run in runs])) for name, runs in found.items()}
     runs = found[strategy]
     above = max(run.found.cost / run.optimum for run in runs) - 1

@@ -6,7 +6,6 @@ The words of all reports are in ``texts.toml``; a study gives the figures.
 from __future__ import annotations
 
 import csv
-import importlib
 import io
 import re
 import string
@@ -22,16 +21,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from imufield.deliver.parameters.numbers import WIDTH, hanging
-from imufield.errors import Reason, UsageError
+from imufield.drawing.style import figure, plot_style, title
 from imufield.files import typed_write_errors, write_atomically
 from imufield.samples import FloatArray
-from imufield.sentences import Sentences
 from imufield.study import instruments
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-sentence = Sentences(__package__)
 
 _GAP = "  "  # Between the columns of a terminal.
 Draw = Callable[["Figure"], None]
@@ -235,14 +231,11 @@ def _write_csv(path: Path, table: CsvTable) -> None:
 
 
 def _write_plot(report: StudyReport, draw: Draw, path: Path) -> None:
-    try:
-        figures = importlib.import_module("matplotlib.figure")
-    except ModuleNotFoundError as error:
-        raise UsageError(sentence("report.no_matplotlib", cause=error, package="matplotlib"), Reason.MISSING_PACKAGE) from error
-    figure = figures.Figure(figsize=(8, 5), layout="constrained")
-    draw(figure)
-    figure.suptitle(f"{report.name}: {report.title}", fontsize=10)
-    image = io.BytesIO()
-    figure.savefig(image, format="png")
+    with plot_style("study"):
+        drawn = figure(4.6)
+        draw(drawn)
+        title(drawn, f"{report.name}: {report.title}")
+        image = io.BytesIO()
+        drawn.savefig(image, format="png")
     with typed_write_errors(path):
         write_atomically(path, image.getvalue())

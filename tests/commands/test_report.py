@@ -29,7 +29,7 @@ def test_pages_are_written_into_the_session(solved: Path, capsys: pytest.Capture
     assert report.stat().st_size < 3 * MIB
     text = report.read_text(encoding="utf-8")
     for title in ("Residual on the sphere", "Residual by position", "Stillness", "Convergence", "Gyroscope closure"):
-        assert f"<h3>{title}</h3>" in text
+        assert f"<h3>{title}" in text
     assert "A. Person" in record.read_text(encoding="utf-8")
 
 

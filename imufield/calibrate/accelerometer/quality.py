@@ -122,6 +122,7 @@ def judge(evidence: Evidence) -> Quality:
         verdict="poor" if poor else "usable" if cautions else "good",
         reasons=(summary, *poor, *cautions, *_notes(evidence)),
         warnings=(*poor, *cautions),
+        suspects=tuple(evidence.observations.name[outlier.position] for outlier in outliers),
     )
 
 

@@ -150,6 +150,8 @@ class Quality:
     """The verdict on this triad alone; empty in files of before."""
     gyroscope_verdict: str = ""
     """The same, or "bias only", "not calibrated"; empty without a gyroscope."""
+    suspects: tuple[str, ...] = ()
+    """Names of positions that the others contradict; empty in files of before."""
 
     @property
     def details(self) -> tuple[str, ...]:

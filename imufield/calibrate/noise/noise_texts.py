@@ -6,19 +6,22 @@ upper 95 % limit, and a comment says so; zero would make a filter trust a consta
 
 from __future__ import annotations
 
-import importlib
 import io
 import os
 import re
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from imufield.calibrate.noise.noise import NoiseResult
 from imufield.calibrate.noise.noise_fit import NoiseFigure
+from imufield.drawing.style import figure, legend_beside, plain_ticks, plot_style, title
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import Reason, UsageError
 from imufield.sentences import Sentences, shortened
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 sentence = Sentences(__package__)
 
@@ -104,31 +107,39 @@ def draw_plot(result: NoiseResult, kind: str) -> bytes:
     # Of 11 digits, in the year 5138, is the last that every system makes a date of.
     if date and not re.fullmatch("[0-9]{1,11}", date):
         raise UsageError(sentence("noise_texts.source_date", date=shortened(date)))
-    try:
-        figure = importlib.import_module("matplotlib.figure").Figure(figsize=(9.0, 5.2), layout="constrained")
-    except ImportError as error:
-        raise UsageError(sentence("noise_texts.no_matplotlib"), Reason.MISSING_PACKAGE) from error
-    for place, triad in enumerate(("accelerometer", "gyroscope")):
-        axes = figure.add_subplot(1, 2, place + 1)
-        sheets = [(sheet, figures) for sheet, figures in result.data_sheet() if sheet.triad == triad]
-        for number, axis in enumerate(result.triad(triad)):
-            told = ", ".join(f"{_shown(figures[number])} {sheet.unit}" for sheet, figures in sheets)
-            label = f"{axis.name[-1]}  {told}"
-            (line,) = axes.loglog(axis.tau_s, axis.deviation, "osD"[number], markersize=4, markerfacecolor="white", label=label)
-            axes.fill_between(axis.tau_s, axis.low, axis.high, alpha=0.15, linewidth=0, color=line.get_color())
-            if axis.model is not None:
-                axes.loglog(axis.tau_s, axis.model.deviation(axis.tau_s), "-", linewidth=1, color=line.get_color())
-            axes.set_ylabel(f"Allan deviation, {axis.unit}")
-        axes.set_title(triad)
-        axes.set_xlabel("averaging time, s")
-        axes.grid(visible=True, which="both", alpha=0.3)
-        if result.triad(triad):
-            # Below, where no curve can be.
-            axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), fontsize=8, frameon=False)
-    figure.suptitle(result.source)
-    kinds = figure.canvas.get_supported_filetypes()
-    if kind not in kinds:
-        raise UsageError(sentence("noise_texts.plot_kind", kind=kind, suffixes=[f".{known}" for known in sorted(kinds)]))
-    picture = io.BytesIO()
-    figure.savefig(picture, format=kind, dpi=150)
+    triads = [triad for triad in ("accelerometer", "gyroscope") if result.triad(triad)]
+    with plot_style():
+        drawn = figure(2.6 * len(triads) + 0.5)
+        panels = drawn.subplots(len(triads), 1, sharex=True, squeeze=False)[:, 0]
+        for axes, triad in zip(panels, triads, strict=True):
+            _draw_triad(axes, result, triad)
+        panels[-1].set_xlabel("averaging time, s")
+        title(drawn, result.source)
+        kinds = drawn.canvas.get_supported_filetypes()
+        if kind not in kinds:
+            raise UsageError(sentence("noise_texts.plot_kind", kind=kind, suffixes=[f".{known}" for known in sorted(kinds)]))
+        picture = io.BytesIO()
+        drawn.savefig(picture, format=kind)
     return picture.getvalue()
+
+
+def _draw_triad(axes: Axes, result: NoiseResult, triad: str) -> None:
+    sheets = [(sheet, figures) for sheet, figures in result.data_sheet() if sheet.triad == triad]
+    # A bias instability, the last of them, is an Allan deviation.
+    unit, factor = (sheets[-1][0].unit, sheets[-1][0].factor) if sheets else (result.triad(triad)[0].unit, 1.0)
+    for number, axis in enumerate(result.triad(triad)):
+        label = "\n".join([axis.name[-1], *(f"{_shown(figures[number])} {_in_print(sheet.unit)}" for sheet, figures in sheets)])
+        (line,) = axes.loglog(
+            axis.tau_s, factor * axis.deviation, "osD"[number], markersize=4, markerfacecolor="white", label=label
+        )
+        axes.fill_between(axis.tau_s, factor * axis.low, factor * axis.high, alpha=0.15, linewidth=0, color=line.get_color())
+        if axis.model is not None:
+            axes.loglog(axis.tau_s, factor * axis.model.deviation(axis.tau_s), ("-", "--", ":")[number], color=line.get_color())
+    axes.set_ylabel(f"{triad}\nAllan deviation, {_in_print(unit)}")
+    plain_ticks(axes.xaxis, axes.yaxis)
+    legend_beside(axes)
+
+
+def _in_print(unit: str) -> str:
+    """Return a unit as it is printed: "ug/sqrt(Hz)" as "µg/√Hz"."""
+    return re.sub(r"sqrt\((\w+)\)", r"√\1", unit).replace("^2", "²").replace("ug", "µg").replace("deg", "°")

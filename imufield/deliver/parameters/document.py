@@ -47,7 +47,8 @@ _HIGHER = _names(HigherTerms)
 _NOISE = _names(Noise, "source")
 _CLOCK = _names(ClockFacts)
 _TRIAD_VERDICTS = ("accelerometer_verdict", "gyroscope_verdict")
-_QUALITY_FIGURES = _names(Quality, "verdict", "reasons", "warnings", *_TRIAD_VERDICTS)
+_QUALITY_LISTS = ("reasons", "warnings", "suspects")
+_QUALITY_FIGURES = _names(Quality, "verdict", *_QUALITY_LISTS, *_TRIAD_VERDICTS)
 _POSITION_RESULTS = _names(PositionResult, "used", "bias_drift_m_s2")
 
 
@@ -106,8 +107,7 @@ def to_document(calibration: Calibration, observations: Observations, context: C
         # Infinite where the positions leave a parameter open, which the file calls not known.
         "condition": float(quality.condition) if math.isfinite(quality.condition) else math.nan,
         **{key: value for key, value in _plain(quality, _TRIAD_VERDICTS).items() if value},
-        "reasons": list(quality.reasons),
-        "warnings": list(quality.warnings),
+        **{key: list(getattr(quality, key)) for key in _QUALITY_LISTS if key != "suspects" or quality.suspects},
         "unobservable": list(calibration.unobservable),
     }
     document["position"] = _positions(calibration.positions, observations)
@@ -220,6 +220,7 @@ def calibration_from_document(document: Document) -> Calibration:
             **{key: quality[key] for key in _QUALITY_FIGURES},
             reasons=tuple(quality["reasons"]),
             warnings=tuple(quality.get("warnings", ())),
+            suspects=tuple(quality.get("suspects", ())),
             **{key: quality.get(key, "") for key in _TRIAD_VERDICTS},
         ),
         quadratic_fitted=accelerometer["quadratic_fitted"],

@@ -18,8 +18,10 @@ from imufield.deliver.report import plots
 from imufield.deliver.report.correlations import correlations
 from imufield.deliver.report.data import ReportData
 from imufield.deliver.report.gain import gain
+from imufield.deliver.report.positions import directions, position_cards
 from imufield.deliver.report.rows import VERDICT_WORDS, Row, parameter_rows
 from imufield.deliver.verification.result import duration_words
+from imufield.drawing.style import missing_package, plot_style
 from imufield.earth import MICRO_G_M_S2, height_words
 from imufield.sentences import Sentences, folded, printable
 
@@ -32,6 +34,7 @@ _GRAVITY_WORDS = {
     "assumed": "ASSUMED, place unknown",
 }
 UNKNOWN = "not known"
+_ROUNDING = 1e-6  # Of micro-g and nautical miles: what is left of ideal outputs.
 _STRONGEST_SHOWN = 5  # As many as a caption can name.
 
 
@@ -56,7 +59,7 @@ def render_report(data: ReportData) -> str:
     UsageError
         If matplotlib or jinja2 is not installed.
     """
-    with plots.style():
+    with plot_style():
         figures = list(_figures(data))
     shown = {
         "figures": [each for each in figures if not each.is_detail],
@@ -87,14 +90,14 @@ def load_weasyprint() -> ModuleType:
         return importlib.import_module("weasyprint")
     except (ImportError, OSError) as error:
         # OSError: it is there, and Pango, which it loads, is not.
-        raise plots.missing_package("weasyprint", "pdf") from error
+        raise missing_package("weasyprint", "pdf") from error
 
 
 def _render(template: str, values: Document) -> str:
     try:
         import jinja2
     except ImportError as error:
-        raise plots.missing_package("jinja2") from error
+        raise missing_package("jinja2") from error
     # A name misspelt in a template is an error, and no empty cell; an instrument's name is text, no HTML, and in one order.
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("imufield.deliver.report"),
@@ -120,6 +123,7 @@ def _facts(data: ReportData) -> Document:
     preset = None if data.preset is None else data.preset.calibration
     verification = data.verification or {}
     gained, rows = gain(parameters, data.preset), parameter_rows(calibration, preset)
+    positions, unit = position_cards(parameters)
     return {
         "title": " ".join(filter(None, (instrument.model or instrument.driver or "IMU", instrument.serial_number))),
         "facts_pairs": list(_identity(data)),
@@ -131,9 +135,11 @@ def _facts(data: ReportData) -> Document:
         "triads": {"accelerometer": quality.accelerometer_verdict, "gyroscope": quality.gyroscope_verdict},
         "factor": f"{factor:.2f}" if math.isfinite(factor) else "",
         "gain": "" if gained is None else gained.words,
-        "rows": rows,
         "cells": _cells(rows, factor),
         "has_preset": preset is not None,
+        "positions": positions,
+        "positions_unit": unit,
+        "positions_caption": sentence("page.residuals"),
         "quality": list(_quality(calibration)),
         "gyroscope_path": "not calibrated" if calibration.gyroscope is None else calibration.gyroscope.path,
         "gauge": calibration.gauge,
@@ -211,11 +217,11 @@ def _when(moment: str) -> str:
 def _quality(calibration: Calibration) -> Iterator[tuple[str, str]]:
     quality = calibration.quality
     unit, size = acceleration_unit(quality.residual_max_m_s2)
-    yield "Residual, RMS", f"{quality.residual_rms_m_s2 / size:.3g} {unit}"
-    yield "Residual, largest", f"{quality.residual_max_m_s2 / size:.3g} {unit}"
+    yield "Residual, RMS", f"{_short(quality.residual_rms_m_s2 / size)} {unit}"
+    yield "Residual, largest", f"{_short(quality.residual_max_m_s2 / size)} {unit}"
     if math.isfinite(quality.leave_one_out_rms_m_s2):
-        yield "Leave-one-out, RMS", f"{quality.leave_one_out_rms_m_s2 / size:.3g} {unit}"
-    yield "Scatter between positions", f"{quality.between_position_sigma_m_s2 / size:.3g} {unit}"
+        yield "Leave-one-out, RMS", f"{_short(quality.leave_one_out_rms_m_s2 / size)} {unit}"
+    yield "Scatter between positions", f"{_short(quality.between_position_sigma_m_s2 / size)} {unit}"
     yield "Degrees of freedom", str(quality.degrees_of_freedom)
     if math.isfinite(quality.condition):
         yield "Condition", f"{quality.condition:.1f}"
@@ -248,7 +254,7 @@ def _forecast_words(positions: Document) -> str:
 
 
 def _short(value: float) -> str:
-    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
+    return f"{value:.0f}" if abs(value) >= 100 or abs(value) < _ROUNDING else f"{value:.3g}"
 
 
 def _requirements(verification: Document) -> list[Document]:
@@ -285,13 +291,10 @@ def _figures(data: ReportData) -> Iterator[Figure]:
     gained = gain(data.parameters, data.preset)
     if gained is not None:
         yield Figure("Before and after", plots.before_and_after(gained), sentence("page.before_after"), "Errors by position")
-    if tables:
-        force = data.parameters.apply_accelerometer(np.array([table["mean_raw"] for table in tables], dtype=np.float64))
-        up = force / np.linalg.norm(force, axis=1)[:, None]
+    if tables and data.parameters.calibration.quality.degrees_of_freedom > 0:
+        up = directions(data.parameters, np.array([table["mean_raw"] for table in tables], dtype=np.float64))
         svg = plots.sphere_map(up, results.residual_m_s2, names)
         yield Figure("Residual on the sphere", svg, sentence("page.sphere"), "Map of residuals by direction")
-        svg = plots.residuals(names, results.residual_m_s2, results.leave_one_out_m_s2)
-        yield Figure("Residual by position", svg, sentence("page.residuals"), "Residual of each position")
     if data.trace is not None:
         start, duration = (np.array([table[key] for table in tables], dtype=np.float64) for key in ("start_s", "duration_s"))
         svg = plots.stillness(data.trace, start, duration)

@@ -1,16 +1,7 @@
-"""Plots as SVG text. They must be readable on grey paper: shape, fill and line style carry the meaning, colour only helps.
-
-Letters stay letters (``svg.fonttype`` none): small files, sharp print, text that can be searched.
-"""
+"""The plots of a report as SVG text."""
 
 from __future__ import annotations
 
-import importlib
-import io
-import re
-from contextlib import AbstractContextManager
-from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,24 +12,17 @@ from imufield.deliver.parameters.schema import Document
 from imufield.deliver.report.correlations import Correlations
 from imufield.deliver.report.data import Closure, Convergence, Trace
 from imufield.deliver.report.gain import Gain
+from imufield.deliver.report.positions import short_name
+from imufield.drawing.style import BLUE, GREY, INK, ORANGE, figure, plain_ticks, to_svg
 from imufield.earth import MILLI_G_M_S2
-from imufield.errors import Reason, UsageError
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.axis import Axis
-    from matplotlib.figure import Figure
 
 sentence = Sentences(__package__)
 
-INK = "#111111"
-BLUE = "#0b5394"
-ORANGE = "#b45f06"
-GREY = "#8a8a8a"
-"""Dark enough on paper; blue and orange differ in lightness too."""
-WIDTH_IN = 7.0
 _TALLEST_IN = 8.5  # With title and caption on one sheet.
 _LABELS = {
     "latitude_deg": "latitude, deg",
@@ -54,59 +38,6 @@ _POINTS_PER_UNIT = 82.0  # Of the sphere map as it is laid out: labels need no m
 # Just outside the unit circle of the map.
 _AXIS_NAMES = (("+x", 1.2, 0.0), ("-x", -1.2, 0.0), ("+y", 0.0, 1.24), ("-y", 0.0, -1.2))
 _NAMED = 6  # Positions named on the sphere map, the largest residuals first.
-
-
-def load_matplotlib() -> ModuleType:
-    """Return the package.
-
-    Raises
-    ------
-    UsageError
-        If it is not installed.
-    """
-    try:
-        return importlib.import_module("matplotlib")
-    except ImportError as error:
-        raise missing_package("matplotlib") from error
-
-
-def missing_package(name: str, extra: str = "report") -> UsageError:
-    """Return the error that names the extra."""
-    return UsageError(sentence("plots.package", package=name, extra=extra), Reason.MISSING_PACKAGE)
-
-
-def figure(height_in: float) -> Figure:
-    """Return an empty figure of the page's width."""
-    load_matplotlib()
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
-
-
-def to_svg(drawn: Figure, name: str) -> str:
-    """Return a figure as an ``<svg>`` element whose ids are its own."""
-    buffer = io.StringIO()
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-
-    # savefig draws everything twice, once for a layout that drawing makes by itself.
-    nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
-    FigureCanvasSVG(drawn).print_svg(buffer, metadata=nothing)  # type: ignore[no-untyped-call]  # not in its stubs
-    text = buffer.getvalue()
-    text = text[text.index("<svg") :]
-    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
-    # Pages hold several drawings, and an id must be unique in the page.
-    text = re.sub(r'\bid="', f'id="{name}-', text)
-    text = re.sub(r'(href="#|url\(#)', rf"\1{name}-", text)
-    return re.sub(r'width="[\d.]+pt" height="[\d.]+pt"', "", text, count=1)
-
-
-def style() -> AbstractContextManager[None]:
-    """Return a context in which figures are drawn and written in the style of the report."""
-    matplotlib = load_matplotlib()
-    # On top of what is set: without the defaults of matplotlib, which the file would bring along.
-    settings = matplotlib.rc_params_from_file(Path(__file__).with_name("plots.mplstyle"), use_default_template=False)
-    context: AbstractContextManager[None] = matplotlib.rc_context(settings)
-    return context
 
 
 def sphere_map(up: FloatArray, residual_m_s2: FloatArray, names: tuple[str, ...]) -> str:
@@ -137,6 +68,7 @@ def sphere_map(up: FloatArray, residual_m_s2: FloatArray, names: tuple[str, ...]
             axes.annotate(
                 names[rows[row]], place[row], xytext=offset, textcoords="offset points", ha="center", va="center",
                 fontsize=_LABEL_SIZE, arrowprops={"arrowstyle": "-", "linewidth": 0.4, "color": GREY},
+                bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5},
             )  # fmt: skip
     unit, size_si = acceleration_unit(largest)
     drawn.supxlabel(sentence("plots.sphere", largest=largest / size_si, unit=unit), fontsize=8)
@@ -204,7 +136,7 @@ def _equal_area(up: FloatArray) -> FloatArray:
 
 def before_and_after(gained: Gain) -> str:
     """Draw the error of each position before and after, on one scale."""
-    drawn = figure(2.5)
+    drawn = figure(2.1)
     axes = drawn.subplots()
     at = np.arange(len(gained.names))
     before, after = gained.before_m_s2 / MILLI_G_M_S2, gained.after_m_s2 / MILLI_G_M_S2
@@ -214,22 +146,6 @@ def before_and_after(gained: Gain) -> str:
     axes.axhline(0, color=INK, linewidth=0.8)
     _position_axis(axes, gained.names, "error, mg")
     return to_svg(drawn, "gain")
-
-
-def residuals(names: tuple[str, ...], residual_m_s2: FloatArray, leave_one_out_m_s2: FloatArray) -> str:
-    """Draw the residual of each position, and with the position left out."""
-    unit, size = acceleration_unit(float(np.nanmax(np.abs([residual_m_s2, leave_one_out_m_s2]), initial=0.0)))
-    drawn = figure(2.5)
-    axes = drawn.subplots()
-    at = np.arange(len(names))
-    axes.vlines(at, residual_m_s2 / size, leave_one_out_m_s2 / size, color=GREY, linewidth=0.8)
-    axes.plot(at, residual_m_s2 / size, "o", color=INK, markersize=5, label="residual")
-    axes.plot(
-        at, leave_one_out_m_s2 / size, "D", color=ORANGE, markerfacecolor="white", markersize=4.5, label="left out of the fit"
-    )
-    axes.axhline(0, color=INK, linewidth=0.8)
-    _position_axis(axes, names, unit)
-    return to_svg(drawn, "residuals")
 
 
 def left_out(document: Document) -> str:
@@ -256,12 +172,12 @@ def left_out(document: Document) -> str:
 
 
 def _position_axis(axes: Axes, names: tuple[str, ...], unit: str) -> None:
-    # "free 7: near +x" stands for a position nobody planned.
-    short = [name.removeprefix("free ").replace(": near", "") for name in names]
-    axes.set_xticks(np.arange(len(names)), short, rotation=90 if len(names) > 8 else 0, fontsize=7)
+    axes.set_xticks(
+        np.arange(len(names)), [short_name(name) for name in names], rotation=90 if len(names) > 8 else 0, fontsize=7
+    )
     # Room for eight at least: three marks alone would stand at the margins.
     axes.set(xlim=(-0.7, max(len(names), 8) - 0.3), ylabel=unit)
-    axes.legend(loc="upper left", bbox_to_anchor=(0, 1.18), ncols=3)
+    axes.legend(loc="upper left", bbox_to_anchor=(0, 1.22), ncols=3)
 
 
 def stillness(trace: Trace, start_s: FloatArray, duration_s: FloatArray) -> str:
@@ -280,18 +196,12 @@ def stillness(trace: Trace, start_s: FloatArray, duration_s: FloatArray) -> str:
         panels[1].set_ylabel("turning, °/s")
     for axes in panels:
         axes.set_yscale("log")
-        _plain_ticks(axes.yaxis)
+        plain_ticks(axes.yaxis)
         # One shape, parted by NaN: a PDF takes as long again for each shape with dots of its own.
         look = {"facecolor": "#e4edf6", "edgecolor": GREY, "hatch": "....", "linewidth": 0.3, "zorder": 0}
         axes.fill(sides.ravel() / 60, np.tile([0, 1, 1, 0, np.nan], len(sides)), transform=axes.get_xaxis_transform(), **look)
     panels[-1].set_xlabel("minutes; shaded: taken as a position")
     return to_svg(drawn, "stillness")
-
-
-def _plain_ticks(*axes: Axis) -> None:
-    """Write 0.01 where matplotlib would write a power of ten in a font of its own."""
-    for axis in axes:
-        axis.set_major_formatter("{x:g}")
 
 
 def convergence(runs: tuple[Convergence, ...]) -> str:
@@ -303,7 +213,7 @@ def convergence(runs: tuple[Convergence, ...]) -> str:
         # The last excess is zero, which a logarithm cannot show.
         axes.plot(np.arange(1.0, len(run.excess) + 1), np.maximum(run.excess, 1e-9), style, color=color, label=label)
     axes.set(xscale="log", yscale="log", xlabel="iteration", ylabel="cost over best, less 1")
-    _plain_ticks(axes.xaxis, axes.yaxis)
+    plain_ticks(axes.xaxis, axes.yaxis)
     axes.legend(loc="lower left")
     return to_svg(drawn, "convergence")
 

@@ -44,8 +44,8 @@ class Row:
         """Half the width of the 95 % interval; empty where there is none."""
         if not (self.sigma > 0 and math.isfinite(self.sigma * factor)):
             return ""
-        places = max(decimals(self.sigma * factor), 0)
-        return f"{self.sigma * factor:.{places}f}"
+        places = decimals(self.sigma * factor)
+        return f"{round(self.sigma * factor, places):.{max(places, 0)}f}"
 
     @property
     def preset_shown(self) -> str:
@@ -54,14 +54,14 @@ class Row:
             return ""
         # Four decimals where sigma gives no measure: as many as a preset is usually quoted with.
         places = decimals(self.sigma) if self.sigma > 0 else 4
-        return f"{self.preset:+.{max(places, 0)}f}"
+        return f"{self.preset:+z.{max(places, 0)}f}"
 
     @property
     def change(self) -> str:
         """Change against the preset in units of sigma; empty where one of them is missing."""
         if math.isnan(self.preset) or not self.sigma > 0:
             return ""
-        return f"{(self.value - self.preset) / self.sigma:+.1f}"
+        return f"{(self.value - self.preset) / self.sigma:+z.1f}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

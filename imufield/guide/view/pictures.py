@@ -1,18 +1,14 @@
 """Pictures of the unit and big letters, drawn with characters.
 
-The picture is a box in 3-D without perspective, as the unit is now or as it should be. Gravity tells which way is up in the
-body, never the heading; so a heading is chosen and kept: from frame to frame the box turns by the shortest way that brings the
-new "up" to the top, and the goal is the shortest way from there.
+The picture is the box of ``imufield.drawing``, as the unit is now or as it should be. From frame to frame it turns by the
+shortest way, and the goal is the shortest way from there.
 
 Lines are drawn on the 2 x 4 dots of a Braille character where the terminal knows Unicode, else on whole characters.
-Only faces towards the onlooker are drawn, so the box reads as solid; each bears the name of its axis.
-
 Big letters are readable from three metres: five by seven dots, two columns and one row each.
 """
 
 from __future__ import annotations
 
-import math
 import tomllib
 from functools import cache
 from pathlib import Path
@@ -20,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from imufield.drawing.box import HALF_SIZE, ONLOOKER, visible_faces
 from imufield.samples import AXES, FloatArray
 
 _DOT = "##"  # A character is twice as high as wide.
@@ -52,45 +49,10 @@ def big_lines(text: str, width: int, times: int = 1) -> list[str]:
     return [line for line in lines for _ in range(times)]
 
 
-_HALF_SIZE = (1.0, 0.72, 0.42)  # Of the box along body x, y, z: three lengths, so that the sides are distinct.
-# The onlooker looks a little from above and from one side, which shows three faces in almost every attitude.
-_CP, _SP = math.cos(math.radians(24.0)), math.sin(math.radians(24.0))
-_CY, _SY = math.cos(math.radians(33.0)), math.sin(math.radians(33.0))
-# The turn from the room to the onlooker, x right, y away, z up: pitch after yaw.
-_ONLOOKER = np.array([[1, 0, 0], [0, _CP, -_SP], [0, _SP, _CP]]) @ np.array([[_CY, -_SY, 0], [_SY, _CY, 0], [0, 0, 1]])
 _BRAILLE = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
 _REACH = 1.42  # Screen units from the middle to the edge: half the diagonal of the box and room for the cable.
 _CABLE_LENGTH = 0.55
-_TOWARDS = -0.05  # Of a face's normal: one seen edge-on has no room for its name.
-_UPSIDE_DOWN = -0.98  # Cosine: nearer than 11 degrees to a half turn.
 _LABEL_WIDTH = 3  # Columns from one name to the next.
-
-
-def turn_shortest(attitude: FloatArray, up: FloatArray) -> FloatArray:
-    """Turn an attitude by the shortest way so that ``up`` (body) points up in the room.
-
-    Parameters
-    ----------
-    attitude : ndarray, shape (3, 3)
-        Takes body vectors to the room: x right, y away, z up.
-    up : ndarray, shape (3,)
-        Unit vector.
-    """
-    goal = np.array([0.0, 0.0, 1.0])
-    if (attitude @ up)[2] < _UPSIDE_DOWN:
-        # The shortest way would be about an axis that noise chooses, another one in each frame.
-        attitude = np.diag([1.0, -1.0, -1.0]) @ attitude
-    now = attitude @ up
-    axis = np.cross(now, goal)
-    sine, cosine = float(np.linalg.norm(axis)), float(now @ goal)
-    if sine < 1e-9:
-        return attitude
-    axis = axis / sine
-    K = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-    turned: FloatArray = (np.eye(3) + sine * K + (1 - cosine) * K @ K) @ attitude
-    # Rounding adds up over thousands of frames.
-    u, _, v = np.linalg.svd(turned)
-    return np.asarray(u @ v)
 
 
 def draw_box(attitude: FloatArray, width: int, height: int, *, cable: str | None = None, ascii_only: bool = False) -> list[str]:
@@ -99,7 +61,7 @@ def draw_box(attitude: FloatArray, width: int, height: int, *, cable: str | None
     Parameters
     ----------
     attitude : ndarray, shape (3, 3)
-        See ``turn_shortest``.
+        See ``imufield.drawing.box.turn_shortest``.
     width, height : int
         Characters.
     cable : str, optional
@@ -108,20 +70,14 @@ def draw_box(attitude: FloatArray, width: int, height: int, *, cable: str | None
         Draw with ASCII.
     """
     canvas = _Canvas(width, height, dots=not ascii_only)
-    view = _ONLOOKER @ attitude
-    for axis in range(3):
-        for sign in (1.0, -1.0):
-            normal = sign * np.eye(3)[axis]
-            if (view @ normal)[1] < _TOWARDS:
-                corners = np.full((4, 3), sign)
-                corners[:, [(axis + 1) % 3, (axis + 2) % 3]] = [(1, 1), (-1, 1), (-1, -1), (1, -1)]
-                corners = corners * _HALF_SIZE @ view.T
-                for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-                    canvas.line(start, end)
-                canvas.label(corners.mean(axis=0), f"{'+' if sign > 0 else '-'}{AXES[axis]}")
+    for face in visible_faces(attitude):
+        for start, end in zip(face.corners, np.roll(face.corners, -1, axis=0), strict=True):
+            canvas.line(start, end)
+        canvas.label(face.corners.mean(axis=0), face.name)
     if cable is not None:
+        view = ONLOOKER @ attitude
         axis, sign = AXES.index(cable[1]), 1.0 if cable[0] == "+" else -1.0
-        foot = np.eye(3)[axis] * sign * _HALF_SIZE[axis]
+        foot = np.eye(3)[axis] * sign * HALF_SIZE[axis]
         end = foot + np.eye(3)[axis] * sign * _CABLE_LENGTH
         hidden = (view @ foot)[1] > 0
         canvas.line(view @ foot, view @ end, dashed=hidden)

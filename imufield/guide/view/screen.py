@@ -21,6 +21,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from imufield.drawing.box import turn_shortest
 from imufield.earth import MILLI_G_M_S2
 from imufield.guide import events
 from imufield.guide.events import Event, RefusalCode
@@ -28,7 +29,7 @@ from imufield.guide.lead.guide import Snapshot
 from imufield.guide.lead.state_table import State
 from imufield.guide.positions import Scheme, nearest_cube_direction
 from imufield.guide.refusals import quantities
-from imufield.guide.view.pictures import ROWS, big_lines, draw_box, turn_shortest
+from imufield.guide.view.pictures import ROWS, big_lines, draw_box
 from imufield.guide.view.plain import NOT_TOLD, known_words, said_once, suspect_words, words
 from imufield.guide.view.traces import draw_signals, signals_title
 from imufield.samples import FloatArray

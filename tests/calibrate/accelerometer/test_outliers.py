@@ -48,6 +48,7 @@ def test_gross_ones_are_named_with_their_size_however_many(touched: dict[int, fl
     assert found == {f"p{position + 1:02d}": pytest.approx(off_mg, abs=0.7) for position, off_mg in touched.items()}
     for one in told(calibration.quality.reasons, "quality.gross_outlier"):
         assert one.values["option"] == f"--without={one.values['position']}"
+    assert calibration.quality.suspects == tuple(found)
 
 
 @pytest.mark.parametrize(("off_mg", "noise", "verdict"), [(1.0, 0.01, "usable"), (9.0, 1.0, "poor")])
@@ -57,6 +58,7 @@ def test_size_and_not_sigma_makes_one_poor(off_mg: float, noise: float, verdict:
     assert calibration.quality.verdict == verdict
     found = named(calibration, "quality.gross_outlier" if verdict == "poor" else "quality.outlier")
     assert found == {"p08": pytest.approx(off_mg, abs=0.7 * noise)}
+    assert calibration.quality.suspects == ("p08",)
 
 
 def test_without_them_the_numbers_are_those_of_a_session_that_never_had_them() -> None:
@@ -66,6 +68,7 @@ def test_without_them_the_numbers_are_those_of_a_session_that_never_had_them() -
     found, wanted = (calibrate_accelerometer(each, EXACT) for each in (kept, clean))
     assert np.array_equal(found.accelerometer.bias_m_s2, wanted.accelerometer.bias_m_s2)
     assert found.quality.verdict == "good"
+    assert found.quality.suspects == ()
     with refused(UsageError, Reason.USAGE, key="observations.not_there"):
         leave_out(clean, ("p12",))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+from html import escape
 from pathlib import Path
 
 import pytest
@@ -34,8 +35,8 @@ def browse(page: Path, *options: str) -> str:
     return done.stderr
 
 
-@pytest.mark.parametrize(("name", "sheets"), [("report", None), ("record", 1)])
-def test_pages_open_without_a_message_and_print(tmp_path: Path, name: str, sheets: int | None) -> None:
+@pytest.mark.parametrize(("name", "sheets"), [("report", 5), ("record", 1)])
+def test_pages_open_without_a_message_and_print(tmp_path: Path, name: str, sheets: int) -> None:
     data = ReportData(parameters=load(EXAMPLE))
     page = tmp_path / f"{name}.html"
     page.write_text(render_report(data) if name == "report" else render_record(data), encoding="utf-8")
@@ -43,24 +44,33 @@ def test_pages_open_without_a_message_and_print(tmp_path: Path, name: str, sheet
     messages = browse(page, "--no-pdf-header-footer", f"--print-to-pdf={printed}")
     assert "CONSOLE" not in messages
     count = len(re.findall(rb"/Type\s*/Page\b", printed.read_bytes()))
-    assert count >= 1
-    assert sheets is None or count == sheets
+    assert 1 <= count <= sheets
 
 
+@pytest.mark.parametrize("name", ["report", "record"])
 @pytest.mark.parametrize("width", [390, 1366])
-def test_nothing_is_wider_than_the_window(tmp_path: Path, width: int) -> None:
-    """A script beside the page measures it; the page itself holds none."""
-    text = render_report(ReportData(parameters=load(EXAMPLE)))
-    script = "<script>document.title = document.documentElement.scrollWidth + ' of ' + window.innerWidth</script></body>"
+def test_nothing_is_wider_than_the_window(tmp_path: Path, width: int, name: str) -> None:
+    """A script beside the page measures it; the page itself holds none. Only drawings may be swiped, on a phone."""
+    data = ReportData(parameters=load(EXAMPLE))
+    text = render_report(data) if name == "report" else render_record(data)
+    # In a frame: a window of its own has a least width of 500.
+    script = """<script>
+      const frame = document.querySelector("iframe");
+      frame.onload = () => {
+        const all = [...frame.contentDocument.querySelectorAll("body *")].filter(one => !one.closest("figure"));
+        document.title = Math.ceil(Math.max(...all.map(one => one.getBoundingClientRect().right))) + " of " + frame.clientWidth;
+      };</script>"""
     page = tmp_path / "report.html"
-    page.write_text(text.replace("</body>", script), encoding="utf-8")
+    framed = f'<iframe srcdoc="{escape(text)}" style="width: {width}px; height: 900px; border: 0"></iframe>'
+    page.write_text(f'<!DOCTYPE html><meta charset="utf-8"><body style="margin: 0">{framed}{script}', encoding="utf-8")
     done = subprocess.run(
         [
             str(BROWSER),
             "--headless",
             "--no-sandbox",
             "--disable-gpu",
-            f"--window-size={width},900",
+            "--window-size=1500,900",
+            "--virtual-time-budget=5000",
             "--dump-dom",
             page.as_uri(),
         ],

@@ -38,6 +38,12 @@ def test_before_is_by_the_preset(solved: Parameters, residual: np.ndarray) -> No
     assert found.words.key == "gain.not_better"
 
 
+def test_nothing_is_said_where_no_position_is_left_to_tell_it(solved: Parameters) -> None:
+    """Six parameters go through six positions: the residuals are zero, whatever the error is."""
+    quality = replace(solved.calibration.quality, degrees_of_freedom=0)
+    assert gain(replace(solved, calibration=replace(solved.calibration, quality=quality))) is None
+
+
 def test_counts_without_a_nominal_scale_get_the_one_that_fits(
     calibration: Calibration, observations: Observations, context: Context
 ) -> None:

@@ -135,6 +135,17 @@ def test_least_of_all_is_still_a_page(loaded: Parameters) -> None:
     assert "preset" not in words.split("Parameters")[1][:200]
 
 
+def test_without_a_position_to_spare_nothing_is_claimed(data: ReportData) -> None:
+    calibration = data.parameters.calibration
+    quality = replace(calibration.quality, degrees_of_freedom=0, residual_rms_m_s2=1e-18, residual_max_m_s2=1e-18)
+    few = replace(data, parameters=replace(data.parameters, calibration=replace(calibration, quality=quality)))
+    words = " ".join(Page(render_report(few)).text)
+    for title in ("Error at rest", "Before and after", "Residual on the sphere"):
+        assert title not in words
+    assert words.index("Residual by position") < words.index("Who, when, where") < words.index("Gyroscope closure")
+    assert not re.search(r"\de-\d", words[words.index("How good it is") : words.index("Details of the method")])
+
+
 def test_verification_is_shown(data: ReportData) -> None:
     positions = {
         "how": "2 positions of another session",
@@ -216,7 +227,8 @@ def test_names_on_the_sphere_cover_neither_marks_nor_each_other() -> None:
 def test_record_has_all_parameters_and_lines_to_sign(data: ReportData) -> None:
     words = " ".join(Page(render_record(data)).text)
     for row in parameter_rows(data.parameters.calibration, None):
-        assert re.search(re.escape(row.shown), words)
+        value, _, sigma = row.shown.partition(" ± ")
+        assert re.search(rf"{re.escape(row.name)}\s+{re.escape(row.unit)}\s+{re.escape(value)}\s+{re.escape(sigma)}\s", words)
     for expected in ("Approved by", "A. Person", "a" * 64):
         assert expected in words
 
@@ -228,7 +240,7 @@ def test_the_same_data_give_the_same_page(data: ReportData) -> None:
 @pytest.mark.parametrize("package", ["matplotlib", "jinja2"])
 def test_missing_package_is_named(data: ReportData, monkeypatch: pytest.MonkeyPatch, package: str) -> None:
     monkeypatch.setitem(sys.modules, package, None)
-    with refused(UsageError, Reason.MISSING_PACKAGE, "pip install 'imufield[report]'", key="plots.package") as caught:
+    with refused(UsageError, Reason.MISSING_PACKAGE, "pip install 'imufield[report]'", key="style.package") as caught:
         render_report(data)
     assert caught.value.values["package"] == package
     assert caught.value.reason is Reason.MISSING_PACKAGE
@@ -263,5 +275,5 @@ def test_what_pdf_needs_is_named(monkeypatch: pytest.MonkeyPatch, error: type[Ex
         raise error(name)
 
     monkeypatch.setattr("importlib.import_module", missing)
-    with refused(UsageError, Reason.MISSING_PACKAGE, "pip install 'imufield[pdf]'", key="plots.package"):
+    with refused(UsageError, Reason.MISSING_PACKAGE, "pip install 'imufield[pdf]'", key="style.package"):
         to_pdf("")

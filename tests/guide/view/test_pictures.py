@@ -5,27 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from imufield.drawing.box import turn_shortest
 from imufield.guide.positions import cube_directions
-from imufield.guide.view.pictures import LETTER_WIDTH, ROWS, big_lines, draw_box, turn_shortest
+from imufield.guide.view.pictures import LETTER_WIDTH, ROWS, big_lines, draw_box
 from imufield.samples import FloatArray
 
 DIRECTIONS = cube_directions()
-
-
-@pytest.mark.parametrize("name", DIRECTIONS)
-def test_the_box_is_turned_so_that_up_is_up_and_stays_a_rotation(name: str) -> None:
-    attitude = np.eye(3)
-    for up in (*DIRECTIONS.values(), DIRECTIONS[name]):
-        attitude = turn_shortest(attitude, up)
-    np.testing.assert_allclose(attitude @ DIRECTIONS[name], [0, 0, 1], atol=1e-12)
-    np.testing.assert_allclose(attitude @ attitude.T, np.eye(3), atol=1e-12)
-    assert np.linalg.det(attitude) > 0
-
-
-def test_a_small_turn_moves_the_box_little() -> None:
-    before = turn_shortest(np.eye(3), np.array([1.0, 0, 0]))
-    after = turn_shortest(before, np.array([np.cos(0.01), np.sin(0.01), 0]))
-    assert np.abs(after - before).max() < 0.011
 
 
 @pytest.mark.parametrize("ascii_only", [False, True])
