@@ -102,10 +102,9 @@ def test_how_far_a_calibration_is_from_a_date(
 
 
 def changed(path: Path, to: Path, created: str, session: str | None = None) -> None:
-    """Write a parameter file as if it had been made at another time, of another recording where one is given."""
+    """Write a parameter file as if it had been measured at another time, in another recording where one is given."""
     document = load(path).document
-    document["created"] = created
-    document["session"] = document["session"] | ({"sha256": session} if session else {})
+    document["session"] = document["session"] | {"recorded": created} | ({"sha256": session} if session else {})
     document.pop("integrity", None)
     to.write_text(to_toml(document))
 
