@@ -317,7 +317,9 @@ def test_what_was_finished_early_goes_on_when_it_is_named(
     recorded = events(session)
     assert [event["action"] for event in recorded if event["event"] == "mark"] == ["finish", "reopen"]
     told = program.run("replay", "--json").stdout.splitlines()
-    assert [json.loads(line) for line in told] == [event for event in recorded if event["event"] != "mark"]
+    live = [event for event in recorded if event["event"] != "mark"]
+    # What was still to be decoded at the key is recorded, too.
+    assert [json.loads(line) for line in told][: len(live)] == live
 
 
 def test_quit_and_go_on(program: Program, open_terminal: Callable[..., Terminal]) -> None:

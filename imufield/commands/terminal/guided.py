@@ -227,16 +227,18 @@ class CaptureLoop:
                 self.check()
         except KeyboardInterrupt:
             # What waits to be decoded is recorded all the same.
-            for chunk in self.connected.link.drain():
-                self.recorder.write_chunk(chunk)
+            self._drain_to(self.recorder.write_chunk)
             raise
-        # What was read in the background before the last key may hold the end of a hold.
-        for chunk in self.connected.link.drain():
-            self._take(chunk)
+        # What was read in the background may hold the end of a hold. Who quits does not wait: a resumed session has it.
+        self._drain_to(self.recorder.write_chunk if quitting else self._take)
         self._publish(self.chain.finish())
         if self._done:
             self.session.update(finished=True)
         return self.captured()
+
+    def _drain_to(self, take: Callable[[Chunk], None]) -> None:
+        for chunk in self.connected.link.drain():
+            take(chunk)
 
     def captured(self) -> Captured:
         """Return how far the session has come."""
@@ -321,11 +323,13 @@ class CaptureLoop:
             self.view.show(events)
 
     def _refresh(self) -> None:
-        now_s = self.clock.monotonic_s()
+        # The time of a person is real: with an emulated instrument that runs fast all of it would go into pictures.
+        now_s = time.monotonic()
         if now_s - self._last_refresh_s < REFRESH_EVERY_S or self.chain.guide is None:
             return
         self._last_refresh_s = now_s
-        silent = self._link.lost is None and now_s - self._last_byte_s > patience_s(self.clock, SILENCE_S)
+        silence_s = self.clock.monotonic_s() - self._last_byte_s
+        silent = self._link.lost is None and silence_s > patience_s(self.clock, SILENCE_S)
         lost = sum(part.lost for part in self.chain.statistics)
         self.view.refresh(self.chain.guide.snapshot, self.connected.link.name, silent=silent, samples_lost=lost)
 
