@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import shlex
 import sys
@@ -59,6 +60,8 @@ BIG = "b"
 HELP = "?"
 QUIT = "q"
 FINISH = "f"
+QUIT_WITHIN_S = 0.2
+"""Real time that the key may take to decode what has waited: a screen that does not answer is pressed again."""
 REOPEN = "reopen"  # Not a key: recorded where a session that was finished early goes on.
 AGAIN_WITHIN_S = 10.0
 """Finishing with something left ends the session only with the same key again within this time; a person's time is real,
@@ -227,18 +230,20 @@ class CaptureLoop:
                 self.check()
         except KeyboardInterrupt:
             # What waits to be decoded is recorded all the same.
-            self._drain_to(self.recorder.write_chunk)
+            self._drain(0.0)
             raise
-        # What was read in the background may hold the end of a hold. Who quits does not wait: a resumed session has it.
-        self._drain_to(self.recorder.write_chunk if quitting else self._take)
+        # What was read in the background may hold the end of a hold. Who quits does not wait long: a resumed session has it.
+        self._drain(QUIT_WITHIN_S if quitting else math.inf)
         self._publish(self.chain.finish())
         if self._done:
             self.session.update(finished=True)
         return self.captured()
 
-    def _drain_to(self, take: Callable[[Chunk], None]) -> None:
+    def _drain(self, within_s: float) -> None:
+        """Take what was read in the background; what comes later than ``within_s`` is recorded only."""
+        end_s = time.monotonic() + within_s
         for chunk in self.connected.link.drain():
-            take(chunk)
+            (self._take if time.monotonic() < end_s else self.recorder.write_chunk)(chunk)
 
     def captured(self) -> Captured:
         """Return how far the session has come."""
