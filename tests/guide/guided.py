@@ -5,7 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from imufield.calibrate.model.models import predict
+from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.guide.events import Rejected
+from imufield.guide.hold.observe import Observation
 from imufield.guide.hold.output import HoldOutput
 from imufield.guide.lead.guide import Guide
 from imufield.guide.lead.settings import GuideSettings
@@ -16,9 +19,11 @@ from imufield.guide.stillness.cells import CellBuilder, Cells, join_cells
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import Samples, SampleUnits, make_samples
 from imufield.sentences import Sentence
+from imufield.simulate.truth.grades import GRADES, draw_truth
 
 FACES = {"+x": [1, 0, 0], "-x": [-1, 0, 0], "+y": [0, 1, 0], "-y": [0, -1, 0], "+z": [0, 0, 1], "-z": [0, 0, -1]}
 SHORT = GuideSettings(hold_s=3.0)
+BUMPED = 16
 
 
 def faces_session(
@@ -65,6 +70,34 @@ def noise_output() -> HoldOutput:
     noise = np.random.default_rng(0).normal(size=(2, 300, 3))
     samples = make_samples(np.arange(300) / 100, *noise, units=SampleUnits())
     return HoldOutput.of(join_cells(list(cells_of([samples]))))
+
+
+def observations(grade: str, seed: int, bump: float = 0.0, scatter: float = 2e-4) -> list[Observation]:
+    """Return made-up observations of paper24 in the proposed order; that of ``BUMPED`` is longer by a share."""
+    rng = np.random.default_rng(seed)
+    instrument = draw_truth(GRADES[grade], rng)
+    found = []
+    for i, up in enumerate(scheme("paper24").directions()):
+        placed = up + 0.1 * rng.normal(size=3)
+        placed /= np.linalg.norm(placed)
+        mean = predict(instrument.accelerometer, STANDARD_GRAVITY_M_S2 * placed) + rng.normal(0, scatter, 3)
+        if i == BUMPED:
+            mean = mean * (1 + bump)
+        found.append(
+            Observation(
+                name=f"p{i}",
+                direction=placed,
+                mean_raw=mean,
+                covariance_raw=np.eye(3) * scatter**2,
+                gyroscope_mean_raw=np.zeros(3),
+                gyroscope_covariance_raw=np.eye(3),
+                start_s=0.0,
+                duration_s=10.0,
+                temperature_degc=20.0,
+                output=noise_output(),
+            )
+        )
+    return found
 
 
 def of(events: Any, kind: Any) -> Any:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,6 +27,7 @@ sentence = Sentences(__package__)
 # A position is proposed before its turn where its gain is larger by this factor: the order that drift cannot imitate is worth
 # more than a little gain.
 _CLEARLY_MORE = 1.5
+_EXONERATED_SHARE = 0.5  # A suspect is none any more where it disagrees by less than this share of before.
 _MATTERS_SIGMAS = 3.0  # A quadratic term of less may be chance.
 _FEWEST_FOR_QUADRATIC = 18  # Of a scheme of 24; fewer positions leave the quadratic terms to the priors.
 _FEWEST_FOR_SCALE = 9  # As many as there are parameters without the quadratic terms.
@@ -125,18 +126,28 @@ class Adviser:
                 plan.preferred = preferred
 
     def _compare(self, scale: RoughScale) -> None:
-        """Compare each position with the others, without the suspects found before: a bump makes good ones disagree."""
-        self.compared, self.suspects = {}, {}
-        left, fit = dict(self._plan.accepted), self.fit
-        while fit is not None:
-            self.compared |= zip(left, fit.disagreements(), strict=True)
-            suspects = [index for index in left if self.compared[index].is_suspect]
-            if not suspects:
-                break
-            worst = max(suspects, key=lambda index: abs(self.compared[index].sigmas))
-            self.suspects[worst] = self.compared[worst]
-            del left[worst]
-            fit = running_fit(list(left.values()), scale, self._settings.gravity_m_s2)
+        """Compare each position with the others but the suspects: a bump makes good ones disagree, and hides another."""
+        accepted = self._plan.accepted
+        out = [index for index in self.suspects if index in accepted]
+
+        def compare(*more: int) -> dict[int, Disagreement]:
+            indices = [index for index in accepted if index not in out or index in more]
+            fit = running_fit([accepted[index] for index in indices], scale, self._settings.gravity_m_s2)
+            return {} if fit is None else dict(zip(indices, fit.disagreements(), strict=True))
+
+        compared = compare()
+        while suspects := [index for index, found in compared.items() if found.is_suspect]:
+            out.append(max(suspects, key=lambda index: abs(compared[index].sigmas)))
+            compared = compare()
+        for index in out:
+            compared |= {index: found[index]} if (found := compare(index)) else {}
+            before, now = self.suspects.get(index), compared.get(index)
+            if before and now and abs(now.leave_one_out_m_s2) > _EXONERATED_SHARE * abs(before.leave_one_out_m_s2):
+                # As far away as ever: a bump elsewhere only makes that look usual.
+                compared[index] = replace(before, name=now.name, leave_one_out_m_s2=now.leave_one_out_m_s2)
+        self.compared = compared
+        worst_first = sorted(self.compared.items(), key=lambda found: -abs(found[1].sigmas))
+        self.suspects = {index: found for index, found in worst_first if found.is_suspect}
 
     def advise(self, now_s: float) -> list[Advice]:
         """Return what the running fit shows that the operator may want to act on; each topic once."""

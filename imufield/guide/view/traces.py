@@ -63,7 +63,7 @@ def _shown_unit(unit: str) -> str:
 
 
 def _number(value: float) -> str:
-    return "-" if math.isnan(value) else f"{value:+.2f}" if abs(value) < 1000 else f"{value:+.3g}"
+    return "-" if math.isnan(value) else f"{value:+z.2f}" if abs(value) < 1000 else f"{value:+.3g}"
 
 
 def _strip(low: FloatArray, high: FloatArray, place: IntArray, shape: tuple[int, int]) -> NDArray[np.bool_]:

@@ -3,47 +3,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imufield.calibrate.model.models import predict
 from imufield.guide.cross_checks.running_fit import EXPECTED_FREEDOM, FEWEST, SUSPECT_M_S2, SUSPECT_SHARE, running_fit
-from imufield.guide.hold.observe import Observation
-from imufield.guide.positions import scheme
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.view.plain import known_words
-from imufield.simulate.truth.grades import GRADES, draw_truth
-from tests.guide.guided import noise_output
+from imufield.simulate.truth.grades import GRADES
+from tests.guide.guided import BUMPED, observations
 
 pytestmark = pytest.mark.numerical
 
 G = 9.80665
 SI = RoughScale(1.0, 1.0)
-BUMPED = 16
-
-
-def observations(grade: str, seed: int, bump: float = 0.0, scatter: float = 2e-4) -> list[Observation]:
-    rng = np.random.default_rng(seed)
-    instrument = draw_truth(GRADES[grade], rng)
-    found = []
-    for i, up in enumerate(scheme("paper24").directions()):
-        placed = up + 0.1 * rng.normal(size=3)
-        placed /= np.linalg.norm(placed)
-        mean = predict(instrument.accelerometer, G * placed) + rng.normal(0, scatter, 3)
-        if i == BUMPED:
-            mean = mean * (1 + bump)
-        found.append(
-            Observation(
-                name=f"p{i}",
-                direction=placed,
-                mean_raw=mean,
-                covariance_raw=np.eye(3) * scatter**2,
-                gyroscope_mean_raw=np.zeros(3),
-                gyroscope_covariance_raw=np.eye(3),
-                start_s=0.0,
-                duration_s=10.0,
-                temperature_degc=20.0,
-                output=noise_output(),
-            )
-        )
-    return found
 
 
 def test_there_is_none_before_the_fourth() -> None:
