@@ -21,7 +21,8 @@ whitened residual, X the columns less what is fitted, and moves the parameters b
     c | r ~ N(m, V),    V = (X^T X + S^-1)^-1,    m = -V X^T r,    and    D (V + m m^T) D^T
 
 is added: all of S where the moves show nothing, what they leave open where they show something. A term that is named is not
-drawn towards zero; of others S is the mean of the squares of what is shown less its variance, where this is more than typical.
+drawn towards zero; where typical terms and noise explain others with a chance of less than 20 % (F test) their S is the mean
+of the squares of what is shown, less its variance: an instrument that has a larger one is held too.
 
 A data sheet's nonlinearity n is the largest deviation from the best straight line over the range R, as a share of it. By least
 squares that line leaves 2/5 c R of c s^3 / R^2, so c is 5 n / 2 (S / R)^2, and c R / 2 of c |s|, so 2 n is the most that an
@@ -105,6 +106,7 @@ def choose_model(data: GyroscopeData, start: FloatArray, observability: Observab
 SCALES = [0, 4, 8]
 """The diagonal of A."""
 _RATE_LEVEL = 0.005  # Of each of the two tests: one clean session of a hundred is named.
+_NOT_TYPICAL = 0.2  # Chance of typical terms, and noise, that count as larger ones.
 # 1 sigma from which on a term counts as not shown, ten times what data sheets of consumer chips give for nonlinearity.
 _SHOWN = 0.01
 # Of whitened residuals, 0.6 to 1 in simulated sessions: without noise a ratio of rounding means nothing.
@@ -153,8 +155,10 @@ def check_linearity(data: GyroscopeData, fit: JointFit, typical: Grade | None = 
             sizes = {"size_ppm": to_ppm * found[worst], "sigma_ppm": to_ppm * sigma[worst]}
             rate_deg_s = float(np.degrees(range_rad_s[worst % 3]))
             sentences.append(sentence(key, axis=AXES[worst % 3], rate_deg_s=rate_deg_s, **sizes))
-        elif typical is not None:
-            prior[seen] = np.maximum(prior[seen], np.sqrt(max(float(np.mean(size**2 - sigma[seen] ** 2)), 0.0)))
+            continue
+        ratio = float(np.mean(size**2 / (sigma[seen] ** 2 + prior[seen] ** 2)))
+        if typical is not None and f_chance(ratio, len(seen), spare) < _NOT_TYPICAL:
+            prior[seen] = np.sqrt(max(float(np.mean(size**2 - sigma[seen] ** 2)), 0.0))
     # With R = X S^1/2: V = S^1/2 (1 + R^T R)^-1 S^1/2, also where S is zero.
     R = columns * prior
     L = prior[:, None] * np.linalg.inv(np.linalg.cholesky(np.eye(6) + R.T @ R)).T
