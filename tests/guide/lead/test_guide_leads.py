@@ -143,7 +143,9 @@ def test_a_bump_is_a_suspect_in_the_line_that_accepts_it_and_on_the_map(make_pat
     samples = corners(make_path, spoil=17, again=(17,))
     guide = Guide(scheme("corners24"), samples.units, settings=GuideSettings(hold_s=3.0))
     told: list[str] = []
-    view, suspects, again = PlainView(told.append), [], []
+    suspects: list[Any] = []
+    again: list[Any] = []
+    view = PlainView(told.append)
     taken: list[Accepted] = []
     for start in range(0, len(samples), 20):
         new = guide.feed(samples[start : start + 20])
