@@ -71,7 +71,7 @@ def test_a_session_that_is_still_being_recorded_is_called_that(program: Program,
     part = whole / "part-001.mcap"
     part.write_bytes(part.read_bytes()[:-2000])
     cut = document(program, "whole")["quality"]["reasons"]
-    assert any("cut off" in reason or "without a proper end" in reason for reason in cut)
+    assert any("cut off" in reason or "no end marker" in reason for reason in cut)
     with Session.open(whole).lock():
         reasons = document(program, "whole")["quality"]["reasons"]
         replayed = program.run("replay", "whole")
@@ -79,7 +79,7 @@ def test_a_session_that_is_still_being_recorded_is_called_that(program: Program,
     assert "cut off" not in replayed.stderr
     assert "cut off" in program.run("replay", "whole").stderr
     assert Sentences("imufield.pipeline")("solving.goes_on") in reasons
-    assert not any("cut off" in reason or "proper end" in reason for reason in reasons)
+    assert not any("cut off" in reason or "end marker" in reason for reason in reasons)
 
 
 def test_solve_twice_keeps_the_first_and_gives_the_same(program: Program, whole: Path) -> None:
