@@ -37,7 +37,8 @@ class Terminal:
         self._before = termios.tcgetattr(self._slave)
         self.process = program.start(
             *arguments,
-            variables={"TERM": "xterm-256color", **(variables or {})},
+            # Of the tests' own terminal, where they have one, they would go before the size of this one.
+            variables={"TERM": "xterm-256color", "COLUMNS": str(size[0]), "LINES": str(size[1]), **(variables or {})},
             stdin=self._slave,
             stdout=self._slave,
             stderr=self._slave,

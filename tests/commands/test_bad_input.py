@@ -486,6 +486,6 @@ def test_six_faces_give_scale_and_bias_and_refuse_the_rest(program: Program, mak
     assert ended.returncode == 0, ended.stderr
     assert ended.stdout.count("not estimated") == 3
     text = " ".join(ended.stdout.split())
-    assert "not observable, set to zero: misalignment" in text
+    assert "not observable, so set to zero: misalignment" in text
     assert "Verdict: POOR" in text or "Verdict: USABLE" in text
     assert "nan" not in text

@@ -100,6 +100,9 @@ class NoView:
     def refresh(self, *_: Any, **__: Any) -> None:
         """Draw nothing."""
 
+    def tell(self, text: str) -> None:
+        """Answer nothing."""
+
 
 @dataclass
 class Keys:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 import shlex
 import sys
@@ -60,8 +59,9 @@ BIG = "b"
 HELP = "?"
 QUIT = "q"
 FINISH = "f"
-QUIT_WITHIN_S = 0.2
-"""Real time that the key may take to decode what has waited: a screen that does not answer is pressed again."""
+QUICKLY_DECODED = 10
+"""Reads that take no time that a person notices; more, on a machine that is behind, and a screen that does not answer is
+pressed again."""
 REOPEN = "reopen"  # Not a key: recorded where a session that was finished early goes on.
 AGAIN_WITHIN_S = 10.0
 """Finishing with something left ends the session only with the same key again within this time; a person's time is real,
@@ -230,20 +230,21 @@ class CaptureLoop:
                 self.check()
         except KeyboardInterrupt:
             # What waits to be decoded is recorded all the same.
-            self._drain(0.0)
+            for chunk in self.connected.link.drain():
+                self.recorder.write_chunk(chunk)
             raise
-        # What was read in the background may hold the end of a hold. Who quits does not wait long: a resumed session has it.
-        self._drain(QUIT_WITHIN_S if quitting else math.inf)
+        # What was read in the background before the last key may hold the end of a hold.
+        waiting = self.connected.link.drain()
+        if quitting and len(waiting) > QUICKLY_DECODED:
+            self.view.tell(sentence("guided.quitting"))
+            self._refresh(at_once=True)
+        for chunk in waiting:
+            self._take(chunk)
         self._publish(self.chain.finish())
+        self._refresh(at_once=True)  # The last words are not for the next picture: there is none.
         if self._done:
             self.session.update(finished=True)
         return self.captured()
-
-    def _drain(self, within_s: float) -> None:
-        """Take what was read in the background; what comes later than ``within_s`` is recorded only."""
-        end_s = time.monotonic() + within_s
-        for chunk in self.connected.link.drain():
-            (self._take if time.monotonic() < end_s else self.recorder.write_chunk)(chunk)
 
     def captured(self) -> Captured:
         """Return how far the session has come."""
@@ -327,10 +328,10 @@ class CaptureLoop:
         if events:
             self.view.show(events)
 
-    def _refresh(self) -> None:
+    def _refresh(self, *, at_once: bool = False) -> None:
         # The time of a person is real: with an emulated instrument that runs fast all of it would go into pictures.
         now_s = time.monotonic()
-        if now_s - self._last_refresh_s < REFRESH_EVERY_S or self.chain.guide is None:
+        if (now_s - self._last_refresh_s < REFRESH_EVERY_S and not at_once) or self.chain.guide is None:
             return
         self._last_refresh_s = now_s
         silence_s = self.clock.monotonic_s() - self._last_byte_s
