@@ -72,6 +72,10 @@ def test_disk_full_again_and_again(program: Program, campaign: Campaign) -> None
         accepted = accepted_on_disk(folder)
         assert kept <= set(accepted), f"full disk {number}: a position is gone"
         kept = set(accepted)
+        if Session.open(folder).finished:
+            # Full with the very last block: all positions are there, and nothing is left to resume.
+            times = number + 1
+            break
     assert kept
     end_and_solve(program, port, folder, POSITIONS)
     campaign.tell(
