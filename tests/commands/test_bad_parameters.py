@@ -97,7 +97,7 @@ BAD: dict[str, tuple[Callable[[str], str], Reason, tuple[str, ...]]] = {
     "not a number": (not_a_number, Reason.NOT_FINITE, ("bad.toml", "scale[0]", "nan")),
     "other units": (other_unit, Reason.UNITS, ("count",)),
     "another instrument": (other_instrument, Reason.FOREIGN, ("A1",)),
-    "impossible": (impossible, Reason.DAMAGED, ("accelerometer.higher.cubic[0]", "10")),
+    "impossible": (impossible, Reason.DAMAGED, ("accelerometer.higher.cubic[0]", "1e+15")),
     "reversed axis": (reversed_axis, Reason.BOUNDS, ("y",)),
 }
 COMMANDS = {

@@ -105,4 +105,4 @@ def test_a_capture_is_led_by_lines_on_standard_input(program: Program) -> None:
     assert capture.wait() == 0, capture.communicate()[1]
     assert accepted == ["+z", "+x", "-x", "+y", "-z", "-y"]
     emulator.terminate()
-    assert "'upside down' is no position" in emulator.communicate()[1]
+    assert "'upside down' is not a position" in emulator.communicate()[1]
