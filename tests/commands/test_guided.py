@@ -165,7 +165,10 @@ def test_who_is_there_behind_a_reconnection(
         terminal.type("q")
     assert terminal.wait() == (3 if facts else 0)
     assert not missing(terminal.text, *facts)
-    assert accepted(newest(program)) == ["+x"]
+    first_accepted, *later = accepted(newest(program))
+    assert first_accepted == "+x"
+    # The same instrument lies on another side by now, which is measured unless the key comes first.
+    assert not (facts and later)
 
 
 def test_a_stopped_process_goes_on_where_it_was(program: Program, terminals: list[Terminal]) -> None:
