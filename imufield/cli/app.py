@@ -9,7 +9,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from imufield.cli.command import make_command
-from imufield.commands.options import commands
+from imufield.commands.options import results, samples
 from imufield.sentences import printable_lines
 from imufield.version import __version__
 
@@ -76,31 +76,31 @@ def root(
 # Under each heading: name, options, and the function below imufield.commands that does the work.
 _COMMANDS: dict[str, tuple[tuple[str, type, str], ...]] = {
     "Calibrate": (
-        ("init", commands.InitOptions, "init.run_init"),
-        ("devices", commands.DevicesOptions, "devices.list_devices"),
-        ("probe", commands.ProbeOptions, "probe.run_probe"),
-        ("capture", commands.CaptureOptions, "capture.run_capture"),
-        ("solve", commands.SolveOptions, "solve.run_solve"),
-        ("report", commands.ReportOptions, "report.run_report"),
-        ("export", commands.ExportOptions, "export.run_export"),
+        ("init", samples.InitOptions, "init.run_init"),
+        ("devices", samples.DevicesOptions, "devices.list_devices"),
+        ("probe", samples.ProbeOptions, "probe.run_probe"),
+        ("capture", samples.CaptureOptions, "capture.run_capture"),
+        ("solve", results.SolveOptions, "solve.run_solve"),
+        ("report", results.ReportOptions, "report.run_report"),
+        ("export", results.ExportOptions, "export.run_export"),
     ),
     "Prove and compare": (
-        ("verify", commands.VerifyOptions, "verify.run_verify"),
-        ("history", commands.HistoryOptions, "history.run_history"),
-        ("noise", commands.NoiseOptions, "noise.run_noise"),
+        ("verify", results.VerifyOptions, "verify.run_verify"),
+        ("history", results.HistoryOptions, "history.run_history"),
+        ("noise", results.NoiseOptions, "noise.run_noise"),
     ),
     "Recordings": (
-        ("sessions", commands.SessionsOptions, "sessions.list_sessions"),
-        ("record", commands.RecordOptions, "record.run_record"),
-        ("import", commands.ImportOptions, "import_files.run_import"),
-        ("replay", commands.ReplayOptions, "replay.run_replay"),
-        ("apply", commands.ApplyOptions, "apply.run_apply"),
-        ("export-data", commands.ExportDataOptions, "export_data.run_export_data"),
+        ("sessions", samples.SessionsOptions, "sessions.list_sessions"),
+        ("record", samples.RecordOptions, "record.run_record"),
+        ("import", samples.ImportOptions, "import_files.run_import"),
+        ("replay", samples.ReplayOptions, "replay.run_replay"),
+        ("apply", results.ApplyOptions, "apply.run_apply"),
+        ("export-data", results.ExportDataOptions, "export_data.run_export_data"),
     ),
     "Without hardware": (
-        ("demo", commands.DemoOptions, "demo.run_demo"),
-        ("emulate", commands.EmulateOptions, "emulate.run_emulate"),
-        ("study", commands.StudyOptions, "study.run_study_command"),
+        ("demo", samples.DemoOptions, "demo.run_demo"),
+        ("emulate", samples.EmulateOptions, "emulate.run_emulate"),
+        ("study", results.StudyOptions, "study.run_study_command"),
     ),
 }
 

@@ -25,7 +25,7 @@ from imufield.acquire.link.host_clock import ScaledClock
 from imufield.calibrate.model.gauge import intrinsic
 from imufield.calibrate.model.models import to_vector
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration
-from imufield.commands.options.commands import CaptureOptions, DemoOptions
+from imufield.commands.options.samples import CaptureOptions, DemoOptions
 from imufield.commands.terminal.guided import Captured, guided_session, new_session
 from imufield.commands.terminal.output import before_recording, echo, say_assumed
 from imufield.deliver.parameters.file import PARAMETER_FILE, write_document

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
-from imufield.commands.options.commands import HistoryOptions
+from imufield.commands.options.results import HistoryOptions
 from imufield.commands.terminal.output import echo, echo_path, say, say_each, write_output
 from imufield.deliver.family import Change
 from imufield.deliver.history import (

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from imufield.acquire.decode.statistics import combined
 from imufield.acquire.recording.reader import Damage, EndOfRecordingError, RecordingLink
 from imufield.acquire.recording.session import Session, open_or_newest
-from imufield.commands.options.commands import ReplayOptions
+from imufield.commands.options.samples import ReplayOptions
 from imufield.commands.terminal.output import echo, say, say_each
 from imufield.deliver.parameters.file import PARAMETER_FILE, load_found
 from imufield.errors import ImufieldError, UsageError

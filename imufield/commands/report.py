@@ -13,7 +13,7 @@ import numpy as np
 
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session, open_or_newest
-from imufield.commands.options.commands import ReportOptions
+from imufield.commands.options.results import ReportOptions
 from imufield.commands.terminal.output import write_output
 from imufield.deliver.parameters.document import VERSION
 from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, load

@@ -20,7 +20,7 @@ from imufield.acquire.recording.reader import read_session
 from imufield.acquire.recording.session import Session
 from imufield.commands import demo
 from imufield.commands.emulate import make_emulation
-from imufield.commands.options.commands import DemoOptions, EmulateOptions
+from imufield.commands.options.samples import DemoOptions, EmulateOptions
 from imufield.errors import LinkError
 from imufield.guide.positions import scheme
 from imufield.pipeline.chain import Chain, ReadingPlan, replay_into, session_samples

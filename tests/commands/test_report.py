@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from imufield.cli.run import run
-from imufield.commands.options.commands import ReportOptions
+from imufield.commands.options.results import ReportOptions
 from imufield.commands.report import gather, run_report
 from imufield.errors import ParameterFileError, Reason
 from tests.refused import refused

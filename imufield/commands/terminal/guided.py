@@ -21,7 +21,7 @@ from imufield.acquire.link.serial import Chunk
 from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import Session, create_session
 from imufield.acquire.recording.session_record import GuideRecord
-from imufield.commands.options.commands import CaptureOptions, ViewName
+from imufield.commands.options.samples import CaptureOptions, ViewName
 from imufield.commands.terminal.output import echo, say
 from imufield.commands.terminal.views import View, make_view
 from imufield.deliver.parameters.file import load

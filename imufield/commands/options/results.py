@@ -1,40 +1,27 @@
-"""The options of each command: to get samples, to turn them into numbers, to carry the numbers to where they are used."""
+"""The options of commands that turn samples into numbers, and carry the numbers to where they are used."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, get_args
 
 from imufield.commands.configuration import parse_zero
 from imufield.commands.options import completion
 from imufield.commands.options.shared import (
     LARGEST_SEED,
     AsJson,
-    ClockSpeed,
-    ConnectionOptions,
-    DriverName,
-    EventsAsJson,
     MethodSettings,
     NewestSession,
     PlaceOptions,
-    Plain,
-    Port,
-    PortOrBusOptions,
     Scheduler,
-    SessionFolder,
     Settings,
-    SignalMap,
     TableRateHz,
-    TargetBiasUg,
-    TargetScalePpm,
     Workers,
     argument,
     option,
     session_argument,
     unknown_site,
 )
-from imufield.errors import UsageError
 from imufield.files import DEFAULT_ROOT
-from imufield.limits import BAUD_RANGE, HOLD_RANGE_S, RATE_RANGE_HZ
 from imufield.sentences import Sentences
 
 if TYPE_CHECKING:
@@ -42,252 +29,7 @@ if TYPE_CHECKING:
 
 sentence = Sentences(__package__)
 
-ViewName = Literal["auto", "plain", "json"]
 ParameterFile = Annotated[Path, session_argument(help="Parameter file.")]
-# Signs are part of the name: `--cable=-x` needs its equals sign, or the parser takes -x for an option.
-SIDES = ("+x", "-x", "+y", "-y", "+z", "-z")
-
-
-def _check_side(text: str | None) -> str | None:
-    if text is not None and text not in SIDES:
-        raise UsageError(sentence("commands.cable", text=text, sides=SIDES))
-    return text
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DemoOptions:
-    """Run the whole chain with no hardware: virtual IMU and operator, capture, solve.
-
-    Example: imufield demo
-    """
-
-    seed: Annotated[int, option(help="Seed of the simulated instrument and operator.", low=0, high=LARGEST_SEED)] = 2
-    speed: Annotated[float, option(help="Speed relative to real time, e.g. 8 is eight times as fast.", low=1)] = (
-        8.0  # What a small machine keeps up with.
-    )
-    plain: Plain = False
-    root: Path = DEFAULT_ROOT
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DevicesOptions:
-    """List serial ports, CAN interfaces and the instruments that have a driver, or show one of them.
-
-    Example: imufield devices
-
-    Example: imufield devices stim300
-    """
-
-    name: Annotated[
-        str | None,
-        argument(help="Instrument to show, with its settings and wiring.", autocompletion=completion.drivers),
-    ] = None
-    as_json: AsJson = False
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class InitOptions:
-    """Write imufield.toml, the defaults of this folder: place, instrument, port and accuracy, asked for at a terminal.
-
-    Example: imufield init
-
-    Example: imufield init --latitude 48.1 --height 520 --driver stim300
-    """
-
-    site: PlaceOptions = field(default_factory=unknown_site)
-    driver: DriverName = None
-    port: Port = None
-    target_bias_ug: TargetBiasUg = None
-    target_scale_ppm: TargetScalePpm = None
-    root: Path = DEFAULT_ROOT
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ProbeOptions:
-    """Listen and say what instrument is on a port (default: on every port) or a CAN bus, and how to read it.
-
-    Example: imufield probe --port /dev/ttyUSB0
-
-    Example: imufield probe --bus socketcan:can0
-    """
-
-    connect: PortOrBusOptions
-    # Off: an unknown device at the port may take a question for a command.
-    ask: Annotated[bool, option("--ask", help="Ask the instrument who it is: the only thing that is sent.")] = False
-    as_json: AsJson = False
-    clock_speed: ClockSpeed = 1.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CaptureOptions:
-    """Record a guided session: the screen leads you through 24 positions, without a key press.
-
-    Example: imufield capture --port /dev/ttyUSB0 --latitude 48.1 --height 520
-    """
-
-    connect: ConnectionOptions
-    positions: Annotated[str | None, option(help="Scheme: paper24, paper36, corners24, all26, faces6 or a TOML list.")] = None
-    hold_s: Annotated[float | None, option(help="Seconds to hold each position.", within=HOLD_RANGE_S)] = None
-    session: SessionFolder = None
-    resume: Annotated[bool, option("--resume", help="Go on with an unfinished session.")] = False
-    site: PlaceOptions = field(default_factory=unknown_site)
-    plain: Plain = False
-    as_json: EventsAsJson = False
-    target_bias_ug: TargetBiasUg = None
-    target_scale_ppm: TargetScalePpm = None
-    preset: Annotated[
-        Path | None, option(help="Previous parameter file; comparison with its scale reveals a wrong latitude or gravity.")
-    ] = None
-    rotations: Annotated[
-        str | None, option(help="Whole turns for the gyroscope: rolled (edge over edge) or table (against a stop).")
-    ] = None
-    quiet: Annotated[bool, option("--quiet", help="No sound.")] = False
-    speak: Annotated[bool, option("--speak", help="Say it aloud, where a speech program is installed.")] = False
-    big: Annotated[bool, option("--big", help="Big letters, to be read from three metres.")] = False
-    cable: Annotated[
-        str | None, option(help="Side of the unit where the cable leaves, for the pictures: +x ... -z.", check=_check_side)
-    ] = None
-    clock_speed: ClockSpeed = 1.0
-    root: Path = DEFAULT_ROOT
-
-    @property
-    def view(self) -> ViewName:
-        """What shows the events; "auto" is pictures where there is a terminal."""
-        return "json" if self.as_json else "plain" if self.plain else "auto"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SessionsOptions:
-    """List sessions, the newest first: when, how complete, the verdict, the instrument.
-
-    Example: imufield sessions --find "stim300 usable"
-    """
-
-    folder: Annotated[Path, argument(help="Folder of sessions.")] = DEFAULT_ROOT
-    find: Annotated[str | None, option(help="Only those that show all these words, e.g. 2026-03 or unfinished.")] = None
-    as_json: AsJson = False
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RecordOptions:
-    """Record without a guide, e.g. hours of standstill.
-
-    Example: imufield record --port /dev/ttyUSB0 --duration-s 3600
-
-    Example: imufield record --bus socketcan:can0 --driver aceinna_can
-    """
-
-    connect: ConnectionOptions
-    session: SessionFolder = None
-    site: PlaceOptions = field(default_factory=unknown_site)
-    duration_s: Annotated[float | None, option(help="Stop after so many seconds (default: Ctrl-C).", low=0.1)] = None
-    as_json: AsJson = False
-    clock_speed: ClockSpeed = 1.0
-    root: Path = DEFAULT_ROOT
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ImportOptions:
-    """Turn files of another program into a session: tables, MATLAB, HDF5, Parquet, ROS, CAN logs, raw bytes.
-
-    Example: imufield import acc.txt.gz gyro.txt.gz --zero 32768 -o my-session
-
-    Example: imufield import drive.blf --driver aceinna_can
-    """
-
-    files: Annotated[list[Path], argument(help="Files of one recording; several are joined by time.")]
-    output: Annotated[Path | None, option("-o", "--output", help="Folder of the new session.")] = None
-    driver: DriverName = None
-    # A name or a file: shipped protocols have names.
-    protocol: Annotated[str | None, option(help="For a raw byte dump: protocol name or TOML file.")] = None
-    dbc: Annotated[Path | None, option(help="For a log of a CAN bus: DBC file.")] = None
-    mapping: SignalMap = field(default_factory=dict)
-    channel: Annotated[str | None, option(help="For a log of several CAN buses: which, e.g. can0.")] = None
-    topic: Annotated[str | None, option(help="For a recording of ROS: which topic, e.g. /imu/data.")] = None
-    settings: Settings = field(default_factory=dict)
-    columns: Annotated[str | None, option(help="Columns of a table, e.g. time,ax,ay,az,gx,gy,gz.")] = None
-    rate_hz: TableRateHz = None
-    zero: Annotated[str | None, option(help="Raw output at zero input, one or three numbers (mid-scale).")] = None
-    site: PlaceOptions = field(default_factory=unknown_site)
-    replace: Annotated[
-        bool, option("--replace", help="Overwrite an earlier import in the folder --output, if it has not been solved.")
-    ] = False
-    as_json: AsJson = False
-    root: Path = DEFAULT_ROOT
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ReplayOptions:
-    """Run a recorded session through the guide again, or send its data to a port or bus.
-
-    Example: imufield replay imufield-sessions/20260301T101500Z-stim300
-    """
-
-    session: NewestSession = None
-    to_pty: Annotated[bool, option("--to-pty", help="Replay the bytes to a virtual serial port.")] = False
-    bus: Annotated[str | None, option(help="Replay the frames to a CAN bus, e.g. socketcan:vcan0.")] = None
-    bit_rate: Annotated[
-        int | None, option("--baud", help="Bit rate, for CAN adapters that set it when opened.", within=BAUD_RANGE)
-    ] = None
-    speed: Annotated[
-        float, option(help="Speed of --to-pty and --bus relative to real time; 0 is as fast as possible.", low=0)
-    ] = 1.0
-    as_json: EventsAsJson = False
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EmulateOptions:
-    """Pretend to be an instrument on a virtual serial port or a CAN bus.
-
-    Example: imufield emulate xsens_mtdata2 --form fp16.32 --wait --link /tmp/imu
-    """
-
-    driver: Annotated[
-        str,
-        argument(
-            help="Instrument family, see `imufield devices`, or your protocol file (.toml).", autocompletion=completion.drivers
-        ),
-    ]
-    form: Annotated[str | None, option(help="What it sends, e.g. RAWIMUX; a wrong name lists all.")] = None
-    settings: Settings = field(default_factory=dict)
-    bus: Annotated[str | None, option(help="CAN bus, e.g. udp_multicast:239.0.0.1 (default: slcan on a port).")] = None
-    rate_hz: Annotated[
-        float | None, option(help="Sample rate (default: the instrument's usual one).", low=1, high=RATE_RANGE_HZ[1])
-    ] = None
-    speed: Annotated[float, option(help="Speed relative to real time, e.g. 8 is eight times as fast.", low=0.1)] = 1.0
-    grade: Annotated[str, option(help="navigation, tactical, industrial or mems.")] = "tactical"
-    seed: Annotated[int, option(help="Seed of instrument, operator and faults.", low=0, high=LARGEST_SEED)] = 1
-    day: Annotated[int, option(help="Another day of the instrument: other noise, tilts, faults.", low=0, high=LARGEST_SEED)] = 0
-    positions: Annotated[str, option(help="Scheme the operator works through; `none`: it lies still.")] = "paper24"
-    rounds: Annotated[
-        int | None,
-        option(
-            help="How many times the operator goes through all positions (default: 20; 1 with --rotations).", low=1, high=1000
-        ),
-    ] = None
-    poses: Annotated[
-        Path | None,
-        option(
-            help="File of poses to use instead of --positions, one per line, e.g. z+135 or roll 30; `-` reads the keyboard."
-        ),
-    ] = None
-    style: Annotated[str, option(help="placed (on a surface) or held (in the hand).")] = "placed"
-    rotations: Annotated[str | None, option(help="Whole turns after the positions: rolled or table.")] = None
-    hold_s: Annotated[float, option(help="Seconds the virtual operator holds each position.", within=HOLD_RANGE_S)] = 14.0
-    wait: Annotated[
-        bool | None,
-        option("--wait/--no-wait", help="Begin when a program opens the port (default without --json, --duration-s)."),
-    ] = None
-    link: Annotated[Path | None, option(help="Make a symbolic link to the port here.")] = None
-    truth: Annotated[Path | None, option(help="Write the true parameters and stills to this file.")] = None
-    duration_s: Annotated[float | None, option(help="Stop after so many seconds of sample time.", low=0.1)] = None
-    faults: Annotated[list[str] | None, option("--fault", help="E.g. bit_flip_probability=1e-4; may be repeated.")] = None
-    as_json: AsJson = False
-
-    @property
-    def waits_for_reader(self) -> bool:
-        """A person starts the reader a minute later; a script says what it wants."""
-        return not self.as_json and self.duration_s is None if self.wait is None else self.wait
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
