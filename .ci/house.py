@@ -72,6 +72,7 @@ ROOMS = (
     ("study",),
     ("study/answers",),
     ("pipeline",),
+    ("web",),
     ("commands/configuration",),
     ("commands/options",),
     ("commands/terminal",),

@@ -10,6 +10,7 @@ from imufield.acquire.link.host_clock import HostClock
 from imufield.commands.options.samples import CaptureOptions
 from imufield.commands.terminal.guided import DEFAULT_SCHEME, Captured, guide_record, guided_session, new_session
 from imufield.commands.terminal.output import before_recording, host_clock, say, say_assumed
+from imufield.commands.terminal.page import open_page
 from imufield.commands.terminal.resume import check_instrument, check_plan, connect_as_before, find_unfinished
 from imufield.commands.terminal.site import ask_site
 from imufield.guide.positions import scheme
@@ -31,28 +32,29 @@ def run_capture(options: CaptureOptions, clock: HostClock | None = None) -> Capt
     # A name that is wrong is refused before the port is opened.
     scheme(options.positions or DEFAULT_SCHEME)
     asked = guide_record(options)
-    with before_recording():
-        earlier = find_unfinished(options.session, options.root, resume=options.resume, interactive=interactive)
-        if earlier is not None:
-            check_plan(earlier, options.positions, asked)
-        how = options.connect if earlier is None else connect_as_before(options.connect, earlier)
-        site = options.site if earlier is None else options.site.over(earlier.record.site)
-        # A place that is nowhere on Earth is a slip of what was typed, whatever the port.
-        if site.is_known:
-            site.gravity()
-        check_options(how)
-        if interactive and not site.is_known:
-            site = ask_site(site, options.root)
-        elif not site.is_known and options.view != "json":
-            say(sentence("capture.gravity_unknown"), err=True)
-        site.gravity()
-        connected = connect(how, clock, say_assumed)
     with ExitStack() as stack:
-        stack.callback(connected.close)
+        with before_recording():
+            place = open_page(options, stack)
+            earlier = find_unfinished(options.session, options.root, resume=options.resume, interactive=interactive)
+            if earlier is not None:
+                check_plan(earlier, options.positions, asked)
+            how = options.connect if earlier is None else connect_as_before(options.connect, earlier)
+            site = options.site if earlier is None else options.site.over(earlier.record.site)
+            # A place that is nowhere on Earth is a slip of what was typed, whatever the port.
+            if site.is_known:
+                site.gravity()
+            check_options(how)
+            if interactive and not site.is_known:
+                site = ask_site(site, options.root)
+            elif not site.is_known and options.view != "json":
+                say(sentence("capture.gravity_unknown"), err=True)
+            site.gravity()
+            connected = connect(how, clock, say_assumed)
+            stack.callback(connected.close)
         session = earlier or new_session(options, connected, site)
         stack.enter_context(session.lock())
         if earlier is not None:
             # Under the lock: nobody else may finish or delete the session between the look and the first byte.
             check_instrument(session, connected)
             session.update(site=site.record(), finished=False)
-        return guided_session(session, connected, clock, options)
+        return guided_session(session, connected, clock, options, place=place)

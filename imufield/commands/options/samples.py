@@ -29,7 +29,7 @@ from imufield.commands.options.shared import (
 )
 from imufield.errors import UsageError
 from imufield.files import DEFAULT_ROOT
-from imufield.limits import BAUD_RANGE, HOLD_RANGE_S, RATE_RANGE_HZ
+from imufield.limits import BAUD_RANGE, HOLD_RANGE_S, PORT_RANGE, RATE_RANGE_HZ
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -137,6 +137,13 @@ class CaptureOptions:
     big: Annotated[bool, option("--big", help="Big letters, to be read from three metres.")] = False
     cable: Annotated[
         str | None, option(help="Side of the unit where the cable leaves, for the pictures: +x ... -z.", check=_check_side)
+    ] = None
+    web: Annotated[bool, option("--web", help="Show the guide in a browser on this machine, too.")] = False
+    web_lan: Annotated[str | None, option(help="Show it to phones in the network: address of this machine there, or auto.")] = (
+        None
+    )
+    web_port: Annotated[
+        int | None, option(help="Port of that page (default: 8777 or the next free one).", within=PORT_RANGE)
     ] = None
     clock_speed: ClockSpeed = 1.0
     root: Path = DEFAULT_ROOT

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -47,6 +48,9 @@ from imufield.pipeline.intake import Intake
 from imufield.pipeline.site import SiteOptions
 from imufield.progress import hidden
 from imufield.sentences import Sentences
+
+if TYPE_CHECKING:
+    from imufield.web.address import Place
 
 sentence = Sentences(__package__)
 
@@ -154,11 +158,13 @@ def guided_session(
     clock: HostClock,
     options: CaptureOptions,
     *,
+    place: Place | None = None,
     check: Callable[[], None] = lambda: None,
 ) -> Captured:
     """Run the loop and say what there is and how to go on, also where it is broken off; the reason is passed on.
 
-    ``check`` is called again and again, and may break it off by an ``ImufieldError``.
+    The page is served at ``place``, where one is wanted. ``check`` is called again and again, and may break it off by an
+    ``ImufieldError``.
     """
     stream = SameStream(connected.link.name, patience_s(clock, 1.0))
     chain = Chain(ReadingPlan.of(session), listeners=(stream.hear,))
@@ -172,7 +178,13 @@ def guided_session(
             recorder = stack.enter_context(Recorder(session.add_part(), metadata, clock=clock))
             keyboard = stack.enter_context(Keyboard())
             positions = scheme(chain.plan.scheme or DEFAULT_SCHEME)
+            page = None
+            if place is not None:
+                from imufield.commands.terminal.page import serve_page
+
+                page = stack.enter_context(serve_page(place, positions, session, connected.model, options))
             view = stack.enter_context(make_view(options, session.folder, positions, chain.origin_s))
+            view.page = page
             loop = CaptureLoop(
                 session=session,
                 connected=connected,
@@ -290,10 +302,13 @@ class CaptureLoop:
         self._last_byte_s = self.clock.monotonic_s()
 
     def _follow_keys(self) -> bool:
-        for key in _SEQUENCE.sub("", self.keyboard.read()):
+        page = self.view.page
+        for key in _SEQUENCE.sub("", self.keyboard.read()) + ("" if page is None else page.read()):
             if key == QUIT:
                 return True
-            if key == BIG:
+            if page is not None and page.notice:
+                page.notice = ""
+            elif key == BIG:
                 self.view.toggle_big()
             elif key == HELP:
                 self.view.tell(sentence("guided.keys"))

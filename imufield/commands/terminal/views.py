@@ -6,6 +6,7 @@ import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,6 +20,7 @@ from imufield.guide.view.plain import JsonLinesView, PlainView
 from imufield.sentences import Sentences
 
 if TYPE_CHECKING:
+    from imufield.commands.terminal.page import ServedPage
     from imufield.guide.view.sound import SoundView
     from imufield.guide.view.terminal import TerminalView
 
@@ -33,6 +35,7 @@ class View:
 
     def __init__(self, *, lines: PlainView | JsonLinesView | None = None, pictures: TerminalView | None = None) -> None:
         self.sound: SoundView | None = None
+        self.page: ServedPage | None = None
         self._lines = lines
         self._pictures = pictures
         self._events: list[Event] = []  # Kept until the next picture.
@@ -42,6 +45,8 @@ class View:
         """Render events."""
         if self.sound is not None:
             self.sound.show(events)
+        if self.page is not None:
+            self.page.show(events)
         if self._lines is not None:
             self._lines.show(events)
         else:
@@ -49,8 +54,12 @@ class View:
 
     def refresh(self, snapshot: Callable[[], Snapshot], port: str, *, silent: bool, samples_lost: int) -> None:
         """Draw the state between events, asked for only then; lines draw nothing, but say when the wire falls silent."""
+        if self.page is not None:
+            snapshot = cache(snapshot)
+            self.page.refresh(snapshot(), silent=silent, samples_lost=samples_lost)
         if self._pictures is not None:
             events, self._events = self._events, []
+            self._pictures.notice = "" if self.page is None else self.page.notice
             self._pictures.show(events, snapshot(), samples_lost, silent=silent)
         # Once for each silence: a line ten times a second would push away what was said before.
         elif isinstance(self._lines, PlainView) and silent and not self._was_silent:
@@ -59,6 +68,8 @@ class View:
 
     def tell(self, text: str) -> None:
         """Answer a key that is no mark; lines are answered as lines."""
+        if self.page is not None:
+            self.page.tell(text)
         if self._pictures is not None:
             self._pictures.tell(text)
         elif isinstance(self._lines, PlainView):

@@ -136,6 +136,7 @@ class Guide:
         if self.state is State.LOST:
             self._handle(Input.LINK_BACK)
         self.time_s = float(samples.time_s[-1])
+        self._feed.hear(samples)
         self._actions.hold.history.add(samples)
         cells = self._builder.feed(samples)
         if cells is not None:

@@ -12,8 +12,9 @@ import numpy as np
 
 from imufield.guide.stillness.cells import CELL_S, Cells, cells_in, join_cells
 from imufield.guide.stillness.scale import RoughScale
-from imufield.samples import FloatArray
+from imufield.samples import FloatArray, Samples
 
+_NEWEST = 8  # Samples: some milliseconds, and vibration is averaged out.
 SPAN_S = 30.0
 """Time that the feed reaches back."""
 
@@ -24,6 +25,8 @@ class Signals:
 
     Attributes
     ----------
+    newest_s : float
+        Sample clock of the newest block.
     age_s : ndarray, shape (n,)
         Time from each block to the newest; samples that are missing leave a gap.
     mean, low, high : ndarray, shape (n, 6)
@@ -32,6 +35,7 @@ class Signals:
         Of both triads: m/s^2 and rad/s, or "raw unit" where the scale is not known.
     """
 
+    newest_s: float
     age_s: FloatArray
     mean: FloatArray
     low: FloatArray
@@ -45,6 +49,11 @@ class LiveFeed:
     def __init__(self) -> None:
         self._blocks: deque[Cells] = deque()
         self._count = 0
+        self._last = np.empty((0, 3))  # Of the accelerometer, raw, behind what is in the cells.
+
+    def hear(self, samples: Samples) -> None:
+        """Keep the newest samples: a cell is 0.1 s old before it is whole, and a hand sees that."""
+        self._last = samples.accelerometer[-_NEWEST:]
 
     def add(self, cells: Cells) -> None:
         """Append cells."""
@@ -59,10 +68,11 @@ class LiveFeed:
         return join_cells([*self._blocks][-count:])[-count:] if self._blocks else None
 
     def up(self, scale: RoughScale) -> FloatArray:
-        """Return where up is in the body by the newest cell, unit vector (3,), NaN while not known."""
-        if not self._blocks or not scale.accelerometer:
+        """Return where up is in the body by the newest samples, unit vector (3,), NaN while not known."""
+        known = self._last[np.isfinite(self._last).all(axis=1)]
+        if not len(known) or not scale.accelerometer:
             return np.full(3, np.nan)
-        return scale.up(self._blocks[-1].mean[-1, :3])
+        return scale.up(known.mean(axis=0))
 
     def signals(self, scale: RoughScale) -> Signals | None:
         """Return the six signals in the units of a scale, None before the first."""
@@ -77,4 +87,11 @@ class LiveFeed:
             (np.concatenate([getattr(block, name) for block in self._blocks])[-len(slot) :][kept] - zero) / factor
             for name in ("mean", "low", "high")
         )
-        return Signals(age_s=(slot[-1] - slot[kept]) * CELL_S, mean=mean, low=low, high=high, units=(force_unit, rate_unit))
+        return Signals(
+            newest_s=float(slot[-1]) * CELL_S,
+            age_s=(slot[-1] - slot[kept]) * CELL_S,
+            mean=mean,
+            low=low,
+            high=high,
+            units=(force_unit, rate_unit),
+        )

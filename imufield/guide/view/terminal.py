@@ -13,7 +13,7 @@ from contextlib import ExitStack, suppress
 from types import ModuleType, TracebackType
 from typing import Self
 
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.live import Live
 from rich.text import Text
 
@@ -91,6 +91,7 @@ class TerminalView:
     def __init__(self, scheme: Scheme, console: Console | None = None, *, big: bool = False, cable: str | None = None) -> None:
         self._cable = cable
         self.big = big  # Big letters instead of pictures.
+        self.notice = ""  # Shown instead of either, as long as there is one.
         self._scheme = scheme
         self._screen = Screen()
         self._live = Live(
@@ -117,7 +118,10 @@ class TerminalView:
         link = LinkState(lost_samples, silent, self._cable)
         width, height = self._live.console.size
         ascii_only = self._live.console.options.ascii_only
-        if width < WIDTH or height < HEIGHT:
+        picture: RenderableType
+        if self.notice:
+            picture = Text(self.notice, no_wrap=True, overflow="crop")
+        elif width < WIDTH or height < HEIGHT:
             picture = draw_small(self._screen, snapshot, link, width=width, height=height, ascii_only=ascii_only)
         elif self.big:
             picture = draw_big(self._screen, snapshot, link, (width, height))

@@ -1,0 +1,157 @@
+"""The guide for the page: what the terminal shows, as values that a browser draws, and the marks that it sends back.
+
+One more view of the same events and one more keyboard: the session is the same with and without it.
+"""
+
+from __future__ import annotations
+
+import math
+from queue import Empty, SimpleQueue
+
+import numpy as np
+
+from imufield.guide.events import Accepted, Event
+from imufield.guide.lead.guide import Snapshot
+from imufield.guide.lead.state_table import State
+from imufield.guide.positions import Scheme
+from imufield.guide.view.plain import known_words
+from imufield.guide.view.screen import Screen, instruct
+from imufield.web.board import Board, Json
+
+LOG_LINES = 200
+TRACE_BLOCKS = 300
+"""Of 0.1 s: half a minute."""
+FINISH = "f"
+KEYS = frozenset("rsupgf")
+"""Marks that a page may make; a session is ended where its instrument is, at the terminal."""
+_DIGITS = 5
+_FORECAST = ("bias_ug", "scale_ppm", "misalignment_urad")
+
+
+class GuidePage:
+    """Puts the session on a board, and hands the marks of the pages to whoever asks for keys.
+
+    Parameters
+    ----------
+    scheme : Scheme
+    session, instrument : str
+        Shown as they are.
+    cable : str or None
+        Face where the cable leaves, "-x".
+    """
+
+    def __init__(self, scheme: Scheme, *, session: str, instrument: str, cable: str | None = None) -> None:
+        self._screen = Screen()
+        self._scheme = scheme
+        self._marks: SimpleQueue[str] = SimpleQueue()
+        self._accepted: dict[str, Json] = {}
+        self._log: list[object] = []
+        self._trace_until_s = -math.inf
+        positions = [
+            {"name": position.name, "up": _rounded(position.direction), "words": position.words}
+            for position in scheme.positions
+        ]
+        head: Json = {
+            "session": session,
+            "instrument": instrument,
+            "cable": cable,
+            "scheme": scheme.name,
+            "positions": positions,
+        }
+        self.board = Board(head, trace_blocks=TRACE_BLOCKS, log_lines=LOG_LINES)
+
+    def mark(self, key: str) -> None:
+        """Take a key from a page; called from its thread."""
+        if key in KEYS:
+            self._marks.put(key)
+
+    def read(self) -> str:
+        """Return the keys since the last call, as a keyboard does."""
+        keys = ""
+        while True:
+            try:
+                keys += self._marks.get_nowait()
+            except Empty:
+                return keys
+
+    def tell(self, text: str) -> None:
+        """Show a message that is no event."""
+        self._screen.tell(text)
+        self._log.append({"text": text, "kind": "told"})
+
+    def show(self, events: list[Event]) -> None:
+        """Take events; they are shown with the next state."""
+        for event in events:
+            before = len(self._screen.messages)
+            newest = self._screen.messages[-1] if before else None
+            self._screen.follow([event])
+            if self._screen.messages and self._screen.messages[-1] is not newest:
+                self._log.append({"text": self._screen.messages[-1], "kind": event.kind, "time_s": round(event.time_s, 1)})
+            if isinstance(event, Accepted):
+                off_m_s2 = event.leave_one_out_m_s2
+                self._accepted[event.position] = {
+                    "residual_m_s2": None if off_m_s2 is None else _number(off_m_s2),
+                    "sigma_m_s2": _number(event.sigma_m_s2),
+                }
+
+    def refresh(self, snapshot: Snapshot, *, silent: bool, samples_lost: int) -> None:
+        """Show the state between events."""
+        screen = self._screen
+        now = instruct(screen, snapshot)
+        activity, forecast = snapshot.activity, snapshot.forecast
+        holding = snapshot.state is State.HOLDING
+        state: Json = {
+            "state": snapshot.state.value,
+            "headline": now.headline,
+            "details": now.details,
+            "big": list(now.big),
+            "mood": now.style.replace("bold", "").strip() or "plain",
+            "target": snapshot.target,
+            "position": snapshot.position,
+            "fraction": _number(snapshot.fraction) if holding else None,
+            "remaining_s": _number(screen.remaining_s) if holding else None,
+            "angle_deg": _number(screen.angle_deg) if snapshot.state is State.TURNING else None,
+            "up": None if snapshot.direction is None else _rounded(snapshot.direction),
+            "target_up": None if snapshot.target_direction is None else _rounded(snapshot.target_direction),
+            "stillness": None
+            if activity is None
+            else {"ratio": _number(activity.ratio), "motion": activity.motion, "axis": activity.axis},
+            "temperature_degc": _number(snapshot.temperature_degc),
+            "rate_hz": _number(snapshot.rate_hz),
+            "known": None if forecast is None else {name: known_words(forecast, name) for name in _FORECAST},
+            "done": len(snapshot.accepted),
+            "planned": snapshot.planned,
+            "link": "lost" if not screen.link else "silent" if silent else "there",
+            "samples_lost": samples_lost,
+        }
+        positions: Json = {
+            "accepted": {name: self._accepted.get(name, {}) for name in snapshot.accepted},
+            "suspects": list(snapshot.suspects),
+            "skipped": list(snapshot.skipped),
+        }
+        log, self._log = self._log, []
+        self.board.put(state, positions=positions, trace=self._new_blocks(snapshot), log=log)
+
+    def _new_blocks(self, snapshot: Snapshot) -> list[object]:
+        """Return the blocks of the signals that no page has had: time, then six means."""
+        signals = snapshot.signals
+        if signals is None:
+            return []
+        time_s = signals.newest_s - signals.age_s
+        # A clock that was set back begins anew.
+        since_s = self._trace_until_s if self._trace_until_s <= time_s[-1] else -math.inf
+        self._trace_until_s = float(time_s[-1])
+        new = time_s > since_s + 1e-6
+        return [
+            [round(float(at_s), 2), *(_number(value) for value in row)]
+            for at_s, row in zip(time_s[new], signals.mean[new], strict=True)
+        ]
+
+
+def _number(value: float) -> float | None:
+    """Return a number of few digits for JSON; None where it is none."""
+    return float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else None
+
+
+def _rounded(direction: object) -> list[float]:
+    return [round(float(value), 4) for value in np.asarray(direction)]

@@ -1,0 +1,214 @@
+"""The server of the page: files of this package by their names, and one socket for each page.
+
+Everything runs in threads of its own; the guide puts what there is to see on a board and takes marks from a queue, and never
+waits for either.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import mimetypes
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache
+from http import HTTPStatus
+from importlib.resources import files
+from typing import Self
+
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+from websockets.sync.server import ServerConnection, serve
+from websockets.typing import Subprotocol
+
+from imufield.web.access import PROTOCOL, Access, Role
+from imufield.web.board import Board
+
+SOCKET = "/socket"
+INDEX = "index.html"
+CLIENTS = 64
+"""Pages at once; a connection beyond them is closed before it is read."""
+CONNECTIONS = 128
+OPEN_TIMEOUT_S = 5.0  # For a request that does not come.
+SEND_TIMEOUT_S = 5.0  # A page that takes nothing for so long is cut off; it comes back by itself.
+CLOSE_TIMEOUT_S = 0.5
+LARGEST_MESSAGE = 1024  # Bytes: a mark has less than a tenth of it.
+MARKS_A_SECOND = 10
+EVERY_S = 0.05  # Marks are looked for as often.
+
+# Its messages are about pages that went away: for nobody.
+_SILENT = logging.getLogger(f"{__name__}.silent")
+_SILENT.addHandler(logging.NullHandler())
+_SILENT.propagate = False
+
+
+@cache
+def static_files() -> dict[str, tuple[str, bytes]]:
+    """Return the files of the page by the path they are asked for: their type and content. Nothing else is ever served."""
+    folder = files(__package__ or "").joinpath("static")
+    found = {
+        f"/{file.name}": (mimetypes.types_map.get("." + file.name.rpartition(".")[2], ""), file.read_bytes())
+        for file in folder.iterdir()
+        if file.is_file()
+    }
+    return found | {"/": found[f"/{INDEX}"]}
+
+
+class _TooManyError(Exception):
+    """A connection beyond the limit."""
+
+
+class _Connection(ServerConnection):
+    """A connection that is closed at once where there are too many."""
+
+    def __init__(self, *arguments: object, **settings: object) -> None:
+        super().__init__(*arguments, **settings)  # type: ignore[arg-type]
+        if len(self.server.handler_threads) > CONNECTIONS:
+            raise _TooManyError
+        # In blocking mode the system itself ends a send that nobody takes.
+        seconds = struct.pack("ll", int(SEND_TIMEOUT_S), 0)
+        with suppress(OSError):
+            self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, seconds)
+
+
+@dataclass
+class _Page:
+    """One page: what it has seen and how often it has spoken lately."""
+
+    connection: ServerConnection
+    role: Role
+    seen: int = -1
+    allowance: float = MARKS_A_SECOND
+    allowed_s: float = 0.0
+
+
+class PageServer:
+    """Serves the page while it is entered.
+
+    Parameters
+    ----------
+    listening : socket
+        Bound; ``access`` holds the names that belong to it.
+    access : Access
+    board : Board
+    on_mark : callable
+        Given each mark of a page that may make them, from the page's own thread.
+    """
+
+    def __init__(self, listening: socket.socket, access: Access, board: Board, on_mark: Callable[[str], None]) -> None:
+        self._access, self._board, self._on_mark = access, board, on_mark
+        self._pages: set[ServerConnection] = set()
+        self._lock = threading.Lock()
+        self._ends = False
+        self._server = serve(
+            self._serve_page,
+            sock=listening,
+            subprotocols=[Subprotocol(PROTOCOL)],
+            select_subprotocol=lambda _, offered: Subprotocol(PROTOCOL) if PROTOCOL in offered else None,
+            process_request=self._answer,
+            process_response=self._with_headers,
+            server_header=None,
+            compression=None,  # A message has some hundred bytes.
+            open_timeout=OPEN_TIMEOUT_S,
+            close_timeout=CLOSE_TIMEOUT_S,
+            max_size=LARGEST_MESSAGE,
+            max_queue=MARKS_A_SECOND,
+            logger=_SILENT,
+            create_connection=_Connection,
+        )
+        self._thread = threading.Thread(target=self._server.serve_forever, name="page server", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ends = True
+        deadline_s = time.monotonic() + CLOSE_TIMEOUT_S
+        while self.pages and time.monotonic() < deadline_s:
+            time.sleep(EVERY_S)
+        # A page that takes nothing would hold its thread, and the end of the program, until its send times out.
+        with self._lock:
+            for connection in self._pages:
+                with suppress(OSError):
+                    connection.socket.shutdown(socket.SHUT_RDWR)
+        self._server.shutdown()
+        self._thread.join()
+
+    @property
+    def pages(self) -> int:
+        """How many pages look at the moment."""
+        with self._lock:
+            return len(self._pages)
+
+    def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
+        """Refuse, serve a file, or let the socket open."""
+        path = request.path.partition("?")[0]
+        is_socket = path == SOCKET
+        refusal = self._access.refusal(request.headers.get_all("Host"), request.headers.get_all("Origin"), is_socket=is_socket)
+        if refusal is not None:
+            return connection.respond(refusal, f"{refusal.phrase}\n")
+        if is_socket:
+            if self._role(request) is None:
+                return connection.respond(HTTPStatus.FORBIDDEN, "the address lacks its token\n")
+            with self._lock:
+                is_full = len(self._pages) >= CLIENTS
+            return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, "too many pages\n") if is_full else None
+        if request.method != "GET" or path not in static_files():
+            return connection.respond(HTTPStatus.NOT_FOUND, "not found\n")
+        kind, content = static_files()[path]
+        head = Headers({"Content-Type": kind, "Content-Length": str(len(content)), "Connection": "close"})
+        return Response(HTTPStatus.OK, HTTPStatus.OK.phrase, head, content)
+
+    def _with_headers(self, _connection: ServerConnection, _request: Request, response: Response) -> Response:
+        for name, value in self._access.headers().items():
+            response.headers[name] = value
+        return response
+
+    def _role(self, request: Request) -> Role | None:
+        offered = ",".join(request.headers.get_all("Sec-WebSocket-Protocol"))
+        return self._access.role([name.strip() for name in offered.split(",")])
+
+    def _serve_page(self, connection: ServerConnection) -> None:
+        role = None if connection.request is None else self._role(connection.request)
+        if role is None:
+            return
+        with self._lock:
+            self._pages.add(connection)
+        try:
+            self._follow(_Page(connection, role))
+        # The page is gone, whatever it was: it comes back with a new connection.
+        except (ConnectionClosed, OSError):
+            pass
+        finally:
+            with self._lock:
+                self._pages.discard(connection)
+
+    def _follow(self, page: _Page) -> None:
+        """Send what is new and take marks, until the page goes or all ends."""
+        page.connection.send(json.dumps({"role": page.role.value}))
+        while not self._ends:
+            page.seen, message = self._board.wait(page.seen, EVERY_S)
+            if message is not None:
+                page.connection.send(message)
+            with suppress(TimeoutError):
+                while self._take(page, page.connection.recv(timeout=0)):
+                    pass
+
+    def _take(self, page: _Page, message: str | bytes) -> bool:
+        """Take a mark; a page that says more than a person could is cut off."""
+        now_s = time.monotonic()
+        page.allowance = min(page.allowance + (now_s - page.allowed_s) * MARKS_A_SECOND, MARKS_A_SECOND) - 1
+        page.allowed_s = now_s
+        if page.allowance < 0:
+            page.connection.close(1008)
+            return False
+        if page.role is Role.MARK and isinstance(message, str):
+            self._on_mark(message)
+        return True

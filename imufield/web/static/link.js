@@ -1,0 +1,86 @@
+// The connection to the program: opened with the token of the address, opened again for as long as the page lives.
+
+const SOCKET = "/socket";
+const SHORTEST_MS = 250;
+const LONGEST_MS = 4000;
+const SILENT_MS = 3000; // A session that runs says something ten times a second.
+
+/**
+ * Take the token out of the address, where nobody shall read it off the screen; a reload finds it in this tab's memory.
+ * @returns {string}
+ */
+function token() {
+  const given = new URLSearchParams(location.hash.slice(1)).get("token");
+  if (given) {
+    sessionStorage.setItem("token", given);
+    history.replaceState(null, "", location.pathname);
+  }
+  return given || sessionStorage.getItem("token") || "";
+}
+
+export class Link {
+  /**
+   * @param {(message: any) => void} onMessage
+   * @param {(isThere: boolean) => void} onChange
+   */
+  constructor(onMessage, onChange) {
+    this.onMessage = onMessage;
+    this.onChange = onChange;
+    this.token = token();
+    /** @type {WebSocket | null} */
+    this.socket = null;
+    this.waitMs = SHORTEST_MS;
+    this.timer = 0;
+    this.heardMs = 0;
+    this.open();
+    // A phone that slept, or has another network, finds its socket dead at once and not after minutes.
+    for (const event of ["online", "pageshow", "focus"]) addEventListener(event, () => this.check());
+    document.addEventListener("visibilitychange", () => this.check());
+    setInterval(() => this.check(), 1000);
+  }
+
+  open() {
+    clearTimeout(this.timer);
+    this.timer = 0;
+    const socket = new WebSocket(`ws://${location.host}${SOCKET}`, ["imufield", `token.${this.token}`]);
+    this.socket = socket;
+    this.heardMs = performance.now();
+    socket.onmessage = (event) => {
+      if (socket !== this.socket) return;
+      if (this.waitMs) this.onChange(true);
+      this.waitMs = 0;
+      this.heardMs = performance.now();
+      this.onMessage(JSON.parse(event.data));
+    };
+    socket.onclose = () => {
+      if (socket === this.socket) this.again();
+    };
+  }
+
+  again() {
+    this.socket = null;
+    this.onChange(false);
+    this.waitMs = Math.min(Math.max(2 * this.waitMs, SHORTEST_MS), LONGEST_MS);
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => this.open(), this.waitMs);
+  }
+
+  check() {
+    if (document.hidden) return;
+    if (!this.socket) {
+      if (this.waitMs > SHORTEST_MS) {
+        this.waitMs = SHORTEST_MS;
+        this.open();
+      }
+    } else if (performance.now() - this.heardMs > SILENT_MS) {
+      const old = this.socket;
+      this.again();
+      old.close();
+    }
+  }
+
+  /** @param {string} key */
+  mark(key) {
+    if (this.socket && this.socket.readyState === WebSocket.OPEN) this.socket.send(key);
+  }
+}
