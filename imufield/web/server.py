@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import logging
-import mimetypes
 import socket
 import struct
 import threading
@@ -32,6 +31,8 @@ from imufield.web.board import Board
 
 SOCKET = "/socket"
 INDEX = "index.html"
+# Not asked of the system: some call a script plain text, and a browser told not to guess then refuses it.
+TYPES = {"html": "text/html; charset=utf-8", "css": "text/css; charset=utf-8", "js": "text/javascript; charset=utf-8"}
 CLIENTS = 64
 """Pages at once; a connection beyond them is closed before it is read."""
 CONNECTIONS = 128
@@ -53,9 +54,9 @@ def static_files() -> dict[str, tuple[str, bytes]]:
     """Return the files of the page by the path they are asked for: their type and content. Nothing else is ever served."""
     folder = files(__package__ or "").joinpath("static")
     found = {
-        f"/{file.name}": (mimetypes.types_map.get("." + file.name.rpartition(".")[2], ""), file.read_bytes())
+        f"/{file.name}": (TYPES[file.name.rpartition(".")[2]], file.read_bytes())
         for file in folder.iterdir()
-        if file.is_file()
+        if file.name.rpartition(".")[2] in TYPES
     }
     return found | {"/": found[f"/{INDEX}"]}
 
