@@ -10,7 +10,7 @@ from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
 from imufield.acquire.recording.session import Session
-from imufield.commands.options.commands import CaptureOptions
+from imufield.commands.options.samples import CaptureOptions
 from imufield.commands.terminal.output import say
 from imufield.errors import Reason, UsageError
 from imufield.guide.lead.guide import Snapshot
