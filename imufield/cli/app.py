@@ -76,6 +76,7 @@ def root(
 # Under each heading: name, options, and the function below imufield.commands that does the work.
 _COMMANDS: dict[str, tuple[tuple[str, type, str], ...]] = {
     "Calibrate": (
+        ("web", samples.WebOptions, "web.run_web"),
         ("init", samples.InitOptions, "init.run_init"),
         ("devices", samples.DevicesOptions, "devices.list_devices"),
         ("probe", samples.ProbeOptions, "probe.run_probe"),

@@ -60,9 +60,9 @@ class GuidePage:
         }
         self.board = Board(head, trace_blocks=TRACE_BLOCKS, log_lines=LOG_LINES)
 
-    def mark(self, key: str) -> None:
+    def mark(self, key: str | bytes) -> None:
         """Take a key from a page; called from its thread."""
-        if key in KEYS:
+        if isinstance(key, str) and key in KEYS:
             self._marks.put(key)
 
     def read(self) -> str:

@@ -19,6 +19,7 @@ from functools import cache
 from http import HTTPStatus
 from importlib.resources import files
 from typing import Self
+from urllib.parse import quote
 
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
@@ -30,7 +31,6 @@ from imufield.web.access import PROTOCOL, Access, Role
 from imufield.web.board import Board
 
 SOCKET = "/socket"
-INDEX = "index.html"
 # Not asked of the system: some call a script plain text, and a browser told not to guess then refuses it.
 TYPES = {"html": "text/html; charset=utf-8", "css": "text/css; charset=utf-8", "js": "text/javascript; charset=utf-8"}
 CLIENTS = 64
@@ -53,12 +53,36 @@ _SILENT.propagate = False
 def static_files() -> dict[str, tuple[str, bytes]]:
     """Return the files of the page by the path they are asked for: their type and content. Nothing else is ever served."""
     folder = files(__package__ or "").joinpath("static")
-    found = {
+    return {
         f"/{file.name}": (TYPES[file.name.rpartition(".")[2]], file.read_bytes())
         for file in folder.iterdir()
         if file.name.rpartition(".")[2] in TYPES
     }
-    return found | {"/": found[f"/{INDEX}"]}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Service:
+    """What a server is for, beside the board; as it stands here, the page of the guide.
+
+    Attributes
+    ----------
+    index : str
+        The file that stands for the whole.
+    download : callable
+        Given a path that is no file of ours, returns the name and content of a file that is handed out there; None for none.
+    largest_message : int
+        Bytes.
+    messages_a_second : int
+        Of one page.
+    """
+
+    index: str = "index.html"
+    download: Callable[[str], tuple[str, bytes] | None] = lambda _: None
+    largest_message: int = LARGEST_MESSAGE
+    messages_a_second: int = MARKS_A_SECOND
+
+
+GUIDE = Service()
 
 
 class _TooManyError(Exception):
@@ -85,8 +109,13 @@ class _Page:
     connection: ServerConnection
     role: Role
     seen: int = -1
-    allowance: float = MARKS_A_SECOND
+    allowance: float = 0.0
     allowed_s: float = 0.0
+
+
+def _file(kind: str, content: bytes, disposition: str = "inline") -> Response:
+    head = {"Content-Type": kind, "Content-Length": str(len(content)), "Connection": "close"}
+    return Response(HTTPStatus.OK, HTTPStatus.OK.phrase, Headers({**head, "Content-Disposition": disposition}), content)
 
 
 class PageServer:
@@ -99,11 +128,19 @@ class PageServer:
     access : Access
     board : Board
     on_mark : callable
-        Given each mark of a page that may make them, from the page's own thread.
+        Given each message of a page that may make marks, from the page's own thread; returns the answer to it, or None.
+    service : Service
     """
 
-    def __init__(self, listening: socket.socket, access: Access, board: Board, on_mark: Callable[[str], None]) -> None:
-        self._access, self._board, self._on_mark = access, board, on_mark
+    def __init__(
+        self,
+        listening: socket.socket,
+        access: Access,
+        board: Board,
+        on_mark: Callable[[str | bytes], str | None],
+        service: Service = GUIDE,
+    ) -> None:
+        self._access, self._board, self._on_mark, self._service = access, board, on_mark, service
         self._pages: set[ServerConnection] = set()
         self._lock = threading.Lock()
         self._ends = False
@@ -118,8 +155,8 @@ class PageServer:
             compression=None,  # A message has some hundred bytes.
             open_timeout=OPEN_TIMEOUT_S,
             close_timeout=CLOSE_TIMEOUT_S,
-            max_size=LARGEST_MESSAGE,
-            max_queue=MARKS_A_SECOND,
+            max_size=service.largest_message,
+            max_queue=service.messages_a_second,
             logger=_SILENT,
             create_connection=_Connection,
         )
@@ -161,11 +198,18 @@ class PageServer:
             with self._lock:
                 is_full = len(self._pages) >= CLIENTS
             return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, "too many pages\n") if is_full else None
-        if request.method != "GET" or path not in static_files():
+        name = f"/{self._service.index}" if path == "/" else path
+        if request.method != "GET":
             return connection.respond(HTTPStatus.NOT_FOUND, "not found\n")
-        kind, content = static_files()[path]
-        head = Headers({"Content-Type": kind, "Content-Length": str(len(content)), "Connection": "close"})
-        return Response(HTTPStatus.OK, HTTPStatus.OK.phrase, head, content)
+        if name in static_files():
+            return _file(*static_files()[name])
+        handed_out = self._service.download(path)
+        if handed_out is None:
+            return connection.respond(HTTPStatus.NOT_FOUND, "not found\n")
+        file, content = handed_out
+        # Of pictures alone the type is needed: a page shows them.
+        kind = "image/svg+xml" if file.endswith(".svg") else "application/octet-stream"
+        return _file(kind, content, f"attachment; filename*=UTF-8''{quote(file, safe='')}")
 
     def _with_headers(self, _connection: ServerConnection, _request: Request, response: Response) -> Response:
         for name, value in self._access.headers().items():
@@ -205,11 +249,12 @@ class PageServer:
     def _take(self, page: _Page, message: str | bytes) -> bool:
         """Take a mark; a page that says more than a person could is cut off."""
         now_s = time.monotonic()
-        page.allowance = min(page.allowance + (now_s - page.allowed_s) * MARKS_A_SECOND, MARKS_A_SECOND) - 1
+        most = self._service.messages_a_second
+        page.allowance = min(page.allowance + (now_s - page.allowed_s) * most, most) - 1
         page.allowed_s = now_s
         if page.allowance < 0:
             page.connection.close(1008)
             return False
-        if page.role is Role.MARK and isinstance(message, str):
-            self._on_mark(message)
+        if page.role is Role.MARK and (answer := self._on_mark(message)) is not None:
+            page.connection.send(answer)
         return True

@@ -34,6 +34,7 @@ from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
 
+WebPort = Annotated[int | None, option(help="Port of that page (default: 8777 or the next free one).", within=PORT_RANGE)]
 ViewName = Literal["auto", "plain", "json"]
 # Signs are part of the name: `--cable=-x` needs its equals sign, or the parser takes -x for an option.
 SIDES = ("+x", "-x", "+y", "-y", "+z", "-z")
@@ -142,9 +143,7 @@ class CaptureOptions:
     web_lan: Annotated[str | None, option(help="Show it to phones in the network: address of this machine there, or auto.")] = (
         None
     )
-    web_port: Annotated[
-        int | None, option(help="Port of that page (default: 8777 or the next free one).", within=PORT_RANGE)
-    ] = None
+    web_port: WebPort = None
     clock_speed: ClockSpeed = 1.0
     root: Path = DEFAULT_ROOT
 
@@ -164,6 +163,17 @@ class SessionsOptions:
     folder: Annotated[Path, argument(help="Folder of sessions.")] = DEFAULT_ROOT
     find: Annotated[str | None, option(help="Only those that show all these words, e.g. 2026-03 or unfinished.")] = None
     as_json: AsJson = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WebOptions:
+    """Do all of it in a browser on this machine: find the instrument, be guided, see the result, get the files.
+
+    Example: imufield web
+    """
+
+    folder: Annotated[Path, argument(help="Folder of sessions.")] = DEFAULT_ROOT
+    web_port: WebPort = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -37,13 +37,24 @@ def open_page(options: CaptureOptions, stack: ExitStack) -> Place | None:
         if options.web_port is not None:
             raise UsageError(sentence("page.port_alone"))
         return None
+    return bind_page(options.web_lan, options.web_port, stack)
+
+
+def bind_page(lan: str | None, port: int | None, stack: ExitStack) -> Place:
+    """Bind the socket of a page; raises as ``open_page``."""
     try:
         from imufield.web.address import open_place
     except ImportError as error:
         raise UsageError(sentence("page.missing", package=error.name), Reason.MISSING_PACKAGE) from error
-    place = open_place(options.web_lan, options.web_port)
+    place = open_place(lan, port)
     stack.callback(place.listening.close)
     return place
+
+
+def show_in_browser(url: str) -> None:
+    """Open a page where there is a display: without one the module falls back to browsers of the terminal."""
+    if sys.platform != "linux" or {"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys():
+        webbrowser.open(url)
 
 
 class ServedPage:
@@ -92,7 +103,6 @@ def serve_page(
         for line in lines:
             say(line, err=True)
         notice = "" if options.web_lan is None else "\n".join([*lines, sentence("page.any_key"), "", qr_code(url)])
-        # Without a display the module falls back to browsers of the terminal, which has something else to show.
-        if options.web_lan is None and (sys.platform != "linux" or {"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys()):
-            webbrowser.open(url)
+        if options.web_lan is None:
+            show_in_browser(url)
         yield ServedPage(page, server, notice)

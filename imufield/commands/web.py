@@ -1,0 +1,52 @@
+"""``imufield web``: the whole way in a browser on this machine, by the commands of imufield."""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack
+
+from imufield.commands.options.samples import WebOptions
+from imufield.commands.terminal.output import say
+from imufield.commands.terminal.page import bind_page, show_in_browser
+from imufield.errors import UsageError
+from imufield.progress import hidden
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
+
+REFRESH_S = 1.0  # A page believes after three seconds of silence that the program has gone.
+
+
+def run_web(options: WebOptions) -> None:
+    """Serve the workbench until Ctrl-C, and end what it has started.
+
+    Raises
+    ------
+    UsageError
+        If the folder is none, packages are missing, or the port cannot be had.
+    """
+    if options.folder.exists() and not options.folder.is_dir():
+        raise UsageError(sentence("sessions.no_folder", folder=options.folder))
+    with hidden(), ExitStack() as stack:
+        place = bind_page(None, options.web_port, stack)
+        # Packages that are missing were told by now.
+        from imufield.web.access import Access
+        from imufield.web.server import PageServer, Service
+        from imufield.web.workbench import LARGEST_PIECE, MESSAGES_A_SECOND, Workbench
+
+        bench = Workbench(options.folder)
+        stack.callback(bench.close)
+        service = Service(
+            index="workbench.html",
+            download=bench.downloads.take,
+            largest_message=LARGEST_PIECE,
+            messages_a_second=MESSAGES_A_SECOND,
+        )
+        access = Access(place.hosts)
+        stack.enter_context(PageServer(place.listening, access, bench.board, bench.take, service))
+        url = f"{place.url}#token={access.mark}"
+        say(sentence("web.at", url=url), err=True)
+        show_in_browser(url)
+        while True:
+            bench.refresh()
+            time.sleep(REFRESH_S)

@@ -1,0 +1,268 @@
+"""What a page of the workbench can ask for: a command of imufield each, and what may stand behind its options.
+
+A value is one word of the command line, ``--option=value``, and never begins one; there is no shell. Names lead into the folder
+of sessions and nowhere else.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import stat
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from imufield.errors import UsageError
+from imufield.sentences import Sentences, printable
+
+sentence = Sentences(__package__)
+
+UPLOADS = "uploads"
+"""Folder below that of the sessions for files that were dropped on the page."""
+LONGEST_TEXT = 200  # Characters: a name of an operator or a position, the columns of a table.
+MOST_VALUES = 100  # Of one option: positions to leave out, settings, files.
+
+_NAME = re.compile(r"[A-Za-z0-9][\w.-]{0,99}", re.ASCII)
+_WORD = re.compile(r"[a-z][a-z0-9_-]{0,63}")
+_GRAVITY = re.compile(r"\d{1,2}(\.\d{1,12})?(\+-\d{1,2}(\.\d{1,12})?)?")
+# Other addresses of pyserial write files or load code: those a person types at a terminal.
+_PORT = re.compile(r"(socket|rfc2217)://[\w.:\[\]-]{1,100}|COM\d{1,3}", re.ASCII)
+_BUS = re.compile(r"[a-z0-9_]{1,32}:[\w./:-]{1,100}", re.ASCII)
+
+
+@dataclass(frozen=True, slots=True)
+class Sessions:
+    """The folder of sessions, as its path is shown.
+
+    Attributes
+    ----------
+    root : Path
+    """
+
+    root: Path
+
+    def existing(self, name: object) -> Path:
+        """Return the path of a session; raises ``UsageError`` for what is no folder of the root."""
+        path = self.root / _text(name)
+        is_inside = path.resolve().parent == self.root.resolve() and path.name == name
+        if not (is_inside and path.is_dir()):
+            raise UsageError(sentence("actions.no_session", name=name, root=self.root))
+        return path
+
+    def new(self, name: object) -> Path:
+        """Return the path of a session to be; raises ``UsageError`` for a name that is not plain or is taken."""
+        path = self.root / _matching(_NAME)(name)
+        if name == UPLOADS or path.exists():
+            raise UsageError(sentence("actions.taken", name=name, root=self.root))
+        return path
+
+    def file(self, path: object) -> Path:
+        """Return the path of a file below the root; raises ``UsageError`` for any other."""
+        found = self.root / _text(path)
+        if not (found.resolve().is_relative_to(self.root.resolve()) and found.is_file()):
+            raise UsageError(sentence("actions.no_file", name=path, root=self.root))
+        return found
+
+
+def _text(value: object) -> str:
+    if not (isinstance(value, str) and 0 < len(value) <= LONGEST_TEXT and printable(value) == value):
+        raise UsageError(sentence("actions.no_text", value=str(value)[:LONGEST_TEXT], limit=LONGEST_TEXT))
+    return value
+
+
+def _matching(pattern: re.Pattern[str]) -> Callable[[object], str]:
+    def check(value: object) -> str:
+        if not pattern.fullmatch(_text(value)):
+            raise UsageError(sentence("actions.no_name", value=value))
+        return str(value)
+
+    return check
+
+
+def _number(value: object) -> str:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise UsageError(sentence("actions.no_number", value=str(value)[:LONGEST_TEXT]))
+    return repr(value)
+
+
+def _port(value: object) -> str:
+    path = _text(value)
+    if not _PORT.fullmatch(path) and not (Path(path).exists() and stat.S_ISCHR(Path(path).stat().st_mode)):
+        raise UsageError(sentence("actions.no_port", value=path))
+    return path
+
+
+# From a value of the page to words of the command line.
+Field = Callable[[object, Sessions], list[str]]
+
+
+def _option(name: str, check: Callable[[object], str]) -> Field:
+    return lambda value, _: [f"{name}={check(value)}"]
+
+
+def _each(name: str, check: Callable[[object], str]) -> Field:
+    def words(value: object, _: Sessions) -> list[str]:
+        return [f"{name}={check(entry)}" for entry in _few(value)]
+
+    return words
+
+
+def _few(value: object) -> list[object]:
+    if not isinstance(value, list) or len(value) > MOST_VALUES:
+        raise UsageError(sentence("actions.too_many", limit=MOST_VALUES))
+    return value
+
+
+def _flag(name: str) -> Field:
+    return lambda value, _: [name] if value is True else []
+
+
+def _setting(value: object) -> str:
+    name, _, setting = _text(value).partition("=")
+    return f"{_matching(_WORD)(name)}={_text(setting)}"
+
+
+def _session(value: object, sessions: Sessions) -> list[str]:
+    return [str(sessions.existing(value))]
+
+
+def _parameters(value: object, sessions: Sessions) -> list[str]:
+    return [str(sessions.existing(value) / "parameters.toml")]
+
+
+def _files(value: object, sessions: Sessions) -> list[str]:
+    return [str(sessions.file(path)) for path in _few(value)]
+
+
+def _in_root(option: str, name: str) -> Field:
+    return lambda _, sessions: [f"{option}={sessions.root / name}"]
+
+
+_SITE: Mapping[str, Field] = {
+    "latitude": _option("--latitude", _number),
+    "height": _option("--height", _number),
+    "gravity": _option("--gravity", _matching(_GRAVITY)),
+}
+_PLACE: Mapping[str, Field] = {"port": _option("--port", _port), "bus": _option("--bus", _matching(_BUS))}
+_DRIVER = _option("--driver", _matching(_WORD))
+_SETTINGS = _each("--set", _setting)
+_RATE = _option("--rate-hz", _number)
+
+
+@dataclass(frozen=True, slots=True)
+class Action:
+    """A command, the options that are always given, and those that a page may give, by the names it has for them."""
+
+    words: str
+    fields: Mapping[str, Field]
+    needs: tuple[str, ...] = ()
+    """Without these it would be about the newest session, or a new one of another folder."""
+
+
+ACTIONS: Mapping[str, Action] = {
+    "devices": Action("devices --json", {"driver": lambda value, _: [_matching(_WORD)(value)]}),
+    "probe": Action("probe --json", {**_PLACE, "ask": _flag("--ask"), "clock_speed": _option("--clock-speed", _number)}),
+    "emulate": Action(
+        "emulate --json --wait",
+        {
+            "driver": lambda value, _: [_matching(_WORD)(value)],
+            "speed": _option("--speed", _number),
+            "hold_s": _option("--hold-s", _number),
+            "positions": _option("--positions", _matching(_WORD)),
+            "rate_hz": _RATE,
+        },
+        needs=("driver",),
+    ),
+    "capture": Action(
+        "capture --json --web",
+        {
+            **_PLACE,
+            **_SITE,
+            "driver": _DRIVER,
+            "baud": _option("--baud", _number),
+            "settings": _SETTINGS,
+            "positions": _option("--positions", _matching(_WORD)),
+            "hold_s": _option("--hold-s", _number),
+            "target_bias_ug": _option("--target-bias-ug", _number),
+            "target_scale_ppm": _option("--target-scale-ppm", _number),
+            "cable": _option("--cable", _text),
+            "clock_speed": _option("--clock-speed", _number),
+            "new": lambda value, sessions: [f"--session={sessions.new(value)}"],
+        },
+        needs=("new",),
+    ),
+    "resume": Action(
+        "capture --json --web --resume",
+        {
+            **_PLACE,
+            "session": lambda value, sessions: [f"--session={sessions.existing(value)}"],
+            "clock_speed": _option("--clock-speed", _number),
+        },
+        needs=("session",),
+    ),
+    "solve": Action(
+        "solve --json",
+        {"session": _session, **_SITE, "model": _option("--model", _matching(_WORD)), "without": _each("--without", _text)},
+        needs=("session",),
+    ),
+    "report": Action(
+        "report", {"session": _session, "operator": _option("--operator", _text), "pdf": _flag("--pdf")}, needs=("session",)
+    ),
+    "targets": Action("export --json", {}),
+    "export": Action(
+        "export --json",
+        {
+            "session": lambda value, sessions: [*_parameters(value, sessions), f"--output={sessions.existing(value)}"],
+            "to": _option("--to", _matching(_WORD)),
+            "settings": _SETTINGS,
+        },
+        needs=("session", "to"),
+    ),
+    "samples": Action("export-data", {"session": _session}, needs=("session",)),
+    "replay": Action("replay --web --json", {"session": _session, "speed": _option("--speed", _number)}, needs=("session",)),
+    "sessions": Action("sessions --json", {"find": _option("--find", _text)}),
+    "history": Action(
+        "history --json", {"serial_number": _option("--serial", _text), "plot": _in_root("--plot", "history.svg")}
+    ),
+    "import": Action(
+        "import --json",
+        {
+            "files": _files,
+            "new": lambda value, sessions: [f"--output={sessions.new(value)}"],
+            **_SITE,
+            "driver": _DRIVER,
+            "settings": _SETTINGS,
+            "columns": _option("--columns", _text),
+            "rate_hz": _RATE,
+        },
+        needs=("files", "new"),
+    ),
+}
+# Of these the folder is an argument of the command.
+_OF_ROOT = ("sessions", "history")
+
+
+def command_line(name: object, values: object, sessions: Sessions) -> list[str]:
+    """Return the words of a command, behind "imufield".
+
+    Parameters
+    ----------
+    name, values : object
+        As a page sent them: the action, and a value for each of its fields that is given.
+    sessions : Sessions
+
+    Raises
+    ------
+    UsageError
+        If there is no such action or field, a value is none for it, or one that is needed is missing.
+    """
+    action = ACTIONS.get(name) if isinstance(name, str) else None
+    if action is None or not isinstance(values, dict) or not values.keys() <= action.fields.keys():
+        raise UsageError(sentence("actions.unknown", name=str(name)[:LONGEST_TEXT]))
+    missing = [field for field in action.needs if field not in values]
+    if missing:
+        raise UsageError(sentence("actions.missing", name=name, missing=missing))
+    words = [*action.words.split(), *([str(sessions.root)] if name in _OF_ROOT else [])]
+    # In the order of the table, so that a person reads the same command for the same values.
+    return words + [word for field, make in action.fields.items() if field in values for word in make(values[field], sessions)]

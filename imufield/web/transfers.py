@@ -1,0 +1,181 @@
+"""Files between a page and the folder of sessions: up in pieces, down by addresses that are good for one use.
+
+The token of a page stands in no address, so that none of them is worth keeping.
+"""
+
+from __future__ import annotations
+
+import re
+import secrets
+import threading
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import BinaryIO
+
+from imufield.errors import UsageError
+from imufield.files import Origin, open_to_read, typed_write_errors
+from imufield.sentences import Sentences
+from imufield.web.actions import UPLOADS, Sessions
+from imufield.web.board import Json
+
+sentence = Sentences(__package__)
+
+LARGEST_UPLOAD = 1 << 30
+"""Bytes: an hour of a fast instrument as text."""
+LARGEST_DOWNLOAD = 1 << 26
+"""Bytes: it is held in memory while it goes down; samples of ten minutes take some ten megabytes."""
+UPLOADS_AT_ONCE = 4
+ADDRESSES_AT_ONCE = 64
+GOOD_FOR_S = 60.0
+FILE = "/file/"
+ID_BYTES = 16
+"""Characters that begin each piece and say which upload it is of."""
+_LONGEST_NAME = 100
+_UNUSUAL = re.compile(r"[^\w.()+ -]+")
+
+
+@dataclass
+class _Upload:
+    path: Path
+    file: BinaryIO
+    left: int
+    heard_s: float
+
+
+class Uploads:
+    """Files that come up.
+
+    Parameters
+    ----------
+    sessions : Sessions
+    """
+
+    def __init__(self, sessions: Sessions) -> None:
+        self._sessions = sessions
+        self._lock = threading.Lock()
+        self._open: dict[str, _Upload] = {}
+
+    def begin(self, name: object, size: object, folder: object = None) -> Json:
+        """Begin a file, in a folder of its own or one that an earlier file of the same recording was given.
+
+        Raises
+        ------
+        UsageError
+            If it is too large, or too many are under way.
+        """
+        if not isinstance(name, str) or not isinstance(size, int) or isinstance(size, bool) or not 0 < size <= LARGEST_UPLOAD:
+            raise UsageError(sentence("transfers.too_large", limit_mb=LARGEST_UPLOAD >> 20))
+        with self._lock:
+            self._forget_silent()
+            if len(self._open) >= UPLOADS_AT_ONCE:
+                raise UsageError(sentence("transfers.too_many", limit=UPLOADS_AT_ONCE))
+            identity = secrets.token_hex(ID_BYTES // 2)
+            where = self._sessions.root / UPLOADS / (_new_name() if folder is None else _known(folder))
+            path = where / _plain(name)
+            with typed_write_errors(path):
+                where.mkdir(parents=True, exist_ok=True)
+                self._open[identity] = _Upload(path, path.open("xb"), size, time.monotonic())
+        return {"upload": identity, "folder": where.name}
+
+    def take(self, piece: bytes) -> Json:
+        """Take a piece and say how much is left; with the last one, where the file is, below the folder of sessions.
+
+        Raises
+        ------
+        UsageError
+            If it belongs to none that is under way, or is more than was said.
+        """
+        identity, data = piece[:ID_BYTES].decode("ascii", "replace"), piece[ID_BYTES:]
+        with self._lock:
+            upload = self._open.get(identity)
+            if upload is None:
+                raise UsageError(sentence("transfers.unknown"))
+            if len(data) > upload.left or not data:
+                self._drop(identity)
+                raise UsageError(sentence("transfers.more"))
+            with typed_write_errors(upload.path):
+                upload.file.write(data)
+            upload.left -= len(data)
+            upload.heard_s = time.monotonic()
+            if upload.left:
+                return {"upload": identity, "left": upload.left}
+            upload.file.close()
+            del self._open[identity]
+        return {"upload": identity, "left": 0, "file": str(upload.path.relative_to(self._sessions.root))}
+
+    def close(self) -> None:
+        """Remove what is not complete."""
+        with self._lock:
+            for identity in [*self._open]:
+                self._drop(identity)
+
+    def _forget_silent(self) -> None:
+        """Drop the uploads of pages that went away."""
+        for identity in [name for name, upload in self._open.items() if time.monotonic() - upload.heard_s > GOOD_FOR_S]:
+            self._drop(identity)
+
+    def _drop(self, identity: str) -> None:
+        upload = self._open.pop(identity)
+        with suppress(OSError):
+            upload.file.close()
+            upload.path.unlink()
+            upload.path.parent.rmdir()  # Only where it is empty.
+
+
+def _plain(name: str) -> str:
+    """Return a name of somebody's disk as one that is no hidden file, no option, and nothing that a shell would read."""
+    return _UNUSUAL.sub("_", name)[-_LONGEST_NAME:].lstrip(".- ") or "file"
+
+
+def _new_name() -> str:
+    return f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{secrets.token_hex(2)}"
+
+
+def _known(folder: object) -> str:
+    if not isinstance(folder, str) or not re.fullmatch(r"\d{8}T\d{6}Z-[0-9a-f]{4}", folder):
+        raise UsageError(sentence("transfers.unknown"))
+    return folder
+
+
+class Downloads:
+    """Files that go down, each at an address that somebody has to ask for."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._offered: dict[str, tuple[Path, float]] = {}
+
+    def offer(self, path: Path) -> str:
+        """Return an address at which the file can be had once, within a minute.
+
+        Raises
+        ------
+        UsageError
+            If it is too large.
+        """
+        size = path.stat().st_size
+        if size > LARGEST_DOWNLOAD:
+            sizes = {"size_mb": size >> 20, "limit_mb": LARGEST_DOWNLOAD >> 20}
+            raise UsageError(sentence("transfers.too_long", name=path.name, **sizes))
+        now_s = time.monotonic()
+        with self._lock:
+            known = {address: offer for address, offer in self._offered.items() if now_s - offer[1] < GOOD_FOR_S}
+            self._offered = dict([*known.items()][-ADDRESSES_AT_ONCE + 1 :])
+            address = f"{FILE}{secrets.token_urlsafe(16)}"
+            self._offered[address] = path, now_s
+        return address
+
+    def take(self, address: str) -> tuple[str, bytes] | None:
+        """Return the name and content of what is offered at an address, and withdraw it; None where nothing is."""
+        with self._lock:
+            path, offered_s = self._offered.pop(address, (None, 0.0))
+        if path is None or time.monotonic() - offered_s > GOOD_FOR_S:
+            return None
+        try:
+            # No link: since it was offered another file may stand there.
+            with open_to_read(path, Origin.INSIDE) as file:
+                return path.name, file.read(LARGEST_DOWNLOAD)
+        except OSError:
+            return None
