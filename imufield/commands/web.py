@@ -28,7 +28,7 @@ def run_web(options: WebOptions) -> None:
     if options.folder.exists() and not options.folder.is_dir():
         raise UsageError(sentence("sessions.no_folder", folder=options.folder))
     with hidden(), ExitStack() as stack:
-        place = bind_page(None, options.web_port, stack)
+        place = bind_page(stack, port=options.web_port)
         # Packages that are missing were told by now.
         from imufield.web.access import Access
         from imufield.web.server import PageServer, Service
