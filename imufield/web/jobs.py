@@ -13,14 +13,16 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import IO
 
-from imufield.errors import UsageError
+from imufield.errors import EXIT_INTERRUPTED, UsageError
 from imufield.sentences import Sentences, printable
 from imufield.web.board import Json
 
 sentence = Sentences(__package__)
 
 MOST_AT_ONCE = 4
-"""Commands at once: an emulated instrument, a capture, and two that compute."""
+"""Commands at once: an emulated instrument, a capture, and two that compute. The next one waits for its turn."""
+MOST_WAITING = 16
+"""A page asks for one thing after the other; more is none of a person."""
 LONGEST_OUTPUT = 1 << 22
 """Characters of one line: the parameters of a thousand positions take half of it."""
 END_S = 5.0
@@ -42,59 +44,77 @@ class Jobs:
         self._tell = tell
         self._lock = threading.Lock()
         self._started = 0
-        self._running: dict[int, tuple[subprocess.Popen[str], Json]] = {}
+        self._heads: dict[int, Json] = {}
+        self._waiting: dict[int, list[str]] = {}
+        self._running: dict[int, subprocess.Popen[str]] = {}
 
     def start(self, action: str, values: Json, words: list[str]) -> int:
-        """Start ``imufield WORDS`` and return its number.
+        """Start ``imufield WORDS``, now or when another has ended, and return its number.
 
         Raises
         ------
         UsageError
-            If too many are running.
+            If too many are waiting.
         """
         with self._lock:
-            if len(self._running) >= MOST_AT_ONCE:
-                raise UsageError(sentence("jobs.too_many", limit=MOST_AT_ONCE))
-            process = subprocess.Popen(  # noqa: S603  (words of the table of actions)
-                # A folder of data holds no program: nothing is imported from where this one runs.
-                [sys.executable, "-P", "-m", "imufield", *words],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                encoding="utf-8",
-                errors="replace",
-                # Its own: a Ctrl-C at the terminal is for this program, which hands it on in order.
-                start_new_session=True,
-            )
+            if len(self._waiting) >= MOST_WAITING:
+                raise UsageError(sentence("jobs.too_many", limit=MOST_WAITING))
             self._started += 1
             number = self._started
-            head: Json = {
-                "job": number,
-                "action": action,
-                "values": values,
-                "command": shlex.join(["imufield", *words]),
-            }
-            self._running[number] = process, head
+            head: Json = {"job": number, "action": action, "values": values, "command": shlex.join(["imufield", *words])}
+            self._heads[number], self._waiting[number] = head, words
         self._tell(head)
-        threading.Thread(target=self._follow, args=(number, process), daemon=True).start()
+        self._begin_next()
         return number
 
-    def running(self) -> list[Json]:
+    def _begin_next(self) -> None:
+        """Start those whose turn it is."""
+        with self._lock:
+            while self._waiting and len(self._running) < MOST_AT_ONCE:
+                number = next(iter(self._waiting))
+                process = subprocess.Popen(  # noqa: S603  (words of the table of actions)
+                    # A folder of data holds no program: nothing is imported from where this one runs.
+                    [sys.executable, "-P", "-m", "imufield", *self._waiting.pop(number)],
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.PIPE,
+                    stderr=subprocess.PIPE,
+                    encoding="utf-8",
+                    errors="replace",
+                    # Its own: a Ctrl-C at the terminal is for this program, which hands it on in order.
+                    start_new_session=True,
+                )
+                self._running[number] = process
+                threading.Thread(target=self._follow, args=(number, process), daemon=True).start()
+
+    def unfinished(self) -> list[Json]:
         """Return the heads of those that have not ended."""
         with self._lock:
-            return [head for _, head in self._running.values()]
+            return [*self._heads.values()]
 
     def cancel(self, number: object) -> None:
         """Interrupt a job as Ctrl-C does; one that has ended stays ended."""
+        if not isinstance(number, int):
+            return
         with self._lock:
-            process, _ = self._running.get(number, (None, None)) if isinstance(number, int) else (None, None)
+            process = self._running.get(number)
+            waited = self._waiting.pop(number, None)
         if process is not None:
             _interrupt(process)
+        elif waited is not None:
+            self._end(number, EXIT_INTERRUPTED)
+
+    def _end(self, number: int, code: int) -> None:
+        with self._lock:
+            self._running.pop(number, None)
+            del self._heads[number]
+        self._tell({"job": number, "code": code})
+        self._begin_next()
 
     def close(self) -> None:
         """End all that runs."""
         with self._lock:
-            left = [process for process, _ in self._running.values()]
+            self._waiting.clear()
+            left = [*self._running.values()]
         for process in left:
             _interrupt(process)
         for process in left:
@@ -111,10 +131,7 @@ class Jobs:
         errors.start()
         self._read(number, process.stdout, "line")
         errors.join()
-        code = process.wait()
-        with self._lock:
-            del self._running[number]
-        self._tell({"job": number, "code": code})
+        self._end(number, process.wait())
 
     def _read(self, number: int, stream: IO[str], kind: str) -> None:
         while line := stream.readline(LONGEST_OUTPUT):

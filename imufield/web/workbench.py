@@ -46,10 +46,10 @@ class Workbench:
 
     def refresh(self) -> None:
         """Show what runs: a page that hears nothing believes that this program has ended."""
-        self.board.put({"running": self._jobs.running()})
+        self.board.put({"running": self._jobs.unfinished()})
 
     def _tell(self, event: Json) -> None:
-        self.board.put({"running": self._jobs.running()}, log=[event])
+        self.board.put({"running": self._jobs.unfinished()}, log=[event])
 
     def take(self, message: str | bytes) -> str:
         """Return the answer to a message of a page; called from its thread."""

@@ -1,0 +1,142 @@
+// Files that are dropped on the page: sent up, imported, and asked about where they do not say what their columns are.
+
+import { complaint } from "./bench.js";
+import { at, button, filled, make, table } from "./make.js";
+import { lineOf } from "./plots.js";
+
+const SHOWN_ROWS = 6;
+const READ_BYTES = 200000;
+const MEANINGS = ["-", "time", "ax", "ay", "az", "gx", "gy", "gz", "temperature"];
+const UNITS = { accelerometer_unit: ["m/s^2", "g", "count"], gyroscope_unit: ["rad/s", "deg/s", "count"], time_unit: ["s", "ms", "us", "ns"] };
+
+/** @typedef {import("./bench.js").Bench} Bench */
+
+/** @param {Bench} bench */
+export function watchDrop(bench) {
+  const drop = at("drop");
+  const take = (/** @type {FileList | null | undefined} */ files) => {
+    if (files?.length) void bring(bench, [...files]);
+  };
+  // Anywhere on the page: a browser would open the file in its place.
+  for (const kind of ["dragover", "dragleave", "drop"])
+    addEventListener(kind, (/** @type {any} */ event) => {
+      event.preventDefault();
+      drop.classList.toggle("over", kind === "dragover");
+      if (kind !== "drop") return;
+      location.hash = "import";
+      take(event.dataTransfer?.files);
+    });
+  at("files").addEventListener("change", (/** @type {any} */ event) => take(event.target.files));
+}
+
+/** @param {string} words */
+const say = (words) => (at("import-says").textContent = words);
+
+/** @param {Bench} bench @param {File[]} files */
+async function bring(bench, files) {
+  at("import-more").replaceChildren();
+  /** @type {string[]} */
+  const paths = [];
+  try {
+    let folder = null;
+    for (const file of files) {
+      const sent = await bench.upload(file, folder, (share) => say(`${file.name}: ${Math.round(100 * share)} % is here`));
+      folder = sent.folder;
+      paths.push(sent.file);
+    }
+    say("");
+  } catch (error) {
+    say(/** @type {Error} */ (error).message);
+    return;
+  }
+  const stem = files[0].name.replace(/\..*$/, "").replace(/[^A-Za-z0-9_-]+/g, "-").replace(/^[-_]+/, "") || "recording";
+  await tryImport(bench, files, paths, stem, {});
+}
+
+/** @param {Bench} bench @param {File[]} files @param {string[]} paths @param {string} stem @param {any} typed */
+async function tryImport(bench, files, paths, stem, typed) {
+  say("");
+  at("import-more").replaceChildren(make("section", {}, make("p", { role: "status" }, "importing")));
+  const name = `${stem.slice(0, 60)}-${new Date().toISOString().replace(/[-:]|\.\d+/g, "")}`;
+  try {
+    const job = await bench.run("import", { files: paths, new: name, ...typed });
+    const again = await asking(files, (values) => void tryImport(bench, files, paths, stem, values));
+    if (job.code === 0) {
+      at("import-more").replaceChildren(
+        make(
+          "section",
+          {},
+          make("h2", {}, "Imported"),
+          make("ul", {}, job.found[0].assumptions.map((/** @type {string} */ words) => make("li", {}, words))),
+          make("p", { class: "row" }, button("Go on to the result", () => (location.hash = `session/${encodeURIComponent(name)}`), { class: "main" })),
+          make("details", {}, make("summary", {}, "Something of this is wrong"), again),
+        ),
+      );
+    } else {
+      say(complaint(job));
+      at("import-more").replaceChildren(make("section", {}, make("h2", {}, "What is in the file?"), again));
+    }
+  } catch (error) {
+    say(/** @type {Error} */ (error).message);
+    at("import-more").replaceChildren();
+  }
+}
+
+/** The first rows of a table: what stands in its lines, split at commas, semicolons or blanks. @param {File} file */
+async function rowsOf(file) {
+  let head = file.slice(0, READ_BYTES);
+  if (file.name.endsWith(".gz")) {
+    try {
+      const reader = file.stream().pipeThrough(new DecompressionStream("gzip")).getReader();
+      head = new Blob([(await reader.read()).value ?? new Uint8Array()]).slice(0, READ_BYTES);
+      await reader.cancel();
+    } catch {
+      return [];
+    }
+  }
+  const text = await head.text();
+  if (/[\u0000\ufffd]/.test(text.slice(0, 2000))) return [];
+  const lines = text.split(/\r?\n/).slice(0, -1).filter((line) => line.trim());
+  const separator = [",", ";", "\t"].find((each) => lines[lines.length - 1]?.includes(each)) ?? /\s+/;
+  return lines.map((line) => line.trim().split(separator).map((cell) => cell.trim()));
+}
+
+/**
+ * A form that asks what the program does not know, with the first rows and the signals beside it.
+ * @param {File[]} files @param {(values: any) => void} onAnswer
+ */
+async function asking(files, onAnswer) {
+  /** @type {{file: File, choices: any[], element: any}[]} */
+  const tables = [];
+  for (const file of files) {
+    const rows = await rowsOf(file);
+    const isNumber = (/** @type {string[]} */ row) => row.every((cell) => cell === "" || Number.isFinite(Number(cell)));
+    const numbers = rows.filter((row) => isNumber(row) && row.length === rows[rows.length - 1].length);
+    if (numbers.length < 2) continue;
+    const width = numbers[0].length;
+    const choices = Array.from({ length: width }, (_, k) => make("select", { "aria-label": `meaning of column ${k + 1}`, "data-column": k }, make("option", { value: "" }, "as found"), MEANINGS.map((name) => make("option", { value: name }, name === "-" ? "leave out" : name))));
+    const signals = Array.from({ length: width }, (_, k) => lineOf(numbers.map((row) => Number(row[k])), "small"));
+    const head = rows.find((row) => !isNumber(row) && row.length === width) ?? [];
+    tables.push({ file, choices, element: table(Array.from({ length: width }, (_, k) => head[k] ?? `column ${k + 1}`), [choices, signals, ...numbers.slice(0, SHOWN_ROWS)]) });
+  }
+  const form = make(
+    "form",
+    { class: "fields" },
+    Object.entries(UNITS).map(([name, units]) => make("label", {}, name.replace("_", ", "), make("select", { "data-unit": name }, make("option", { value: "" }, "as found"), units.map((unit) => make("option", {}, unit))))),
+    make("label", {}, "samples per second, where no column is a time", make("input", { name: "rate_hz", inputmode: "decimal", autocomplete: "off" })),
+    make("button", { type: "submit", class: "main" }, "Import with these"),
+  );
+  form.addEventListener("submit", (/** @type {Event} */ event) => {
+    event.preventDefault();
+    const columns = tables.map(({ choices }) => choices.map((choice) => choice.value));
+    const isNamed = columns.flat().some(Boolean);
+    const settings = [.../** @type {NodeListOf<HTMLSelectElement>} */ (form.querySelectorAll("[data-unit]"))].filter((field) => field.value).map((field) => `${field.dataset.unit}=${field.value}`);
+    onAnswer({
+      ...filled(form),
+      // What is named in part leaves out the rest: the program takes all names of a file or none.
+      ...(isNamed ? { columns: columns.map((names) => names.map((/** @type {string} */ name) => name || "-").join(",")).join(";") } : {}),
+      ...(settings.length ? { settings } : {}),
+    });
+  });
+  return make("div", {}, tables.map(({ file, element }) => make("div", {}, make("h3", {}, file.name), element)), form);
+}

@@ -1,0 +1,61 @@
+// The sessions of the folder, and the history of each instrument.
+
+import { complaint } from "./bench.js";
+import { at, button, make, table } from "./make.js";
+
+/** @typedef {import("./bench.js").Bench} Bench */
+/** @typedef {import("./bench.js").Job} Job */
+
+/** @param {Bench} bench @param {Job} job */
+export function showSessions(bench, job) {
+  const rows = (job.found[0]?.sessions ?? []).map((/** @type {any} */ row) => {
+    const name = bench.below(row.folder);
+    return [
+      make("a", { href: `#session/${encodeURIComponent(name)}` }, name),
+      row.created?.slice(0, 16).replace("T", " ") ?? "",
+      [row.instrument, row.serial_number].filter(Boolean).join(" "),
+      row.positions === null ? "" : `${row.positions} of ${row.planned ?? "?"}`,
+      row.fault ?? row.state,
+      make("strong", { class: row.verdict ?? "" }, row.verdict?.toUpperCase() ?? "not computed"),
+    ];
+  });
+  at("list").replaceChildren(rows.length ? table(["session", "recorded", "instrument", "positions", "state", "verdict"], rows) : make("p", {}, "No session yet.", " ", make("a", { href: "#calibrate" }, "Calibrate an instrument"), " or ", make("a", { href: "#import" }, "import a recording"), "."));
+}
+
+/** @param {Bench} bench @param {Job} job */
+export function showHistory(bench, job) {
+  const instruments = job.found[0]?.instruments ?? [];
+  at("instruments").replaceChildren(
+    ...(instruments.length ? [] : [make("p", {}, job.code === 0 ? "No calibration yet." : complaint(job))]),
+    ...instruments.map((/** @type {any} */ instrument) => {
+      const plot = make("div");
+      const serial = instrument.serial_number ? { serial_number: instrument.serial_number } : {};
+      const calibrations = instrument.calibrations.map((/** @type {any} */ each) => [
+        each.created.slice(0, 10),
+        make("strong", { class: each.verdict }, each.verdict.toUpperCase()),
+        each.file,
+        ...["bias x", "bias y", "bias z"].map((name) => {
+          const number = each.parameters[name];
+          return number ? `${number.value.toFixed(2)} ± ${number.sigma.toFixed(2)} ${number.unit}` : "";
+        }),
+      ]);
+      return make(
+        "article",
+        {},
+        make("h3", {}, `${instrument.instrument} ${instrument.serial_number ?? ""}`),
+        table(["calibrated", "verdict", "file", "bias x", "bias y", "bias z"], calibrations),
+        make("ul", {}, instrument.sentences.map((/** @type {string} */ words) => make("li", {}, words))),
+        button("Draw the changes", async () => {
+          try {
+            const drawn = await bench.run("history", { ...serial, plot: true });
+            if (drawn.code !== 0) throw new Error(complaint(drawn));
+            plot.replaceChildren(make("img", { src: await bench.address("history.svg"), alt: `Parameters of ${instrument.instrument} over time` }));
+          } catch (error) {
+            plot.replaceChildren(make("p", { class: "failed" }, /** @type {Error} */ (error).message));
+          }
+        }),
+        plot,
+      );
+    }),
+  );
+}

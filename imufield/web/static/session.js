@@ -1,0 +1,273 @@
+// One session: how far it is, its result, and its files.
+
+import { complaint } from "./bench.js";
+import { at, button, filled, make, table } from "./make.js";
+import { barOf, drawSignals, readSamples } from "./plots.js";
+
+const MICRO_G = 9.80665e-6;
+const AXES = ["x", "y", "z"];
+
+/** @typedef {import("./bench.js").Bench} Bench */
+/** @typedef {import("./bench.js").Job} Job */
+
+/** A number with its uncertainty, to the digit that this allows. @param {number | null} value @param {number | null} sigma */
+function withSigma(value, sigma) {
+  if (value === null) return "–";
+  if (sigma === null || !(sigma > 0)) return `${value.toPrecision(4)}`;
+  const digits = Math.max(0, Math.min(6, 1 - Math.floor(Math.log10(sigma))));
+  return `${value.toFixed(digits)} ± ${sigma.toFixed(digits)}`;
+}
+
+export class SessionView {
+  /** @param {Bench} bench */
+  constructor(bench) {
+    this.bench = bench;
+    this.name = "";
+    /** @type {any} */
+    this.row = null;
+    /** @type {Job | undefined} */
+    this.solved = undefined;
+    /** @type {Set<string>} */
+    this.without = new Set();
+    /** @type {(action: string, values: any) => Promise<void>} */
+    this.begin = async () => {};
+    this.wasUnderWay = false;
+    at("report").addEventListener("submit", (/** @type {Event} */ event) => this.report(event));
+    at("export").addEventListener("submit", (/** @type {Event} */ event) => this.export(event));
+  }
+
+  /** @param {string} name */
+  async open(name) {
+    if (name !== this.name) {
+      this.solved = undefined;
+      this.without.clear();
+      at("result").replaceChildren();
+      at("made").replaceChildren();
+    }
+    this.name = name;
+    at("name").textContent = name;
+    at("session-says").textContent = "";
+    await this.refresh();
+    this.show();
+  }
+
+  /** Ask again what is known of it. */
+  async refresh() {
+    try {
+      const listed = (await this.bench.run("sessions")).found[0]?.sessions ?? [];
+      this.row = listed.find((/** @type {any} */ row) => this.bench.below(row.folder) === this.name) ?? null;
+      this.showState();
+      if (this.row?.verdict && !at("targets").length) {
+        const targets = (await this.bench.run("targets")).found[0]?.targets ?? [];
+        at("targets").append(...targets.map((/** @type {any} */ target) => make("option", { value: target.name }, `${target.name}: ${target.title} (holds ${target.holds})`)));
+      }
+    } catch (error) {
+      this.refuse(error);
+    }
+  }
+
+  /** @param {unknown} error */
+  refuse(error) {
+    at("session-says").textContent = /** @type {Error} */ (error).message;
+  }
+
+  /** The command that is about this session and has not ended. */
+  underWay() {
+    const mine = (/** @type {Job} */ job) => job.code === null && (job.values.session === this.name || job.values.new === this.name);
+    return [...this.bench.jobs.values()].find((job) => mine(job) && ["capture", "resume", "solve", "import"].includes(job.action));
+  }
+
+  /** Follow what the program says. */
+  show() {
+    if (!this.name) return;
+    const isUnderWay = Boolean(this.underWay());
+    if (this.wasUnderWay && !isUnderWay) this.refresh();
+    if (this.wasUnderWay !== isUnderWay) this.showState();
+    this.wasUnderWay = isUnderWay;
+    const solved = this.bench.newest("solve", (job) => job.values.session === this.name && job.code !== null);
+    if (solved && solved !== this.solved) {
+      this.solved = solved;
+      if (solved.found.length) this.showResult(solved.found[0]);
+      else this.refuse(new Error(complaint(solved)));
+    }
+  }
+
+  showState() {
+    const row = this.row;
+    const job = this.underWay();
+    const facts = !row
+      ? "There is no such session yet."
+      : [row.instrument, row.serial_number, row.created?.slice(0, 16).replace("T", " "), row.positions === null ? "" : `${row.positions} of ${row.planned ?? row.positions} positions`, row.state, row.verdict ? `verdict: ${row.verdict.toUpperCase()}` : "not computed yet"].filter(Boolean).join(" · ");
+    at("state").replaceChildren(make("p", {}, facts), ...(row?.fault ? [make("p", { class: "failed" }, row.fault)] : []));
+    const canSolve = row && row.state !== "damaged" && !job;
+    at("steps").replaceChildren(
+      ...[
+        canSolve && row.state === "unfinished" && row.kind === "capture" ? button("Go on with the positions", () => this.resume()) : null,
+        canSolve ? button(row.verdict ? "Compute the result again" : "Compute the result", () => this.solve(), { class: "main" }) : null,
+        canSolve && row.kind === "capture" ? button("Replay, 4 times as fast", () => this.begin("replay", { session: this.name, speed: 4 })) : null,
+      ].filter(Boolean),
+    );
+    at("give").hidden = !row?.verdict;
+    at("again").hidden = !canSolve;
+    const names = ["parameters.toml"];
+    at("saved").replaceChildren(...names.map((name) => button(`Save ${name}`, () => this.save(`${this.name}/${name}`), { class: "main" })));
+  }
+
+  /** @param {string} path */
+  async save(path) {
+    try {
+      await this.bench.save(path);
+    } catch (error) {
+      this.refuse(error);
+    }
+  }
+
+  async resume() {
+    const speed = [...this.bench.jobs.values()].reverse().find((job) => (job.values.new ?? job.values.session) === this.name && job.values.clock_speed)?.values.clock_speed;
+    await this.begin("resume", { session: this.name, ...(speed ? { clock_speed: speed } : {}) });
+  }
+
+  async solve() {
+    at("session-says").textContent = "";
+    try {
+      const without = [...this.without];
+      await this.bench.start("solve", { session: this.name, ...filled(at("solve-place")), ...(without.length ? { without } : {}) });
+    } catch (error) {
+      this.refuse(error);
+    }
+  }
+
+  /** @param {any} found the document that `solve --json` prints */
+  showResult(found) {
+    const quality = found.quality;
+    const holds = found.position;
+    this.without = new Set(holds.filter((/** @type {any} */ hold) => !hold.used).map((/** @type {any} */ hold) => hold.name));
+    const gained = found.error_at_rest;
+    const sizes = holds.map((/** @type {any} */ hold) => Math.abs(hold.leave_one_out_m_s2 ?? hold.residual_m_s2 ?? 0));
+    const largest = Math.max(...sizes, 1e-12);
+    const doubts = holds.filter((/** @type {any} */ hold) => quality.warnings.some((/** @type {string} */ words) => words.split(/[\s,;:()]+/).includes(hold.name))).map((/** @type {any} */ hold) => hold.name);
+    at("result").replaceChildren(
+      make(
+        "section",
+        { "aria-labelledby": "verdict" },
+        make("p", { id: "verdict", class: `verdict ${quality.verdict}` }, quality.verdict.toUpperCase()),
+        make("p", {}, { good: "Fit for use.", usable: "Use it, but read the warnings below.", poor: "Do not use it for navigation; the warnings say what to repeat." }[/** @type {string} */ (quality.verdict)]),
+        gained ? make("p", {}, gained.words) : null,
+        make("p", {}, `Accelerometer: ${quality.accelerometer_verdict}; gyroscope: ${quality.gyroscope_verdict ?? "not calibrated"}.`),
+        quality.warnings.length ? make("ul", {}, quality.warnings.map((/** @type {string} */ words) => make("li", {}, words))) : null,
+      ),
+      make(
+        "section",
+        { "aria-label": "Positions" },
+        make("h2", {}, "How well each position fits, in µg"),
+        make("p", {}, "Each position predicted from all the others. Leave out one that was disturbed, and compute again."),
+        make("div", { class: "holds" }, holds.map((/** @type {any} */ hold, /** @type {number} */ k) => this.hold(hold, sizes[k] / largest, doubts.includes(hold.name)))),
+        make(
+          "p",
+          { class: "row" },
+          button("Compute again with these", () => this.solve()),
+          this.row?.kind === "capture" ? button(doubts.length ? `Retake ${doubts.join(", ")}` : "Measure more positions", () => this.resume()) : null,
+          button("Show the signals", () => void this.showSignals(holds)),
+        ),
+        make("div", { id: "signals-of-session" }),
+      ),
+      make("section", { "aria-label": "Parameters" }, make("h2", {}, "Parameters, ± one standard deviation"), this.parameters(found)),
+    );
+  }
+
+  /** @param {any} hold @param {number} share @param {boolean} isDoubtful */
+  hold(hold, share, isDoubtful) {
+    const value = hold.leave_one_out_m_s2 ?? hold.residual_m_s2;
+    const box = make("input", { type: "checkbox", checked: hold.used, onchange: () => this.keep(hold.name, box.checked) });
+    box.dataset.hold = hold.name;
+    return make("label", { class: isDoubtful ? "doubt" : "" }, box, make("span", {}, isDoubtful ? `${hold.name} doubtful` : hold.name), barOf(share, !hold.used ? "left" : isDoubtful ? "doubt" : "bar"), make("b", {}, value === null ? "–" : (value / MICRO_G).toFixed(0)));
+  }
+
+  /** Keep a position or leave it out, on both pictures. @param {string} name @param {boolean} isKept */
+  keep(name, isKept) {
+    if (isKept) this.without.delete(name);
+    else this.without.add(name);
+    for (const box of /** @type {NodeListOf<HTMLInputElement>} */ (document.querySelectorAll("[data-hold]"))) if (box.dataset.hold === name) box.checked = isKept;
+    for (const still of /** @type {NodeListOf<SVGElement>} */ (document.querySelectorAll("[data-still]")))
+      if (still.dataset.still === name) {
+        still.classList.toggle("left", !isKept);
+        still.setAttribute("aria-checked", String(isKept));
+      }
+  }
+
+  /** @param {any[]} holds */
+  async showSignals(holds) {
+    const place = at("signals-of-session");
+    place.replaceChildren(make("p", { role: "status" }, "reading the samples"));
+    try {
+      const job = await this.bench.run("samples", { session: this.name });
+      if (job.code !== 0) throw new Error(complaint(job));
+      const answer = await fetch(await this.bench.address(`${this.name}/samples.csv`));
+      const samples = readSamples(await answer.text());
+      place.replaceChildren(
+        make("p", {}, "Accelerometer x (red), y (green), z (blue). Coloured: still intervals; choose one to leave it out or take it back."),
+        drawSignals(samples, holds, this.without, (name) => this.keep(name, this.without.has(name))),
+      );
+    } catch (error) {
+      place.replaceChildren(make("p", { class: "failed" }, /** @type {Error} */ (error).message));
+    }
+  }
+
+  /** @param {any} found */
+  parameters(found) {
+    /** @type {any[][]} */
+    const rows = [];
+    const of = (/** @type {string} */ name, /** @type {string} */ unit, /** @type {any} */ triad, /** @type {string} */ key, /** @type {number} */ factor, /** @type {number} */ less) => {
+      const sigma = triad.uncertainty[key];
+      rows.push([name, unit, ...AXES.map((_, k) => withSigma(triad[key][k] === null ? null : (triad[key][k] - less) * factor, sigma[k] === null ? null : sigma[k] * factor))]);
+    };
+    const acc = found.accelerometer;
+    of("accelerometer bias", "mg", acc, "bias_m_s2", 1e-3 / MICRO_G, 0);
+    if (acc.raw_unit === "m/s^2") of("scale error", "ppm", acc, "scale", 1e6, 1);
+    else of("scale", `${acc.raw_unit} per m/s²`, acc, "scale", 1, 0);
+    const gyro = found.gyroscope;
+    if (gyro) {
+      of("gyroscope bias", "deg/h", gyro, "bias_rad_s", (180 / Math.PI) * 3600, 0);
+      if (gyro.raw_unit === "rad/s") of("gyroscope scale error", "ppm", gyro, "scale", 1e6, 1);
+    }
+    return table(["", "unit", ...AXES], rows);
+  }
+
+  /** @param {Event} event */
+  async report(event) {
+    event.preventDefault();
+    const values = filled(at("report"));
+    await this.made(() => this.bench.run("report", { session: this.name, ...values }), () => {
+      const pages = ["report.html", "calibration-record.html"];
+      return { files: values.pdf ? [...pages, ...pages.map((page) => page.replace("html", "pdf"))] : pages };
+    });
+  }
+
+  /** @param {Event} event */
+  async export(event) {
+    event.preventDefault();
+    const { to, settings } = filled(at("export"));
+    const typed = settings ? { settings: settings.split(/[\s,;]+/).filter(Boolean) } : {};
+    await this.made(() => this.bench.run("export", { session: this.name, to, ...typed }), (job) => job.found[0]);
+  }
+
+  /**
+   * Run a command that makes files, and offer them with what they lack.
+   * @param {() => Promise<Job>} run @param {(job: Job) => {files: string[], losses?: string[], notes?: string[]}} found
+   */
+  async made(run, found) {
+    at("made").replaceChildren(make("p", {}, "working"));
+    try {
+      const job = await run();
+      if (job.code !== 0) throw new Error(complaint(job));
+      const { files, losses, notes } = found(job);
+      const names = files.map((path) => path.slice(path.lastIndexOf("/") + 1));
+      at("made").replaceChildren(
+        make("p", { class: "row" }, names.map((name) => button(`Save ${name}`, () => this.save(`${this.name}/${name}`), { class: "main" }))),
+        make("ul", {}, (losses ?? []).map((words) => make("li", {}, `lost: ${words}`)), (notes ?? []).map((words) => make("li", {}, words))),
+      );
+    } catch (error) {
+      at("made").replaceChildren(make("p", { class: "failed" }, /** @type {Error} */ (error).message));
+    }
+  }
+}

@@ -1,0 +1,274 @@
+// The workbench: what can be done, what is under way, and each of it as the command that does the same.
+
+import { Bench, complaint } from "./bench.js";
+import { showHistory, showSessions } from "./lists.js";
+import { at, button, filled, make } from "./make.js";
+import { watchDrop } from "./dropped.js";
+import { SessionView } from "./session.js";
+
+const VIEWS = ["calibrate", "import", "sessions", "session", "history"];
+const LOOKS = ["devices", "probe", "targets", "sessions", "history"]; // What the page asks for by itself.
+
+const bench = new Bench(show);
+const session = new SessionView(bench);
+watchDrop(bench);
+/** @type {Map<string, {name: string, says: string, values: any}>} */
+const ports = new Map();
+let chosen = "";
+let isLooking = false;
+let hasLooked = false;
+let shown = "";
+
+/** The part of the page that its address names, and the session behind it. */
+const place = () => decodeURIComponent(location.hash.slice(1)).split("/");
+
+function route() {
+  const [view, ...rest] = place();
+  const name = VIEWS.includes(view) ? view : "calibrate";
+  for (const part of /** @type {NodeListOf<HTMLElement>} */ (document.querySelectorAll("[data-view]"))) part.hidden = part.dataset.view !== name;
+  for (const link of document.querySelectorAll("header nav a")) {
+    const isHere = link.getAttribute("href") === `#${name === "session" ? "sessions" : name}`;
+    if (isHere) link.setAttribute("aria-current", "page");
+    else link.removeAttribute("aria-current");
+  }
+  const key = `${name}/${rest.join("/")}`;
+  if (!bench.isThere || key === shown) return;
+  shown = key;
+  if (name === "calibrate" && !hasLooked) look();
+  if (name === "sessions") bench.run("sessions").then((job) => showSessions(bench, job), refuse);
+  if (name === "history") bench.run("history").then((job) => showHistory(bench, job), refuse);
+  if (name === "session") session.open(rest.join("/"));
+}
+
+/** @param {Error} error */
+function refuse(error) {
+  at("start-says").textContent = error.message;
+}
+
+function show() {
+  document.body.classList.toggle("away", !bench.isThere);
+  at("link").textContent = bench.isThere ? "" : "no connection to the program; start `imufield web` again if it has ended";
+  if (!bench.isThere) shown = "";
+  route();
+  knowVirtual();
+  showUnderWay();
+  showCommands();
+  session.show();
+}
+
+// Where the instrument is
+
+async function look() {
+  if (isLooking) return;
+  isLooking = hasLooked = true;
+  at("look").disabled = true;
+  try {
+    for (const [key, port] of ports) if (!port.values.clock_speed) ports.delete(key);
+    showPorts();
+    const devices = (await bench.run("devices")).found[0];
+    if (at("drivers").length === 1)
+      for (const driver of devices.drivers) at("drivers").append(make("option", { value: driver.name }, `${driver.title} (${driver.name})`));
+    for (const port of devices.ports) ports.set(port.device, { name: `${port.device} ${port.description}`, says: "listening for up to 10 s", values: { port: port.device } });
+    for (const bus of devices.buses) ports.set(bus.bus, { name: `CAN bus ${bus.bus} (${bus.state})`, says: "choose the instrument below, or listen", values: { bus: bus.bus } });
+    showPorts();
+    for (const port of devices.ports) await listen(port.device);
+  } catch (error) {
+    refuse(/** @type {Error} */ (error));
+  }
+  isLooking = false;
+  at("look").disabled = false;
+}
+
+/** Ask what is on a port. @param {string} key */
+async function listen(key) {
+  const port = ports.get(key);
+  if (!port) return;
+  const job = await bench.run("probe", port.values);
+  const probed = job.found[0]?.ports?.[0];
+  if (probed?.found) {
+    const who = Object.values(probed.identity).join(" ");
+    port.says = [probed.found.title, who, `${probed.found.frames} frames understood`, ...probed.taken].filter(Boolean).join("; ");
+    port.values = { ...port.values, driver: probed.found.name, ...(probed.baud ? { baud: probed.baud } : {}) };
+    if (!chosen) chosen = key;
+  } else port.says = `nothing recognised: ${complaint(job)}`;
+  showPorts();
+}
+
+function showPorts() {
+  const rows = [...ports].map(([key, { name, says }]) =>
+    make(
+      "label",
+      { class: "port" },
+      make("input", { type: "radio", name: "where", value: key, ...(key === chosen ? { checked: true } : {}), onchange: () => (chosen = key) }),
+      make("div", {}, make("strong", {}, name), make("span", {}, says)),
+    ),
+  );
+  at("ports").replaceChildren(...(rows.length ? rows : [make("p", {}, isLooking ? "looking for ports" : "No serial port found. Connect the instrument, or use a virtual one.")]));
+}
+
+/** Virtual instruments are ports for as long as they run. */
+function knowVirtual() {
+  const before = [...ports.keys()].join();
+  for (const [key, port] of ports) if (port.values.clock_speed) ports.delete(key);
+  for (const job of bench.jobs.values()) {
+    const started = job.code === null && job.action === "emulate" ? job.found.find((value) => value.event === "started") : null;
+    if (started)
+      ports.set(started.port, {
+        name: `Virtual instrument on ${started.port}`,
+        says: `${started.driver}, turned by a virtual person, ${started.speed} times as fast as real; it lies at latitude 45, height 0`,
+        values: { port: started.port, driver: started.driver, clock_speed: started.speed },
+      });
+  }
+  if (before !== [...ports.keys()].join()) showPorts();
+}
+
+at("look").addEventListener("click", look);
+at("virtual").addEventListener("click", async () => {
+  try {
+    const speed = 4; // So that 24 positions take four minutes, and a person can follow.
+    const number = await bench.start("emulate", { driver: "stim300", speed });
+    const started = await heard(number, (value) => value.event === "started");
+    if (!started) return refuse(new Error(complaint(/** @type {any} */ (bench.jobs.get(number)))));
+    chosen = started.port;
+    knowVirtual();
+    const fields = at("place").elements;
+    if (!fields.latitude.value && !fields.gravity.value) [fields.latitude.value, fields.height.value] = ["45", "0"];
+  } catch (error) {
+    refuse(/** @type {Error} */ (error));
+  }
+});
+
+/** Wait for a value of a command, null when it has ended without. @param {number} number @param {(value: any) => boolean} fits @returns {Promise<any>} */
+async function heard(number, fits) {
+  for (;;) {
+    const job = bench.jobs.get(number);
+    const value = job?.found.find(fits);
+    if (value || (job && job.code !== null)) return value ?? null;
+    await new Promise((resolve) => setTimeout(resolve, 100));
+  }
+}
+
+at("drivers").addEventListener("change", async (/** @type {any} */ event) => {
+  const name = event.target.value;
+  const facts = name ? (await bench.run("devices", { driver: name })).found[0] : null;
+  at("driver").replaceChildren(
+    ...(facts
+      ? [
+          make("p", {}, `${facts.title}: ${facts.status}. ${facts.wiring}`),
+          make(
+            "div",
+            { class: "fields", id: "settings" },
+            Object.entries(facts.settings).map(([key, { value, meaning, allowed }]) => make("label", { title: `${meaning}; ${allowed}` }, `${key.replaceAll("_", " ")}: ${meaning}`, make("input", { "data-setting": key, placeholder: `${value} (${allowed})`, autocomplete: "off" }))),
+          ),
+        ]
+      : []),
+  );
+});
+
+// The guide
+
+at("start").addEventListener("click", async () => {
+  const typed = filled(at("place-of-instrument"));
+  const settings = [.../** @type {NodeListOf<HTMLInputElement>} */ (document.querySelectorAll("[data-setting]"))].filter((field) => field.value.trim()).map((field) => `${field.dataset.setting}=${field.value.trim()}`);
+  const where = typed.port || typed.bus ? {} : ports.get(chosen)?.values;
+  if (!where) {
+    at("start-says").textContent = "Choose the instrument first, or give its port.";
+    return;
+  }
+  await begin("capture", { ...where, ...typed, ...filled(at("place")), ...filled(at("plan")), ...(settings.length ? { settings } : {}) });
+});
+
+/** Start a guided session and go to its page. @param {string} action @param {any} values */
+async function begin(action, values) {
+  const name = values.new ?? values.session;
+  at("start-says").textContent = "";
+  at("start").disabled = true;
+  try {
+    const number = await bench.start(action, values);
+    const page = await heard(number, (value) => value.event === "page");
+    if (page) goTo(page.url, name);
+    else at(action === "capture" ? "start-says" : "session-says").textContent = complaint(/** @type {any} */ (bench.jobs.get(number)));
+    if (page) at("new-name").value = newName();
+  } catch (error) {
+    at(action === "capture" ? "start-says" : "session-says").textContent = /** @type {Error} */ (error).message;
+  }
+  at("start").disabled = false;
+}
+session.begin = begin;
+
+/** Go to the page of a guide on this machine, which leads back here. @param {string} url @param {string} name */
+function goTo(url, name) {
+  if (!/^http:\/\/(127\.0\.0\.1|localhost):\d+\/#/.test(url)) return;
+  location.hash = `session/${encodeURIComponent(name)}`;
+  location.assign(`${url}&back=${encodeURIComponent(`${location.origin}/#session/${encodeURIComponent(name)}`)}`);
+}
+
+function newName() {
+  const now = new Date().toISOString().replace(/[-:]|\.\d+/g, "");
+  return `${now}-session`;
+}
+at("new-name").value = newName();
+
+// What is under way, and what was done
+
+function showUnderWay() {
+  const rows = [...bench.jobs.values()].filter((job) => job.code === null && !LOOKS.includes(job.action)).map((job) => {
+    const page = job.found.find((value) => value.event === "page");
+    const name = job.values.new ?? job.values.session ?? "";
+    const counted = job.found.filter((value) => "accepted" in value && "planned" in value).pop();
+    const newest = job.found.filter((value) => value.words).pop();
+    const words = {
+      capture: `Session ${name}: ${counted ? `${counted.accepted} of ${counted.planned} positions` : page ? "the guide runs" : "connecting"}`,
+      resume: `Session ${name}: ${counted ? `${counted.accepted} of ${counted.planned} positions` : page ? "the guide runs" : "connecting"}`,
+      emulate: "A virtual instrument is running",
+      replay: `Replay of ${name}`,
+      solve: `Computing the result of ${name}`,
+    }[job.action];
+    return make(
+      "div",
+      {},
+      make("strong", {}, words ?? job.command),
+      newest && job.action !== "emulate" ? make("span", { class: "state" }, newest.words) : null,
+      page ? button("Open the guide", () => goTo(page.url, name), { class: "main" }) : null,
+      button(job.action === "capture" || job.action === "resume" ? "Stop, go on later" : "Stop", () => void bench.ask({ cancel: job.job })),
+    );
+  });
+  at("under-way").replaceChildren(...rows);
+}
+
+/** @type {Map<number, {entry: any, said: number}>} */
+const written = new Map();
+
+function showCommands() {
+  // What the page asks again and again by itself is shown once.
+  const newest = new Map([...bench.jobs.values()].map((job) => [LOOKS.includes(job.action) ? job.command : job.job, job.job]));
+  const shown = new Set(newest.values());
+  for (const number of written.keys())
+    if (!shown.has(number)) {
+      written.get(number)?.entry.remove();
+      written.delete(number);
+    }
+  for (const job of bench.jobs.values()) {
+    if (!shown.has(job.job)) continue;
+    const size = job.said.length + job.lines.length + (job.code === null ? 0 : 1);
+    const before = written.get(job.job);
+    if (before?.said === size) continue;
+    const state = job.code === null ? "running" : job.code === 0 ? "done" : job.code === 130 ? "stopped" : `not done: ${complaint(job)}`;
+    const words = [...job.lines, ...job.said].join("\n");
+    const entry = make(
+      "li",
+      {},
+      make("code", {}, job.command),
+      " ",
+      make("span", { class: job.code && job.code !== 130 ? "failed" : "state" }, state),
+      words ? make("details", {}, make("summary", {}, "what it says"), make("pre", {}, words)) : null,
+    );
+    if (before) before.entry.replaceWith(entry);
+    else at("commands").prepend(entry);
+    written.set(job.job, { entry, said: size });
+  }
+}
+
+addEventListener("hashchange", route);
+showPorts();
+show();
