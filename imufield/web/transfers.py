@@ -127,7 +127,8 @@ class Uploads:
 
 def _plain(name: str) -> str:
     """Return a name of somebody's disk as one that is no hidden file, no option, and nothing that a shell would read."""
-    return _UNUSUAL.sub("_", name)[-_LONGEST_NAME:].lstrip(".- ") or "file"
+    last = re.split(r"[/\\]", name)[-1]
+    return _UNUSUAL.sub("_", last)[-_LONGEST_NAME:].lstrip(".- ") or "file"
 
 
 def _new_name() -> str:

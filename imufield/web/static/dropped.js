@@ -122,8 +122,8 @@ async function asking(files, onAnswer) {
   const form = make(
     "form",
     { class: "fields" },
-    Object.entries(UNITS).map(([name, units]) => make("label", {}, name.replace("_", ", "), make("select", { "data-unit": name }, make("option", { value: "" }, "as found"), units.map((unit) => make("option", {}, unit))))),
-    make("label", {}, "samples per second, where no column is a time", make("input", { name: "rate_hz", inputmode: "decimal", autocomplete: "off" })),
+    Object.entries(UNITS).map(([name, units]) => make("label", {}, `${name.replace("_", ", ")} (--set ${name})`, make("select", { "data-unit": name }, make("option", { value: "" }, "as found"), units.map((unit) => make("option", {}, unit))))),
+    make("label", {}, "samples per second, where no column is a time (--rate-hz)", make("input", { name: "rate_hz", inputmode: "decimal", autocomplete: "off" })),
     make("button", { type: "submit", class: "main" }, "Import with these"),
   );
   form.addEventListener("submit", (/** @type {Event} */ event) => {

@@ -109,6 +109,7 @@ export class SessionView {
     );
     at("give").hidden = !row?.verdict;
     at("again").hidden = !canSolve;
+    at("again").open = row?.kind === "import" && !row.verdict;
     const names = ["parameters.toml"];
     at("saved").replaceChildren(...names.map((name) => button(`Save ${name}`, () => this.save(`${this.name}/${name}`), { class: "main" })));
   }
@@ -230,7 +231,17 @@ export class SessionView {
       of("gyroscope bias", "deg/h", gyro, "bias_rad_s", (180 / Math.PI) * 3600, 0);
       if (gyro.raw_unit === "rad/s") of("gyroscope scale error", "ppm", gyro, "scale", 1e6, 1);
     }
-    return table(["", "unit", ...AXES], rows);
+    for (const [name, triad] of [["misalignment", acc], ["gyroscope misalignment", gyro]]) if (triad) rows.push(...this.angles(name, triad));
+    return table(["", "unit", "x", "y", "z"], rows);
+  }
+
+  /** Rows of the angles that were fitted, three in each. @param {string} name @param {any} triad */
+  angles(name, triad) {
+    const sigmas = triad.uncertainty.misalignment_rad;
+    const cells = AXES.flatMap((row, i) => AXES.map((column, j) => (i !== j && sigmas[i][j] > 0 ? `${row}${column} ${withSigma(1e3 * triad.misalignment_rad[i][j], 1e3 * sigmas[i][j])}` : ""))).filter(Boolean);
+    const rows = [];
+    for (let k = 0; k < cells.length; k += 3) rows.push([name, "mrad", ...cells.slice(k, k + 3)]);
+    return rows;
   }
 
   /** @param {Event} event */

@@ -1,0 +1,412 @@
+"""The workbench without a browser: what a page may ask for, what it gets, and what it never gets."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("websockets", reason="the workbench needs websockets")
+
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Origin, Subprotocol
+
+from imufield.errors import EXIT_INTERRUPTED, UsageError
+from imufield.sentences import Sentence
+from imufield.web import jobs, transfers
+from imufield.web.access import PROTOCOL, Access
+from imufield.web.actions import ACTIONS, LONGEST_TEXT, UPLOADS, Sessions, command_line
+from imufield.web.server import PageServer, Service
+from imufield.web.workbench import LARGEST_PIECE, MESSAGES_A_SECOND, Workbench
+
+WAIT_S = 60.0  # A machine under load; nothing here takes as long.
+
+
+class Page:
+    """A page of the workbench: asks, and follows what becomes of it."""
+
+    def __init__(self, line: ClientConnection) -> None:
+        self.line = line
+        self.events: list[dict[str, Any]] = []
+
+    def next(self) -> dict[str, Any]:
+        message: dict[str, Any] = json.loads(self.line.recv(timeout=WAIT_S))
+        self.events += message.get("log", [])
+        return message
+
+    def ask(self, message: dict[str, Any] | str | bytes) -> dict[str, Any]:
+        self.line.send(json.dumps({"id": 7, **message}) if isinstance(message, dict) else message)
+        while True:
+            answer = self.next()
+            if "answer" in answer or "refused" in answer:
+                return answer
+
+    def run(self, action: str, **values: Any) -> int:
+        return int(self.ask({"run": action, "values": values})["answer"]["job"])
+
+    def heard(self, job: int, name: str) -> Any:
+        """Return what a command says of a kind, first of all what is known already."""
+        while True:
+            for event in self.events:
+                if event["job"] == job and name in event:
+                    return event[name]
+            self.next()
+
+
+class Served:
+    """A workbench of a folder, served."""
+
+    def __init__(self, root: Path) -> None:
+        listening = socket.create_server(("127.0.0.1", 0))
+        self.host = f"127.0.0.1:{listening.getsockname()[1]}"
+        self.access = Access(frozenset({self.host}))
+        self.bench = Workbench(root)
+        service = Service(
+            index="workbench.html",
+            download=self.bench.downloads.take,
+            largest_message=LARGEST_PIECE,
+            messages_a_second=MESSAGES_A_SECOND,
+        )
+        self.server = PageServer(listening, self.access, self.bench.board, self.bench.take, service)
+
+    def open(self, token: str | None = None) -> ClientConnection:
+        names = [PROTOCOL, f"token.{self.access.mark if token is None else token}"]
+        return connect(
+            f"ws://{self.host}/socket",
+            origin=Origin(f"http://{self.host}"),
+            subprotocols=[Subprotocol(name) for name in names],
+            compression=None,
+            open_timeout=WAIT_S,
+        )
+
+    def get(self, path: str) -> http.client.HTTPResponse:
+        line = http.client.HTTPConnection(self.host, timeout=WAIT_S)
+        line.putrequest("GET", path)
+        line.endheaders()
+        return line.getresponse()
+
+
+@pytest.fixture
+def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return a folder of sessions with one that holds a file, below the present folder."""
+    monkeypatch.chdir(tmp_path)
+    root = Path("sessions")
+    (root / "one").mkdir(parents=True)
+    (root / "one" / "parameters.toml").write_text("of one")
+    (tmp_path / "secret").write_text("not yours")
+    (root / "led-out").symlink_to(tmp_path)
+    (root / "one" / "led-out").symlink_to(tmp_path / "secret")
+    return root
+
+
+@pytest.fixture
+def served(root: Path) -> Iterator[Served]:
+    served = Served(root)
+    with served.server:
+        served.bench.refresh()
+        yield served
+        served.bench.close()
+
+
+@pytest.fixture
+def page(served: Served) -> Iterator[Page]:
+    with served.open() as line:
+        yield Page(line)
+
+
+# What a page may ask for
+
+
+@pytest.mark.parametrize(
+    ("action", "values", "words"),
+    [
+        ("devices", {}, "devices --json"),
+        ("devices", {"driver": "stim300"}, "devices --json stim300"),
+        ("probe", {"port": "socket://host:4001"}, "probe --json --port=socket://host:4001"),
+        ("sessions", {"find": "stim300 usable"}, "sessions --json sessions '--find=stim300 usable'"),
+        ("solve", {"session": "one", "latitude": -48.1, "without": ["x+0", "-o /etc/x"]},
+         "solve --json sessions/one --latitude=-48.1 --without=x+0 '--without=-o /etc/x'"),
+        ("capture", {"new": "two", "gravity": "9.8089+-0.0001", "settings": ["accelerometer_range_g=30"]},
+         "capture --json --web --gravity=9.8089+-0.0001 --set=accelerometer_range_g=30 --session=sessions/two"),
+        ("resume", {"session": "one"}, "capture --json --web --resume --session=sessions/one"),
+        ("export", {"session": "one", "to": "c"}, "export --json sessions/one/parameters.toml --output=sessions/one --to=c"),
+        ("import", {"files": ["one/parameters.toml"], "new": "two", "columns": "time,ax,ay,az"},
+         "import --json sessions/one/parameters.toml --output=sessions/two --columns=time,ax,ay,az"),
+        ("history", {"plot": True}, "history --json sessions --plot=sessions/history.svg"),
+        ("report", {"session": "one", "operator": "--pdf", "pdf": False}, "report sessions/one --operator=--pdf"),
+    ],
+)  # fmt: skip
+def test_what_is_asked_becomes_a_command_that_a_person_could_type(
+    root: Path, action: str, values: dict[str, Any], words: str
+) -> None:
+    assert jobs.shlex.join(command_line(action, values, Sessions(root))) == words
+
+
+@pytest.mark.parametrize(
+    ("action", "values"),
+    [
+        ("shell", {}), ("", {}), (None, {}), (["solve"], {}), ("solve --output=/etc/x", {"session": "one"}), ("web", {}),
+        ("record", {}), ("demo", {}), ("study", {}), ("apply", {}), ("verify", {}),
+        # An option, or a word that is none of the table.
+        ("devices", {"driver": "--help"}), ("devices", {"driver": "../x.toml"}), ("devices", {"driver": "x.toml"}),
+        ("devices", {"output": "x"}), ("devices", ["driver"]), ("devices", "driver"), ("sessions", {"find": ""}),
+        ("solve", {"session": "one", "output": "/etc/x"}), ("solve", {"session": "one", "preset": "/etc/passwd"}),
+        ("solve", {"session": "one", "model": "--output=/etc/x"}), ("solve", {"session": "one", "without": "x+0"}),
+        ("solve", {"session": "one", "without": ["x"] * 101}), ("solve", {"session": "one", "without": [["x"]]}),
+        ("solve", {"session": "one", "latitude": "48 --output=/etc/x"}), ("solve", {"session": "one", "latitude": True}),
+        ("solve", {"session": "one", "latitude": 1e999}), ("solve", {"session": "one", "gravity": "9.8 -o x"}),
+        ("solve", {"session": "one", "gravity": 9.8}), ("report", {"session": "one", "operator": "x" * (LONGEST_TEXT + 1)}),
+        ("report", {"session": "one", "operator": "a\nb"}), ("report", {"session": "one", "operator": "\x1b[2J"}),
+        ("report", {"session": "one", "operator": "a\u202eb"}), ("report", {"session": "one", "operator": "a\x00b"}),
+        ("export", {"session": "one", "to": "c", "settings": ["--output=/etc/x"]}), ("export", {"session": "one"}),
+        ("export", {"session": "one", "to": "../c"}), ("export", {"to": "c"}),
+        # A folder or a file of elsewhere.
+        ("solve", {}), ("solve", {"session": ".."}), ("solve", {"session": "."}), ("solve", {"session": ""}),
+        ("solve", {"session": "../sessions/one"}), ("solve", {"session": "/etc"}), ("solve", {"session": "one/.."}),
+        ("solve", {"session": "one/"}), ("solve", {"session": "led-out"}), ("solve", {"session": "two"}),
+        ("solve", {"session": ["one"]}), ("solve", {"session": {"name": "one"}}), ("solve", {"session": None}),
+        ("solve", {"session": "-one"}), ("solve", {"session": "--json"}), ("solve", {"session": "one\x00"}),
+        ("capture", {}), ("capture", {"new": "../two"}), ("capture", {"new": "/tmp/two"}), ("capture", {"new": ".two"}),
+        ("capture", {"new": "-two"}), ("capture", {"new": "two/three"}), ("capture", {"new": "one"}),
+        ("capture", {"new": UPLOADS}), ("capture", {"new": "two\n"}), ("capture", {"new": "x" * 101}),
+        ("capture", {"new": "two", "positions": "/etc/passwd"}), ("capture", {"new": "two", "positions": "x.toml"}),
+        ("import", {"new": "two", "files": ["../secret"]}), ("import", {"new": "two", "files": ["/etc/passwd"]}),
+        ("import", {"new": "two", "files": ["one/led-out"]}), ("import", {"new": "two", "files": ["led-out/secret"]}),
+        ("import", {"new": "two", "files": ["one"]}), ("import", {"new": "two", "files": "one/parameters.toml"}),
+        ("import", {"new": "two"}), ("import", {"new": "two", "files": ["one/parameters.toml"], "protocol": "x.toml"}),
+        # Addresses of pyserial that write files or load code, and what is no port.
+        ("probe", {"port": "spy:///dev/ttyUSB0?file=/etc/x"}), ("probe", {"port": "alt:///dev/ttyUSB0?class=x"}),
+        ("probe", {"port": "loop://?logging=debug"}), ("probe", {"port": "one/parameters.toml"}),
+        ("probe", {"port": "/etc/passwd"}),
+        ("probe", {"port": "socket://host:1?logging=debug"}), ("probe", {"port": "--ask"}), ("probe", {"bus": "--ask"}),
+        ("probe", {"bus": "socketcan:can0,../x"}), ("probe", {"port": 1}),
+    ],
+)  # fmt: skip
+def test_anything_else_is_refused(root: Path, action: Any, values: Any) -> None:
+    with pytest.raises(UsageError) as caught:
+        command_line(action, values, Sessions(root))
+    assert isinstance(caught.value.message, Sentence)
+    assert caught.value.message.key.startswith("actions.")
+
+
+def test_the_words_of_the_table_are_commands_of_the_program() -> None:
+    from imufield.cli.app import app
+
+    known = {command.name for command in app.registered_commands}
+    assert {action.words.split()[0] for action in ACTIONS.values()} <= known
+    assert all(set(action.needs) <= action.fields.keys() for action in ACTIONS.values())
+
+
+# What becomes of it
+
+
+def test_a_command_runs_and_every_page_sees_what_it_says(served: Served, page: Page) -> None:
+    job = page.run("sessions")
+    assert page.heard(job, "code") == 0
+    assert page.heard(job, "value")["folder"] == "sessions"
+    assert page.heard(job, "command") == "imufield sessions --json sessions"
+    # One that comes later has all of it.
+    with served.open() as line:
+        late = Page(line)
+        assert late.heard(job, "code") == 0
+        assert late.events == page.events
+
+
+def test_a_command_that_fails_says_why(page: Page) -> None:
+    job = page.run("solve", session="one")
+    assert page.heard(job, "code") == 4
+    assert "sessions/one" in page.heard(job, "said")
+
+
+def test_a_command_waits_for_its_turn_and_is_ended_as_by_ctrl_c(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(jobs, "MOST_AT_ONCE", 1)
+    monkeypatch.setattr(jobs, "MOST_WAITING", 2)
+    running = page.run("emulate", driver="stim300")
+    assert Path(page.heard(running, "value")["port"]).exists()
+    dropped, waiting = page.run("devices"), page.run("sessions")
+    assert "refused" in page.ask({"run": "devices"})
+    page.ask({"cancel": dropped})
+    assert page.heard(dropped, "code") == EXIT_INTERRUPTED
+    assert not any(event["job"] == waiting and "code" in event for event in page.events)
+    page.ask({"cancel": running})
+    assert page.heard(running, "code") == EXIT_INTERRUPTED
+    assert page.heard(waiting, "code") == 0
+    # What has ended, and what never was.
+    assert page.ask({"cancel": running})["answer"] == page.ask({"cancel": 99})["answer"] == {}
+    assert page.ask({"cancel": [1]})["answer"] == {}
+
+
+@pytest.mark.parametrize(
+    "message",
+    ["", "x", "{", "[]", "null", "7", '{"run": {}}', '{"values": {}}', "{}", "[" * 100_000, b"", b"x", b"\xff" * 99,
+     '{"upload": "x"}', '{"upload": "x", "size": true}', '{"upload": 1, "size": 1}', '{"upload": "x", "size": -1}',
+     '{"upload": "x", "size": 1, "folder": "../.."}', '{"upload": "x", "size": 1e300}', '{"file": ["x"]}', '{"file": ".."}',
+     '{"file": "../secret"}', '{"file": "/etc/passwd"}', '{"file": "one"}', '{"file": "one/led-out"}',
+     '{"file": "led-out/secret"}',
+     '{"file": "one/../../secret"}', '{"file": "one/parameters.toml\\u0000"}', '{"file": ""}'],
+)  # fmt: skip
+def test_a_message_that_makes_no_sense_is_answered_by_a_sentence(page: Page, message: str | bytes) -> None:
+    assert len(page.ask(message)["refused"]) > 10
+    assert "address" in page.ask({"file": "one/parameters.toml"})["answer"]
+
+
+def test_who_only_watches_starts_nothing(served: Served, root: Path) -> None:
+    with served.open(served.access.watch) as line, served.open() as other:
+        line.send(json.dumps({"run": "sessions", "values": {}}))
+        line.send(json.dumps({"upload": "x.csv", "size": 3}))
+        time.sleep(0.3)
+        page = Page(other)
+        assert page.run("sessions") == 1
+        assert not (root / UPLOADS).exists()
+
+
+@pytest.mark.parametrize("token", ["", "x", "A" * 22])
+def test_a_foreign_token_gets_no_socket(served: Served, token: str) -> None:
+    with pytest.raises(InvalidStatus) as caught:
+        served.open(token)
+    assert caught.value.response.status_code == 403
+
+
+# Files that come up
+
+
+def send_up(page: Page, name: str, content: bytes, **more: Any) -> dict[str, Any]:
+    begun = page.ask({"upload": name, "size": len(content), **more})["answer"]
+    pieces = [content[start : start + 1000] for start in range(0, len(content), 1000)]
+    answers = [page.ask(begun["upload"].encode() + piece)["answer"] for piece in pieces]
+    assert [answer["left"] for answer in answers] == [max(0, len(content) - 1000 * (k + 1)) for k in range(len(pieces))]
+    return {**begun, **answers[-1]}
+
+
+def test_a_file_comes_up_in_pieces_and_others_of_its_recording_beside_it(page: Page, root: Path) -> None:
+    content = os.urandom(2500)
+    sent = send_up(page, "acc.csv", content)
+    assert (root / sent["file"]).read_bytes() == content
+    assert (root / sent["file"]).parent == root / UPLOADS / sent["folder"]
+    other = send_up(page, "gyro.csv", b"1,2,3\n", folder=sent["folder"])
+    assert Path(other["file"]).parent == Path(sent["file"]).parent
+    # The same name again would be another file under it.
+    assert "refused" in page.ask({"upload": "acc.csv", "size": 1, "folder": sent["folder"]})
+
+
+@pytest.mark.parametrize(
+    ("name", "kept"),
+    [
+        ("../../etc/passwd", "passwd"), ("..\\..\\x.csv", "x.csv"), ("--output=x.csv", "output_x.csv"), ("", "file"),
+        (".hidden", "hidden"), ("<b>x</b>.csv", "b_.csv"), ("a\x00\n\u202eb.csv", "a_b.csv"), ("ä $(x).csv", "ä _(x).csv"),
+        ("x" * 300 + ".csv", "x" * 96 + ".csv"), ("/", "file"),
+    ],
+)  # fmt: skip
+def test_a_name_of_a_file_leads_nowhere(page: Page, root: Path, name: str, kept: str) -> None:
+    sent = send_up(page, name, b"x")
+    found = root / sent["file"]
+    assert found.parent.parent == root / UPLOADS
+    assert found.name.lstrip("_") == kept
+
+
+def test_more_than_was_said_is_refused_and_leaves_nothing(page: Page, root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    begun = page.ask({"upload": "x.csv", "size": 3})["answer"]
+    assert "refused" in page.ask(begun["upload"].encode() + b"four")
+    assert [*(root / UPLOADS).iterdir()] == []
+    assert "refused" in page.ask(begun["upload"].encode() + b"one")
+    monkeypatch.setattr(transfers, "LARGEST_UPLOAD", 1000)
+    assert "refused" in page.ask({"upload": "x.csv", "size": 1001})
+    for _ in range(transfers.UPLOADS_AT_ONCE):
+        page.ask({"upload": "x.csv", "size": 3})
+    assert "refused" in page.ask({"upload": "x.csv", "size": 3})
+    # Those of a page that went away make room.
+    monkeypatch.setattr(transfers, "GOOD_FOR_S", 0.0)
+    assert "answer" in page.ask({"upload": "x.csv", "size": 3})
+
+
+def test_a_giant_piece_closes_its_page_only(served: Served, page: Page) -> None:
+    with served.open() as giant:
+        giant.send(b"x" * (LARGEST_PIECE + 1))
+        with pytest.raises(ConnectionClosed):
+            next(None for _ in range(1000) if giant.recv(timeout=WAIT_S) is None)
+    assert "address" in page.ask({"file": "one/parameters.toml"})["answer"]
+
+
+# Files that go down
+
+
+def test_an_address_is_good_once_and_for_a_minute(served: Served, page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+    address = page.ask({"file": "one/parameters.toml"})["answer"]["address"]
+    assert len(address.removeprefix("/file/")) == 22
+    answer = served.get(address)
+    assert (answer.status, answer.read()) == (200, b"of one")
+    assert answer.getheader("Content-Disposition") == "attachment; filename*=UTF-8''parameters.toml"
+    assert answer.getheader("Content-Type") == "application/octet-stream"
+    assert answer.getheader("X-Content-Type-Options") == "nosniff"
+    assert "default-src 'none'" in answer.getheader("Content-Security-Policy", "")
+    assert served.get(address).status == 404
+    assert served.get("/file/").status == served.get("/file/../one/parameters.toml").status == 404
+    late = page.ask({"file": "one/parameters.toml"})["answer"]["address"]
+    monkeypatch.setattr(transfers, "GOOD_FOR_S", 0.0)
+    assert served.get(late).status == 404
+
+
+def test_what_became_a_link_since_is_not_given_away(served: Served, page: Page, root: Path) -> None:
+    address = page.ask({"file": "one/parameters.toml"})["answer"]["address"]
+    (root / "one" / "parameters.toml").unlink()
+    (root / "one" / "parameters.toml").symlink_to(root.resolve().parent / "secret")
+    assert served.get(address).status == 404
+
+
+def test_names_with_markup_and_a_file_that_is_too_large(
+    served: Served, page: Page, root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (root / '<img src=x onerror="alert(1)">.html').write_text("<script>")
+    answer = served.get(page.ask({"file": '<img src=x onerror="alert(1)">.html'})["answer"]["address"])
+    assert "<" not in answer.getheader("Content-Disposition", "")
+    assert answer.getheader("Content-Type") == "application/octet-stream"
+    monkeypatch.setattr(transfers, "LARGEST_DOWNLOAD", 3)
+    assert "refused" in page.ask({"file": "one/parameters.toml"})
+
+
+def test_only_the_newest_addresses_are_kept(served: Served, page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(transfers, "ADDRESSES_AT_ONCE", 2)
+    addresses = [page.ask({"file": "one/parameters.toml"})["answer"]["address"] for _ in range(3)]
+    assert [served.get(address).status for address in addresses] == [404, 200, 200]
+
+
+# The command
+
+
+def test_the_command_tells_its_address_and_ends_with_what_it_has_started(tmp_path: Path) -> None:
+    variables = {name: value for name, value in os.environ.items() if not name.startswith("IMUFIELD_")}
+    program = subprocess.Popen(
+        [sys.executable, "-m", "imufield", "web", "kept"],
+        cwd=tmp_path,
+        env={**variables, "HOME": str(tmp_path), "DISPLAY": "", "BROWSER": "true"},
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert program.stderr is not None
+        found = re.search(r"(http://127\.0\.0\.1:\d+)/#token=(\S+)", program.stderr.readline())
+        assert found is not None
+        names = [Subprotocol(PROTOCOL), Subprotocol(f"token.{found[2]}")]
+        address = f"{found[1].replace('http', 'ws')}/socket"
+        with connect(address, origin=Origin(found[1]), subprotocols=names, compression=None) as line:
+            page = Page(line)
+            port = Path(page.heard(page.run("emulate", driver="stim300"), "value")["port"])
+            assert port.exists()
+            program.send_signal(signal.SIGINT)
+            assert program.wait(WAIT_S) == EXIT_INTERRUPTED
+        assert not port.exists()
+    finally:
+        program.kill()
+        program.communicate()
