@@ -41,6 +41,11 @@ function take(message) {
     at("marks").hidden = role !== "mark";
     return;
   }
+  if (message.ended) {
+    link.end();
+    [at("headline").textContent, at("details").textContent, document.body.dataset.state] = [message.ended.headline, message.ended.details, "ended"];
+    return;
+  }
   const whole = Boolean(message.head);
   if (whole) {
     head = message.head;

@@ -32,6 +32,7 @@ export class Link {
     this.waitMs = SHORTEST_MS;
     this.timer = 0;
     this.heardMs = 0;
+    this.ended = false;
     this.open();
     // A phone that slept, or has another network, finds its socket dead at once and not after minutes.
     for (const event of ["online", "pageshow", "focus"]) addEventListener(event, () => this.check());
@@ -59,6 +60,7 @@ export class Link {
 
   again() {
     this.socket = null;
+    if (this.ended) return;
     this.onChange(false);
     this.waitMs = Math.min(Math.max(2 * this.waitMs, SHORTEST_MS), LONGEST_MS);
     clearTimeout(this.timer);
@@ -66,7 +68,7 @@ export class Link {
   }
 
   check() {
-    if (document.hidden) return;
+    if (document.hidden || this.ended) return;
     if (!this.socket) {
       if (this.waitMs > SHORTEST_MS) {
         this.waitMs = SHORTEST_MS;
@@ -77,6 +79,11 @@ export class Link {
       this.again();
       old.close();
     }
+  }
+
+  /** The program has said its last words: nothing is tried any more. */
+  end() {
+    this.ended = true;
   }
 
   /** @param {string} key */
