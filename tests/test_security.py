@@ -37,6 +37,7 @@ MAY_START_PROGRAMS = {
     "imufield/commands/demo.py",
     "imufield/acquire/formats/can_logs.py",
     "imufield/acquire/formats/table_arrays.py",
+    "imufield/web/jobs.py",
 }
 MAY_USE = {("imufield/simulate/emulator/port.py", "pty")}
 """The emulator makes pseudo-terminals; it starts nothing in them."""

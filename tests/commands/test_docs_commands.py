@@ -29,6 +29,7 @@ ELSEWHERE = {
     "imufield import bench.": "tests/commands/test_import.py and tests/acquire/formats/test_table_arrays.py read such files",
     "imufield import dr": "tests/commands/test_import.py and tests/acquire/formats/test_ros_bags.py read logs and bags",
     "imufield import dump.bin": "tests/commands/test_desk.py reads bytes of instruments",
+    "imufield web": "tests/web/test_workbench.py starts and ends it",
     "imufield study": "tests/study runs every study",
     "imufield probe": "tests/commands/test_probe.py finds instruments on ports",
     "--poses": "tests/commands/test_emulate_poses.py leads a capture by them",

@@ -1,0 +1,129 @@
+"""The workbench in a real browser: from an empty folder to a parameter file, by what a newcomer finds on the page."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from imufield.deliver.parameters.file import load
+from imufield.guide.positions import scheme
+from tests.commands.conftest import SPEED, Program
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+    from tests.web.browser import Screens
+
+pytest.importorskip("websockets", reason="the workbench needs websockets")
+
+RATE_HZ = 50.0
+STILL_S, TURN_S = 5.0, 1.0
+SCALE, BIAS_M_S2, SIGMA_M_S2 = np.array([1.003, 0.998, 1.001]), np.array([0.02, -0.03, 0.01]), 0.004
+
+
+@pytest.fixture
+def address(program: Program) -> str:
+    """Start the workbench in an empty folder and return where it is."""
+    process = program.start("web", variables={"DISPLAY": "", "WAYLAND_DISPLAY": "", "IMUFIELD_CLOCK_SPEED": f"{SPEED:g}"})
+    assert process.stderr is not None
+    found = re.search(r"http://\S+", process.stderr.readline())
+    assert found is not None
+    return found[0]
+
+
+def table_of_stills(path: Path) -> None:
+    """Write a log as a home-made logger does: no time, and a gyroscope that lay still."""
+    rng = np.random.default_rng(7)
+    ups = scheme("paper24").directions()
+    held, turned = round(STILL_S * RATE_HZ), round(TURN_S * RATE_HZ)
+    force = [ups[0]]
+    for before, up in zip(ups, ups[1:], strict=False):
+        force += [before] * held
+        way = before + np.linspace(0, 1, turned)[:, None] * (up - before + np.cross(before, up) + 1e-3)
+        force += [*(way / np.linalg.norm(way, axis=1, keepdims=True))]
+    force += [ups[-1]] * held
+    values = 9.80665 * np.array(force) * SCALE + BIAS_M_S2 + rng.normal(0, SIGMA_M_S2, (len(force), 3))
+    rows = "\n".join(",".join(f"{value:.5f}" for value in row) for row in values)
+    path.write_text(f"first,second,third\n{rows}\n")
+
+
+def wait_for(page: Page, place: str, words: str) -> None:
+    page.locator(place, has_text=re.compile(words)).first.wait_for()
+
+
+# The browser and some fifteen programs, six positions of an emulated instrument among them: once, for the whole way.
+def test_from_an_empty_folder_to_the_files(program: Program, screens: Screens, address: str) -> None:
+    port = program.emulate("--positions", "faces6", "--wait")
+    page = screens.open(address)
+    assert "token" not in page.url
+    page.get_by_text("It is not found").click()
+    page.get_by_label("Port", exact=True).fill(port)
+    page.get_by_label("Latitude").first.fill("45")
+    page.get_by_label("Height").first.fill("0")
+    page.locator("[name=positions]").select_option(label="6 faces, for a quick check")
+    page.get_by_label("Name of the session").fill("first")
+    page.get_by_role("button", name="Start the guide").click()
+    # The guide has a page of its own, and leads back to where the session is.
+    wait_for(page, "#headline", "TURN|HOLD|STAY|DONE|still")
+    assert page.url.split(":")[2] != address.split(":")[2]
+    page.goto(f"{address.partition('#')[0]}#session/first")
+    wait_for(page, "#under-way", "Session first: [1-6] of 6")
+    page.get_by_role("button", name="Compute the result").click()
+    wait_for(page, "#verdict", "POOR")  # Six positions have six parameters: nothing is left to check them.
+    parameters = load(program.folder / "imufield-sessions" / "first")
+    assert len(parameters.document["position"]) == 6
+
+    page.get_by_label("Program").select_option("c")
+    page.get_by_role("button", name="Make the file").click()
+    with page.expect_download() as saved:
+        page.get_by_role("button", name=re.compile(r"Save .*\.h$")).click()
+    assert "#define" in Path(saved.value.path()).read_text()
+    with page.expect_download() as saved:
+        page.get_by_role("button", name="Save parameters.toml").click()
+    assert Path(saved.value.path()).read_bytes() == (program.folder / "imufield-sessions/first/parameters.toml").read_bytes()
+    # Whatever was done is shown as what a person could have typed.
+    for words in ("capture .*--session=imufield-sessions/first", "solve .*imufield-sessions/first", "export .*--to=c"):
+        wait_for(page, "#commands code", f"imufield {words}")
+    page.reload()
+    wait_for(page, "#verdict", "POOR")
+    assert screens.console == []
+
+
+def test_a_dropped_file_is_asked_about_and_solved_without_a_position(program: Program, screens: Screens, address: str) -> None:
+    path = program.folder / "<b>odd.csv"
+    table_of_stills(path)
+    page = screens.open(address)
+    page.get_by_role("link", name="Import a recording").click()
+    page.locator("#files").set_input_files(path)
+    # Its columns are named by nothing that the program knows, and there is no time.
+    wait_for(page, "h2", "What is in the file")
+    for number, name in enumerate(("ax", "ay", "az"), start=1):
+        page.get_by_label(f"meaning of column {number}").select_option(name)
+    page.get_by_label("samples per second").fill(str(RATE_HZ))
+    page.get_by_role("button", name="Import with these").click()
+    page.get_by_role("button", name="Go on to the result").click()
+    page.get_by_label("Latitude").last.fill("45")
+    page.get_by_role("button", name="Compute the result").click()
+    wait_for(page, "#verdict", "GOOD|USABLE")
+    page.get_by_role("button", name="Show the signals").click()
+    page.locator("[data-still]").nth(3).focus()
+    page.keyboard.press("Enter")
+    name = page.locator("[data-still]").nth(3).get_attribute("data-still")
+    assert not page.locator(f'[data-hold="{name}"]').is_checked()
+    page.get_by_role("button", name="Compute again with these").click()
+    page.locator("#verdict").wait_for()
+    wait_for(page, "#commands code", f"--without={re.escape(str(name))}")
+    page.locator(f'.holds label:has([data-hold="{name}"]) rect.left').wait_for()
+    (folder,) = (program.folder / "imufield-sessions").glob("b-odd-*")
+    found = load(folder)
+    assert [position["name"] for position in found.document["position"] if not position["used"]] == [name]
+    assert found.calibration.accelerometer.bias_m_s2 == pytest.approx(BIAS_M_S2, abs=2e-3)
+    assert screens.console == []
+    os.kill(program.started[0].pid, signal.SIGINT)
+    assert program.started[0].wait(60) == 130
