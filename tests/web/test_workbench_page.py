@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 import signal
@@ -43,7 +44,7 @@ def table_of_stills(path: Path) -> None:
     ups = scheme("paper24").directions()
     held, turned = round(STILL_S * RATE_HZ), round(TURN_S * RATE_HZ)
     force = [ups[0]]
-    for before, up in zip(ups, ups[1:], strict=False):
+    for before, up in itertools.pairwise(ups):
         force += [before] * held
         way = before + np.linspace(0, 1, turned)[:, None] * (up - before + np.cross(before, up) + 1e-3)
         force += [*(way / np.linalg.norm(way, axis=1, keepdims=True))]

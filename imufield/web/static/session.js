@@ -153,7 +153,7 @@ export class SessionView {
         { "aria-labelledby": "verdict" },
         make("p", { id: "verdict", class: `verdict ${quality.verdict}` }, quality.verdict.toUpperCase()),
         make("p", {}, { good: "Fit for use.", usable: "Use it, but read the warnings below.", poor: "Do not use it for navigation; the warnings say what to repeat." }[/** @type {string} */ (quality.verdict)]),
-        gained ? make("p", {}, gained.words) : null,
+        gained ? make("p", { class: "gain" }, gained.words) : null,
         make("p", {}, `Accelerometer: ${quality.accelerometer_verdict}; gyroscope: ${quality.gyroscope_verdict ?? "not calibrated"}.`),
         quality.warnings.length ? make("ul", {}, quality.warnings.map((/** @type {string} */ words) => make("li", {}, words))) : null,
       ),
@@ -207,7 +207,7 @@ export class SessionView {
       const samples = readSamples(await answer.text());
       place.replaceChildren(
         make("p", {}, "Accelerometer x (red), y (green), z (blue). Coloured: still intervals; choose one to leave it out or take it back."),
-        drawSignals(samples, holds, this.without, (name) => this.keep(name, this.without.has(name))),
+        make("div", { class: "wide" }, drawSignals(samples, holds, this.without, (name) => this.keep(name, this.without.has(name)))),
       );
     } catch (error) {
       place.replaceChildren(make("p", { class: "failed" }, /** @type {Error} */ (error).message));
