@@ -32,6 +32,7 @@ export class Link {
     this.waitMs = SHORTEST_MS;
     this.timer = 0;
     this.heardMs = 0;
+    this.isOver = false;
     this.open();
     // A phone that slept, or has another network, finds its socket dead at once and not after minutes.
     for (const event of ["online", "pageshow", "focus"]) addEventListener(event, () => this.check());
@@ -53,8 +54,13 @@ export class Link {
       this.onMessage(JSON.parse(event.data));
     };
     socket.onclose = () => {
-      if (socket === this.socket) this.again();
+      if (socket === this.socket && !this.isOver) this.again();
     };
+  }
+
+  /** The program has said its last word: nobody is looked for any more. */
+  stop() {
+    this.isOver = true;
   }
 
   again() {
@@ -66,7 +72,7 @@ export class Link {
   }
 
   check() {
-    if (document.hidden) return;
+    if (document.hidden || this.isOver) return;
     if (!this.socket) {
       if (this.waitMs > SHORTEST_MS) {
         this.waitMs = SHORTEST_MS;
