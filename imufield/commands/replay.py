@@ -2,19 +2,34 @@
 
 from __future__ import annotations
 
+import math
+import shlex
 import time
+from collections.abc import Callable
+from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from imufield.acquire.decode.statistics import combined
-from imufield.acquire.recording.reader import Damage, EndOfRecordingError, RecordingLink
+from imufield.acquire.link.serial import Chunk
+from imufield.acquire.recording.reader import (
+    Damage,
+    EndOfRecordingError,
+    Pacer,
+    PartStart,
+    RecordingLink,
+    read_session,
+)
 from imufield.acquire.recording.session import Session, open_or_newest
 from imufield.commands.options.samples import ReplayOptions
 from imufield.commands.terminal.output import echo, say, say_each
+from imufield.commands.terminal.page import SHOWN_EVERY_S, bind_page, serve_page
 from imufield.deliver.parameters.file import PARAMETER_FILE, load_found
 from imufield.errors import ImufieldError, UsageError
 from imufield.files import Origin
+from imufield.guide.events import Event
+from imufield.guide.positions import scheme
 from imufield.guide.view.plain import JsonLinesView, PlainView
-from imufield.pipeline.chain import Chain, ReadingPlan, replay_into, session_protocol
+from imufield.pipeline.chain import Chain, Items, ReadingPlan, replay_into, session_protocol
 from imufield.pipeline.damage import without_end_under_way
 from imufield.sentences import Sentences
 
@@ -23,6 +38,7 @@ if TYPE_CHECKING:
 
 sentence = Sentences(__package__)
 
+LONGEST_PAUSE_S = 5.0  # A cable that was out longer, or a break, is not waited for on a page.
 WAIT_S = 0.05  # Between two looks for a reader: shorter than a person notices.
 SLOT_S = 0.002  # Between two looks at a full buffer, which holds some ten times as long at 1 Mbit/s.
 LINGER_S = 0.5
@@ -38,8 +54,9 @@ def run_replay(options: ReplayOptions) -> None:
         If the session cannot be read, or the bus not be opened.
     """
     session = open_or_newest(options.session)
-    if options.to_pty and options.bus is not None:
-        raise UsageError(sentence("replay.pty_and_bus"))
+    asked = {"--to-pty": options.to_pty, "--bus": options.bus is not None, "--web": options.web}
+    if sum(asked.values()) > 1:
+        raise UsageError(sentence("replay.one_of", options=[name for name, is_asked in asked.items() if is_asked]))
     if options.bus is not None or options.to_pty:
         _replay_to_others(session, options)
         return
@@ -48,7 +65,10 @@ def run_replay(options: ReplayOptions) -> None:
     goes_on = session.is_being_recorded
     chain = Chain(ReadingPlan.of(session))
     view = JsonLinesView(echo) if options.as_json else PlainView(say, origin_s=chain.origin_s)
-    replay_into(chain, session, damage, view.show)
+    if options.web:
+        _replay_to_page(session, options, chain, view.show, damage)
+    else:
+        replay_into(chain, session, damage, view.show)
     say_each((entry.what for entry in (without_end_under_way(damage, session) if goes_on else damage)), err=True)
     if goes_on:
         say(sentence("replay.goes_on"), err=True)
@@ -56,6 +76,46 @@ def run_replay(options: ReplayOptions) -> None:
     if not options.as_json:
         _tell(chain)
         _tell_left_out(session)
+
+
+def _replay_to_page(
+    session: Session, options: ReplayOptions, chain: Chain, show: Callable[[list[Event]], None], damage: list[Damage]
+) -> None:
+    """Replay at a pace of its own, with a page that shows what a capture's showed; it takes no marks."""
+    if chain.plan.scheme is None:
+        raise UsageError(sentence("replay.no_guide", folder=session.folder))
+    positions = scheme(chain.plan.scheme, Origin.INSIDE)
+    pacer = Pacer(options.speed or None, longest_s=LONGEST_PAUSE_S)
+    with ExitStack() as stack:
+        place = bind_page(stack)
+        page = stack.enter_context(serve_page(place, positions, session, as_json=options.as_json, takes_marks=False))
+        shown_s = -math.inf
+
+        def refresh(*, at_once: bool = False) -> None:
+            nonlocal shown_s
+            now_s = time.monotonic()
+            if chain.guide is not None and (at_once or now_s - shown_s >= SHOWN_EVERY_S):
+                shown_s = now_s
+                page.refresh(chain.guide.snapshot(), samples_lost=sum(part.lost for part in chain.statistics))
+
+        def items() -> Items:
+            for item in read_session(session, damage):
+                refresh()
+                if isinstance(item, PartStart):
+                    pacer.begin_anew()
+                elif isinstance(item, Chunk):
+                    pacer.wait(item.monotonic_s)
+                yield item
+
+        def listen(events: list[Event]) -> None:
+            show(events)
+            page.show(events)
+
+        replay_into(chain, session, damage, listen, items=items())
+        refresh(at_once=True)
+        ended = {"accepted": len(chain.observations()), "planned": len(positions)}
+        command = f"imufield replay --web {shlex.quote(str(session.folder))}"
+        page.end(sentence("replay.ended"), sentence("replay.again", **ended, command=command))
 
 
 def _tell(chain: Chain) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.decoder import Decoder
+from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.protocol import Protocol, parse_protocol
 from imufield.acquire.recording.reader import Damage, PartStart, RecordedBlock, RecordedEvent, read_blocks, read_session
 from imufield.acquire.recording.session import SETTINGS_FILE, Session
@@ -47,6 +48,7 @@ PART_GAP_S = 1.0
 """Least time between the samples of two parts, whatever the clocks of the host say of them."""
 
 SamplesListener = Callable[[Samples], None]
+Items = Iterator[PartStart | Chunk | RecordedEvent]
 
 
 @dataclass(frozen=True, slots=True)
@@ -319,6 +321,7 @@ def replay_into(
     listener: Callable[[list[Event]], None] | None = None,
     *,
     ended: bool = True,
+    items: Items | None = None,
 ) -> None:
     """Run a recorded session through a chain, with the operator's marks at their places.
 
@@ -332,25 +335,31 @@ def replay_into(
         Given the events of each step.
     ended : bool
         Nothing will follow; False where a capture goes on.
+    items : iterator, optional
+        Of ``read_session``, at a pace of its own; by default the session is read as fast as possible.
 
     Raises
     ------
     RecordingError
         If it cannot be read, or has ended without a sample.
     """
-    for events in _replayed(chain, session, damage, ended=ended):
+    for events in _replayed(chain, session, damage, ended=ended, items=items):
         if events and listener is not None:
             listener(events)
 
 
-def _replayed(chain: Chain, session: Session, damage: list[Damage], *, ended: bool = True) -> Iterator[list[Event]]:
+def _replayed(
+    chain: Chain, session: Session, damage: list[Damage], *, ended: bool = True, items: Items | None = None
+) -> Iterator[list[Event]]:
     """Yield the events of each step of a replay; raises as ``replay_into``."""
-    for item in read_blocks(session, damage):
+    for item in items or read_blocks(session, damage):
         if isinstance(item, PartStart):
             events = chain.start_part(recorded_protocol(item.metadata, session))
             chain.notes += _edited_settings(item, session)
         elif isinstance(item, RecordedEvent):
             events = _say_again(chain, item.event)
+        elif isinstance(item, Chunk):
+            events = chain.feed(item.data, item.monotonic_s, item.utc_ns)
         else:
             events = chain.feed_block(item)
         yield events

@@ -24,7 +24,7 @@ LOOPBACK = "127.0.0.1"
 _FAR = ((socket.AF_INET, "192.0.2.1"), (socket.AF_INET6, "2001:db8::1"))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Place:
     """A bound socket and the names it answers to.
 
@@ -43,6 +43,8 @@ class Place:
     url: str
     hosts: frozenset[str]
     others: tuple[str, ...] = ()
+    is_in_network: bool = False
+    """Whether others than this machine reach it."""
 
 
 def lan_addresses() -> list[str]:
@@ -95,7 +97,13 @@ def open_place(lan: str | None, port: int | None) -> Place:
     bound = listening.getsockname()[1]
     shown = f"[{address}]" if ":" in address else address
     names = {shown, *(("localhost",) if lan is None else ())}
-    return Place(listening, f"http://{shown}:{bound}/", frozenset(f"{name.lower()}:{bound}" for name in names), tuple(others))
+    return Place(
+        listening=listening,
+        url=f"http://{shown}:{bound}/",
+        hosts=frozenset(f"{name.lower()}:{bound}" for name in names),
+        others=tuple(others),
+        is_in_network=lan is not None,
+    )
 
 
 def _bind(address: str, port: int | None) -> socket.socket:

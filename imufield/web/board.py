@@ -28,9 +28,9 @@ class Board:
     def __init__(self, head: Json, *, trace_blocks: int, log_lines: int) -> None:
         self._head = head
         self._changed = threading.Condition()
-        self._version = 0
+        self._version = -1  # Nothing to show yet: a page that comes waits for the first state.
         self._state: Json = {}
-        self._map: tuple[int, Json] = (0, {})
+        self._map: tuple[int, Json] = (-1, {})
         self._trace: deque[tuple[int, object]] = deque(maxlen=trace_blocks)
         self._log: deque[tuple[int, object]] = deque(maxlen=log_lines)
         self._encoded: tuple[tuple[int, int], str] = ((-1, -1), "")

@@ -27,7 +27,7 @@ from websockets.sync.server import ServerConnection, serve
 from websockets.typing import Subprotocol
 
 from imufield.web.access import PROTOCOL, Access, Role
-from imufield.web.board import Board
+from imufield.web.board import Board, Json
 
 SOCKET = "/socket"
 INDEX = "index.html"
@@ -107,6 +107,7 @@ class PageServer:
         self._pages: set[ServerConnection] = set()
         self._lock = threading.Lock()
         self._ends = False
+        self._ended: Json | None = None
         self._server = serve(
             self._serve_page,
             sock=listening,
@@ -141,6 +142,10 @@ class PageServer:
                     connection.socket.shutdown(socket.SHUT_RDWR)
         self._server.shutdown()
         self._thread.join()
+
+    def end(self, words: Json) -> None:
+        """Keep the words that each page is told last, when all ends: what there is and what comes next."""
+        self._ended = words
 
     @property
     def pages(self) -> int:
@@ -194,13 +199,18 @@ class PageServer:
     def _follow(self, page: _Page) -> None:
         """Send what is new and take marks, until the page goes or all ends."""
         page.connection.send(json.dumps({"role": page.role.value}))
-        while not self._ends:
-            page.seen, message = self._board.wait(page.seen, EVERY_S)
+        ends = False
+        while not ends:
+            # Asked before the board: what was put there before the end is sent.
+            ends = self._ends
+            page.seen, message = self._board.wait(page.seen, 0.0 if ends else EVERY_S)
             if message is not None:
                 page.connection.send(message)
             with suppress(TimeoutError):
                 while self._take(page, page.connection.recv(timeout=0)):
                     pass
+        if self._ended is not None:
+            page.connection.send(json.dumps({"ended": self._ended}))
 
     def _take(self, page: _Page, message: str | bytes) -> bool:
         """Take a mark; a page that says more than a person could is cut off."""

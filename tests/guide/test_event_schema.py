@@ -24,12 +24,12 @@ DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 
 def build_schema() -> dict[str, Any]:
-    """Return the schema of one line of ``capture --json`` after the first, which names the session."""
+    """Return the schema of one line of ``capture --json``."""
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "imufield guide event",
         "description": "One line of JSON for each event. Within one version keys are only added; null means not known.",
-        "oneOf": [_session(), *(_schema_of(event) for event in EVENTS.values())],
+        "oneOf": [_session(), _page(), *(_schema_of(event) for event in EVENTS.values())],
     }
 
 
@@ -40,6 +40,10 @@ def read_schema() -> Any:
 
 def _session() -> dict[str, Any]:
     return _object("session", {"session": {"type": "string"}})
+
+
+def _page() -> dict[str, Any]:
+    return _object("page", {"url": {"type": "string"}, "watch_url": {"type": "string"}})
 
 
 def _schema_of(event: type[Event]) -> dict[str, Any]:

@@ -228,8 +228,9 @@ class ReplayOptions:
         int | None, option("--baud", help="Bit rate, for CAN adapters that set it when opened.", within=BAUD_RANGE)
     ] = None
     speed: Annotated[
-        float, option(help="Speed of --to-pty and --bus relative to real time; 0 is as fast as possible.", low=0)
+        float, option(help="Speed of --web, --to-pty and --bus relative to real time; 0 is as fast as possible.", low=0)
     ] = 1.0
+    web: Annotated[bool, option("--web", help="Show it in a browser on this machine, at --speed.")] = False
     as_json: EventsAsJson = False
 
 

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,6 +25,7 @@ from imufield.acquire.recording.session import Session, create_session
 from imufield.acquire.recording.session_record import GuideRecord
 from imufield.commands.options.samples import CaptureOptions, ViewName
 from imufield.commands.terminal.output import echo, say
+from imufield.commands.terminal.page import SHOWN_EVERY_S, serve_page
 from imufield.commands.terminal.views import View, make_view
 from imufield.deliver.parameters.file import load
 from imufield.deliver.parameters.numbers import beside
@@ -85,6 +87,11 @@ class Captured:
     """About the samples."""
     summary: tuple[str, ...] = ()
     """What the screen showed last, which is gone with it: how well all is known, drift, common scale."""
+
+    @property
+    def can_be_solved(self) -> bool:
+        """Whether nothing is left to measure, and enough was."""
+        return self.finished and self.accepted >= min(FEWEST_POSITIONS, self.planned)
 
 
 def guide_record(options: CaptureOptions) -> GuideRecord:
@@ -180,9 +187,8 @@ def guided_session(
             positions = scheme(chain.plan.scheme or DEFAULT_SCHEME)
             page = None
             if place is not None:
-                from imufield.commands.terminal.page import serve_page
-
-                page = stack.enter_context(serve_page(place, positions, session, connected.model, options))
+                as_json = options.view == "json"
+                page = stack.enter_context(serve_page(place, positions, session, cable=options.cable, as_json=as_json))
             view = stack.enter_context(make_view(options, session.folder, positions, chain.origin_s))
             view.page = page
             loop = CaptureLoop(
@@ -194,7 +200,11 @@ def guided_session(
                 clock=clock,
                 check=check,
             )
-            captured = loop.run()
+            try:
+                captured = loop.run()
+            finally:
+                if page is not None:
+                    page.end(*_closing_words(loop.captured(), clock))
     except (KeyboardInterrupt, ImufieldError):
         if loop is not None:
             farewell(loop.captured(), options.view, clock)
@@ -218,7 +228,7 @@ class CaptureLoop:
     def __post_init__(self) -> None:
         self.chain, self.recorder = self.intake.chain, self.intake.recorder
         self._last_byte_s = self.clock.monotonic_s()
-        self._last_refresh_s = float("-inf")
+        self._last_refresh_s = self._last_shown_s = float("-inf")
         self._link = PatientLink(self.connected.link, self.clock, self.connected.ask_again)
         self._finish_until_s = float("-inf")  # Until then the key that finishes is believed.
         self._advice: dict[Topic, Advice] = {}  # The newest of those that are for the end.
@@ -302,13 +312,15 @@ class CaptureLoop:
         self._last_byte_s = self.clock.monotonic_s()
 
     def _follow_keys(self) -> bool:
-        page = self.view.page
-        for key in _SEQUENCE.sub("", self.keyboard.read()) + ("" if page is None else page.read()):
+        keys, page = _SEQUENCE.sub("", self.keyboard.read()), self.view.page
+        if page is not None:
+            if keys and page.notice and QUIT not in keys:
+                keys = page.notice = ""
+            keys += page.read()
+        for key in keys:
             if key == QUIT:
                 return True
-            if page is not None and page.notice:
-                page.notice = ""
-            elif key == BIG:
+            if key == BIG:
                 self.view.toggle_big()
             elif key == HELP:
                 self.view.tell(sentence("guided.keys"))
@@ -345,14 +357,21 @@ class CaptureLoop:
 
     def _refresh(self, *, at_once: bool = False) -> None:
         # The time of a person is real: with an emulated instrument that runs fast all of it would go into pictures.
-        now_s = time.monotonic()
-        if (now_s - self._last_refresh_s < REFRESH_EVERY_S and not at_once) or self.chain.guide is None:
+        now_s, page = time.monotonic(), self.view.page
+        draws = now_s - self._last_refresh_s >= REFRESH_EVERY_S or at_once
+        shows = page is not None and (draws or (page.is_looked_at and now_s - self._last_shown_s >= SHOWN_EVERY_S))
+        if not (draws or shows) or self.chain.guide is None:
             return
-        self._last_refresh_s = now_s
+        snapshot = cache(self.chain.guide.snapshot)
         silence_s = self.clock.monotonic_s() - self._last_byte_s
         silent = self._link.lost is None and silence_s > patience_s(self.clock, SILENCE_S)
         lost = sum(part.lost for part in self.chain.statistics)
-        self.view.refresh(self.chain.guide.snapshot, self.connected.link.name, silent=silent, samples_lost=lost)
+        if page is not None and shows:
+            self._last_shown_s = now_s
+            page.refresh(snapshot(), silent=silent, samples_lost=lost)
+        if draws:
+            self._last_refresh_s = now_s
+            self.view.refresh(snapshot, self.connected.link.name, silent=silent, samples_lost=lost)
 
 
 def farewell(captured: Captured, view: ViewName, clock: HostClock) -> None:
@@ -365,11 +384,27 @@ def farewell(captured: Captured, view: ViewName, clock: HostClock) -> None:
         say(line)
     for line in captured.remarks:
         say(line)
-    if captured.finished and captured.accepted >= min(FEWEST_POSITIONS, captured.planned):
-        echo(beside(f"{captured.accepted} of {captured.planned} positions measured, session", folder))
-        echo(beside("next: ", f"imufield solve {shlex.quote(str(folder))}"))
-    else:
-        echo(beside(f"{captured.accepted} of {captured.planned} positions measured so far, all on disk in", folder))
-        # An emulated instrument that runs faster than real must be read as fast again.
-        speed = f"IMUFIELD_CLOCK_SPEED={clock.speed:g} " if isinstance(clock, ScaledClock) else ""
-        echo(beside("go on:", f"{speed}imufield capture --resume --session {shlex.quote(str(folder))}"))
+    measured = f"{captured.accepted} of {captured.planned} positions measured"
+    echo(beside(f"{measured}, session" if captured.can_be_solved else f"{measured} so far, all on disk in", folder))
+    echo(beside("next: " if captured.can_be_solved else "go on:", _next_command(captured, clock)))
+
+
+def _next_command(captured: Captured, clock: HostClock) -> str:
+    """Return what to type next, as it can be pasted."""
+    folder = shlex.quote(str(captured.session.folder))
+    if captured.can_be_solved:
+        return f"imufield solve {folder}"
+    # An emulated instrument that runs faster than real must be read as fast again.
+    speed = f"IMUFIELD_CLOCK_SPEED={clock.speed:g} " if isinstance(clock, ScaledClock) else ""
+    return f"{speed}imufield capture --resume --session {folder}"
+
+
+def _closing_words(captured: Captured, clock: HostClock) -> tuple[str, str]:
+    """Return the last headline of the page, and what there is and comes next: at the computer, where keys are."""
+    details = sentence(
+        "guided.solve_next" if captured.can_be_solved else "guided.go_on",
+        accepted=captured.accepted,
+        planned=captured.planned,
+        command=_next_command(captured, clock),
+    )
+    return sentence("guided.ended" if captured.can_be_solved else "guided.stopped"), details

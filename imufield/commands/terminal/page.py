@@ -1,7 +1,8 @@
-"""The page of a capture: where it is served, what the terminal says of it, and its marks as keys."""
+"""The page of a capture or a replay: where it is served, what the terminal says of it, and its marks as keys."""
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 import webbrowser
@@ -11,8 +12,9 @@ from typing import TYPE_CHECKING
 
 from imufield.acquire.recording.session import Session
 from imufield.commands.options.samples import CaptureOptions
-from imufield.commands.terminal.output import say
+from imufield.commands.terminal.output import echo, say
 from imufield.errors import Reason, UsageError
+from imufield.guide.events import EVENT_VERSION
 from imufield.guide.lead.guide import Snapshot
 from imufield.guide.positions import Scheme
 from imufield.sentences import Sentences
@@ -24,24 +26,38 @@ if TYPE_CHECKING:
 
 sentence = Sentences(__package__)
 
+SHOWN_EVERY_S = 0.05
+"""On a page that looks: its box follows each state within two frames, so that a turn is seen while it is made."""
+
 
 def open_page(options: CaptureOptions, stack: ExitStack) -> Place | None:
-    """Bind the socket of the page before anything else begins; None where no page is wanted.
+    """Bind the socket of a capture's page before anything else begins; None where no page is wanted.
+
+    Raises
+    ------
+    UsageError
+        As ``bind_page``, or a port is given for no page.
+    """
+    if not options.web and options.web_lan is None:
+        if options.web_port is not None:
+            raise UsageError(sentence("page.port_alone"))
+        return None
+    return bind_page(stack, options.web_lan, options.web_port)
+
+
+def bind_page(stack: ExitStack, lan: str | None = None, port: int | None = None) -> Place:
+    """Bind the socket of a page; address and port as ``open_place`` takes them.
 
     Raises
     ------
     UsageError
         If the packages are missing, or the address or port cannot be had.
     """
-    if not options.web and options.web_lan is None:
-        if options.web_port is not None:
-            raise UsageError(sentence("page.port_alone"))
-        return None
     try:
         from imufield.web.address import open_place
     except ImportError as error:
         raise UsageError(sentence("page.missing", package=error.name), Reason.MISSING_PACKAGE) from error
-    place = open_place(options.web_lan, options.web_port)
+    place = open_place(lan, port)
     stack.callback(place.listening.close)
     return place
 
@@ -57,42 +73,62 @@ class ServedPage:
     """
 
     def __init__(self, page: GuidePage, server: PageServer, notice: str) -> None:
-        self.show, self.tell = page.show, page.tell
+        self.show, self.tell, self.read = page.show, page.tell, page.read
         self.notice = notice
         self._page, self._server = page, server
 
-    def refresh(self, snapshot: Snapshot, *, silent: bool, samples_lost: int) -> None:
+    def refresh(self, snapshot: Snapshot, *, silent: bool = False, samples_lost: int) -> None:
         """Show the state between events."""
-        if self._server.pages:
+        if self.is_looked_at:
             self.notice = ""
         self._page.refresh(snapshot, silent=silent, samples_lost=samples_lost)
 
-    def read(self) -> str:
-        """Return the keys that pages have sent since the last call."""
-        return self._page.read()
+    @property
+    def is_looked_at(self) -> bool:
+        """Whether a page looks at the moment."""
+        return self._server.pages > 0
+
+    def end(self, headline: str, details: str) -> None:
+        """Tell the pages, as the last thing, how all has ended and what comes next."""
+        self._server.end({"headline": headline, "details": details})
 
 
 @contextmanager
 def serve_page(
-    place: Place, positions: Scheme, session: Session, instrument: str, options: CaptureOptions
+    place: Place,
+    positions: Scheme,
+    session: Session,
+    *,
+    cable: str | None = None,
+    as_json: bool = False,
+    takes_marks: bool = True,
 ) -> Iterator[ServedPage]:
-    """Serve the page while entered; say where it is, and open it where there is a browser."""
+    """Serve the page while entered; say where it is, and open it where there is a browser.
+
+    A program that reads JSON gets the addresses as a line of it, and opens the page itself.
+    """
     from imufield.web.access import Access
     from imufield.web.address import qr_code
     from imufield.web.guide_page import GuidePage
     from imufield.web.server import PageServer
 
     access = Access(place.hosts)
-    page = GuidePage(positions, session=session.name, instrument=instrument, cable=options.cable)
-    url = f"{place.url}#token={access.mark}"
-    lines = [sentence("page.at", url=url), sentence("page.watching", url=f"{place.url}#token={access.watch}")]
+    page = GuidePage(positions, session=session.name, instrument=session.record.model, cable=cable)
+    watch_url = f"{place.url}#token={access.watch}"
+    url = f"{place.url}#token={access.mark}" if takes_marks else watch_url
+    lines = [sentence("page.at", url=url)]
+    if takes_marks:
+        lines.append(sentence("page.watching", url=watch_url))
     if place.others:
         lines.append(sentence("page.others", others=list(place.others)))
     with PageServer(place.listening, access, page.board, page.mark) as server:
-        for line in lines:
-            say(line, err=True)
-        notice = "" if options.web_lan is None else "\n".join([*lines, sentence("page.any_key"), "", qr_code(url)])
-        # Without a display the module falls back to browsers of the terminal, which has something else to show.
-        if options.web_lan is None and (sys.platform != "linux" or {"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys()):
-            webbrowser.open(url)
+        if as_json:
+            echo(json.dumps({"version": EVENT_VERSION, "event": "page", "url": url, "watch_url": watch_url}))
+        else:
+            for line in lines:
+                say(line, err=True)
+            # Without a display the module falls back to browsers of the terminal, which has something else to show.
+            if not place.is_in_network and (sys.platform != "linux" or {"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys()):
+                webbrowser.open(url)
+        notice = "\n".join([*lines, sentence("page.any_key"), "", qr_code(url)]) if place.is_in_network else ""
         yield ServedPage(page, server, notice)

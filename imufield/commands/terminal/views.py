@@ -6,7 +6,6 @@ import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -54,9 +53,6 @@ class View:
 
     def refresh(self, snapshot: Callable[[], Snapshot], port: str, *, silent: bool, samples_lost: int) -> None:
         """Draw the state between events, asked for only then; lines draw nothing, but say when the wire falls silent."""
-        if self.page is not None:
-            snapshot = cache(snapshot)
-            self.page.refresh(snapshot(), silent=silent, samples_lost=samples_lost)
         if self._pictures is not None:
             events, self._events = self._events, []
             self._pictures.notice = "" if self.page is None else self.page.notice

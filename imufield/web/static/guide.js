@@ -146,7 +146,8 @@ function showWords() {
   number.textContent = state.fraction === null ? `${Math.round(state.angle_deg)}°` : `${Math.ceil(state.remaining_s ?? 0)} s`;
   done.style.strokeDasharray = `${ROUND * (share ?? 0)} ${ROUND}`;
   at("ring").classList.toggle("shown", share !== null);
-  write("count", text("count", state));
+  write("done", String(state.done));
+  write("planned", String(state.planned));
   const parts = [];
   if (state.rate_hz !== null) parts.push(text("rate", { rate: Math.round(state.rate_hz) }));
   parts.push(state.samples_lost ? text("samples_lost", { count: state.samples_lost }) : text("none_lost"));
@@ -217,9 +218,9 @@ function showPositions(places) {
 
 /** @param {{headline: string, details: string}} last */
 function end(last) {
-  link.stop();
+  link.end();
   document.body.classList.remove("away");
-  document.body.dataset.mood = "green";
+  document.body.dataset.mood = "plain";
   document.body.dataset.state = "ended";
   write("headline", last.headline);
   write("side", "");

@@ -32,7 +32,7 @@ export class Link {
     this.waitMs = SHORTEST_MS;
     this.timer = 0;
     this.heardMs = 0;
-    this.isOver = false;
+    this.ended = false;
     this.open();
     // A phone that slept, or has another network, finds its socket dead at once and not after minutes.
     for (const event of ["online", "pageshow", "focus"]) addEventListener(event, () => this.check());
@@ -54,17 +54,13 @@ export class Link {
       this.onMessage(JSON.parse(event.data));
     };
     socket.onclose = () => {
-      if (socket === this.socket && !this.isOver) this.again();
+      if (socket === this.socket) this.again();
     };
-  }
-
-  /** The program has said its last word: nobody is looked for any more. */
-  stop() {
-    this.isOver = true;
   }
 
   again() {
     this.socket = null;
+    if (this.ended) return;
     this.onChange(false);
     this.waitMs = Math.min(Math.max(2 * this.waitMs, SHORTEST_MS), LONGEST_MS);
     clearTimeout(this.timer);
@@ -72,7 +68,7 @@ export class Link {
   }
 
   check() {
-    if (document.hidden || this.isOver) return;
+    if (document.hidden || this.ended) return;
     if (!this.socket) {
       if (this.waitMs > SHORTEST_MS) {
         this.waitMs = SHORTEST_MS;
@@ -83,6 +79,11 @@ export class Link {
       this.again();
       old.close();
     }
+  }
+
+  /** The program has said its last words: nothing is tried any more. */
+  end() {
+    this.ended = true;
   }
 
   /** @param {string} key */

@@ -1,0 +1,113 @@
+"""A whole session from the page in a real browser, with a cable out, a reload and other pages beside it."""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import TYPE_CHECKING
+
+import pytest
+
+from tests.web.page_session import POSITIONS, PageSession
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+    from tests.commands.conftest import Program
+    from tests.web.browser import Screens
+
+pytest.importorskip("websockets", reason="the page needs websockets")
+
+
+def tap(page: Page, key: str) -> None:
+    page.locator(f"#marks [data-key={key}]").click()
+
+
+def wait_for_words(page: Page, place: str, words: str) -> None:
+    page.locator(place, has_text=re.compile(words)).first.wait_for()
+
+
+def residuals(page: Page) -> dict[str, str]:
+    """Return the list of positions as a person reads it; which is the next one changes while it is read."""
+    return {
+        row.locator(".name").inner_text(): row.locator(".residual").inner_text() for row in page.locator("#positions li").all()
+    }
+
+
+def oldest(page: Page, count: int) -> list[str]:
+    """Return the first lines of the log, which stand last; new ones come while it is read."""
+    return page.locator("#log li").all_inner_texts()[::-1][:count]
+
+
+def marked(session: PageSession, page: Page, key: str, action: str) -> str:
+    """Tap a mark and return the position that the program has marked."""
+    before = len(session.told)
+    tap(page, key)
+    event = session.wait_for(lambda told: told["event"] == "marked" and told["action"] == action, after=before)
+    # What the terminal is told stands on the page, too.
+    page.locator("#log li", has_text=event["words"]).first.wait_for()
+    return str(event["position"])
+
+
+# The browser, six programs and four minutes of samples take ten seconds of processor time: once, for all that a page does.
+def test_a_whole_session_from_the_page(program: Program, screens: Screens) -> None:
+    session = PageSession.begin(program)
+    page, watching = screens.open(session.url), screens.open(session.watch_url)
+    assert "token" not in page.url
+    wait_for_words(page, "#done", "^[2-9]$")
+    skipped = marked(session, page, "s", "skip")
+    page.locator("#positions .skipped", has_text=skipped).wait_for()
+    assert marked(session, page, "u", "undo") == skipped
+    page.locator("#positions .skipped").wait_for(state="detached")
+    retaken = marked(session, page, "r", "retake")
+    tap(page, "p")
+    wait_for_words(page, "#headline", "PAUSED")
+    wait_for_words(watching, "#headline", "PAUSED")
+    # Whoever may only watch finds no marks, and keys do nothing.
+    assert not watching.locator("#marks").is_visible()
+    watching.keyboard.press("s")
+    watching.keyboard.press("p")
+    before = session.told[-1]
+    page.reload()
+    wait_for_words(page, "#headline", "PAUSED")
+    page.locator("#log li", has_text=retaken).first.wait_for()
+    assert session.told[-1] == before
+    tap(page, "p")
+    wait_for_words(page, "#headline", "TURN|HOLD")
+    session.unplug()
+    wait_for_words(page, "#headline", "NO LINK")
+    session.plug_in()
+    page.locator("#log li.link_back").wait_for()
+    second = screens.open(session.url)
+    for each in (page, second, watching):
+        wait_for_words(each, "#done", "^24$")
+    found = residuals(page)
+    assert found == residuals(second) == residuals(watching)
+    assert sorted(found) == sorted(POSITIONS)
+    assert all(found.values())
+    assert oldest(page, 30) == oldest(second, 30) == oldest(watching, 30)
+    assert len(oldest(page, 30)) == 30
+    # The end needs a second tap, as the first says; any page may make it.
+    marked(session, second, "f", "finish")
+    assert session.process.poll() is None
+    tap(second, "f")
+    for each in (page, second, watching):
+        wait_for_words(each, "#headline", "FINISHED")
+        wait_for_words(each, "#details", "24 of 24 .* imufield solve")
+    assert session.process.wait(300) == 0, session.process.communicate()[1]
+    assert screens.console == []
+
+    # The recording alone gives the same session again, without a page.
+    recorded = session.recorded
+    marks = [event["action"] for event in recorded if event["event"] == "mark"]
+    assert marks == ["skip", "undo", "retake", "pause", "pause", "finish"]
+    replayed = program.run("replay", session.session.folder, "--json")
+    again = [json.loads(line) for line in replayed.stdout.splitlines()]
+    assert again == [event for event in recorded if event["event"] not in ("mark", "unplugged")]
+    measured = [event["position"] for event in again if event["event"] == "accepted"]
+    assert sorted(set(measured)) == sorted(POSITIONS)
+    assert measured.count(retaken) == 2
+    assert session.session.finished
+    solved = program.run("solve", session.session.folder, "--json")
+    assert solved.returncode == 0, solved.stderr
+    assert sorted(position["name"] for position in json.loads(solved.stdout)["position"]) == sorted(POSITIONS)
