@@ -10,7 +10,7 @@ from queue import Empty, SimpleQueue
 
 import numpy as np
 
-from imufield.guide.events import Accepted, Event
+from imufield.guide.events import Event
 from imufield.guide.lead.guide import Snapshot
 from imufield.guide.lead.state_table import State
 from imufield.guide.positions import Scheme
@@ -44,7 +44,6 @@ class GuidePage:
         self._screen = Screen()
         self._scheme = scheme
         self._marks: SimpleQueue[str] = SimpleQueue()
-        self._accepted: dict[str, Json] = {}
         self._forecasts: dict[int, list[float | None]] = {}
         self._log: list[object] = []
         self._trace_until_s = -math.inf
@@ -88,12 +87,6 @@ class GuidePage:
             self._screen.follow([event])
             if self._screen.messages and self._screen.messages[-1] is not newest:
                 self._log.append({"text": self._screen.messages[-1], "kind": event.kind, "time_s": round(event.time_s, 1)})
-            if isinstance(event, Accepted):
-                off_m_s2 = event.leave_one_out_m_s2
-                self._accepted[event.position] = {
-                    "residual_m_s2": None if off_m_s2 is None else _number(off_m_s2),
-                    "sigma_m_s2": _number(event.sigma_m_s2),
-                }
 
     def refresh(self, snapshot: Snapshot, *, silent: bool, samples_lost: int) -> None:
         """Show the state between events."""
@@ -128,7 +121,9 @@ class GuidePage:
         if forecast is not None:
             self._forecasts[len(snapshot.accepted)] = [_number(forecast.get(name, math.nan)) for name in _FORECAST]
         positions: Json = {
-            "accepted": {name: self._accepted.get(name, {}) for name in snapshot.accepted},
+            "accepted": {
+                name: {"residual_m_s2": _number(snapshot.residuals.get(name, math.nan))} for name in snapshot.accepted
+            },
             "suspects": list(snapshot.suspects),
             "skipped": list(snapshot.skipped),
             "again": list(snapshot.again),
