@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from imufield.guide.events import Event, Move, RefusalCode
+from imufield.guide.events import Event, Move
 from imufield.guide.lead.guide import Guide, Snapshot
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.lead.state_table import State
