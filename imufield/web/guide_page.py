@@ -10,12 +10,12 @@ from queue import Empty, SimpleQueue
 
 import numpy as np
 
-from imufield.guide.events import Accepted, Event
+from imufield.guide.events import Event
 from imufield.guide.lead.guide import Snapshot
 from imufield.guide.lead.state_table import State
 from imufield.guide.positions import Scheme
 from imufield.guide.view.plain import known_words
-from imufield.guide.view.screen import Screen, instruct
+from imufield.guide.view.screen import Screen, instruct, stillness_words
 from imufield.web.board import Board, Json
 
 LOG_LINES = 200
@@ -44,7 +44,7 @@ class GuidePage:
         self._screen = Screen()
         self._scheme = scheme
         self._marks: SimpleQueue[str] = SimpleQueue()
-        self._accepted: dict[str, Json] = {}
+        self._forecasts: dict[int, list[float | None]] = {}
         self._log: list[object] = []
         self._trace_until_s = -math.inf
         positions = [
@@ -87,12 +87,6 @@ class GuidePage:
             self._screen.follow([event])
             if self._screen.messages and self._screen.messages[-1] is not newest:
                 self._log.append({"text": self._screen.messages[-1], "kind": event.kind, "time_s": round(event.time_s, 1)})
-            if isinstance(event, Accepted):
-                off_m_s2 = event.leave_one_out_m_s2
-                self._accepted[event.position] = {
-                    "residual_m_s2": None if off_m_s2 is None else _number(off_m_s2),
-                    "sigma_m_s2": _number(event.sigma_m_s2),
-                }
 
     def refresh(self, snapshot: Snapshot, *, silent: bool, samples_lost: int) -> None:
         """Show the state between events."""
@@ -113,9 +107,7 @@ class GuidePage:
             "angle_deg": _number(screen.angle_deg) if snapshot.state is State.TURNING else None,
             "up": None if snapshot.direction is None else _rounded(snapshot.direction),
             "target_up": None if snapshot.target_direction is None else _rounded(snapshot.target_direction),
-            "stillness": None
-            if activity is None
-            else {"ratio": _number(activity.ratio), "motion": activity.motion, "axis": activity.axis},
+            "stillness": None if activity is None else {"ratio": _number(activity.ratio), "words": stillness_words(activity)},
             "temperature_degc": _number(snapshot.temperature_degc),
             "rate_hz": _number(snapshot.rate_hz),
             "known": None if forecast is None else {name: known_words(forecast, name) for name in _FORECAST},
@@ -124,16 +116,24 @@ class GuidePage:
             "link": "lost" if not screen.link else "silent" if silent else "there",
             "samples_lost": samples_lost,
         }
+        # Of what was undone the page knows nothing.
+        self._forecasts = {done: values for done, values in self._forecasts.items() if done < len(snapshot.accepted)}
+        if forecast is not None:
+            self._forecasts[len(snapshot.accepted)] = [_number(forecast.get(name, math.nan)) for name in _FORECAST]
         positions: Json = {
-            "accepted": {name: self._accepted.get(name, {}) for name in snapshot.accepted},
+            "accepted": {
+                name: {"residual_m_s2": _number(snapshot.residuals.get(name, math.nan))} for name in snapshot.accepted
+            },
             "suspects": list(snapshot.suspects),
             "skipped": list(snapshot.skipped),
+            "again": list(snapshot.again),
+            "forecasts": [[done, *values] for done, values in self._forecasts.items()],
         }
         log, self._log = self._log, []
         self.board.put(state, positions=positions, trace=self._new_blocks(snapshot), log=log)
 
     def _new_blocks(self, snapshot: Snapshot) -> list[object]:
-        """Return the blocks of the signals that no page has had: time, then six means."""
+        """Return the blocks of the signals that no page has had: time, six means, and the temperature as it is now."""
         signals = snapshot.signals
         if signals is None:
             return []
@@ -143,7 +143,7 @@ class GuidePage:
         self._trace_until_s = float(time_s[-1])
         new = time_s > since_s + 1e-6
         return [
-            [round(float(at_s), 2), *(_number(value) for value in row)]
+            [round(float(at_s), 2), *(_number(value) for value in (*row, snapshot.temperature_degc))]
             for at_s, row in zip(time_s[new], signals.mean[new], strict=True)
         ]
 

@@ -18,7 +18,7 @@ PROGRAMS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-c
 # A sandbox needs rights that a container lacks; updates and the like would take processor time and go to the network.
 ARGUMENTS = ("--no-sandbox", "--disable-background-networking", "--disable-component-update", "--disable-dev-shm-usage")
 PHONE = {"width": 390, "height": 844}
-WAIT_MS = 300_000.0  # Only a page that hangs takes so long, however busy the machine.
+WAIT_MS = 120_000.0  # Only a page that hangs takes so long, however busy the machine.
 
 
 @dataclass

@@ -58,6 +58,8 @@ class Snapshot:
         Where up is in the body now, unit vector, None before the first sample or in free fall; and where it should be.
     forecast : dict or None
         1 sigma of the parameters now, see ``Accepted``; None until there are four positions.
+    residuals : dict
+        Of the measured positions by the fit to all of them, m/s^2; empty until there are four.
     signals : Signals or None
         The live feed; None before the first.
     """
@@ -79,6 +81,7 @@ class Snapshot:
     target_direction: Vector | None
     in_hand: bool
     forecast: dict[str, float] | None
+    residuals: dict[str, float]
     signals: Signals | None
 
 
@@ -198,7 +201,7 @@ class Guide:
     def snapshot(self) -> Snapshot:
         """Return the state for a live view."""
         plan, hold, judgement, up = self.plan, self._actions.hold, self._actions.judgement, self._feed.up(self.detector.scale)
-        target = plan.proposed() if self._actions.announced else None
+        target, fit = plan.proposed() if self._actions.announced else None, self.adviser.fit
         rate_hz = temperature_degc = math.nan
         recent = self._feed.newest(_RECENT_CELLS)
         if recent is not None:
@@ -223,7 +226,8 @@ class Guide:
             direction=vector(up) if np.isfinite(up).all() else None,
             target_direction=None if target is None else vector(plan.position(target).direction),
             in_hand=self.detector.in_hand,
-            forecast=None if self.adviser.fit is None else self.adviser.fit.forecast(),
+            forecast=None if fit is None else fit.forecast(),
+            residuals={} if fit is None else dict(zip(fit.names, fit.residual_m_s2.tolist(), strict=True)),
             signals=self._feed.signals(self.detector.scale),
         )
 
