@@ -15,6 +15,7 @@ import pytest
 from imufield.deliver.parameters.file import load
 from imufield.guide.positions import scheme
 from tests.commands.conftest import SPEED, Program
+from tests.web.test_page_looks import AXE, RUN_AXE, SIZES
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -52,6 +53,36 @@ def table_of_stills(path: Path) -> None:
     values = 9.80665 * np.array(force) * SCALE + BIAS_M_S2 + rng.normal(0, SIGMA_M_S2, (len(force), 3))
     rows = "\n".join(",".join(f"{value:.5f}" for value in row) for row in values)
     path.write_text(f"first,second,third\n{rows}\n")
+
+
+PARTS = {"#history": "#instruments h3", "#sessions": "#list a", "#import": "#drop", "#calibrate": "#start"}
+# A table scrolls in its own frame.
+WIDER = """() => [...document.querySelectorAll("body *")]
+    .filter((element) => !element.closest(".wide > *") && element.checkVisibility())
+    .filter((element) => element.getBoundingClientRect().right > innerWidth + 1)
+    .map((element) => element.id || element.tagName)"""
+
+
+def assert_it_is_for_everybody(page: Page) -> None:
+    """Look at each part on each screen: nothing sticks out, and axe-core finds no barrier."""
+    if AXE.exists():
+        page.evaluate(AXE.read_text(encoding="utf-8"))
+    assert barriers(page) == []
+    for part, shown in PARTS.items():
+        page.locator(f'header a[href="{part}"]').click()
+        page.locator(shown).first.wait_for()
+        assert barriers(page) == [], part
+
+
+def barriers(page: Page) -> list[str]:
+    found = []
+    for width, height in SIZES:
+        page.set_viewport_size({"width": width, "height": height})
+        found += [f"{width}: {what}" for what in page.evaluate(WIDER)]
+    for colours in ("light", "dark") if AXE.exists() else ():
+        page.emulate_media(color_scheme=colours)  # type: ignore[arg-type]
+        found += page.evaluate(RUN_AXE)
+    return found
 
 
 def wait_for(page: Page, place: str, words: str) -> None:
@@ -93,6 +124,7 @@ def test_from_an_empty_folder_to_the_files(program: Program, screens: Screens, a
         wait_for(page, "#commands code", f"imufield {words}")
     page.reload()
     wait_for(page, "#verdict", "POOR")
+    assert_it_is_for_everybody(page)
     assert screens.console == []
 
 

@@ -1,6 +1,7 @@
 // What the page knows: the commands that were started, what they said, and how to ask for more.
 
 import { Link } from "./link.js";
+import { text } from "./texts.js";
 
 const PIECE = 400000; // Bytes of a file in one message; the program takes half a mebibyte.
 const ID = 16;
@@ -39,7 +40,7 @@ export class Bench {
       (isThere) => {
         this.isThere = isThere;
         if (isThere) for (const text of this.unsent.splice(0)) this.link.mark(text);
-        else this.fail("no connection to the program; it may have ended");
+        else this.fail(text("gone"));
         onChange();
       },
     );
@@ -175,4 +176,4 @@ export class Bench {
 }
 
 /** The last sentence of a command that failed. @param {Job} job */
-export const complaint = (job) => (job.said[job.said.length - 1] ?? `ended with code ${job.code}`).replace(/^imufield: /, "");
+export const complaint = (job) => (job.said[job.said.length - 1] ?? text("ended", { code: String(job.code) })).replace(/^imufield: /, "");

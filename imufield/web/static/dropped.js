@@ -3,6 +3,7 @@
 import { complaint } from "./bench.js";
 import { at, button, filled, make, table } from "./make.js";
 import { lineOf } from "./plots.js";
+import { text } from "./texts.js";
 
 const SHOWN_ROWS = 6;
 const READ_BYTES = 200000;
@@ -40,7 +41,7 @@ async function bring(bench, files) {
   try {
     let folder = null;
     for (const file of files) {
-      const sent = await bench.upload(file, folder, (share) => say(`${file.name}: ${Math.round(100 * share)} % is here`));
+      const sent = await bench.upload(file, folder, (share) => say(text("sent", { name: file.name, share: Math.round(100 * share) })));
       folder = sent.folder;
       paths.push(sent.file);
     }
@@ -56,7 +57,7 @@ async function bring(bench, files) {
 /** @param {Bench} bench @param {File[]} files @param {string[]} paths @param {string} stem @param {any} typed */
 async function tryImport(bench, files, paths, stem, typed) {
   say("");
-  at("import-more").replaceChildren(make("section", {}, make("p", { role: "status" }, "importing")));
+  at("import-more").replaceChildren(make("section", {}, make("p", { role: "status" }, text("importing"))));
   const name = `${stem.slice(0, 60)}-${new Date().toISOString().replace(/[-:]|\.\d+/g, "")}`;
   try {
     const job = await bench.run("import", { files: paths, new: name, ...typed });
@@ -66,15 +67,15 @@ async function tryImport(bench, files, paths, stem, typed) {
         make(
           "section",
           {},
-          make("h2", {}, "Imported"),
+          make("h2", {}, text("imported")),
           make("ul", {}, job.found[0].assumptions.map((/** @type {string} */ words) => make("li", {}, words))),
-          make("p", { class: "row" }, button("Go on to the result", () => (location.hash = `session/${encodeURIComponent(name)}`), { class: "main" })),
-          make("details", {}, make("summary", {}, "Something of this is wrong"), again),
+          make("p", { class: "row" }, button(text("toResult"), () => (location.hash = `session/${encodeURIComponent(name)}`), { class: "main" })),
+          make("details", {}, make("summary", {}, text("wrong")), again),
         ),
       );
     } else {
       say(complaint(job));
-      at("import-more").replaceChildren(make("section", {}, make("h2", {}, "What is in the file?"), again));
+      at("import-more").replaceChildren(make("section", {}, make("h2", {}, text("what")), again));
     }
   } catch (error) {
     say(/** @type {Error} */ (error).message);
@@ -114,17 +115,17 @@ async function asking(files, onAnswer) {
     const numbers = rows.filter((row) => isNumber(row) && row.length === rows[rows.length - 1].length);
     if (numbers.length < 2) continue;
     const width = numbers[0].length;
-    const choices = Array.from({ length: width }, (_, k) => make("select", { "aria-label": `meaning of column ${k + 1}`, "data-column": k }, make("option", { value: "" }, "as found"), MEANINGS.map((name) => make("option", { value: name }, name === "-" ? "leave out" : name))));
+    const choices = Array.from({ length: width }, (_, k) => make("select", { "aria-label": text("meaning", { number: k + 1 }), "data-column": k }, make("option", { value: "" }, text("asFound")), MEANINGS.map((name) => make("option", { value: name }, name === "-" ? text("leaveOut") : name))));
     const signals = Array.from({ length: width }, (_, k) => lineOf(numbers.map((row) => Number(row[k])), "small"));
     const head = rows.find((row) => !isNumber(row) && row.length === width) ?? [];
-    tables.push({ file, choices, element: table(Array.from({ length: width }, (_, k) => head[k] ?? `column ${k + 1}`), [choices, signals, ...numbers.slice(0, SHOWN_ROWS)]) });
+    tables.push({ file, choices, element: table(Array.from({ length: width }, (_, k) => head[k] ?? text("column", { number: k + 1 })), [choices, signals, ...numbers.slice(0, SHOWN_ROWS)]) });
   }
   const form = make(
     "form",
     { class: "fields" },
-    Object.entries(UNITS).map(([name, units]) => make("label", {}, `${name.replace("_", ", ")} (--set ${name})`, make("select", { "data-unit": name }, make("option", { value: "" }, "as found"), units.map((unit) => make("option", {}, unit))))),
-    make("label", {}, "samples per second, where no column is a time (--rate-hz)", make("input", { name: "rate_hz", inputmode: "decimal", autocomplete: "off" })),
-    make("button", { type: "submit", class: "main" }, "Import with these"),
+    Object.entries(UNITS).map(([name, units]) => make("label", {}, text("unit", { quantity: name.replace("_", ", "), name }), make("select", { "data-unit": name }, make("option", { value: "" }, text("asFound")), units.map((unit) => make("option", {}, unit))))),
+    make("label", {}, text("rate"), make("input", { name: "rate_hz", inputmode: "decimal", autocomplete: "off" })),
+    make("button", { type: "submit", class: "main" }, text("importThese")),
   );
   form.addEventListener("submit", (/** @type {Event} */ event) => {
     event.preventDefault();

@@ -2,6 +2,7 @@
 
 import { complaint } from "./bench.js";
 import { at, button, make, table } from "./make.js";
+import { text } from "./texts.js";
 
 /** @typedef {import("./bench.js").Bench} Bench */
 /** @typedef {import("./bench.js").Job} Job */
@@ -16,17 +17,17 @@ export function showSessions(bench, job) {
       [row.instrument, row.serial_number].filter(Boolean).join(" "),
       row.positions === null ? "" : `${row.positions} of ${row.planned ?? "?"}`,
       row.fault ?? row.state,
-      make("strong", { class: row.verdict ?? "" }, row.verdict?.toUpperCase() ?? "not computed"),
+      make("strong", { class: row.verdict ?? "" }, row.verdict?.toUpperCase() ?? text("unsolved")),
     ];
   });
-  at("list").replaceChildren(rows.length ? table(["session", "recorded", "instrument", "positions", "state", "verdict"], rows) : make("p", {}, "No session yet.", " ", make("a", { href: "#calibrate" }, "Calibrate an instrument"), " or ", make("a", { href: "#import" }, "import a recording"), "."));
+  at("list").replaceChildren(rows.length ? table(text("sessionsHead").split(", "), rows) : make("p", {}, text("noSessions")));
 }
 
 /** @param {Bench} bench @param {Job} job */
 export function showHistory(bench, job) {
   const instruments = job.found[0]?.instruments ?? [];
   at("instruments").replaceChildren(
-    ...(instruments.length ? [] : [make("p", {}, job.code === 0 ? "No calibration yet." : complaint(job))]),
+    ...(instruments.length ? [] : [make("p", {}, job.code === 0 ? text("noHistory") : complaint(job))]),
     ...instruments.map((/** @type {any} */ instrument) => {
       const plot = make("div");
       const serial = instrument.serial_number ? { serial_number: instrument.serial_number } : {};
@@ -43,13 +44,13 @@ export function showHistory(bench, job) {
         "article",
         {},
         make("h3", {}, `${instrument.instrument} ${instrument.serial_number ?? ""}`),
-        table(["calibrated", "verdict", "file", "bias x", "bias y", "bias z"], calibrations),
+        table(text("historyHead").split(", "), calibrations),
         make("ul", {}, instrument.sentences.map((/** @type {string} */ words) => make("li", {}, words))),
-        button("Draw the changes", async () => {
+        button(text("draw"), async () => {
           try {
             const drawn = await bench.run("history", { ...serial, plot: true });
             if (drawn.code !== 0) throw new Error(complaint(drawn));
-            plot.replaceChildren(make("img", { src: await bench.address("history.svg"), alt: `Parameters of ${instrument.instrument} over time` }));
+            plot.replaceChildren(make("img", { src: await bench.address("history.svg"), alt: text("drawn", { name: instrument.instrument }) }));
           } catch (error) {
             plot.replaceChildren(make("p", { class: "failed" }, /** @type {Error} */ (error).message));
           }

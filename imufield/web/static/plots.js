@@ -1,6 +1,7 @@
 // Plots: a bar for each position, and the signals of a recording with its still intervals.
 
 import { draw, make } from "./make.js";
+import { text } from "./texts.js";
 
 const WIDTH = 1000;
 const HEIGHT = 260;
@@ -50,7 +51,7 @@ export function readSamples(text) {
  * @param {(name: string) => void} onChoose
  */
 export function drawSignals(samples, holds, without, onChoose) {
-  if (!samples.length) return make("p", {}, "No samples.");
+  if (!samples.length) return make("p", {}, text("noSamples"));
   const [first, last] = [samples[0][0], samples[samples.length - 1][0]];
   const values = samples.flatMap((row) => row.slice(1));
   const [low, high] = [Math.min(...values), Math.max(...values)];
@@ -71,5 +72,5 @@ export function drawSignals(samples, holds, without, onChoose) {
     );
   });
   const words = [draw("text", { x: 2, y: HEIGHT - 4 }, "0 s"), draw("text", { x: WIDTH - 2, y: HEIGHT - 4, "text-anchor": "end" }, `${(last - first).toFixed(0)} s`)];
-  return draw("svg", { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, class: "plot", role: "group", "aria-label": "Accelerometer over time with the still intervals" }, lines, stills, words);
+  return draw("svg", { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, class: "plot", role: "group", "aria-label": text("plot") }, lines, stills, words);
 }

@@ -3,6 +3,7 @@
 import { complaint } from "./bench.js";
 import { at, button, filled, make, table } from "./make.js";
 import { barOf, drawSignals, readSamples } from "./plots.js";
+import { text } from "./texts.js";
 
 const MICRO_G = 9.80665e-6;
 const AXES = ["x", "y", "z"];
@@ -96,22 +97,22 @@ export class SessionView {
     const row = this.row;
     const job = this.underWay();
     const facts = !row
-      ? "There is no such session yet."
-      : [row.instrument, row.serial_number, row.created?.slice(0, 16).replace("T", " "), row.positions === null ? "" : `${row.positions} of ${row.planned ?? row.positions} positions`, row.state, row.verdict ? `verdict: ${row.verdict.toUpperCase()}` : "not computed yet"].filter(Boolean).join(" · ");
+      ? text("noSession")
+      : [row.instrument, row.serial_number, row.created?.slice(0, 16).replace("T", " "), row.positions === null ? "" : text("ofPositions", { positions: row.positions, planned: row.planned ?? row.positions }), row.state, row.verdict ? text("verdict", { verdict: row.verdict.toUpperCase() }) : text("notComputed")].filter(Boolean).join(" · ");
     at("state").replaceChildren(make("p", {}, facts), ...(row?.fault ? [make("p", { class: "failed" }, row.fault)] : []));
     const canSolve = row && row.state !== "damaged" && !job;
     at("steps").replaceChildren(
       ...[
-        canSolve && row.state === "unfinished" && row.kind === "capture" ? button("Go on with the positions", () => this.resume()) : null,
-        canSolve ? button(row.verdict ? "Compute the result again" : "Compute the result", () => this.solve(), { class: "main" }) : null,
-        canSolve && row.kind === "capture" ? button("Replay, 4 times as fast", () => this.begin("replay", { session: this.name, speed: 4 })) : null,
+        canSolve && row.state === "unfinished" && row.kind === "capture" ? button(text("goOn"), () => this.resume()) : null,
+        canSolve ? button(text(row.verdict ? "solveAgain" : "solve"), () => this.solve(), { class: "main" }) : null,
+        canSolve && row.kind === "capture" ? button(text("replay"), () => this.begin("replay", { session: this.name, speed: 4 })) : null,
       ].filter(Boolean),
     );
     at("give").hidden = !row?.verdict;
     at("again").hidden = !canSolve;
     at("again").open = row?.kind === "import" && !row.verdict;
     const names = ["parameters.toml"];
-    at("saved").replaceChildren(...names.map((name) => button(`Save ${name}`, () => this.save(`${this.name}/${name}`), { class: "main" })));
+    at("saved").replaceChildren(...names.map((name) => button(text("save", { name }), () => this.save(`${this.name}/${name}`), { class: "main" })));
   }
 
   /** @param {string} path */
@@ -144,6 +145,7 @@ export class SessionView {
     const holds = found.position;
     this.without = new Set(holds.filter((/** @type {any} */ hold) => !hold.used).map((/** @type {any} */ hold) => hold.name));
     const gained = found.error_at_rest;
+    const gyroscope = quality.gyroscope_verdict ?? text("uncalibrated");
     const sizes = holds.map((/** @type {any} */ hold) => Math.abs(hold.leave_one_out_m_s2 ?? hold.residual_m_s2 ?? 0));
     const largest = Math.max(...sizes, 1e-12);
     const doubts = holds.filter((/** @type {any} */ hold) => quality.warnings.some((/** @type {string} */ words) => words.split(/[\s,;:()]+/).includes(hold.name))).map((/** @type {any} */ hold) => hold.name);
@@ -152,27 +154,27 @@ export class SessionView {
         "section",
         { "aria-labelledby": "verdict" },
         make("p", { id: "verdict", class: `verdict ${quality.verdict}` }, quality.verdict.toUpperCase()),
-        make("p", {}, { good: "Fit for use.", usable: "Use it, but read the warnings below.", poor: "Do not use it for navigation; the warnings say what to repeat." }[/** @type {string} */ (quality.verdict)]),
+        make("p", {}, text(quality.verdict)),
         gained ? make("p", { class: "gain" }, gained.words) : null,
-        make("p", {}, `Accelerometer: ${quality.accelerometer_verdict}; gyroscope: ${quality.gyroscope_verdict ?? "not calibrated"}.`),
+        make("p", {}, text("triads", { accelerometer: quality.accelerometer_verdict, gyroscope })),
         quality.warnings.length ? make("ul", {}, quality.warnings.map((/** @type {string} */ words) => make("li", {}, words))) : null,
       ),
       make(
         "section",
-        { "aria-label": "Positions" },
-        make("h2", {}, "How well each position fits, in µg"),
-        make("p", {}, "Each position predicted from all the others. Leave out one that was disturbed, and compute again."),
+        { "aria-label": text("fits") },
+        make("h2", {}, text("fits")),
+        make("p", {}, text("fitsHow")),
         make("div", { class: "holds" }, holds.map((/** @type {any} */ hold, /** @type {number} */ k) => this.hold(hold, sizes[k] / largest, doubts.includes(hold.name)))),
         make(
           "p",
           { class: "row" },
-          button("Compute again with these", () => this.solve()),
-          this.row?.kind === "capture" ? button(doubts.length ? `Retake ${doubts.join(", ")}` : "Measure more positions", () => this.resume()) : null,
-          button("Show the signals", () => void this.showSignals(holds)),
+          button(text("solveThese"), () => this.solve()),
+          this.row?.kind === "capture" ? button(doubts.length ? text("retake", { names: doubts.join(", ") }) : text("more"), () => this.resume()) : null,
+          button(text("signals"), () => void this.showSignals(holds)),
         ),
         make("div", { id: "signals-of-session" }),
       ),
-      make("section", { "aria-label": "Parameters" }, make("h2", {}, "Parameters, ± one standard deviation"), this.parameters(found)),
+      make("section", { "aria-label": text("parameters") }, make("h2", {}, text("parameters")), this.parameters(found)),
     );
   }
 
@@ -181,7 +183,7 @@ export class SessionView {
     const value = hold.leave_one_out_m_s2 ?? hold.residual_m_s2;
     const box = make("input", { type: "checkbox", checked: hold.used, onchange: () => this.keep(hold.name, box.checked) });
     box.dataset.hold = hold.name;
-    return make("label", { class: isDoubtful ? "doubt" : "" }, box, make("span", {}, isDoubtful ? `${hold.name} doubtful` : hold.name), barOf(share, !hold.used ? "left" : isDoubtful ? "doubt" : "bar"), make("b", {}, value === null ? "–" : (value / MICRO_G).toFixed(0)));
+    return make("label", { class: isDoubtful ? "doubt" : "" }, box, make("span", {}, isDoubtful ? text("doubtful", { name: hold.name }) : hold.name), barOf(share, !hold.used ? "left" : isDoubtful ? "doubt" : "bar"), make("b", {}, value === null ? "–" : (value / MICRO_G).toFixed(0)));
   }
 
   /** Keep a position or leave it out, on both pictures. @param {string} name @param {boolean} isKept */
@@ -199,14 +201,14 @@ export class SessionView {
   /** @param {any[]} holds */
   async showSignals(holds) {
     const place = at("signals-of-session");
-    place.replaceChildren(make("p", { role: "status" }, "reading the samples"));
+    place.replaceChildren(make("p", { role: "status" }, text("reading")));
     try {
       const job = await this.bench.run("samples", { session: this.name });
       if (job.code !== 0) throw new Error(complaint(job));
       const answer = await fetch(await this.bench.address(`${this.name}/samples.csv`));
       const samples = readSamples(await answer.text());
       place.replaceChildren(
-        make("p", {}, "Accelerometer x (red), y (green), z (blue). Coloured: still intervals; choose one to leave it out or take it back."),
+        make("p", {}, text("signalsHow")),
         make("div", { class: "wide" }, drawSignals(samples, holds, this.without, (name) => this.keep(name, this.without.has(name)))),
       );
     } catch (error) {
@@ -223,15 +225,15 @@ export class SessionView {
       rows.push([name, unit, ...AXES.map((_, k) => withSigma(triad[key][k] === null ? null : (triad[key][k] - less) * factor, sigma[k] === null ? null : sigma[k] * factor))]);
     };
     const acc = found.accelerometer;
-    of("accelerometer bias", "mg", acc, "bias_m_s2", 1e-3 / MICRO_G, 0);
-    if (acc.raw_unit === "m/s^2") of("scale error", "ppm", acc, "scale", 1e6, 1);
-    else of("scale", `${acc.raw_unit} per m/s²`, acc, "scale", 1, 0);
+    of(text("bias"), "mg", acc, "bias_m_s2", 1e-3 / MICRO_G, 0);
+    if (acc.raw_unit === "m/s^2") of(text("scaleError"), "ppm", acc, "scale", 1e6, 1);
+    else of(text("scale"), text("perUnit", { unit: acc.raw_unit }), acc, "scale", 1, 0);
     const gyro = found.gyroscope;
     if (gyro) {
-      of("gyroscope bias", "deg/h", gyro, "bias_rad_s", (180 / Math.PI) * 3600, 0);
-      if (gyro.raw_unit === "rad/s") of("gyroscope scale error", "ppm", gyro, "scale", 1e6, 1);
+      of(text("gyroBias"), "deg/h", gyro, "bias_rad_s", (180 / Math.PI) * 3600, 0);
+      if (gyro.raw_unit === "rad/s") of(text("gyroScale"), "ppm", gyro, "scale", 1e6, 1);
     }
-    for (const [name, triad] of [["misalignment", acc], ["gyroscope misalignment", gyro]]) if (triad) rows.push(...this.angles(name, triad));
+    for (const [name, triad] of [[text("angles"), acc], [text("gyroAngles"), gyro]]) if (triad) rows.push(...this.angles(name, triad));
     return table(["", "unit", "x", "y", "z"], rows);
   }
 
@@ -267,15 +269,15 @@ export class SessionView {
    * @param {() => Promise<Job>} run @param {(job: Job) => {files: string[], losses?: string[], notes?: string[]}} found
    */
   async made(run, found) {
-    at("made").replaceChildren(make("p", {}, "working"));
+    at("made").replaceChildren(make("p", {}, text("working")));
     try {
       const job = await run();
       if (job.code !== 0) throw new Error(complaint(job));
       const { files, losses, notes } = found(job);
       const names = files.map((path) => path.slice(path.lastIndexOf("/") + 1));
       at("made").replaceChildren(
-        make("p", { class: "row" }, names.map((name) => button(`Save ${name}`, () => this.save(`${this.name}/${name}`), { class: "main" }))),
-        make("ul", {}, (losses ?? []).map((words) => make("li", {}, `lost: ${words}`)), (notes ?? []).map((words) => make("li", {}, words))),
+        make("p", { class: "row" }, names.map((name) => button(text("save", { name }), () => this.save(`${this.name}/${name}`), { class: "main" }))),
+        make("ul", {}, (losses ?? []).map((words) => make("li", {}, text("lost", { words }))), (notes ?? []).map((words) => make("li", {}, words))),
       );
     } catch (error) {
       at("made").replaceChildren(make("p", { class: "failed" }, /** @type {Error} */ (error).message));

@@ -5,6 +5,7 @@ import { showHistory, showSessions } from "./lists.js";
 import { at, button, filled, make } from "./make.js";
 import { watchDrop } from "./dropped.js";
 import { SessionView } from "./session.js";
+import { text } from "./texts.js";
 
 const VIEWS = ["calibrate", "import", "sessions", "session", "history"];
 const LOOKS = ["devices", "probe", "targets", "sessions", "history"]; // What the page asks for by itself.
@@ -26,7 +27,7 @@ function route() {
   const [view, ...rest] = place();
   const name = VIEWS.includes(view) ? view : "calibrate";
   for (const part of /** @type {NodeListOf<HTMLElement>} */ (document.querySelectorAll("[data-view]"))) part.hidden = part.dataset.view !== name;
-  for (const link of document.querySelectorAll("header nav a")) {
+  for (const link of document.querySelectorAll("header a")) {
     const isHere = link.getAttribute("href") === `#${name === "session" ? "sessions" : name}`;
     if (isHere) link.setAttribute("aria-current", "page");
     else link.removeAttribute("aria-current");
@@ -47,7 +48,7 @@ function refuse(error) {
 
 function show() {
   document.body.classList.toggle("away", !bench.isThere);
-  at("link").textContent = bench.isThere ? "" : "no connection to the program; start `imufield web` again if it has ended";
+  at("link").textContent = bench.isThere ? "" : text("away");
   if (!bench.isThere) shown = "";
   route();
   knowVirtual();
@@ -68,8 +69,8 @@ async function look() {
     const devices = (await bench.run("devices")).found[0];
     if (at("drivers").length === 1)
       for (const driver of devices.drivers) at("drivers").append(make("option", { value: driver.name }, `${driver.title} (${driver.name})`));
-    for (const port of devices.ports) ports.set(port.device, { name: `${port.device} ${port.description}`, says: "listening for up to 10 s", values: { port: port.device } });
-    for (const bus of devices.buses) ports.set(bus.bus, { name: `CAN bus ${bus.bus} (${bus.state})`, says: "choose the instrument below, or listen", values: { bus: bus.bus } });
+    for (const port of devices.ports) ports.set(port.device, { name: `${port.device} ${port.description}`, says: text("listening"), values: { port: port.device } });
+    for (const bus of devices.buses) ports.set(bus.bus, { name: text("bus", { bus: bus.bus, state: bus.state }), says: text("onBus"), values: { bus: bus.bus } });
     showPorts();
     for (const port of devices.ports) await listen(port.device);
   } catch (error) {
@@ -87,10 +88,10 @@ async function listen(key) {
   const probed = job.found[0]?.ports?.[0];
   if (probed?.found) {
     const who = Object.values(probed.identity).join(" ");
-    port.says = [probed.found.title, who, `${probed.found.frames} frames understood`, ...probed.taken].filter(Boolean).join("; ");
+    port.says = [probed.found.title, who, text("frames", { frames: probed.found.frames }), ...probed.taken].filter(Boolean).join("; ");
     port.values = { ...port.values, driver: probed.found.name, ...(probed.baud ? { baud: probed.baud } : {}) };
     if (!chosen) chosen = key;
-  } else port.says = `nothing recognised: ${complaint(job)}`;
+  } else port.says = text("unrecognised", { why: complaint(job) });
   showPorts();
 }
 
@@ -103,7 +104,7 @@ function showPorts() {
       make("div", {}, make("strong", {}, name), make("span", {}, says)),
     ),
   );
-  at("ports").replaceChildren(...(rows.length ? rows : [make("p", {}, isLooking ? "looking for ports" : "No serial port found. Connect the instrument, or use a virtual one.")]));
+  at("ports").replaceChildren(...(rows.length ? rows : [make("p", {}, text(isLooking ? "looking" : "noPort"))]));
 }
 
 /** Virtual instruments are ports for as long as they run. */
@@ -114,8 +115,8 @@ function knowVirtual() {
     const started = job.code === null && job.action === "emulate" ? job.found.find((value) => value.event === "started") : null;
     if (started)
       ports.set(started.port, {
-        name: `Virtual instrument on ${started.port}`,
-        says: `${started.driver}, turned by a virtual person, ${started.speed} times as fast as real; it lies at latitude 45, height 0`,
+        name: text("virtual", { port: started.port }),
+        says: text("virtualIs", { driver: started.driver, speed: started.speed }),
         values: { port: started.port, driver: started.driver, clock_speed: started.speed },
       });
   }
@@ -172,7 +173,7 @@ at("start").addEventListener("click", async () => {
   const settings = [.../** @type {NodeListOf<HTMLInputElement>} */ (document.querySelectorAll("[data-setting]"))].filter((field) => field.value.trim()).map((field) => `${field.dataset.setting}=${field.value.trim()}`);
   const where = typed.port || typed.bus ? {} : ports.get(chosen)?.values;
   if (!where) {
-    at("start-says").textContent = "Choose the instrument first, or give its port.";
+    at("start-says").textContent = text("chooseFirst");
     return;
   }
   await begin("capture", { ...where, ...typed, ...filled(at("place")), ...filled(at("plan")), ...(settings.length ? { settings } : {}) });
@@ -217,20 +218,16 @@ function showUnderWay() {
     const name = job.values.new ?? job.values.session ?? "";
     const counted = job.found.filter((value) => "accepted" in value && "planned" in value).pop();
     const newest = job.found.filter((value) => value.words).pop();
-    const words = {
-      capture: `Session ${name}: ${counted ? `${counted.accepted} of ${counted.planned} positions` : page ? "the guide runs" : "connecting"}`,
-      resume: `Session ${name}: ${counted ? `${counted.accepted} of ${counted.planned} positions` : page ? "the guide runs" : "connecting"}`,
-      emulate: "A virtual instrument is running",
-      replay: `Replay of ${name}`,
-      solve: `Computing the result of ${name}`,
-    }[job.action];
+    const counts = { name, accepted: counted?.accepted, planned: counted?.planned };
+    const isGuided = job.action === "capture" || job.action === "resume";
+    const words = isGuided ? (counted ? text("counted", counts) : text(page ? "guided" : "connecting", counts)) : job.action === "emulate" ? text("emulated") : job.action === "replay" ? text("replayed", counts) : job.action === "solve" ? text("computing", counts) : job.command;
     return make(
       "div",
       {},
-      make("strong", {}, words ?? job.command),
+      make("strong", {}, words),
       newest && job.action !== "emulate" ? make("span", { class: "state" }, newest.words) : null,
-      page ? button("Open the guide", () => goTo(page.url, name), { class: "main" }) : null,
-      button(job.action === "capture" || job.action === "resume" ? "Stop, go on later" : "Stop", () => void bench.ask({ cancel: job.job })),
+      page ? button(text("openGuide"), () => goTo(page.url, name), { class: "main" }) : null,
+      button(text(isGuided ? "pause" : "stop"), () => void bench.ask({ cancel: job.job })),
     );
   });
   at("under-way").replaceChildren(...rows);
@@ -253,7 +250,7 @@ function showCommands() {
     const size = job.said.length + job.lines.length + (job.code === null ? 0 : 1);
     const before = written.get(job.job);
     if (before?.said === size) continue;
-    const state = job.code === null ? "running" : job.code === 0 ? "done" : job.code === 130 ? "stopped" : `not done: ${complaint(job)}`;
+    const state = job.code === null ? text("running") : job.code === 0 ? text("done") : job.code === 130 ? text("stopped") : text("notDone", { why: complaint(job) });
     const words = [...job.lines, ...job.said].join("\n");
     const entry = make(
       "li",
@@ -261,7 +258,7 @@ function showCommands() {
       make("code", {}, job.command),
       " ",
       make("span", { class: job.code && job.code !== 130 ? "failed" : "state" }, state),
-      words ? make("details", {}, make("summary", {}, "what it says"), make("pre", {}, words)) : null,
+      words ? make("details", {}, make("summary", {}, text("says")), make("pre", {}, words)) : null,
     );
     if (before) before.entry.replaceWith(entry);
     else at("commands").prepend(entry);
