@@ -9,6 +9,7 @@ from imufield.commands.options.samples import WebOptions
 from imufield.commands.terminal.output import say
 from imufield.commands.terminal.page import bind_page, show_in_browser
 from imufield.errors import UsageError
+from imufield.files import typed_write_errors
 from imufield.progress import hidden
 from imufield.sentences import Sentences
 
@@ -23,10 +24,12 @@ def run_web(options: WebOptions) -> None:
     Raises
     ------
     UsageError
-        If the folder is none, packages are missing, or the port cannot be had.
+        If the folder is none or cannot be made, packages are missing, or the port cannot be had.
     """
     if options.folder.exists() and not options.folder.is_dir():
         raise UsageError(sentence("sessions.no_folder", folder=options.folder))
+    with typed_write_errors(options.folder, UsageError):
+        options.folder.mkdir(parents=True, exist_ok=True)
     with hidden(), ExitStack() as stack:
         place = bind_page(stack, port=options.web_port)
         # Packages that are missing were told by now.

@@ -18,6 +18,9 @@ def test_a_method_solves_both_triads_and_a_cross_check_covers_both(program: Prog
     ended = program.run("solve", "session", "--latitude", 48, "--json")
     assert ended.returncode == 0, ended.stderr
     plain = json.loads(ended.stdout)
+    # What the summary says of it in one line.
+    assert plain["error_at_rest"]["before_mg"] > plain["error_at_rest"]["after_mg"] > 0.0
+    assert f"{plain['error_at_rest']['after_mg']:.3g} mg after" in plain["error_at_rest"]["words"]
     ended = program.run("solve", "session", "--latitude", 48, "--json", "--method", "bsas", "--cross-check")
     assert ended.returncode == 0, ended.stderr
     found = json.loads(ended.stdout)

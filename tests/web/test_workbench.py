@@ -404,6 +404,7 @@ def test_the_command_tells_its_address_and_ends_with_what_it_has_started(tmp_pat
             page = Page(line)
             port = Path(page.heard(page.run("emulate", driver="stim300"), "value")["port"])
             assert port.exists()
+            assert page.heard(page.run("sessions"), "value") == {"folder": "kept", "sessions": []}
             program.send_signal(signal.SIGINT)
             assert program.wait(WAIT_S) == EXIT_INTERRUPTED
         assert not port.exists()
