@@ -8,7 +8,11 @@ import { text } from "./texts.js";
 const SHOWN_ROWS = 6;
 const READ_BYTES = 200000;
 const MEANINGS = ["-", "time", "ax", "ay", "az", "gx", "gy", "gz", "temperature"];
-const UNITS = { accelerometer_unit: ["m/s^2", "g", "count"], gyroscope_unit: ["rad/s", "deg/s", "count"], time_unit: ["s", "ms", "us", "ns"] };
+const UNITS = {
+  accelerometer_unit: ["m/s^2", "g", "count"],
+  gyroscope_unit: ["rad/s", "deg/s", "count"],
+  time_unit: ["s", "ms", "us", "ns"],
+};
 
 /** @typedef {import("./bench.js").Bench} Bench */
 
@@ -41,7 +45,9 @@ async function bring(bench, files) {
   try {
     let folder = null;
     for (const file of files) {
-      const sent = await bench.upload(file, folder, (share) => say(text("sent", { name: file.name, share: Math.round(100 * share) })));
+      const sent = await bench.upload(file, folder, (share) =>
+        say(text("sent", { name: file.name, share: Math.round(100 * share) })),
+      );
       folder = sent.folder;
       paths.push(sent.file);
     }
@@ -50,7 +56,11 @@ async function bring(bench, files) {
     say(/** @type {Error} */ (error).message);
     return;
   }
-  const stem = files[0].name.replace(/\..*$/, "").replace(/[^A-Za-z0-9_-]+/g, "-").replace(/^[-_]+/, "") || "recording";
+  const stem =
+    files[0].name
+      .replace(/\..*$/, "")
+      .replace(/[^A-Za-z0-9_-]+/g, "-")
+      .replace(/^[-_]+/, "") || "recording";
   await tryImport(bench, files, paths, stem, {});
 }
 
@@ -68,8 +78,16 @@ async function tryImport(bench, files, paths, stem, typed) {
           "section",
           {},
           make("h2", {}, text("imported")),
-          make("ul", {}, job.found[0].assumptions.map((/** @type {string} */ words) => make("li", {}, words))),
-          make("p", { class: "row" }, button(text("toResult"), () => (location.hash = `session/${encodeURIComponent(name)}`), { class: "main" })),
+          make(
+            "ul",
+            {},
+            job.found[0].assumptions.map((/** @type {string} */ words) => make("li", {}, words)),
+          ),
+          make(
+            "p",
+            { class: "row" },
+            button(text("toResult"), () => (location.hash = `session/${encodeURIComponent(name)}`), { class: "main" }),
+          ),
           make("details", {}, make("summary", {}, text("wrong")), again),
         ),
       );
@@ -97,9 +115,17 @@ async function rowsOf(file) {
   }
   const text = await head.text();
   if (/[\u0000\ufffd]/.test(text.slice(0, 2000))) return [];
-  const lines = text.split(/\r?\n/).slice(0, -1).filter((line) => line.trim());
+  const lines = text
+    .split(/\r?\n/)
+    .slice(0, -1)
+    .filter((line) => line.trim());
   const separator = [",", ";", "\t"].find((each) => lines[lines.length - 1]?.includes(each)) ?? /\s+/;
-  return lines.map((line) => line.trim().split(separator).map((cell) => cell.trim()));
+  return lines.map((line) =>
+    line
+      .trim()
+      .split(separator)
+      .map((cell) => cell.trim()),
+  );
 }
 
 /**
@@ -115,15 +141,46 @@ async function asking(files, onAnswer) {
     const numbers = rows.filter((row) => isNumber(row) && row.length === rows[rows.length - 1].length);
     if (numbers.length < 2) continue;
     const width = numbers[0].length;
-    const choices = Array.from({ length: width }, (_, k) => make("select", { "aria-label": text("meaning", { number: k + 1 }), "data-column": k }, make("option", { value: "" }, text("asFound")), MEANINGS.map((name) => make("option", { value: name }, name === "-" ? text("leaveOut") : name))));
-    const signals = Array.from({ length: width }, (_, k) => lineOf(numbers.map((row) => Number(row[k])), "small"));
+    const choices = Array.from({ length: width }, (_, k) =>
+      make(
+        "select",
+        { "aria-label": text("meaning", { number: k + 1 }), "data-column": k },
+        make("option", { value: "" }, text("asFound")),
+        MEANINGS.map((name) => make("option", { value: name }, name === "-" ? text("leaveOut") : name)),
+      ),
+    );
+    const signals = Array.from({ length: width }, (_, k) =>
+      lineOf(
+        numbers.map((row) => Number(row[k])),
+        "small",
+      ),
+    );
     const head = rows.find((row) => !isNumber(row) && row.length === width) ?? [];
-    tables.push({ file, choices, element: table(Array.from({ length: width }, (_, k) => head[k] ?? text("column", { number: k + 1 })), [choices, signals, ...numbers.slice(0, SHOWN_ROWS)]) });
+    tables.push({
+      file,
+      choices,
+      element: table(
+        Array.from({ length: width }, (_, k) => head[k] ?? text("column", { number: k + 1 })),
+        [choices, signals, ...numbers.slice(0, SHOWN_ROWS)],
+      ),
+    });
   }
   const form = make(
     "form",
     { class: "fields" },
-    Object.entries(UNITS).map(([name, units]) => make("label", {}, text("unit", { quantity: name.replace("_", ", "), name }), make("select", { "data-unit": name }, make("option", { value: "" }, text("asFound")), units.map((unit) => make("option", {}, unit))))),
+    Object.entries(UNITS).map(([name, units]) =>
+      make(
+        "label",
+        {},
+        text("unit", { quantity: name.replace("_", ", "), name }),
+        make(
+          "select",
+          { "data-unit": name },
+          make("option", { value: "" }, text("asFound")),
+          units.map((unit) => make("option", {}, unit)),
+        ),
+      ),
+    ),
     make("label", {}, text("rate"), make("input", { name: "rate_hz", inputmode: "decimal", autocomplete: "off" })),
     make("button", { type: "submit", class: "main" }, text("importThese")),
   );
@@ -131,13 +188,22 @@ async function asking(files, onAnswer) {
     event.preventDefault();
     const columns = tables.map(({ choices }) => choices.map((choice) => choice.value));
     const isNamed = columns.flat().some(Boolean);
-    const settings = [.../** @type {NodeListOf<HTMLSelectElement>} */ (form.querySelectorAll("[data-unit]"))].filter((field) => field.value).map((field) => `${field.dataset.unit}=${field.value}`);
+    const settings = [.../** @type {NodeListOf<HTMLSelectElement>} */ (form.querySelectorAll("[data-unit]"))]
+      .filter((field) => field.value)
+      .map((field) => `${field.dataset.unit}=${field.value}`);
     onAnswer({
       ...filled(form),
       // What is named in part leaves out the rest: the program takes all names of a file or none.
-      ...(isNamed ? { columns: columns.map((names) => names.map((/** @type {string} */ name) => name || "-").join(",")).join(";") } : {}),
+      ...(isNamed
+        ? { columns: columns.map((names) => names.map((/** @type {string} */ name) => name || "-").join(",")).join(";") }
+        : {}),
       ...(settings.length ? { settings } : {}),
     });
   });
-  return make("div", {}, tables.map(({ file, element }) => make("div", {}, make("h3", {}, file.name), element)), form);
+  return make(
+    "div",
+    {},
+    tables.map(({ file, element }) => make("div", {}, make("h3", {}, file.name), element)),
+    form,
+  );
 }

@@ -45,12 +45,18 @@ export function showHistory(bench, job) {
         {},
         make("h3", {}, `${instrument.instrument} ${instrument.serial_number ?? ""}`),
         table(text("historyHead").split(", "), calibrations),
-        make("ul", {}, instrument.sentences.map((/** @type {string} */ words) => make("li", {}, words))),
+        make(
+          "ul",
+          {},
+          instrument.sentences.map((/** @type {string} */ words) => make("li", {}, words)),
+        ),
         button(text("draw"), async () => {
           try {
             const drawn = await bench.run("history", { ...serial, plot: true });
             if (drawn.code !== 0) throw new Error(complaint(drawn));
-            plot.replaceChildren(make("img", { src: await bench.address("history.svg"), alt: text("drawn", { name: instrument.instrument }) }));
+            plot.replaceChildren(
+              make("img", { src: await bench.address("history.svg"), alt: text("drawn", { name: instrument.instrument }) }),
+            );
           } catch (error) {
             plot.replaceChildren(make("p", { class: "failed" }, /** @type {Error} */ (error).message));
           }

@@ -18,7 +18,8 @@ export const at = (id) => document.getElementById(id);
 function fill(element, properties, children) {
   for (const [name, value] of Object.entries(properties)) {
     if (name.startsWith("on")) element.addEventListener(name.slice(2), value);
-    else if (value !== false && value !== null && value !== undefined) element.setAttribute(name, value === true ? "" : clean(value));
+    else if (value !== false && value !== null && value !== undefined)
+      element.setAttribute(name, value === true ? "" : clean(value));
   }
   for (const child of children.flat()) {
     if (child === null || child === undefined || child === false) continue;
@@ -47,8 +48,26 @@ export const table = (head, rows) =>
     make(
       "table",
       {},
-      make("thead", {}, make("tr", {}, head.map((words) => make("th", { scope: "col" }, words)))),
-      make("tbody", {}, rows.map((row) => make("tr", {}, row.map((cell) => make("td", {}, cell))))),
+      make(
+        "thead",
+        {},
+        make(
+          "tr",
+          {},
+          head.map((words) => make("th", { scope: "col" }, words)),
+        ),
+      ),
+      make(
+        "tbody",
+        {},
+        rows.map((row) =>
+          make(
+            "tr",
+            {},
+            row.map((cell) => make("td", {}, cell)),
+          ),
+        ),
+      ),
     ),
   );
 

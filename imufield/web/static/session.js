@@ -60,7 +60,11 @@ export class SessionView {
       this.showState();
       if (this.row?.verdict && !at("targets").length) {
         const targets = (await this.bench.run("targets")).found[0]?.targets ?? [];
-        at("targets").append(...targets.map((/** @type {any} */ target) => make("option", { value: target.name }, `${target.name}: ${target.title} (holds ${target.holds})`)));
+        at("targets").append(
+          ...targets.map((/** @type {any} */ target) =>
+            make("option", { value: target.name }, `${target.name}: ${target.title} (holds ${target.holds})`),
+          ),
+        );
       }
     } catch (error) {
       this.refuse(error);
@@ -74,8 +78,11 @@ export class SessionView {
 
   /** The command that is about this session and has not ended. */
   underWay() {
-    const mine = (/** @type {Job} */ job) => job.code === null && (job.values.session === this.name || job.values.new === this.name);
-    return [...this.bench.jobs.values()].find((job) => mine(job) && ["capture", "resume", "solve", "import"].includes(job.action));
+    const mine = (/** @type {Job} */ job) =>
+      job.code === null && (job.values.session === this.name || job.values.new === this.name);
+    return [...this.bench.jobs.values()].find(
+      (job) => mine(job) && ["capture", "resume", "solve", "import"].includes(job.action),
+    );
   }
 
   /** Follow what the program says. */
@@ -98,21 +105,34 @@ export class SessionView {
     const job = this.underWay();
     const facts = !row
       ? text("noSession")
-      : [row.instrument, row.serial_number, row.created?.slice(0, 16).replace("T", " "), row.positions === null ? "" : text("ofPositions", { positions: row.positions, planned: row.planned ?? row.positions }), row.state, row.verdict ? text("verdict", { verdict: row.verdict.toUpperCase() }) : text("notComputed")].filter(Boolean).join(" · ");
+      : [
+          row.instrument,
+          row.serial_number,
+          row.created?.slice(0, 16).replace("T", " "),
+          row.positions === null ? "" : text("ofPositions", { positions: row.positions, planned: row.planned ?? row.positions }),
+          row.state,
+          row.verdict ? text("verdict", { verdict: row.verdict.toUpperCase() }) : text("notComputed"),
+        ]
+          .filter(Boolean)
+          .join(" · ");
     at("state").replaceChildren(make("p", {}, facts), ...(row?.fault ? [make("p", { class: "failed" }, row.fault)] : []));
     const canSolve = row && row.state !== "damaged" && !job;
     at("steps").replaceChildren(
       ...[
         canSolve && row.state === "unfinished" && row.kind === "capture" ? button(text("goOn"), () => this.resume()) : null,
         canSolve ? button(text(row.verdict ? "solveAgain" : "solve"), () => this.solve(), { class: "main" }) : null,
-        canSolve && row.kind === "capture" ? button(text("replay"), () => this.begin("replay", { session: this.name, speed: 4 })) : null,
+        canSolve && row.kind === "capture"
+          ? button(text("replay"), () => this.begin("replay", { session: this.name, speed: 4 }))
+          : null,
       ].filter(Boolean),
     );
     at("give").hidden = !row?.verdict;
     at("again").hidden = !canSolve;
     at("again").open = row?.kind === "import" && !row.verdict;
     const names = ["parameters.toml"];
-    at("saved").replaceChildren(...names.map((name) => button(text("save", { name }), () => this.save(`${this.name}/${name}`), { class: "main" })));
+    at("saved").replaceChildren(
+      ...names.map((name) => button(text("save", { name }), () => this.save(`${this.name}/${name}`), { class: "main" })),
+    );
   }
 
   /** @param {string} path */
@@ -125,7 +145,9 @@ export class SessionView {
   }
 
   async resume() {
-    const speed = [...this.bench.jobs.values()].reverse().find((job) => (job.values.new ?? job.values.session) === this.name && job.values.clock_speed)?.values.clock_speed;
+    const speed = [...this.bench.jobs.values()]
+      .reverse()
+      .find((job) => (job.values.new ?? job.values.session) === this.name && job.values.clock_speed)?.values.clock_speed;
     await this.begin("resume", { session: this.name, ...(speed ? { clock_speed: speed } : {}) });
   }
 
@@ -133,7 +155,11 @@ export class SessionView {
     at("session-says").textContent = "";
     try {
       const without = [...this.without];
-      await this.bench.start("solve", { session: this.name, ...filled(at("solve-place")), ...(without.length ? { without } : {}) });
+      await this.bench.start("solve", {
+        session: this.name,
+        ...filled(at("solve-place")),
+        ...(without.length ? { without } : {}),
+      });
     } catch (error) {
       this.refuse(error);
     }
@@ -148,7 +174,11 @@ export class SessionView {
     const gyroscope = quality.gyroscope_verdict ?? text("uncalibrated");
     const sizes = holds.map((/** @type {any} */ hold) => Math.abs(hold.leave_one_out_m_s2 ?? hold.residual_m_s2 ?? 0));
     const largest = Math.max(...sizes, 1e-12);
-    const doubts = holds.filter((/** @type {any} */ hold) => quality.warnings.some((/** @type {string} */ words) => words.split(/[\s,;:()]+/).includes(hold.name))).map((/** @type {any} */ hold) => hold.name);
+    const doubts = holds
+      .filter((/** @type {any} */ hold) =>
+        quality.warnings.some((/** @type {string} */ words) => words.split(/[\s,;:()]+/).includes(hold.name)),
+      )
+      .map((/** @type {any} */ hold) => hold.name);
     at("result").replaceChildren(
       make(
         "section",
@@ -157,19 +187,33 @@ export class SessionView {
         make("p", {}, text(quality.verdict)),
         gained ? make("p", { class: "gain" }, gained.words) : null,
         make("p", {}, text("triads", { accelerometer: quality.accelerometer_verdict, gyroscope })),
-        quality.warnings.length ? make("ul", {}, quality.warnings.map((/** @type {string} */ words) => make("li", {}, words))) : null,
+        quality.warnings.length
+          ? make(
+              "ul",
+              {},
+              quality.warnings.map((/** @type {string} */ words) => make("li", {}, words)),
+            )
+          : null,
       ),
       make(
         "section",
         { "aria-label": text("fits") },
         make("h2", {}, text("fits")),
         make("p", {}, text("fitsHow")),
-        make("div", { class: "holds" }, holds.map((/** @type {any} */ hold, /** @type {number} */ k) => this.hold(hold, sizes[k] / largest, doubts.includes(hold.name)))),
+        make(
+          "div",
+          { class: "holds" },
+          holds.map((/** @type {any} */ hold, /** @type {number} */ k) =>
+            this.hold(hold, sizes[k] / largest, doubts.includes(hold.name)),
+          ),
+        ),
         make(
           "p",
           { class: "row" },
           button(text("solveThese"), () => this.solve()),
-          this.row?.kind === "capture" ? button(doubts.length ? text("retake", { names: doubts.join(", ") }) : text("more"), () => this.resume()) : null,
+          this.row?.kind === "capture"
+            ? button(doubts.length ? text("retake", { names: doubts.join(", ") }) : text("more"), () => this.resume())
+            : null,
           button(text("signals"), () => void this.showSignals(holds)),
         ),
         make("div", { id: "signals-of-session" }),
@@ -183,14 +227,22 @@ export class SessionView {
     const value = hold.leave_one_out_m_s2 ?? hold.residual_m_s2;
     const box = make("input", { type: "checkbox", checked: hold.used, onchange: () => this.keep(hold.name, box.checked) });
     box.dataset.hold = hold.name;
-    return make("label", { class: isDoubtful ? "doubt" : "" }, box, make("span", {}, isDoubtful ? text("doubtful", { name: hold.name }) : hold.name), barOf(share, !hold.used ? "left" : isDoubtful ? "doubt" : "bar"), make("b", {}, value === null ? "–" : (value / MICRO_G).toFixed(0)));
+    return make(
+      "label",
+      { class: isDoubtful ? "doubt" : "" },
+      box,
+      make("span", {}, isDoubtful ? text("doubtful", { name: hold.name }) : hold.name),
+      barOf(share, !hold.used ? "left" : isDoubtful ? "doubt" : "bar"),
+      make("b", {}, value === null ? "–" : (value / MICRO_G).toFixed(0)),
+    );
   }
 
   /** Keep a position or leave it out, on both pictures. @param {string} name @param {boolean} isKept */
   keep(name, isKept) {
     if (isKept) this.without.delete(name);
     else this.without.add(name);
-    for (const box of /** @type {NodeListOf<HTMLInputElement>} */ (document.querySelectorAll("[data-hold]"))) if (box.dataset.hold === name) box.checked = isKept;
+    for (const box of /** @type {NodeListOf<HTMLInputElement>} */ (document.querySelectorAll("[data-hold]")))
+      if (box.dataset.hold === name) box.checked = isKept;
     for (const still of /** @type {NodeListOf<SVGElement>} */ (document.querySelectorAll("[data-still]")))
       if (still.dataset.still === name) {
         still.classList.toggle("left", !isKept);
@@ -209,7 +261,11 @@ export class SessionView {
       const samples = readSamples(await answer.text());
       place.replaceChildren(
         make("p", {}, text("signalsHow")),
-        make("div", { class: "wide" }, drawSignals(samples, holds, this.without, (name) => this.keep(name, this.without.has(name)))),
+        make(
+          "div",
+          { class: "wide" },
+          drawSignals(samples, holds, this.without, (name) => this.keep(name, this.without.has(name))),
+        ),
       );
     } catch (error) {
       place.replaceChildren(make("p", { class: "failed" }, /** @type {Error} */ (error).message));
@@ -220,9 +276,25 @@ export class SessionView {
   parameters(found) {
     /** @type {any[][]} */
     const rows = [];
-    const of = (/** @type {string} */ name, /** @type {string} */ unit, /** @type {any} */ triad, /** @type {string} */ key, /** @type {number} */ factor, /** @type {number} */ less) => {
+    const of = (
+      /** @type {string} */ name,
+      /** @type {string} */ unit,
+      /** @type {any} */ triad,
+      /** @type {string} */ key,
+      /** @type {number} */ factor,
+      /** @type {number} */ less,
+    ) => {
       const sigma = triad.uncertainty[key];
-      rows.push([name, unit, ...AXES.map((_, k) => withSigma(triad[key][k] === null ? null : (triad[key][k] - less) * factor, sigma[k] === null ? null : sigma[k] * factor))]);
+      rows.push([
+        name,
+        unit,
+        ...AXES.map((_, k) =>
+          withSigma(
+            triad[key][k] === null ? null : (triad[key][k] - less) * factor,
+            sigma[k] === null ? null : sigma[k] * factor,
+          ),
+        ),
+      ]);
     };
     const acc = found.accelerometer;
     of(text("bias"), "mg", acc, "bias_m_s2", 1e-3 / MICRO_G, 0);
@@ -233,14 +305,22 @@ export class SessionView {
       of(text("gyroBias"), "deg/h", gyro, "bias_rad_s", (180 / Math.PI) * 3600, 0);
       if (gyro.raw_unit === "rad/s") of(text("gyroScale"), "ppm", gyro, "scale", 1e6, 1);
     }
-    for (const [name, triad] of [[text("angles"), acc], [text("gyroAngles"), gyro]]) if (triad) rows.push(...this.angles(name, triad));
+    for (const [name, triad] of [
+      [text("angles"), acc],
+      [text("gyroAngles"), gyro],
+    ])
+      if (triad) rows.push(...this.angles(name, triad));
     return table(["", "unit", "x", "y", "z"], rows);
   }
 
   /** Rows of the angles that were fitted, three in each. @param {string} name @param {any} triad */
   angles(name, triad) {
     const sigmas = triad.uncertainty.misalignment_rad;
-    const cells = AXES.flatMap((row, i) => AXES.map((column, j) => (i !== j && sigmas[i][j] > 0 ? `${row}${column} ${withSigma(1e3 * triad.misalignment_rad[i][j], 1e3 * sigmas[i][j])}` : ""))).filter(Boolean);
+    const cells = AXES.flatMap((row, i) =>
+      AXES.map((column, j) =>
+        i !== j && sigmas[i][j] > 0 ? `${row}${column} ${withSigma(1e3 * triad.misalignment_rad[i][j], 1e3 * sigmas[i][j])}` : "",
+      ),
+    ).filter(Boolean);
     const rows = [];
     for (let k = 0; k < cells.length; k += 3) rows.push([name, "mrad", ...cells.slice(k, k + 3)]);
     return rows;
@@ -250,10 +330,13 @@ export class SessionView {
   async report(event) {
     event.preventDefault();
     const values = filled(at("report"));
-    await this.made(() => this.bench.run("report", { session: this.name, ...values }), () => {
-      const pages = ["report.html", "calibration-record.html"];
-      return { files: values.pdf ? [...pages, ...pages.map((page) => page.replace("html", "pdf"))] : pages };
-    });
+    await this.made(
+      () => this.bench.run("report", { session: this.name, ...values }),
+      () => {
+        const pages = ["report.html", "calibration-record.html"];
+        return { files: values.pdf ? [...pages, ...pages.map((page) => page.replace("html", "pdf"))] : pages };
+      },
+    );
   }
 
   /** @param {Event} event */
@@ -261,7 +344,10 @@ export class SessionView {
     event.preventDefault();
     const { to, settings } = filled(at("export"));
     const typed = settings ? { settings: settings.split(/[\s,;]+/).filter(Boolean) } : {};
-    await this.made(() => this.bench.run("export", { session: this.name, to, ...typed }), (job) => job.found[0]);
+    await this.made(
+      () => this.bench.run("export", { session: this.name, to, ...typed }),
+      (job) => job.found[0],
+    );
   }
 
   /**
@@ -276,8 +362,17 @@ export class SessionView {
       const { files, losses, notes } = found(job);
       const names = files.map((path) => path.slice(path.lastIndexOf("/") + 1));
       at("made").replaceChildren(
-        make("p", { class: "row" }, names.map((name) => button(text("save", { name }), () => this.save(`${this.name}/${name}`), { class: "main" }))),
-        make("ul", {}, (losses ?? []).map((words) => make("li", {}, text("lost", { words }))), (notes ?? []).map((words) => make("li", {}, words))),
+        make(
+          "p",
+          { class: "row" },
+          names.map((name) => button(text("save", { name }), () => this.save(`${this.name}/${name}`), { class: "main" })),
+        ),
+        make(
+          "ul",
+          {},
+          (losses ?? []).map((words) => make("li", {}, text("lost", { words }))),
+          (notes ?? []).map((words) => make("li", {}, words)),
+        ),
       );
     } catch (error) {
       at("made").replaceChildren(make("p", { class: "failed" }, /** @type {Error} */ (error).message));

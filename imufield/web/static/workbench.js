@@ -26,7 +26,8 @@ const place = () => decodeURIComponent(location.hash.slice(1)).split("/");
 function route() {
   const [view, ...rest] = place();
   const name = VIEWS.includes(view) ? view : "calibrate";
-  for (const part of /** @type {NodeListOf<HTMLElement>} */ (document.querySelectorAll("[data-view]"))) part.hidden = part.dataset.view !== name;
+  for (const part of /** @type {NodeListOf<HTMLElement>} */ (document.querySelectorAll("[data-view]")))
+    part.hidden = part.dataset.view !== name;
   for (const link of document.querySelectorAll("header a")) {
     const isHere = link.getAttribute("href") === `#${name === "session" ? "sessions" : name}`;
     if (isHere) link.setAttribute("aria-current", "page");
@@ -68,9 +69,20 @@ async function look() {
     showPorts();
     const devices = (await bench.run("devices")).found[0];
     if (at("drivers").length === 1)
-      for (const driver of devices.drivers) at("drivers").append(make("option", { value: driver.name }, `${driver.title} (${driver.name})`));
-    for (const port of devices.ports) ports.set(port.device, { name: `${port.device} ${port.description}`, says: text("listening"), values: { port: port.device } });
-    for (const bus of devices.buses) ports.set(bus.bus, { name: text("bus", { bus: bus.bus, state: bus.state }), says: text("onBus"), values: { bus: bus.bus } });
+      for (const driver of devices.drivers)
+        at("drivers").append(make("option", { value: driver.name }, `${driver.title} (${driver.name})`));
+    for (const port of devices.ports)
+      ports.set(port.device, {
+        name: `${port.device} ${port.description}`,
+        says: text("listening"),
+        values: { port: port.device },
+      });
+    for (const bus of devices.buses)
+      ports.set(bus.bus, {
+        name: text("bus", { bus: bus.bus, state: bus.state }),
+        says: text("onBus"),
+        values: { bus: bus.bus },
+      });
     showPorts();
     for (const port of devices.ports) await listen(port.device);
   } catch (error) {
@@ -88,7 +100,9 @@ async function listen(key) {
   const probed = job.found[0]?.ports?.[0];
   if (probed?.found) {
     const who = Object.values(probed.identity).join(" ");
-    port.says = [probed.found.title, who, text("frames", { frames: probed.found.frames }), ...probed.taken].filter(Boolean).join("; ");
+    port.says = [probed.found.title, who, text("frames", { frames: probed.found.frames }), ...probed.taken]
+      .filter(Boolean)
+      .join("; ");
     port.values = { ...port.values, driver: probed.found.name, ...(probed.baud ? { baud: probed.baud } : {}) };
     if (!chosen) chosen = key;
   } else port.says = text("unrecognised", { why: complaint(job) });
@@ -100,7 +114,13 @@ function showPorts() {
     make(
       "label",
       { class: "port" },
-      make("input", { type: "radio", name: "where", value: key, ...(key === chosen ? { checked: true } : {}), onchange: () => (chosen = key) }),
+      make("input", {
+        type: "radio",
+        name: "where",
+        value: key,
+        ...(key === chosen ? { checked: true } : {}),
+        onchange: () => (chosen = key),
+      }),
       make("div", {}, make("strong", {}, name), make("span", {}, says)),
     ),
   );
@@ -159,7 +179,14 @@ at("drivers").addEventListener("change", async (/** @type {any} */ event) => {
           make(
             "div",
             { class: "fields", id: "settings" },
-            Object.entries(facts.settings).map(([key, { value, meaning, allowed }]) => make("label", { title: `${meaning}; ${allowed}` }, `${key.replaceAll("_", " ")}: ${meaning}`, make("input", { "data-setting": key, placeholder: `${value} (${allowed})`, autocomplete: "off" }))),
+            Object.entries(facts.settings).map(([key, { value, meaning, allowed }]) =>
+              make(
+                "label",
+                { title: `${meaning}; ${allowed}` },
+                `${key.replaceAll("_", " ")}: ${meaning}`,
+                make("input", { "data-setting": key, placeholder: `${value} (${allowed})`, autocomplete: "off" }),
+              ),
+            ),
           ),
         ]
       : []),
@@ -170,13 +197,21 @@ at("drivers").addEventListener("change", async (/** @type {any} */ event) => {
 
 at("start").addEventListener("click", async () => {
   const typed = filled(at("place-of-instrument"));
-  const settings = [.../** @type {NodeListOf<HTMLInputElement>} */ (document.querySelectorAll("[data-setting]"))].filter((field) => field.value.trim()).map((field) => `${field.dataset.setting}=${field.value.trim()}`);
+  const settings = [.../** @type {NodeListOf<HTMLInputElement>} */ (document.querySelectorAll("[data-setting]"))]
+    .filter((field) => field.value.trim())
+    .map((field) => `${field.dataset.setting}=${field.value.trim()}`);
   const where = typed.port || typed.bus ? {} : ports.get(chosen)?.values;
   if (!where) {
     at("start-says").textContent = text("chooseFirst");
     return;
   }
-  await begin("capture", { ...where, ...typed, ...filled(at("place")), ...filled(at("plan")), ...(settings.length ? { settings } : {}) });
+  await begin("capture", {
+    ...where,
+    ...typed,
+    ...filled(at("place")),
+    ...filled(at("plan")),
+    ...(settings.length ? { settings } : {}),
+  });
 });
 
 /** Start a guided session and go to its page. @param {string} action @param {any} values */
@@ -188,7 +223,10 @@ async function begin(action, values) {
     const number = await bench.start(action, values);
     const page = await heard(number, (value) => value.event === "page");
     if (page) goTo(page.url, name);
-    else at(action === "capture" ? "start-says" : "session-says").textContent = complaint(/** @type {any} */ (bench.jobs.get(number)));
+    else
+      at(action === "capture" ? "start-says" : "session-says").textContent = complaint(
+        /** @type {any} */ (bench.jobs.get(number)),
+      );
     if (page) at("new-name").value = newName();
   } catch (error) {
     at(action === "capture" ? "start-says" : "session-says").textContent = /** @type {Error} */ (error).message;
@@ -213,23 +251,35 @@ at("new-name").value = newName();
 // What is under way, and what was done
 
 function showUnderWay() {
-  const rows = [...bench.jobs.values()].filter((job) => job.code === null && !LOOKS.includes(job.action)).map((job) => {
-    const page = job.found.find((value) => value.event === "page");
-    const name = job.values.new ?? job.values.session ?? "";
-    const counted = job.found.filter((value) => "accepted" in value && "planned" in value).pop();
-    const newest = job.found.filter((value) => value.words).pop();
-    const counts = { name, accepted: counted?.accepted, planned: counted?.planned };
-    const isGuided = job.action === "capture" || job.action === "resume";
-    const words = isGuided ? (counted ? text("counted", counts) : text(page ? "guided" : "connecting", counts)) : job.action === "emulate" ? text("emulated") : job.action === "replay" ? text("replayed", counts) : job.action === "solve" ? text("computing", counts) : job.command;
-    return make(
-      "div",
-      {},
-      make("strong", {}, words),
-      newest && job.action !== "emulate" ? make("span", { class: "state" }, newest.words) : null,
-      page ? button(text("openGuide"), () => goTo(page.url, name), { class: "main" }) : null,
-      button(text(isGuided ? "pause" : "stop"), () => void bench.ask({ cancel: job.job })),
-    );
-  });
+  const rows = [...bench.jobs.values()]
+    .filter((job) => job.code === null && !LOOKS.includes(job.action))
+    .map((job) => {
+      const page = job.found.find((value) => value.event === "page");
+      const name = job.values.new ?? job.values.session ?? "";
+      const counted = job.found.filter((value) => "accepted" in value && "planned" in value).pop();
+      const newest = job.found.filter((value) => value.words).pop();
+      const counts = { name, accepted: counted?.accepted, planned: counted?.planned };
+      const isGuided = job.action === "capture" || job.action === "resume";
+      const words = isGuided
+        ? counted
+          ? text("counted", counts)
+          : text(page ? "guided" : "connecting", counts)
+        : job.action === "emulate"
+          ? text("emulated")
+          : job.action === "replay"
+            ? text("replayed", counts)
+            : job.action === "solve"
+              ? text("computing", counts)
+              : job.command;
+      return make(
+        "div",
+        {},
+        make("strong", {}, words),
+        newest && job.action !== "emulate" ? make("span", { class: "state" }, newest.words) : null,
+        page ? button(text("openGuide"), () => goTo(page.url, name), { class: "main" }) : null,
+        button(text(isGuided ? "pause" : "stop"), () => void bench.ask({ cancel: job.job })),
+      );
+    });
   at("under-way").replaceChildren(...rows);
 }
 
@@ -250,7 +300,14 @@ function showCommands() {
     const size = job.said.length + job.lines.length + (job.code === null ? 0 : 1);
     const before = written.get(job.job);
     if (before?.said === size) continue;
-    const state = job.code === null ? text("running") : job.code === 0 ? text("done") : job.code === 130 ? text("stopped") : text("notDone", { why: complaint(job) });
+    const state =
+      job.code === null
+        ? text("running")
+        : job.code === 0
+          ? text("done")
+          : job.code === 130
+            ? text("stopped")
+            : text("notDone", { why: complaint(job) });
     const words = [...job.lines, ...job.said].join("\n");
     const entry = make(
       "li",
