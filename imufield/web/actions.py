@@ -6,9 +6,8 @@ of sessions and nowhere else.
 
 from __future__ import annotations
 
-import math
+import os
 import re
-import stat
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,11 +20,14 @@ sentence = Sentences(__package__)
 UPLOADS = "uploads"
 """Folder below that of the sessions for files that were dropped on the page."""
 LONGEST_TEXT = 200  # Characters: a name of an operator or a position, the columns of a table.
+LARGEST_NUMBER = 1e9  # Beyond every option.
 MOST_VALUES = 100  # Of one option: positions to leave out, settings, files.
 
 _NAME = re.compile(r"[A-Za-z0-9][\w.-]{0,99}", re.ASCII)
 _WORD = re.compile(r"[a-z][a-z0-9_-]{0,63}")
 _GRAVITY = re.compile(r"\d{1,2}(\.\d{1,12})?(\+-\d{1,2}(\.\d{1,12})?)?")
+# Opening a device of another kind may do something to the machine.
+_DEVICE = re.compile(r"/dev/(tty|cu\.|pts/|rfcomm)[\w./-]{0,100}", re.ASCII)
 # Other addresses of pyserial write files or load code: those a person types at a terminal.
 _PORT = re.compile(r"(socket|rfc2217)://[\w.:\[\]-]{1,100}|COM\d{1,3}", re.ASCII)
 _BUS = re.compile(r"[a-z0-9_]{1,32}:[\w./:-]{1,100}", re.ASCII)
@@ -45,7 +47,8 @@ class Sessions:
     def existing(self, name: object) -> Path:
         """Return the path of a session; raises ``UsageError`` for what is no folder of the root."""
         path = self.root / _text(name)
-        is_inside = path.resolve().parent == self.root.resolve() and path.name == name
+        # Not ``resolve``, which fails at a link that leads to itself.
+        is_inside = Path(os.path.realpath(path)).parent == Path(os.path.realpath(self.root)) and path.name == name
         if not (is_inside and path.is_dir()):
             raise UsageError(sentence("actions.no_session", name=name, root=self.root))
         return path
@@ -60,7 +63,7 @@ class Sessions:
     def file(self, path: object) -> Path:
         """Return the path of a file below the root; raises ``UsageError`` for any other."""
         found = self.root / _text(path)
-        if not (found.resolve().is_relative_to(self.root.resolve()) and found.is_file()):
+        if not (Path(os.path.realpath(found)).is_relative_to(os.path.realpath(self.root)) and found.is_file()):
             raise UsageError(sentence("actions.no_file", name=path, root=self.root))
         return found
 
@@ -81,14 +84,15 @@ def _matching(pattern: re.Pattern[str]) -> Callable[[object], str]:
 
 
 def _number(value: object) -> str:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    # Written so that NaN is none.
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST_NUMBER:
         raise UsageError(sentence("actions.no_number", value=str(value)[:LONGEST_TEXT]))
     return repr(value)
 
 
 def _port(value: object) -> str:
     path = _text(value)
-    if not _PORT.fullmatch(path) and not (Path(path).exists() and stat.S_ISCHR(Path(path).stat().st_mode)):
+    if not (_PORT.fullmatch(path) or _DEVICE.fullmatch(os.path.realpath(path))):
         raise UsageError(sentence("actions.no_port", value=path))
     return path
 

@@ -148,7 +148,8 @@ def _value(line: str) -> Json | None:
     """Return the value that a line holds; None for words."""
     if line.startswith("{"):
         with suppress(ValueError):
-            found: Json = json.loads(line)
+            # What is no number in JSON would be none on its way to the pages, either.
+            found: Json = json.loads(line, parse_constant=lambda _: None)
             return found
     return None
 

@@ -107,6 +107,7 @@ def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (root / "one" / "parameters.toml").write_text("of one")
     (tmp_path / "secret").write_text("not yours")
     (root / "led-out").symlink_to(tmp_path)
+    (root / "round").symlink_to("round")
     (root / "one" / "led-out").symlink_to(tmp_path / "secret")
     return root
 
@@ -190,6 +191,9 @@ def test_what_is_asked_becomes_a_command_that_a_person_could_type(
         ("probe", {"port": "spy:///dev/ttyUSB0?file=/etc/x"}), ("probe", {"port": "alt:///dev/ttyUSB0?class=x"}),
         ("probe", {"port": "loop://?logging=debug"}), ("probe", {"port": "one/parameters.toml"}),
         ("probe", {"port": "/etc/passwd"}),
+        ("probe", {"port": "/dev/null"}), ("probe", {"port": "/dev/watchdog"}), ("probe", {"port": "/dev/pts/../null"}),
+        ("probe", {"port": "round"}), ("solve", {"session": "round"}), ("import", {"new": "two", "files": ["round"]}),
+        ("solve", {"session": "one", "latitude": 10**400}), ("solve", {"session": "one", "latitude": float("nan")}),
         ("probe", {"port": "socket://host:1?logging=debug"}), ("probe", {"port": "--ask"}), ("probe", {"bus": "--ask"}),
         ("probe", {"bus": "socketcan:can0,../x"}), ("probe", {"port": 1}),
     ],
@@ -222,6 +226,11 @@ def test_a_command_runs_and_every_page_sees_what_it_says(served: Served, page: P
         late = Page(line)
         assert late.heard(job, "code") == 0
         assert late.events == page.events
+
+
+def test_what_is_no_number_is_none_on_its_way_to_the_pages() -> None:
+    assert jobs._value('{"a": NaN, "b": [-Infinity], "c": 1}') == {"a": None, "b": [None], "c": 1}
+    assert jobs._value("words") is jobs._value("{words}") is None
 
 
 def test_a_command_that_fails_says_why(page: Page) -> None:

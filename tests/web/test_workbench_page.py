@@ -87,7 +87,7 @@ def barriers(page: Page) -> list[str]:
         page.set_viewport_size({"width": width, "height": height})
         found += [f"{width}: {what}" for what in page.evaluate(WIDER)]
     for colours in ("light", "dark") if AXE.exists() else ():
-        page.emulate_media(color_scheme=colours)  # type: ignore[arg-type]
+        page.emulate_media(color_scheme=colours)
         found += page.evaluate(RUN_AXE)
     return found
 
@@ -155,11 +155,11 @@ def test_a_dropped_file_is_asked_about_and_solved_without_a_position(program: Pr
     page.get_by_role("button", name="Show the signals").click()
     page.locator("[data-still]").nth(3).focus()
     page.keyboard.press("Enter")
-    name = page.locator("[data-still]").nth(3).get_attribute("data-still")
+    name = str(page.locator("[data-still]").nth(3).get_attribute("data-still"))
     assert not page.locator(f'[data-hold="{name}"]').is_checked()
     page.get_by_role("button", name="Compute again with these").click()
     page.locator("#verdict").wait_for()
-    wait_for(page, "#commands code", f"--without={re.escape(str(name))}")
+    wait_for(page, "#commands code", f"--without={re.escape(name)}")
     page.locator(f'.holds label:has([data-hold="{name}"]) rect.left').wait_for()
     (folder,) = (program.folder / "imufield-sessions").glob("b-odd-*")
     found = load(folder)
