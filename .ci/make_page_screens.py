@@ -6,11 +6,8 @@ A session without a wire or a clock goes through the states (``tests/web/guide_s
 from __future__ import annotations
 
 import base64
-import socket
 import sys
 from collections import defaultdict
-from collections.abc import Iterator
-from contextlib import contextmanager
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,32 +15,22 @@ from typing import TYPE_CHECKING
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))
 
-from imufield.web.access import Access  # noqa: E402
-from imufield.web.server import PageServer  # noqa: E402
 from tests.web.browser import open_browser  # noqa: E402
 from tests.web.guide_stages import StagedSession  # noqa: E402
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
+Key = tuple[str, str]
+"""Screen and scheme."""
 FOLDER = ROOT / "docs" / "screens"
 # Name, width and height of the screen, width of its pictures on the sheet.
 SCREENS = (("phone", 390, 844, 180), ("tablet", 768, 1024, 240), ("laptop", 1280, 800, 320))
 ALONE = {("turning", "laptop", "light"): "page", ("holding", "phone", "dark"): "page-hold"}
 COLUMNS = {"phone": 8, "tablet": 5, "laptop": 5}
-QUALITY = {"alone": 45, "sheet": 40}
-ENDED = {"headline": "FINISHED", "details": "24 of 24 positions measured; next: imufield solve"}
+QUALITY = {"alone": 45, "once": 80, "sheet": 40}
+ENDED: dict[str, object] = {"headline": "FINISHED", "details": "24 of 24 positions measured; next: imufield solve"}
 STYLE = "body{margin:8px;background:#777;font:14px sans-serif;color:#fff;display:grid;gap:8px}figure{margin:0}img{width:100%}"
-
-
-@contextmanager
-def served(staged: StagedSession) -> Iterator[tuple[PageServer, str]]:
-    """Serve the page of a session; yield the server and the address."""
-    listening = socket.create_server(("127.0.0.1", 0))
-    host = f"127.0.0.1:{listening.getsockname()[1]}"
-    access = Access(frozenset({host}))
-    with PageServer(listening, access, staged.page.board, staged.page.mark) as server:
-        yield server, f"http://{host}/#token={access.mark}"
 
 
 def take(page: Page, quality: int, *, whole: bool = False) -> bytes:
@@ -57,45 +44,49 @@ def take(page: Page, quality: int, *, whole: bool = False) -> bytes:
     return base64.b64decode(page.context.new_cdp_session(page).send("Page.captureScreenshot", options)["data"])
 
 
+def photograph(pages: dict[Key, Page], state: str, pictures: dict[Key, list[tuple[str, bytes]]]) -> None:
+    """Take a picture of each page, and of some one that stands alone."""
+    for key, page in pages.items():
+        if (state, *key) in ALONE:
+            (FOLDER / f"{ALONE[state, *key]}.webp").write_bytes(take(page, QUALITY["alone"]))
+        pictures[key].append((state, take(page, QUALITY["once"])))
+
+
+def visit(pages: dict[Key, Page], pictures: dict[Key, list[tuple[str, bytes]]]) -> None:
+    """Go through all states, with all pages at once."""
+    staged = StagedSession()
+    with staged.served() as (server, url):
+        for page in pages.values():
+            page.goto(url)
+        for state in staged.stages():
+            for page in pages.values():
+                staged.wait_for(page, state)
+            photograph(pages, state, pictures)
+        server.end(ENDED)
+    for page in pages.values():
+        page.locator("#headline", has_text="FINISHED").wait_for()
+    photograph(pages, "ended", pictures)
+    staged = StagedSession()
+    state = next(staged.stages())
+    with staged.served() as (_, url):
+        for page in pages.values():
+            page.goto(url)
+            staged.wait_for(page, state)
+    for page in pages.values():
+        page.locator("body.away").wait_for()
+    photograph(pages, "no connection", pictures)
+
+
 def main() -> None:
     """Write single pictures, and a sheet of all states for each screen and scheme."""
-    pictures: dict[tuple[str, str], list[tuple[str, bytes]]] = defaultdict(list)
+    pictures: dict[Key, list[tuple[str, bytes]]] = defaultdict(list)
+    pages: dict[Key, Page] = {}
     with open_browser() as browser:
-        pages: dict[tuple[str, str], Page] = {}
-
-        def photograph(state: str) -> None:
-            for key, page in pages.items():
-                if (state, *key) in ALONE:
-                    (FOLDER / f"{ALONE[state, *key]}.webp").write_bytes(take(page, QUALITY["alone"]))
-                pictures[key].append((state, take(page, 80)))
-
         for (name, width, height, _), scheme in product(SCREENS, ("light", "dark")):
-            viewport = {"width": width, "height": height}
-            context = browser.new_context(viewport=viewport, color_scheme=scheme, reduced_motion="reduce")
-            pages[name, scheme] = context.new_page()
-        staged = StagedSession()
-        with served(staged) as (server, url):
-            for page in pages.values():
-                page.goto(url)
-            for state in staged.stages():
-                for page in pages.values():
-                    page.locator(f"body[data-version='{staged.page.board._version}']").wait_for()
-                    if state == "finish asked":
-                        page.locator("[data-key=f]").click()
-                photograph(state)
-            server.end(ENDED)
-        for page in pages.values():
-            page.locator("#headline", has_text=ENDED["headline"]).wait_for()
-        photograph("ended")
-        staged = StagedSession()
-        next(staged.stages())
-        with served(staged) as (_, url):
-            for page in pages.values():
-                page.goto(url)
-                page.locator("body[data-version]").wait_for()
-        for page in pages.values():
-            page.locator("body.away").wait_for()
-        photograph("no connection")
+            page = browser.new_context(viewport={"width": width, "height": height}, reduced_motion="reduce").new_page()
+            page.emulate_media(color_scheme="dark" if scheme == "dark" else "light")
+            pages[name, scheme] = page
+        visit(pages, pictures)
         for (name, scheme), taken in pictures.items():
             write_sheet(pages[name, scheme], name, scheme, taken)
 
