@@ -102,6 +102,7 @@ coverage: $(DEV)
 
 screens: $(DEV)
 	$(BIN)/python .ci/make_screens.py
+	$(BIN)/python .ci/make_page_screens.py
 
 # The source archive is built first and the wheel from it: what is not in the archive cannot get into the wheel.
 wheel: $(DEV)

@@ -14,8 +14,9 @@ from imufield.guide.events import Event
 from imufield.guide.lead.guide import Snapshot
 from imufield.guide.lead.state_table import State
 from imufield.guide.positions import Scheme
-from imufield.guide.view.plain import known_words
+from imufield.guide.view.plain import known_words, said_once
 from imufield.guide.view.screen import Screen, instruct, stillness_words
+from imufield.guide.view.sound import heard
 from imufield.web.board import Board, Json
 
 LOG_LINES = 200
@@ -77,16 +78,19 @@ class GuidePage:
     def tell(self, text: str) -> None:
         """Show a message that is no event."""
         self._screen.tell(text)
-        self._log.append({"text": text, "kind": "told"})
+        self._log.append({"text": text, "kind": "told", "tones": [], "spoken": ""})
 
     def show(self, events: list[Event]) -> None:
         """Take events; they are shown with the next state."""
-        for event in events:
-            before = len(self._screen.messages)
-            newest = self._screen.messages[-1] if before else None
+        for event in said_once(events):
+            before = self._screen.messages[-1] if self._screen.messages else None
             self._screen.follow([event])
-            if self._screen.messages and self._screen.messages[-1] is not newest:
-                self._log.append({"text": self._screen.messages[-1], "kind": event.kind, "time_s": round(event.time_s, 1)})
+            newest = self._screen.messages[-1] if self._screen.messages else None
+            text = "" if newest is before or newest is None else newest
+            cue, spoken = heard(event)
+            if text or cue or spoken:
+                tones = [] if cue is None else cue.tones
+                self._log.append({"text": text, "kind": event.kind, "tones": tones, "spoken": spoken or ""})
 
     def refresh(self, snapshot: Snapshot, *, silent: bool, samples_lost: int) -> None:
         """Show the state between events."""

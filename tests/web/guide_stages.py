@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import socket
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,7 +18,12 @@ from imufield.guide.positions import scheme
 from imufield.samples import Samples
 from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
 from imufield.simulate.truth.operator import NO_POSITION, OperatorSettings, Visit
+from imufield.web.access import Access
 from imufield.web.guide_page import GuidePage
+from imufield.web.server import PageServer
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
 
 RATE_HZ = 100.0
 BLOCK = 10  # Samples: a cell.
@@ -46,14 +54,7 @@ class StagedSession:
         yield self._shown("waiting")
         self._run(lambda now: now.state is State.TURNING and len(now.accepted) == 2 and _moves(now))
         yield self._shown("turning early")
-        self._run(lambda now: now.state is State.HOLDING and now.fraction > 0.6 and len(now.accepted) >= 7)
-        yield self._shown("holding")
-        self._run(lambda now: now.state is State.RESTING)
-        yield self._shown("accepted")
-        self._run(lambda now: now.state is State.TURNING and _moves(now) and _far(now))
-        yield self._shown("turning")
-        self._run(lambda now: now.state is State.TURNING and not _moves(now))
-        yield self._shown("settling")
+        self._run(lambda now: len(now.accepted) == 7)
         self._run(lambda now: now.state is State.HOLDING and now.fraction > 0.3)
         self._run(lambda _: any(event.kind == "rejected" for event in self._events), self._knocked)
         yield self._shown("rejected")
@@ -68,11 +69,34 @@ class StagedSession:
         self._run(lambda now: len(now.accepted) == 11)
         self._run(lambda now: len(now.accepted) == 12, self._wrong)
         yield self._shown("suspect")
-        self._run(lambda now: now.state is State.TURNING and len(now.accepted) == 16)
+        self._run(lambda now: now.state is State.HOLDING and now.fraction > 0.6 and len(now.accepted) >= 15)
+        yield self._shown("holding")
+        self._run(lambda now: now.state is State.RESTING)
+        yield self._shown("accepted")
+        self._run(lambda now: now.state is State.TURNING and _moves(now) and _far(now))
+        yield self._shown("turning")
+        self._run(lambda now: now.state is State.TURNING and not _moves(now))
+        yield self._shown("settling")
+        self._run(lambda now: now.state is State.TURNING and len(now.accepted) == 18)
         self._events += [self.guide.asked_to_finish()]
         yield self._shown("finish asked")
         self._run(lambda now: now.state is State.DONE)
         yield self._shown("done")
+
+    @contextmanager
+    def served(self) -> Iterator[tuple[PageServer, str]]:
+        """Serve the page; yield the server and the address."""
+        listening = socket.create_server(("127.0.0.1", 0))
+        host = f"127.0.0.1:{listening.getsockname()[1]}"
+        access = Access(frozenset({host}))
+        with PageServer(listening, access, self.page.board, self.page.mark) as server:
+            yield server, f"http://{host}/#token={access.mark}"
+
+    def wait_for(self, page: Page, stage: str) -> None:
+        """Wait until a page shows what the board holds; ask to finish from it where the stage says so."""
+        page.locator(f"body[data-version='{self.page.board._version}']").wait_for()
+        if stage == "finish asked":
+            page.locator("[data-key=f]").click()
 
     def _run(self, until: Callable[[Snapshot], bool], change: Callable[[Samples], Samples] = lambda samples: samples) -> None:
         """Feed the guide until something is so; the operator goes where the guide asks."""

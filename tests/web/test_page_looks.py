@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import os
-import socket
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,8 +13,6 @@ import pytest
 
 pytest.importorskip("websockets", reason="the page needs websockets")
 
-from imufield.web.access import Access
-from imufield.web.server import PageServer
 from tests.web.browser import Screens
 from tests.web.guide_stages import StagedSession
 
@@ -26,7 +22,7 @@ if TYPE_CHECKING:
 AXE = Path(__file__).parent / "scripts" / "node_modules" / "axe-core" / "axe.min.js"
 SIZES = ((390, 844), (844, 390), (768, 1024), (1280, 800))
 STAGES = 14
-ENDED = {"headline": "FINISHED", "details": "24 of 24 positions measured; imufield solve my-session"}
+ENDED: dict[str, object] = {"headline": "FINISHED", "details": "24 of 24 positions measured; imufield solve my-session"}
 # Beside what a page of its own scrolls by, nothing may stick out.
 WIDER = """() => [...document.querySelectorAll("body *")]
     .filter((element) => element.getBoundingClientRect().right > innerWidth + 1 && element.checkVisibility())
@@ -61,22 +57,12 @@ def find(page: Page, stage: str, found: Findings) -> None:
             found.barriers += [f"{stage}, {scheme}: {what}" for what in page.evaluate(RUN_AXE)]
 
 
-@contextmanager
-def served(staged: StagedSession) -> Iterator[tuple[PageServer, str]]:
-    """Serve the page of a session; yield the server and the page's address."""
-    listening = socket.create_server(("127.0.0.1", 0))
-    host = f"127.0.0.1:{listening.getsockname()[1]}"
-    access = Access(frozenset({host}))
-    with PageServer(listening, access, staged.page.board, staged.page.mark) as server:
-        yield server, f"http://{host}/#token={access.mark}"
-
-
 @pytest.fixture(scope="module")
 def idle() -> Iterator[str]:
     """Serve the page of a session that stands still; yield its address."""
     staged = StagedSession()
     next(staged.stages())
-    with served(staged) as (_, url):
+    with staged.served() as (_, url):
         yield url
 
 
@@ -84,14 +70,12 @@ def idle() -> Iterator[str]:
 def findings(browser: Browser) -> Iterator[Findings]:
     """Go once through all states of a session with one page."""
     found, screens, staged = Findings(), Screens(browser), StagedSession()
-    with served(staged) as (server, url):
+    with staged.served() as (server, url):
         page = screens.open(f"{url}&back=http://127.0.0.1:8778/")
         if AXE.exists():
             page.evaluate(AXE.read_text(encoding="utf-8"))
         for stage in staged.stages():
-            page.locator(f"body[data-version='{staged.page.board._version}']").wait_for()
-            if stage == "finish asked":
-                page.locator("[data-key=f]").click()
+            staged.wait_for(page, stage)
             find(page, stage, found)
         found.console = list(screens.console)
         server.end(ENDED)
@@ -117,7 +101,7 @@ def test_no_barrier_in_any_state(findings: Findings) -> None:
 def test_keyboard_alone(screens: Screens) -> None:
     staged = StagedSession()
     next(staged.stages())
-    with served(staged) as (_, url):
+    with staged.served() as (_, url):
         page = screens.open(url)
         page.locator("#marks").wait_for()
         reached = []

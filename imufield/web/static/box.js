@@ -60,7 +60,7 @@ export class Box {
   draw() {
     const { context, width, height } = prepare(this.canvas);
     if (!this.up) return;
-    const isWide = width > 1.15 * height;
+    const isWide = width > 440 && width > 1.15 * height;
     /** @type {[number, number]} */
     let middle = [width / 2, height / 2];
     let size = Math.min(width, height) / 2 / REACH;

@@ -40,7 +40,6 @@ let map = { accepted: {}, suspects: [], skipped: [], again: [], forecasts: [] };
 /** @type {(number | null)[][]} */
 let blocks = [];
 let role = "watch";
-let spoken = "";
 let asked = -Infinity;
 
 linkBack();
@@ -117,12 +116,16 @@ function label(key, words, isWanted) {
 function hear(lines, isOld) {
   const log = at("log").firstElementChild;
   for (const line of lines) {
+    if (!isOld) sound.play(line.kind, line.tones);
+    if (!line.text) continue; // To be heard only.
     const entry = document.createElement("li");
     entry.textContent = pretty(line.text);
     entry.className = line.kind;
     log.prepend(entry);
-    if (!isOld) sound.play(line.kind);
   }
+  // What was said together is not cut off by its last part.
+  const spoken = lines.map((line) => line.spoken).filter(Boolean);
+  if (!isOld && spoken.length) sound.say(spoken.join(". "));
   while (log.children.length > LOG_LINES) log.lastChild.remove();
 }
 
@@ -133,12 +136,6 @@ function showWords() {
   const side = /^[+-]/.test(state.big[1]) ? state.big[1] : "";
   write("side", side && text("side", { side: side.replaceAll("-", "−").replace(/(?<=.)[+−]/g, " $&") }));
   write("details", pretty(state.details));
-  const words = `${state.headline}. ${state.details}`;
-  if (words !== spoken) {
-    spoken = words;
-    sound.say(words);
-    if (state.state === "holding") sound.play("hold");
-  }
   const [, done] = at("ring").querySelectorAll("circle");
   const number = at("ring").querySelector("text");
   // The same ring, which fills: on the way to the goal with the angle that is left, in a hold with the seconds.
@@ -257,7 +254,7 @@ at("sound").addEventListener("click", () => at("sound").setAttribute("aria-press
 at("voice").addEventListener("click", () => {
   sound.voice = !sound.voice;
   at("voice").setAttribute("aria-pressed", String(sound.voice));
-  if (sound.voice) sound.say(spoken);
+  if (sound.voice) sound.say(at("words").innerText);
 });
 
 /** Draw everything in the colours of day or night. */

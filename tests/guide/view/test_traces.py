@@ -11,7 +11,7 @@ def signals(values: object, *, missing: tuple[int, ...] = (), blocks: int = 300)
     mean = np.tile(np.asarray(values, dtype=float), (blocks, 1))
     mean[:, list(missing)] = np.nan
     age_s = np.arange(float(blocks))[::-1] / 10
-    return Signals(age_s=age_s, mean=mean, low=mean - 0.01, high=mean + 0.01, units=("m/s^2", "rad/s"))
+    return Signals(newest_s=0.0, age_s=age_s, mean=mean, low=mean - 0.01, high=mean + 0.01, units=("m/s^2", "rad/s"))
 
 
 @pytest.mark.parametrize("ascii_only", [False, True])
