@@ -2,7 +2,7 @@
 
 import { Bench, complaint } from "./bench.js";
 import { showHistory, showSessions } from "./lists.js";
-import { at, button, filled, make } from "./make.js";
+import { at, button, clean, filled, make } from "./make.js";
 import { watchDrop } from "./dropped.js";
 import { SessionView } from "./session.js";
 import { text } from "./texts.js";
@@ -36,6 +36,7 @@ function route() {
   const key = `${name}/${rest.join("/")}`;
   if (!bench.isThere || key === shown) return;
   shown = key;
+  at("says").textContent = "";
   if (name === "calibrate" && !hasLooked) look();
   if (name === "sessions") bench.run("sessions").then((job) => showSessions(bench, job), refuse);
   if (name === "history") bench.run("history").then((job) => showHistory(bench, job), refuse);
@@ -44,7 +45,7 @@ function route() {
 
 /** @param {Error} error */
 function refuse(error) {
-  at("start-says").textContent = error.message;
+  at("says").textContent = error.message;
 }
 
 function show() {
@@ -84,7 +85,12 @@ async function look() {
         values: { bus: bus.bus },
       });
     showPorts();
-    for (const port of devices.ports) await listen(port.device);
+    // Two at a time: a port that says nothing takes ten seconds, and other commands want their turn, too.
+    const left = devices.ports.map((/** @type {any} */ port) => port.device);
+    const next = async () => {
+      while (left.length) await listen(left.shift());
+    };
+    await Promise.all([next(), next()]);
   } catch (error) {
     refuse(/** @type {Error} */ (error));
   }
@@ -165,13 +171,15 @@ async function heard(number, fits) {
     const job = bench.jobs.get(number);
     const value = job?.found.find(fits);
     if (value || (job && job.code !== null)) return value ?? null;
+    if (!bench.isThere) throw new Error(text("gone"));
     await new Promise((resolve) => setTimeout(resolve, 100));
   }
 }
 
 at("drivers").addEventListener("change", async (/** @type {any} */ event) => {
   const name = event.target.value;
-  const facts = name ? (await bench.run("devices", { driver: name })).found[0] : null;
+  const job = name ? await bench.run("devices", { driver: name }).catch(refuse) : null;
+  const facts = job?.found[0];
   at("driver").replaceChildren(
     ...(facts
       ? [
@@ -250,37 +258,57 @@ at("new-name").value = newName();
 
 // What is under way, and what was done
 
+/** @type {Map<number, {banner: any, words: any, newest: any, guide: any}>} by the number of the command */
+const banners = new Map();
+
 function showUnderWay() {
-  const rows = [...bench.jobs.values()]
-    .filter((job) => job.code === null && !LOOKS.includes(job.action))
-    .map((job) => {
-      const page = job.found.find((value) => value.event === "page");
-      const name = job.values.new ?? job.values.session ?? "";
-      const counted = job.found.filter((value) => "accepted" in value && "planned" in value).pop();
-      const newest = job.found.filter((value) => value.words).pop();
-      const counts = { name, accepted: counted?.accepted, planned: counted?.planned };
-      const isGuided = job.action === "capture" || job.action === "resume";
-      const words = isGuided
-        ? counted
-          ? text("counted", counts)
-          : text(page ? "guided" : "connecting", counts)
-        : job.action === "emulate"
-          ? text("emulated")
-          : job.action === "replay"
-            ? text("replayed", counts)
-            : job.action === "solve"
-              ? text("computing", counts)
-              : job.command;
-      return make(
-        "div",
-        {},
-        make("strong", {}, words),
-        newest && job.action !== "emulate" ? make("span", { class: "state" }, newest.words) : null,
-        page ? button(text("openGuide"), () => goTo(page.url, name), { class: "main" }) : null,
-        button(text(isGuided ? "pause" : "stop"), () => void bench.ask({ cancel: job.job })),
-      );
-    });
-  at("under-way").replaceChildren(...rows);
+  const running = [...bench.jobs.values()].filter((job) => job.code === null && !LOOKS.includes(job.action));
+  for (const [number, { banner }] of banners)
+    if (!running.some((job) => job.job === number)) {
+      banner.remove();
+      banners.delete(number);
+    }
+  for (const job of running) {
+    const name = job.values.new ?? job.values.session ?? "";
+    const page = job.found.find((value) => value.event === "page");
+    const counted = job.found.filter((value) => "accepted" in value && "planned" in value).pop();
+    // Changed and not made anew: somebody may be about to press a button of it.
+    const { words, newest, guide } = banners.get(job.job) ?? banner(job, name);
+    words.textContent = clean(underWay(job, { name, accepted: counted?.accepted, planned: counted?.planned }, Boolean(page)));
+    newest.textContent = job.action === "emulate" ? "" : clean(job.found.filter((value) => value.words).pop()?.words ?? "");
+    guide.hidden = !page;
+  }
+}
+
+/** Make the banner of a command. @param {import("./bench.js").Job} job @param {string} name */
+function banner(job, name) {
+  const [words, newest] = [make("strong"), make("span", { class: "state" })];
+  const guide = button(
+    text("openGuide"),
+    () => goTo(bench.jobs.get(job.job)?.found.find((value) => value.event === "page")?.url ?? "", name),
+    { class: "main" },
+  );
+  const stop = () => void bench.ask({ cancel: job.job }).catch(refuse);
+  const made = {
+    banner: make("div", {}, words, newest, guide, button(isGuided(job) ? text("pause") : text("stop"), stop)),
+    words,
+    newest,
+    guide,
+  };
+  at("under-way").append(made.banner);
+  banners.set(job.job, made);
+  return made;
+}
+
+/** @param {import("./bench.js").Job} job */
+const isGuided = (job) => job.action === "capture" || job.action === "resume";
+
+/** @param {import("./bench.js").Job} job @param {any} counts @param {boolean} hasPage */
+function underWay(job, counts, hasPage) {
+  if (isGuided(job)) return counts.planned ? text("counted", counts) : text(hasPage ? "guided" : "connecting", counts);
+  if (job.action === "emulate") return text("emulated");
+  if (job.action === "replay") return text("replayed", counts);
+  return job.action === "solve" ? text("computing", counts) : job.command;
 }
 
 /** @type {Map<number, {entry: any, said: number}>} */
