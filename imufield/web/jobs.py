@@ -131,7 +131,9 @@ class Jobs:
         errors.start()
         self._read(number, process.stdout, "line")
         errors.join()
-        self._end(number, process.wait())
+        code = process.wait()
+        # Before it can handle it.
+        self._end(number, EXIT_INTERRUPTED if code == -signal.SIGTERM else code)
 
     def _read(self, number: int, stream: IO[str], kind: str) -> None:
         while line := stream.readline(LONGEST_OUTPUT):
@@ -155,6 +157,10 @@ def _value(line: str) -> Json | None:
 
 
 def _interrupt(process: subprocess.Popen[str]) -> None:
+    if os.name != "posix":
+        process.terminate()
+        return
     with suppress(ProcessLookupError):
-        # All of its group, as a terminal does: what it has started itself hears it, too.
-        os.killpg(process.pid, signal.SIGINT)
+        # All of its group, as a terminal does: what it has started itself hears it, too. Not SIGINT, to which programs that are
+        # started in the background of a shell are deaf; both are handled as Ctrl-C is.
+        os.killpg(process.pid, signal.SIGTERM)

@@ -239,6 +239,15 @@ def test_a_command_that_fails_says_why(page: Page) -> None:
     assert "sessions/one" in page.heard(job, "said")
 
 
+@pytest.fixture
+def deaf() -> Iterator[None]:
+    """Ignore Ctrl-C, as shells let programs do that they start in the background."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("deaf")
 def test_a_command_waits_for_its_turn_and_is_ended_as_by_ctrl_c(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(jobs, "MOST_AT_ONCE", 1)
     monkeypatch.setattr(jobs, "MOST_WAITING", 2)

@@ -211,7 +211,7 @@ export class SessionView {
           "p",
           { class: "row" },
           button(text("solveThese"), () => this.solve()),
-          this.row?.kind === "capture"
+          this.row?.kind === "capture" && (doubts.length || holds.length < this.row.planned)
             ? button(doubts.length ? text("retake", { names: doubts.join(", ") }) : text("more"), () => this.resume())
             : null,
           button(text("signals"), () => void this.showSignals(holds)),
@@ -355,13 +355,15 @@ export class SessionView {
    * @param {() => Promise<Job>} run @param {(job: Job) => {files: string[], losses?: string[], notes?: string[]}} found
    */
   async made(run, found) {
-    at("made").replaceChildren(make("p", {}, text("working")));
+    // Above what was made before, which can still be saved.
+    const place = make("div", {}, make("p", {}, text("working")));
+    at("made").prepend(place);
     try {
       const job = await run();
       if (job.code !== 0) throw new Error(complaint(job));
       const { files, losses, notes } = found(job);
       const names = files.map((path) => path.slice(path.lastIndexOf("/") + 1));
-      at("made").replaceChildren(
+      place.replaceChildren(
         make(
           "p",
           { class: "row" },
@@ -375,7 +377,7 @@ export class SessionView {
         ),
       );
     } catch (error) {
-      at("made").replaceChildren(make("p", { class: "failed" }, /** @type {Error} */ (error).message));
+      place.replaceChildren(make("p", { class: "failed" }, /** @type {Error} */ (error).message));
     }
   }
 }
