@@ -101,7 +101,7 @@ def test_from_an_empty_folder_to_the_files(program: Program, screens: Screens, a
     port = program.emulate("--positions", "faces6", "--wait")
     page = screens.open(address)
     assert "token" not in page.url
-    page.get_by_text("It is not found").click()
+    page.get_by_text("by hand").click()
     page.get_by_label("Port", exact=True).fill(port)
     page.get_by_label("Latitude").first.fill("45")
     page.get_by_label("Height").first.fill("0")

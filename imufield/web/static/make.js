@@ -82,7 +82,9 @@ export function filled(form) {
   for (const field of /** @type {NodeListOf<any>} */ (form.querySelectorAll("[name]"))) {
     const text = field.value.trim();
     if (field.type === "checkbox" ? !field.checked : !text) continue;
-    values[field.name] = field.type === "checkbox" ? true : field.inputMode === "decimal" ? Number(text.replace(",", ".")) : text;
+    const number = field.inputMode === "decimal" ? Number(text.replace(",", ".")) : NaN;
+    // What should be a number and is none is refused with what was typed.
+    values[field.name] = field.type === "checkbox" ? true : Number.isNaN(number) ? text : number;
   }
   return values;
 }

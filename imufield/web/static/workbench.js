@@ -35,6 +35,8 @@ function route() {
   }
   const key = `${name}/${rest.join("/")}`;
   if (!bench.isThere || key === shown) return;
+  // Who comes back from the guide calibrates at the same place.
+  fillPlace(bench.newest("capture")?.values ?? {});
   shown = key;
   at("says").textContent = "";
   if (name === "calibrate" && !hasLooked) look();
@@ -139,12 +141,13 @@ function knowVirtual() {
   for (const [key, port] of ports) if (port.values.clock_speed) ports.delete(key);
   for (const job of bench.jobs.values()) {
     const started = job.code === null && job.action === "emulate" ? job.found.find((value) => value.event === "started") : null;
-    if (started)
-      ports.set(started.port, {
-        name: text("virtual", { port: started.port }),
-        says: text("virtualIs", { driver: started.driver, speed: started.speed }),
-        values: { port: started.port, driver: started.driver, clock_speed: started.speed },
-      });
+    if (!started) continue;
+    ports.set(started.port, {
+      name: text("virtual", { port: started.port }),
+      says: text("virtualIs", { driver: started.driver, speed: started.speed }),
+      values: { port: started.port, driver: started.driver, clock_speed: started.speed },
+    });
+    if (!ports.has(chosen)) chosen = started.port;
   }
   if (before !== [...ports.keys()].join()) showPorts();
 }
@@ -152,18 +155,24 @@ function knowVirtual() {
 at("look").addEventListener("click", look);
 at("virtual").addEventListener("click", async () => {
   try {
-    const speed = 4; // So that 24 positions take four minutes, and a person can follow.
+    const speed = 4; // So that 24 positions take two minutes, and a person can follow.
     const number = await bench.start("emulate", { driver: "stim300", speed });
     const started = await heard(number, (value) => value.event === "started");
     if (!started) return refuse(new Error(complaint(/** @type {any} */ (bench.jobs.get(number)))));
     chosen = started.port;
     knowVirtual();
-    const fields = at("place").elements;
-    if (!fields.latitude.value && !fields.gravity.value) [fields.latitude.value, fields.height.value] = ["45", "0"];
+    fillPlace({ latitude: 45, height: 0 });
   } catch (error) {
     refuse(/** @type {Error} */ (error));
   }
 });
+
+/** Fill in a place where none was given. @param {any} values */
+function fillPlace(values) {
+  const fields = at("place").elements;
+  if (fields.latitude.value || fields.gravity.value) return;
+  for (const name of ["latitude", "height", "gravity"]) fields[name].value = values[name] ?? "";
+}
 
 /** Wait for a value of a command, null when it has ended without. @param {number} number @param {(value: any) => boolean} fits @returns {Promise<any>} */
 async function heard(number, fits) {
