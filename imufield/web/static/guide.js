@@ -6,6 +6,7 @@ import { forgetColours } from "./canvas.js";
 import { drawForecast, drawTrace } from "./chart.js";
 import { drawGlobe } from "./globe.js";
 import { Link } from "./link.js";
+import { drawnShape } from "./shape.js";
 import { Sound } from "./sound.js";
 import { text } from "./texts.js";
 
@@ -76,6 +77,7 @@ function show(message) {
     at("log").firstElementChild.replaceChildren();
     write("about", [head.instrument, head.session, head.scheme, role === "watch" ? text("watching") : ""].filter(Boolean).join(" · "));
     box.cable = head.cable;
+    if (head.shape) box.shape = drawnShape(head.shape);
   }
   if (!message.state.headline) return; // Nothing has been shown yet.
   state = message.state;
