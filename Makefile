@@ -24,7 +24,7 @@ help:
 	@echo "make coverage  branches tested in acquire, calibrate and guide; below 90 % fails"
 	@echo "make audit   what is installed against the lock; make lock notes it anew"
 	@echo "make changelog  what has changed since the last release"
-	@echo "make screens draw the guide's screens and the report in README and docs again, from emulated sessions"
+	@echo "make screens draw the guide's screens, its page and the report in README and docs again, from emulated sessions"
 	@echo "make wheel   build source archive and wheel into dist/, check what is in them"
 	@echo "make clean   remove .venv and everything built"
 
