@@ -207,9 +207,13 @@ def test_a_giant_message_closes_its_page_only(served: Served) -> None:
 
 def test_a_flood_of_marks_is_cut_off(served: Served) -> None:
     served.board.put({})
-    with served.open() as flood, pytest.raises(ConnectionClosed):
+
+    def flood(page: ClientConnection) -> None:
         for _ in range(100_000):
-            flood.send("s")
+            page.send("s")
+
+    with served.open() as page, pytest.raises(ConnectionClosed):
+        flood(page)
     taken = 0
     while not served.marks.empty():
         served.marks.get()
