@@ -126,7 +126,7 @@ def test_a_session_from_the_page_whatever_happens(program: Program, number: int,
     assert solved.returncode == 0, solved.stderr
     assert len(json.loads(solved.stdout)["position"]) == len(POSITIONS)
     campaign.tell(
-        "whole session from the page in a browser; cable out, network cut, reloads, other pages, sleep, marks at random moments",
+        "whole session from the page; cable out, network cut, reloads, other pages, sleep, marks at random moments",
         1,
         "sessions",
         "{positions} positions of {planned} measured, {faults} faults; without a page the recording gives the same",
