@@ -9,7 +9,7 @@ TEST := $(VENV)/.test
 DEV := $(VENV)/.dev
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test bench study fuzz lint style mypy pyright docs torture coverage audit lock changelog wheel clean screens
+.PHONY: help demo test bench study fuzz lint style mypy pyright docs torture coverage audit lock changelog wheel clean screens scripts
 
 help:
 	@echo "make demo    the whole chain on a virtual instrument, about a minute"
@@ -18,6 +18,7 @@ help:
 	@echo "make study   the papers' tables and figures, and the answers, in full: an hour of one core; writes docs/study.md, docs/answers.md"
 	@echo "make fuzz    a minute of random and damaged bytes for every instrument"
 	@echo "make lint    style, types"
+	@echo "make scripts  types of the page's scripts, by tools that npm installs; make test then looks for barriers, too"
 	@echo "make docs    build the documentation into build/docs; broken links and examples fail"
 	@echo "make torture  kills, cuts, bad wires and files, in full, about half an hour; writes docs/reliability.md"
 	@echo "make coverage  branches tested in acquire, calibrate and guide; below 90 % fails"
@@ -62,6 +63,15 @@ mypy: $(DEV)
 pyright: $(DEV)
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
+# Nothing of what npm installs is shipped.
+SCRIPTS := tests/web/scripts
+scripts: $(SCRIPTS)/node_modules/.made
+	$(SCRIPTS)/node_modules/.bin/tsc --project $(SCRIPTS)
+
+$(SCRIPTS)/node_modules/.made: $(SCRIPTS)/package-lock.json
+	npm ci --no-audit --no-fund --ignore-scripts --prefix $(SCRIPTS)
+	@touch $@
+
 # Not --quiet: mkdocs counts only the warnings that it prints.
 docs: $(DEV)
 	$(BIN)/python -m pytest tests/test_docs.py tests/test_docs_build.py tests/commands/test_docs_commands.py
@@ -92,6 +102,7 @@ coverage: $(DEV)
 
 screens: $(DEV)
 	$(BIN)/python .ci/make_screens.py
+	$(BIN)/python .ci/make_page_screens.py
 
 # The source archive is built first and the wheel from it: what is not in the archive cannot get into the wheel.
 wheel: $(DEV)

@@ -14,8 +14,9 @@ from imufield.guide.events import Event
 from imufield.guide.lead.guide import Snapshot
 from imufield.guide.lead.state_table import State
 from imufield.guide.positions import Scheme
-from imufield.guide.view.plain import known_words
-from imufield.guide.view.screen import Screen, instruct
+from imufield.guide.view.plain import known_words, said_once
+from imufield.guide.view.screen import Screen, instruct, stillness_words
+from imufield.guide.view.sound import heard
 from imufield.web.board import Board, Json
 
 LOG_LINES = 200
@@ -44,6 +45,7 @@ class GuidePage:
         self._screen = Screen()
         self._scheme = scheme
         self._marks: SimpleQueue[str] = SimpleQueue()
+        self._forecasts: dict[int, list[float | None]] = {}
         self._log: list[object] = []
         self._trace_until_s = -math.inf
         positions = [
@@ -76,16 +78,19 @@ class GuidePage:
     def tell(self, text: str) -> None:
         """Show a message that is no event."""
         self._screen.tell(text)
-        self._log.append({"text": text, "kind": "told"})
+        self._log.append({"text": text, "kind": "told", "tones": [], "spoken": ""})
 
     def show(self, events: list[Event]) -> None:
         """Take events; they are shown with the next state."""
-        for event in events:
-            before = len(self._screen.messages)
-            newest = self._screen.messages[-1] if before else None
+        for event in said_once(events):
+            before = self._screen.messages[-1] if self._screen.messages else None
             self._screen.follow([event])
-            if self._screen.messages and self._screen.messages[-1] is not newest:
-                self._log.append({"text": self._screen.messages[-1], "kind": event.kind, "time_s": round(event.time_s, 1)})
+            newest = self._screen.messages[-1] if self._screen.messages else None
+            text = "" if newest is before or newest is None else newest
+            cue, spoken = heard(event)
+            if text or cue or spoken:
+                tones = [] if cue is None else cue.tones
+                self._log.append({"text": text, "kind": event.kind, "tones": tones, "spoken": spoken or ""})
 
     def refresh(self, snapshot: Snapshot, *, silent: bool, samples_lost: int) -> None:
         """Show the state between events."""
@@ -106,9 +111,7 @@ class GuidePage:
             "angle_deg": _number(screen.angle_deg) if snapshot.state is State.TURNING else None,
             "up": None if snapshot.direction is None else _rounded(snapshot.direction),
             "target_up": None if snapshot.target_direction is None else _rounded(snapshot.target_direction),
-            "stillness": None
-            if activity is None
-            else {"ratio": _number(activity.ratio), "motion": activity.motion, "axis": activity.axis},
+            "stillness": None if activity is None else {"ratio": _number(activity.ratio), "words": stillness_words(activity)},
             "temperature_degc": _number(snapshot.temperature_degc),
             "rate_hz": _number(snapshot.rate_hz),
             "known": None if forecast is None else {name: known_words(forecast, name) for name in _FORECAST},
@@ -117,18 +120,24 @@ class GuidePage:
             "link": "lost" if not screen.link else "silent" if silent else "there",
             "samples_lost": samples_lost,
         }
+        # Of what was undone the page knows nothing.
+        self._forecasts = {done: values for done, values in self._forecasts.items() if done < len(snapshot.accepted)}
+        if forecast is not None:
+            self._forecasts[len(snapshot.accepted)] = [_number(forecast.get(name, math.nan)) for name in _FORECAST]
         positions: Json = {
             "accepted": {
                 name: {"residual_m_s2": _number(snapshot.residuals.get(name, math.nan))} for name in snapshot.accepted
             },
             "suspects": list(snapshot.suspects),
             "skipped": list(snapshot.skipped),
+            "again": list(snapshot.again),
+            "forecasts": [[done, *values] for done, values in self._forecasts.items()],
         }
         log, self._log = self._log, []
         self.board.put(state, positions=positions, trace=self._new_blocks(snapshot), log=log)
 
     def _new_blocks(self, snapshot: Snapshot) -> list[object]:
-        """Return the blocks of the signals that no page has had: time, then six means."""
+        """Return the blocks of the signals that no page has had: time, six means, and the temperature as it is now."""
         signals = snapshot.signals
         if signals is None:
             return []
@@ -138,7 +147,7 @@ class GuidePage:
         self._trace_until_s = float(time_s[-1])
         new = time_s > since_s + 1e-6
         return [
-            [round(float(at_s), 2), *(_number(value) for value in row)]
+            [round(float(at_s), 2), *(_number(value) for value in (*row, snapshot.temperature_degc))]
             for at_s, row in zip(time_s[new], signals.mean[new], strict=True)
         ]
 

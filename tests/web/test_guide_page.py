@@ -29,8 +29,9 @@ def wait_for_words(page: Page, place: str, words: str) -> None:
 
 def residuals(page: Page) -> dict[str, str]:
     """Return the list of positions as a person reads it; which is the next one changes while it is read."""
-    rows = [row.locator("td").all_inner_texts() for row in page.locator("#table tbody tr").all()]
-    return {row[0]: row[-1] for row in rows}
+    return {
+        row.locator(".name").inner_text(): row.locator(".residual").inner_text() for row in page.locator("#positions li").all()
+    }
 
 
 def oldest(page: Page, count: int) -> list[str]:

@@ -29,6 +29,7 @@ from imufield.guide.lead.guide import Snapshot
 from imufield.guide.lead.state_table import State
 from imufield.guide.positions import Scheme, nearest_cube_direction
 from imufield.guide.refusals import quantities
+from imufield.guide.stillness.limits import Activity
 from imufield.guide.view.pictures import ROWS, big_lines, draw_box
 from imufield.guide.view.plain import NOT_TOLD, known_words, said_once, suspect_words, words
 from imufield.guide.view.traces import draw_signals, signals_title
@@ -382,11 +383,15 @@ def _bars(screen: Screen, snapshot: Snapshot, width: int) -> RenderableType:
     table.add_row("stillness", _stillness_bar(snapshot, width), state)
     if activity is None:
         return Group(table, Text())
+    return Group(table, Text(stillness_words(activity), style="dim", no_wrap=True))
+
+
+def stillness_words(activity: Activity) -> str:
+    """Return what moves most, and its limit."""
     measured, limit = quantities(activity.measured, activity.limit, activity.unit)
     measured = measured.partition(" ")[0]
     sensor = "acc" if activity.triad == "accelerometer" else "gyro"
-    cause = {"motion": activity.motion, "measured": measured, "limit": limit, "sensor": sensor, "axis": activity.axis}
-    return Group(table, _dim("screen.cause", **cause))
+    return sentence("screen.cause", motion=activity.motion, measured=measured, limit=limit, sensor=sensor, axis=activity.axis)
 
 
 def bar(fraction: float, style: str, width: int = _BAR_WIDTH, *, sign: str = "#") -> Text:

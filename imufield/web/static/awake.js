@@ -1,38 +1,46 @@
 // Keeps the screen on. Browsers allow the wake lock over https and on this machine only; elsewhere a video that plays keeps it on,
 // and where that is refused too, the page says what to do.
 
-/** @param {(words: string) => void} say */
+/** @type {HTMLVideoElement | null} */
+let film = null;
+
+async function lock() {
+  if (!("wakeLock" in navigator)) return play();
+  try {
+    await navigator.wakeLock.request("screen");
+    return true;
+  } catch {
+    return false; // Low battery, or a rule of the system.
+  }
+}
+
+async function play() {
+  film ??= makeFilm();
+  try {
+    await film?.play();
+    return film !== null;
+  } catch {
+    return false;
+  }
+}
+
+/** @returns {HTMLVideoElement | null} of two by two points, once a second a new picture */
+function makeFilm() {
+  const canvas = document.createElement("canvas");
+  canvas.width = canvas.height = 2;
+  const context = canvas.getContext("2d");
+  if (!context || !("captureStream" in canvas)) return null;
+  setInterval(() => context.fillRect(0, 0, 2, 2), 1000);
+  const video = document.createElement("video");
+  video.srcObject = canvas.captureStream(1);
+  video.muted = true;
+  video.setAttribute("playsinline", "");
+  return video;
+}
+
+/** @param {(isAwake: boolean) => void} say */
 export function keepAwake(say) {
-  const lock = async () => {
-    if (!("wakeLock" in navigator) || document.hidden) return false;
-    try {
-      await navigator.wakeLock.request("screen");
-      return true;
-    } catch {
-      return false; // Low battery, or a rule of the system.
-    }
-  };
-  const film = async () => {
-    const canvas = document.createElement("canvas");
-    canvas.width = canvas.height = 2;
-    const context = canvas.getContext("2d");
-    const video = document.createElement("video");
-    if (!context || !("captureStream" in canvas)) return false;
-    setInterval(() => context.fillRect(0, 0, 2, 2), 1000);
-    video.srcObject = canvas.captureStream(1);
-    video.muted = true;
-    video.setAttribute("playsinline", "");
-    try {
-      await video.play();
-      return true;
-    } catch {
-      return false;
-    }
-  };
-  const begin = async () => {
-    const awake = (await lock()) || (!("wakeLock" in navigator) && (await film()));
-    say(awake ? "" : "set the screen of this device to stay on");
-  };
+  const begin = () => document.hidden || lock().then(say);
   begin();
-  document.addEventListener("visibilitychange", () => document.hidden || begin());
+  document.addEventListener("visibilitychange", begin);
 }

@@ -1,5 +1,7 @@
 // The instrument as a box with named faces, a cable and light from above, and the turn that brings it where it should be.
 
+import { colour, prepare } from "./canvas.js";
+import { text } from "./texts.js";
 import { UNTURNED, apply, dot, orthonormal, product, rotation, smallestTurn } from "./vectors.js";
 
 /** @typedef {import("./vectors.js").Vector} Vector */
@@ -16,13 +18,11 @@ const ONLOOKER = product(rotation([1, 0, 0], (24 * Math.PI) / 180), rotation([0,
 const LIGHT = [-0.35, -0.6, 0.72];
 const CABLE = 0.8;
 const REACH = 1.75;
+const LEAST_TURN = 0.12; // rad: a smaller one is as good as done.
+const BAND_RADIUS = 1.5; // Of the arrow, beyond the corners of the box.
+const BAND = 0.13; // Half of its width.
+const BAND_HEAD = 0.42; // rad
 const FOLLOW_MS = 60; // The box is where the newest sample says after about two frames.
-
-/** @returns {string[]} the colours of the style sheet */
-const colours = () => {
-  const style = getComputedStyle(document.documentElement);
-  return ["--box", "--goal", "--text", "--arrow"].map((name) => style.getPropertyValue(name).trim());
-};
 
 export class Box {
   /** @param {HTMLCanvasElement} canvas */
@@ -39,12 +39,7 @@ export class Box {
     this.calm = matchMedia("(prefers-reduced-motion: reduce)");
     this.last = 0;
     this.frames = 0;
-    this.colours = colours();
     requestAnimationFrame((now) => this.frame(now));
-  }
-
-  recolour() {
-    this.colours = colours();
   }
 
   /** @param {number} now */
@@ -63,28 +58,52 @@ export class Box {
   }
 
   draw() {
-    const ratio = Math.min(devicePixelRatio || 1, 2);
-    const { clientWidth: width, clientHeight: height } = this.canvas;
-    if (this.canvas.width !== Math.round(width * ratio)) this.canvas.width = Math.round(width * ratio);
-    if (this.canvas.height !== Math.round(height * ratio)) this.canvas.height = Math.round(height * ratio);
-    const context = /** @type {CanvasRenderingContext2D} */ (this.canvas.getContext("2d"));
-    context.setTransform(ratio, 0, 0, ratio, 0, 0);
-    context.clearRect(0, 0, width, height);
+    const { context, width, height } = prepare(this.canvas);
     if (!this.up) return;
-    const beside = this.goal !== null;
-    const wide = width > 1.15 * height;
-    const size = Math.min(wide && beside ? width / 2 : width, height) / 2 / REACH;
-    const [box, goal, text, arrow] = this.colours;
-    const here = beside && wide ? width / 4 : width / 2;
-    const shift = beside && !wide ? size * 0.7 : 0;
-    if (this.goal && !wide) {
-      // Small behind, in the corner: there is no room for two.
-      this.solid(context, this.wanted(), [width - size, size * 1.02], size * 0.52, goal, text);
-    } else if (this.goal) {
-      this.solid(context, this.wanted(), [(3 * width) / 4, height / 2], size, goal, text);
+    const isWide = width > 440 && width > 1.15 * height;
+    /** @type {[number, number]} */
+    let middle = [width / 2, height / 2];
+    let size = Math.min(width, height) / 2 / REACH;
+    if (this.goal) {
+      // Side by side, or small in the corner where there is no room for two.
+      size = Math.min(isWide ? width / 2 : width, height) / 2 / REACH;
+      const share = isWide ? 1 : 0.5;
+      /** @type {[number, number]} */
+      const there = isWide ? [(3 * width) / 4, height / 2] : [width - size, size * share * REACH + 4];
+      middle = isWide ? [width / 4, height / 2] : [width / 2 - 0.3 * size, height / 2 + 0.3 * size];
+      this.solid(context, this.wanted(), there, size * share, colour("goal"));
+      this.caption(context, text("goal"), [there[0], isWide ? height / 2 + size * REACH - 6 : 16]);
+      this.caption(context, text("now"), [middle[0], Math.min(middle[1] + size * REACH, height) - 6]);
     }
-    this.solid(context, this.attitude, [here - shift * 0.4, height / 2 + shift * 0.35], size, box, text);
-    if (this.goal) this.turn(context, [here - shift * 0.4, height / 2 + shift * 0.35], size, arrow);
+    if (this.goal) this.turn(context, middle, size, true);
+    this.solid(context, this.attitude, middle, size, colour("box"));
+    if (this.goal) this.turn(context, middle, size, false);
+    this.pointUp(context, height);
+  }
+
+  /** @param {CanvasRenderingContext2D} context @param {string} words @param {[number, number]} place below its middle */
+  caption(context, words, [x, y]) {
+    context.font = "600 16px system-ui, sans-serif";
+    context.textAlign = "center";
+    context.textBaseline = "alphabetic";
+    context.fillStyle = colour("faint");
+    context.fillText(words, x, y);
+  }
+
+  /** Up is up in both pictures. @param {CanvasRenderingContext2D} context @param {number} height */
+  pointUp(context, height) {
+    const [x, top, foot] = [14, 14, Math.min(74, height / 3)];
+    this.caption(context, text("up"), [x, foot + 18]);
+    context.strokeStyle = colour("faint");
+    context.lineWidth = 4;
+    context.lineCap = context.lineJoin = "round";
+    context.beginPath();
+    context.moveTo(x, foot);
+    context.lineTo(x, top);
+    context.moveTo(x - 8, top + 10);
+    context.lineTo(x, top);
+    context.lineTo(x + 8, top + 10);
+    context.stroke();
   }
 
   /** @returns {Matrix} the attitude wanted, by the smallest turn from the present one */
@@ -95,9 +114,10 @@ export class Box {
 
   /**
    * @param {CanvasRenderingContext2D} context @param {Matrix} attitude @param {[number, number]} middle
-   * @param {number} size @param {string} colour @param {string} ink
+   * @param {number} size @param {string} paint
    */
-  solid(context, attitude, middle, size, colour, ink) {
+  solid(context, attitude, middle, size, paint) {
+    const ink = colour("text");
     const view = product(ONLOOKER, attitude);
     /** @param {Vector} point @returns {[number, number]} */
     const place = (point) => {
@@ -105,8 +125,10 @@ export class Box {
       return [middle[0] + seen[0] * size, middle[1] - seen[2] * size];
     };
     const cable = this.cable;
-    const foot = cable ? /** @type {Vector} */ (HALF.map((half, k) => (AXES[k] === cable[1] ? (cable[0] === "+" ? half : -half) : 0))) : null;
-    const end = foot ? /** @type {Vector} */ (foot.map((value) => value + Math.sign(value) * CABLE)) : null;
+    const out = cable ? /** @type {Vector} */ ([...AXES].map((axis) => (axis === cable[1] ? (cable[0] === "+" ? 1 : -1) : 0))) : null;
+    // Beside the middle, where the face has its name.
+    const foot = out ? /** @type {Vector} */ (HALF.map((half, k) => half * (out[k] || -0.55))) : null;
+    const end = out && foot ? /** @type {Vector} */ (foot.map((value, k) => value + out[k] * CABLE)) : null;
     const drawCable = () => {
       if (!foot || !end) return;
       context.strokeStyle = ink;
@@ -117,7 +139,9 @@ export class Box {
       context.lineTo(...place(end));
       context.stroke();
     };
-    const behind = foot !== null && apply(view, foot)[1] > 0;
+    const behind = out !== null && apply(view, out)[1] > 0;
+    /** @type {{name: string, at: [number, number]}[]} */
+    const names = [];
     if (behind) drawCable();
     for (let axis = 0; axis < 3; axis++) {
       for (const sign of [1, -1]) {
@@ -131,7 +155,7 @@ export class Box {
           return place(/** @type {Vector} */ (corner));
         });
         const lit = 0.55 + 0.45 * Math.max(0, dot(apply(attitude, normal), LIGHT));
-        context.fillStyle = colour;
+        context.fillStyle = paint;
         context.strokeStyle = ink;
         context.lineWidth = Math.max(1, size * 0.02);
         context.lineJoin = "round";
@@ -142,45 +166,60 @@ export class Box {
         context.fillStyle = `rgba(0, 0, 0, ${(1 - lit) * 0.75})`;
         context.fill();
         context.stroke();
-        context.fillStyle = "#fff";
-        context.font = `700 ${Math.max(10, size * 0.3)}px system-ui, sans-serif`;
-        context.textAlign = "center";
-        context.textBaseline = "middle";
-        const [x, y] = corners.reduce((sum, corner) => [sum[0] + corner[0] / 4, sum[1] + corner[1] / 4], [0, 0]);
-        context.fillText(`${sign > 0 ? "+" : "−"}${AXES[axis]}`, x, y);
+        // A face that is seen from the side has no room for its name.
+        if (apply(view, normal)[1] < -0.3) names.push({ name: `${sign > 0 ? "+" : "−"}${AXES[axis]}`, at: place(/** @type {Vector} */ (normal.map((value, k) => value * HALF[k]))) });
       }
     }
     if (!behind) drawCable();
+    context.fillStyle = colour("ink");
+    context.font = `700 ${Math.max(10, size * 0.3)}px system-ui, sans-serif`;
+    context.textAlign = "center";
+    context.textBaseline = "middle";
+    context.strokeStyle = paint;
+    context.lineWidth = size * 0.08;
+    for (const { name, at } of names) {
+      context.strokeText(name, ...at);
+      context.fillText(name, ...at);
+    }
   }
 
   /**
-   * Draw the smallest turn to the goal as an arrow about its axis.
-   * @param {CanvasRenderingContext2D} context @param {[number, number]} middle @param {number} size @param {string} colour
+   * Draw the smallest turn to the goal as a band about its axis, which is level.
+   * @param {CanvasRenderingContext2D} context @param {[number, number]} middle @param {number} size
+   * @param {boolean} isBehind which part: that behind the box, or that before it
    */
-  turn(context, middle, size, colour) {
+  turn(context, middle, size, isBehind) {
     const { axis, angle } = smallestTurn(apply(this.attitude, /** @type {Vector} */ (this.goal)), UP);
-    if (angle < 0.12) return;
-    const begin = smallestTurn(UP, axis).angle > 0.2 ? /** @type {Vector} */ (UP) : /** @type {Vector} */ ([1, 0, 0]);
-    const along = dot(begin, axis);
-    const radius = /** @type {Vector} */ (begin.map((value, k) => (value - along * axis[k]) * 1.55));
-    const steps = Math.max(6, Math.ceil(angle * 12));
-    const points = Array.from({ length: steps + 1 }, (_, step) => {
-      const seen = apply(ONLOOKER, apply(rotation(axis, ((step / steps) * 1 - 0.5) * angle), radius));
-      return /** @type {[number, number]} */ ([middle[0] + seen[0] * size, middle[1] - seen[2] * size]);
-    });
-    context.strokeStyle = context.fillStyle = colour;
-    context.lineWidth = Math.max(3, size * 0.08);
-    context.lineCap = "round";
-    context.beginPath();
-    points.forEach(([x, y], index) => (index ? context.lineTo(x, y) : context.moveTo(x, y)));
-    context.stroke();
-    const [tip, before] = [points[steps], points[steps - 1]];
-    const heading = Math.atan2(tip[1] - before[1], tip[0] - before[0]);
-    const head = size * 0.24;
-    context.beginPath();
-    context.moveTo(tip[0] + Math.cos(heading) * head, tip[1] + Math.sin(heading) * head);
-    for (const side of [2.3, -2.3]) context.lineTo(tip[0] + Math.cos(heading + side) * head, tip[1] + Math.sin(heading + side) * head);
-    context.closePath();
-    context.fill();
+    if (angle < LEAST_TURN) return;
+    /** @param {number} turned @param {number} across @returns {Vector} right, away from the onlooker, up */
+    const seen = (turned, across) => {
+      const [x, y, z] = apply(rotation(axis, turned - angle / 2), [0, 0, BAND_RADIUS]);
+      return apply(ONLOOKER, [x + across * axis[0], y + across * axis[1], z + across * axis[2]]);
+    };
+    const head = Math.min(BAND_HEAD, 0.6 * angle);
+    const steps = Math.max(4, Math.ceil(angle * 10));
+    const share = (angle - head) / steps;
+    /** @type {Vector[][]} */
+    const pieces = [];
+    for (let step = 0; step < steps; step++) {
+      const [from, to] = [step * share, (step + 1.05) * share];
+      pieces.push([seen(from, BAND), seen(to, BAND), seen(to, -BAND), seen(from, -BAND)]);
+    }
+    // The head lies in the picture: from every side it is an arrow's.
+    const [neck, tip] = [seen(angle - head, 0), seen(angle, 0)];
+    const [right, up] = [tip[0] - neck[0], tip[2] - neck[2]];
+    const wide = (2 * BAND) / (Math.hypot(right, up) || 1);
+    pieces.push([[neck[0] - wide * up, neck[1], neck[2] + wide * right], tip, [neck[0] + wide * up, neck[1], neck[2] - wide * right]]);
+    context.fillStyle = colour("arrow");
+    for (const corners of pieces) {
+      if (corners.reduce((sum, corner) => sum + corner[1], 0) > 0 !== isBehind) continue;
+      context.beginPath();
+      corners.forEach(([x, , z], index) => {
+        if (index) context.lineTo(middle[0] + x * size, middle[1] - z * size);
+        else context.moveTo(middle[0] + x * size, middle[1] - z * size);
+      });
+      context.closePath();
+      context.fill();
+    }
   }
 }

@@ -1,18 +1,11 @@
 // Tones, the browser's voice and vibration. A browser lets none of them begin before somebody has touched the page.
 
-/** Tones as in the terminal: frequency in Hz and length in s. */
-/** @type {Record<string, [number, number][]>} */
-const TONES = {
-  hold: [[660, 0.12]],
-  accepted: [[880, 0.12], [1320, 0.22]],
-  rejected: [[220, 0.4]],
-  turn: [[660, 0.1]],
-  link_lost: [[220, 0.25], [165, 0.4]],
-  link_back: [[440, 0.12], [660, 0.12]],
-  done: [[880, 0.15], [1109, 0.15], [1320, 0.4]],
-};
+/** Of events, in ms: for a hand that holds the phone. */
 /** @type {Record<string, number[]>} */
 const SHAKES = { hold: [40], accepted: [60, 60, 60], rejected: [300], done: [80, 80, 80, 80, 200] };
+
+/** @type {[number, number][]} */
+const HELLO = [[660, 0.12]];
 
 export class Sound {
   constructor() {
@@ -28,18 +21,18 @@ export class Sound {
       this.audio = null;
     } else {
       this.audio = new AudioContext();
-      this.play("hold");
+      this.play("", HELLO);
     }
     return this.audio !== null;
   }
 
-  /** @param {string} kind */
-  play(kind) {
+  /** @param {string} kind of the event @param {[number, number][]} tones frequency in Hz and length in s */
+  play(kind, tones) {
     // Refused, with a word in the console, until the page was touched.
     if (navigator.userActivation?.hasBeenActive && navigator.vibrate && SHAKES[kind]) navigator.vibrate(SHAKES[kind]);
-    if (!this.audio || !TONES[kind]) return;
+    if (!this.audio) return;
     let at = this.audio.currentTime + 0.02;
-    for (const [hertz, seconds] of TONES[kind]) {
+    for (const [hertz, seconds] of tones) {
       const [tone, gain] = [this.audio.createOscillator(), this.audio.createGain()];
       tone.frequency.value = hertz;
       tone.connect(gain).connect(this.audio.destination);

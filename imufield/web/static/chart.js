@@ -1,0 +1,111 @@
+// Strips with a line each: the signals of the last half minute, and the accuracy with each position.
+
+import { colour, prepare } from "./canvas.js";
+import { text } from "./texts.js";
+
+const NAMES = ["acc x", "acc y", "acc z", "gyro x", "gyro y", "gyro z"];
+const UNITS = ["m/s²", "°/s", "°C"];
+const SPAN_S = 30;
+const LEAST = [0.5, 2, 0.5]; // Of each unit: what is smaller is noise.
+const LABEL = 92;
+const EDGE = 10;
+
+/** @typedef {[number, number][]} Points share of the width and of the height */
+
+/**
+ * @param {HTMLCanvasElement} canvas
+ * @param {{name: string, value: string, ink: string, points: Points, dots?: boolean}[]} strips
+ */
+function drawStrips(canvas, strips) {
+  const { context, width, height } = prepare(canvas);
+  const strip = height / strips.length;
+  context.font = "13px system-ui, sans-serif";
+  context.textBaseline = "middle";
+  strips.forEach(({ name, value, ink, points, dots }, row) => {
+    const [top, middle] = [strip * row, strip * (row + 0.5)];
+    context.fillStyle = colour("faint");
+    context.fillText(name, 0, middle - 8);
+    context.fillStyle = colour("text");
+    context.fillText(value, 0, middle + 8);
+    context.strokeStyle = colour("line");
+    context.lineWidth = 1;
+    context.beginPath();
+    context.moveTo(LABEL, top + strip - 0.5);
+    context.lineTo(width, top + strip - 0.5);
+    context.stroke();
+    context.strokeStyle = context.fillStyle = colour(ink);
+    context.lineWidth = 2;
+    context.lineJoin = "round";
+    context.beginPath();
+    let isDown = false;
+    for (const [across, up] of points) {
+      const [x, y] = [LABEL + across * (width - LABEL - EDGE), top + strip * (0.9 - 0.8 * up)];
+      if (!Number.isFinite(y)) isDown = false;
+      else if (isDown) context.lineTo(x, y);
+      else {
+        context.moveTo(x, y);
+        isDown = true;
+      }
+    }
+    context.stroke();
+    const last = points.at(-1);
+    if (!dots || !last) return;
+    context.beginPath();
+    context.arc(LABEL + last[0] * (width - LABEL - EDGE), top + strip * (0.9 - 0.8 * last[1]), 4, 0, 2 * Math.PI);
+    context.fill();
+  });
+}
+
+/**
+ * @param {HTMLCanvasElement} canvas
+ * @param {(number | null)[][]} blocks time, six values and the temperature, SI and °C
+ */
+export function drawTrace(canvas, blocks) {
+  const newest = Number(blocks.at(-1)?.[0]);
+  const shown = blocks.filter((block) => newest - Number(block[0]) <= SPAN_S);
+  const columns = [1, 2, 3, 4, 5, 6, 7].filter((k) => shown.some((block) => typeof block[k] === "number"));
+  if (!columns.length) return;
+  drawStrips(
+    canvas,
+    columns.map((k) => {
+      const unit = Math.floor((k - 1) / 3);
+      const values = shown.map((block) => (typeof block[k] === "number" ? Number(block[k]) * (unit === 1 ? 180 / Math.PI : 1) : NaN));
+      const known = values.filter(Number.isFinite);
+      const [low, high] = [Math.min(...known), Math.max(...known)];
+      const half = Math.max(high - low, LEAST[unit]) / 2;
+      const points = values.map((value, index) => {
+        const across = 1 - (newest - Number(shown[index][0])) / SPAN_S;
+        return /** @type {[number, number]} */ ([across, 0.5 + (value - (low + high) / 2) / half / 2]);
+      });
+      const last = values.at(-1) ?? NaN;
+      return {
+        name: NAMES[k - 1] ?? text("temperature"),
+        value: Number.isFinite(last) ? `${last.toFixed(2).replace("-", "−")} ${UNITS[unit]}` : "–",
+        ink: unit < 2 ? `signal-${"xyz"[(k - 1) % 3]}` : "text",
+        points,
+      };
+    }),
+  );
+}
+
+/**
+ * @param {HTMLCanvasElement} canvas
+ * @param {(number | null)[][]} forecasts number of positions done, and three values
+ * @param {number} planned
+ * @param {string[]} words of the newest values
+ */
+export function drawForecast(canvas, forecasts, planned, words) {
+  const names = [text("bias"), text("scale"), text("angles")];
+  drawStrips(
+    canvas,
+    names.map((name, k) => {
+      const logs = forecasts.map((entry) => (typeof entry[k + 1] === "number" ? Math.log(Number(entry[k + 1])) : NaN));
+      const known = logs.filter(Number.isFinite);
+      const [low, high] = [Math.min(...known), Math.max(...known)];
+      const points = forecasts
+        .map((entry, index) => /** @type {[number, number]} */ ([Number(entry[0]) / planned, (logs[index] - low) / (high - low || 1)]))
+        .filter(([, up]) => Number.isFinite(up));
+      return { name, value: words[k] ?? "–", ink: "next", points, dots: true };
+    }),
+  );
+}
