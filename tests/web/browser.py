@@ -51,7 +51,7 @@ class Screens:
 
 
 @contextmanager
-def open_browser() -> Iterator[Browser]:
+def open_browser(*arguments: str) -> Iterator[Browser]:
     """Yield a browser; skip where there is none, and fail where continuous integration has none."""
     absent = None
     program = next(filter(None, map(shutil.which, PROGRAMS)), None)
@@ -64,7 +64,7 @@ def open_browser() -> Iterator[Browser]:
     if absent is not None:
         (pytest.fail if os.environ.get("CI") == "true" else pytest.skip)(f"the page is not tried in a browser: {absent}")
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=program, args=list(ARGUMENTS))
+        browser = playwright.chromium.launch(executable_path=program, args=[*ARGUMENTS, *arguments])
         try:
             yield browser
         finally:
