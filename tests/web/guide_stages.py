@@ -83,6 +83,12 @@ class StagedSession:
         self._run(lambda now: now.state is State.DONE)
         yield self._shown("done")
 
+    def mark(self, action: str) -> None:
+        """Make a mark, and show what came of it."""
+        self._events += self.guide.mark(action, self.guide.time_s)
+        self._run(lambda _: True)
+        self._shown("")
+
     @contextmanager
     def served(self) -> Iterator[tuple[PageServer, str]]:
         """Serve the page; yield the server and the address."""

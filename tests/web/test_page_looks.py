@@ -126,6 +126,7 @@ def test_keyboard_alone(screens: Screens) -> None:
         while not heard.endswith("rp"):
             heard += staged.page.read()
         assert heard == "rsupfrp"
+        assert screens.console == []
 
 
 @pytest.mark.parametrize(
