@@ -145,7 +145,7 @@ def in_the_browser() -> list[dict[str, Any]]:
         {"name": "sample to the frame that shows it, 99 %", "value": worst, "unit": "ms"},
         {"name": "frames, 390 x 844, software rendering", "value": frames, "unit": "frames/s"},
         {
-            "name": "guide: 20 ms block, a page looking (peer: no page)",
+            "name": "guide: 20 ms block, with a page (peer: without)",
             "value": _mean_us(fed_s),
             "unit": "us",
             "peer": alone_us,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import subprocess
 import time
@@ -32,8 +33,10 @@ from imufield.commands.terminal.guided import guided_session
 from imufield.commands.terminal.page import bind_page
 from imufield.errors import Reason
 from imufield.guide.events import EVENT_VERSION
+from imufield.web.address import lan_addresses
 from imufield.web.guide_page import GuidePage
 from tests.commands.conftest import RATE_HZ
+from tests.commands.pty_terminal import Terminal
 from tests.commands.told import fails
 from tests.guide.test_event_schema import read_schema
 
@@ -133,6 +136,51 @@ def test_a_person_reads_the_address_beside_the_lines(program: Program) -> None:
     assert "--resume" in ended["details"]
     process.communicate(timeout=WAIT_S)
     assert process.returncode == 130
+
+
+def test_pages_are_told_why_a_session_was_broken_off(program: Program) -> None:
+    link = program.folder / "imu"
+    program.show("+x", options=("--link", link))
+    instrument = program.started[-1]
+    with (
+        printing(program, *program.capture(str(link), "--json", "--web")) as (process, printed),
+        opened(address(process, printed)["url"]) as page,
+    ):
+        json.loads(page.recv(timeout=WAIT_S))
+        read_until(page, lambda message: message["state"]["done"] == 1)
+        instrument.kill()
+        instrument.wait()
+        link.unlink(missing_ok=True)
+        read_until(page, lambda message: message["state"]["link"] == "lost")
+        # Another one at the same port.
+        program.show("+x", options=("--link", link, "--seed", 5))
+        ended = read_until(page, lambda message: "ended" in message)["ended"]
+        assert process.wait(WAIT_S) == 3
+    assert process.stderr is not None
+    error = process.stderr.read()
+    reason = ended["details"].partition("; ")[0]
+    assert reason in " ".join(error.split())
+    assert "--resume" in ended["details"]
+
+
+def test_the_picture_for_a_phone_stands_in_place_of_the_guide_until_one_looks(program: Program) -> None:
+    if not lan_addresses():
+        pytest.skip("this machine is in no network")
+    capture = program.capture(program.show("+x"), "--web-lan", "auto", "--latitude", 48, "--quiet")
+    terminal = Terminal(program, *capture, size=(100, 50))
+    try:
+        place = terminal.expect("scan the code")
+        url = re.findall(r"http://\S+#token=\S+", terminal.text)[0]
+        with opened(url) as page:
+            json.loads(page.recv(timeout=WAIT_S))
+            terminal.expect("stillness", after=place)
+            # A mark is no key that leads from the picture to the guide.
+            page.send("p")
+            read_until(page, lambda message: message["state"]["state"] == "paused")
+        terminal.type("q")
+        assert terminal.wait() == 0
+    finally:
+        terminal.close()
 
 
 @pytest.mark.parametrize("speed", [0, 40])
