@@ -24,7 +24,7 @@ help:
 	@echo "make coverage  branches tested in acquire, calibrate and guide; below 90 % fails"
 	@echo "make audit   what is installed against the lock; make lock notes it anew"
 	@echo "make changelog  what has changed since the last release"
-	@echo "make screens draw the guide's screens and the report in README and docs again, from emulated sessions"
+	@echo "make screens draw the guide's screens, its page and the report in README and docs again, from emulated sessions"
 	@echo "make wheel   build source archive and wheel into dist/, check what is in them"
 	@echo "make clean   remove .venv and everything built"
 
@@ -78,8 +78,8 @@ docs: $(DEV)
 	$(BIN)/python -m mkdocs build --strict
 
 # Two at a time keep two cores busy; the claims take all cores by themselves. What was interrupted goes on where it stopped,
-# and what fails keeps nothing else from being done. PART=killed, cut, faults, link, files, second_corpus or claims does one of them.
-TORTURE_PARTS := $(if $(PART),$(PART),killed cut faults link files second_corpus)
+# and what fails keeps nothing else from being done. PART=killed, cut, faults, link, files, second_corpus, web or claims does one of them.
+TORTURE_PARTS := $(if $(PART),$(PART),killed cut faults link files second_corpus web)
 torture: $(TEST)
 	status=0; export TORTURE=full; \
 	$(if $(filter-out claims,$(TORTURE_PARTS)),$(BIN)/python -m pytest -n 2 --dist worksteal \

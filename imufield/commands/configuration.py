@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 from imufield.errors import Reason, UsageError
@@ -23,10 +24,15 @@ KEYS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("positions", "hold_s", "target_bias_ug", "target_scale_ppm"), ("capture",)),
     **dict.fromkeys(("gravity", "latitude", "height"), ("capture", "record", "solve")),
     "settings": ("capture", "record"),
+    "instrument": (),
 }
 """Keys of the file, and the commands each is a default of."""
 # Keys that are tables, each with an example.
-_TABLES = {"settings": "accelerometer_range_g = 30", "mapping": '"accelerometer.x" = "AccLong"'}
+_TABLES = {
+    "settings": "accelerometer_range_g = 30",
+    "mapping": '"accelerometer.x" = "AccLong"',
+    "instrument": 'stl = "housing.stl"',
+}
 
 
 def default_map() -> dict[str, dict[str, object]]:
@@ -38,10 +44,41 @@ def default_map() -> dict[str, dict[str, object]]:
         If the file is not TOML, or has an unknown key.
     """
     commands: dict[str, dict[str, object]] = {}
+    for _, content in _contents():
+        for key, value in content.items():
+            # A table as it is typed: an option for each row.
+            rows = value.items() if isinstance(value, dict) else ()
+            default = [f"{name}={entry}" for name, entry in rows] if key in _TABLES else value
+            for command in KEYS[key]:
+                commands.setdefault(command, {})[key] = default
+    return commands
+
+
+def instrument_stl() -> Path | None:
+    """Return the drawing of the instrument that the file names, beside the file; None where it names none.
+
+    Raises
+    ------
+    UsageError
+        As ``default_map``, or for another key of that table.
+    """
+    drawing = None
+    for path, content in _contents():
+        match content.get("instrument", {}):
+            case {"stl": str(name), **others} if not others:
+                drawing = path.parent / name
+            case {**others} if others:
+                unknown = sentence("configuration.unknown_key", path=str(path), unknown=[*others], known=["stl"])
+                raise UsageError(unknown, Reason.UNKNOWN_KEY, key="instrument")
+    return drawing
+
+
+def _contents() -> Iterator[tuple[Path, dict[str, object]]]:
+    """Yield the files that are there, checked; what is set last stands."""
     # Looked for here and not at the top: most starts of the program ask for help or a version.
     import platformdirs
 
-    # The file in the working folder comes last, as what is set last stands.
+    # The file in the working folder comes last.
     for path in (platformdirs.user_config_path("imufield") / FILE_NAME, Path(FILE_NAME)):
         # Also what is no file: somebody put it there, and it would be passed over without a word.
         if not os.path.lexists(path):
@@ -57,12 +94,7 @@ def default_map() -> dict[str, dict[str, object]]:
                 raise UsageError(unknown, Reason.UNKNOWN_KEY, key=key)
             if key in _TABLES and not isinstance(value, dict):
                 raise UsageError(sentence("configuration.no_table", name=key, file=FILE_NAME, example=_TABLES[key]))
-            # A table as it is typed: an option for each row.
-            rows = value.items() if isinstance(value, dict) else ()
-            default = [f"{name}={entry}" for name, entry in rows] if key in _TABLES else value
-            for command in KEYS[key]:
-                commands.setdefault(command, {})[key] = default
-    return commands
+        yield path, dict(sorted(content.items()))
 
 
 def parse_settings(options: list[str] | None) -> dict[str, str]:

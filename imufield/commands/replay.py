@@ -10,14 +10,15 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from imufield.acquire.decode.statistics import combined
-from imufield.acquire.link.serial import Chunk
 from imufield.acquire.recording.reader import (
+    BLOCK_SPAN_S,
     Damage,
     EndOfRecordingError,
     Pacer,
     PartStart,
+    RecordedBlock,
     RecordingLink,
-    read_session,
+    read_blocks,
 )
 from imufield.acquire.recording.session import Session, open_or_newest
 from imufield.commands.options.samples import ReplayOptions
@@ -99,12 +100,14 @@ def _replay_to_page(
                 page.refresh(chain.guide.snapshot(), samples_lost=sum(part.lost for part in chain.statistics))
 
         def items() -> Items:
-            for item in read_session(session, damage):
+            # What a page is shown in one step is fed in one: hours are replayed in minutes.
+            span_s = min(SHOWN_EVERY_S * options.speed, BLOCK_SPAN_S) or BLOCK_SPAN_S
+            for item in read_blocks(session, damage, span_s=span_s):
                 refresh()
                 if isinstance(item, PartStart):
                     pacer.begin_anew()
-                elif isinstance(item, Chunk):
-                    pacer.wait(item.monotonic_s)
+                elif isinstance(item, RecordedBlock):
+                    pacer.wait(float(item.monotonic_s[-1]))
                 yield item
 
         def listen(events: list[Event]) -> None:

@@ -103,6 +103,7 @@ def describe(direction: FloatArray) -> Sentence:
     return sentence("positions.leaning_between", up=parts[0], lean_deg=lean_deg, towards=parts[1], aside=parts[2])
 
 
+@cache
 def cube_directions() -> dict[str, FloatArray]:
     """Return the 26 directions to faces, edges and corners of a cube, named "+x", "+x-y", "+x-y+z"."""
     found = {}

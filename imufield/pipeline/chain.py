@@ -14,7 +14,6 @@ import numpy as np
 
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.protocol import Protocol, parse_protocol
 from imufield.acquire.recording.reader import Damage, PartStart, RecordedBlock, RecordedEvent, read_blocks, read_session
 from imufield.acquire.recording.session import SETTINGS_FILE, Session
@@ -48,7 +47,7 @@ PART_GAP_S = 1.0
 """Least time between the samples of two parts, whatever the clocks of the host say of them."""
 
 SamplesListener = Callable[[Samples], None]
-Items = Iterator[PartStart | Chunk | RecordedEvent]
+Items = Iterator[PartStart | RecordedBlock | RecordedEvent]
 
 
 @dataclass(frozen=True, slots=True)
@@ -336,7 +335,7 @@ def replay_into(
     ended : bool
         Nothing will follow; False where a capture goes on.
     items : iterator, optional
-        Of ``read_session``, at a pace of its own; by default the session is read as fast as possible.
+        Of ``read_blocks``, at a pace of its own; by default the session is read as fast as possible.
 
     Raises
     ------
@@ -358,8 +357,6 @@ def _replayed(
             chain.notes += _edited_settings(item, session)
         elif isinstance(item, RecordedEvent):
             events = _say_again(chain, item.event)
-        elif isinstance(item, Chunk):
-            events = chain.feed(item.data, item.monotonic_s, item.utc_ns)
         else:
             events = chain.feed_block(item)
         yield events

@@ -39,9 +39,13 @@ class GuidePage:
         Shown as they are.
     cable : str or None
         Face where the cable leaves, "-x".
+    shape : str or None
+        Triangles to be drawn in place of a box, see ``shape.read_stl``.
     """
 
-    def __init__(self, scheme: Scheme, *, session: str, instrument: str, cable: str | None = None) -> None:
+    def __init__(
+        self, scheme: Scheme, *, session: str, instrument: str, cable: str | None = None, shape: str | None = None
+    ) -> None:
         self._screen = Screen()
         self._scheme = scheme
         self._marks: SimpleQueue[str] = SimpleQueue()
@@ -56,6 +60,7 @@ class GuidePage:
             "session": session,
             "instrument": instrument,
             "cable": cable,
+            "shape": shape,
             "scheme": scheme.name,
             "positions": positions,
         }

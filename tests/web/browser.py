@@ -7,17 +7,17 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import pytest
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page
+    from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, ViewportSize
 
 PROGRAMS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
 # A sandbox needs rights that a container lacks; updates and the like would take processor time and go to the network.
 ARGUMENTS = ("--no-sandbox", "--disable-background-networking", "--disable-component-update", "--disable-dev-shm-usage")
-PHONE = {"width": 390, "height": 844}
+PHONE: ViewportSize = {"width": 390, "height": 844}
 WAIT_MS = 120_000.0  # Only a page that hangs takes so long, however busy the machine.
 
 
@@ -30,9 +30,10 @@ class Screens:
     """What any page wrote to its console, errors included."""
     _contexts: list[BrowserContext] = field(default_factory=list)
 
-    def open(self, url: str) -> Page:
-        """Open an address as a new device does."""
-        context = self.browser.new_context(viewport=PHONE, reduced_motion="reduce")  # type: ignore[arg-type]
+    def open(self, url: str, *, calm: bool = True) -> Page:
+        """Open an address as a new device does; ``calm`` is one whose owner wants no motion."""
+        motion: Literal["reduce", "no-preference"] = "reduce" if calm else "no-preference"
+        context = self.browser.new_context(viewport=PHONE, reduced_motion=motion)
         context.set_default_timeout(WAIT_MS)
         self._contexts.append(context)
         page = context.new_page()
@@ -51,7 +52,7 @@ class Screens:
 
 
 @contextmanager
-def open_browser() -> Iterator[Browser]:
+def open_browser(*arguments: str) -> Iterator[Browser]:
     """Yield a browser; skip where there is none, and fail where continuous integration has none."""
     absent = None
     program = next(filter(None, map(shutil.which, PROGRAMS)), None)
@@ -64,7 +65,7 @@ def open_browser() -> Iterator[Browser]:
     if absent is not None:
         (pytest.fail if os.environ.get("CI") == "true" else pytest.skip)(f"the page is not tried in a browser: {absent}")
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=program, args=list(ARGUMENTS))
+        browser = playwright.chromium.launch(executable_path=program, args=[*ARGUMENTS, *arguments])
         try:
             yield browser
         finally:

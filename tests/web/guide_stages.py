@@ -36,16 +36,16 @@ WARMTH_DEGC = 31.4
 class StagedSession:
     """A session of 24 positions; ``stages`` runs it and stops."""
 
-    def __init__(self, seed: int = 4) -> None:
+    def __init__(self, *, instrument: str = "STIM300 N25581846020021") -> None:
         positions = scheme("paper24")
         habits = OperatorSettings(initial_still_s=8.0, hold_s=6.0, waits=True, turn_s=(2.5, 3.0))
         options = Emulation(
-            device="text", rate_hz=RATE_HZ, grade="tactical", seed=seed, directions=positions.directions()[:1], operator=habits
+            device="text", rate_hz=RATE_HZ, grade="tactical", seed=4, directions=positions.directions()[:1], operator=habits
         )
         self._directions = {position.name: np.array(position.direction) for position in positions.positions}
         self._source = make_virtual_imu(options)
         self.guide = Guide(positions, self._source.imu.instrument.grade.units, settings=GuideSettings(hold_s=4.0))
-        self.page = GuidePage(positions, session="2026-03-14-workshop", instrument="STIM300 N25581846020021", cable="-x")
+        self.page = GuidePage(positions, session="2026-03-14-workshop", instrument=instrument, cable="-x")
         self._events: list[Event] = []
 
     def stages(self) -> Iterator[str]:
@@ -82,6 +82,12 @@ class StagedSession:
         yield self._shown("finish asked")
         self._run(lambda now: now.state is State.DONE)
         yield self._shown("done")
+
+    def mark(self, action: str) -> None:
+        """Make a mark, and show what came of it."""
+        self._events += self.guide.mark(action, self.guide.time_s)
+        self._run(lambda _: True)
+        self._shown("")
 
     @contextmanager
     def served(self) -> Iterator[tuple[PageServer, str]]:

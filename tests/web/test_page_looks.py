@@ -126,6 +126,26 @@ def test_keyboard_alone(screens: Screens) -> None:
         while not heard.endswith("rp"):
             heard += staged.page.read()
         assert heard == "rsupfrp"
+        assert screens.console == []
+
+
+def test_text_of_others_stays_text(screens: Screens) -> None:
+    hostile = "<img src=x onerror=alert(1)><script>alert(2)</script>"
+    staged = StagedSession(instrument=hostile)
+    staged.page.tell(hostile)
+    next(staged.stages())
+    with staged.served() as (_, url):
+        page = screens.open(url)
+        page.locator("#about", has_text=hostile).wait_for()
+        page.locator("#log li", has_text=hostile).wait_for()
+        assert page.locator("img, iframe").count() == 0
+        assert page.locator("script").count() == 1
+        assert screens.console == []
+        # And if a script of the page made HTML of it, the browser would refuse.
+        assert (
+            page.evaluate("() => { try { document.body.innerHTML = '<b>x</b>'; } catch (error) { return error.name; } }")
+            == "TypeError"
+        )
 
 
 @pytest.mark.parametrize(

@@ -200,11 +200,15 @@ def guided_session(
                 clock=clock,
                 check=check,
             )
+            reason = ""
             try:
                 captured = loop.run()
+            except ImufieldError as error:
+                reason = error.message
+                raise
             finally:
                 if page is not None:
-                    page.end(*_closing_words(loop.captured(), clock))
+                    page.end(*_closing_words(loop.captured(), clock, reason))
     except (KeyboardInterrupt, ImufieldError):
         if loop is not None:
             farewell(loop.captured(), options.view, clock)
@@ -399,12 +403,13 @@ def _next_command(captured: Captured, clock: HostClock) -> str:
     return f"{speed}imufield capture --resume --session {folder}"
 
 
-def _closing_words(captured: Captured, clock: HostClock) -> tuple[str, str]:
-    """Return the last headline of the page, and what there is and comes next: at the computer, where keys are."""
+def _closing_words(captured: Captured, clock: HostClock, reason: str) -> tuple[str, str]:
+    """Return the last headline of the page, and why it ended, what there is and comes next: at the computer, where keys are."""
     details = sentence(
         "guided.solve_next" if captured.can_be_solved else "guided.go_on",
         accepted=captured.accepted,
         planned=captured.planned,
         command=_next_command(captured, clock),
     )
-    return sentence("guided.ended" if captured.can_be_solved else "guided.stopped"), details
+    headline = sentence("guided.ended" if captured.can_be_solved else "guided.stopped")
+    return headline, "; ".join(filter(None, (reason, details)))

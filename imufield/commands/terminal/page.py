@@ -11,6 +11,7 @@ from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
 from imufield.acquire.recording.session import Session
+from imufield.commands.configuration import instrument_stl
 from imufield.commands.options.samples import CaptureOptions
 from imufield.commands.terminal.output import echo, say
 from imufield.errors import Reason, UsageError
@@ -51,12 +52,13 @@ def bind_page(stack: ExitStack, lan: str | None = None, port: int | None = None)
     Raises
     ------
     UsageError
-        If the packages are missing, or the address or port cannot be had.
+        If the packages are missing, the address or port cannot be had, or the drawing of the instrument is none.
     """
     try:
         from imufield.web.address import open_place
     except ImportError as error:
         raise UsageError(sentence("page.missing", package=error.name), Reason.MISSING_PACKAGE) from error
+    _shape()
     place = open_place(lan, port)
     stack.callback(place.listening.close)
     return place
@@ -66,6 +68,14 @@ def show_in_browser(url: str) -> None:
     """Open a page where there is a display: without one the module falls back to browsers of the terminal."""
     if sys.platform != "linux" or {"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys():
         webbrowser.open(url)
+
+
+def _shape() -> str | None:
+    """Return the user's drawing of the instrument, None where there is none."""
+    from imufield.web.shape import read_stl
+
+    drawing = instrument_stl()
+    return None if drawing is None else read_stl(drawing)
 
 
 class ServedPage:
@@ -119,7 +129,7 @@ def serve_page(
     from imufield.web.server import PageServer
 
     access = Access(place.hosts)
-    page = GuidePage(positions, session=session.name, instrument=session.record.model, cable=cable)
+    page = GuidePage(positions, session=session.name, instrument=session.record.model, cable=cable, shape=_shape())
     watch_url = f"{place.url}#token={access.watch}"
     url = f"{place.url}#token={access.mark}" if takes_marks else watch_url
     lines = [sentence("page.at", url=url)]

@@ -1,14 +1,13 @@
 // The instrument as a box with named faces, a cable and light from above, and the turn that brings it where it should be.
 
 import { colour, prepare } from "./canvas.js";
+import { boxShape } from "./shape.js";
 import { text } from "./texts.js";
 import { UNTURNED, apply, dot, orthonormal, product, rotation, smallestTurn } from "./vectors.js";
 
 /** @typedef {import("./vectors.js").Vector} Vector */
 /** @typedef {import("./vectors.js").Matrix} Matrix */
 
-/** @type {Vector} */
-const HALF = [1, 0.72, 0.42];
 const AXES = "xyz";
 /** @type {Vector} */
 const UP = [0, 0, 1];
@@ -24,6 +23,12 @@ const BAND = 0.13; // Half of its width.
 const BAND_HEAD = 0.42; // rad
 const FOLLOW_MS = 60; // The box is where the newest sample says after about two frames.
 
+/** @param {string} paint "#2f6fb5" @param {number} light from 0 to 1 @returns {string} */
+function shaded(paint, light) {
+  const share = 0.66 + 0.34 * light;
+  return `rgb(${[1, 3, 5].map((at) => Math.round(parseInt(paint.slice(at, at + 2), 16) * share)).join(" ")})`;
+}
+
 export class Box {
   /** @param {HTMLCanvasElement} canvas */
   constructor(canvas) {
@@ -36,6 +41,7 @@ export class Box {
     this.goal = null;
     /** @type {string | null} */
     this.cable = null;
+    this.shape = boxShape();
     this.calm = matchMedia("(prefers-reduced-motion: reduce)");
     this.last = 0;
     this.frames = 0;
@@ -127,7 +133,7 @@ export class Box {
     const cable = this.cable;
     const out = cable ? /** @type {Vector} */ ([...AXES].map((axis) => (axis === cable[1] ? (cable[0] === "+" ? 1 : -1) : 0))) : null;
     // Beside the middle, where the face has its name.
-    const foot = out ? /** @type {Vector} */ (HALF.map((half, k) => half * (out[k] || -0.55))) : null;
+    const foot = out ? /** @type {Vector} */ (this.shape.half.map((half, k) => half * (out[k] || (this.shape.hasEdges ? -0.55 : 0)))) : null;
     const end = out && foot ? /** @type {Vector} */ (foot.map((value, k) => value + out[k] * CABLE)) : null;
     const drawCable = () => {
       if (!foot || !end) return;
@@ -143,31 +149,34 @@ export class Box {
     /** @type {{name: string, at: [number, number]}[]} */
     const names = [];
     if (behind) drawCable();
-    for (let axis = 0; axis < 3; axis++) {
+    context.strokeStyle = ink;
+    context.lineJoin = "round";
+    const { faces, half, hasEdges } = this.shape;
+    const turned = faces
+      .filter(({ normal }) => apply(view, normal)[1] < -0.02)
+      .map(({ corners, normal }) => ({ normal, seen: corners.map((corner) => apply(view, corner)) }))
+      .map(({ normal, seen }) => ({ normal, seen, depth: seen.reduce((sum, corner) => sum + corner[1], 0) / seen.length }));
+    // What is nearer is painted over what is behind.
+    for (const { normal, seen } of turned.sort((a, b) => b.depth - a.depth)) {
+      context.fillStyle = shaded(paint, Math.max(0, dot(apply(attitude, normal), LIGHT)));
+      context.lineWidth = hasEdges ? Math.max(1, size * 0.02) : 0.7;
+      // Of triangles no edge is to be seen, nor a gap between two.
+      if (!hasEdges) context.strokeStyle = context.fillStyle;
+      context.beginPath();
+      seen.forEach(([x, , z], index) => {
+        if (index) context.lineTo(middle[0] + x * size, middle[1] - z * size);
+        else context.moveTo(middle[0] + x * size, middle[1] - z * size);
+      });
+      context.closePath();
+      context.fill();
+      context.stroke();
+    }
+    for (const [axis, letter] of [...AXES].entries()) {
       for (const sign of [1, -1]) {
         const normal = /** @type {Vector} */ ([0, 1, 2].map((k) => (k === axis ? sign : 0)));
-        if (apply(view, normal)[1] > -0.02) continue;
-        const [j, k] = [(axis + 1) % 3, (axis + 2) % 3];
-        const corners = [[1, 1], [-1, 1], [-1, -1], [1, -1]].map(([a, b]) => {
-          const corner = normal.map((value, place) => value * HALF[place]);
-          corner[j] = a * HALF[j];
-          corner[k] = b * HALF[k];
-          return place(/** @type {Vector} */ (corner));
-        });
-        const lit = 0.55 + 0.45 * Math.max(0, dot(apply(attitude, normal), LIGHT));
-        context.fillStyle = paint;
-        context.strokeStyle = ink;
-        context.lineWidth = Math.max(1, size * 0.02);
-        context.lineJoin = "round";
-        context.beginPath();
-        corners.forEach(([x, y], index) => (index ? context.lineTo(x, y) : context.moveTo(x, y)));
-        context.closePath();
-        context.fill();
-        context.fillStyle = `rgba(0, 0, 0, ${(1 - lit) * 0.75})`;
-        context.fill();
-        context.stroke();
         // A face that is seen from the side has no room for its name.
-        if (apply(view, normal)[1] < -0.3) names.push({ name: `${sign > 0 ? "+" : "−"}${AXES[axis]}`, at: place(/** @type {Vector} */ (normal.map((value, k) => value * HALF[k]))) });
+        if (apply(view, normal)[1] > -0.3) continue;
+        names.push({ name: `${sign > 0 ? "+" : "−"}${letter}`, at: place(/** @type {Vector} */ (normal.map((value, k) => value * half[k]))) });
       }
     }
     if (!behind) drawCable();

@@ -48,7 +48,7 @@ function drawStrips(canvas, strips) {
       }
     }
     context.stroke();
-    const last = points.at(-1);
+    const last = points[points.length - 1];
     if (!dots || !last) return;
     context.beginPath();
     context.arc(LABEL + last[0] * (width - LABEL - EDGE), top + strip * (0.9 - 0.8 * last[1]), 4, 0, 2 * Math.PI);
@@ -61,7 +61,7 @@ function drawStrips(canvas, strips) {
  * @param {(number | null)[][]} blocks time, six values and the temperature, SI and °C
  */
 export function drawTrace(canvas, blocks) {
-  const newest = Number(blocks.at(-1)?.[0]);
+  const newest = Number(blocks[blocks.length - 1]?.[0]);
   const shown = blocks.filter((block) => newest - Number(block[0]) <= SPAN_S);
   const columns = [1, 2, 3, 4, 5, 6, 7].filter((k) => shown.some((block) => typeof block[k] === "number"));
   if (!columns.length) return;
@@ -77,7 +77,7 @@ export function drawTrace(canvas, blocks) {
         const across = 1 - (newest - Number(shown[index][0])) / SPAN_S;
         return /** @type {[number, number]} */ ([across, 0.5 + (value - (low + high) / 2) / half / 2]);
       });
-      const last = values.at(-1) ?? NaN;
+      const last = values[values.length - 1] ?? NaN;
       return {
         name: NAMES[k - 1] ?? text("temperature"),
         value: Number.isFinite(last) ? `${last.toFixed(2).replace("-", "−")} ${UNITS[unit]}` : "–",

@@ -6,6 +6,7 @@ import { forgetColours } from "./canvas.js";
 import { drawForecast, drawTrace } from "./chart.js";
 import { drawGlobe } from "./globe.js";
 import { Link } from "./link.js";
+import { drawnShape } from "./shape.js";
 import { Sound } from "./sound.js";
 import { text } from "./texts.js";
 
@@ -22,7 +23,7 @@ const WORKBENCH = /^http:\/\/(127\.0\.0\.1|localhost|\[::1\]):\d+\//;
 /** @param {string} id @returns {any} */
 const at = (id) => document.getElementById(id);
 /** @param {string} words as a terminal can show them @returns {string} */
-const pretty = (words) => words.replaceAll("^2", "²").replace(/\bug\b/g, "µg").replace(/ deg\b/g, "°").replace(/(?<!\w)-(?=[xyz\d])/g, "−");
+const pretty = (words) => words.replaceAll("^2", "²").replace(/\bug\b/g, "µg").replace(/ deg\b/g, "°").replace(/(^|\W)-(?=[xyz\d])/g, "$1−");
 /** @param {string} id @param {string} words changed only where they are others: each change is read out */
 const write = (id, words) => {
   const element = at(id);
@@ -76,6 +77,7 @@ function show(message) {
     at("log").firstElementChild.replaceChildren();
     write("about", [head.instrument, head.session, head.scheme, role === "watch" ? text("watching") : ""].filter(Boolean).join(" · "));
     box.cable = head.cable;
+    if (head.shape) box.shape = drawnShape(head.shape);
   }
   if (!message.state.headline) return; // Nothing has been shown yet.
   state = message.state;
@@ -134,7 +136,7 @@ function showWords() {
   document.body.dataset.state = state.state;
   write("headline", state.headline);
   const side = /^[+-]/.test(state.big[1]) ? state.big[1] : "";
-  write("side", side && text("side", { side: side.replaceAll("-", "−").replace(/(?<=.)[+−]/g, " $&") }));
+  write("side", side && text("side", { side: side.replaceAll("-", "−").replace(/(.)([+−])/g, "$1 $2") }));
   write("details", pretty(state.details));
   const [, done] = at("ring").querySelectorAll("circle");
   const number = at("ring").querySelector("text");

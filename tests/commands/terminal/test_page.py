@@ -1,0 +1,314 @@
+"""The page of a capture and of a replay, as a program meets it: the address, the marks, the end; the session is the same."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+from urllib.parse import urlsplit
+
+import jsonschema
+import pytest
+
+pytest.importorskip("websockets", reason="the page needs websockets")
+
+from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Origin, Subprotocol
+
+from imufield.acquire.instrument.connected import Connected
+from imufield.acquire.link.host_clock import SystemClock
+from imufield.acquire.link.serial import Chunk
+from imufield.acquire.recording.reader import PartStart, RecordedEvent, read_session
+from imufield.acquire.recording.session import Session
+from imufield.acquire.registry import load_driver
+from imufield.commands.options.samples import CaptureOptions
+from imufield.commands.terminal import guided, page
+from imufield.commands.terminal.guided import guided_session
+from imufield.commands.terminal.page import bind_page
+from imufield.errors import Reason
+from imufield.guide.events import EVENT_VERSION
+from imufield.web.address import lan_addresses
+from imufield.web.guide_page import GuidePage
+from tests.commands.conftest import RATE_HZ
+from tests.commands.pty_terminal import Terminal
+from tests.commands.told import fails
+from tests.guide.test_event_schema import read_schema
+
+if TYPE_CHECKING:
+    from imufield.web.address import Place
+    from tests.commands.conftest import Program
+
+WAIT_S = 300.0  # Only a program that hangs takes so long, however busy the machine.
+MARKS = {300: "p", 320: "p", 400: "r", 600: "s", 601: "u"}
+"""Behind these chunks of a stream."""
+
+
+@contextmanager
+def opened(url: str) -> Iterator[ClientConnection]:
+    """Open an address as its page does."""
+    parts = urlsplit(url)
+    protocols = [Subprotocol("imufield"), Subprotocol(f"token.{parts.fragment.removeprefix('token=')}")]
+    origin = Origin(f"http://{parts.netloc}")
+    # A browser keeps whatever comes, whether its script looks at it or not.
+    with connect(f"ws://{parts.netloc}/socket", origin=origin, subprotocols=protocols, max_queue=None) as connection:
+        yield connection
+
+
+def read_until(connection: ClientConnection, is_meant: Callable[[Any], bool]) -> Any:
+    while not is_meant(message := json.loads(connection.recv(timeout=WAIT_S))):
+        pass
+    return message
+
+
+def log_of(message: Any) -> list[str]:
+    return [line["text"] for line in message.get("log", [])]
+
+
+def marks_of(folder: Path) -> list[object]:
+    """Return what was marked, as it stands in the recording."""
+    events = [item.event for item in read_session(Session.open(folder)) if isinstance(item, RecordedEvent)]
+    return [event["action"] for event in events if event["event"] == "mark"]
+
+
+@contextmanager
+def printing(program: Program, *arguments: object) -> Iterator[tuple[subprocess.Popen[str], Path]]:
+    """Start the program; what it prints goes to a file: nobody empties a pipe meanwhile."""
+    path = program.folder / "printed.jsonl"
+    with path.open("w") as output:
+        yield program.start(*arguments, stdout=output), path
+
+
+def address(process: subprocess.Popen[str], printed: Path) -> Any:
+    """Return the first line that is printed."""
+    while "\n" not in printed.read_text():
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.02)
+    first = json.loads(printed.read_text().splitlines()[0])
+    jsonschema.Draft202012Validator(read_schema()).validate(first)
+    assert (first["version"], first["event"]) == (EVENT_VERSION, "page")
+    return first
+
+
+def test_a_program_is_told_the_address_and_pages_the_end(program: Program) -> None:
+    port = program.show("+x")
+    capture = program.capture(port, "--json", "--web", "--session", "one session")
+    with (
+        printing(program, *capture) as (process, printed),
+        opened((told := address(process, printed))["url"]) as marking,
+        opened(told["watch_url"]) as watching,
+    ):
+        assert told["url"] != told["watch_url"]
+        assert json.loads(marking.recv(timeout=WAIT_S)) == {"role": "mark"}
+        assert json.loads(watching.recv(timeout=WAIT_S)) == {"role": "watch"}
+        read_until(marking, lambda message: message["state"]["done"] == 1)
+        watching.send("f")
+        watching.send("f")
+        marking.send("q")
+        marking.send("f")
+        asked = read_until(marking, lambda message: any("again" in line for line in log_of(message)))
+        assert asked["state"]["state"] != "done"
+        marking.send("f")
+        for each in (marking, watching):
+            ended = read_until(each, lambda message: "ended" in message)["ended"]
+            # What the terminal says at the end, as it can be pasted.
+            assert "1 of 6" in ended["details"]
+            assert ended["details"].endswith("IMUFIELD_CLOCK_SPEED=16 imufield capture --resume --session 'one session'")
+        assert process.wait(WAIT_S) == 0
+    lines = [json.loads(line) for line in printed.read_text().splitlines()]
+    assert lines[1]["event"] == "session"
+    assert marks_of(program.folder / "one session") == ["finish"]
+
+
+def test_a_person_reads_the_address_beside_the_lines(program: Program) -> None:
+    process = program.start(*program.capture(program.show("+x"), "--web"))
+    assert process.stderr is not None
+    line = next(line for line in process.stderr if "http://127.0.0.1:" in line)
+    with opened(line.split()[-1]) as marking:
+        read_until(marking, lambda message: "state" in message)
+        process.send_signal(2)
+        ended = read_until(marking, lambda message: "ended" in message)["ended"]
+    assert "--resume" in ended["details"]
+    process.communicate(timeout=WAIT_S)
+    assert process.returncode == 130
+
+
+def test_pages_are_told_why_a_session_was_broken_off(program: Program) -> None:
+    link = program.folder / "imu"
+    program.show("+x", options=("--link", link))
+    instrument = program.started[-1]
+    with (
+        printing(program, *program.capture(str(link), "--json", "--web")) as (process, printed),
+        opened(address(process, printed)["url"]) as page,
+    ):
+        json.loads(page.recv(timeout=WAIT_S))
+        read_until(page, lambda message: message["state"]["done"] == 1)
+        instrument.kill()
+        instrument.wait()
+        link.unlink(missing_ok=True)
+        read_until(page, lambda message: message["state"]["link"] == "lost")
+        # Another one at the same port.
+        program.show("+x", options=("--link", link, "--seed", 5))
+        ended = read_until(page, lambda message: "ended" in message)["ended"]
+        assert process.wait(WAIT_S) == 3
+    assert process.stderr is not None
+    error = process.stderr.read()
+    reason = ended["details"].partition("; ")[0]
+    assert reason in " ".join(error.split())
+    assert "--resume" in ended["details"]
+
+
+def test_the_picture_for_a_phone_stands_in_place_of_the_guide_until_one_looks(program: Program) -> None:
+    if not lan_addresses():
+        pytest.skip("this machine is in no network")
+    capture = program.capture(program.show("+x"), "--web-lan", "auto", "--latitude", 48, "--quiet")
+    terminal = Terminal(program, *capture, size=(100, 50))
+    try:
+        place = terminal.expect("scan the code")
+        url = re.findall(r"http://\S+#token=\S+", terminal.text)[0]
+        with opened(url) as page:
+            json.loads(page.recv(timeout=WAIT_S))
+            terminal.expect("stillness", after=place)
+            # A mark is no key that leads from the picture to the guide.
+            page.send("p")
+            read_until(page, lambda message: message["state"]["state"] == "paused")
+        terminal.type("q")
+        assert terminal.wait() == 0
+    finally:
+        terminal.close()
+
+
+@pytest.mark.parametrize("speed", [0, 40])
+def test_a_recorded_session_is_shown_at_any_speed(program: Program, make_session: Callable[..., Session], speed: float) -> None:
+    folder = make_session("faces6", hold_s=6.0).folder
+    replay = ("replay", folder, "--web", "--json", "--speed", speed)
+    with printing(program, *replay) as (process, printed), opened((told := address(process, printed))["url"]) as watching:
+        # There is nothing to mark any more.
+        assert told["url"] == told["watch_url"]
+        assert json.loads(watching.recv(timeout=WAIT_S)) == {"role": "watch"}
+        states = []
+        while "ended" not in (message := json.loads(watching.recv(timeout=WAIT_S))):
+            states.append(message["state"])
+        assert states[-1]["done"] == states[-1]["planned"] == 6
+        assert states[-1]["state"] == "done"
+        assert message["ended"]["details"].endswith(f"imufield replay --web {folder}")
+        assert process.wait(WAIT_S) == 0
+    lines = printed.read_text().splitlines(keepends=True)
+    assert "".join(lines[1:]) == program.run("replay", folder, "--json").stdout
+
+
+def test_one_target_at_a_time_and_only_guided_sessions(program: Program, whole_session: Path, tmp_path: Path) -> None:
+    ended = program.run("replay", whole_session, "--web", "--to-pty")
+    assert (ended.returncode, "--web" in ended.stderr, "--to-pty" in ended.stderr) == (2, True, True)
+    plain = shutil.copytree(whole_session, tmp_path / "plain")
+    settings = plain / "session.toml"
+    settings.write_text(settings.read_text().replace('scheme = "paper24"\n', ""))
+    assert "scheme" not in Session.open(plain).metadata
+    ended = program.run("replay", plain, "--web")
+    assert ended.returncode == 2
+    assert "--web" in ended.stderr
+
+
+def test_a_port_without_a_page_is_a_mistake() -> None:
+    fails("capture --port /dev/null --web-port 9000", 2, Reason.USAGE, "--web-port", key="page.port_alone")
+
+
+class Stream:
+    """The chunks of a recording as a link gives them; at some of them it waits until a mark was made and heard."""
+
+    name = "recorded"
+
+    def __init__(self, chunks: list[Chunk], make: Callable[[str], None], is_heard: Callable[[], bool]) -> None:
+        self._chunks, self._marks, self._next = chunks, dict(MARKS), 0
+        self._make, self._is_heard, self._waits = make, is_heard, False
+
+    def read(self) -> Chunk | None:
+        self._waits = self._waits and not self._is_heard()
+        if self._waits:
+            time.sleep(0.001)
+            return None
+        if (key := self._marks.pop(self._next, None)) is not None:
+            self._make(key)
+            self._waits = True
+            return None
+        self._next += 1
+        return self._chunks[self._next - 1]
+
+    def drain(self) -> list[Chunk]:
+        return []
+
+
+class Keys:
+    """A keyboard that types what it is told."""
+
+    typed = ""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def read(self) -> str:
+        keys, Keys.typed = Keys.typed, ""
+        return keys
+
+
+def capture_again(
+    source: Session, folder: Path, place: Place | None, make: Callable[[str], None], is_heard: Any
+) -> list[object]:
+    """Capture the stream of a recording anew, with marks at certain places; return what is recorded."""
+    metadata = {name: value for name, value in source.metadata.items() if name not in ("created", "software")}
+    session = Session.create_in(folder, "stim300", metadata)
+    connected = Connected(
+        link=Stream([item for item in read_session(source) if isinstance(item, Chunk)], make, is_heard),  # type: ignore[arg-type]
+        protocol=load_driver("stim300").load_protocol({"rate_hz": RATE_HZ}),
+        driver="stim300",
+        model="stim300",
+        baud=921600,
+        chunks=[],
+        identity={},
+    )
+    options = CaptureOptions(connect=None, plain=True, quiet=True)  # type: ignore[arg-type]
+    assert guided_session(session, connected, SystemClock(), options, place=place).finished
+    recorded = read_session(session)
+    kept = {PartStart: "metadata", RecordedEvent: "event"}
+    return [getattr(item, kept[type(item)]) if type(item) in kept else item for item in recorded]
+
+
+def test_the_recording_is_the_same_with_a_page_and_without(
+    make_session: Callable[..., Session], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = make_session("faces6", hold_s=5.5)
+    monkeypatch.setattr(guided, "Keyboard", Keys)
+    without = capture_again(source, tmp_path / "without", None, lambda key: setattr(Keys, "typed", key), lambda: not Keys.typed)
+    said: list[str] = []
+    sent: list[str] = []
+    heard: list[str] = []
+    read = GuidePage.read
+
+    def keep(keys: str) -> str:
+        heard.append(keys)
+        return keys
+
+    monkeypatch.setattr(page, "say", lambda line, **_: said.append(line))
+    # A mark is answered with the next samples only, so that the stream must know when it was read.
+    monkeypatch.setattr(GuidePage, "read", lambda of: keep(read(of)))
+    with ExitStack() as stack:
+
+        def make(key: str) -> None:
+            connection = stack.enter_context(opened(said[0].split()[-1]))
+            connection.send(key)
+            sent.append(key)
+
+        def is_heard() -> bool:
+            return len("".join(heard)) == len(sent)
+
+        shown = capture_again(source, tmp_path / "with", bind_page(stack), make, is_heard)
+    assert marks_of(tmp_path / "with") == ["pause", "pause", "retake", "skip", "undo"]
+    assert shown == without

@@ -1,0 +1,136 @@
+"""Whole sessions from the page in a real browser, with faults of the cable, the network and the phone at random moments."""
+
+from __future__ import annotations
+
+import json
+import random
+import re
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
+
+import pytest
+
+from tests.torture.conftest import FULL, Campaign
+from tests.web.browser import Screens, open_browser
+from tests.web.network import ARGUMENT, Network
+from tests.web.page_session import POSITIONS, PageSession
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+    from tests.commands.conftest import Program
+
+pytest.importorskip("websockets", reason="the page needs websockets")
+
+SESSIONS = 20
+NO_NETWORK = "WebSocket connection to"
+"""A browser says by itself where no connection can be made."""
+
+
+def done(page: Page) -> int:
+    return int(page.locator("#done").inner_text())
+
+
+class Run:
+    """A session with its pages, and the faults that come over them."""
+
+    def __init__(self, session: PageSession, screens: Screens, network: Network, rng: random.Random) -> None:
+        self.session, self.screens, self.network, self.rng = session, screens, network, rng
+        # Through the network, as a phone; the others are on this machine.
+        self.page = screens.open(session.url.replace("127.0.0.1", "localhost"))
+        self.others: list[Page] = []
+        self.faults: dict[str, Callable[[], None]] = {
+            "cable": self.pull_cable,
+            "reload": self.reload,
+            "second": self.open_second,
+            "network": self.cut_network,
+            "sleep": self.sleep,
+            "marks": self.mark,
+        }
+
+    def pull_cable(self) -> None:
+        self.session.unplug()
+        self.page.locator("#headline", has_text="NO LINK").wait_for()
+        self.session.plug_in()
+
+    def reload(self) -> None:
+        for _ in range(self.rng.randrange(1, 6)):
+            self.page.reload()
+
+    def open_second(self) -> None:
+        self.others.append(self.screens.open(self.rng.choice([self.session.url, self.session.watch_url])))
+
+    def cut_network(self) -> None:
+        self.network.cut()
+        self.page.wait_for_timeout(self.rng.uniform(200, 4000))
+        self.network.join()
+
+    def sleep(self) -> None:
+        phone = self.page.context.new_cdp_session(self.page)
+        phone.send("Page.setWebLifecycleState", {"state": "frozen"})
+        self.page.wait_for_timeout(self.rng.uniform(200, 4000))
+        phone.send("Page.setWebLifecycleState", {"state": "active"})
+
+    def mark(self) -> None:
+        self.page.locator("#marks [data-key=p]").click()
+        self.page.locator("#headline", has_text="PAUSED").wait_for()
+        for key in "rsu":
+            self.page.locator(f"#marks [data-key={key}]").click()
+        self.page.locator("#marks [data-key=p]").click()
+
+    def accepted(self) -> int:
+        """Return how many positions the program has told of."""
+        return len({event["position"] for event in self.session.told if event["event"] == "accepted"})
+
+    def is_true(self) -> None:
+        """Wait until the page shows at least what was true when it was asked."""
+        measured = self.accepted()
+        while done(self.page) < measured:
+            self.page.wait_for_timeout(50)
+
+
+@pytest.mark.skipif(not FULL, reason="its short form is tests/web/test_guide_page.py")
+@pytest.mark.parametrize("number", range(SESSIONS))
+def test_a_session_from_the_page_whatever_happens(program: Program, number: int, campaign: Campaign) -> None:
+    rng = random.Random(1600 + number)
+    session = PageSession.begin(program, seed=1 + number)
+    with open_browser(ARGUMENT) as browser, Network(urlsplit(session.url).port or 0) as network:
+        screens = Screens(browser)
+        run = Run(session, screens, network, rng)
+        kinds = [*rng.choices(sorted(run.faults), k=3), "cable", "network"]
+        for kind, after in zip(rng.sample(kinds, len(kinds)), sorted(rng.sample(range(1, 22), len(kinds))), strict=True):
+            while done(run.page) < after:
+                run.page.wait_for_timeout(50)
+            run.faults[kind]()
+            run.is_true()
+        pages = [run.page, *run.others]
+        for page in pages:
+            page.locator("#done", has_text=re.compile("^24$")).wait_for()
+        for _ in "ff":
+            run.page.locator("#marks [data-key=f]").click()
+        for page in pages:
+            page.locator("#headline", has_text="FINISHED").wait_for()
+        assert session.process.wait(300) == 0, session.process.communicate()[1]
+        assert [line for line in screens.console if NO_NETWORK not in line] == []
+        screens.close()
+        # The page has come back by itself after each cut.
+        assert network.connections > kinds.count("network")
+
+    recorded = session.recorded
+    replayed = program.run("replay", session.session.folder, "--json")
+    again = [json.loads(line) for line in replayed.stdout.splitlines()]
+    assert again == [event for event in recorded if event["event"] not in ("mark", "unplugged")]
+    assert {event["position"] for event in again if event["event"] == "accepted"} == set(POSITIONS)
+    solved = program.run("solve", session.session.folder, "--json")
+    assert solved.returncode == 0, solved.stderr
+    assert len(json.loads(solved.stdout)["position"]) == len(POSITIONS)
+    campaign.tell(
+        "whole session from the page; cable out, network cut, reloads, other pages, sleep, marks at random moments",
+        1,
+        "sessions",
+        "{positions} positions of {planned} measured, {faults} faults; without a page the recording gives the same",
+        positions=len(json.loads(solved.stdout)["position"]),
+        planned=len(POSITIONS),
+        faults=len(kinds),
+    )
