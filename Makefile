@@ -68,8 +68,8 @@ docs: $(DEV)
 	$(BIN)/python -m mkdocs build --strict
 
 # Two at a time keep two cores busy; the claims take all cores by themselves. What was interrupted goes on where it stopped,
-# and what fails keeps nothing else from being done. PART=killed, cut, faults, link, sequences, files, second_corpus or claims does one of them.
-TORTURE_PARTS := $(if $(PART),$(PART),killed cut faults link sequences files second_corpus)
+# and what fails keeps nothing else from being done. PART=link does one of them; claims is another.
+TORTURE_PARTS := $(if $(PART),$(PART),killed cut faults link sequences files reproductions second_corpus)
 torture: $(TEST)
 	status=0; export TORTURE=full; \
 	$(if $(filter-out claims,$(TORTURE_PARTS)),$(BIN)/python -m pytest -n 2 --dist worksteal \
