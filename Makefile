@@ -19,7 +19,7 @@ help:
 	@echo "make fuzz    a minute of random and damaged bytes for every instrument"
 	@echo "make lint    style, types"
 	@echo "make docs    build the documentation into build/docs; broken links and examples fail"
-	@echo "make torture  kills, cuts, bad wires and files, in full, about half an hour; writes docs/reliability.md"
+	@echo "make torture  kills, cuts, bad wires and damaged files, in full, about 4 h on two cores; writes docs/reliability.md"
 	@echo "make coverage  branches tested in acquire, calibrate and guide; below 90 % fails"
 	@echo "make audit   what is installed against the lock; make lock notes it anew"
 	@echo "make changelog  what has changed since the last release"

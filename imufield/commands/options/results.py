@@ -13,8 +13,8 @@ from imufield.commands.options.shared import (
     NewestSession,
     PlaceOptions,
     Scheduler,
-    Settings,
     TableRateHz,
+    TargetSettings,
     Workers,
     argument,
     option,
@@ -173,7 +173,7 @@ class ExportOptions:
     to: Annotated[
         str | None, option(help="Target, e.g. c, px4, vectornav (default: list them).", autocompletion=completion.targets)
     ] = None
-    settings: Settings = field(default_factory=dict)
+    settings: TargetSettings = field(default_factory=dict)
     output: Annotated[Path | None, option("-o", "--output", help="File or folder (default: the usual names here).")] = None
     as_json: AsJson = False
 

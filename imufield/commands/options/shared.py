@@ -169,8 +169,18 @@ MethodSettings = Annotated[
         Annotated[
             list[str] | None,
             option(
-                "--set", help="Setting of --method, NAME=VALUE, e.g. m=20 (number of beetles of bsas); names in docs/study.md."
+                "--set", help="Setting of --method, NAME=VALUE, e.g. m=20 (number of beetles of bsas); a wrong name lists all."
             ),
+        ],
+        parse_settings,
+    ),
+]
+TargetSettings = Annotated[
+    Mapping[str, str],
+    Converted(
+        Annotated[
+            list[str] | None,
+            option("--set", help="Option of the target, NAME=VALUE, e.g. accelerometer_id=1310988; a wrong name lists all."),
         ],
         parse_settings,
     ),
