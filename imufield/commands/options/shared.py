@@ -163,6 +163,16 @@ Settings = Annotated[
         parse_settings,
     ),
 ]
+ExportSettings = Annotated[
+    Mapping[str, str],
+    Converted(
+        Annotated[
+            list[str] | None,
+            option("--set", help="Setting of the export, NAME=VALUE, e.g. instance=1; names in docs/exports.md."),
+        ],
+        parse_settings,
+    ),
+]
 MethodSettings = Annotated[
     Mapping[str, str],
     Converted(
@@ -239,7 +249,9 @@ class Connection:
     settings: Settings
     rate_hz: Annotated[
         float | None,
-        option(help="Set the output rate of the instrument, where its driver can; put back at the end.", within=RATE_RANGE_HZ),
+        option(
+            help="Output rate to set, where the driver can; the previous rate is restored at the end.", within=RATE_RANGE_HZ
+        ),
     ] = None
 
 
