@@ -109,6 +109,11 @@ class TypedNumber(float):
         return number
 
 
+def _set_option(told: str) -> Converted:
+    """Return ``--set`` of a command, with its help."""
+    return Converted(Annotated[list[str] | None, option("--set", help=told)], parse_settings)
+
+
 def _parse_mapping(texts: list[str] | None) -> dict[str, str]:
     # Only who gives --map pays for the room that reads it.
     if not texts:
@@ -151,39 +156,17 @@ Baud = Annotated[
 ]
 Settings = Annotated[
     Mapping[str, str],
-    Converted(
-        Annotated[
-            list[str] | None,
-            option(
-                "--set",
-                help="Setting of the instrument that its data does not state, e.g. accelerometer_range_g=30; "
-                "`imufield devices NAME` lists them.",
-            ),
-        ],
-        parse_settings,
+    _set_option(
+        "Setting of the instrument that its data does not state, e.g. accelerometer_range_g=30; "
+        "`imufield devices NAME` lists them."
     ),
 ]
 ExportSettings = Annotated[
-    Mapping[str, str],
-    Converted(
-        Annotated[
-            list[str] | None,
-            option("--set", help="Setting of the export, NAME=VALUE, e.g. instance=1; names in docs/exports.md."),
-        ],
-        parse_settings,
-    ),
+    Mapping[str, str], _set_option("Setting of the export, NAME=VALUE, e.g. instance=1; names in docs/exports.md.")
 ]
 MethodSettings = Annotated[
     Mapping[str, str],
-    Converted(
-        Annotated[
-            list[str] | None,
-            option(
-                "--set", help="Setting of --method, NAME=VALUE, e.g. m=20 (number of beetles of bsas); names in docs/study.md."
-            ),
-        ],
-        parse_settings,
-    ),
+    _set_option("Setting of --method, NAME=VALUE, e.g. m=20 (number of beetles of bsas); names in docs/study.md."),
 ]
 TableRateHz = Annotated[
     float | None, option("--rate-hz", help="Sample rate, where the file has no time.", within=RATE_RANGE_HZ)

@@ -36,7 +36,7 @@ class RowCount:
         """Return a sentence on the rows that are flagged, in a file that has a column for it or not; empty where none is."""
         if not self._unusable:
             return ""
-        key, part = ("flagged", "flagged_starting") if has_status else ("lacking", "starting")
-        flag = Status.START_UP.value
-        starting = sentence(f"row_count.{part}", starting=self._starting, flag=flag) if self._starting else ""
-        return sentence(f"row_count.{key}", unusable=self._unusable, starting=starting)
+        flagged, lacking = ("row_count.flagged", "row_count.flagged_starting"), ("row_count.lacking", "row_count.starting")
+        key, key_of_start = flagged if has_status else lacking
+        starting = sentence(key_of_start, starting=self._starting, flag=Status.START_UP.value) if self._starting else ""
+        return sentence(key, unusable=self._unusable, starting=starting)
