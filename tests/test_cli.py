@@ -41,7 +41,7 @@ def test_help_has_an_example(command: str, monkeypatch: pytest.MonkeyPatch, caps
 
 
 @pytest.mark.parametrize(
-    ("command", "setting"), [("export", "accelerometer_id="), ("solve", "m="), ("capture", "accelerometer_range_g=")]
+    ("command", "setting"), [("export", "instance="), ("solve", "m="), ("capture", "accelerometer_range_g=")]
 )
 def test_help_of_set_names_a_setting_of_the_command(command: str, setting: str) -> None:
     options = get_command(app).commands[command].params  # type: ignore[attr-defined]  # the app is a group
