@@ -20,7 +20,7 @@ help:
 	@echo "make lint    style, types"
 	@echo "make scripts  types of the page's scripts, by tools that npm installs; make test then looks for barriers, too"
 	@echo "make docs    build the documentation into build/docs; broken links and examples fail"
-	@echo "make torture  kills, cuts, bad wires and files, in full, about half an hour; writes docs/reliability.md"
+	@echo "make torture  kills, cuts, bad wires and damaged files, in full, about 4 h on two cores; writes docs/reliability.md"
 	@echo "make coverage  branches tested in acquire, calibrate and guide; below 90 % fails"
 	@echo "make audit   what is installed against the lock; make lock notes it anew"
 	@echo "make changelog  what has changed since the last release"
@@ -78,8 +78,8 @@ docs: $(DEV)
 	$(BIN)/python -m mkdocs build --strict
 
 # Two at a time keep two cores busy; the claims take all cores by themselves. What was interrupted goes on where it stopped,
-# and what fails keeps nothing else from being done. PART=killed, cut, faults, link, files, second_corpus, web or claims does one of them.
-TORTURE_PARTS := $(if $(PART),$(PART),killed cut faults link files second_corpus web)
+# and what fails keeps nothing else from being done. PART=link does one of them; claims is another.
+TORTURE_PARTS := $(if $(PART),$(PART),killed cut faults link sequences files reproductions second_corpus web)
 torture: $(TEST)
 	status=0; export TORTURE=full; \
 	$(if $(filter-out claims,$(TORTURE_PARTS)),$(BIN)/python -m pytest -n 2 --dist worksteal \

@@ -179,10 +179,10 @@ def page_lines(ledger: Ledger) -> Iterator[str]:
     yield (
         "Written by `make bench`; all runs are in `benchmarks/history.csv`. A peer is what one would use instead, measured in\n"
         "the same run on the same machine: a parser that handles frame by frame, the maker's C++ library for MIP (mscl, where\n"
-        "`pymscl` is installed), cantools, python-can, scipy, plain NumPy. imu_tk, a C++ program, is not run beside; its\n"
-        "model on its own recording is, under *gyroscope*, and what is compared is the result.\n"
-        "*Load* is what the machine did besides. Where it is more than its cores, times are worse than they need be, and only\n"
-        "the comparison with the peer means something.\n"
+        "`pymscl` is installed), cantools, python-can, scipy, plain NumPy. imu_tk, a C++ program, is not run here. Under\n"
+        "*gyroscope* its model is fitted to its own recording, and the results are compared.\n"
+        "*Load* is the load of the machine by other programs. Where it exceeds the number of cores, times are too long; use\n"
+        "the ratio to the peer only.\n"
     )
     if ledger.packages:
         yield f"Versions: {ledger.packages}.\n"

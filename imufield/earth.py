@@ -45,6 +45,13 @@ GRAVITY_RANGE_M_S2 = (9.76, 9.84)
 HEIGHT_RANGE_M = (-500.0, 9000.0)
 """From the shore of the Dead Sea to the top of Mount Everest, with a margin."""
 
+_SOURCE_WORDS = {
+    "typed": "given by the user",
+    "normal": "WGS-84 normal gravity",
+    "measured": "measured",
+    "assumed": "ASSUMED, place unknown",
+}
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gravity:
@@ -58,6 +65,11 @@ class Gravity:
     source: str
     latitude_deg: float | None = None
     height_m: float | None = None
+
+    @property
+    def source_words(self) -> str:
+        """How it is known, as people read it."""
+        return _SOURCE_WORDS[self.source]
 
 
 def normal_gravity(latitude_deg: float, height_m: float = 0.0) -> float:

@@ -82,6 +82,16 @@ class SampleUnits:
         return self.accelerometer in ("m/s^2", "m/s") and self.gyroscope in ("rad/s", "rad")
 
     @property
+    def words(self) -> str:
+        """Return the units of both triads for sentences; of increments with the interval, without which they say nothing."""
+        interval = f" per {self.interval_s:g} s" if self.interval_s else ""
+        each = (
+            self.accelerometer + interval * self.accelerometer_is_increment,
+            self.gyroscope + interval * self.gyroscope_is_increment,
+        )
+        return f"accelerometer in {each[0]}, gyroscope in {each[1]}"
+
+    @property
     def accelerometer_rate_unit(self) -> str:
         """Unit of accelerometer means: that of the samples, per second for increments."""
         return _rate_unit(self.accelerometer, self.accelerometer_is_increment)

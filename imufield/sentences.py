@@ -45,8 +45,8 @@ def _worst(alike: list[str]) -> str:
     sizes = [[abs(float(size)) for word, size in _SIZE.findall(text) if word not in _PLACES] for text in alike]
     differing = next((column for column in zip(*sizes, strict=False) if len(set(column)) > 1), None)
     if differing is None:
-        return f"{len(alike)} of this kind, the first: {alike[0]}"
-    return f"{len(alike)} of this kind, the worst: {alike[differing.index(max(differing))]}"
+        return f"{len(alike)} sentences like this, the first: {alike[0]}"
+    return f"{len(alike)} sentences like this, the largest: {alike[differing.index(max(differing))]}"
 
 
 def counted(number: int, noun: str) -> str:

@@ -40,6 +40,15 @@ def test_help_has_an_example(command: str, monkeypatch: pytest.MonkeyPatch, caps
     assert capsys.readouterr().out == shown
 
 
+@pytest.mark.parametrize(
+    ("command", "setting"), [("export", "instance="), ("solve", "m="), ("capture", "accelerometer_range_g=")]
+)
+def test_help_of_set_names_a_setting_of_the_command(command: str, setting: str) -> None:
+    options = get_command(app).commands[command].params  # type: ignore[attr-defined]  # the app is a group
+    (told,) = [option.help for option in options if "--set" in option.opts]
+    assert f"e.g. {setting}" in told
+
+
 def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["--help"]) == 0
     shown = capsys.readouterr().out

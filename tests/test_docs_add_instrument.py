@@ -122,8 +122,8 @@ def check(protocol: Protocol, dbc: Path) -> Samples:
 
 def test_a_dbc_file_with_its_mapping(bus_file: Path) -> None:
     text = (DOCS / "can.md").read_text(encoding="utf-8")
-    (typed,) = re.findall(r"^    --dbc my_imu\.dbc (.*?)\n\n", text, flags=re.MULTILINE | re.DOTALL)
-    mapping = parse_map([*(word for word in shlex.split(typed) if word != "--map"), "counter=Count"])
+    (typed,) = re.findall(r"^    imufield capture [^\n]* --dbc my_imu\.dbc (.*?)\n\n", text, flags=re.MULTILINE | re.DOTALL)
+    mapping = parse_map([*(word for word in shlex.split(typed.replace("\\\n", "")) if word != "--map"), "counter=Count"])
     check(protocol_from_dbc(bus_file, mapping), bus_file)
 
 

@@ -119,7 +119,9 @@ def _print(history: History, options: HistoryOptions, now: datetime) -> None:
             echo(hanging("  - ", line))
     alone = sum(len(instrument.entries) == 1 for instrument in history.instruments)
     if alone:
-        what = "It has" if len(history.instruments) == 1 else f"{counted(alone, 'instrument')} with"
+        what = (
+            "It has" if len(history.instruments) == 1 else f"{counted(alone, 'instrument')} {'has' if alone == 1 else 'have'}"
+        )
         echo(hanging("", sentence("history.nothing_to_compare", what=what)))
 
 

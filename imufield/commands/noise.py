@@ -8,19 +8,25 @@ from pathlib import Path
 from typing import get_args
 
 from imufield.acquire.recording.reader import Damage
-from imufield.acquire.recording.session import open_or_newest
+from imufield.acquire.recording.session import Session, open_or_newest
 from imufield.calibrate.noise.noise import NoiseResult, measure_noise
 from imufield.calibrate.noise.noise_fit import NoiseFigure
-from imufield.calibrate.noise.noise_texts import NoiseFormat, draw_plot, noise_text
+from imufield.calibrate.noise.noise_texts import NoiseFormat, check_source_date, draw_plot, noise_text
 from imufield.commands.options.results import NoiseOptions
 from imufield.commands.terminal.output import echo, say, say_each, tell_written, write_output
 from imufield.deliver.parameters.document import noise_table
 from imufield.deliver.parameters.file import Noise, Parameters, load, write_document
+from imufield.errors import Reason, UsageError
 from imufield.files import refuse_overwriting
 from imufield.pipeline.calibration import one_of
 from imufield.pipeline.chain import session_protocol, session_samples
 from imufield.pipeline.damage import naming_damage
-from imufield.samples import AXES
+from imufield.samples import AXES, FloatArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
+
+Scale = FloatArray | float | None
 
 # Title of each figure, and what its unit has behind that of the axis.
 _FIGURES = {
@@ -39,15 +45,17 @@ def run_noise(options: NoiseOptions) -> None:
         If the session cannot be read, or is too short.
     """
     form: NoiseFormat = one_of("to", options.to, get_args(NoiseFormat))
+    # Before allantools: what it imports ends at such a date.
+    check_source_date()
     parameters = None if options.parameters is None else load(options.parameters)
     session = open_or_newest(options.session)
-    nominal = session_protocol(session).nominal
+    scales = _scales(session, parameters)
     # Before an hour of samples is read for nothing.
     for path in filter(None, (options.output, options.plot)):
         refuse_overwriting(path, [*session.parts, *filter(None, [options.parameters])])
     damage: list[Damage] = []
     with naming_damage(session, damage):
-        result = measure_noise(session_samples(session, damage), nominal.accelerometer_scale, nominal.gyroscope_scale)
+        result = measure_noise(session_samples(session, damage), *scales)
     say_each((entry.what for entry in damage), err=True)
     if options.output is not None:
         write_output(options.output, noise_text(result, form).encode(), as_json=options.as_json)
@@ -63,8 +71,30 @@ def run_noise(options: NoiseOptions) -> None:
     _print(result)
 
 
+def _scales(session: Session, parameters: Parameters | None) -> tuple[Scale, Scale]:
+    """Return raw units per SI of both triads: calibrated ones where there are parameters, else what the protocol states.
+
+    Raises
+    ------
+    ParameterFileError
+        If the parameters are those of another instrument or of other raw units.
+    """
+    protocol = session_protocol(session)
+    if parameters is None:
+        return protocol.nominal.accelerometer_scale, protocol.nominal.gyroscope_scale
+    parameters.check_instrument(session.serial_number)
+    parameters.check_unit("accelerometer", protocol.units.accelerometer_rate_unit)
+    accelerometer, gyroscope = parameters.calibration.accelerometer, parameters.calibration.gyroscope
+    if gyroscope is None or not parameters.gyroscope_is_complete:
+        return accelerometer.scale, protocol.nominal.gyroscope_scale
+    parameters.check_unit("gyroscope", protocol.units.gyroscope_rate_unit)
+    return accelerometer.scale, gyroscope.parameters.scale
+
+
 def _write_into(path: Path, parameters: Parameters, result: NoiseResult) -> Path | None:
     """Put the figures into the table [noise] of a parameter file; return where the file as it was is kept."""
+    if not result.is_si:
+        raise UsageError(sentence("noise.no_gyroscope_scale", path=path), Reason.UNITS)
     noise = Noise(
         source=result.source,
         accelerometer_density_m_s2_per_sqrt_hz=result.values("accelerometer", "density"),
@@ -97,7 +127,9 @@ def _value_and_limits(figure: NoiseFigure) -> str:
 
 
 def _in_short(figure: NoiseFigure) -> str:
-    return f"{figure.value:.3g}" if math.isfinite(figure.value) else f"< {figure.high:.2g}"
+    if math.isfinite(figure.value):
+        return f"{figure.value:.3g}"
+    return f"< {figure.high:.2g}" if math.isfinite(figure.high) else "not known"
 
 
 def _document(result: NoiseResult) -> dict[str, object]:
@@ -119,5 +151,5 @@ def _document(result: NoiseResult) -> dict[str, object]:
             {"triad": sheet.triad, "figure": sheet.title, "unit": sheet.unit, "axes": [numbers(figure) for figure in figures]}
             for sheet, figures in result.data_sheet()
         ],
-        "sentences": list(result.sentences) + [sentence for axis in result.axes for sentence in axis.sentences],
+        "sentences": [*result.sentences, *(told for axis in result.axes for told in axis.sentences)],
     }

@@ -17,7 +17,7 @@ from imufield.commands.options.results import VerifyOptions
 from imufield.commands.terminal.output import echo, tell_written
 from imufield.console import PlainTextConsole
 from imufield.deliver.navigation.alignment import Heading
-from imufield.deliver.navigation.check import Apply, CheckSettings, NavigationResult, StaticNavigation
+from imufield.deliver.navigation.check import SHORTEST_S, Apply, CheckSettings, NavigationResult, StaticNavigation
 from imufield.deliver.parameters.apply import correct_accelerometer, correct_gyroscope
 from imufield.deliver.parameters.file import Corrected, json_ready, load
 from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S, to_ascii
@@ -86,7 +86,7 @@ class _Task:
         # Navigation needs the place even of the parameters' own session, so there the options change something.
         typed = options.site.is_known and not options.site.is_default and not self.wants_navigation
         if typed and self.is_its_own and abs(here - own.gravity_m_s2) > SAME_M_S2:
-            raise UsageError(sentence("verify.gravity_ignored", typed=here, solved=own.gravity_m_s2, source=own.source))
+            raise UsageError(sentence("verify.gravity_ignored", typed=here, solved=own.gravity_m_s2, source=own.source_words))
 
 
 def run_verify(options: VerifyOptions) -> Verification:
@@ -135,7 +135,8 @@ def _verify(task: _Task) -> Verification:
         left_out = _left_out(task, chain, problems)
         navigated = navigation.finish()
         if left_out is None and navigated is None:
-            raise problems[0] if problems else CalibrationError(sentence("verify.nothing"), Reason.TOO_FEW)
+            least_s = task.options.align_s + SHORTEST_S
+            raise problems[0] if problems else CalibrationError(sentence("verify.nothing", least_s=least_s), Reason.TOO_FEW)
     parameters = task.parameters
     # With requirements the last of them is an objection.
     about_file = (parameters.edited_note, parameters.gyroscope_note, "" if task.limits else doubt(parameters))

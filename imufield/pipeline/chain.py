@@ -114,7 +114,7 @@ class Chain:
             If the instrument has taken gravity out of them.
         """
         if self.protocol is not None and protocol.units != self.protocol.units:
-            units = [self.protocol.units.accelerometer, protocol.units.accelerometer]
+            units = [self.protocol.units.words, protocol.units.words]
             raise ProtocolError(sentence("chain.units", units=units), Reason.UNITS)
         self.protocol = protocol
         if self._judging:

@@ -234,7 +234,7 @@ def better_gravity(path: Path, now: Gravity) -> tuple[str, ...]:
         return ()
     if not before.sigma_m_s2 * _BETTER_KNOWN < now.sigma_m_s2:
         return ()
-    again = f"--gravity {before.gravity_m_s2:.6g}"
+    again = f"--gravity {before.gravity_m_s2:.8g}+-{before.sigma_m_s2:.2g}"
     if before.source == "normal" and before.latitude_deg is not None:
         again = f"--latitude {before.latitude_deg:g} --height {before.height_m or 0:g}"
     return (sentence("solving.better_gravity", before_m_s2=before.sigma_m_s2, now_m_s2=now.sigma_m_s2, again=again),)

@@ -75,7 +75,7 @@ def document_title(name: str) -> str:
 def write_document(reports: Iterable[StudyReport], path: Path, context: StudyContext, name: str = "all") -> None:
     """Write the reports of ``run_study(name)`` as one Markdown document, with seed and version."""
     # The words of a quick run warn whoever finds the document later.
-    size = "a quick run, too few runs to quote" if context.quick else "a full run"
+    size = "a quick run (too few sessions: do not quote these figures)" if context.quick else "a full run"
     head = str(texts()["document"]["answers" if name.startswith(ANSWERS) else "head"])
     head = head.format(title=document_title(name), size=size, seed=context.seed, version=__version__)
     sections = [as_markdown(report) for report in reports]

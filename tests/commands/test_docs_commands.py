@@ -21,7 +21,7 @@ PAGES = sorted([PROJECT / "README.md", *(PROJECT / "docs").rglob("*.md")])
 LINE = re.compile(r"^(?:    |\$ )(imufield [a-z].*?)(?:  +#.*)?$", re.MULTILINE)
 ELSEWHERE = {
     "imufield demo": "tests/commands/test_desk.py runs it to its end",
-    "imufield capture --port /dev/ttyUSB0 --resume --session imufield-sessions/NAME": "tests/commands/test_capture.py resumes",
+    "imufield capture --resume": "tests/commands/test_capture.py resumes",
     "imufield capture --port /dev/ttyUSB0 --baud 115200 --protocol my_imu.toml": "tests/test_docs_protocols.py decodes it",
     "imufield capture --port /dev/ttyUSB0 --driver text": "tests/commands/test_capture.py reads lines of numbers",
     "--bus": "tests/commands/test_can.py has the buses",

@@ -19,11 +19,14 @@ import tomli_w
 
 from imufield import files
 from imufield.acquire.instrument.connected import ConnectOptions
+from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import LOCK_FILE, Session
+from imufield.acquire.registry import load_driver
 from imufield.cli.run import run
 from imufield.commands.terminal.resume import connect_as_before
 from imufield.errors import ProtocolError, Reason, RecordingError, UsageError
 from imufield.guide.positions import SCHEME_FILE
+from imufield.pipeline.chain import part_metadata
 from tests.commands.told import fails, failure
 from tests.refused import refused
 
@@ -135,6 +138,21 @@ def test_a_session_names_no_file_elsewhere(session: Path) -> None:
     edit(session, scheme=SCHEME_FILE)
     (session / SCHEME_FILE).symlink_to("../mine.toml")
     fails("solve S -o out.toml", 2, Reason.USAGE, SCHEME_FILE, "link", key="positions.cannot_read")
+
+
+@pytest.mark.parametrize(
+    ("settings", "now"),
+    [
+        ({"gyroscope_output": "increment"}, "accelerometer in m/s^2, gyroscope in rad per 0.008 s"),
+        ({"accelerometer_output": "increment"}, "accelerometer in m/s per 0.008 s, gyroscope in rad/s"),
+    ],
+)
+def test_parts_with_other_units_are_told_by_both_triads(session: Path, settings: dict[str, str], now: str) -> None:
+    protocol = load_driver("stim300").load_protocol({"rate_hz": 125.0, **settings})
+    with Recorder(Session.open(session).add_part(), part_metadata(protocol, {})):
+        pass
+    before = "accelerometer in m/s^2, gyroscope in rad/s"
+    fails("solve S -o out.toml", 4, Reason.UNITS, before, now, key="chain.units")
 
 
 def test_a_session_opens_no_address_that_writes_files(session: Path) -> None:

@@ -239,7 +239,7 @@ def test_what_has_no_end_no_name_or_no_number(
     for more in ([], ["--protocol", "stim300"]) if name != "empty.csv" else ([],):
         assert run(["import", name, "-o", "new", *more]) in (2, 4)
         said = capsys.readouterr().err
-        assert any(words in said for words in ("no end", "check its name", "no numbers in any", "without an end"))
+        assert any(words in said for words in ("no end", "check its name", "no numbers in any", "is a device"))
         assert not Path("new").exists()
 
 

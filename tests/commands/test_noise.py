@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from pathlib import Path
 
 import pytest
 
 from imufield.cli.run import run
-from tests.commands.test_verify import rest_session
-from tests.commands.told import missing
+from imufield.errors import Reason
+from tests.commands.conftest import Program
+from tests.commands.test_verify import rest_session, with_document
+from tests.commands.told import fails, missing
 
 UNITS = {"density": "/sqrt(Hz)", "instability": "", "walk": "/sqrt(s)"}
 
@@ -59,3 +62,38 @@ def test_every_file_that_is_written_is_named(tmp_path: Path, capsys: pytest.Capt
     told = capsys.readouterr()
     assert json.loads(told.out)["axes"]
     assert not missing(told.err, *files)
+
+
+def test_a_calibration_gives_counts_their_scale(
+    solved_session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    counts = rest_session(tmp_path / "counts", 600.0, unit="count").folder
+    tables = {triad: {"raw_unit": unit} for triad, unit in (("accelerometer", "count"), ("gyroscope", "rad/s"))}
+    parameters = with_document(solved_session / "parameters.toml", tmp_path / "p.toml", **tables)
+    assert run(["noise", str(counts), "--parameters", str(parameters)]) == 0
+    document = tomllib.loads(parameters.read_text())
+    capsys.readouterr()
+    assert run(["noise", str(counts), "--json"]) == 0
+    raw = json.loads(capsys.readouterr().out)["axes"]
+    for triad, unit in (("accelerometer", "m_s2"), ("gyroscope", "rad_s")):
+        # The scale is some 100 ppm from one: another one would show.
+        found = [raw[f"{triad} {axis}"]["density"]["value"] / document[triad]["scale"][k] for k, axis in enumerate("xyz")]
+        assert document["noise"][f"{triad}_density_{unit}_per_sqrt_hz"] == pytest.approx(found, rel=1e-6)
+
+
+def test_parameters_of_other_units_or_of_another_instrument_are_refused(solved_session: Path, tmp_path: Path) -> None:
+    counts = rest_session(tmp_path / "counts", 600.0, unit="count", instrument={"serial_number": "B2"}).folder
+    parameters = solved_session / "parameters.toml"
+    before = parameters.read_bytes()
+    fails(["noise", str(counts), "--parameters", str(parameters)], 5, Reason.UNITS, "count", key="file.unit")
+    assert parameters.read_bytes() == before
+    other = with_document(parameters, tmp_path / "other.toml", instrument={"serial_number": "A1"})
+    fails(["noise", str(counts), "--parameters", str(other)], 5, Reason.FOREIGN, "A1", "B2", key="file.instrument")
+
+
+def test_a_date_that_is_none_ends_with_a_sentence(program: Program, tmp_path: Path) -> None:
+    folder = rest_session(tmp_path / "rest", 600.0).folder
+    found = program.run("noise", folder, variables={"SOURCE_DATE_EPOCH": "x"})
+    assert found.returncode == 2
+    assert "SOURCE_DATE_EPOCH" in found.stderr
+    assert "Traceback" not in found.stderr

@@ -50,7 +50,7 @@ Version {version}, Python {python}.
 | what was done | how often | what was lost, or what came of it (MiB: memory gained after the first minute) | commit | day |
 |---|---|---|---|---|
 """
-ORDER = ("killed", "cut", "faults", "link", "sequences", "files", "second_corpus", "web", "claims")
+ORDER = ("killed", "cut", "faults", "link", "sequences", "files", "reproductions", "second_corpus", "web", "claims")
 
 
 @dataclass

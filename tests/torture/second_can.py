@@ -131,7 +131,7 @@ VAL_ 372 Mode 0 "off" 1 "on" ;
 """
 
 
-def _dbc_cycle(length: int) -> str:
+def dbc_cycle(length: int) -> str:
     names = [f"M{number}" for number in range(length)]
     signals = "".join(f' SG_ {name} m0M : {8 * (number % 8)}|8@1+ (1,0) [0|255] "" A\n' for number, name in enumerate(names))
     chosen = "".join(f"SG_MUL_VAL_ 372 {name} {names[number - 1]} 0-0;\n" for number, name in enumerate(names))
@@ -144,8 +144,8 @@ def dbc(sound: Sound, random: Random) -> HostileFile:
     escape = random.choice(ESCAPES)
     number = random.choice(NUMBERS)
     made = (
-        ("multiplexed in a circle", _dbc_cycle(random.choice((1, 2, 3, 8)))),
-        ("multiplexed in a circle", _dbc_cycle(random.choice((1, 2, 3, 8)))),
+        ("multiplexed in a circle", dbc_cycle(random.choice((1, 2, 3, 8)))),
+        ("multiplexed in a circle", dbc_cycle(random.choice((1, 2, 3, 8)))),
         (
             "40,000 messages",
             DBC + "".join(f'BO_ {1000 + each} N{each}: 8 A\n SG_ S : 0|8@1+ (1,0) [0|0] "" A\n' for each in range(40_000)),

@@ -23,7 +23,7 @@ from tests.torture.hostile_values import (
 from tests.torture.second_sound import AXES, OUTSIDE, HostileFile, Make, Sound, write
 
 
-def _npy_head(shape: str, kind: str = "'<f8'", length: int | None = None, more: str = "") -> bytes:
+def npy_head(shape: str, kind: str = "'<f8'", length: int | None = None, more: str = "") -> bytes:
     head = f"{{'descr': {kind}, 'fortran_order': False, 'shape': {shape}, {more}}}\n".encode()
     return b"\x93NUMPY\x02\0" + struct.pack("<I", len(head) if length is None else length) + head
 
@@ -32,7 +32,7 @@ def arrays(sound: Sound, random: Random) -> HostileFile:
     """A hostile file of NumPy."""
     heads = (
         *(
-            (f"shape {shape}", _npy_head(shape))
+            (f"shape {shape}", npy_head(shape))
             for shape in (
                 "(1099511627776, 7)",
                 "(-1, 7)",
@@ -44,22 +44,22 @@ def arrays(sound: Sound, random: Random) -> HostileFile:
                 "(True, 7)",
             )
         ),
-        ("as long as 4 GB", _npy_head("(9, 7)", length=2**32 - 1)),
-        ("objects", _npy_head("(9, 7)", "'|O'") + b"\x80\x04cos\nsystem\n(S'touch FORGED'\ntR."),
-        (f"{DEEP} brackets", _npy_head("(" * DEEP + ")" * DEEP)),
-        ("a head of expressions", _npy_head("(9**9**9,)")),
+        ("as long as 4 GB", npy_head("(9, 7)", length=2**32 - 1)),
+        ("objects", npy_head("(9, 7)", "'|O'") + b"\x80\x04cos\nsystem\n(S'touch FORGED'\ntR."),
+        (f"{DEEP} brackets", npy_head("(" * DEEP + ")" * DEEP)),
+        ("a head of expressions", npy_head("(9**9**9,)")),
         *(
-            ("names of fields", _npy_head("(9,)", repr([(escape, "<f8"), *((axis, "<f8") for axis in AXES)])) + bytes(504))
+            ("names of fields", npy_head("(9,)", repr([(escape, "<f8"), *((axis, "<f8") for axis in AXES)])) + bytes(504))
             for escape in ESCAPES[:6]
         ),
-        ("a field of 2 GB", _npy_head("(9,)", "[('t', '<f8', (268435456,))]")),
+        ("a field of 2 GB", npy_head("(9,)", "[('t', '<f8', (268435456,))]")),
     )
     way = random.random()
     if way < 0.35:
         what, data = random.choice(heads)
         data, suffix = data + bytes(9 * 56), ".npy"
     elif way < 0.5:
-        what, suffix, data = "a bomb", ".npz", zip_bomb(_npy_head("(209715200,)"))
+        what, suffix, data = "a bomb", ".npz", zip_bomb(npy_head("(209715200,)"))
     else:
         suffix = random.choice((".npy", ".npz"))
         what, data = hostile_bytes(random, sound.bytes_of(sound.npy if suffix == ".npy" else sound.npz, suffix))
@@ -103,9 +103,9 @@ def _deep_cells(depth: int) -> bytes:
 def hdf5(sound: Sound, random: Random) -> HostileFile:
     """A hostile HDF5 file, or MATLAB 7.3."""
     doors: tuple[tuple[str, Make], ...] = (
-        ("numbers outside", _h5_external),
-        ("bytes outside", lambda folder: _h5_external(folder, "u1")),
-        ("a virtual dataset", _h5_virtual),
+        ("numbers outside", h5_external),
+        ("bytes outside", lambda folder: h5_external(folder, "u1")),
+        ("a virtual dataset", h5_virtual),
         ("a link to another file", _h5_link),
         ("a group in itself", _h5_cycle),
         ("soft links in a circle", _h5_soft),
@@ -139,14 +139,14 @@ def _h5(folder: Path):  # type: ignore[no-untyped-def]
     return h5py.File(folder / "t.h5", "w")
 
 
-def _h5_external(folder: Path, kind: str = "f8") -> None:
+def h5_external(folder: Path, kind: str = "f8") -> None:
     with _h5(folder) as file:
         for name in ("time", *AXES):
             path = str(OUTSIDE / "secret.bin") if kind == "f8" else str((folder.parent / "outside" / "secret.txt").resolve())
             file.create_dataset(name, (64,), dtype=kind, external=[(path, 0, 64 * np.dtype(kind).itemsize)])
 
 
-def _h5_virtual(folder: Path) -> None:
+def h5_virtual(folder: Path) -> None:
     import h5py
 
     with h5py.File(folder.parent / "outside" / "secret.h5", "w") as other:

@@ -127,7 +127,7 @@ def session_folder(sound: Sound, random: Random) -> HostileFile:
             "beside it a part whose name is no UTF-8",
             lambda folder: Path(os.fsdecode(os.fsencode(folder) + b"/part-\xff.mcap")).touch(),
         ),
-        ("beside it parameters whose name is no UTF-8", _not_utf8),
+        ("beside it parameters whose name is no UTF-8", not_utf8),
         ("parameters below an escape", lambda folder: _below(folder, random_name)),
         ("200 folders deep", _deep),
     )
@@ -151,7 +151,7 @@ def session_folder(sound: Sound, random: Random) -> HostileFile:
     return HostileFile(name=f"session folder: {what}", command=random.choice(commands), make=in_session(sound, change))
 
 
-def _not_utf8(folder: Path) -> None:
+def not_utf8(folder: Path) -> None:
     shutil.copy(folder / "parameters.toml", os.fsdecode(os.fsencode(folder) + b"/\xffparameters.toml"))
 
 

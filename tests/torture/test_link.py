@@ -227,7 +227,7 @@ def test_the_books_balance(fault: Fault, campaign: Campaign) -> None:
     allowed = " (within 2 %)" if unsure else ""
     losses = f"losses: {told.samples_lost} counted, {told.losses_estimated} estimated{allowed}, {true} true"
     campaign.tell(
-        f"wire at 2000 Hz, {fault.name}",
+        f"wire at 2000 Hz, faults: {fault.name}",
         books.sent,
         f"frames in {minutes} min",
         f"{books.sent - books.intact} damaged or lost; all {books.intact} intact ones decoded, none false; "

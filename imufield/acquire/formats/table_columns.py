@@ -116,9 +116,10 @@ def named_column(text: str, index: int, unit_below: str | None = None) -> TableC
     TableColumn or None
         None for a name that is none of ours.
     """
-    bracket = re.search(r"[\[(]([^\])]*)[\])]", text)
-    words = _words(text[: bracket.start()] + text[bracket.end() :] if bracket else text)
-    stated = bracket.group(1) if bracket else unit_below or ""
+    # From the first bracket on, and from no other: a heading of brackets alone would take hours.
+    bracket = re.match(r"([^\[(]*+)[\[(]([^\])]*+)[\])]", text)
+    words = _words(bracket[1] + text[bracket.end() :] if bracket else text)
+    stated = bracket[2] if bracket else unit_below or ""
     field, tail = _field_of(words)
     if field is None:
         return None

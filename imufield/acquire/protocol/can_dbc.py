@@ -41,10 +41,12 @@ _FURTHEST_BIT = 8 * 1785
 """Of a message of J1939 that takes several frames (J1939-21). cantools makes numbers with as many bits as a signal has."""
 _DEEPEST = 8  # Multiplexers in each other: files of vehicles have two or three.
 _STRING_OR_COMMENT = re.compile(r'"(?:\\"|[^"])*?"|//[^\n]*')
-_ENTRY = re.compile(r"\b(?:BO_\s+\d+\s*\w+|SG_\s+\w+(?:\s+\w+)?)\s*:")
-_BITS = re.compile(r":\s*(\d+)\s*\|\s*(\d+)\s*@")
-_MULTIPLEXED = re.compile(r"\bSG_MUL_VAL_\s+\+?(\d+)\s*(\w+)\s+(\w+)\s*([^;]*);")
-_CHOICES = re.compile(r"\bVAL_\s+\+?(\d+)\s*(\w+)([^;]*);")
+# Nothing that was taken is given back, and what stands between is of few characters: a file that is made to be slow would have
+# each of its characters looked at from each of the others on.
+_ENTRY = re.compile(r"\b(?:BO_\s++\d++\s*+\w++|SG_\s++\w++(?:\s++\w++)?+)\s*+:")
+_BITS = re.compile(r":\s*+(\d++)\s*+\|\s*+(\d++)\s*+@")
+_MULTIPLEXED = re.compile(r"\bSG_MUL_VAL_\s++\+?(\d++)\s*+(\w++)\s++(\w++)\s*+([\d\s,+-]*+);")
+_CHOICES = re.compile(r"\bVAL_\s++\+?(\d++)\s*+(\w++)([\d\s\"+-]*+);")
 # J1939: below this PDU format 240 the lower byte is a destination address and no part of the group number.
 _PDU1_BELOW = 0xF000
 _NOT_AVAILABLE = re.compile(

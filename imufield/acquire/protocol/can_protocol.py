@@ -45,7 +45,7 @@ _SHORTEST_LIMIT_S = 1e-6  # Below the time of one frame on the fastest bus.
 _MOST_BITS = 62  # Of a counter: arithmetic is done in 64 bits with a sign.
 _LONG_TIME_BITS = 48  # A time stamp of so many bits runs for 8.9 years of microseconds before it wraps.
 _Found = TypeVar("_Found")
-_DBC_LINE = re.compile(r'^\s*dbc\s*=\s*"([^"\n]+)"', re.MULTILINE)
+_DBC_LINE = re.compile(r'^[ \t]*+dbc[ \t]*+=[ \t]*+"([^"\n]+)"', re.MULTILINE)
 _EMBEDDED = re.compile(r"^\[dbc\]", re.MULTILINE)
 
 

@@ -225,7 +225,7 @@ def _read_fields_rule(top: Table, frame: Table, big_endian: bool) -> FieldsRule 
 def _format_type(table: Table, kind: str, big_endian: bool) -> Field:
     name, bits = _FIXED_POINT.get(kind, (kind, 0))
     if name not in NUMBER_BYTES:
-        raise table.error("formats", sentence("frame_schema.format", type=kind))
+        raise table.error("formats", sentence("frame_schema.format", type=kind, known=[*NUMBER_BYTES, *_FIXED_POINT]))
     return Field(name="", type=name, at=0, size=NUMBER_BYTES[name], big_endian=big_endian, factor=1 / 2.0**bits)
 
 

@@ -85,10 +85,13 @@ def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -
         # A fit without the stops tells which of their turns were whole; the others are used as moves.
         moves, sigma = find_stops(given.stops, given.moves.start_s, given.moves.end_s)
         first = fit_jointly(data, start, observability.free(FULL))
-        whole, missed = whole_stops(first.evaluation, data, moves, sigma)
+        missed, limit = whole_stops(first.evaluation, data, moves, sigma)
+        whole = np.abs(missed) <= limit
         warnings = tuple(
-            sentence("calibrate.not_whole", start_s=given.moves.start_s[moves[k]], missed_deg=np.degrees(missed[k]))
-            for k in np.flatnonzero(~whole)
+            sentence("calibrate.not_whole", start_s=start_s, missed_deg=missed_deg, limit_deg=limit_deg)
+            for start_s, missed_deg, limit_deg in zip(
+                given.moves.start_s[moves[~whole]], np.degrees(missed[~whole]), np.degrees(limit[~whole]), strict=True
+            )
         )
         data = replace(data, stops=moves[whole], stop_sigma_rad=sigma[whole])
     chosen = choose_model(data, start, observability, model)

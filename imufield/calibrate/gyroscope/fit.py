@@ -206,8 +206,7 @@ def _next_scatter(scatter: Scatter, now: Evaluation, free: IntArray, parts: Cova
     except np.linalg.LinAlgError:
         following = Scatter(np.inf, np.inf, np.inf)
     if not np.isfinite(following).all():
-        largest = float(np.abs(now.residual).max())
-        raise CalibrationError(sentence("fit.contradiction", scatter=largest), Reason.NOT_CONVERGED)
+        raise CalibrationError(sentence("fit.contradiction"), Reason.NOT_CONVERGED)
     return following
 
 
@@ -222,8 +221,7 @@ def _root(covariance: FloatArray) -> FloatArray:
     try:
         return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
     except np.linalg.LinAlgError as error:
-        spread = float(np.sqrt(np.diagonal(covariance).max()))
-        raise CalibrationError(sentence("fit.contradiction", scatter=spread), Reason.NOT_CONVERGED) from error
+        raise CalibrationError(sentence("fit.contradiction"), Reason.NOT_CONVERGED) from error
 
 
 def _linear_step(

@@ -301,7 +301,7 @@ def _reasons(solution: JointSolution, moves: MoveReport, turns: tuple[Sentence, 
     sentences += [*solution.given.moves.dropped, *turns]
     start_s, off_deg = solution.given.moves.start_s, moves.after_deg
     sentences += [
-        sentence("report.odd_move", start_s=start_s[k], off_deg=off_deg[k], sigmas=moves.sigma[k])
+        sentence("report.odd_move", start_s=start_s[k], off_deg=off_deg[k], sigmas=moves.sigma[k], limit=_SUSPICIOUS_SIGMAS)
         for k in np.flatnonzero(moves.sigma > _SUSPICIOUS_SIGMAS)
     ]
     return tuple(sentences)

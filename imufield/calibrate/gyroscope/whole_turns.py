@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imufield.calibrate.gyroscope.residuals import Evaluation, GyroscopeData
 from imufield.calibrate.model.rotation import from_matrix, logarithm
@@ -80,8 +79,8 @@ def closures(evaluation: Evaluation, data: GyroscopeData) -> FloatArray:
 
 def whole_stops(
     evaluation: Evaluation, data: GyroscopeData, moves: IntArray, sigma: FloatArray
-) -> tuple[NDArray[np.bool_], FloatArray]:
-    """Return which stops closed, and by how much each misses, shape (c,): from a fit without them.
+) -> tuple[FloatArray, FloatArray]:
+    """Return by how much each stop misses a whole turn, and the limit, rad, shape (c,): from a fit without them.
 
     The scale that such a fit finds is good enough to tell a missed stop from a wrong scale.
     """
@@ -90,8 +89,7 @@ def whole_stops(
         moves
     ]
     # Beyond noise and repeatability, and beyond what a hand can tell.
-    allowed = np.maximum(NOT_WHOLE_RAD, NOT_WHOLE_SIGMAS * np.hypot(sigma, noise))
-    return np.abs(missed) <= allowed, missed
+    return missed, np.maximum(NOT_WHOLE_RAD, NOT_WHOLE_SIGMAS * np.hypot(sigma, noise))
 
 
 def find_whole_turns(evaluation: Evaluation, data: GyroscopeData, before: Evaluation | None = None) -> tuple[Sentence, ...]:

@@ -17,7 +17,7 @@ from imufield.calibrate.noise.noise import NoiseResult
 from imufield.calibrate.noise.noise_fit import NoiseFigure
 from imufield.drawing.style import figure, legend_beside, plain_ticks, plot_style, title
 from imufield.earth import STANDARD_GRAVITY_M_S2
-from imufield.errors import Reason, UsageError
+from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.sentences import Sentences, shortened
 
 if TYPE_CHECKING:
@@ -35,9 +35,14 @@ def noise_text(result: NoiseResult, form: NoiseFormat, *, topic: str = "/imu0", 
     ------
     UsageError
         If the figures are not in SI units, or there is no gyroscope.
+    CalibrationError
+        If no axis of a triad ever changed.
     """
     if not result.is_si or not result.triad("gyroscope"):
         raise UsageError(sentence("noise_texts.not_si"), Reason.UNITS)
+    for triad in ("accelerometer", "gyroscope"):
+        if not np.isfinite(result.upper_limits(triad, "density")).any():
+            raise CalibrationError(sentence("noise_texts.dead", triad=triad), Reason.TOO_FEW)
     source = f"# {result.source}; largest axis of each triad"
     if form == "ros2":
         return _covariances(result)
@@ -85,7 +90,17 @@ def _largest(result: NoiseResult, triad: str, figure: str) -> str:
 
 
 def _shown(figure: NoiseFigure) -> str:
-    return f"{figure.value:.3g}" if figure.observed else f"< {figure.high:.2g}"
+    if figure.observed:
+        return f"{figure.value:.3g}"
+    return f"< {figure.high:.2g}" if np.isfinite(figure.high) else "not known"
+
+
+def check_source_date() -> None:
+    """Raise ``UsageError`` if the environment gives a date for files that is none."""
+    date = os.environ.get("SOURCE_DATE_EPOCH")
+    # Of 11 digits, in the year 5138, is the last that every system makes a date of.
+    if date and not re.fullmatch("[0-9]{1,11}", date):
+        raise UsageError(sentence("noise_texts.source_date", date=shortened(date)))
 
 
 def draw_plot(result: NoiseResult, kind: str) -> bytes:
@@ -103,10 +118,7 @@ def draw_plot(result: NoiseResult, kind: str) -> bytes:
         If matplotlib is not installed, or does not write such files, or takes their date from an environment variable that is
         none.
     """
-    date = os.environ.get("SOURCE_DATE_EPOCH")
-    # Of 11 digits, in the year 5138, is the last that every system makes a date of.
-    if date and not re.fullmatch("[0-9]{1,11}", date):
-        raise UsageError(sentence("noise_texts.source_date", date=shortened(date)))
+    check_source_date()
     triads = [triad for triad in ("accelerometer", "gyroscope") if result.triad(triad)]
     with plot_style():
         drawn = figure(2.6 * len(triads) + 0.5)
@@ -128,6 +140,9 @@ def _draw_triad(axes: Axes, result: NoiseResult, triad: str) -> None:
     # A bias instability, the last of them, is an Allan deviation.
     unit, factor = (sheets[-1][0].unit, sheets[-1][0].factor) if sheets else (result.triad(triad)[0].unit, 1.0)
     for number, axis in enumerate(result.triad(triad)):
+        # An axis that never changed has no place on logarithmic scales.
+        if not axis.deviation.any():
+            continue
         label = "\n".join([axis.name[-1], *(f"{_shown(figures[number])} {_in_print(sheet.unit)}" for sheet, figures in sheets)])
         (line,) = axes.loglog(
             axis.tau_s, factor * axis.deviation, "osD"[number], markersize=4, markerfacecolor="white", label=label
@@ -137,7 +152,8 @@ def _draw_triad(axes: Axes, result: NoiseResult, triad: str) -> None:
             axes.loglog(axis.tau_s, factor * axis.model.deviation(axis.tau_s), ("-", "--", ":")[number], color=line.get_color())
     axes.set_ylabel(f"{triad}\nAllan deviation, {_in_print(unit)}")
     plain_ticks(axes.xaxis, axes.yaxis)
-    legend_beside(axes)
+    if axes.lines:
+        legend_beside(axes)
 
 
 def _in_print(unit: str) -> str:

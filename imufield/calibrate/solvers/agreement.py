@@ -64,7 +64,15 @@ class CrossCheck:
     def sentence(self) -> str:
         """The outcome in words."""
         key = "agreement.agree" if self.agree else "agreement.disagree"
-        told = sentence(key, what=self.what, methods=list(self.found), own=self.own_costs, shared=self.one_cost)
+        told = sentence(
+            key,
+            what=self.what,
+            methods=list(self.found),
+            own=self.own_costs,
+            limit_sigma=AGREEMENT_SIGMA,
+            shared=self.one_cost,
+            shared_limit_sigma=SEARCH_AGREEMENT_SIGMA,
+        )
         return "; ".join([told, *self.not_converged])
 
 

@@ -9,11 +9,11 @@ from imufield.commands.options import completion
 from imufield.commands.options.shared import (
     LARGEST_SEED,
     AsJson,
+    ExportSettings,
     MethodSettings,
     NewestSession,
     PlaceOptions,
     Scheduler,
-    Settings,
     TableRateHz,
     Workers,
     argument,
@@ -58,7 +58,8 @@ class SolveOptions:
         ),
     ] = None
     preset: Annotated[
-        Path | None, option(help="Previous parameter file: compared with, and kept for what this session cannot show.")
+        Path | None,
+        option(help="Previous parameter file: compared with the result, and source of what this session cannot determine."),
     ] = None
     zero: Annotated[str | None, option(help="Raw output at zero input, one or three numbers.")] = None
     without: Annotated[list[str] | None, option(help="Name of a position to leave out; may be repeated.")] = None
@@ -140,9 +141,9 @@ class NoiseOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StudyOptions:
-    """Reproduce a table or figure of the papers, paper's and our figures side by side.
+    """Reproduce a table or figure of the papers, with the published numbers beside ours.
 
-    BAS is beetle antennae search, BSAS the swarm of it (with m beetles); IDE is improved differential evolution.
+    BAS is beetle antennae search, BSAS its swarm version (with m beetles); IDE is improved differential evolution.
 
     The studies answers-* simulate one disturbance each and count how often verdict and warnings are right (docs/answers.md).
 
@@ -173,7 +174,7 @@ class ExportOptions:
     to: Annotated[
         str | None, option(help="Target, e.g. c, px4, vectornav (default: list them).", autocompletion=completion.targets)
     ] = None
-    settings: Settings = field(default_factory=dict)
+    settings: ExportSettings = field(default_factory=dict)
     output: Annotated[Path | None, option("-o", "--output", help="File or folder (default: the usual names here).")] = None
     as_json: AsJson = False
 
@@ -205,13 +206,13 @@ class ExportDataOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VerifyOptions:
-    """Prove parameters on data they have not seen: held-out positions, and hours of static navigation.
+    """Check parameters on data not used to solve them: held-out positions, and hours of static navigation.
 
     Example: imufield verify parameters.toml standstill-5h --require nav-nmi-per-h=1
     """
 
     parameters: Annotated[Path, session_argument(help="Parameter file under test.")]
-    session: Annotated[Path | None, session_argument(help="Session they have not seen (default: the newest).")] = None
+    session: Annotated[Path | None, session_argument(help="Session to check them on (default: the newest).")] = None
     preset: Annotated[Path | None, option(help="Parameter file to compare with (default: no correction).")] = None
     hold_out: Annotated[
         int | None,
@@ -221,7 +222,9 @@ class VerifyOptions:
             low=1,
         ),
     ] = None
-    turned: Annotated[bool, option("--turned", help="The instrument was turned over after the alignment.")] = False
+    turned: Annotated[
+        bool, option("--turned", help="The instrument was turned upside down and laid to rest again after the alignment.")
+    ] = False
     align_s: Annotated[float, option(help="Seconds of rest at the start to align with.", low=1)] = 600.0
     # From -360, as headings are written from 0 to 360 or from -180 to 180.
     heading_deg: Annotated[

@@ -79,7 +79,7 @@ class DevicesOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InitOptions:
-    """Write imufield.toml, the defaults of this folder: place, instrument, port and accuracy, asked for at a terminal.
+    """Write imufield.toml, the defaults of this folder; at a terminal it asks for place, instrument, port and accuracy.
 
     Example: imufield init
 
@@ -105,7 +105,7 @@ class ProbeOptions:
 
     connect: PortOrBusOptions
     # Off: an unknown device at the port may take a question for a command.
-    ask: Annotated[bool, option("--ask", help="Ask the instrument who it is: the only thing that is sent.")] = False
+    ask: Annotated[bool, option("--ask", help="Query the instrument's identity; without this option nothing is sent.")] = False
     as_json: AsJson = False
     clock_speed: ClockSpeed = 1.0
 
@@ -118,8 +118,13 @@ class CaptureOptions:
     """
 
     connect: ConnectionOptions
-    positions: Annotated[str | None, option(help="Scheme: paper24, paper36, corners24, all26, faces6 or a TOML list.")] = None
-    hold_s: Annotated[float | None, option(help="Seconds to hold each position.", within=HOLD_RANGE_S)] = None
+    positions: Annotated[
+        str | None, option(help="Scheme: paper24, paper36, corners24, all26, faces6 or a TOML list (default: paper24).")
+    ] = None
+    hold_s: Annotated[
+        float | None,
+        option(help="Seconds to hold each position (default: 3 to 10, up to 60 with a target).", within=HOLD_RANGE_S),
+    ] = None
     session: SessionFolder = None
     resume: Annotated[bool, option("--resume", help="Go on with an unfinished session.")] = False
     site: PlaceOptions = field(default_factory=unknown_site)
@@ -134,7 +139,7 @@ class CaptureOptions:
         str | None, option(help="Whole turns for the gyroscope: rolled (edge over edge) or table (against a stop).")
     ] = None
     quiet: Annotated[bool, option("--quiet", help="No sound.")] = False
-    speak: Annotated[bool, option("--speak", help="Say it aloud, where a speech program is installed.")] = False
+    speak: Annotated[bool, option("--speak", help="Speak the instructions aloud, where a speech program is installed.")] = False
     big: Annotated[bool, option("--big", help="Big letters, to be read from three metres.")] = False
     cable: Annotated[
         str | None, option(help="Side of the unit where the cable leaves, for the pictures: +x ... -z.", check=_check_side)
@@ -188,7 +193,7 @@ class RecordOptions:
     connect: ConnectionOptions
     session: SessionFolder = None
     site: PlaceOptions = field(default_factory=unknown_site)
-    duration_s: Annotated[float | None, option(help="Stop after so many seconds (default: Ctrl-C).", low=0.1)] = None
+    duration_s: Annotated[float | None, option(help="Stop after this many seconds (default: until Ctrl-C).", low=0.1)] = None
     as_json: AsJson = False
     clock_speed: ClockSpeed = 1.0
     root: Path = DEFAULT_ROOT
@@ -257,7 +262,7 @@ class EmulateOptions:
             help="Instrument family, see `imufield devices`, or your protocol file (.toml).", autocompletion=completion.drivers
         ),
     ]
-    form: Annotated[str | None, option(help="What it sends, e.g. RAWIMUX; a wrong name lists all.")] = None
+    form: Annotated[str | None, option(help="Format of the data, e.g. RAWIMUX; an unknown name is refused with a list.")] = None
     settings: Settings = field(default_factory=dict)
     bus: Annotated[str | None, option(help="CAN bus, e.g. udp_multicast:239.0.0.1 (default: slcan on a port).")] = None
     rate_hz: Annotated[
@@ -266,7 +271,12 @@ class EmulateOptions:
     speed: Annotated[float, option(help="Speed relative to real time, e.g. 8 is eight times as fast.", low=0.1)] = 1.0
     grade: Annotated[str, option(help="navigation, tactical, industrial or mems.")] = "tactical"
     seed: Annotated[int, option(help="Seed of instrument, operator and faults.", low=0, high=LARGEST_SEED)] = 1
-    day: Annotated[int, option(help="Another day of the instrument: other noise, tilts, faults.", low=0, high=LARGEST_SEED)] = 0
+    day: Annotated[
+        int,
+        option(
+            help="Number of the day: each has other noise, tilts and faults of the same instrument.", low=0, high=LARGEST_SEED
+        ),
+    ] = 0
     positions: Annotated[str, option(help="Scheme the operator works through; `none`: it lies still.")] = "paper24"
     rounds: Annotated[
         int | None,
@@ -285,11 +295,13 @@ class EmulateOptions:
     hold_s: Annotated[float, option(help="Seconds the virtual operator holds each position.", within=HOLD_RANGE_S)] = 14.0
     wait: Annotated[
         bool | None,
-        option("--wait/--no-wait", help="Begin when a program opens the port (default without --json, --duration-s)."),
+        option(
+            "--wait/--no-wait", help="Begin when a program opens the port (default, unless --json or --duration-s is given)."
+        ),
     ] = None
     link: Annotated[Path | None, option(help="Make a symbolic link to the port here.")] = None
-    truth: Annotated[Path | None, option(help="Write the true parameters and stills to this file.")] = None
-    duration_s: Annotated[float | None, option(help="Stop after so many seconds of sample time.", low=0.1)] = None
+    truth: Annotated[Path | None, option(help="Write the true parameters and still intervals to this file.")] = None
+    duration_s: Annotated[float | None, option(help="Stop after this many seconds of sample time.", low=0.1)] = None
     faults: Annotated[list[str] | None, option("--fault", help="E.g. bit_flip_probability=1e-4; may be repeated.")] = None
     as_json: AsJson = False
 

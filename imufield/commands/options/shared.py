@@ -109,6 +109,11 @@ class TypedNumber(float):
         return number
 
 
+def _set_option(told: str) -> Converted:
+    """Return ``--set`` of a command, with its help."""
+    return Converted(Annotated[list[str] | None, option("--set", help=told)], parse_settings)
+
+
 def _parse_mapping(texts: list[str] | None) -> dict[str, str]:
     # Only who gives --map pays for the room that reads it.
     if not texts:
@@ -151,29 +156,17 @@ Baud = Annotated[
 ]
 Settings = Annotated[
     Mapping[str, str],
-    Converted(
-        Annotated[
-            list[str] | None,
-            option(
-                "--set",
-                help="Setting of the instrument that its data does not state, e.g. accelerometer_range_g=30; "
-                "`imufield devices NAME` lists them.",
-            ),
-        ],
-        parse_settings,
+    _set_option(
+        "Setting of the instrument that its data does not state, e.g. accelerometer_range_g=30; "
+        "`imufield devices NAME` lists them."
     ),
+]
+ExportSettings = Annotated[
+    Mapping[str, str], _set_option("Setting of the export, NAME=VALUE, e.g. instance=1; a wrong name lists all.")
 ]
 MethodSettings = Annotated[
     Mapping[str, str],
-    Converted(
-        Annotated[
-            list[str] | None,
-            option(
-                "--set", help="Setting of --method, NAME=VALUE, e.g. m=20 (number of beetles of bsas); names in docs/study.md."
-            ),
-        ],
-        parse_settings,
-    ),
+    _set_option("Setting of --method, NAME=VALUE, e.g. m=20 (number of beetles of bsas); a wrong name lists all."),
 ]
 TableRateHz = Annotated[
     float | None, option("--rate-hz", help="Sample rate, where the file has no time.", within=RATE_RANGE_HZ)
@@ -239,7 +232,9 @@ class Connection:
     settings: Settings
     rate_hz: Annotated[
         float | None,
-        option(help="Set the output rate of the instrument, where its driver can; put back at the end.", within=RATE_RANGE_HZ),
+        option(
+            help="Output rate to set, where the driver can; the previous rate is restored at the end.", within=RATE_RANGE_HZ
+        ),
     ] = None
 
 

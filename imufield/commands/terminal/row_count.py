@@ -30,17 +30,13 @@ class RowCount:
 
     def units(self) -> str:
         """Return the units of the columns as they came, in words."""
-        units = self._units or SampleUnits()
-        each = (
-            units.accelerometer + " per sample" * units.accelerometer_is_increment,
-            units.gyroscope + " per sample" * units.gyroscope_is_increment,
-        )
-        return f"accelerometer in {each[0]}, gyroscope in {each[1]}"
+        return (self._units or SampleUnits()).words
 
     def flags(self, *, has_status: bool = True) -> str:
         """Return a sentence on the rows that are flagged, in a file that has a column for it or not; empty where none is."""
         if not self._unusable:
             return ""
-        key = "row_count.flagged" if has_status else "row_count.lacking"
-        starting = sentence("row_count.starting", starting=self._starting) if self._starting else ""
-        return sentence(key, unusable=self._unusable, starting=starting, code=" (16)" if self._starting else "")
+        flagged, lacking = ("row_count.flagged", "row_count.flagged_starting"), ("row_count.lacking", "row_count.starting")
+        key, key_of_start = flagged if has_status else lacking
+        starting = sentence(key_of_start, starting=self._starting, flag=Status.START_UP.value) if self._starting else ""
+        return sentence(key, unusable=self._unusable, starting=starting)

@@ -27,12 +27,6 @@ from imufield.sentences import Sentences, folded, printable
 
 sentence = Sentences(__package__)
 
-_GRAVITY_WORDS = {
-    "typed": "given by the user",
-    "normal": "WGS-84 normal gravity",
-    "measured": "measured",
-    "assumed": "ASSUMED, place unknown",
-}
 UNKNOWN = "not known"
 _ROUNDING = 1e-6  # Of micro-g and nautical miles: what is left of ideal outputs.
 _STRONGEST_SHOWN = 5  # As many as a caption can name.
@@ -201,7 +195,7 @@ def _identity(data: ReportData) -> Iterator[tuple[str, str]]:
         place = f"latitude {gravity.latitude_deg:g}°, {height_words(gravity)}"
     yield "Place", place
     value = with_sigma(gravity.gravity_m_s2, gravity.sigma_m_s2)
-    yield "Gravity", f"{value} m/s², {_GRAVITY_WORDS[gravity.source]}"
+    yield "Gravity", f"{value} m/s², {gravity.source_words}"
     low, high = session.temperature_degc
     yield "Temperature", f"{low:.1f} to {high:.1f} °C" if math.isfinite(low + high) else UNKNOWN
     yield "Session", session.name or UNKNOWN

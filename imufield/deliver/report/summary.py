@@ -157,7 +157,7 @@ def _facts(calibration: Calibration) -> Table:
     table = Table.grid(padding=(0, 2, 0, 0))
     table.add_column(style="bold", no_wrap=True)
     table.add_column()
-    source: str = gravity.source
+    source: str = gravity.source_words
     if gravity.source == "assumed":
         source = sentence("summary.assumed")
     elif gravity.source == "normal" and gravity.latitude_deg is not None:

@@ -207,8 +207,8 @@ class Adviser:
         for kind, found in [(_SETTLED, found) for found in settled.values()] + [(_DOUBTFUL, found) for found in new.values()]:
             off_m_s2, sigmas = abs(found.leave_one_out_m_s2), abs(found.sigmas)
             limit_m_s2 = off_m_s2 / sigmas * found.limit_sigmas if sigmas else 0.0
-            off_mg = off_m_s2 / MILLI_G_M_S2
-            told.append(kind.advice(now_s, off_m_s2, limit_m_s2, found.name, off_mg=off_mg, sigmas=sigmas))
+            sizes = {"off_mg": off_m_s2 / MILLI_G_M_S2, "sigmas": sigmas, "limit_sigmas": found.limit_sigmas}
+            told.append(kind.advice(now_s, off_m_s2, limit_m_s2, found.name, **sizes))
         return told
 
     def ask_again(self) -> None:

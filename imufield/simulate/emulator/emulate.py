@@ -139,6 +139,8 @@ def choose_wire(options: Emulation) -> WireChoice:
     base = load({})
     form: WireForm | None
     if base.can is not None or options.device in OWN_RATE_HZ:
+        if options.form is not None:
+            raise UsageError(sentence("emulate.one_form", device=options.device, form=options.form))
         form = None if base.can is not None else _OWN_FORM
         told = dict(options.settings)
         rate_hz = options.rate_hz or told_hz(told) or OWN_RATE_HZ.get(options.device, DEFAULT_RATE_HZ)

@@ -62,6 +62,11 @@ def test_column_names_are_understood(name: str, field: str | None, unit: str | N
     assert (column.field if column else None, column.unit if column else None) == (field, unit)
 
 
+def test_a_long_heading_takes_no_longer_than_its_length() -> None:
+    assert named_column("[" * 1_000_000, 3) is None
+    assert named_column("acc_x [m/s^2" + "[" * 1_000_000 + "]", 3) == named_column("acc_x [m/s^2]", 3)
+
+
 def test_a_csv_with_header_says_everything_itself(tmp_path: Path) -> None:
     header = "time_ms,acc_x (m/s^2),acc_y (m/s^2),acc_z (m/s^2),gyro_x (rad/s),gyro_y (rad/s),gyro_z (rad/s)\r\n"
     path = write(tmp_path, text_of(TIME * 1e3, ACCELEROMETER, GYROSCOPE, delimiter=",", header=header, end="\r\n"))

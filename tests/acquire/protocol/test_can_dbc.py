@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from contextlib import suppress
 from itertools import pairwise
 
 import cantools
@@ -191,3 +192,11 @@ def test_multiplexers_in_each_other() -> None:
 def test_damaged_files_are_refused(text: str, key: str) -> None:
     with refused(ProtocolError, Reason.BAD_PROTOCOL, "bad.dbc", key=f"can_dbc.{key}"):
         DbcFile(text, "bad.dbc")
+
+
+@pytest.mark.parametrize("piece", ["1", "SG_MUL_VAL_ 1 a b 0-0, ", "VAL_ 1 a 0 ", " ", ": 1", "SG_ a ", "["])
+def test_long_text_takes_no_longer_than_its_length(piece: str) -> None:
+    """A search that begins again at each of a million characters would not come to its end here."""
+    text = f"{DBC}SG_MUL_VAL_ 1 a b 0-0;\nBO_ {piece * (1_000_000 // len(piece))}"
+    with suppress(ProtocolError):
+        DbcFile(text, "a.dbc")

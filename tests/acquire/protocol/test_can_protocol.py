@@ -16,6 +16,7 @@ import pytest
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.instrument.can_map import parse_map, protocol_from_dbc, protocol_text
 from imufield.acquire.protocol.can_frames import Frame, pack_frame
+from imufield.acquire.protocol.can_protocol import embed_dbc
 from imufield.acquire.protocol.protocol import Protocol, load_protocol, parse_protocol
 from imufield.errors import ProtocolError, Reason, UsageError
 from imufield.samples import Samples, Status, concatenate
@@ -264,6 +265,16 @@ def test_parse_map() -> None:
         with pytest.raises(UsageError) as caught:
             parse_map(texts)
         assert wanted in str(caught.value)
+
+
+def test_blank_lines_take_no_longer_than_their_number() -> None:
+    text = "\n" * 1_000_000
+
+    def read(name: str) -> str:
+        return name
+
+    assert embed_dbc(text, read) == text
+    assert "text" in embed_dbc(f'{text} dbc = "a.dbc"', read)
 
 
 def test_missing_file() -> None:

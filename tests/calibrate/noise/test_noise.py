@@ -16,7 +16,7 @@ from imufield.calibrate.noise import allan
 from imufield.calibrate.noise.allan import AllanStream, EvenGrid, degrees_of_freedom, load_allantools
 from imufield.calibrate.noise.noise import NoiseStream, measure_noise
 from imufield.calibrate.noise.noise_fit import FLICKER, identify, terms
-from imufield.calibrate.noise.noise_texts import draw_plot, noise_text
+from imufield.calibrate.noise.noise_texts import NoiseFormat, draw_plot, noise_text
 from imufield.errors import CalibrationError, Reason, RecordingError, UsageError
 from imufield.samples import FloatArray, Samples, SampleUnits, make_samples
 from tests.refused import refused
@@ -236,6 +236,20 @@ def test_texts_hold_what_filters_read(tmp_path: Path, monkeypatch: pytest.Monkey
         monkeypatch.setenv("SOURCE_DATE_EPOCH", date)
         with refused(UsageError, Reason.USAGE, "SOURCE_DATE_EPOCH", key="noise_texts.source_date"):
             draw_plot(result, "pdf")
+
+
+@pytest.mark.parametrize(("triad", "value"), [("accelerometer", 9.8), ("gyroscope", 0.0)])
+def test_a_triad_that_never_changed_is_not_known(triad: str, value: float) -> None:
+    blocks = list(standstill(0.1))
+    for block in blocks:
+        getattr(block, triad)[:] = value
+    result = measure_noise(blocks)
+    forms: tuple[NoiseFormat, ...] = ("kalibr", "openvins", "vins", "ros2")
+    for form in forms:
+        with refused(CalibrationError, Reason.TOO_FEW, triad, key="noise_texts.dead"):
+            noise_text(result, form)
+    pytest.importorskip("matplotlib")
+    assert draw_plot(result, "png")[:4] == b"\x89PNG"
 
 
 def test_missing_allantools_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -131,6 +131,9 @@ def test_a_position_that_disagrees_is_named_and_asked_for_again(make_path: Any) 
     assert doubt.measured == pytest.approx(3e-3 * 9.8, rel=0.25)
     assert "mg" in doubt.words
     assert "sigma" in doubt.words
+    values = values_of(doubt.words)
+    assert 5.0 <= values["limit_sigmas"] < values["sigmas"]
+    assert doubt.limit / doubt.measured == pytest.approx(values["limit_sigmas"] / values["sigmas"])
     assert of(events, Move)[-1].position == name
     assert [event.position for event in of(events, Accepted) if event.replaces] == [name]
     assert guide.done

@@ -83,6 +83,12 @@ def test_every_event_has_a_line_and_a_dictionary(session: Any) -> None:
         assert "\n" not in line(event)
 
 
+def test_a_lost_link_says_what_to_do_wherever_it_is_told() -> None:
+    lost = LinkLost(1.0, 2, 6)
+    assert "reconnect" in line(lost)
+    assert "reconnect" in str(lost.to_dict()["words"])
+
+
 def test_json_lines_are_strict_json(session: Any) -> None:
     lines: list[str] = []
     JsonLinesView(lines.append).show([event for some, _ in session() for event in some])
@@ -415,8 +421,8 @@ SNAPSHOT = """\
 │ G O O D   -   T U R N                      ││ [ ]+x [x]+z [ ]-y              │
 │ +y: +y up, standing on the -y face         ││ [>]+y [ ]-x [ ]-z              │
 │                                            ││ x done > next @ here           │
-│                                            ││ ? suspect r repeat - skipped   │
-│ now                   goal                 ││ accuracy: from position 4 on   │
+│                                            ││ ? suspect r retake - skipped   │
+│ now                   goal                 ││ accuracy: not known yet        │
 │          ⢀⣀⡠⠤⡀              ⢀⣀⡠⠤⠔⠒⠊⠑⠢⢄⡀    ││                                │
 │    ⣀⠤⠤⠒⠒⠉+z  ⠈⠑⠤⣀        ⢰⠮⣉⠁ ⣀+y⠤⠒⠒⠉⠁⡇    ││                                │
 │    ⡏⠑⠢⣀  ⣀⣀⠤⠤⠒⠊⠉⢹        ⢸  ⢹⠉        ⡇    ││                                │
