@@ -247,6 +247,7 @@ def deaf() -> Iterator[None]:
     signal.signal(signal.SIGINT, before)
 
 
+# Two programs, each of which takes half a second to start.
 @pytest.mark.usefixtures("deaf")
 def test_a_command_waits_for_its_turn_and_is_ended_as_by_ctrl_c(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(jobs, "MOST_AT_ONCE", 1)
@@ -403,6 +404,7 @@ def test_only_the_newest_addresses_are_kept(served: Served, page: Page, monkeypa
 # The command
 
 
+# The program and two that it starts.
 def test_the_command_tells_its_address_and_ends_with_what_it_has_started(tmp_path: Path) -> None:
     variables = {name: value for name, value in os.environ.items() if not name.startswith("IMUFIELD_")}
     program = subprocess.Popen(
