@@ -36,7 +36,7 @@ class Served:
         self.host = f"127.0.0.1:{self.port}"
         self.access = Access(frozenset({self.host, f"localhost:{self.port}"}))
         self.board = Board({"session": "s", "positions": []}, trace_blocks=300, log_lines=50)
-        self.marks: SimpleQueue[str] = SimpleQueue()
+        self.marks: SimpleQueue[str | bytes] = SimpleQueue()
         self.server = PageServer(listening, self.access, self.board, self.marks.put)
 
     def open(self, token: str | None = None, *, origin: str | None = "", host: str | None = None) -> ClientConnection:

@@ -6,6 +6,7 @@ import http.client
 import json
 import os
 import re
+import shlex
 import signal
 import socket
 import subprocess
@@ -152,7 +153,7 @@ def page(served: Served) -> Iterator[Page]:
 def test_what_is_asked_becomes_a_command_that_a_person_could_type(
     root: Path, action: str, values: dict[str, Any], words: str
 ) -> None:
-    assert jobs.shlex.join(command_line(action, values, Sessions(root))) == words
+    assert shlex.join(command_line(action, values, Sessions(root))) == words
 
 
 @pytest.mark.parametrize(
