@@ -53,6 +53,8 @@ class Run:
         self.session.unplug()
         self.page.locator("#headline", has_text="NO LINK").wait_for()
         self.session.plug_in()
+        # Without a link there is nothing that could be paused.
+        self.page.locator("#headline", has_not_text="NO LINK").wait_for()
 
     def reload(self) -> None:
         for _ in range(self.rng.randrange(1, 6)):

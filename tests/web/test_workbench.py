@@ -6,6 +6,7 @@ import http.client
 import json
 import os
 import re
+import shlex
 import signal
 import socket
 import subprocess
@@ -152,7 +153,7 @@ def page(served: Served) -> Iterator[Page]:
 def test_what_is_asked_becomes_a_command_that_a_person_could_type(
     root: Path, action: str, values: dict[str, Any], words: str
 ) -> None:
-    assert jobs.shlex.join(command_line(action, values, Sessions(root))) == words
+    assert shlex.join(command_line(action, values, Sessions(root))) == words
 
 
 @pytest.mark.parametrize(
@@ -247,6 +248,7 @@ def deaf() -> Iterator[None]:
     signal.signal(signal.SIGINT, before)
 
 
+# Two programs, each of which takes half a second to start.
 @pytest.mark.usefixtures("deaf")
 def test_a_command_waits_for_its_turn_and_is_ended_as_by_ctrl_c(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(jobs, "MOST_AT_ONCE", 1)
@@ -403,6 +405,7 @@ def test_only_the_newest_addresses_are_kept(served: Served, page: Page, monkeypa
 # The command
 
 
+# The program and two that it starts.
 def test_the_command_tells_its_address_and_ends_with_what_it_has_started(tmp_path: Path) -> None:
     variables = {name: value for name, value in os.environ.items() if not name.startswith("IMUFIELD_")}
     program = subprocess.Popen(
