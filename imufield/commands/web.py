@@ -33,7 +33,7 @@ def run_web(options: WebOptions) -> None:
     with hidden(), ExitStack() as stack:
         place = bind_page(stack, port=options.web_port)
         # Packages that are missing were told by now.
-        from imufield.web.access import Access
+        from imufield.web.access import Access, Role
         from imufield.web.server import PageServer, Service
         from imufield.web.workbench import LARGEST_PIECE, MESSAGES_A_SECOND, Workbench
 
@@ -49,7 +49,7 @@ def run_web(options: WebOptions) -> None:
         stack.enter_context(PageServer(place.listening, access, bench.board, bench.take, service))
         url = f"{place.url}#token={access.mark}"
         say(sentence("web.at", url=url), err=True)
-        show_in_browser(url)
+        show_in_browser(f"{place.url}#token={access.once(Role.MARK)}")
         while True:
             bench.refresh()
             time.sleep(REFRESH_S)

@@ -16,7 +16,7 @@ from http import HTTPStatus
 
 PROTOCOL = "imufield"
 """The subprotocol that the server answers with: the token is never sent back."""
-_BEFORE_TOKEN = "token."  # noqa: S105  (what stands before one)
+BEFORE_TOKEN = "token."  # noqa: S105  (what stands before one)
 _TOKEN_BYTES = 16
 
 HEADERS: Mapping[str, str] = {
@@ -58,6 +58,7 @@ class Access:
     hosts: frozenset[str]
     watch: str = field(default_factory=_token)
     mark: str = field(default_factory=_token)
+    _once: dict[str, Role] = field(default_factory=dict, init=False)
 
     def headers(self) -> dict[str, str]:
         """Return the headers of every answer."""
@@ -81,10 +82,24 @@ class Access:
             return HTTPStatus.FORBIDDEN
         return None
 
+    def once(self, role: Role) -> str:
+        """Return a token that lets one page in: it becomes an argument of the browser, where other users can see it."""
+        token = _token()
+        self._once[token] = role
+        return token
+
+    def spend(self, offered: Sequence[str]) -> str | None:
+        """Return the lasting token in exchange for one that is good once, and by this no more; None where none is offered."""
+        for name in offered:
+            role = self._once.pop(name.removeprefix(BEFORE_TOKEN), None)
+            if role is not None:
+                return self.mark if role is Role.MARK else self.watch
+        return None
+
     def role(self, offered: Sequence[str]) -> Role | None:
         """Return what the subprotocols that a page offers let it do; compared in constant time."""
-        given = [name.removeprefix(_BEFORE_TOKEN).encode() for name in offered if name.startswith(_BEFORE_TOKEN)]
-        # Both are compared with each, so that the time tells nothing.
-        marks = [hmac.compare_digest(token, self.mark.encode()) for token in given]
-        watches = [hmac.compare_digest(token, self.watch.encode()) for token in given]
-        return Role.MARK if any(marks) else Role.WATCH if any(watches) else None
+        given = [name.removeprefix(BEFORE_TOKEN).encode() for name in offered if name.startswith(BEFORE_TOKEN)]
+        known = [(self.mark, Role.MARK), (self.watch, Role.WATCH), *self._once.items()]
+        # All are compared with each, so that the time tells nothing.
+        roles = [role for token, role in known for each in given if hmac.compare_digest(each, token.encode())]
+        return Role.MARK if Role.MARK in roles else Role.WATCH if roles else None

@@ -27,7 +27,7 @@ from websockets.http11 import Request, Response
 from websockets.sync.server import ServerConnection, serve
 from websockets.typing import Subprotocol
 
-from imufield.web.access import PROTOCOL, Access, Role
+from imufield.web.access import BEFORE_TOKEN, PROTOCOL, Access, Role
 from imufield.web.board import Board, Json
 
 SOCKET = "/socket"
@@ -111,6 +111,12 @@ class _Page:
     seen: int = -1
     allowance: float = 0.0
     allowed_s: float = 0.0
+
+
+def _offered(request: Request) -> list[str]:
+    """Return the subprotocols that a page offers, its token among them."""
+    offered = ",".join(request.headers.get_all("Sec-WebSocket-Protocol"))
+    return [name.strip() for name in offered.split(",")]
 
 
 def _file(kind: str, content: bytes, disposition: str = "inline") -> Response:
@@ -198,7 +204,7 @@ class PageServer:
         if refusal is not None:
             return connection.respond(refusal, f"{refusal.phrase}\n")
         if is_socket:
-            if self._role(request) is None:
+            if self._access.role(_offered(request)) is None:
                 return connection.respond(HTTPStatus.FORBIDDEN, "the address lacks its token\n")
             with self._lock:
                 is_full = len(self._pages) >= CLIENTS
@@ -221,18 +227,17 @@ class PageServer:
             response.headers[name] = value
         return response
 
-    def _role(self, request: Request) -> Role | None:
-        offered = ",".join(request.headers.get_all("Sec-WebSocket-Protocol"))
-        return self._access.role([name.strip() for name in offered.split(",")])
-
     def _serve_page(self, connection: ServerConnection) -> None:
-        role = None if connection.request is None else self._role(connection.request)
+        offered = [] if connection.request is None else _offered(connection.request)
+        lasting = self._access.spend(offered)
+        role = self._access.role(offered if lasting is None else [f"{BEFORE_TOKEN}{lasting}"])
+        # Another page was quicker with the token that is good once.
         if role is None:
             return
         with self._lock:
             self._pages.add(connection)
         try:
-            self._follow(_Page(connection, role))
+            self._follow(_Page(connection, role), lasting)
         # The page is gone, whatever it was: it comes back with a new connection.
         except (ConnectionClosed, OSError):
             pass
@@ -240,9 +245,9 @@ class PageServer:
             with self._lock:
                 self._pages.discard(connection)
 
-    def _follow(self, page: _Page) -> None:
-        """Send what is new and take marks, until the page goes or all ends."""
-        page.connection.send(json.dumps({"role": page.role.value}))
+    def _follow(self, page: _Page, lasting: str | None) -> None:
+        """Send what is new and take marks, until the page goes or all ends; ``lasting`` is the token to come back with."""
+        page.connection.send(json.dumps({"role": page.role.value} | ({} if lasting is None else {"token": lasting})))
         ends = False
         while not ends:
             # Asked before the board: what was put there before the end is sent.

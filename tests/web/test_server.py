@@ -9,6 +9,7 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import ExitStack
+from http import HTTPStatus
 from queue import Empty, SimpleQueue
 from typing import Any
 
@@ -20,7 +21,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
 from websockets.sync.client import ClientConnection, connect  # noqa: E402
 from websockets.typing import Origin, Subprotocol  # noqa: E402
 
-from imufield.web.access import PROTOCOL, Access  # noqa: E402
+from imufield.web.access import PROTOCOL, Access, Role  # noqa: E402
 from imufield.web.board import Board  # noqa: E402
 from imufield.web.server import CLIENTS, LARGEST_MESSAGE, SEND_TIMEOUT_S, PageServer, static_files  # noqa: E402
 
@@ -84,6 +85,17 @@ def served() -> Iterator[Served]:
 def next_state(page: ClientConnection) -> Any:
     message = json.loads(page.recv(timeout=WAIT_S))
     return message if "state" in message else next_state(page)
+
+
+@pytest.mark.parametrize("role", Role)
+def test_a_token_that_is_good_once_is_exchanged_for_a_lasting_one(served: Served, role: Role) -> None:
+    token = served.access.once(role)
+    lasting = {Role.MARK: served.access.mark, Role.WATCH: served.access.watch}[role]
+    with served.open(token) as page:
+        assert json.loads(page.recv(timeout=WAIT_S)) == {"role": role.value, "token": lasting}
+    assert served.status(token=token) == HTTPStatus.FORBIDDEN
+    with served.open(lasting) as page:
+        assert json.loads(page.recv(timeout=WAIT_S)) == {"role": role.value}
 
 
 def test_a_page_is_told_everything_and_then_what_is_new(served: Served) -> None:

@@ -123,7 +123,7 @@ def serve_page(
 
     A program that reads JSON gets the addresses as a line of it, and opens the page itself.
     """
-    from imufield.web.access import Access
+    from imufield.web.access import Access, Role
     from imufield.web.address import qr_code
     from imufield.web.guide_page import GuidePage
     from imufield.web.server import PageServer
@@ -144,6 +144,6 @@ def serve_page(
             for line in lines:
                 say(line, err=True)
             if not place.is_in_network:
-                show_in_browser(url)
+                show_in_browser(f"{place.url}#token={access.once(Role.MARK if takes_marks else Role.WATCH)}")
         notice = "\n".join([*lines, sentence("page.any_key"), "", qr_code(url)]) if place.is_in_network else ""
         yield ServedPage(page, server, notice)

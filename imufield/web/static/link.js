@@ -51,7 +51,10 @@ export class Link {
       if (this.waitMs) this.onChange(true);
       this.waitMs = 0;
       this.heardMs = Date.now();
-      this.onMessage(JSON.parse(event.data));
+      const message = JSON.parse(event.data);
+      // What let this page in lets nobody in again.
+      if (message.token) sessionStorage.setItem("token", (this.token = message.token));
+      this.onMessage(message);
     };
     socket.onclose = () => {
       if (socket === this.socket) this.again();
