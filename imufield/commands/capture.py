@@ -35,7 +35,13 @@ def run_capture(options: CaptureOptions, clock: HostClock | None = None) -> Capt
     with ExitStack() as stack:
         with before_recording():
             place = open_page(options, stack)
-            earlier = find_unfinished(options.session, options.root, resume=options.resume, interactive=interactive)
+            earlier = find_unfinished(
+                options.session,
+                options.root,
+                resume=options.resume,
+                interactive=interactive,
+                retake=tuple(options.retake or ()),
+            )
             if earlier is not None:
                 check_plan(earlier, options.positions, asked)
             how = options.connect if earlier is None else connect_as_before(options.connect, earlier)

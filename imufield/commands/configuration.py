@@ -67,8 +67,10 @@ def instrument_stl() -> Path | None:
         match content.get("instrument", {}):
             case {"stl": str(name), **others} if not others:
                 drawing = path.parent / name
-            case {**others} if others:
-                unknown = sentence("configuration.unknown_key", path=str(path), unknown=[*others], known=["stl"])
+            case {"stl": value, **others} if not others:
+                raise UsageError(sentence("configuration.no_path", path=str(path), value=value))
+            case {**table} if unknown_keys := sorted(map(str, table.keys() - {"stl"})):
+                unknown = sentence("configuration.unknown_key", path=str(path), unknown=unknown_keys, known=["stl"])
                 raise UsageError(unknown, Reason.UNKNOWN_KEY, key="instrument")
     return drawing
 

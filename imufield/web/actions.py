@@ -201,6 +201,7 @@ ACTIONS: Mapping[str, Action] = {
         {
             **_PLACE,
             "session": lambda value, sessions: [f"--session={sessions.existing(value)}"],
+            "retake": _each("--retake", _text),
             "clock_speed": _option("--clock-speed", _number),
         },
         needs=("session",),

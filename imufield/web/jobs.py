@@ -69,22 +69,21 @@ class Jobs:
 
     def _begin_next(self) -> None:
         """Start those whose turn it is."""
+        refused: dict[int, str | None] = {}
         with self._lock:
             while self._waiting and len(self._running) < MOST_AT_ONCE:
                 number = next(iter(self._waiting))
-                process = subprocess.Popen(  # noqa: S603  (words of the table of actions)
-                    # A folder of data holds no program: nothing is imported from where this one runs.
-                    [sys.executable, "-P", "-m", "imufield", *self._waiting.pop(number)],
-                    stdin=subprocess.DEVNULL,
-                    stdout=subprocess.PIPE,
-                    stderr=subprocess.PIPE,
-                    encoding="utf-8",
-                    errors="replace",
-                    # Its own: a Ctrl-C at the terminal is for this program, which hands it on in order.
-                    start_new_session=True,
-                )
+                try:
+                    process = _started(self._waiting.pop(number))
+                # No process or memory is left: the page hears it as it hears of any other failure.
+                except OSError as error:
+                    refused[number] = error.strerror
+                    continue
                 self._running[number] = process
                 threading.Thread(target=self._follow, args=(number, process), daemon=True).start()
+        for number, cause in refused.items():
+            self._tell({"job": number, "said": sentence("jobs.not_started", cause=cause)})
+            self._end(number, UsageError.exit_code)
 
     def unfinished(self) -> list[Json]:
         """Return the heads of those that have not ended."""
@@ -93,7 +92,7 @@ class Jobs:
 
     def cancel(self, number: object) -> None:
         """Interrupt a job as Ctrl-C does; one that has ended stays ended."""
-        if not isinstance(number, int):
+        if isinstance(number, bool) or not isinstance(number, int):
             return
         with self._lock:
             process = self._running.get(number)
@@ -144,6 +143,20 @@ class Jobs:
             elif value.get("event") not in _PASSING:
                 self._tell({"job": number, "value": value})
         stream.close()
+
+
+def _started(words: list[str]) -> subprocess.Popen[str]:
+    return subprocess.Popen(  # noqa: S603  (words of the table of actions)
+        # A folder of data holds no program: nothing is imported from where this one runs.
+        [sys.executable, "-P", "-m", "imufield", *words],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        encoding="utf-8",
+        errors="replace",
+        # Its own: a Ctrl-C at the terminal is for this program, which hands it on in order.
+        start_new_session=True,
+    )
 
 
 def _value(line: str) -> Json | None:

@@ -10,6 +10,7 @@ import json
 import logging
 import socket
 import struct
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -241,6 +242,10 @@ class PageServer:
         # The page is gone, whatever it was: it comes back with a new connection.
         except (ConnectionClosed, OSError):
             pass
+        # A defect: websockets would note it in a log that nobody reads.
+        except Exception:
+            sys.excepthook(*sys.exc_info())
+            raise
         finally:
             with self._lock:
                 self._pages.discard(connection)

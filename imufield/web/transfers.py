@@ -15,7 +15,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import BinaryIO
 
-from imufield.errors import UsageError
+from imufield.errors import ImufieldError, UsageError
 from imufield.files import Origin, open_to_read, typed_write_errors
 from imufield.sentences import Sentences
 from imufield.web.actions import UPLOADS, Sessions
@@ -96,13 +96,19 @@ class Uploads:
             if len(data) > upload.left or not data:
                 self._drop(identity)
                 raise UsageError(sentence("transfers.more"))
-            with typed_write_errors(upload.path):
-                upload.file.write(data)
+            try:
+                with typed_write_errors(upload.path):
+                    upload.file.write(data)
+                    # The last bytes are written when it is closed.
+                    if len(data) == upload.left:
+                        upload.file.close()
+            except ImufieldError:
+                self._drop(identity)
+                raise
             upload.left -= len(data)
             upload.heard_s = time.monotonic()
             if upload.left:
                 return {"upload": identity, "left": upload.left}
-            upload.file.close()
             del self._open[identity]
         return {"upload": identity, "left": 0, "file": str(upload.path.relative_to(self._sessions.root))}
 
@@ -119,10 +125,10 @@ class Uploads:
 
     def _drop(self, identity: str) -> None:
         upload = self._open.pop(identity)
-        with suppress(OSError):
-            upload.file.close()
-            upload.path.unlink()
-            upload.path.parent.rmdir()  # Only where it is empty.
+        # A folder that holds others stays; what is gone already need not go.
+        for remove in (upload.file.close, upload.path.unlink, upload.path.parent.rmdir):
+            with suppress(OSError):
+                remove()
 
 
 def _plain(name: str) -> str:

@@ -19,7 +19,7 @@ from imufield.acquire.recording.reader import RecordedEvent, read_session
 from imufield.acquire.recording.session import Session
 from imufield.pipeline.chain import session_samples
 from imufield.sentences import Sentences
-from tests.commands.conftest import IMUFIELD
+from tests.commands.conftest import IMUFIELD, SPEED
 from tests.commands.pty_terminal import Terminal
 from tests.commands.told import missing, says
 
@@ -317,6 +317,29 @@ def test_what_was_finished_early_goes_on_when_it_is_named(
     recorded = events(session)
     assert [event["action"] for event in recorded if event["event"] == "mark"] == ["finish", "reopen"]
     told = program.run("replay", "--json").stdout.splitlines()
+    assert [json.loads(line) for line in told] == [event for event in recorded if event["event"] != "mark"]
+
+
+def test_a_finished_session_measures_a_position_again(program: Program) -> None:
+    port = program.emulate("--positions", "faces6", "--hold-s", 6, "--wait")
+    whole = program.run(*program.capture(port, "--json", "--session", "s", "--latitude", 48))
+    assert whole.returncode == 0, whole.stderr
+    go_on = ("capture", "--resume", "--session", "s", "--port", program.show("+x"), "--clock-speed", SPEED, "--json")
+    refused = program.run(*go_on)
+    assert refused.returncode == 2
+    assert says(refused.stderr, "commands.terminal", "resume.finished", folder="s", quoted="s")
+    unknown = program.run(*go_on, "--retake", "z+45")
+    assert unknown.returncode == 2
+    assert not missing(unknown.stderr, "z+45", "+x")
+    again = program.run(*go_on, "--retake", "+x")
+    assert again.returncode == 0, again.stderr
+    session = Session.open(program.folder / "s")
+    assert session.finished
+    recorded = events(session)
+    marks = [(event["action"], event.get("position")) for event in recorded if event["event"] == "mark"]
+    assert marks == [("reopen", None), ("retake", "+x")]
+    assert [event["position"] for event in recorded if event["event"] == "accepted" and event["replaces"]] == ["+x"]
+    told = program.run("replay", "s", "--json").stdout.splitlines()
     assert [json.loads(line) for line in told] == [event for event in recorded if event["event"] != "mark"]
 
 

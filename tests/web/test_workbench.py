@@ -142,7 +142,7 @@ def page(served: Served) -> Iterator[Page]:
          "solve --json sessions/one --latitude=-48.1 --without=x+0 '--without=-o /etc/x'"),
         ("capture", {"new": "two", "gravity": "9.8089+-0.0001", "settings": ["accelerometer_range_g=30"]},
          "capture --json --web --gravity=9.8089+-0.0001 --set=accelerometer_range_g=30 --session=sessions/two"),
-        ("resume", {"session": "one"}, "capture --json --web --resume --session=sessions/one"),
+        ("resume", {"session": "one", "retake": ["-z"]}, "capture --json --web --resume --session=sessions/one --retake=-z"),
         ("export", {"session": "one", "to": "c"}, "export --json sessions/one/parameters.toml --output=sessions/one --to=c"),
         ("import", {"files": ["one/parameters.toml"], "new": "two", "columns": "time,ax,ay,az"},
          "import --json sessions/one/parameters.toml --output=sessions/two --columns=time,ax,ay,az"),

@@ -127,6 +127,10 @@ class CaptureOptions:
     ] = None
     session: SessionFolder = None
     resume: Annotated[bool, option("--resume", help="Go on with an unfinished session.")] = False
+    retake: Annotated[
+        list[str] | None,
+        option(help="With --resume: position to measure again, also of a finished session; may be repeated."),
+    ] = None
     site: PlaceOptions = field(default_factory=unknown_site)
     plain: Plain = False
     as_json: EventsAsJson = False

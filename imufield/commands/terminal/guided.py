@@ -68,7 +68,7 @@ FINISH = "f"
 QUICKLY_DECODED = 10
 """Reads that take no time that a person notices; more, on a machine that is behind, and a screen that does not answer is
 pressed again."""
-REOPEN = "reopen"  # Not a key: recorded where a session that was finished early goes on.
+REOPEN = "reopen"  # Not a key: recorded where a session that was finished goes on.
 AGAIN_WITHIN_S = 10.0
 """Finishing with something left ends the session only with the same key again within this time; a person's time is real,
 however fast an emulated instrument runs."""
@@ -199,6 +199,7 @@ def guided_session(
                 keyboard=keyboard,
                 clock=clock,
                 check=check,
+                retake=tuple(options.retake or ()),
             )
             reason = ""
             try:
@@ -228,6 +229,8 @@ class CaptureLoop:
     keyboard: Keyboard
     clock: HostClock
     check: Callable[[], None]
+    retake: tuple[str, ...] = ()
+    """Positions to be measured again."""
 
     def __post_init__(self) -> None:
         self.chain, self.recorder = self.intake.chain, self.intake.recorder
@@ -240,9 +243,7 @@ class CaptureLoop:
     def run(self) -> Captured:
         """Go on until all is done or the operator quits."""
         self._publish(self.chain.start_part(self.connected.protocol))
-        if self._done:
-            # Finished early, and to go on: noted as what it is, so that a replay does the same.
-            self._mark(REOPEN)
+        self._go_on()
         for heard in self.connected.chunks:
             self._take(heard)
         try:
@@ -271,6 +272,13 @@ class CaptureLoop:
         if self._done:
             self.session.update(finished=True)
         return self.captured()
+
+    def _go_on(self) -> None:
+        """Take up a session that was finished, and what is to be measured again; noted, so that a replay does the same."""
+        if self._done:
+            self._mark(REOPEN)
+        for position in self.retake:
+            self._mark("retake", position)
 
     def captured(self) -> Captured:
         """Return how far the session has come."""
@@ -334,13 +342,14 @@ class CaptureLoop:
                 self._mark(KEYS[key])
         return False
 
-    def _mark(self, action: str) -> None:
+    def _mark(self, action: str, position: str | None = None) -> None:
         """Record what the operator says, and tell the guide."""
         if self.chain.guide is not None:
             # Of the sample clock: a replay must say it at the same sample, however fast it runs.
             time_s = self.chain.guide.time_s
-            self.recorder.write_event({"event": MARK, "action": action, "time_s": time_s})
-            self._publish(self.chain.mark(action, time_s))
+            named = {} if position is None else {"position": position}
+            self.recorder.write_event({"event": MARK, "action": action, "time_s": time_s, **named})
+            self._publish(self.chain.mark(action, time_s, position))
 
     def _is_sure(self) -> bool:
         """Whether the session may be finished: at the second press, said at the first; nothing of the first is recorded."""

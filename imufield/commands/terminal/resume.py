@@ -14,6 +14,7 @@ from imufield.acquire.registry import driver_names
 from imufield.commands.terminal.questions import confirm
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.files import Origin
+from imufield.guide.lead.guide import Guide
 from imufield.guide.positions import scheme
 from imufield.pipeline.chain import Chain, ReadingPlan, replay_into
 from imufield.sentences import Sentences
@@ -32,7 +33,9 @@ _KEPT = {
 }
 
 
-def find_unfinished(folder: Path | None, root: Path, *, resume: bool, interactive: bool) -> Session | None:
+def find_unfinished(
+    folder: Path | None, root: Path, *, resume: bool, interactive: bool, retake: tuple[str, ...] = ()
+) -> Session | None:
     """Return the session to go on with, or None for a new one.
 
     Parameters
@@ -44,14 +47,18 @@ def find_unfinished(folder: Path | None, root: Path, *, resume: bool, interactiv
         Whether ``--resume`` was given.
     interactive : bool
         Whether somebody can be asked.
+    retake : tuple of str
+        Positions to be measured again, for which a finished session goes on.
 
     Raises
     ------
     RecordingError
         If ``folder`` holds an unfinished session and nobody said that it should go on, or one that cannot be read.
     UsageError
-        If there is nothing to resume, or ``folder`` is finished and nothing left to measure.
+        If there is nothing to resume, ``folder`` is finished and nothing left to measure, or a position was never measured.
     """
+    if retake and not resume:
+        raise UsageError(sentence("resume.retake_alone"))
     if folder is None:
         return _newest_unfinished(root) if resume else None
     if not (folder / "session.toml").exists():
@@ -60,10 +67,7 @@ def find_unfinished(folder: Path | None, root: Path, *, resume: bool, interactiv
         return None
     session = Session.open(folder)
     if session.finished:
-        early = _finished_early(session)
-        if not (early and resume):
-            key = "resume.finished_early" if early else "resume.finished"
-            raise UsageError(sentence(key, folder=session.folder, quoted=shlex.quote(str(session.folder))))
+        _check_goes_on(session, resume=resume, retake=retake)
         return session
     if not session.record.scheme:
         raise UsageError(sentence("resume.no_guide", folder=session.folder))
@@ -72,13 +76,26 @@ def find_unfinished(folder: Path | None, root: Path, *, resume: bool, interactiv
     return session
 
 
-def _finished_early(session: Session) -> bool:
-    """Return whether something is left that was asked for, which only a replay tells."""
+def _check_goes_on(session: Session, *, resume: bool, retake: tuple[str, ...]) -> None:
+    """Raise ``UsageError`` where a finished session has nothing left to measure, or lacks a position to be measured again."""
+    guide = _guide_of(session)
+    early = guide is not None and guide.finished_early
+    if guide is None or not resume or not (early or retake):
+        key = "resume.finished_early" if early else "resume.finished"
+        raise UsageError(sentence(key, folder=session.folder, quoted=shlex.quote(str(session.folder))))
+    measured = guide.snapshot().accepted
+    for name in retake:
+        if name not in measured:
+            raise UsageError(sentence("resume.not_measured", name=name, measured=measured))
+
+
+def _guide_of(session: Session) -> Guide | None:
+    """Return the guide as a session left it, which only a replay tells; None for a session without one."""
     if session.record.scheme is None:
-        return False
+        return None
     chain = Chain(ReadingPlan.of(session))
     replay_into(chain, session, [])
-    return chain.guide is not None and chain.guide.finished_early
+    return chain.guide
 
 
 def _newest_unfinished(root: Path) -> Session:

@@ -466,7 +466,7 @@ class GuideActions:
         return answer
 
     def reopen(self) -> None:
-        """Go on with a session that was finished early, as after a lost link."""
+        """Go on with a session that was finished, as after a lost link."""
         self.turns.take_up()
         self.lose_link()
 

@@ -58,7 +58,7 @@ class Input(Enum):
     SKIPPED = "skipped"
     """The operator does not want the hold under way."""
     RESUMED = "resumed"
-    """A session that was finished early is to go on."""
+    """A session that was finished is to go on."""
     PAUSE = "pause"
     FINISH = "finish"
     LINK_LOST = "link lost"

@@ -39,7 +39,7 @@ export class Bench {
       (message) => this.take(message),
       (isThere) => {
         this.isThere = isThere;
-        if (isThere) for (const text of this.unsent.splice(0)) this.link.mark(text);
+        if (isThere) for (const text of this.unsent.splice(0)) this.link.send(text);
         else this.fail(text("gone"));
         onChange();
       },
@@ -106,9 +106,8 @@ export class Bench {
     const id = ++this.asked;
     return new Promise((resolve, reject) => {
       this.waiting.set(id, { resolve, reject });
-      const text = JSON.stringify({ id, ...message });
-      if (this.isThere) this.link.mark(text);
-      else this.unsent.push(text);
+      const line = JSON.stringify({ id, ...message });
+      if (!(this.isThere && this.link.send(line))) this.unsent.push(line);
     });
   }
 
@@ -125,6 +124,13 @@ export class Bench {
       if (job && job.code !== null) resolve(job);
       else this.awaited.push({ number, resolve });
     });
+  }
+
+  /** What a command prints; refuses with its sentence where it failed. @param {string} action @param {any} [values] @returns {Promise<any>} */
+  async found(action, values = {}) {
+    const job = await this.run(action, values);
+    if (job.code !== 0) throw new Error(complaint(job));
+    return job.found[0] ?? {};
   }
 
   /** The newest command of a kind. @param {string} action @param {(job: Job) => boolean} [fits] @returns {Job | undefined} */
@@ -165,7 +171,7 @@ export class Bench {
       piece.set(new Uint8Array(data), ID);
       const message = await new Promise((resolve) => {
         this.pieces.set(begun.upload, resolve);
-        this.link.mark(/** @type {any} */ (piece));
+        if (!this.link.send(piece)) resolve({ refused: text("away") });
       });
       this.pieces.delete(begun.upload);
       if (message.refused) throw new Error(message.refused);

@@ -61,43 +61,44 @@ async function bring(bench, files) {
       .replace(/\..*$/, "")
       .replace(/[^A-Za-z0-9_-]+/g, "-")
       .replace(/^[-_]+/, "") || "recording";
-  await tryImport(bench, files, paths, stem, {});
-}
+  // One form for all attempts: what was typed stays.
+  const form = await asking(files, (values) => void tryImport(values));
+  await tryImport({});
 
-/** @param {Bench} bench @param {File[]} files @param {string[]} paths @param {string} stem @param {any} typed */
-async function tryImport(bench, files, paths, stem, typed) {
-  say("");
-  at("import-more").replaceChildren(make("section", {}, make("p", { role: "status" }, text("importing"))));
-  const name = `${stem.slice(0, 60)}-${new Date().toISOString().replace(/[-:]|\.\d+/g, "")}`;
-  try {
-    const job = await bench.run("import", { files: paths, new: name, ...typed });
-    const again = await asking(files, (values) => void tryImport(bench, files, paths, stem, values));
-    if (job.code === 0) {
-      at("import-more").replaceChildren(
-        make(
-          "section",
-          {},
-          make("h2", {}, text("imported")),
+  /** @param {any} typed */
+  async function tryImport(typed) {
+    say("");
+    at("import-more").replaceChildren(make("section", {}, make("p", { role: "status" }, text("importing"))));
+    const name = `${stem.slice(0, 60)}-${new Date().toISOString().replace(/[-:]|\.\d+/g, "")}`;
+    try {
+      const job = await bench.run("import", { files: paths, new: name, ...typed });
+      if (job.code === 0) {
+        at("import-more").replaceChildren(
           make(
-            "ul",
+            "section",
             {},
-            job.found[0].assumptions.map((/** @type {string} */ words) => make("li", {}, words)),
+            make("h2", {}, text("imported")),
+            make(
+              "ul",
+              {},
+              job.found[0].assumptions.map((/** @type {string} */ words) => make("li", {}, words)),
+            ),
+            make(
+              "p",
+              { class: "row" },
+              button(text("toResult"), () => (location.hash = `session/${encodeURIComponent(name)}`), { class: "main" }),
+            ),
+            make("details", {}, make("summary", {}, text("wrong")), form),
           ),
-          make(
-            "p",
-            { class: "row" },
-            button(text("toResult"), () => (location.hash = `session/${encodeURIComponent(name)}`), { class: "main" }),
-          ),
-          make("details", {}, make("summary", {}, text("wrong")), again),
-        ),
-      );
-    } else {
-      say(complaint(job));
-      at("import-more").replaceChildren(make("section", {}, make("h2", {}, text("what")), again));
+        );
+      } else {
+        say(complaint(job));
+        at("import-more").replaceChildren(make("section", {}, make("h2", {}, text("what")), form));
+      }
+    } catch (error) {
+      say(/** @type {Error} */ (error).message);
+      at("import-more").replaceChildren();
     }
-  } catch (error) {
-    say(/** @type {Error} */ (error).message);
-    at("import-more").replaceChildren();
   }
 }
 
@@ -133,7 +134,7 @@ async function rowsOf(file) {
  * @param {File[]} files @param {(values: any) => void} onAnswer
  */
 async function asking(files, onAnswer) {
-  /** @type {{file: File, choices: any[], element: any}[]} */
+  /** @type {{file: File, head: string[], choices: any[], element: any}[]} */
   const tables = [];
   for (const file of files) {
     const rows = await rowsOf(file);
@@ -158,6 +159,7 @@ async function asking(files, onAnswer) {
     const head = rows.find((row) => !isNumber(row) && row.length === width) ?? [];
     tables.push({
       file,
+      head,
       choices,
       element: table(
         Array.from({ length: width }, (_, k) => head[k] ?? text("column", { number: k + 1 })),
@@ -186,17 +188,17 @@ async function asking(files, onAnswer) {
   );
   form.addEventListener("submit", (/** @type {Event} */ event) => {
     event.preventDefault();
-    const columns = tables.map(({ choices }) => choices.map((choice) => choice.value));
-    const isNamed = columns.flat().some(Boolean);
+    const isNamed = tables.some(({ choices }) => choices.some((choice) => choice.value));
+    // The program takes all names of a file or none: those that its heading has stand where none was chosen.
+    const columns = tables.map(({ choices, head }) =>
+      choices.map((choice, k) => choice.value || (MEANINGS.includes(head[k]) ? head[k] : "-")).join(","),
+    );
     const settings = [.../** @type {NodeListOf<HTMLSelectElement>} */ (form.querySelectorAll("[data-unit]"))]
       .filter((field) => field.value)
       .map((field) => `${field.dataset.unit}=${field.value}`);
     onAnswer({
       ...filled(form),
-      // What is named in part leaves out the rest: the program takes all names of a file or none.
-      ...(isNamed
-        ? { columns: columns.map((names) => names.map((/** @type {string} */ name) => name || "-").join(",")).join(";") }
-        : {}),
+      ...(isNamed ? { columns: columns.join(";") } : {}),
       ...(settings.length ? { settings } : {}),
     });
   });

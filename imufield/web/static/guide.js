@@ -170,7 +170,7 @@ function positions() {
     const accepted = map.accepted[name];
     // The first that applies, as in the terminal.
     const kinds = [
-      ["next", name === state.position || name === state.target],
+      ["next", state.state !== "done" && (name === state.position || name === state.target)],
       ["skipped", map.skipped.includes(name)],
       ["again", map.again.includes(name)],
       ["suspect", map.suspects.includes(name)],
@@ -235,7 +235,7 @@ function end(last) {
 
 /** @param {string} key */
 function mark(key) {
-  link.mark(key);
+  link.send(key);
   if (key !== "f") return;
   // The program asks for a second tap itself; the button says so.
   const isSure = performance.now() - asked < SURE_MS;

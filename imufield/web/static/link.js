@@ -89,8 +89,10 @@ export class Link {
     this.ended = true;
   }
 
-  /** @param {string} key */
-  mark(key) {
-    if (this.socket && this.socket.readyState === WebSocket.OPEN) this.socket.send(key);
+  /** @param {string | Uint8Array<ArrayBuffer>} message @returns {boolean} whether it was sent */
+  send(message) {
+    const isOpen = this.socket?.readyState === WebSocket.OPEN;
+    if (isOpen) this.socket?.send(message);
+    return isOpen;
   }
 }

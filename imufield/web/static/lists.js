@@ -20,7 +20,7 @@ export function showSessions(bench, job) {
       make("strong", { class: row.verdict ?? "" }, row.verdict?.toUpperCase() ?? text("unsolved")),
     ];
   });
-  at("list").replaceChildren(rows.length ? table(text("sessionsHead").split(", "), rows) : make("p", {}, text("noSessions")));
+  at("list").replaceChildren(rows.length ? table(text("sessionsHead").split(", "), rows) : make("p", {}, job.code === 0 ? text("noSessions") : complaint(job)));
 }
 
 /** @param {Bench} bench @param {Job} job */

@@ -55,11 +55,11 @@ export class SessionView {
   /** Ask again what is known of it. */
   async refresh() {
     try {
-      const listed = (await this.bench.run("sessions")).found[0]?.sessions ?? [];
+      const listed = (await this.bench.found("sessions")).sessions;
       this.row = listed.find((/** @type {any} */ row) => this.bench.below(row.folder) === this.name) ?? null;
       this.showState();
       if (this.row?.verdict && !at("targets").length) {
-        const targets = (await this.bench.run("targets")).found[0]?.targets ?? [];
+        const { targets } = await this.bench.found("targets");
         at("targets").append(
           ...targets.map((/** @type {any} */ target) =>
             make("option", { value: target.name }, `${target.name}: ${target.title} (holds ${target.holds})`),
@@ -144,11 +144,12 @@ export class SessionView {
     }
   }
 
-  async resume() {
+  /** @param {string[]} retake positions to be measured again */
+  async resume(retake = []) {
     const speed = [...this.bench.jobs.values()]
       .reverse()
       .find((job) => (job.values.new ?? job.values.session) === this.name && job.values.clock_speed)?.values.clock_speed;
-    await this.begin("resume", { session: this.name, ...(speed ? { clock_speed: speed } : {}) });
+    await this.begin("resume", { session: this.name, retake, ...(speed ? { clock_speed: speed } : {}) });
   }
 
   async solve() {
@@ -174,11 +175,8 @@ export class SessionView {
     const gyroscope = quality.gyroscope_verdict ?? text("uncalibrated");
     const sizes = holds.map((/** @type {any} */ hold) => Math.abs(hold.leave_one_out_m_s2 ?? hold.residual_m_s2 ?? 0));
     const largest = Math.max(...sizes, 1e-12);
-    const doubts = holds
-      .filter((/** @type {any} */ hold) =>
-        quality.warnings.some((/** @type {string} */ words) => words.split(/[\s,;:()]+/).includes(hold.name)),
-      )
-      .map((/** @type {any} */ hold) => hold.name);
+    /** @type {string[]} */
+    const doubts = quality.suspects ?? [];
     at("result").replaceChildren(
       make(
         "section",
@@ -212,7 +210,7 @@ export class SessionView {
           { class: "row" },
           button(text("solveThese"), () => this.solve()),
           this.row?.kind === "capture" && (doubts.length || holds.length < this.row.planned)
-            ? button(doubts.length ? text("retake", { names: doubts.join(", ") }) : text("more"), () => this.resume())
+            ? button(doubts.length ? text("retake", { names: doubts.join(", ") }) : text("more"), () => this.resume(doubts))
             : null,
           button(text("signals"), () => void this.showSignals(holds)),
         ),
@@ -363,6 +361,10 @@ export class SessionView {
       if (job.code !== 0) throw new Error(complaint(job));
       const { files, losses, notes } = found(job);
       const names = files.map((path) => path.slice(path.lastIndexOf("/") + 1));
+      // A file of the same name was written over: what was said of it holds no more.
+      for (const older of [...at("made").children])
+        if (names.some((name) => older.dataset.names?.split("/").includes(name))) older.remove();
+      place.dataset.names = names.join("/");
       place.replaceChildren(
         make(
           "p",

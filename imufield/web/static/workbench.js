@@ -70,7 +70,7 @@ async function look() {
   try {
     for (const [key, port] of ports) if (!port.values.clock_speed) ports.delete(key);
     showPorts();
-    const devices = (await bench.run("devices")).found[0];
+    const devices = await bench.found("devices");
     if (at("drivers").length === 1)
       for (const driver of devices.drivers)
         at("drivers").append(make("option", { value: driver.name }, `${driver.title} (${driver.name})`));
