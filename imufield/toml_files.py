@@ -34,7 +34,7 @@ _TOKEN = re.compile(
 )
 _BRACE = re.compile("[{}]")
 # More digits than Python makes a number of.
-_ENDLESS_NUMBER = re.compile("[0-9_]{4300}")
+_ENDLESS_NUMBER = re.compile("(?<![0-9_])[0-9_]{4300}")
 
 
 def decode_toml(content: bytes, label: str, kind: type[ImufieldError]) -> str:
@@ -116,11 +116,15 @@ def line_of(text: str, place: Place) -> int:
 
 
 def _behind_key(text: str, at: int, name: str) -> int | None:
-    key = re.compile(rf"(?<![\w-])[\"']?{re.escape(name)}[\"']?[^\S\n]*[=.\]]")
-    for found in key.finditer(text, at):
+    # Few blanks, and a comment passed over as a whole: a text that is made to be slow is looked at once all the same.
+    key = re.compile(rf"(?<![\w-])[\"']?{re.escape(name)}[\"']?[^\S\n]{{0,100}}[=.\]]")
+    while found := key.search(text, at):
         line = text[text.rfind("\n", 0, found.start()) + 1 : found.start()]
         if not line.lstrip().startswith("#"):
             return found.end()
+        at = text.find("\n", found.end())
+        if at < 0:
+            break
     return None
 
 

@@ -132,3 +132,13 @@ def test_any_file_gives_a_document_or_a_sentence() -> None:
             # What comes out can be walked through recursively.
             assert repr(parse_toml(text, "a.toml", ProtocolError))
             parse_protocol(text)
+
+
+@pytest.mark.parametrize(
+    "before", ["#" + " " * 1_000_000, "#" + '" "=' * 250_000, "#" + " \n#" * 300_000, "# " + "1" * 4299 + "\n"]
+)
+def test_a_line_is_found_in_no_more_time_than_the_text_is_long(before: str) -> None:
+    """A search that begins again at each of a million characters would not come to its end here."""
+    text = before * (1 if len(before) > 5000 else 200) + '\n" " = 18446744073709551616\n'
+    with refused(ProtocolError, key="toml_files.integer"):
+        parse_toml(text, "a.toml", ProtocolError)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hmac
 import secrets
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
@@ -18,6 +19,8 @@ PROTOCOL = "imufield"
 """The subprotocol that the server answers with: the token is never sent back."""
 BEFORE_TOKEN = "token."  # noqa: S105  (what stands before one)
 _TOKEN_BYTES = 16
+ONCE_S = 60.0
+"""For a browser that has to be started first."""
 
 HEADERS: Mapping[str, str] = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; "
@@ -58,7 +61,7 @@ class Access:
     hosts: frozenset[str]
     watch: str = field(default_factory=_token)
     mark: str = field(default_factory=_token)
-    _once: dict[str, Role] = field(default_factory=dict, init=False)
+    _once: dict[str, tuple[Role, float]] = field(default_factory=dict, init=False)
 
     def headers(self) -> dict[str, str]:
         """Return the headers of every answer."""
@@ -85,21 +88,25 @@ class Access:
     def once(self, role: Role) -> str:
         """Return a token that lets one page in: it becomes an argument of the browser, where other users can see it."""
         token = _token()
-        self._once[token] = role
+        self._once[token] = role, time.monotonic()
         return token
 
     def spend(self, offered: Sequence[str]) -> str | None:
         """Return the lasting token in exchange for one that is good once, and by this no more; None where none is offered."""
         for name in offered:
-            role = self._once.pop(name.removeprefix(BEFORE_TOKEN), None)
-            if role is not None:
+            role, made_s = self._once.pop(name.removeprefix(BEFORE_TOKEN), (None, 0.0))
+            if role is not None and time.monotonic() - made_s < ONCE_S:
                 return self.mark if role is Role.MARK else self.watch
         return None
 
     def role(self, offered: Sequence[str]) -> Role | None:
         """Return what the subprotocols that a page offers let it do; compared in constant time."""
         given = [name.removeprefix(BEFORE_TOKEN).encode() for name in offered if name.startswith(BEFORE_TOKEN)]
-        known = [(self.mark, Role.MARK), (self.watch, Role.WATCH), *self._once.items()]
+        known = [
+            (self.mark, Role.MARK),
+            (self.watch, Role.WATCH),
+            *((token, role) for token, (role, made_s) in self._once.items() if time.monotonic() - made_s < ONCE_S),
+        ]
         # All are compared with each, so that the time tells nothing.
         roles = [role for token, role in known for each in given if hmac.compare_digest(each, token.encode())]
         return Role.MARK if Role.MARK in roles else Role.WATCH if roles else None

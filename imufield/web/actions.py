@@ -30,7 +30,7 @@ _GRAVITY = re.compile(r"\d{1,2}(\.\d{1,12})?(\+-\d{1,2}(\.\d{1,12})?)?")
 _DEVICE = re.compile(r"/dev/(tty|cu\.|pts/|rfcomm)[\w./-]{0,100}", re.ASCII)
 # Other addresses of pyserial write files or load code: those a person types at a terminal.
 _PORT = re.compile(r"(socket|rfc2217)://[\w.:\[\]-]{1,100}|COM\d{1,3}", re.ASCII)
-_BUS = re.compile(r"[a-z0-9_]{1,32}:[\w./:-]{1,100}", re.ASCII)
+_BUS = re.compile(r"(?P<interface>[a-z0-9_]{1,32}):(?P<channel>[\w./:-]{1,100})", re.ASCII)
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,10 +60,14 @@ class Sessions:
             raise UsageError(sentence("actions.taken", name=name, root=self.root))
         return path
 
+    def holds(self, path: Path) -> bool:
+        """Whether a path leads to something below the root, links followed."""
+        return Path(os.path.realpath(path)).is_relative_to(os.path.realpath(self.root))
+
     def file(self, path: object) -> Path:
         """Return the path of a file below the root; raises ``UsageError`` for any other."""
         found = self.root / _text(path)
-        if not (Path(os.path.realpath(found)).is_relative_to(os.path.realpath(self.root)) and found.is_file()):
+        if not (self.holds(found) and found.is_file()):
             raise UsageError(sentence("actions.no_file", name=path, root=self.root))
         return found
 
@@ -97,6 +101,14 @@ def _port(value: object) -> str:
     return path
 
 
+def _bus(value: object) -> str:
+    bus = _BUS.fullmatch(_text(value))
+    # An adapter is a port, or has a name without a path.
+    if bus is None or ("/" in bus["channel"] and not _DEVICE.fullmatch(os.path.realpath(bus["channel"]))):
+        raise UsageError(sentence("actions.no_name", value=value))
+    return bus[0]
+
+
 # From a value of the page to words of the command line.
 Field = Callable[[object, Sessions], list[str]]
 
@@ -119,7 +131,13 @@ def _few(value: object) -> list[object]:
 
 
 def _flag(name: str) -> Field:
-    return lambda value, _: [name] if value is True else []
+    return lambda value, _: [name] if _is_wanted(value) else []
+
+
+def _is_wanted(value: object) -> bool:
+    if not isinstance(value, bool):
+        raise UsageError(sentence("actions.no_name", value=str(value)[:LONGEST_TEXT]))
+    return value
 
 
 def _setting(value: object) -> str:
@@ -128,19 +146,24 @@ def _setting(value: object) -> str:
 
 
 def _session(value: object, sessions: Sessions) -> list[str]:
-    return [str(sessions.existing(value))]
+    return [_argument(sessions.existing(value))]
 
 
 def _parameters(value: object, sessions: Sessions) -> list[str]:
-    return [str(sessions.existing(value) / "parameters.toml")]
+    return [_argument(sessions.file(f"{sessions.existing(value).name}/parameters.toml"))]
 
 
 def _files(value: object, sessions: Sessions) -> list[str]:
-    return [str(sessions.file(path)) for path in _few(value)]
+    return [_argument(sessions.file(path)) for path in _few(value)]
+
+
+def _argument(path: Path) -> str:
+    """Return a path that is no option, whatever its name begins with."""
+    return f"./{path}" if str(path).startswith("-") else str(path)
 
 
 def _in_root(option: str, name: str) -> Field:
-    return lambda _, sessions: [f"{option}={sessions.root / name}"]
+    return lambda value, sessions: [f"{option}={sessions.root / name}"] if _is_wanted(value) else []
 
 
 _SITE: Mapping[str, Field] = {
@@ -148,7 +171,7 @@ _SITE: Mapping[str, Field] = {
     "height": _option("--height", _number),
     "gravity": _option("--gravity", _matching(_GRAVITY)),
 }
-_PLACE: Mapping[str, Field] = {"port": _option("--port", _port), "bus": _option("--bus", _matching(_BUS))}
+_PLACE: Mapping[str, Field] = {"port": _option("--port", _port), "bus": _option("--bus", _bus)}
 _DRIVER = _option("--driver", _matching(_WORD))
 _SETTINGS = _each("--set", _setting)
 _RATE = _option("--rate-hz", _number)

@@ -165,6 +165,7 @@ def _value(line: str) -> Json | None:
         with suppress(ValueError):
             # What is no number in JSON would be none on its way to the pages, either.
             found: Json = json.loads(line, parse_constant=lambda _: None)
+            json.dumps(found, allow_nan=False)  # "1e999" is none, and a name that says so.
             return found
     return None
 

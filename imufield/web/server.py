@@ -6,8 +6,10 @@ waits for either.
 
 from __future__ import annotations
 
+import errno
 import json
 import logging
+import os
 import socket
 import struct
 import sys
@@ -42,6 +44,8 @@ SEND_TIMEOUT_S = 5.0  # A page that takes nothing for so long is cut off; it com
 CLOSE_TIMEOUT_S = 0.5
 LARGEST_MESSAGE = 1024  # Bytes: a mark has less than a tenth of it.
 MARKS_A_SECOND = 10
+ACCEPT_S = 0.2
+_PASSING = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM, errno.ECONNABORTED, errno.EAGAIN, errno.EINTR)
 EVERY_S = 0.05  # Marks are looked for as often.
 
 # Its messages are about pages that went away: for nobody.
@@ -86,17 +90,38 @@ class Service:
 GUIDE = Service()
 
 
-class _TooManyError(Exception):
-    """A connection beyond the limit."""
+class _Door(socket.socket):
+    """Listens, and closes what comes beyond the limit before anything is made for it: no thread, no descriptor is left."""
+
+    def __init__(self, listening: socket.socket) -> None:
+        super().__init__(fileno=listening.detach())
+        self.settimeout(ACCEPT_S)  # Whoever closes it is not heard while it waits.
+        self.inside: Callable[[], int] = lambda: 0
+
+    def accept(self) -> tuple[socket.socket, object]:
+        """Return the next connection there is room for; raises ``OSError`` once it is closed, and for nothing else."""
+        while self.fileno() >= 0:
+            try:
+                connection, address = super().accept()
+            except TimeoutError:
+                continue
+            except OSError as error:
+                # The other side is gone again, or descriptors are short for the moment: the next one may come.
+                if error.errno not in _PASSING:
+                    raise
+                time.sleep(ACCEPT_S)
+                continue
+            if self.inside() < CONNECTIONS:
+                return connection, address
+            connection.close()
+        raise OSError(errno.EBADF, os.strerror(errno.EBADF))
 
 
 class _Connection(ServerConnection):
-    """A connection that is closed at once where there are too many."""
+    """A connection that is given up where nobody takes what it sends."""
 
     def __init__(self, *arguments: object, **settings: object) -> None:
         super().__init__(*arguments, **settings)  # type: ignore[arg-type]
-        if len(self.server.handler_threads) > CONNECTIONS:
-            raise _TooManyError
         # In blocking mode the system itself ends a send that nobody takes.
         seconds = struct.pack("ll", int(SEND_TIMEOUT_S), 0)
         with suppress(OSError):
@@ -152,9 +177,10 @@ class PageServer:
         self._lock = threading.Lock()
         self._ends = False
         self._ended: Json | None = None
+        door = _Door(listening)
         self._server = serve(
             self._serve_page,
-            sock=listening,
+            sock=door,
             subprotocols=[Subprotocol(PROTOCOL)],
             select_subprotocol=lambda _, offered: Subprotocol(PROTOCOL) if PROTOCOL in offered else None,
             process_request=self._answer,
@@ -168,6 +194,7 @@ class PageServer:
             logger=_SILENT,
             create_connection=_Connection,
         )
+        door.inside = lambda: len(self._server.handler_threads)
         self._thread = threading.Thread(target=self._server.serve_forever, name="page server", daemon=True)
 
     def __enter__(self) -> Self:

@@ -42,9 +42,13 @@ def read_stl(path: Path) -> str:
         raise UsageError(sentence("shape.no_stl", path=str(path)))
     if count > MOST_TRIANGLES:
         raise UsageError(sentence("shape.too_many", path=str(path), found=count, limit=MOST_TRIANGLES))
-    corners = np.frombuffer(body, _TRIANGLE)["corners"].astype(np.float64).reshape(-1, 3)
+    # A signalling NaN warns when it is copied.
+    with np.errstate(invalid="ignore"):
+        corners = np.frombuffer(body, _TRIANGLE)["corners"].astype(np.float64).reshape(-1, 3)
+    if not np.isfinite(corners).all():
+        raise UsageError(sentence("shape.no_stl", path=str(path)))
     low, high = corners.min(axis=0), corners.max(axis=0)
     half = float((high - low).max()) / 2
-    if not (np.isfinite(corners).all() and half > 0):
+    if not half > 0:
         raise UsageError(sentence("shape.no_stl", path=str(path)))
     return base64.b64encode(np.round((corners - (low + high) / 2) / half * _HALF).astype("<i2").tobytes()).decode()

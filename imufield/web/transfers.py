@@ -77,6 +77,8 @@ class Uploads:
             path = where / _plain(name)
             with typed_write_errors(path):
                 where.mkdir(parents=True, exist_ok=True)
+                if not self._sessions.holds(where):
+                    raise UsageError(sentence("actions.no_file", name=where, root=self._sessions.root))
                 self._open[identity] = _Upload(path, path.open("xb"), size, time.monotonic())
         return {"upload": identity, "folder": where.name}
 
@@ -142,7 +144,7 @@ def _new_name() -> str:
 
 
 def _known(folder: object) -> str:
-    if not isinstance(folder, str) or not re.fullmatch(r"\d{8}T\d{6}Z-[0-9a-f]{4}", folder):
+    if not isinstance(folder, str) or not re.fullmatch(r"[0-9]{8}T[0-9]{6}Z-[0-9a-f]{4}", folder):
         raise UsageError(sentence("transfers.unknown"))
     return folder
 

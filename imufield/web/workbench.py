@@ -84,9 +84,13 @@ class Workbench:
         self._uploads.close()
 
 
+def _no_number(name: str) -> None:
+    raise ValueError(name)
+
+
 def _read(message: str) -> dict[str, object]:
     try:
-        asked = json.loads(message)
+        asked = json.loads(message, parse_constant=_no_number)
     except (ValueError, RecursionError):
         asked = None
     if not isinstance(asked, dict):

@@ -8,7 +8,7 @@ import socket
 import time
 from collections import deque
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from http import HTTPStatus
 from queue import Empty, SimpleQueue
 from typing import Any
@@ -17,13 +17,13 @@ import pytest
 
 websockets = pytest.importorskip("websockets", reason="the page needs websockets")
 
-from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
+from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus  # noqa: E402
 from websockets.sync.client import ClientConnection, connect  # noqa: E402
 from websockets.typing import Origin, Subprotocol  # noqa: E402
 
 from imufield.web.access import PROTOCOL, Access, Role  # noqa: E402
 from imufield.web.board import Board  # noqa: E402
-from imufield.web.server import CLIENTS, LARGEST_MESSAGE, SEND_TIMEOUT_S, PageServer, static_files  # noqa: E402
+from imufield.web.server import CLIENTS, CONNECTIONS, LARGEST_MESSAGE, SEND_TIMEOUT_S, PageServer, static_files  # noqa: E402
 
 WAIT_S = 30.0  # A machine under load; nothing here takes as long.
 
@@ -85,6 +85,20 @@ def served() -> Iterator[Served]:
 def next_state(page: ClientConnection) -> Any:
     message = json.loads(page.recv(timeout=WAIT_S))
     return message if "state" in message else next_state(page)
+
+
+def test_connections_that_say_nothing_keep_nobody_out_for_long(served: Served) -> None:
+    with ExitStack() as opened:
+        for _ in range(2 * CONNECTIONS):
+            opened.enter_context(socket.create_connection(("127.0.0.1", served.port), timeout=WAIT_S))
+        with pytest.raises(InvalidHandshake), served.open():
+            raise AssertionError("somebody beyond the limit got in")
+    end_s = time.monotonic() + WAIT_S
+    while time.monotonic() < end_s:
+        with suppress(OSError, EOFError, InvalidHandshake), served.open() as page:
+            assert json.loads(page.recv(timeout=WAIT_S))["role"] == "mark"
+            return
+    raise AssertionError("nobody gets in any more")
 
 
 @pytest.mark.parametrize("role", Role)

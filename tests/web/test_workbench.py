@@ -156,6 +156,17 @@ def test_what_is_asked_becomes_a_command_that_a_person_could_type(
     assert shlex.join(command_line(action, values, Sessions(root))) == words
 
 
+def test_no_folder_is_an_option(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("--help", "-x"):
+        Path(name).mkdir()
+        (Path(name) / "parameters.toml").touch()
+    sessions = Sessions(Path())
+    assert command_line("solve", {"session": "--help"}, sessions)[:3] == ["solve", "--json", "./--help"]
+    assert "./-x/parameters.toml" in command_line("export", {"session": "-x", "to": "c"}, sessions)
+    assert "./--help/parameters.toml" in command_line("import", {"new": "y", "files": ["--help/parameters.toml"]}, sessions)
+
+
 @pytest.mark.parametrize(
     ("action", "values"),
     [
@@ -197,6 +208,9 @@ def test_what_is_asked_becomes_a_command_that_a_person_could_type(
         ("solve", {"session": "one", "latitude": 10**400}), ("solve", {"session": "one", "latitude": float("nan")}),
         ("probe", {"port": "socket://host:1?logging=debug"}), ("probe", {"port": "--ask"}), ("probe", {"bus": "--ask"}),
         ("probe", {"bus": "socketcan:can0,../x"}), ("probe", {"port": 1}),
+        ("probe", {"bus": "slcan:/dev/watchdog"}), ("probe", {"bus": "slcan:spy:///dev/ttyUSB0"}),
+        ("probe", {"ask": float("nan")}),
+        ("history", {"plot": "x" * 500_000}), ("report", {"session": "one", "pdf": 1}),
     ],
 )  # fmt: skip
 def test_anything_else_is_refused(root: Path, action: Any, values: Any) -> None:

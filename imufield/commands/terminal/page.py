@@ -55,6 +55,7 @@ def bind_page(stack: ExitStack, lan: str | None = None, port: int | None = None)
         If the packages are missing, the address or port cannot be had, or the drawing of the instrument is none.
     """
     try:
+        import imufield.web.server  # noqa: F401  (what it needs is missed before anything else begins)
         from imufield.web.address import open_place
     except ImportError as error:
         raise UsageError(sentence("page.missing", package=error.name), Reason.MISSING_PACKAGE) from error
