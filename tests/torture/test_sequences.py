@@ -94,6 +94,8 @@ class ScriptedLink:
 
 
 class NoView:
+    page = None
+
     def show(self, events: Any) -> None:
         """Show nothing."""
 
