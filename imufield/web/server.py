@@ -270,8 +270,8 @@ class PageServer:
         except (ConnectionClosed, OSError):
             pass
         # A defect: websockets would note it in a log that nobody reads.
-        except Exception:
-            sys.excepthook(*sys.exc_info())
+        except Exception as error:
+            sys.excepthook(type(error), error, error.__traceback__)
             raise
         finally:
             with self._lock:

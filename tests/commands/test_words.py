@@ -170,4 +170,4 @@ def test_a_session_that_lost_samples_in_many_moves_says_so_once(
     told = " ".join(capsys.readouterr().out.split())
     worst = max(moves, key=lambda move: float(move.split(" lost samples for ")[1].split()[0]))
     assert told.count("lost samples for") == 1
-    assert f"{len(moves)} of this kind, the worst: {worst}" in told
+    assert f"{len(moves)} sentences like this, the largest: {worst}" in told

@@ -100,7 +100,7 @@ def test_workers_hear_no_interrupt(runs: Any) -> None:
 
 
 def test_no_workers_is_no_campaign(runs: Any) -> None:
-    with refused(UsageError, Reason.USAGE, "0 workers", key="campaign.workers") as caught:
+    with refused(UsageError, Reason.USAGE, "--workers 0", key="campaign.workers") as caught:
         run_campaign(runs.draw, range(2), seed=5, workers=0)
     assert caught.value.values["workers"] == 0
 

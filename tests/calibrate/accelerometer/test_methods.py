@@ -13,7 +13,7 @@ from imufield.calibrate.model.models import to_vector
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration
 from imufield.calibrate.solvers import library
-from imufield.calibrate.solvers.agreement import CrossCheck
+from imufield.calibrate.solvers.agreement import AGREEMENT_SIGMA, SEARCH_AGREEMENT_SIGMA, CrossCheck
 from imufield.calibrate.solvers.registry import METHODS
 from imufield.earth import Gravity
 from imufield.errors import CalibrationError, Reason, UsageError
@@ -100,7 +100,15 @@ def test_least_squares_is_what_there_is_already() -> None:
 def outcome(key: str, checked: CrossCheck) -> str:
     """Return what a check of the accelerometer says of its numbers."""
     told_by = Sentences("imufield.calibrate.solvers")
-    return told_by(key, what="accelerometer", methods=list(checked.found), own=checked.own_costs, shared=checked.one_cost)
+    return told_by(
+        key,
+        what="accelerometer",
+        methods=list(checked.found),
+        own=checked.own_costs,
+        limit_sigma=AGREEMENT_SIGMA,
+        shared=checked.one_cost,
+        shared_limit_sigma=SEARCH_AGREEMENT_SIGMA,
+    )
 
 
 def test_an_unknown_method_is_refused() -> None:

@@ -40,7 +40,9 @@ def test_it_holds_the_last_half_minute_however_it_was_cut(
         np.testing.assert_allclose(found.low[-1], newest.min(axis=0))
         np.testing.assert_allclose(found.high[-1], newest.max(axis=0))
     assert signals.units == ("m/s^2", "rad/s")
-    np.testing.assert_allclose(feed_of(samples).up(SI), [1, 0, 0], atol=0.01)
+    feed = feed_of(samples)
+    feed.hear(samples)
+    np.testing.assert_allclose(feed.up(SI), [1, 0, 0], atol=0.01)
 
 
 def test_it_has_the_units_that_are_known(make_path: Any) -> None:
