@@ -54,6 +54,7 @@ def lan_addresses() -> list[str]:
         with socket.socket(family, socket.SOCK_DGRAM) as probe:
             try:
                 probe.connect((far, 9))
+            # No route of this kind, IPv6 above all.
             except OSError:
                 continue
             routes.append(probe.getsockname()[0])

@@ -174,6 +174,7 @@ def _interrupt(process: subprocess.Popen[str]) -> None:
     if os.name != "posix":
         process.terminate()
         return
+    # It ended by itself a moment before.
     with suppress(ProcessLookupError):
         # All of its group, as a terminal does: what it has started itself hears it, too. Not SIGINT, to which programs that are
         # started in the background of a shell are deaf; both are handled as Ctrl-C is.

@@ -122,10 +122,11 @@ class _Connection(ServerConnection):
 
     def __init__(self, *arguments: object, **settings: object) -> None:
         super().__init__(*arguments, **settings)  # type: ignore[arg-type]
-        # In blocking mode the system itself ends a send that nobody takes.
-        seconds = struct.pack("ll", int(SEND_TIMEOUT_S), 0)
+        # In blocking mode the system itself ends a send that nobody takes. Windows counts it in milliseconds.
+        limit = int(1000 * SEND_TIMEOUT_S) if sys.platform == "win32" else struct.pack("ll", int(SEND_TIMEOUT_S), 0)
+        # The page is gone already: the first look at the connection says so.
         with suppress(OSError):
-            self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, seconds)
+            self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, limit)
 
 
 @dataclass
@@ -209,6 +210,7 @@ class PageServer:
         # A page that takes nothing would hold its thread, and the end of the program, until its send times out.
         with self._lock:
             for connection in self._pages:
+                # It was closed by the other side in the meantime.
                 with suppress(OSError):
                     connection.socket.shutdown(socket.SHUT_RDWR)
         self._server.shutdown()
@@ -269,7 +271,7 @@ class PageServer:
         # The page is gone, whatever it was: it comes back with a new connection.
         except (ConnectionClosed, OSError):
             pass
-        # A defect: websockets would note it in a log that nobody reads.
+        # A defect, whatever it is, is shown and goes on its way: websockets would note it in a log that nobody reads.
         except Exception as error:
             sys.excepthook(type(error), error, error.__traceback__)
             raise
@@ -287,6 +289,7 @@ class PageServer:
             page.seen, message = self._board.wait(page.seen, 0.0 if ends else EVERY_S)
             if message is not None:
                 page.connection.send(message)
+            # All that the page has said was taken.
             with suppress(TimeoutError):
                 while self._take(page, page.connection.recv(timeout=0)):
                     pass

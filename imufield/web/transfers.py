@@ -186,5 +186,6 @@ class Downloads:
             # No link: since it was offered another file may stand there.
             with open_to_read(path, Origin.INSIDE) as file:
                 return path.name, file.read(LARGEST_DOWNLOAD)
+        # Gone, or no longer to be read: for the page there is nothing at this address.
         except OSError:
             return None

@@ -45,3 +45,10 @@ def test_scripts_hold_no_sentence(page: str) -> None:
         f"{name}: {text}" for name, source in code.items() for text in re.findall(r'"[A-Za-z]+( [a-z]+){2,}[^"]*"', source)
     ]
     assert sentences == []
+
+
+def test_a_night_that_is_chosen_has_the_colours_of_the_system_s() -> None:
+    style = (STATIC / "style.css").read_text(encoding="utf-8")
+    nights = [" ".join(rules.split()) for rules in re.findall(r":root[^{]*\{([^}]*color-scheme: dark;[^}]*)\}", style)]
+    assert len(nights) == 2
+    assert nights[0] == nights[1]
