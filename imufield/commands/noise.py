@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
@@ -102,6 +103,14 @@ def _write_into(path: Path, parameters: Parameters, result: NoiseResult) -> Path
         accelerometer_bias_instability_m_s2=result.values("accelerometer", "instability"),
         gyroscope_bias_instability_rad_s=result.values("gyroscope", "instability"),
     )
+    earlier = parameters.context.noise
+    if earlier is not None and not result.triad("gyroscope"):
+        noise = replace(
+            noise,
+            source=f"{noise.source}; gyroscope: {earlier.source}",
+            gyroscope_density_rad_s_per_sqrt_hz=earlier.gyroscope_density_rad_s_per_sqrt_hz,
+            gyroscope_bias_instability_rad_s=earlier.gyroscope_bias_instability_rad_s,
+        )
     # The hash is of the content as it was; it is written anew.
     document = {key: value for key, value in parameters.document.items() if key != "integrity"}
     return write_document(path, document | {"noise": noise_table(noise)})

@@ -22,7 +22,6 @@ from imufield.web.board import Board, Json
 LOG_LINES = 200
 TRACE_BLOCKS = 300
 """Of 0.1 s: half a minute."""
-FINISH = "f"
 KEYS = frozenset("rsupgf")
 """Marks that a page may make; a session is ended where its instrument is, at the terminal."""
 _DIGITS = 5

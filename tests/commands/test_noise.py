@@ -81,6 +81,24 @@ def test_a_calibration_gives_counts_their_scale(
         assert document["noise"][f"{triad}_density_{unit}_per_sqrt_hz"] == pytest.approx(found, rel=1e-6)
 
 
+def test_a_recording_without_gyroscope_leaves_the_gyroscope_figures(solved_session: Path, tmp_path: Path) -> None:
+    parameters = with_document(solved_session / "parameters.toml", tmp_path / "p.toml")
+    rest = rest_session(tmp_path / "rest", 600.0).folder
+    assert run(["noise", str(rest), "--parameters", str(parameters)]) == 0
+    first = tomllib.loads(parameters.read_text())["noise"]
+    table = tmp_path / "rest.csv"
+    assert run(["export-data", str(rest), "--output", str(table)]) == 0
+    rows = [line.split(",") for line in table.read_text().splitlines()]
+    table.write_text("".join(",".join(row[:4]) + "\n" for row in rows))
+    alone = tmp_path / "alone"
+    assert run(["import", str(table), "--output", str(alone)]) == 0
+    assert run(["noise", str(alone), "--parameters", str(parameters)]) == 0
+    second = tomllib.loads(parameters.read_text())["noise"]
+    assert first["source"] in second["source"] != first["source"]
+    for key in ("gyroscope_density_rad_s_per_sqrt_hz", "gyroscope_bias_instability_rad_s"):
+        assert str(second[key]) == str(first[key])  # Text: nan is not equal to itself.
+
+
 def test_parameters_of_other_units_or_of_another_instrument_are_refused(solved_session: Path, tmp_path: Path) -> None:
     counts = rest_session(tmp_path / "counts", 600.0, unit="count", instrument={"serial_number": "B2"}).folder
     parameters = solved_session / "parameters.toml"

@@ -92,8 +92,8 @@ class Run:
             self.page.wait_for_timeout(50)
 
 
-@pytest.mark.skipif(not FULL, reason="its short form is tests/web/test_guide_page.py")
-@pytest.mark.parametrize("number", range(SESSIONS))
+# Its short form is tests/web/test_guide_page.py.
+@pytest.mark.parametrize("number", range(SESSIONS) if FULL else ())
 def test_a_session_from_the_page_whatever_happens(program: Program, number: int, campaign: Campaign) -> None:
     rng = random.Random(1600 + number)
     session = PageSession.begin(program, seed=1 + number)

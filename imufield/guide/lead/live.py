@@ -14,7 +14,7 @@ from imufield.guide.stillness.cells import CELL_S, Cells, cells_in, join_cells
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import FloatArray, Samples
 
-_NEWEST = 8  # Samples: some milliseconds, and vibration is averaged out.
+_NEWEST_S = 0.02  # As long as links gather samples anyway; vibration is averaged out.
 SPAN_S = 30.0
 """Time that the feed reaches back."""
 
@@ -53,7 +53,7 @@ class LiveFeed:
 
     def hear(self, samples: Samples) -> None:
         """Keep the newest samples: a cell is 0.1 s old before it is whole, and a hand sees that."""
-        self._last = samples.accelerometer[-_NEWEST:]
+        self._last = samples.accelerometer[samples.time_s > samples.time_s[-1] - _NEWEST_S]
 
     def add(self, cells: Cells) -> None:
         """Append cells."""

@@ -44,7 +44,6 @@ export class Box {
     this.shape = boxShape();
     this.calm = matchMedia("(prefers-reduced-motion: reduce)");
     this.last = 0;
-    this.frames = 0;
     requestAnimationFrame((now) => this.frame(now));
   }
 
@@ -59,7 +58,6 @@ export class Box {
       if (angle > 1e-4) this.attitude = orthonormal(product(rotation(axis, angle * share), this.attitude));
     }
     if (!document.hidden) this.draw();
-    this.frames += 1;
     requestAnimationFrame((time) => this.frame(time));
   }
 
