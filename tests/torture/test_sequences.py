@@ -7,6 +7,7 @@ the recording, in blocks: every sample and every accepted position, bit for bit.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
@@ -40,6 +41,7 @@ SEQUENCES = 1000 if FULL else 50
 PARTS = 20 if FULL else 1
 """Of the sequences of a kind: a test of its own each, so that none takes minutes."""
 CHUNK_S = 0.02
+POLL_S = 0.02
 UTC_NS = 1_790_000_000_000_000_000
 LOST = None
 """In the script of a link: it is gone, and opened again with the next chunk."""
@@ -77,6 +79,7 @@ class ScriptedLink:
             item = next(self._items)
         except StopIteration:
             self.is_over = True
+            time.sleep(POLL_S)  # As a port waits for bytes: a thread that never waits takes all time from the others.
             return None
         if item is LOST:
             raise LinkError("pulled", Reason.DISCONNECTED)
