@@ -84,7 +84,7 @@ torture: $(TEST)
 	status=0; export TORTURE=full; \
 	$(if $(filter-out claims,$(TORTURE_PARTS)),$(BIN)/python -m pytest -n 2 --dist worksteal \
 	  $(patsubst %,tests/torture/test_%.py,$(filter-out claims,$(TORTURE_PARTS))) || status=1;) \
-	$(if $(filter claims,$(or $(PART),claims)),$(BIN)/python -m pytest tests/torture/test_claims.py || status=1;) \
+	$(if $(filter claims,$(or $(PART),claims)),$(BIN)/python -m pytest tests/torture/test_claims.py tests/test_honesty.py || status=1;) \
 	exit $$status
 
 changelog: $(DEV)

@@ -14,7 +14,7 @@ GRADES = ("navigation", "tactical", "industrial", "mems")
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("grade", GRADES)
 def test_intervals_hold_the_truth(grade: str, campaign: Campaign) -> None:
-    seeds = campaign.times(24, 500)
+    seeds = campaign.times(12, 500)
     inside = np.abs(Sessions(grade).errors_over_limit(seeds)) < 1
     share, pooled = 100 * inside.mean(axis=0), 100 * float(inside.mean())
     # So few sessions can only show gross errors; 500 know the share of one parameter to 1 %, of all together to about 0.5 %.
