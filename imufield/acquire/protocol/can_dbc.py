@@ -22,7 +22,7 @@ from imufield.acquire.protocol.can_frames import EXTENDED, ID_MASK, MOST_DATA
 from imufield.acquire.protocol.layout import MessageValue, Numbers
 from imufield.acquire.protocol.toml import LARGEST, LEAST_SCALE, near
 from imufield.errors import ProtocolError, Reason
-from imufield.sentences import Sentences
+from imufield.sentences import Sentences, shortened
 
 sentence = Sentences(__package__)
 
@@ -46,6 +46,8 @@ _STRING_OR_COMMENT = re.compile(r'"(?:\\"|[^"])*?"|//[^\n]*')
 _ENTRY = re.compile(r"\b(?:BO_\s++\d++\s*+\w++|SG_\s++\w++(?:\s++\w++)?+)\s*+:")
 _BITS = re.compile(r":\s*+(\d++)\s*+\|\s*+(\d++)\s*+@")
 _MULTIPLEXED = re.compile(r"\bSG_MUL_VAL_\s++\+?(\d++)\s*+(\w++)\s++(\w++)\s*+([\d\s,+-]*+);")
+# The largest double has 309 digits, and Python makes no integer of more than 4300.
+_LONG_NUMBER = re.compile(r"(?<!\d)\d{400}\d*+")
 _CHOICES = re.compile(r"\bVAL_\s++\+?(\d++)\s*+(\w++)([\d\s\"+-]*+);")
 # J1939: below this PDU format 240 the lower byte is a destination address and no part of the group number.
 _PDU1_BELOW = 0xF000
@@ -341,15 +343,22 @@ def compile_signal(signal: Signal, is_j1939: bool = False) -> CanSignal:
 
 
 def _check_extent(text: str, label: str) -> None:
-    """Refuse too many messages and signals, signals too long, and multiplexers in a circle or with too many forms."""
+    """Refuse too many messages and signals, numbers and signals too long, and what ``_check_forms`` refuses."""
     bare = _STRING_OR_COMMENT.sub(lambda found: '""' if found[0].startswith('"') else " ", text)
     entries = sum(1 for _ in _ENTRY.finditer(bare))
     if entries > MOST_ENTRIES:
         raise ProtocolError(sentence("can_dbc.many_entries", label=label, entries=entries, limit=MOST_ENTRIES))
+    if number := _LONG_NUMBER.search(bare):
+        raise ProtocolError(sentence("can_dbc.long_number", label=label, digits=len(number[0]), begin=shortened(number[0])))
     for bits in _BITS.findall(bare):
-        start, length = (int(number) if len(number) < 10 else 10**9 for number in bits)
+        start, length = map(int, bits)
         if start + length > _FURTHEST_BIT:
             raise ProtocolError(sentence("can_dbc.far_bit", label=label, start=start, length=length, limit=_FURTHEST_BIT))
+    _check_forms(bare, label)
+
+
+def _check_forms(bare: str, label: str) -> None:
+    """Refuse multiplexers in a circle or with too many forms; ``bare`` is a file without texts and comments."""
     above: dict[tuple[int, str], tuple[str, int]] = {}
     for frame, signal, multiplexer, ranges in _MULTIPLEXED.findall(bare):
         # The second of a range has the sign that parts them.

@@ -143,7 +143,8 @@ def multiplexed(*statements: str) -> str:
     return f'VERSION ""\nBU_: R\nBO_ 100 Force: 12 R\n{signals}' + "".join(f"SG_MUL_VAL_ 100 {each};\n" for each in statements)
 
 
-FAR_BITS = ("0|2147483648", f"0 | {10**400}", "2147483648|8")
+LONG_NUMBERS = ("SG_MUL_VAL_ {} A B 0-1;", 'VAL_ 256 A {} "x";', 'VAL_ {} A 1 "x";', "BO_ {} X: 8 V")
+FAR_BITS = ("0|2147483648", f"0 | {10**390}", "2147483648|8")
 
 
 @pytest.mark.parametrize(
@@ -160,6 +161,7 @@ FAR_BITS = ("0|2147483648", f"0 | {10**400}", "2147483648|8")
         (multiplexed("B A 0-65000").replace("SG_MUL", 'VAL_ 100 B 0 "" 1 "";\nSG_MUL'), "many_forms"),
         ("BU_: R\n" + "".join(f"BO_ {2**31 + number} M{number}: 8 R\n" for number in range(40_000)), "many_entries"),
         *((f'BU_: R\nBO_ 100 M: 8 R\n SG_ A : {bits}@1+ (1,0) [0|0] "" R\n', "far_bit") for bits in FAR_BITS),
+        *((DBC + text.format("9" * 5000), "long_number") for text in LONG_NUMBERS),
         # Behind each slash of a comment without an end cantools looks for one.
         ("/" * 1_000_000, "unreadable"),
     ],
