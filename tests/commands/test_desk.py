@@ -8,6 +8,7 @@ import os
 import re
 import shutil
 import signal
+import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,6 +28,7 @@ from imufield.pipeline.chain import Chain, ReadingPlan, replay_into, session_sam
 from imufield.samples import AXES, SAMPLE_COLUMNS, concatenate
 from imufield.sentences import Sentences
 from tests.commands.told import missing, says
+from tests.conftest import PROJECT
 from tests.refused import refused
 
 if TYPE_CHECKING:
@@ -268,7 +270,14 @@ def test_demo(program: Program) -> None:
     assert float(last.split()[-1]) <= 4.0
     assert "NOT" not in ended.stdout
     session = Session.newest(program.folder / "imufield-sessions")
-    assert (session.folder / "parameters.toml").is_file()
+    found = tomllib.loads((session.folder / "parameters.toml").read_text())["accelerometer"]
+    readme = (PROJECT / "README.md").read_text(encoding="utf-8")
+    shown = tomllib.loads(re.findall("```toml\n(format.*?)```", readme, re.DOTALL)[0])["accelerometer"]
+    for key in ("scale", "bias_m_s2"):
+        assert found[key] == pytest.approx(shown[key], rel=1e-6), "README shows the demo's parameters"
+        assert found["uncertainty"][key] == pytest.approx(shown["uncertainty"][key], rel=1e-6)
+    verdict = re.findall("```text\n(Accelerometer.*?)```", readme, re.DOTALL)[0]
+    assert not missing(ended.stdout, *(" ".join(line.split()) for line in verdict.splitlines()))
 
 
 def test_a_demo_that_is_faster_than_the_machine_says_so(program: Program) -> None:
