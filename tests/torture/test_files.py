@@ -39,7 +39,7 @@ class Corpus:
     make: Callable[[Path], bytes]
     commands: tuple[str, ...]
     is_text: bool = True
-    short: int = 12
+    short: int = 6
     """Damaged files of the short form; fewer where reading one starts a process."""
 
 

@@ -185,7 +185,7 @@ def test_damaged_mf4_is_an_error_or_a_loss(tmp_path: Path, capfd: pytest.Capture
         for message in make_messages():
             logger(message)
     content, rng = path.read_bytes(), random.Random(3)
-    for number in range(16):
+    for number in range(8):
         damaged = bytearray(content if number % 4 else content[: rng.randrange(len(content))])
         for _ in range(5 if damaged else 0):
             damaged[rng.randrange(len(damaged))] = rng.randrange(256)

@@ -91,7 +91,7 @@ def test_files_cut_short(tmp_path: Path, write: Writer) -> None:
     path = written(tmp_path, write)
     content = path.read_bytes()
     rng = np.random.default_rng(3)
-    for _ in range(6):
+    for _ in range(3):
         path.write_bytes(content[: rng.integers(8, len(content) - 8)])
         with pytest.raises((RecordingError, UsageError)) as caught:
             read_tables([path])
@@ -103,7 +103,7 @@ def test_files_with_bytes_changed(tmp_path: Path, write: Writer) -> None:
     path = written(tmp_path, write)
     content = path.read_bytes()
     rng = np.random.default_rng(4)
-    for _ in range(8):
+    for _ in range(4):
         damaged = bytearray(content)
         for place in rng.integers(8 if write is not mat_structure else 200, len(damaged), 20):
             damaged[place] = rng.integers(256)

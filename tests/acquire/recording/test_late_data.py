@@ -101,7 +101,7 @@ def assert_nothing_is_missing(path: Path, seconds: float = 40.0) -> None:
     assert not samples.status.any()
 
 
-@pytest.mark.parametrize("step_s", [0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.5, 1.0])
+@pytest.mark.parametrize("step_s", [0.05, 0.1, 0.2, 0.5, 1.0])
 @pytest.mark.parametrize("back_after_s", [0.6, 2.0, 8.0, 100.0])
 def test_a_cable_that_becomes_slower_loses_nothing(step_s: float, back_after_s: float) -> None:
     # Bytes stay in order, so a cable that is fast again first has to give out what it holds.
@@ -109,7 +109,7 @@ def test_a_cable_that_becomes_slower_loses_nothing(step_s: float, back_after_s: 
 
 
 @pytest.mark.parametrize("drain", [1.02, 1.2, 10.0, 1e6])
-@pytest.mark.parametrize("long_s", [0.1, 0.128, 0.256, 0.5, 1.0, 2.0, 5.0])
+@pytest.mark.parametrize("long_s", [0.1, 0.128, 0.5, 1.0, 5.0])
 def test_a_stall_loses_nothing_however_slowly_the_rest_comes(long_s: float, drain: float) -> None:
     assert_nothing_is_missing(Path(stalls=((10.0, long_s), (18.3, long_s / 2)), drain=drain))
 
