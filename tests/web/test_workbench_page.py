@@ -155,6 +155,7 @@ def test_a_session_of_a_virtual_instrument_is_stopped_and_goes_on(program: Progr
         page.get_by_role("button", name="virtual").click()
     page.get_by_label("Name of the session").fill("first")
     page.get_by_role("button", name="Start the guide").click()
+    emulated = page.locator("#commands li", has=page.locator("code", has_text="imufield emulate"))
     for stops in (1, 2):
         wait_for(page, "#headline", "TURN|HOLD|STAY|DONE|still")
         page.locator("#back").click()
@@ -162,8 +163,8 @@ def test_a_session_of_a_virtual_instrument_is_stopped_and_goes_on(program: Progr
         page.get_by_role("button", name="Stop, go on later").click()
         page.get_by_role("button", name="Tap again to stop").click()
         # What was begun for it ends with it.
-        page.locator("#commands li", has_text="emulate").first.get_by_text("stopped").wait_for()
-        assert page.locator("#commands li", has_text="emulate").count() == stops
+        emulated.first.get_by_text("stopped").wait_for()
+        assert emulated.count() == stops
         if stops == 1:
             page.get_by_role("button", name="Go on with the positions").click()
     assert not (program.folder / "imufield-sessions" / VIRTUAL).is_symlink()
