@@ -86,7 +86,12 @@ def test_what_another_program_keeps_at_the_same_time_stays(tmp_path: Path, monke
     assert (others.read_text(), kept.read_text()) == ("theirs", "ours")
     # It was quicker with this one.
     path.write_text("ours")
-    monkeypatch.setattr(Path, "touch", lambda self, **options: (take(self, **options), path.unlink(missing_ok=True)))
+
+    def take_too_late(self: Path, **options: Any) -> None:
+        take(self, **options)
+        path.unlink(missing_ok=True)
+
+    monkeypatch.setattr(Path, "touch", take_too_late)
     assert keep_previous(path) is None
     assert {each.name for each in tmp_path.iterdir()} == {others.name, kept.name}
 

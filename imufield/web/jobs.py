@@ -151,18 +151,14 @@ class Jobs:
             value = _value(text) if kind == "line" else None
             if value is None:
                 self._tell({"job": number, kind: printable(text)})
-            elif value.get("event") not in _PASSING:
-                self._keep(number, value)
+            elif (event := value.get("event")) not in _PASSING:
+                with self._lock:
+                    told = self._heads[number].told
+                    told.pop(event, None)
+                    # A result has no name: it is told once.
+                    told |= {} if event is None else {event: value}
                 self._tell({"job": number, "value": value})
         stream.close()
-
-    def _keep(self, number: int, value: Json) -> None:
-        event = value.get("event")
-        if isinstance(event, str):
-            with self._lock:
-                told = self._heads[number].told
-                told.pop(event, None)
-                told[event] = value
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,7 +167,7 @@ class _Head:
     action: str
     values: Json
     command: str
-    told: dict[str, Json] = field(default_factory=dict)
+    told: dict[object, Json] = field(default_factory=dict)
 
     @property
     def port(self) -> object:

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import json
 import os
+import threading
 from collections.abc import Mapping
 from pathlib import Path
 
 from imufield.errors import ImufieldError, UsageError
 from imufield.files import is_recorded
 from imufield.sentences import Sentences
-from imufield.version import __version__
 from imufield.web.actions import ACTIONS, VIRTUAL, Sessions, command_line
 from imufield.web.board import Board, Json
 from imufield.web.jobs import Jobs
@@ -50,15 +50,18 @@ class Workbench:
             largest_message=LARGEST_PIECE,
             messages_a_second=MESSAGES_A_SECOND,
         )
-        head: Json = {"root": str(root), "separator": os.sep, "virtual": VIRTUAL, "version": __version__}
+        head: Json = {"root": str(root), "separator": os.sep, "virtual": VIRTUAL}
         self.board = Board(head, trace_blocks=1, log_lines=EVENTS_KEPT)
+        self._telling = threading.Lock()
 
     def refresh(self) -> None:
         """Show what runs: a page that hears nothing believes that this program has ended."""
-        self.board.put({"running": self._jobs.unfinished()})
+        self._tell()
 
-    def _tell(self, event: Json) -> None:
-        self.board.put({"running": self._jobs.unfinished()}, log=[event])
+    def _tell(self, *events: Json) -> None:
+        # What ran when it was asked is shown before what ran later.
+        with self._telling:
+            self.board.put({"running": self._jobs.unfinished()}, log=[*events])
 
     def take(self, message: str | bytes) -> str:
         """Return the answer to a message of a page; called from its thread."""
@@ -106,7 +109,7 @@ def _found(folder: Path) -> Json:
     names = [path.name for path in made if not path.name.startswith(".")]
     # Most have no parameters because nobody has solved them yet.
     parameters = document_with_gain(load(folder)) if PARAMETER_FILE in names else None
-    return {"files": sorted(names), "parameters": parameters}
+    return {"files": sorted(names, key=lambda name: (name != PARAMETER_FILE, name)), "parameters": parameters}
 
 
 def _no_number(name: str) -> None:

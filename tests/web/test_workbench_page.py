@@ -168,6 +168,13 @@ def test_a_session_of_a_virtual_instrument_is_stopped_and_goes_on(program: Progr
         if stops == 1:
             page.get_by_role("button", name="Go on with the positions").click()
     assert not (program.folder / "imufield-sessions" / VIRTUAL).is_symlink()
+    # One that was recorded from a port that is gone asks for the one where its instrument is now.
+    settings = program.folder / "imufield-sessions" / "first" / "session.toml"
+    settings.write_text(settings.read_text().replace(f"imufield-sessions/{VIRTUAL}", "/dev/ttyUSB77"))
+    page.reload()
+    page.get_by_role("button", name="Go on with the positions").click()
+    wait_for(page, "#session-says", "/dev/ttyUSB77")
+    page.get_by_label("Port, where").wait_for()
     assert screens.console == []
 
 

@@ -24,8 +24,8 @@ export class SessionView {
   constructor(bench) {
     this.bench = bench;
     this.name = "";
-    /** @type {any} */
-    this.row = null;
+    /** @type {any} as `sessions` lists it; null where it does not, undefined until that is known */
+    this.row = undefined;
     /** @type {string[]} what was made of it */
     this.files = [];
     /** @type {Set<string>} */
@@ -40,11 +40,15 @@ export class SessionView {
   /** @param {string} name */
   async open(name) {
     if (name !== this.name) {
-      at("made").replaceChildren();
+      this.row = undefined;
+      this.files = [];
+      for (const id of ["result", "made"]) at(id).replaceChildren();
+      at("other-place").hidden = true;
     }
     this.name = name;
     at("name").textContent = name;
     at("session-says").textContent = "";
+    this.showState();
     await this.refresh();
     this.show();
   }
@@ -105,7 +109,7 @@ export class SessionView {
     const row = this.row;
     const job = this.underWay();
     const facts = !row
-      ? text("noSession")
+      ? row === null && text("noSession")
       : [
           row.instrument,
           row.serial_number,
@@ -118,10 +122,11 @@ export class SessionView {
           .join(" · ");
     at("state").replaceChildren(make("p", {}, facts), ...(row?.fault ? [make("p", { class: "failed" }, row.fault)] : []));
     const canSolve = row && row.state !== "damaged" && !job;
+    const canGoOn = canSolve && row.state === "unfinished" && row.kind === "capture";
     at("steps").replaceChildren(
       ...[
-        canSolve && row.state === "unfinished" && row.kind === "capture" ? button(text("goOn"), () => this.resume()) : null,
-        canSolve ? button(text(row.verdict ? "solveAgain" : "solve"), () => this.solve(), { class: "main" }) : null,
+        canGoOn ? button(text("goOn"), () => this.resume(), { class: "main" }) : null,
+        canSolve ? button(text(row.verdict ? "solveAgain" : "solve"), () => this.solve(), { class: !canGoOn && "main" }) : null,
         canSolve && row.kind === "capture"
           ? button(text("replay"), () => this.begin("replay", { session: this.name, speed: 4 }))
           : null,
@@ -129,7 +134,6 @@ export class SessionView {
     );
     at("give").hidden = !row?.verdict;
     at("again").hidden = !canSolve;
-    at("other").hidden = !(canSolve && row.kind === "capture");
     at("again").open = row?.kind === "import" && !row.verdict;
     at("saved").replaceChildren(
       ...this.files.map((name) =>
@@ -152,6 +156,8 @@ export class SessionView {
     const other = filled(at("other-place"));
     const isVirtual = !other.port && this.bench.nameOf(this.row.port ?? "") === this.bench.head.virtual;
     await this.begin("resume", { session: this.name, retake, ...other, isVirtual });
+    // Where it was not found, it may be at another port now.
+    at("other-place").hidden = !at("session-says").textContent;
   }
 
   async solve() {
