@@ -20,6 +20,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from enum import Enum
 from io import BufferedReader
+from itertools import count
 from pathlib import Path
 from typing import TypeVar
 
@@ -31,7 +32,7 @@ sentence = Sentences(__package__)
 AnError = TypeVar("AnError", bound=ImufieldError)
 
 # Names of what a session was recorded as; no command computes them again.
-_RECORDED = re.compile(r"part-\d+\.mcap|session\.toml|positions\.toml")
+_RECORDED = re.compile(r"part-\d+\.mcap|session\.(toml|lock)|positions\.toml")
 
 
 DEFAULT_ROOT = Path("imufield-sessions")
@@ -283,7 +284,7 @@ def refuse_overwriting(
     ImufieldError
         Of the given kind, where nothing can be written.
     """
-    if any(_RECORDED.fullmatch(name) for name in (output.name, Path(os.path.realpath(output)).name)):
+    if any(map(is_recorded, (output, Path(os.path.realpath(output))))):
         raise UsageError(sentence("files.name_of_recording", output=output))
     for path in inputs:
         # Where one of them is not there they are not the same.
@@ -294,6 +295,11 @@ def refuse_overwriting(
         descriptor, name = make_beside(output)
         os.close(descriptor)
         Path(name).unlink()
+
+
+def is_recorded(path: Path) -> bool:
+    """Whether a file has a name of what a session was recorded as."""
+    return _RECORDED.fullmatch(path.name) is not None
 
 
 def refuse_what_is_no_file(path: Path) -> None:
@@ -348,9 +354,23 @@ def keep_previous(path: str | Path) -> Path | None:
     if not path.exists():
         return None
     refuse_what_is_no_file(path)
-    number = 1
-    while (kept := path.with_name(f"{path.stem}-{number}{path.suffix}")).exists():
-        number += 1
-    path.rename(kept)
+    # Taken before the renaming, which would replace what another program has kept there since a mere look.
+    kept = next(filter(_take, (path.with_name(f"{path.stem}-{number}{path.suffix}") for number in count(1))))
+    try:
+        path.replace(kept)
+    except OSError as error:
+        kept.unlink()
+        # Another program was quicker to keep it.
+        if isinstance(error, FileNotFoundError):
+            return None
+        raise
     sync_folder(path.parent)
     return kept
+
+
+def _take(path: Path) -> bool:
+    """Make an empty file of a name that is free; return whether it was."""
+    with suppress(FileExistsError):
+        path.touch(exist_ok=False)
+        return True
+    return False

@@ -4,6 +4,7 @@ import stat
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -68,6 +69,31 @@ def test_previous_results_are_numbered(tmp_path: Path) -> None:
         assert kept == tmp_path / f"parameters-{number}.toml"
         assert kept.read_text() == content
     assert not path.exists()
+
+
+def test_what_another_program_keeps_at_the_same_time_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, others = tmp_path / "parameters.toml", tmp_path / "parameters-1.toml"
+    path.write_text("ours")
+    take = Path.touch
+
+    def take_late(self: Path, **options: Any) -> None:
+        others.write_text("theirs")
+        take(self, **options)
+
+    monkeypatch.setattr(Path, "touch", take_late)
+    kept = keep_previous(path)
+    assert kept is not None
+    assert (others.read_text(), kept.read_text()) == ("theirs", "ours")
+    # It was quicker with this one.
+    path.write_text("ours")
+
+    def take_too_late(self: Path, **options: Any) -> None:
+        take(self, **options)
+        path.unlink(missing_ok=True)
+
+    monkeypatch.setattr(Path, "touch", take_too_late)
+    assert keep_previous(path) is None
+    assert {each.name for each in tmp_path.iterdir()} == {others.name, kept.name}
 
 
 @pytest.mark.skipif(not Path("/dev/zero").exists(), reason="needs a file without end")

@@ -24,7 +24,7 @@ sentence = Sentences(__package__)
 Row = dict[str, Any]  # Texts and numbers, in JSON under the same names.
 # The others of a parameter file are most of it, and take most of the time.
 _TABLES = re.compile(r"^\[(?:session|quality|integrity)\]\n(?:(?!\[).*\n)*", re.MULTILINE)
-_NOT_KNOWN = ("created", "instrument", "serial_number", "kind", "planned", "positions", "verdict", "fault")
+_NOT_KNOWN = ("created", "instrument", "serial_number", "port", "kind", "planned", "positions", "verdict", "fault")
 
 
 def list_sessions(options: SessionsOptions) -> None:
@@ -62,7 +62,7 @@ def _row(folder: Path) -> Row:
         return row | {"fault": error.message}
     record = session.record
     row |= {"created": record.created, "instrument": record.model, "serial_number": record.instrument.serial_number}
-    row |= {"kind": record.kind, "planned": _planned(session)}
+    row |= {"port": record.link.port, "kind": record.kind, "planned": _planned(session)}
     row["state"] = "recording" if session.is_being_recorded else "finished" if record.finished else "unfinished"
     # Most have no parameters because nobody has solved them yet.
     path = folder / PARAMETER_FILE

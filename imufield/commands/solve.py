@@ -22,7 +22,7 @@ from imufield.console import PlainTextConsole
 from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, json_ready, write_document
 from imufield.deliver.parameters.numbers import hanging
 from imufield.deliver.parameters.schema import Document
-from imufield.deliver.report.gain import gain
+from imufield.deliver.report.gain import document_with_gain
 from imufield.deliver.report.summary import Outcome, print_summary
 from imufield.earth import MICRO_G_M_S2
 from imufield.errors import ImufieldError, UsageError
@@ -59,10 +59,7 @@ def run_solve(options: SolveOptions) -> int:
     better = better_gravity(path, solved.calibration.gravity)
     kept = write_document(path, solved.document, advice=sentence("solve.elsewhere"))
     if options.as_json:
-        gained = gain(solved)
-        # Beside the document: what the summary says of it in one line.
-        more = {} if gained is None else {"error_at_rest": {"words": gained.words, **gained.words.values}}
-        echo(json.dumps({**json_ready(solved.document), **more}))
+        echo(json.dumps(document_with_gain(solved)))
         tell_written(path, kept, as_json=True)
         return 0
     print_summary(solved, Outcome(path, kept, None if session is None else session.folder))

@@ -34,19 +34,13 @@ def run_web(options: WebOptions) -> None:
         place = bind_page(stack, port=options.web_port)
         # Packages that are missing were told by now.
         from imufield.web.access import Access, Role
-        from imufield.web.server import PageServer, Service
-        from imufield.web.workbench import LARGEST_PIECE, MESSAGES_A_SECOND, Workbench
+        from imufield.web.server import PageServer
+        from imufield.web.workbench import Workbench
 
         bench = Workbench(options.folder)
         stack.callback(bench.close)
-        service = Service(
-            index="workbench.html",
-            download=bench.downloads.take,
-            largest_message=LARGEST_PIECE,
-            messages_a_second=MESSAGES_A_SECOND,
-        )
         access = Access(place.hosts)
-        stack.enter_context(PageServer(place.listening, access, bench.board, bench.take, service))
+        stack.enter_context(PageServer(place.listening, access, bench.board, bench.take, bench.service))
         url = f"{place.url}#token={access.mark}"
         say(sentence("web.at", url=url), err=True)
         show_in_browser(f"{place.url}#token={access.once(Role.MARK)}")

@@ -19,6 +19,8 @@ sentence = Sentences(__package__)
 
 UPLOADS = "uploads"
 """Folder below that of the sessions for files that were dropped on the page."""
+VIRTUAL = "virtual-stim300"
+"""Name of the port of a virtual instrument, there: a session that was recorded from one finds it again."""
 LONGEST_TEXT = 200  # Characters: a name of an operator or a position, the columns of a table.
 LARGEST_NUMBER = 1e9  # Beyond every option.
 MOST_VALUES = 100  # Of one option: positions to leave out, settings, files.
@@ -162,10 +164,6 @@ def _argument(path: Path) -> str:
     return f"./{path}" if str(path).startswith("-") else str(path)
 
 
-def _in_root(option: str, name: str) -> Field:
-    return lambda value, sessions: [f"{option}={sessions.root / name}"] if _is_wanted(value) else []
-
-
 _SITE: Mapping[str, Field] = {
     "latitude": _option("--latitude", _number),
     "height": _option("--height", _number),
@@ -174,7 +172,7 @@ _SITE: Mapping[str, Field] = {
 _PLACE: Mapping[str, Field] = {"port": _option("--port", _port), "bus": _option("--bus", _bus)}
 _DRIVER = _option("--driver", _matching(_WORD))
 _SETTINGS = _each("--set", _setting)
-_RATE = _option("--rate-hz", _number)
+_CLOCK_SPEED = _option("--clock-speed", _number)
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,21 +183,17 @@ class Action:
     fields: Mapping[str, Field]
     needs: tuple[str, ...] = ()
     """Without these it would be about the newest session, or a new one of another folder."""
+    is_alone: bool = False
+    """Whether one that runs is taken in place of a second one."""
 
 
 ACTIONS: Mapping[str, Action] = {
     "devices": Action("devices --json", {"driver": lambda value, _: [_matching(_WORD)(value)]}),
-    "probe": Action("probe --json", {**_PLACE, "ask": _flag("--ask"), "clock_speed": _option("--clock-speed", _number)}),
+    "probe": Action("probe --json", _PLACE),
     "emulate": Action(
-        "emulate --json --wait",
-        {
-            "driver": lambda value, _: [_matching(_WORD)(value)],
-            "speed": _option("--speed", _number),
-            "hold_s": _option("--hold-s", _number),
-            "positions": _option("--positions", _matching(_WORD)),
-            "rate_hz": _RATE,
-        },
-        needs=("driver",),
+        f"emulate stim300 --json --wait --rate-hz=500 --link={{root}}/{VIRTUAL}",
+        {"speed": _option("--speed", _number)},
+        is_alone=True,
     ),
     "capture": Action(
         "capture --json --web",
@@ -210,11 +204,10 @@ ACTIONS: Mapping[str, Action] = {
             "baud": _option("--baud", _number),
             "settings": _SETTINGS,
             "positions": _option("--positions", _matching(_WORD)),
-            "hold_s": _option("--hold-s", _number),
             "target_bias_ug": _option("--target-bias-ug", _number),
             "target_scale_ppm": _option("--target-scale-ppm", _number),
             "cable": _option("--cable", _text),
-            "clock_speed": _option("--clock-speed", _number),
+            "clock_speed": _CLOCK_SPEED,
             "new": lambda value, sessions: [f"--session={sessions.new(value)}"],
         },
         needs=("new",),
@@ -225,13 +218,14 @@ ACTIONS: Mapping[str, Action] = {
             **_PLACE,
             "session": lambda value, sessions: [f"--session={sessions.existing(value)}"],
             "retake": _each("--retake", _text),
-            "clock_speed": _option("--clock-speed", _number),
+            "driver": _DRIVER,
+            "clock_speed": _CLOCK_SPEED,
         },
         needs=("session",),
     ),
     "solve": Action(
         "solve --json",
-        {"session": _session, **_SITE, "model": _option("--model", _matching(_WORD)), "without": _each("--without", _text)},
+        {"session": _session, **_SITE, "without": _each("--without", _text)},
         needs=("session",),
     ),
     "report": Action(
@@ -249,9 +243,13 @@ ACTIONS: Mapping[str, Action] = {
     ),
     "samples": Action("export-data", {"session": _session}, needs=("session",)),
     "replay": Action("replay --web --json", {"session": _session, "speed": _option("--speed", _number)}, needs=("session",)),
-    "sessions": Action("sessions --json", {"find": _option("--find", _text)}),
+    "sessions": Action("sessions --json {root}", {}),
     "history": Action(
-        "history --json", {"serial_number": _option("--serial", _text), "plot": _in_root("--plot", "history.svg")}
+        "history --json {root}",
+        {
+            "serial_number": _option("--serial", _text),
+            "plot": lambda value, sessions: [f"--plot={sessions.root / 'history.svg'}"] if _is_wanted(value) else [],
+        },
     ),
     "import": Action(
         "import --json",
@@ -262,13 +260,11 @@ ACTIONS: Mapping[str, Action] = {
             "driver": _DRIVER,
             "settings": _SETTINGS,
             "columns": _option("--columns", _text),
-            "rate_hz": _RATE,
+            "rate_hz": _option("--rate-hz", _number),
         },
         needs=("files", "new"),
     ),
 }
-# Of these the folder is an argument of the command.
-_OF_ROOT = ("sessions", "history")
 
 
 def command_line(name: object, values: object, sessions: Sessions) -> list[str]:
@@ -291,6 +287,6 @@ def command_line(name: object, values: object, sessions: Sessions) -> list[str]:
     missing = [field for field in action.needs if field not in values]
     if missing:
         raise UsageError(sentence("actions.missing", name=name, missing=missing))
-    words = [*action.words.split(), *([str(sessions.root)] if name in _OF_ROOT else [])]
+    words = [word.format(root=_argument(sessions.root)) for word in action.words.split()]
     # In the order of the table, so that a person reads the same command for the same values.
     return words + [word for field, make in action.fields.items() if field in values for word in make(values[field], sessions)]

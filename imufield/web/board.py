@@ -33,6 +33,7 @@ class Board:
         self._map: tuple[int, Json] = (-1, {})
         self._trace: deque[tuple[int, object]] = deque(maxlen=trace_blocks)
         self._log: deque[tuple[int, object]] = deque(maxlen=log_lines)
+        self._encoding = threading.Lock()
         self._encoded: tuple[tuple[int, int], str] = ((-1, -1), "")
 
     def put(
@@ -67,10 +68,12 @@ class Board:
                 self._changed.wait(timeout_s)
             if seen == self._version:
                 return seen, None
-            asked = (seen, self._version)
+            asked, message = (seen, self._version), self._message(seen)
+        # Behind the lock of those who write, who wait for no page.
+        with self._encoding:
             if self._encoded[0] != asked:
-                self._encoded = asked, json.dumps(self._message(seen), allow_nan=False, separators=(",", ":"))
-            return self._version, self._encoded[1]
+                self._encoded = asked, json.dumps(message, allow_nan=False, separators=(",", ":"))
+            return asked[1], self._encoded[1]
 
     def _message(self, seen: int) -> Json:
         """Return what is new since ``seen``; everything where that is no longer known."""

@@ -87,10 +87,9 @@ class GuidePage:
     def show(self, events: list[Event]) -> None:
         """Take events; they are shown with the next state."""
         for event in said_once(events):
-            before = self._screen.messages[-1] if self._screen.messages else None
+            before = self._screen.message_number
             self._screen.follow([event])
-            newest = self._screen.messages[-1] if self._screen.messages else None
-            text = "" if newest is before or newest is None else newest
+            text = self._screen.messages[-1] if self._screen.message_number > before else ""
             cue, spoken = heard(event)
             if text or cue or spoken:
                 tones = [] if cue is None else cue.tones

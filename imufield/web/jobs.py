@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shlex
 import signal
 import subprocess
@@ -11,6 +10,7 @@ import sys
 import threading
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import asdict, dataclass, field
 from typing import IO
 
 from imufield.errors import EXIT_INTERRUPTED, UsageError
@@ -25,8 +25,8 @@ MOST_WAITING = 16
 """A page asks for one thing after the other; more is none of a person."""
 LONGEST_OUTPUT = 1 << 22
 """Characters of one line: the parameters of a thousand positions take half of it."""
-END_S = 5.0
-"""What is interrupted closes its files; what has not ended by then is killed."""
+END_S = 10.0
+"""Twice what a command that is interrupted has by itself; then it is killed."""
 # Live values of the guide, which has a page of its own for them.
 _PASSING = ("turning", "holding")
 
@@ -44,12 +44,14 @@ class Jobs:
         self._tell = tell
         self._lock = threading.Lock()
         self._started = 0
-        self._heads: dict[int, Json] = {}
+        self._heads: dict[int, _Head] = {}
         self._waiting: dict[int, list[str]] = {}
         self._running: dict[int, subprocess.Popen[str]] = {}
 
-    def start(self, action: str, values: Json, words: list[str]) -> int:
+    def start(self, action: str, values: Json, words: list[str], *, is_alone: bool = False) -> int:
         """Start ``imufield WORDS``, now or when another has ended, and return its number.
+
+        With ``is_alone`` one of the same action that has not ended is returned in its place.
 
         Raises
         ------
@@ -57,13 +59,16 @@ class Jobs:
             If too many are waiting.
         """
         with self._lock:
+            same = [number for number, head in self._heads.items() if head.action == action] if is_alone else []
+            if same:
+                return same[0]
             if len(self._waiting) >= MOST_WAITING:
                 raise UsageError(sentence("jobs.too_many", limit=MOST_WAITING))
             self._started += 1
             number = self._started
-            head: Json = {"job": number, "action": action, "values": values, "command": shlex.join(["imufield", *words])}
+            head = _Head(number, action, values, shlex.join(["imufield", *words]))
             self._heads[number], self._waiting[number] = head, words
-        self._tell(head)
+        self._tell(asdict(head))
         self._begin_next()
         return number
 
@@ -86,9 +91,9 @@ class Jobs:
             self._end(number, UsageError.exit_code)
 
     def unfinished(self) -> list[Json]:
-        """Return the heads of those that have not ended."""
+        """Return those that have not ended, each with the newest of what it has told of each kind, the very newest last."""
         with self._lock:
-            return [*self._heads.values()]
+            return [asdict(head) for head in self._heads.values()]
 
     def cancel(self, number: object) -> None:
         """Interrupt a job as Ctrl-C does; one that has ended stays ended."""
@@ -105,8 +110,13 @@ class Jobs:
     def _end(self, number: int, code: int) -> None:
         with self._lock:
             self._running.pop(number, None)
-            del self._heads[number]
+            port = self._heads.pop(number).values.get("port")
+            is_read = any(head.values.get("port") == port for head in self._heads.values())
+            # A virtual instrument ends with the last command that reads it.
+            unread = [other for other, head in self._heads.items() if port and not is_read and head.port == port]
         self._tell({"job": number, "code": code})
+        for other in unread:
+            self.cancel(other)
         self._begin_next()
 
     def close(self) -> None:
@@ -131,6 +141,7 @@ class Jobs:
         self._read(number, process.stdout, "line")
         errors.join()
         code = process.wait()
+        _interrupt(process)
         # Before it can handle it.
         self._end(number, EXIT_INTERRUPTED if code == -signal.SIGTERM else code)
 
@@ -140,16 +151,36 @@ class Jobs:
             value = _value(text) if kind == "line" else None
             if value is None:
                 self._tell({"job": number, kind: printable(text)})
-            elif value.get("event") not in _PASSING:
+            elif (event := value.get("event")) not in _PASSING:
+                with self._lock:
+                    told = self._heads[number].told
+                    told.pop(event, None)
+                    # A result has no name: it is told once.
+                    told |= {} if event is None else {event: value}
                 self._tell({"job": number, "value": value})
         stream.close()
+
+
+@dataclass(frozen=True, slots=True)
+class _Head:
+    job: int
+    action: str
+    values: Json
+    command: str
+    told: dict[object, Json] = field(default_factory=dict)
+
+    @property
+    def port(self) -> object:
+        """That it offers."""
+        return self.told.get("started", {}).get("port")
 
 
 def _started(words: list[str]) -> subprocess.Popen[str]:
     return subprocess.Popen(  # noqa: S603  (words of the table of actions)
         # A folder of data holds no program: nothing is imported from where this one runs.
-        [sys.executable, "-P", "-m", "imufield", *words],
-        stdin=subprocess.DEVNULL,
+        [sys.executable, "-P", "-m", "imufield.cli.watched", *words],
+        # Held open as long as this program lives: it ends what it has started even where it is killed.
+        stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         encoding="utf-8",
@@ -171,11 +202,5 @@ def _value(line: str) -> Json | None:
 
 
 def _interrupt(process: subprocess.Popen[str]) -> None:
-    if os.name != "posix":
-        process.terminate()
-        return
-    # It ended by itself a moment before.
-    with suppress(ProcessLookupError):
-        # All of its group, as a terminal does: what it has started itself hears it, too. Not SIGINT, to which programs that are
-        # started in the background of a shell are deaf; both are handled as Ctrl-C is.
-        os.killpg(process.pid, signal.SIGTERM)
+    if process.stdin is not None:
+        process.stdin.close()

@@ -5,6 +5,8 @@ The token of a page stands in no address, so that none of them is worth keeping.
 
 from __future__ import annotations
 
+import errno
+import os
 import re
 import secrets
 import threading
@@ -16,7 +18,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from imufield.errors import ImufieldError, UsageError
-from imufield.files import Origin, open_to_read, typed_write_errors
+from imufield.files import Origin, make_beside, open_to_read, typed_write_errors
 from imufield.sentences import Sentences
 from imufield.web.actions import UPLOADS, Sessions
 from imufield.web.board import Json
@@ -40,6 +42,7 @@ _UNUSUAL = re.compile(r"[^\w.()+ -]+")
 @dataclass
 class _Upload:
     path: Path
+    beside: Path
     file: BinaryIO
     left: int
     heard_s: float
@@ -79,7 +82,11 @@ class Uploads:
                 where.mkdir(parents=True, exist_ok=True)
                 if not self._sessions.holds(where):
                     raise UsageError(sentence("actions.no_file", name=where, root=self._sessions.root))
-                self._open[identity] = _Upload(path, path.open("xb"), size, time.monotonic())
+                if path.exists() or any(upload.path == path for upload in self._open.values()):
+                    raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
+                # It takes its name when it is whole: what a program that was killed leaves behind is no recording.
+                descriptor, beside = make_beside(path)
+                self._open[identity] = _Upload(path, Path(beside), os.fdopen(descriptor, "wb"), size, time.monotonic())
         return {"upload": identity, "folder": where.name}
 
     def take(self, piece: bytes) -> Json:
@@ -104,6 +111,7 @@ class Uploads:
                     # The last bytes are written when it is closed.
                     if len(data) == upload.left:
                         upload.file.close()
+                        upload.beside.replace(upload.path)
             except ImufieldError:
                 self._drop(identity)
                 raise
@@ -128,7 +136,7 @@ class Uploads:
     def _drop(self, identity: str) -> None:
         upload = self._open.pop(identity)
         # A folder that holds others stays; what is gone already need not go.
-        for remove in (upload.file.close, upload.path.unlink, upload.path.parent.rmdir):
+        for remove in (upload.file.close, upload.beside.unlink, upload.path.parent.rmdir):
             with suppress(OSError):
                 remove()
 

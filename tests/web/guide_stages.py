@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -18,9 +17,9 @@ from imufield.guide.positions import scheme
 from imufield.samples import Samples
 from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
 from imufield.simulate.truth.operator import NO_POSITION, OperatorSettings, Visit
-from imufield.web.access import Access
 from imufield.web.guide_page import GuidePage
 from imufield.web.server import PageServer
+from tests.web.served import Served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -92,11 +91,9 @@ class StagedSession:
     @contextmanager
     def served(self) -> Iterator[tuple[PageServer, str]]:
         """Serve the page; yield the server and the address."""
-        listening = socket.create_server(("127.0.0.1", 0))
-        host = f"127.0.0.1:{listening.getsockname()[1]}"
-        access = Access(frozenset({host}))
-        with PageServer(listening, access, self.page.board, self.page.mark) as server:
-            yield server, f"http://{host}/#token={access.mark}"
+        served = Served(self.page.board, self.page.mark)
+        with served.server as server:
+            yield server, served.url
 
     def wait_for(self, page: Page, stage: str) -> None:
         """Wait until a page shows what the board holds; ask to finish from it where the stage says so."""

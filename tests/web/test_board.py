@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import random
 import threading
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+import imufield.web.board
 from imufield.web.board import Board
 
 TRACE, LINES = 30, 12
@@ -84,3 +86,23 @@ def test_what_is_no_number_is_a_defect_and_not_sent() -> None:
     board.put({"angle_deg": float("nan")})
     with pytest.raises(ValueError, match="JSON"):
         board.wait(-1, 0)
+
+
+def test_who_writes_waits_for_no_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    encoding, written = threading.Event(), threading.Event()
+
+    def slow(*_: object, **__: object) -> str:
+        encoding.set()
+        written.wait(60)
+        return "{}"
+
+    shown = Board({}, trace_blocks=TRACE, log_lines=LINES)
+    shown.put({"n": 0})
+    monkeypatch.setattr(imufield.web.board, "json", SimpleNamespace(dumps=slow))
+    reading = threading.Thread(target=shown.wait, args=(-1, 0))
+    reading.start()
+    assert encoding.wait(60)
+    shown.put({"n": 1})
+    assert reading.is_alive()
+    written.set()
+    reading.join()

@@ -17,9 +17,7 @@ from websockets.exceptions import ConnectionClosed, ConnectionClosedOK, InvalidS
 from websockets.sync.client import ClientConnection
 
 from imufield.web.server import CLIENTS
-from tests.web.test_server import WAIT_S, Served, next_state, pages, served
-
-__all__ = ["pages", "served"]
+from tests.web.served import WAIT_S, Served, next_state
 
 RELOADS = 50
 

@@ -2,90 +2,25 @@
 
 from __future__ import annotations
 
-import http.client
 import json
 import socket
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from http import HTTPStatus
-from queue import Empty, SimpleQueue
-from typing import Any
+from queue import Empty
 
 import pytest
 
 websockets = pytest.importorskip("websockets", reason="the page needs websockets")
 
-from websockets.exceptions import ConnectionClosed, InvalidStatus, WebSocketException  # noqa: E402
-from websockets.sync.client import ClientConnection, connect  # noqa: E402
-from websockets.typing import Origin, Subprotocol  # noqa: E402
+from websockets.exceptions import ConnectionClosed, WebSocketException  # noqa: E402
 
 from imufield.web.access import PROTOCOL, Access, Role  # noqa: E402
 from imufield.web.board import Board  # noqa: E402
-from imufield.web.server import CLIENTS, CONNECTIONS, LARGEST_MESSAGE, SEND_TIMEOUT_S, PageServer, static_files  # noqa: E402
-
-WAIT_S = 30.0  # A machine under load; nothing here takes as long.
-
-
-class Served:
-    """A server with a board that a test writes on."""
-
-    def __init__(self) -> None:
-        listening = socket.create_server(("127.0.0.1", 0))
-        self.port = listening.getsockname()[1]
-        self.host = f"127.0.0.1:{self.port}"
-        self.access = Access(frozenset({self.host, f"localhost:{self.port}"}))
-        self.board = Board({"session": "s", "positions": []}, trace_blocks=300, log_lines=50)
-        self.marks: SimpleQueue[str | bytes] = SimpleQueue()
-        self.server = PageServer(listening, self.access, self.board, self.marks.put)
-
-    def open(self, token: str | None = None, *, origin: str | None = "", host: str | None = None) -> ClientConnection:
-        """Open the socket as a browser does; an origin of None is none."""
-        names = [PROTOCOL, f"token.{self.access.mark if token is None else token}"]
-        return connect(
-            f"ws://{host or self.host}/socket",
-            sock=socket.create_connection(("127.0.0.1", self.port), timeout=WAIT_S),
-            origin=None if origin is None else Origin(origin or f"http://{self.host}"),
-            subprotocols=[Subprotocol(name) for name in names],
-            compression=None,
-            open_timeout=WAIT_S,
-        )
-
-    def status(self, **given: Any) -> int:
-        """Return the status with which a socket is refused."""
-        with pytest.raises(InvalidStatus) as caught:
-            self.open(**given)
-        return int(caught.value.response.status_code)
-
-    def get(self, path: str, **headers: str) -> http.client.HTTPResponse:
-        """Ask for a path as it is written; what a client would tidy up reaches the server."""
-        line = http.client.HTTPConnection("127.0.0.1", self.port, timeout=WAIT_S)
-        line.putrequest("GET", path, skip_host="Host" in headers)
-        for name, value in headers.items():
-            line.putheader(name, value)
-        line.endheaders()
-        return line.getresponse()
-
-
-@pytest.fixture
-def pages() -> Iterator[ExitStack]:
-    """Yield what keeps pages open; their sockets are closed without a word at the end."""
-    with ExitStack() as pages:
-        yield pages
-
-
-@pytest.fixture
-def served() -> Iterator[Served]:
-    served = Served()
-    with served.server:
-        yield served
-
-
-def next_state(page: ClientConnection) -> Any:
-    message = json.loads(page.recv(timeout=WAIT_S))
-    return message if "state" in message else next_state(page)
+from imufield.web.server import CLIENTS, CONNECTIONS, LARGEST_MESSAGE, SEND_TIMEOUT_S, static_files  # noqa: E402
+from tests.web.served import WAIT_S, Served, next_state, send_until_cut_off  # noqa: E402
 
 
 @pytest.mark.parametrize("role", Role)
@@ -132,10 +67,9 @@ def test_marks_come_from_those_who_may(served: Served) -> None:
     served.board.put({})
     with served.open(served.access.watch) as watching, served.open() as marking:
         assert json.loads(watching.recv(timeout=WAIT_S)) == {"role": "watch"}
-        watching.send("s")
+        send_until_cut_off(watching, "s")
         marking.send("r")
         assert served.marks.get(timeout=WAIT_S) == "r"
-        time.sleep(0.3)
         with pytest.raises(Empty):
             served.marks.get_nowait()
 

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import http.client
 import json
 import os
 import re
 import shlex
+import shutil
 import signal
-import socket
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -24,15 +24,15 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
 
+from imufield.acquire.recording.reader import Damage, read_session
+from imufield.acquire.recording.session import Session
 from imufield.errors import EXIT_INTERRUPTED, UsageError
 from imufield.sentences import Sentence
 from imufield.web import jobs, transfers
-from imufield.web.access import PROTOCOL, Access
-from imufield.web.actions import ACTIONS, LONGEST_TEXT, UPLOADS, Sessions, command_line
-from imufield.web.server import PageServer, Service
-from imufield.web.workbench import LARGEST_PIECE, MESSAGES_A_SECOND, Workbench
-
-WAIT_S = 60.0  # A machine under load; nothing here takes as long.
+from imufield.web.access import PROTOCOL
+from imufield.web.actions import ACTIONS, LONGEST_TEXT, UPLOADS, VIRTUAL, Sessions, command_line
+from imufield.web.workbench import LARGEST_PIECE, Workbench
+from tests.web.served import WAIT_S, Served, next_state, send_until_cut_off
 
 
 class Page:
@@ -66,39 +66,6 @@ class Page:
             self.next()
 
 
-class Served:
-    """A workbench of a folder, served."""
-
-    def __init__(self, root: Path) -> None:
-        listening = socket.create_server(("127.0.0.1", 0))
-        self.host = f"127.0.0.1:{listening.getsockname()[1]}"
-        self.access = Access(frozenset({self.host}))
-        self.bench = Workbench(root)
-        service = Service(
-            index="workbench.html",
-            download=self.bench.downloads.take,
-            largest_message=LARGEST_PIECE,
-            messages_a_second=MESSAGES_A_SECOND,
-        )
-        self.server = PageServer(listening, self.access, self.bench.board, self.bench.take, service)
-
-    def open(self, token: str | None = None) -> ClientConnection:
-        names = [PROTOCOL, f"token.{self.access.mark if token is None else token}"]
-        return connect(
-            f"ws://{self.host}/socket",
-            origin=Origin(f"http://{self.host}"),
-            subprotocols=[Subprotocol(name) for name in names],
-            compression=None,
-            open_timeout=WAIT_S,
-        )
-
-    def get(self, path: str) -> http.client.HTTPResponse:
-        line = http.client.HTTPConnection(self.host, timeout=WAIT_S)
-        line.putrequest("GET", path)
-        line.endheaders()
-        return line.getresponse()
-
-
 @pytest.fixture
 def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return a folder of sessions with one that holds a file, below the present folder."""
@@ -115,11 +82,12 @@ def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def served(root: Path) -> Iterator[Served]:
-    served = Served(root)
+    bench = Workbench(root)
+    served = Served(bench.board, bench.take, bench.service)
     with served.server:
-        served.bench.refresh()
+        bench.refresh()
         yield served
-        served.bench.close()
+        bench.close()
 
 
 @pytest.fixture
@@ -137,7 +105,8 @@ def page(served: Served) -> Iterator[Page]:
         ("devices", {}, "devices --json"),
         ("devices", {"driver": "stim300"}, "devices --json stim300"),
         ("probe", {"port": "socket://host:4001"}, "probe --json --port=socket://host:4001"),
-        ("sessions", {"find": "stim300 usable"}, "sessions --json sessions '--find=stim300 usable'"),
+        ("sessions", {}, "sessions --json sessions"),
+        ("emulate", {"speed": 4}, "emulate stim300 --json --wait --rate-hz=500 --link=sessions/virtual-stim300 --speed=4"),
         ("solve", {"session": "one", "latitude": -48.1, "without": ["x+0", "-o /etc/x"]},
          "solve --json sessions/one --latitude=-48.1 --without=x+0 '--without=-o /etc/x'"),
         ("capture", {"new": "two", "gravity": "9.8089+-0.0001", "settings": ["accelerometer_range_g=30"]},
@@ -163,6 +132,7 @@ def test_no_folder_is_an_option(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         (Path(name) / "parameters.toml").touch()
     sessions = Sessions(Path())
     assert command_line("solve", {"session": "--help"}, sessions)[:3] == ["solve", "--json", "./--help"]
+    assert command_line("sessions", {}, Sessions(Path("-x"))) == ["sessions", "--json", "./-x"]
     assert "./-x/parameters.toml" in command_line("export", {"session": "-x", "to": "c"}, sessions)
     assert "./--help/parameters.toml" in command_line("import", {"new": "y", "files": ["--help/parameters.toml"]}, sessions)
 
@@ -174,7 +144,7 @@ def test_no_folder_is_an_option(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         ("record", {}), ("demo", {}), ("study", {}), ("apply", {}), ("verify", {}),
         # An option, or a word that is none of the table.
         ("devices", {"driver": "--help"}), ("devices", {"driver": "../x.toml"}), ("devices", {"driver": "x.toml"}),
-        ("devices", {"output": "x"}), ("devices", ["driver"]), ("devices", "driver"), ("sessions", {"find": ""}),
+        ("devices", {"output": "x"}), ("devices", ["driver"]), ("devices", "driver"), ("emulate", {"driver": "stim300"}),
         ("solve", {"session": "one", "output": "/etc/x"}), ("solve", {"session": "one", "preset": "/etc/passwd"}),
         ("solve", {"session": "one", "model": "--output=/etc/x"}), ("solve", {"session": "one", "without": "x+0"}),
         ("solve", {"session": "one", "without": ["x"] * 101}), ("solve", {"session": "one", "without": [["x"]]}),
@@ -209,7 +179,6 @@ def test_no_folder_is_an_option(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         ("probe", {"port": "socket://host:1?logging=debug"}), ("probe", {"port": "--ask"}), ("probe", {"bus": "--ask"}),
         ("probe", {"bus": "socketcan:can0,../x"}), ("probe", {"port": 1}),
         ("probe", {"bus": "slcan:/dev/watchdog"}), ("probe", {"bus": "slcan:spy:///dev/ttyUSB0"}),
-        ("probe", {"ask": float("nan")}),
         ("history", {"plot": "x" * 500_000}), ("report", {"session": "one", "pdf": 1}),
     ],
 )  # fmt: skip
@@ -264,11 +233,18 @@ def deaf() -> Iterator[None]:
 
 # Two programs, each of which takes half a second to start.
 @pytest.mark.usefixtures("deaf")
-def test_a_command_waits_for_its_turn_and_is_ended_as_by_ctrl_c(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_command_waits_for_its_turn_and_is_ended_as_by_ctrl_c(
+    served: Served, page: Page, root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(jobs, "MOST_AT_ONCE", 1)
     monkeypatch.setattr(jobs, "MOST_WAITING", 2)
-    running = page.run("emulate", driver="stim300")
+    running = page.run("emulate")
     assert Path(page.heard(running, "value")["port"]).exists()
+    # There is one, and whoever comes later knows where.
+    assert page.run("emulate") == running
+    with served.open() as line:
+        (head,) = next_state(line)["state"]["running"]
+        assert head["told"]["started"]["port"] == str(root / VIRTUAL)
     dropped, waiting = page.run("devices"), page.run("sessions")
     assert "refused" in page.ask({"run": "devices"})
     page.ask({"cancel": dropped})
@@ -280,6 +256,31 @@ def test_a_command_waits_for_its_turn_and_is_ended_as_by_ctrl_c(page: Page, monk
     # What has ended, and what never was.
     assert page.ask({"cancel": running})["answer"] == page.ask({"cancel": 99})["answer"] == {}
     assert page.ask({"cancel": [1]})["answer"] == {}
+
+
+# Two programs.
+def test_a_virtual_instrument_ends_with_the_session_that_reads_it(page: Page) -> None:
+    virtual = page.run("emulate")
+    port = page.heard(virtual, "value")["port"]
+    # Such a place is nowhere: it ends before it has begun.
+    reader = page.run("capture", new="two", port=port, latitude=95)
+    assert page.heard(reader, "code") != 0
+    assert page.heard(virtual, "code") == EXIT_INTERRUPTED
+    assert not Path(port).exists()
+
+
+def test_what_a_session_holds_is_told_from_its_folder(page: Page, root: Path, solved_session: Path) -> None:
+    shutil.copytree(solved_session, root / "two")
+    (root / "two" / "report.html").touch()
+    found = page.ask({"session": "two"})["answer"]
+    assert found["files"] == ["parameters.toml", "report.html"]
+    assert len(found["parameters"]["position"]) == 24
+    assert found["parameters"]["error_at_rest"]["after_mg"] < found["parameters"]["error_at_rest"]["before_mg"]
+    (root / "two" / "parameters.toml").unlink()
+    assert page.ask({"session": "two"})["answer"] == {"files": ["report.html"], "parameters": None}
+    # Its parameters are none: the sentence of whoever reads them.
+    assert "sessions/one" in page.ask({"session": "one"})["refused"]
+    assert "refused" in page.ask({"session": ".."})
 
 
 @pytest.mark.parametrize(
@@ -298,9 +299,7 @@ def test_a_message_that_makes_no_sense_is_answered_by_a_sentence(page: Page, mes
 
 def test_who_only_watches_starts_nothing(served: Served, root: Path) -> None:
     with served.open(served.access.watch) as line, served.open() as other:
-        line.send(json.dumps({"run": "sessions", "values": {}}))
-        line.send(json.dumps({"upload": "x.csv", "size": 3}))
-        time.sleep(0.3)
+        send_until_cut_off(line, json.dumps({"run": "sessions", "values": {}}), json.dumps({"upload": "x.csv", "size": 3}))
         page = Page(other)
         assert page.run("sessions") == 1
         assert not (root / UPLOADS).exists()
@@ -352,6 +351,9 @@ def test_a_name_of_a_file_leads_nowhere(page: Page, root: Path, name: str, kept:
 
 def test_more_than_was_said_is_refused_and_leaves_nothing(page: Page, root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     begun = page.ask({"upload": "x.csv", "size": 3})["answer"]
+    # It has its name when it is whole, and nobody else gets that name.
+    assert not (root / UPLOADS / begun["folder"] / "x.csv").exists()
+    assert "refused" in page.ask({"upload": "x.csv", "size": 3, "folder": begun["folder"]})
     assert "refused" in page.ask(begun["upload"].encode() + b"four")
     assert [*(root / UPLOADS).iterdir()] == []
     assert "refused" in page.ask(begun["upload"].encode() + b"one")
@@ -419,8 +421,9 @@ def test_only_the_newest_addresses_are_kept(served: Served, page: Page, monkeypa
 # The command
 
 
-# The program and two that it starts.
-def test_the_command_tells_its_address_and_ends_with_what_it_has_started(tmp_path: Path) -> None:
+@pytest.fixture
+def program(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
+    """Start the command as a person does, in a folder of its own."""
     variables = {name: value for name, value in os.environ.items() if not name.startswith("IMUFIELD_")}
     program = subprocess.Popen(
         [sys.executable, "-m", "imufield", "web", "kept"],
@@ -429,20 +432,50 @@ def test_the_command_tells_its_address_and_ends_with_what_it_has_started(tmp_pat
         stderr=subprocess.PIPE,
         text=True,
     )
-    try:
-        assert program.stderr is not None
-        found = re.search(r"(http://127\.0\.0\.1:\d+)/#token=(\S+)", program.stderr.readline())
-        assert found is not None
-        names = [Subprotocol(PROTOCOL), Subprotocol(f"token.{found[2]}")]
-        address = f"{found[1].replace('http', 'ws')}/socket"
-        with connect(address, origin=Origin(found[1]), subprotocols=names, compression=None) as line:
-            page = Page(line)
-            port = Path(page.heard(page.run("emulate", driver="stim300"), "value")["port"])
-            assert port.exists()
-            assert page.heard(page.run("sessions"), "value") == {"folder": "kept", "sessions": []}
-            program.send_signal(signal.SIGINT)
-            assert program.wait(WAIT_S) == EXIT_INTERRUPTED
-        assert not port.exists()
-    finally:
+    yield program
+    program.kill()
+    program.communicate()
+
+
+@contextmanager
+def page_of(program: subprocess.Popen[str]) -> Iterator[Page]:
+    assert program.stderr is not None
+    found = re.search(r"(http://127\.0\.0\.1:\d+)/#token=(\S+)", program.stderr.readline())
+    assert found is not None
+    names = [Subprotocol(PROTOCOL), Subprotocol(f"token.{found[2]}")]
+    address = f"{found[1].replace('http', 'ws')}/socket"
+    with connect(address, origin=Origin(found[1]), subprotocols=names, compression=None) as line:
+        yield Page(line)
+
+
+# The program and two that it starts.
+def test_the_command_tells_its_address_and_ends_with_what_it_has_started(
+    program: subprocess.Popen[str], tmp_path: Path
+) -> None:
+    with page_of(program) as page:
+        port = tmp_path / page.heard(page.run("emulate"), "value")["port"]
+        assert port.exists()
+        assert page.heard(page.run("sessions"), "value") == {"folder": "kept", "sessions": []}
+        program.send_signal(signal.SIGINT)
+        assert program.wait(WAIT_S) == EXIT_INTERRUPTED
+    assert not port.exists()
+
+
+# The same with a capture.
+def test_what_it_has_started_ends_with_it_however_it_ends_and_loses_nothing(
+    program: subprocess.Popen[str], tmp_path: Path
+) -> None:
+    with page_of(program) as page:
+        port = page.heard(page.run("emulate", speed=16), "value")["port"]
+        page.run("capture", new="two", port=port, driver="stim300", clock_speed=16, gravity="9.80665")
+        # Said of samples.
+        while not any("time_s" in event.get("value", {}) for event in page.events):
+            page.next()
         program.kill()
-        program.communicate()
+    session, deadline_s = Session.open(tmp_path / "kept" / "two"), time.monotonic() + WAIT_S
+    while session.is_being_recorded or (tmp_path / port).is_symlink():
+        assert time.monotonic() < deadline_s
+        time.sleep(0.02)
+    damage: list[Damage] = []
+    assert len([*read_session(session, damage)]) > 2
+    assert damage == []

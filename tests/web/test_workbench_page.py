@@ -14,6 +14,7 @@ import pytest
 
 from imufield.deliver.parameters.file import load
 from imufield.guide.positions import scheme
+from imufield.web.actions import VIRTUAL
 from tests.commands.conftest import SPEED, Program
 from tests.web.test_page_looks import AXE, RUN_AXE, SIZES
 
@@ -32,6 +33,10 @@ SCALE, BIAS_M_S2, SIGMA_M_S2 = np.array([1.003, 0.998, 1.001]), np.array([0.02, 
 @pytest.fixture
 def address(program: Program) -> str:
     """Start the workbench in an empty folder and return where it is."""
+    return start(program)
+
+
+def start(program: Program) -> str:
     process = program.start("web", variables={"DISPLAY": "", "WAYLAND_DISPLAY": "", "IMUFIELD_CLOCK_SPEED": f"{SPEED:g}"})
     assert process.stderr is not None
     found = re.search(r"http://\S+", process.stderr.readline())
@@ -129,9 +134,47 @@ def test_from_an_empty_folder_to_the_files(program: Program, screens: Screens, a
     # Whatever was done is shown as what a person could have typed.
     for words in ("capture .*--session=imufield-sessions/first", "solve .*imufield-sessions/first", "export .*--to=c"):
         wait_for(page, "#commands code", f"imufield {words}")
-    page.reload()
-    wait_for(page, "#verdict", "POOR")
     assert_it_is_for_everybody(page)
+    assert screens.console == []
+    # Another one knows neither this page nor what was done here; the folder tells it.
+    program.started[0].kill()
+    program.started[0].wait()
+    address = start(program)
+    wait_for(page, "#link", "open the address")
+    page.goto(address)
+    page.locator('header a[href="#sessions"]').click()
+    page.get_by_role("link", name="first").click()
+    wait_for(page, "#verdict", "POOR")
+    assert page.get_by_role("button", name=re.compile(r"Save .*\.h$")).is_visible()
+
+
+# The browser and six programs.
+def test_a_session_of_a_virtual_instrument_is_stopped_and_goes_on(program: Program, screens: Screens, address: str) -> None:
+    page = screens.open(address)
+    for _ in range(2):
+        page.get_by_role("button", name="virtual").click()
+    page.get_by_label("Name of the session").fill("first")
+    page.get_by_role("button", name="Start the guide").click()
+    emulated = page.locator("#commands li", has=page.locator("code", has_text="imufield emulate"))
+    for stops in (1, 2):
+        wait_for(page, "#headline", "TURN|HOLD|STAY|DONE|still")
+        page.locator("#back").click()
+        wait_for(page, "#under-way", "Session first")
+        page.get_by_role("button", name="Stop, go on later").click()
+        page.get_by_role("button", name="Tap again to stop").click()
+        # What was begun for it ends with it.
+        emulated.first.get_by_text("stopped").wait_for()
+        assert emulated.count() == stops
+        if stops == 1:
+            page.get_by_role("button", name="Go on with the positions").click()
+    assert not (program.folder / "imufield-sessions" / VIRTUAL).is_symlink()
+    # One that was recorded from a port that is gone asks for the one where its instrument is now.
+    settings = program.folder / "imufield-sessions" / "first" / "session.toml"
+    settings.write_text(settings.read_text().replace(f"imufield-sessions/{VIRTUAL}", "/dev/ttyUSB77"))
+    page.reload()
+    page.get_by_role("button", name="Go on with the positions").click()
+    wait_for(page, "#session-says", "/dev/ttyUSB77")
+    page.get_by_label("Port, where").wait_for()
     assert screens.console == []
 
 

@@ -10,7 +10,8 @@ from imufield.acquire.protocol.units import nominal_scale
 from imufield.calibrate.model.models import recover
 from imufield.calibrate.model.result import AccelerometerParameters
 from imufield.calibrate.model.uncertainty import rms
-from imufield.deliver.parameters.file import Parameters
+from imufield.deliver.parameters.file import Parameters, json_ready
+from imufield.deliver.parameters.schema import Document
 from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2
 from imufield.errors import CalibrationError
 from imufield.samples import FloatArray
@@ -59,6 +60,13 @@ def gain(parameters: Parameters, preset: Parameters | None = None) -> Gain | Non
     left_out = results.leave_one_out_m_s2[used]
     after = left_out if np.isfinite(left_out).all() else results.residual_m_s2[used]
     return Gain(tuple(table["name"] for table in tables), before - gravity, after)
+
+
+def document_with_gain(parameters: Parameters) -> Document:
+    """Return the content of a parameter file for JSON, and beside it what the summary says of it in one line."""
+    gained = gain(parameters)
+    more = {} if gained is None else {"error_at_rest": {"words": gained.words, **gained.words.values}}
+    return {**json_ready(parameters.document), **more}
 
 
 def _norms(parameters: AccelerometerParameters, raw: FloatArray) -> FloatArray | None:

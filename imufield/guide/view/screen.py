@@ -123,11 +123,13 @@ class Screen:
     link_paused: bool = False
     attitude: FloatArray = field(default_factory=lambda: np.eye(3))
     messages: deque[str] = field(default_factory=lambda: deque(maxlen=_KEPT))
+    message_number: int = 0  # Of the newest; those before it may be gone.
     _waits: set[str] = field(default_factory=set)
 
     def tell(self, text: str) -> None:
         """Add a message that is no event."""
         self.messages.append(text)
+        self.message_number += 1
 
     def follow(self, events: list[Event]) -> None:
         """Update the screen with events in order."""
@@ -157,7 +159,7 @@ class Screen:
 
     def _update_messages(self, event: Event) -> None:
         if not isinstance(event, _NO_MESSAGE):
-            self.messages.append(_accepted(event) if isinstance(event, events.Accepted) else words(event))
+            self.tell(_accepted(event) if isinstance(event, events.Accepted) else words(event))
         if isinstance(event, events.Rejected) and event.reason in _WAITS:
             self._waits.add(self.messages[-1])
         elif isinstance(event, (events.Hold, events.Accepted)) and self._waits:

@@ -15,6 +15,7 @@ const ID = 16;
  * @property {string[]} said lines of standard error
  * @property {string[]} lines words of standard output
  * @property {any[]} found values of standard output
+ * @property {Record<string, any>} told the newest of these of each event, the very newest last
  * @property {number | null} code
  */
 
@@ -24,8 +25,10 @@ export class Bench {
     this.onChange = onChange;
     /** @type {Map<number, Job>} */
     this.jobs = new Map();
-    this.root = "";
+    /** @type {any} the folder of sessions, what parts its paths, the name of a virtual instrument in it */
+    this.head = { root: "", separator: "/", virtual: "" };
     this.isThere = false;
+    this.isUnknown = false; // The program is there, and lets this page in no more.
     this.asked = 0;
     /** @type {Map<number, {resolve: (answer: any) => void, reject: (error: Error) => void}>} */
     this.waiting = new Map();
@@ -33,17 +36,27 @@ export class Bench {
     this.pieces = new Map();
     /** @type {string[]} what was asked before the connection was there */
     this.unsent = [];
-    /** @type {{number: number, resolve: (job: Job) => void}[]} */
+    /** @type {{number: number, resolve: (job: Job) => void, reject: (error: Error) => void}[]} */
     this.awaited = [];
     this.link = new Link(
       (message) => this.take(message),
       (isThere) => {
+        if (!isThere && !this.isThere) void this.askWhetherUnknown();
         this.isThere = isThere;
         if (isThere) for (const text of this.unsent.splice(0)) this.link.send(text);
         else this.fail(text("gone"));
         onChange();
       },
     );
+  }
+
+  /** A socket that does not open tells no cause: whether the program is there its files say. */
+  async askWhetherUnknown() {
+    this.isUnknown = await fetch("/texts.js").then(
+      () => !this.isThere,
+      () => false,
+    );
+    this.onChange();
   }
 
   /** @param {string} words */
@@ -62,10 +75,9 @@ export class Bench {
       return;
     }
     if (message.head) {
-      this.root = message.head.root;
+      this.head = message.head;
       this.jobs.clear();
     }
-    for (const head of message.state?.running ?? []) this.know(head);
     for (const event of message.log ?? []) {
       this.know(event);
       const job = this.jobs.get(event.job);
@@ -73,19 +85,28 @@ export class Bench {
       if ("said" in event) job.said.push(event.said);
       if ("line" in event) job.lines.push(event.line);
       if ("value" in event) job.found.push(event.value);
+      if (event.value?.event) {
+        const { [event.value.event]: _, ...others } = job.told;
+        job.told = { ...others, [event.value.event]: event.value };
+      }
       if ("code" in event) job.code = event.code;
     }
-    this.awaited = this.awaited.filter(({ number, resolve }) => {
+    // The log is cut; of those that run all is known.
+    for (const head of message.state?.running ?? []) this.know(head).told = head.told;
+    if (!message.state) return;
+    this.awaited = this.awaited.filter(({ number, resolve, reject }) => {
       const job = this.jobs.get(number);
-      if (job && job.code !== null) resolve(job);
-      return !(job && job.code !== null);
+      if (!job) reject(new Error(text("gone")));
+      else if (job.code !== null) resolve(job);
+      return job?.code === null;
     });
     if (message.log || message.head) this.onChange();
   }
 
-  /** @param {any} head */
+  /** @param {any} head @returns {any} */
   know(head) {
     if (head.action && !this.jobs.has(head.job)) this.jobs.set(head.job, { ...head, said: [], lines: [], found: [], code: null });
+    return this.jobs.get(head.job);
   }
 
   /** @param {any} message */
@@ -119,10 +140,10 @@ export class Bench {
   /** Start a command and wait for its end. @param {string} action @param {any} [values] @returns {Promise<Job>} */
   async run(action, values = {}) {
     const number = await this.start(action, values);
-    return new Promise((resolve) => {
+    return new Promise((resolve, reject) => {
       const job = this.jobs.get(number);
       if (job && job.code !== null) resolve(job);
-      else this.awaited.push({ number, resolve });
+      else this.awaited.push({ number, resolve, reject });
     });
   }
 
@@ -140,7 +161,13 @@ export class Bench {
 
   /** A path of the folder of sessions as the program shows it, below that folder. @param {string} path */
   below(path) {
-    return path.startsWith(`${this.root}/`) ? path.slice(this.root.length + 1) : path;
+    const { root, separator } = this.head;
+    return path.startsWith(root + separator) ? path.slice(root.length + 1) : path;
+  }
+
+  /** Its last part. @param {string} path @returns {string} */
+  nameOf(path) {
+    return path.slice(path.lastIndexOf(this.head.separator) + 1);
   }
 
   /** An address at which a file can be had once. @param {string} path @returns {Promise<string>} */
@@ -152,7 +179,7 @@ export class Bench {
   async save(path) {
     const link = document.createElement("a");
     link.href = await this.address(path);
-    link.download = path.slice(path.lastIndexOf("/") + 1);
+    link.download = this.nameOf(path);
     link.click();
   }
 

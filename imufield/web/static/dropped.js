@@ -1,7 +1,7 @@
 // Files that are dropped on the page: sent up, imported, and asked about where they do not say what their columns are.
 
 import { complaint } from "./bench.js";
-import { at, button, filled, make, table } from "./make.js";
+import { at, button, filled, make, stamp, table } from "./make.js";
 import { lineOf } from "./plots.js";
 import { text } from "./texts.js";
 
@@ -69,7 +69,7 @@ async function bring(bench, files) {
   async function tryImport(typed) {
     say("");
     at("import-more").replaceChildren(make("section", {}, make("p", { role: "status" }, text("importing"))));
-    const name = `${stem.slice(0, 60)}-${new Date().toISOString().replace(/[-:]|\.\d+/g, "")}`;
+    const name = `${stem.slice(0, 60)}-${stamp()}`;
     try {
       const job = await bench.run("import", { files: paths, new: name, ...typed });
       if (job.code === 0) {

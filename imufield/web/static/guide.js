@@ -5,7 +5,8 @@ import { Box } from "./box.js";
 import { forgetColours } from "./canvas.js";
 import { drawForecast, drawTrace } from "./chart.js";
 import { drawGlobe } from "./globe.js";
-import { Link } from "./link.js";
+import { Link, isOfThisMachine } from "./link.js";
+import { at } from "./make.js";
 import { drawnShape } from "./shape.js";
 import { Sound } from "./sound.js";
 import { text } from "./texts.js";
@@ -18,10 +19,7 @@ const ROUND = 2 * Math.PI * 52;
 const ROWS = 8; // Of the list: turns about one axis stand below each other.
 /** @type {Record<string, string>} */
 const SIGNS = { accepted: "●", next: "◉", open: "○", suspect: "■", again: "↻", skipped: "×" };
-const WORKBENCH = /^http:\/\/(127\.0\.0\.1|localhost|\[::1\]):\d+\//;
 
-/** @param {string} id @returns {any} */
-const at = (id) => document.getElementById(id);
 /** @param {string} words as a terminal can show them @returns {string} */
 const pretty = (words) => words.replaceAll("^2", "²").replace(/\bug\b/g, "µg").replace(/ deg\b/g, "°").replace(/(^|\W)-(?=[xyz\d])/g, "$1−");
 /** @param {string} id @param {string} words changed only where they are others: each change is read out */
@@ -55,7 +53,7 @@ function linkBack() {
   if (given) sessionStorage.setItem("back", given);
   const back = sessionStorage.getItem("back") ?? "";
   // Another place, or a script, is no workbench: the address may come from anybody.
-  if (!WORKBENCH.test(back)) return;
+  if (!isOfThisMachine(back)) return;
   at("back").href = back;
   at("back").hidden = false;
 }

@@ -5,6 +5,9 @@ const SHORTEST_MS = 250;
 const LONGEST_MS = 4000;
 const SILENT_MS = 3000; // A session that runs says something ten times a second.
 
+/** Whether an address is one of this machine: others may come from anybody. @param {string} url */
+export const isOfThisMachine = (url) => /^http:\/\/(127\.0\.0\.1|localhost|\[::1\]):\d+\//.test(url);
+
 /**
  * Take the token out of the address, where nobody shall read it off the screen; a reload finds it in this tab's memory.
  * @returns {string}

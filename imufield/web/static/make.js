@@ -7,6 +7,11 @@ const HIDDEN = /[\u0000-\u0008\u000b-\u001f\u007f-\u009f\u2028-\u202e\u2066-\u20
 /** @param {unknown} text */
 export const clean = (text) => String(text).replace(HIDDEN, "\ufffd");
 
+const SURE_MS = 10000; // As on the page of the guide.
+
+/** The time now as names of folders begin or end. */
+export const stamp = () => new Date().toISOString().replace(/[-:]|\.\d+/g, "");
+
 /** @param {string} id @returns {any} */
 export const at = (id) => document.getElementById(id);
 
@@ -36,6 +41,22 @@ export const draw = (tag, properties = {}, ...children) => fill(document.createE
 
 /** @param {string} words @param {() => void} onclick @param {Record<string, any>} [more] */
 export const button = (words, onclick, more = {}) => make("button", { type: "button", onclick, ...more }, words);
+
+/**
+ * A button that asks: a second tap within ten seconds is for sure.
+ * @param {string} words @param {string} sure @param {() => void} act
+ */
+export function sureButton(words, sure, act) {
+  let timer = 0;
+  const made = button(words, () => {
+    clearTimeout(timer);
+    const isSure = made.textContent === sure;
+    made.textContent = isSure ? words : sure;
+    if (isSure) act();
+    else timer = setTimeout(() => (made.textContent = words), SURE_MS);
+  });
+  return made;
+}
 
 /**
  * @param {string[]} head

@@ -24,10 +24,10 @@ export class SessionView {
   constructor(bench) {
     this.bench = bench;
     this.name = "";
-    /** @type {any} */
-    this.row = null;
-    /** @type {Job | undefined} */
-    this.solved = undefined;
+    /** @type {any} as `sessions` lists it; null where it does not, undefined until that is known */
+    this.row = undefined;
+    /** @type {string[]} what was made of it */
+    this.files = [];
     /** @type {Set<string>} */
     this.without = new Set();
     /** @type {(action: string, values: any) => Promise<void>} */
@@ -40,24 +40,35 @@ export class SessionView {
   /** @param {string} name */
   async open(name) {
     if (name !== this.name) {
-      this.solved = undefined;
-      this.without.clear();
-      at("result").replaceChildren();
-      at("made").replaceChildren();
+      this.row = undefined;
+      this.files = [];
+      for (const id of ["result", "made"]) at(id).replaceChildren();
+      at("other-place").hidden = true;
     }
     this.name = name;
     at("name").textContent = name;
     at("session-says").textContent = "";
+    this.showState();
     await this.refresh();
     this.show();
   }
 
-  /** Ask again what is known of it. */
-  async refresh() {
+  /** Show what its folder holds now, whoever made it. @param {boolean} isOther whether its parameters may be others */
+  async refresh(isOther = true) {
+    const name = this.name;
     try {
       const listed = (await this.bench.found("sessions")).sessions;
-      this.row = listed.find((/** @type {any} */ row) => this.bench.below(row.folder) === this.name) ?? null;
+      const row = listed.find((/** @type {any} */ each) => this.bench.below(each.folder) === name) ?? null;
+      const { files, parameters } = row ? await this.bench.ask({ session: name }) : { files: [], parameters: null };
+      if (name !== this.name) return;
+      this.row = row;
+      this.files = files;
       this.showState();
+      if (isOther) {
+        this.without.clear();
+        at("result").replaceChildren();
+        if (parameters) this.showResult(parameters);
+      }
       if (this.row?.verdict && !at("targets").length) {
         const { targets } = await this.bench.found("targets");
         at("targets").append(
@@ -92,19 +103,13 @@ export class SessionView {
     if (this.wasUnderWay && !isUnderWay) this.refresh();
     if (this.wasUnderWay !== isUnderWay) this.showState();
     this.wasUnderWay = isUnderWay;
-    const solved = this.bench.newest("solve", (job) => job.values.session === this.name && job.code !== null);
-    if (solved && solved !== this.solved) {
-      this.solved = solved;
-      if (solved.found.length) this.showResult(solved.found[0]);
-      else this.refuse(new Error(complaint(solved)));
-    }
   }
 
   showState() {
     const row = this.row;
     const job = this.underWay();
     const facts = !row
-      ? text("noSession")
+      ? row === null && text("noSession")
       : [
           row.instrument,
           row.serial_number,
@@ -117,10 +122,11 @@ export class SessionView {
           .join(" · ");
     at("state").replaceChildren(make("p", {}, facts), ...(row?.fault ? [make("p", { class: "failed" }, row.fault)] : []));
     const canSolve = row && row.state !== "damaged" && !job;
+    const canGoOn = canSolve && row.state === "unfinished" && row.kind === "capture";
     at("steps").replaceChildren(
       ...[
-        canSolve && row.state === "unfinished" && row.kind === "capture" ? button(text("goOn"), () => this.resume()) : null,
-        canSolve ? button(text(row.verdict ? "solveAgain" : "solve"), () => this.solve(), { class: "main" }) : null,
+        canGoOn ? button(text("goOn"), () => this.resume(), { class: "main" }) : null,
+        canSolve ? button(text(row.verdict ? "solveAgain" : "solve"), () => this.solve(), { class: !canGoOn && "main" }) : null,
         canSolve && row.kind === "capture"
           ? button(text("replay"), () => this.begin("replay", { session: this.name, speed: 4 }))
           : null,
@@ -129,9 +135,10 @@ export class SessionView {
     at("give").hidden = !row?.verdict;
     at("again").hidden = !canSolve;
     at("again").open = row?.kind === "import" && !row.verdict;
-    const names = ["parameters.toml"];
     at("saved").replaceChildren(
-      ...names.map((name) => button(text("save", { name }), () => this.save(`${this.name}/${name}`), { class: "main" })),
+      ...this.files.map((name) =>
+        button(text("save", { name }), () => this.save(`${this.name}/${name}`), { class: name === "parameters.toml" && "main" }),
+      ),
     );
   }
 
@@ -146,21 +153,23 @@ export class SessionView {
 
   /** @param {string[]} retake positions to be measured again */
   async resume(retake = []) {
-    const speed = [...this.bench.jobs.values()]
-      .reverse()
-      .find((job) => (job.values.new ?? job.values.session) === this.name && job.values.clock_speed)?.values.clock_speed;
-    await this.begin("resume", { session: this.name, retake, ...(speed ? { clock_speed: speed } : {}) });
+    const other = filled(at("other-place"));
+    const isVirtual = !other.port && this.bench.nameOf(this.row.port ?? "") === this.bench.head.virtual;
+    await this.begin("resume", { session: this.name, retake, ...other, isVirtual });
+    // Where it was not found, it may be at another port now.
+    at("other-place").hidden = !at("session-says").textContent;
   }
 
   async solve() {
     at("session-says").textContent = "";
+    const [name, without] = [this.name, [...this.without]];
     try {
-      const without = [...this.without];
-      await this.bench.start("solve", {
-        session: this.name,
+      const job = await this.bench.run("solve", {
+        session: name,
         ...filled(at("solve-place")),
         ...(without.length ? { without } : {}),
       });
+      if (job.code !== 0 && name === this.name) throw new Error(complaint(job));
     } catch (error) {
       this.refuse(error);
     }
@@ -327,14 +336,7 @@ export class SessionView {
   /** @param {Event} event */
   async report(event) {
     event.preventDefault();
-    const values = filled(at("report"));
-    await this.made(
-      () => this.bench.run("report", { session: this.name, ...values }),
-      () => {
-        const pages = ["report.html", "calibration-record.html"];
-        return { files: values.pdf ? [...pages, ...pages.map((page) => page.replace("html", "pdf"))] : pages };
-      },
-    );
+    await this.made("report", { session: this.name, ...filled(at("report")) });
   }
 
   /** @param {Event} event */
@@ -342,44 +344,27 @@ export class SessionView {
     event.preventDefault();
     const { to, settings } = filled(at("export"));
     const typed = settings ? { settings: settings.split(/[\s,;]+/).filter(Boolean) } : {};
-    await this.made(
-      () => this.bench.run("export", { session: this.name, to, ...typed }),
-      (job) => job.found[0],
-    );
+    await this.made("export", { session: this.name, to, ...typed });
   }
 
-  /**
-   * Run a command that makes files, and offer them with what they lack.
-   * @param {() => Promise<Job>} run @param {(job: Job) => {files: string[], losses?: string[], notes?: string[]}} found
-   */
-  async made(run, found) {
-    // Above what was made before, which can still be saved.
-    const place = make("div", {}, make("p", {}, text("working")));
-    at("made").prepend(place);
+  /** Run a command that makes files, and show them, and what they lack. @param {string} action @param {any} values */
+  async made(action, values) {
+    at("made").replaceChildren(make("p", {}, text("working")));
     try {
-      const job = await run();
+      const job = await this.bench.run(action, values);
       if (job.code !== 0) throw new Error(complaint(job));
-      const { files, losses, notes } = found(job);
-      const names = files.map((path) => path.slice(path.lastIndexOf("/") + 1));
-      // A file of the same name was written over: what was said of it holds no more.
-      for (const older of [...at("made").children])
-        if (names.some((name) => older.dataset.names?.split("/").includes(name))) older.remove();
-      place.dataset.names = names.join("/");
-      place.replaceChildren(
-        make(
-          "p",
-          { class: "row" },
-          names.map((name) => button(text("save", { name }), () => this.save(`${this.name}/${name}`), { class: "main" })),
-        ),
+      const { losses, notes } = job.found[0] ?? {};
+      at("made").replaceChildren(
         make(
           "ul",
           {},
-          (losses ?? []).map((words) => make("li", {}, text("lost", { words }))),
-          (notes ?? []).map((words) => make("li", {}, words)),
+          (losses ?? []).map((/** @type {string} */ words) => make("li", {}, text("lost", { words }))),
+          (notes ?? []).map((/** @type {string} */ words) => make("li", {}, words)),
         ),
       );
+      await this.refresh(false);
     } catch (error) {
-      place.replaceChildren(make("p", { class: "failed" }, /** @type {Error} */ (error).message));
+      at("made").replaceChildren(make("p", { class: "failed" }, /** @type {Error} */ (error).message));
     }
   }
 }

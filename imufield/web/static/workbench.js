@@ -2,13 +2,15 @@
 
 import { Bench, complaint } from "./bench.js";
 import { showHistory, showSessions } from "./lists.js";
-import { at, button, clean, filled, make } from "./make.js";
+import { at, button, clean, filled, make, stamp, sureButton } from "./make.js";
 import { watchDrop } from "./dropped.js";
+import { isOfThisMachine } from "./link.js";
 import { SessionView } from "./session.js";
 import { text } from "./texts.js";
 
 const VIEWS = ["calibrate", "import", "sessions", "session", "history"];
 const LOOKS = ["devices", "probe", "targets", "sessions", "history"]; // What the page asks for by itself.
+const VIRTUAL = { driver: "stim300", latitude: 45, height: 0, speed: 4 }; // 24 positions in two minutes: a person can follow.
 
 const bench = new Bench(show);
 const session = new SessionView(bench);
@@ -52,10 +54,9 @@ function refuse(error) {
 
 function show() {
   document.body.classList.toggle("away", !bench.isThere);
-  at("link").textContent = bench.isThere ? "" : text("away");
+  at("link").textContent = bench.isThere ? "" : text(bench.isUnknown ? "unknown" : "away");
   if (!bench.isThere) shown = "";
   route();
-  knowVirtual();
   showUnderWay();
   showCommands();
   session.show();
@@ -68,7 +69,7 @@ async function look() {
   isLooking = hasLooked = true;
   at("look").disabled = true;
   try {
-    for (const [key, port] of ports) if (!port.values.clock_speed) ports.delete(key);
+    for (const [key, port] of ports) if (!port.values.isVirtual) ports.delete(key);
     showPorts();
     const devices = await bench.found("devices");
     if (at("drivers").length === 1)
@@ -135,37 +136,20 @@ function showPorts() {
   at("ports").replaceChildren(...(rows.length ? rows : [make("p", {}, text(isLooking ? "looking" : "noPort"))]));
 }
 
-/** Virtual instruments are ports for as long as they run. */
-function knowVirtual() {
-  const before = [...ports.keys()].join();
-  for (const [key, port] of ports) if (port.values.clock_speed) ports.delete(key);
-  for (const job of bench.jobs.values()) {
-    const started = job.code === null && job.action === "emulate" ? job.found.find((value) => value.event === "started") : null;
-    if (!started) continue;
-    ports.set(started.port, {
-      name: text("virtual", { port: started.port }),
-      says: text("virtualIs", { driver: started.driver, speed: started.speed }),
-      values: { port: started.port, driver: started.driver, clock_speed: started.speed },
-    });
-    if (!ports.has(chosen)) chosen = started.port;
-  }
-  if (before !== [...ports.keys()].join()) showPorts();
-}
-
 at("look").addEventListener("click", look);
-at("virtual").addEventListener("click", async () => {
-  try {
-    const speed = 4; // So that 24 positions take two minutes, and a person can follow.
-    const number = await bench.start("emulate", { driver: "stim300", speed });
-    const started = await heard(number, (value) => value.event === "started");
-    if (!started) return refuse(new Error(complaint(/** @type {any} */ (bench.jobs.get(number)))));
-    chosen = started.port;
-    knowVirtual();
-    fillPlace({ latitude: 45, height: 0 });
-  } catch (error) {
-    refuse(/** @type {Error} */ (error));
-  }
+at("virtual").addEventListener("click", () => {
+  chosen = bench.head.virtual;
+  ports.set(chosen, { name: text("virtual"), says: text("virtualIs", VIRTUAL), values: { isVirtual: true } });
+  showPorts();
+  fillPlace(VIRTUAL);
 });
+
+/** Start the virtual instrument, which ends with the session that reads it, or join the one that runs. @returns {Promise<any>} */
+async function startVirtual() {
+  const number = await bench.start("emulate", { speed: VIRTUAL.speed });
+  const { port, driver, speed } = await heard(number, "started");
+  return { port, driver, clock_speed: speed };
+}
 
 /** Fill in a place where none was given. @param {any} values */
 function fillPlace(values) {
@@ -174,12 +158,12 @@ function fillPlace(values) {
   for (const name of ["latitude", "height", "gravity"]) fields[name].value = values[name] ?? "";
 }
 
-/** Wait for a value of a command, null when it has ended without. @param {number} number @param {(value: any) => boolean} fits @returns {Promise<any>} */
-async function heard(number, fits) {
+/** Wait for an event of a command; refuses where it ends without. @param {number} number @param {string} event @returns {Promise<any>} */
+async function heard(number, event) {
   for (;;) {
     const job = bench.jobs.get(number);
-    const value = job?.found.find(fits);
-    if (value || (job && job.code !== null)) return value ?? null;
+    if (job?.told[event]) return job.told[event];
+    if (job && job.code !== null) throw new Error(complaint(job));
     if (!bench.isThere) throw new Error(text("gone"));
     await new Promise((resolve) => setTimeout(resolve, 100));
   }
@@ -231,22 +215,20 @@ at("start").addEventListener("click", async () => {
   });
 });
 
-/** Start a guided session and go to its page. @param {string} action @param {any} values */
-async function begin(action, values) {
-  const name = values.new ?? values.session;
-  at("start-says").textContent = "";
+/**
+ * Start a guided session or its replay, and go to its page.
+ * @param {string} action @param {any} asked what the command takes, and `isVirtual` where its instrument has to be started, too
+ */
+async function begin(action, { isVirtual, ...asked }) {
+  const says = at(action === "capture" ? "start-says" : "session-says");
+  says.textContent = "";
   at("start").disabled = true;
   try {
-    const number = await bench.start(action, values);
-    const page = await heard(number, (value) => value.event === "page");
-    if (page) goTo(page.url, name);
-    else
-      at(action === "capture" ? "start-says" : "session-says").textContent = complaint(
-        /** @type {any} */ (bench.jobs.get(number)),
-      );
-    if (page) at("new-name").value = newName();
+    const number = await bench.start(action, { ...asked, ...(isVirtual ? await startVirtual() : {}) });
+    goTo((await heard(number, "page")).url, asked.new ?? asked.session);
+    at("new-name").value = newName();
   } catch (error) {
-    at(action === "capture" ? "start-says" : "session-says").textContent = /** @type {Error} */ (error).message;
+    says.textContent = /** @type {Error} */ (error).message;
   }
   at("start").disabled = false;
 }
@@ -254,15 +236,12 @@ session.begin = begin;
 
 /** Go to the page of a guide on this machine, which leads back here. @param {string} url @param {string} name */
 function goTo(url, name) {
-  if (!/^http:\/\/(127\.0\.0\.1|localhost):\d+\/#/.test(url)) return;
+  if (!isOfThisMachine(url)) return;
   location.hash = `session/${encodeURIComponent(name)}`;
   location.assign(`${url}&back=${encodeURIComponent(`${location.origin}/#session/${encodeURIComponent(name)}`)}`);
 }
 
-function newName() {
-  const now = new Date().toISOString().replace(/[-:]|\.\d+/g, "");
-  return `${now}-session`;
-}
+const newName = () => `${stamp()}-session`;
 at("new-name").value = newName();
 
 // What is under way, and what was done
@@ -271,7 +250,8 @@ at("new-name").value = newName();
 const banners = new Map();
 
 function showUnderWay() {
-  const running = [...bench.jobs.values()].filter((job) => job.code === null && !LOOKS.includes(job.action));
+  // A virtual instrument is part of its session.
+  const running = [...bench.jobs.values()].filter((job) => job.code === null && ![...LOOKS, "emulate"].includes(job.action));
   for (const [number, { banner }] of banners)
     if (!running.some((job) => job.job === number)) {
       banner.remove();
@@ -279,27 +259,23 @@ function showUnderWay() {
     }
   for (const job of running) {
     const name = job.values.new ?? job.values.session ?? "";
-    const page = job.found.find((value) => value.event === "page");
-    const counted = job.found.filter((value) => "accepted" in value && "planned" in value).pop();
+    const told = Object.values(job.told);
+    const counted = told.filter((value) => "accepted" in value && "planned" in value).pop();
     // Changed and not made anew: somebody may be about to press a button of it.
     const { words, newest, guide } = banners.get(job.job) ?? banner(job, name);
-    words.textContent = clean(underWay(job, { name, accepted: counted?.accepted, planned: counted?.planned }, Boolean(page)));
-    newest.textContent = job.action === "emulate" ? "" : clean(job.found.filter((value) => value.words).pop()?.words ?? "");
-    guide.hidden = !page;
+    words.textContent = clean(underWay(job, { name, accepted: counted?.accepted, planned: counted?.planned }, Boolean(job.told.page)));
+    newest.textContent = clean(told.filter((value) => value.words).pop()?.words ?? "");
+    guide.hidden = !job.told.page;
   }
 }
 
 /** Make the banner of a command. @param {import("./bench.js").Job} job @param {string} name */
 function banner(job, name) {
   const [words, newest] = [make("strong"), make("span", { class: "state" })];
-  const guide = button(
-    text("openGuide"),
-    () => goTo(bench.jobs.get(job.job)?.found.find((value) => value.event === "page")?.url ?? "", name),
-    { class: "main" },
-  );
+  const guide = button(text("openGuide"), () => goTo(bench.jobs.get(job.job)?.told.page.url, name), { class: "main" });
   const stop = () => void bench.ask({ cancel: job.job }).catch(refuse);
   const made = {
-    banner: make("div", {}, words, newest, guide, button(isGuided(job) ? text("pause") : text("stop"), stop)),
+    banner: make("div", {}, words, newest, guide, sureButton(isGuided(job) ? text("pause") : text("stop"), text("stopSure"), stop)),
     words,
     newest,
     guide,
@@ -315,7 +291,6 @@ const isGuided = (job) => job.action === "capture" || job.action === "resume";
 /** @param {import("./bench.js").Job} job @param {any} counts @param {boolean} hasPage */
 function underWay(job, counts, hasPage) {
   if (isGuided(job)) return counts.planned ? text("counted", counts) : text(hasPage ? "guided" : "connecting", counts);
-  if (job.action === "emulate") return text("emulated");
   if (job.action === "replay") return text("replayed", counts);
   return job.action === "solve" ? text("computing", counts) : job.command;
 }
