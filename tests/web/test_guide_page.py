@@ -92,7 +92,7 @@ def test_a_whole_session_from_the_page(program: Program, screens: Screens) -> No
     tap(second, "f")
     for each in (page, second, watching):
         wait_for_words(each, "#headline", "FINISHED")
-        wait_for_words(each, "#details", "24 of 24 .* imufield solve")
+        wait_for_words(each, "#details", r"24 of 24 [\s\S]* imufield solve")
     assert session.process.wait(300) == 0, session.process.communicate()[1]
     assert screens.console == []
 

@@ -8,7 +8,7 @@ import sys
 import webbrowser
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from imufield.acquire.recording.session import Session
 from imufield.commands.configuration import instrument_stl
@@ -90,7 +90,7 @@ class ServedPage:
     """
 
     def __init__(self, page: GuidePage, server: PageServer, notice: str) -> None:
-        self.show, self.tell, self.read = page.show, page.tell, page.read
+        self.show, self.read = page.show, page.read
         self.notice = notice
         self._page, self._server = page, server
 
@@ -105,9 +105,19 @@ class ServedPage:
         """Whether a page looks at the moment."""
         return self._server.pages > 0
 
-    def end(self, headline: str, details: str) -> None:
-        """Tell the pages, as the last thing, how all has ended and what comes next."""
-        self._server.end({"headline": headline, "details": details})
+    def end(
+        self,
+        outcome: Literal["finished", "stopped", "replayed"],
+        *,
+        accepted: int,
+        planned: int,
+        command: str,
+        missing: int = 0,
+        reason: str = "",
+    ) -> None:
+        """Tell the pages, as the last thing, how all has ended, what there is, what it lacks, and what to type next."""
+        counts = {"accepted": accepted, "planned": planned, "missing": missing}
+        self._server.end({"outcome": outcome, "reason": reason, "command": command, **counts})
 
 
 @contextmanager
@@ -118,11 +128,12 @@ def serve_page(
     *,
     cable: str | None = None,
     as_json: bool = False,
-    takes_marks: bool = True,
+    replay_speed: float | None = None,
 ) -> Iterator[ServedPage]:
     """Serve the page while entered; say where it is, and open it where there is a browser.
 
-    A program that reads JSON gets the addresses as a line of it, and opens the page itself.
+    A program that reads JSON gets the addresses as a line of it, and opens the page itself. A replay, at times the speed of
+    the recording, takes no marks; 0 is as fast as possible.
     """
     from imufield.web.access import Access, Role
     from imufield.web.address import qr_code
@@ -130,7 +141,15 @@ def serve_page(
     from imufield.web.server import PageServer
 
     access = Access(place.hosts)
-    page = GuidePage(positions, session=session.name, instrument=session.record.model, cable=cable, shape=_shape())
+    takes_marks = replay_speed is None
+    page = GuidePage(
+        positions,
+        session=session.name,
+        instrument=session.record.model,
+        cable=cable,
+        shape=_shape(),
+        replay_speed=replay_speed,
+    )
     watch_url = f"{place.url}#token={access.watch}"
     url = f"{place.url}#token={access.mark}" if takes_marks else watch_url
     lines = [sentence("page.at", url=url)]

@@ -5,6 +5,9 @@ const SHORTEST_MS = 250;
 const LONGEST_MS = 4000;
 const SILENT_MS = 3000; // A session that runs says something ten times a second.
 
+/** Whether an address is one of this machine: others may come from anybody. @param {string} url */
+export const isOfThisMachine = (url) => /^http:\/\/(127\.0\.0\.1|localhost|\[::1\]):\d+\//.test(url);
+
 /**
  * Take the token out of the address, where nobody shall read it off the screen; a reload finds it in this tab's memory.
  * @returns {string}
@@ -32,8 +35,10 @@ export class Link {
     this.waitMs = SHORTEST_MS;
     this.timer = 0;
     this.heardMs = 0; // By the clock of the day: others stand still while a phone sleeps.
-    this.ended = false;
-    this.open();
+    // Without a token nobody gets in, however often it is tried.
+    this.ended = !this.token;
+    if (this.token) this.open();
+    else queueMicrotask(() => onChange(false));
     // A phone that slept, or has another network, finds its socket dead at once and not after minutes.
     for (const event of ["online", "pageshow", "focus"]) addEventListener(event, () => this.check());
     document.addEventListener("visibilitychange", () => this.check());

@@ -5,7 +5,8 @@ import { showHistory, showSessions } from "./lists.js";
 import { at, button, clean, filled, make } from "./make.js";
 import { watchDrop } from "./dropped.js";
 import { SessionView } from "./session.js";
-import { text } from "./texts.js";
+import { isOfThisMachine } from "./link.js";
+import { text, withMarks } from "./texts.js";
 
 const VIEWS = ["calibrate", "import", "sessions", "session", "history"];
 const LOOKS = ["devices", "probe", "targets", "sessions", "history"]; // What the page asks for by itself.
@@ -254,7 +255,7 @@ session.begin = begin;
 
 /** Go to the page of a guide on this machine, which leads back here. @param {string} url @param {string} name */
 function goTo(url, name) {
-  if (!/^http:\/\/(127\.0\.0\.1|localhost):\d+\/#/.test(url)) return;
+  if (!isOfThisMachine(url)) return;
   location.hash = `session/${encodeURIComponent(name)}`;
   location.assign(`${url}&back=${encodeURIComponent(`${location.origin}/#session/${encodeURIComponent(name)}`)}`);
 }
@@ -284,7 +285,7 @@ function showUnderWay() {
     // Changed and not made anew: somebody may be about to press a button of it.
     const { words, newest, guide } = banners.get(job.job) ?? banner(job, name);
     words.textContent = clean(underWay(job, { name, accepted: counted?.accepted, planned: counted?.planned }, Boolean(page)));
-    newest.textContent = job.action === "emulate" ? "" : clean(job.found.filter((value) => value.words).pop()?.words ?? "");
+    newest.textContent = job.action === "emulate" ? "" : clean(withMarks(job.found.filter((value) => value.words).pop()?.words ?? "", "named"));
     guide.hidden = !page;
   }
 }
