@@ -117,7 +117,8 @@ def _replay_to_page(
         replay_into(chain, session, damage, listen, items=items())
         refresh(at_once=True)
         command = f"imufield replay --web {shlex.quote(str(session.folder))}"
-        page.end("replayed", accepted=len(chain.observations()), planned=len(positions), command=command)
+        counts = {"accepted": len(chain.observations()), "planned": len(positions), "missing": 0}
+        page.end({"outcome": "replayed", "reason": "", "command": command, **counts})
 
 
 def _tell(chain: Chain) -> None:

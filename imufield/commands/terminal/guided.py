@@ -212,14 +212,9 @@ def guided_session(
             finally:
                 if page is not None:
                     ended = loop.captured()
-                    page.end(
-                        "finished" if ended.can_be_solved else "stopped",
-                        accepted=ended.accepted,
-                        planned=ended.planned,
-                        missing=ended.missing,
-                        command=_next_command(ended, clock),
-                        reason=reason,
-                    )
+                    counts = {"accepted": ended.accepted, "planned": ended.planned, "missing": ended.missing}
+                    outcome = "finished" if ended.can_be_solved else "stopped"
+                    page.end({"outcome": outcome, "reason": reason, "command": _next_command(ended, clock), **counts})
     except (KeyboardInterrupt, ImufieldError):
         if loop is not None:
             farewell(loop.captured(), options.view, clock)

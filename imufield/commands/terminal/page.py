@@ -8,7 +8,7 @@ import sys
 import webbrowser
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from imufield.acquire.recording.session import Session
 from imufield.commands.configuration import instrument_stl
@@ -90,7 +90,7 @@ class ServedPage:
     """
 
     def __init__(self, page: GuidePage, server: PageServer, notice: str) -> None:
-        self.show, self.read = page.show, page.read
+        self.show, self.read, self.end = page.show, page.read, server.end
         self.notice = notice
         self._page, self._server = page, server
 
@@ -104,20 +104,6 @@ class ServedPage:
     def is_looked_at(self) -> bool:
         """Whether a page looks at the moment."""
         return self._server.pages > 0
-
-    def end(
-        self,
-        outcome: Literal["finished", "stopped", "replayed"],
-        *,
-        accepted: int,
-        planned: int,
-        command: str,
-        missing: int = 0,
-        reason: str = "",
-    ) -> None:
-        """Tell the pages, as the last thing, how all has ended, what there is, what it lacks, and what to type next."""
-        counts = {"accepted": accepted, "planned": planned, "missing": missing}
-        self._server.end({"outcome": outcome, "reason": reason, "command": command, **counts})
 
 
 @contextmanager

@@ -73,12 +73,12 @@ class Mood(Enum):
 
 
 _STYLES = {Mood.MOVE: "bold cyan", Mood.CARE: "bold yellow", Mood.GOOD: "bold green", Mood.WRONG: "bold red", Mood.NONE: "bold"}
-# A refusal that is nobody's mistake: its mood, and the word in big letters.
+# A refusal that is nobody's mistake: its headline, its mood, and the word in big letters.
 MILD_REFUSALS = {
-    RefusalCode.ALREADY_DONE: (Mood.GOOD, "TURN"),
-    RefusalCode.OTHER_SIDE: (Mood.CARE, "TURN"),
-    RefusalCode.START_UP: (Mood.CARE, "WAIT"),
-    RefusalCode.WARMING_UP: (Mood.CARE, "WAIT"),
+    RefusalCode.ALREADY_DONE: ("headline.already_done", Mood.GOOD, "TURN"),
+    RefusalCode.OTHER_SIDE: ("headline.other_side", Mood.CARE, "TURN"),
+    RefusalCode.START_UP: ("headline.start_up", Mood.CARE, "WAIT"),
+    RefusalCode.WARMING_UP: ("headline.warming_up", Mood.CARE, "WAIT"),
 }
 # Messages of these no longer hold once a hold begins.
 _WAITS = (RefusalCode.START_UP, RefusalCode.WARMING_UP, RefusalCode.NOT_QUIET)
@@ -196,20 +196,25 @@ def _accepted(event: events.Accepted) -> str:
 class Instruction(NamedTuple):
     """What to do now.
 
-    ``code`` names it for programs, ``details`` stand below the headline, ``big`` are two words of six letters at most for big
-    letters, and ``side`` is what has to come up, where a side has to.
+    ``key`` is that of its headline, ``details`` stand below it, ``big`` are two words of six letters at most for big letters,
+    and ``side`` is what has to come up, where a side has to.
     """
 
-    code: str
+    key: str
     details: str
     mood: Mood
     big: tuple[str, str]
     side: str = ""
 
     @property
+    def code(self) -> str:
+        """Its name for programs."""
+        return self.key.partition(".")[2]
+
+    @property
     def headline(self) -> str:
         """The words for it, in capitals."""
-        return sentence(f"headline.{self.code}")
+        return sentence(self.key)
 
     @property
     def style(self) -> str:
@@ -219,10 +224,10 @@ class Instruction(NamedTuple):
 
 # States with one instruction each, the details by their key.
 _BY_STATE = {
-    State.LEARNING: Instruction("learning", "screen.learning", Mood.CARE, ("LEAVE", "IT")),
-    State.PAUSED: Instruction("paused", "screen.paused", Mood.NONE, ("PAUSED", "")),
-    State.LOST: Instruction("lost", "screen.lost", Mood.WRONG, ("NO", "LINK")),
-    State.DONE: Instruction("done", "screen.done", Mood.GOOD, ("DONE", "")),
+    State.LEARNING: Instruction("headline.learning", "screen.learning", Mood.CARE, ("LEAVE", "IT")),
+    State.PAUSED: Instruction("headline.paused", "screen.paused", Mood.NONE, ("PAUSED", "")),
+    State.LOST: Instruction("headline.lost", "screen.lost", Mood.WRONG, ("NO", "LINK")),
+    State.DONE: Instruction("headline.done", "screen.done", Mood.GOOD, ("DONE", "")),
 }
 
 
@@ -240,22 +245,21 @@ def _instruct(screen: Screen, snapshot: Snapshot) -> Instruction:
     if snapshot.target_direction is not None:
         side = nearest_cube_direction(np.array(snapshot.target_direction))
     if refused is not None and state in (State.RESTING, State.TURNING, State.ROLLING):
-        mood, big = MILD_REFUSALS.get(refused.reason, (Mood.WRONG, "AGAIN"))
-        code = refused.reason.value if refused.reason in MILD_REFUSALS else "not_taken"
-        return Instruction(code, f"{refused.words}; {refused.remedy}", mood, (big, side), side)
+        key, mood, big = MILD_REFUSALS.get(refused.reason, ("headline.not_taken", Mood.WRONG, "AGAIN"))
+        return Instruction(key, f"{refused.words}; {refused.remedy}", mood, (big, side), side)
     if state is State.HOLDING:
         place = f"{hold.position}: {hold.words}" if hold else ": "
         left = f"{screen.remaining_s:.0f}" if math.isfinite(screen.remaining_s) else ""
-        return Instruction("hold", place + " (in the hand)" * snapshot.in_hand, Mood.CARE, ("HOLD", left))
+        return Instruction("headline.hold", place + " (in the hand)" * snapshot.in_hand, Mood.CARE, ("HOLD", left))
     if state is State.ROLLING and turn is not None:
-        return Instruction("roll", turn.words, Mood.MOVE, ("ROLL", f"{'+' if turn.sense > 0 else '-'}{turn.axis}"))
+        return Instruction("headline.roll", turn.words, Mood.MOVE, ("ROLL", f"{'+' if turn.sense > 0 else '-'}{turn.axis}"))
     if state is State.RESTING and (accepted := screen.accepted) is not None:
         if accepted.suspect:
             off_mg = (accepted.leave_one_out_m_s2 or 0.0) / MILLI_G_M_S2
             details = sentence("screen.suspect", position=accepted.position, off_mg=off_mg, target=target)
-            return Instruction("suspect", details, Mood.WRONG, ("PRESS", NAMES["retake"].upper()))
-        return Instruction("good", target, Mood.GOOD, ("GOOD", side), side)
-    return Instruction("turn", target, Mood.MOVE, ("TURN", side), side)
+            return Instruction("headline.suspect", details, Mood.WRONG, ("PRESS", NAMES["retake"].upper()))
+        return Instruction("headline.good", target, Mood.GOOD, ("GOOD", side), side)
+    return Instruction("headline.turn", target, Mood.MOVE, ("TURN", side), side)
 
 
 def draw(

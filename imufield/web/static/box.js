@@ -70,11 +70,11 @@ export class Box {
     let size = Math.min(width, height) / 2 / REACH;
     if (this.goal) {
       // Side by side, or small in the corner where there is no room for two.
-      size = Math.min(isWide ? width / 2 : width, height) / 2 / REACH;
+      size = Math.min(isWide ? width / 2 : 0.88 * width, height) / 2 / REACH;
       const share = isWide ? 1 : 0.5;
       /** @type {[number, number]} */
       const there = isWide ? [(3 * width) / 4, height / 2] : [width - size, size * share * REACH + 4];
-      middle = isWide ? [width / 4, height / 2] : [width / 2 - 0.3 * size, height / 2 + 0.3 * size];
+      middle = isWide ? [width / 4, height / 2] : [width / 2 - 0.5 * size, height / 2 + 0.3 * size];
       this.solid(context, this.wanted(), there, size * share, colour("goal"));
       this.turn(context, middle, size, true);
       this.solid(context, this.attitude, middle, size, colour("box"));

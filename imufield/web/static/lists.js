@@ -15,7 +15,7 @@ export function showSessions(bench, job) {
       make("a", { href: `#session/${encodeURIComponent(name)}` }, name),
       when(row.created),
       [row.instrument, row.serial_number].filter(Boolean).join(" "),
-      row.positions === null ? "" : text("ofPlanned", { positions: row.positions, planned: row.planned ?? "?" }),
+      row.positions !== null && row.planned !== null ? text("ofPlanned", row) : row.positions,
       row.fault ?? row.state,
       make("strong", { class: row.verdict ?? "" }, row.verdict?.toUpperCase() ?? text("unsolved")),
     ];

@@ -201,7 +201,8 @@ def test_what_is_nobodys_mistake_is_not_called_refused(session: Any) -> None:
     for event, code, short in ((done, "already_done", "TURN"), (starting, "start_up", "WAIT")):
         screen = Screen()
         screen.follow([event])
-        assert instruct(screen, guide.snapshot())[:2] == (code, f"{event.words}; {event.remedy}")
+        now = instruct(screen, guide.snapshot())
+        assert (now.code, now.details) == (code, f"{event.words}; {event.remedy}")
         assert instruct(screen, guide.snapshot()).big[0] == short
         assert "refused" not in line(event)
 
