@@ -44,8 +44,8 @@ def marked(session: PageSession, page: Page, key: str, action: str) -> str:
     before = len(session.told)
     tap(page, key)
     event = session.wait_for(lambda told: told["event"] == "marked" and told["action"] == action, after=before)
-    # What the terminal is told stands on the page, too.
-    page.locator("#log li", has_text=event["words"]).first.wait_for()
+    # What the terminal is told stands on the page, too, with its own button.
+    page.locator("#log li", has_text=event["words"].replace("[finish]", "tap “finish”")).first.wait_for()
     return str(event["position"])
 
 
