@@ -16,7 +16,7 @@ ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))
 
 from tests.web.browser import open_browser  # noqa: E402
-from tests.web.guide_stages import StagedSession  # noqa: E402
+from tests.web.guide_stages import ENDED, StagedSession  # noqa: E402
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -29,7 +29,6 @@ SCREENS = (("phone", 390, 844, 180), ("tablet", 768, 1024, 240), ("laptop", 1280
 ALONE = {("turning", "laptop", "light"): "page", ("holding", "phone", "dark"): "page-hold"}
 COLUMNS = {"phone": 8, "tablet": 5, "laptop": 5}
 QUALITY = {"alone": 45, "once": 80, "sheet": 40}
-ENDED: dict[str, object] = {"headline": "FINISHED", "details": "24 of 24 positions measured; next: imufield solve"}
 STYLE = "body{margin:8px;background:#777;font:14px sans-serif;color:#fff;display:grid;gap:8px}figure{margin:0}img{width:100%}"
 
 

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import imufield
+from imufield.guide.view.marks import NAMES
 
 MOST_WORDS = 25
 LIMIT_WORDS = re.compile(
@@ -45,6 +46,13 @@ def test_a_limit_is_called_one() -> None:
         f"{key}: {text}" for key, text in sentences() if re.search(r"\{\w*limit\w*[:}!]", text) and not LIMIT_WORDS.search(text)
     ]
     assert not bare, "\n".join(bare)
+
+
+def test_sentences_of_the_guide_name_marks_and_no_keys() -> None:
+    """Each view says how a mark is made there: see ``imufield.guide.view.marks``."""
+    of_guide = {key: text for key, text in sentences() if key.startswith("guide") and key != "guide/view: marks.press"}
+    assert {name for text in of_guide.values() for name in re.findall(r"(?<!\[)\[([a-z ]+)\]", text)} == {*NAMES}
+    assert not [key for key, text in of_guide.items() if re.search(r"\bpress\b|\btap\b", text)]
 
 
 def test_no_private_words() -> None:

@@ -89,7 +89,7 @@ def _replay_to_page(
     pacer = Pacer(options.speed or None, longest_s=LONGEST_PAUSE_S)
     with ExitStack() as stack:
         place = bind_page(stack)
-        page = stack.enter_context(serve_page(place, positions, session, as_json=options.as_json, takes_marks=False))
+        page = stack.enter_context(serve_page(place, positions, session, as_json=options.as_json, replay_speed=options.speed))
         shown_s = -math.inf
 
         def refresh(*, at_once: bool = False) -> None:
@@ -116,9 +116,9 @@ def _replay_to_page(
 
         replay_into(chain, session, damage, listen, items=items())
         refresh(at_once=True)
-        ended = {"accepted": len(chain.observations()), "planned": len(positions)}
         command = f"imufield replay --web {shlex.quote(str(session.folder))}"
-        page.end(sentence("replay.ended"), sentence("replay.again", **ended, command=command))
+        counts = {"accepted": len(chain.observations()), "planned": len(positions), "missing": 0}
+        page.end({"outcome": "replayed", "reason": "", "command": command, **counts})
 
 
 def _tell(chain: Chain) -> None:

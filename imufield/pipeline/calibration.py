@@ -10,6 +10,7 @@ import numpy as np
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
 from imufield.calibrate.accelerometer.methods import cross_check, solve_with
+from imufield.calibrate.accelerometer.start import FEWEST_FOR_MISALIGNMENT
 from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
 from imufield.calibrate.gyroscope.input import FEWEST_STILLS, GyroscopeInput
 from imufield.calibrate.gyroscope.methods import cross_check_gyroscope, solve_gyroscope_with
@@ -36,6 +37,8 @@ AChoice = TypeVar("AChoice")
 
 FEWEST_POSITIONS = 6
 """For scale and bias, each axis up and down."""
+FEWEST_CHECKED = FEWEST_FOR_MISALIGNMENT + 1
+"""For misalignment, too, and one that checks the others: with fewer a result is POOR, or lacks parameters."""
 _NOT_CALIBRATED = "not calibrated"
 _BIAS_ONLY = "bias only"
 # Reasons for a gyroscope without a calibration that say that its data are not what they are said to be.

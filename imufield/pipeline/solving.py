@@ -23,6 +23,7 @@ from imufield.guide.cross_checks.axes import AxesCheck
 from imufield.guide.events import Event, RefusalCode, Rejected
 from imufield.guide.lead.guide import Guide
 from imufield.guide.refusals import Refusal
+from imufield.guide.view.marks import with_keys
 from imufield.pipeline.calibration import FEWEST_POSITIONS, Measured, MoveListener, SolveSettings, calibrate
 from imufield.pipeline.chain import Chain, ReadingPlan, replay_into
 from imufield.pipeline.damage import naming_damage, without_end_under_way
@@ -196,7 +197,7 @@ def _check_count(count: int, refusals: Sequence[Rejected | Refusal]) -> None:
         refused=len(refusals),
         were="was" if len(refusals) == 1 else "were",
         words=last.words,
-        remedy=last.remedy,
+        remedy=with_keys(last.remedy),
     )
     raise CalibrationError(too_few, Reason.SATURATED if code in _AT_LIMIT else Reason.TOO_FEW)
 

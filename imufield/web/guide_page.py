@@ -10,20 +10,21 @@ from queue import Empty, SimpleQueue
 
 import numpy as np
 
-from imufield.guide.events import Event
+from imufield.earth import MILLI_G_M_S2
+from imufield.guide.events import Accepted, Event, Rejected
 from imufield.guide.lead.guide import Snapshot
 from imufield.guide.lead.state_table import State
 from imufield.guide.positions import Scheme
+from imufield.guide.stillness.cells import CELL_S
+from imufield.guide.view.marks import AGAIN_WITHIN_S, KEYS
 from imufield.guide.view.plain import known_words, said_once
-from imufield.guide.view.screen import Screen, instruct, stillness_words
+from imufield.guide.view.screen import MILD_REFUSALS, Screen, instruct, stillness_words
 from imufield.guide.view.sound import heard
 from imufield.web.board import Board, Json
 
 LOG_LINES = 200
 TRACE_BLOCKS = 300
-"""Of 0.1 s: half a minute."""
-KEYS = frozenset("rsupgf")
-"""Marks that a page may make; a session is ended where its instrument is, at the terminal."""
+"""Half a minute."""
 _DIGITS = 5
 _FORECAST = ("bias_ug", "scale_ppm", "misalignment_urad")
 
@@ -40,12 +41,22 @@ class GuidePage:
         Face where the cable leaves, "-x".
     shape : str or None
         Triangles to be drawn in place of a box, see ``shape.read_stl``.
+    replay_speed : float or None
+        Of a recording, times its own; 0 is as fast as possible. None for a session that is measured now.
     """
 
     def __init__(
-        self, scheme: Scheme, *, session: str, instrument: str, cable: str | None = None, shape: str | None = None
+        self,
+        scheme: Scheme,
+        *,
+        session: str,
+        instrument: str,
+        cable: str | None = None,
+        shape: str | None = None,
+        replay_speed: float | None = None,
     ) -> None:
-        self._screen = Screen()
+        # A mark is named as the guide names it: which button that is, the page says.
+        self._screen = Screen(say=str)
         self._scheme = scheme
         self._marks: SimpleQueue[str] = SimpleQueue()
         self._forecasts: dict[int, list[float | None]] = {}
@@ -62,11 +73,16 @@ class GuidePage:
             "shape": shape,
             "scheme": scheme.name,
             "positions": positions,
+            "replay_speed": replay_speed,
+            "finish_again_s": AGAIN_WITHIN_S,
+            "log_lines": LOG_LINES,
+            "trace_blocks": TRACE_BLOCKS,
+            "trace_s": TRACE_BLOCKS * CELL_S,
         }
         self.board = Board(head, trace_blocks=TRACE_BLOCKS, log_lines=LOG_LINES)
 
     def mark(self, key: str | bytes) -> None:
-        """Take a key from a page; called from its thread."""
+        """Take a key from a page, called from its thread; a session is ended where its instrument is, at the terminal."""
         if isinstance(key, str) and key in KEYS:
             self._marks.put(key)
 
@@ -79,11 +95,6 @@ class GuidePage:
             except Empty:
                 return keys
 
-    def tell(self, text: str) -> None:
-        """Show a message that is no event."""
-        self._screen.tell(text)
-        self._log.append({"text": text, "kind": "told", "tones": [], "spoken": ""})
-
     def show(self, events: list[Event]) -> None:
         """Take events; they are shown with the next state."""
         for event in said_once(events):
@@ -93,7 +104,7 @@ class GuidePage:
             cue, spoken = heard(event)
             if text or cue or spoken:
                 tones = [] if cue is None else cue.tones
-                self._log.append({"text": text, "kind": event.kind, "tones": tones, "spoken": spoken or ""})
+                self._log.append({"text": text, "kind": _kind(event), "tones": tones, "spoken": spoken or ""})
 
     def refresh(self, snapshot: Snapshot, *, silent: bool, samples_lost: int) -> None:
         """Show the state between events."""
@@ -103,10 +114,12 @@ class GuidePage:
         holding = snapshot.state is State.HOLDING
         state: Json = {
             "state": snapshot.state.value,
+            "now": now.code,
             "headline": now.headline,
             "details": now.details,
-            "big": list(now.big),
-            "mood": now.style.replace("bold", "").strip() or "plain",
+            "side": now.side,
+            "mood": now.mood.value,
+            "marks": list(snapshot.marks),
             "target": snapshot.target,
             "position": snapshot.position,
             "fraction": _number(snapshot.fraction) if holding else None,
@@ -129,7 +142,8 @@ class GuidePage:
             self._forecasts[len(snapshot.accepted)] = [_number(forecast.get(name, math.nan)) for name in _FORECAST]
         positions: Json = {
             "accepted": {
-                name: {"residual_m_s2": _number(snapshot.residuals.get(name, math.nan))} for name in snapshot.accepted
+                name: {"residual_mg": _number(snapshot.residuals.get(name, math.nan) / MILLI_G_M_S2)}
+                for name in snapshot.accepted
             },
             "suspects": list(snapshot.suspects),
             "skipped": list(snapshot.skipped),
@@ -153,6 +167,13 @@ class GuidePage:
             [round(float(at_s), 2), *(_number(value) for value in (*row, snapshot.temperature_degc))]
             for at_s, row in zip(time_s[new], signals.mean[new], strict=True)
         ]
+
+
+def _kind(event: Event) -> str:
+    """Return what a line of the log is: the event's name, but for those that are worse or better than others of that name."""
+    if isinstance(event, Accepted) and event.suspect:
+        return "suspect"
+    return "told" if isinstance(event, Rejected) and event.reason in MILD_REFUSALS else event.kind
 
 
 def _number(value: float) -> float | None:

@@ -30,12 +30,21 @@ LONGEST_S = 600.0  # Of the session, between two stages.
 WRONG = 1.03  # Factor of a hold that the others contradict.
 SHOCK_M_S2 = 2.0
 WARMTH_DEGC = 31.4
+ENDED: dict[str, object] = {
+    "outcome": "finished",
+    "accepted": 24,
+    "planned": 24,
+    "missing": 0,
+    "command": "imufield solve my-session",
+    "reason": "",
+}
+"""What pages are told last."""
 
 
 class StagedSession:
     """A session of 24 positions; ``stages`` runs it and stops."""
 
-    def __init__(self, *, instrument: str = "STIM300 N25581846020021") -> None:
+    def __init__(self, *, instrument: str = "STIM300 N25581846020021", replay_speed: float | None = None) -> None:
         positions = scheme("paper24")
         habits = OperatorSettings(initial_still_s=8.0, hold_s=6.0, waits=True, turn_s=(2.5, 3.0))
         options = Emulation(
@@ -44,7 +53,9 @@ class StagedSession:
         self._directions = {position.name: np.array(position.direction) for position in positions.positions}
         self._source = make_virtual_imu(options)
         self.guide = Guide(positions, self._source.imu.instrument.grade.units, settings=GuideSettings(hold_s=4.0))
-        self.page = GuidePage(positions, session="2026-03-14-workshop", instrument=instrument, cable="-x")
+        self.page = GuidePage(
+            positions, session="2026-03-14-workshop", instrument=instrument, cable="-x", replay_speed=replay_speed
+        )
         self._events: list[Event] = []
 
     def stages(self) -> Iterator[str]:

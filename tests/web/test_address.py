@@ -22,7 +22,9 @@ def refusal(lan: str | None, port: int | None = None) -> str:
 def test_two_sessions_at_once_have_ports_of_their_own() -> None:
     with closing((first := open_place(None, None)).listening), closing((second := open_place(None, None)).listening):
         ports = [place.listening.getsockname()[1] for place in (first, second)]
-        assert address.DEFAULT_PORT <= ports[0] < ports[1] < address.DEFAULT_PORT + address.TRIED_PORTS
+        # Other programs take and leave ports meanwhile.
+        assert ports[0] != ports[1]
+        assert {*ports} <= {*range(address.DEFAULT_PORT, address.DEFAULT_PORT + address.TRIED_PORTS)}
         assert first.url == f"http://127.0.0.1:{ports[0]}/"
         assert first.hosts == {f"127.0.0.1:{ports[0]}", f"localhost:{ports[0]}"}
         assert not first.is_in_network

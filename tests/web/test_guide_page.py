@@ -44,8 +44,8 @@ def marked(session: PageSession, page: Page, key: str, action: str) -> str:
     before = len(session.told)
     tap(page, key)
     event = session.wait_for(lambda told: told["event"] == "marked" and told["action"] == action, after=before)
-    # What the terminal is told stands on the page, too.
-    page.locator("#log li", has_text=event["words"]).first.wait_for()
+    # What the terminal is told stands on the page, too, with its own button.
+    page.locator("#log li", has_text=event["words"].replace("[finish]", "tap “finish”")).first.wait_for()
     return str(event["position"])
 
 
@@ -78,13 +78,18 @@ def test_a_whole_session_from_the_page(program: Program, screens: Screens) -> No
     session.plug_in()
     page.locator("#log li.link_back").wait_for()
     second = screens.open(session.url)
+    wait_for_words(page, "#done", "^24$")
+    # The person goes on turning it while the pages are read, and may show what ends the session.
+    tap(page, "p")
     for each in (page, second, watching):
-        wait_for_words(each, "#done", "^24$")
+        wait_for_words(each, "#headline", "PAUSED")
     found = residuals(page)
     assert found == residuals(second) == residuals(watching)
     assert sorted(found) == sorted(POSITIONS)
     assert all(found.values())
-    assert oldest(page, 30) == oldest(second, 30) == oldest(watching, 30)
+    assert oldest(page, 30) == oldest(second, 30)
+    # Who may only watch is told the name of a mark, and no button.
+    assert oldest(watching, 30) == [line.replace("tap “", "“") for line in oldest(page, 30)]
     assert len(oldest(page, 30)) == 30
     # The end needs a second tap, as the first says; any page may make it.
     marked(session, second, "f", "finish")
@@ -92,14 +97,14 @@ def test_a_whole_session_from_the_page(program: Program, screens: Screens) -> No
     tap(second, "f")
     for each in (page, second, watching):
         wait_for_words(each, "#headline", "FINISHED")
-        wait_for_words(each, "#details", "24 of 24 .* imufield solve")
+        wait_for_words(each, "#details", r"24 of 24 [\s\S]* imufield solve")
     assert session.process.wait(300) == 0, session.process.communicate()[1]
     assert screens.console == []
 
     # The recording alone gives the same session again, without a page.
     recorded = session.recorded
     marks = [event["action"] for event in recorded if event["event"] == "mark"]
-    assert marks == ["pause", "skip", "undo", "retake", "pause", "finish"]
+    assert marks == ["pause", "skip", "undo", "retake", "pause", "pause", "finish"]
     replayed = program.run("replay", session.session.folder, "--json")
     again = [json.loads(line) for line in replayed.stdout.splitlines()]
     assert again == [event for event in recorded if event["event"] not in ("mark", "unplugged")]

@@ -3,26 +3,29 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
+import numpy as np
 import pytest
 
 pytest.importorskip("websockets", reason="the page needs websockets")
 
+from imufield.guide.events import Marked
+from imufield.guide.positions import angle_deg
 from tests.web.browser import Screens
-from tests.web.guide_stages import StagedSession
+from tests.web.guide_stages import ENDED, StagedSession
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 AXE = Path(__file__).parent / "scripts" / "node_modules" / "axe-core" / "axe.min.js"
-SIZES = ((390, 844), (844, 390), (768, 1024), (1280, 800))
+SIZES = ((390, 844), (320, 568), (844, 390), (768, 1024), (1280, 800))
 STAGES = 14
-ENDED: dict[str, object] = {"headline": "FINISHED", "details": "24 of 24 positions measured; imufield solve my-session"}
 # Beside what a page of its own scrolls by, nothing may stick out.
 WIDER = """() => [...document.querySelectorAll("body *")]
     .filter((element) => element.getBoundingClientRect().right > innerWidth + 1 && element.checkVisibility())
@@ -30,6 +33,8 @@ WIDER = """() => [...document.querySelectorAll("body *")]
 CUT = """() => [...document.querySelectorAll("#headline, #side, #details, #marks button")]
     .filter((element) => element.scrollWidth > element.clientWidth + 1 && element.checkVisibility())
     .map((element) => element.textContent)"""
+# Of the terminal, or a mark that was not named.
+NOT_OURS = re.compile(r"\bpress\b|\bkey\b|\[[a-z ]+\]|\bundefined\b|\bNaN\b")
 RUN_AXE = """async () => (await axe.run()).violations
     .filter(({impact}) => ["serious", "critical"].includes(impact))
     .map(({id, nodes}) => `${id}: ${nodes.map(({target, failureSummary}) => `${target} ${failureSummary}`).join("; ")}`)"""
@@ -42,12 +47,17 @@ class Findings:
     stages: list[str] = field(default_factory=list)
     too_wide: list[str] = field(default_factory=list)
     barriers: list[str] = field(default_factory=list)
+    words: list[str] = field(default_factory=list)
+    angles: list[tuple[str, float]] = field(default_factory=list)
+    """As the page shows it, and by the guide's own directions, both in degrees."""
     console: list[str] = field(default_factory=list)
 
 
 def find(page: Page, stage: str, found: Findings) -> None:
     """Note what is wrong with a state."""
     found.stages.append(stage)
+    shown = page.locator("body").inner_text()
+    found.words += [f"{stage}: {line}" for line in shown.splitlines() if NOT_OURS.search(line)]
     for width, height in SIZES:
         page.set_viewport_size({"width": width, "height": height})
         found.too_wide += [f"{stage} at {width} x {height}: {what}" for what in page.evaluate(WIDER) + page.evaluate(CUT)]
@@ -77,6 +87,10 @@ def findings(browser: Browser) -> Iterator[Findings]:
         for stage in staged.stages():
             staged.wait_for(page, stage)
             find(page, stage, found)
+            if stage == "settling":
+                now = staged.guide.snapshot()
+                to_goal_deg = angle_deg(np.array(now.direction), np.array(now.target_direction))
+                found.angles.append((page.locator("#ring text").text_content() or "", to_goal_deg))
         found.console = list(screens.console)
         server.end(ENDED)
     page.locator("#headline", has_text="FINISHED").wait_for()
@@ -92,6 +106,16 @@ def test_every_state_fits_every_screen(findings: Findings) -> None:
     assert findings.console == []
 
 
+def test_sentences_name_what_the_page_has(findings: Findings) -> None:
+    assert not findings.words, "\n".join(findings.words)
+
+
+def test_the_angle_to_the_goal_is_the_guide_s(findings: Findings) -> None:
+    ((shown, to_goal_deg),) = findings.angles
+    assert shown.endswith("°")
+    assert abs(float(shown[:-1]) - to_goal_deg) <= 1.0
+
+
 def test_no_barrier_in_any_state(findings: Findings) -> None:
     if not AXE.exists():
         (pytest.fail if os.environ.get("CI") == "true" else pytest.skip)("no axe-core, which npm installs: make scripts")
@@ -100,10 +124,15 @@ def test_no_barrier_in_any_state(findings: Findings) -> None:
 
 def test_keyboard_alone(screens: Screens) -> None:
     staged = StagedSession()
-    next(staged.stages())
+    stages = staged.stages()
+    next(stages)
     with staged.served() as (_, url):
         page = screens.open(url)
-        page.locator("#marks").wait_for()
+        # What would do nothing is not offered: nothing is measured yet.
+        page.locator("[data-key=r]:disabled").wait_for()
+        assert page.locator("#marks button:enabled:visible").count() == 3
+        page.keyboard.press("u")
+        staged.wait_for(page, next(stages))
         reached = []
         for _ in range(9):
             page.keyboard.press("Tab")
@@ -129,10 +158,41 @@ def test_keyboard_alone(screens: Screens) -> None:
         assert screens.console == []
 
 
+def test_a_recording_is_called_one(screens: Screens) -> None:
+    staged = StagedSession(replay_speed=4)
+    next(staged.stages())
+    with staged.served() as (server, url):
+        page = screens.open(url)
+        page.locator("#recording", has_text="4").wait_for()
+        server.end(ENDED | {"outcome": "replayed", "accepted": 4, "command": "imufield replay --web"})
+    page.locator("#details", has_text="imufield replay --web").wait_for()
+
+
+def test_few_positions_are_called_few(screens: Screens) -> None:
+    staged = StagedSession()
+    next(staged.stages())
+    with staged.served() as (server, url):
+        page = screens.open(f"{url}&back=http://127.0.0.1:8778/")
+        page.locator("#marks").wait_for()
+        assert not page.locator("#recording").is_visible()
+        server.end(ENDED | {"outcome": "stopped", "accepted": 4, "missing": 6})
+    # Who came from the workbench goes on there.
+    said = page.locator("#details", has_text="6 more")
+    said.wait_for()
+    assert "imufield" not in said.inner_text()
+
+
+@pytest.mark.parametrize("fragment", ["", "#token=another"])
+def test_who_has_no_token_is_told_what_to_open(screens: Screens, idle: str, fragment: str) -> None:
+    page = screens.open(idle.partition("#")[0] + fragment)
+    page.locator("#link", has_text="address").wait_for()
+    assert not page.locator("#marks").is_visible()
+
+
 def test_text_of_others_stays_text(screens: Screens) -> None:
     hostile = "<img src=x onerror=alert(1)><script>alert(2)</script>"
     staged = StagedSession(instrument=hostile)
-    staged.page.tell(hostile)
+    staged.page.show([Marked(0.0, "undo", None, hostile)])
     next(staged.stages())
     with staged.served() as (_, url):
         page = screens.open(url)

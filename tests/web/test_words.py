@@ -6,15 +6,20 @@ from itertools import chain
 
 import pytest
 
+from imufield.earth import MICRO_G_M_S2
+from imufield.guide.view.marks import KEYS, NAMES
+from imufield.pipeline.calibration import FEWEST_CHECKED
+
 STATIC = files("imufield.web") / "static"
 # The modules that the page loads, one by another.
 IMPORTED = re.compile(r'from "\./(\w+\.js)"')
 TEXT = re.compile(r"\btext\(([^()]*)")
 NAME = re.compile(r'"(\w+)"')
-# Of positions and of the link: their names come from the program.
-BY_STATE = {"accepted", "next", "open", "suspect", "again", "skipped", "lost", "silent"}
-VERDICTS = {"good", "usable", "poor"}
-PAGES = {"index.html": ("guide.js", BY_STATE), "workbench.html": ("workbench.js", VERDICTS)}
+# Of positions, marks and the end: their names come from the program.
+BY_STATE = {"accepted", "next", "open", "suspect", "again", "skipped", "tap", "named"}
+BY_STATE |= {f"{outcome}{then}" for outcome in ("finished", "stopped", "replayed") for then in ("", "_next", "_back")}
+BY_RESULT = {"good", "usable", "poor", "named"}
+PAGES = {"index.html": ("guide.js", BY_STATE), "workbench.html": ("workbench.js", BY_RESULT)}
 """The first module of each page, and the words it asks for by what the program says."""
 
 
@@ -45,6 +50,20 @@ def test_scripts_hold_no_sentence(page: str) -> None:
         f"{name}: {text}" for name, source in code.items() for text in re.findall(r'"[A-Za-z]+( [a-z]+){2,}[^"]*"', source)
     ]
     assert sentences == []
+
+
+def test_the_page_makes_the_marks_of_the_terminal_and_names_them_as_the_guide_does() -> None:
+    html = (STATIC / "index.html").read_text(encoding="utf-8")
+    assert dict(re.findall(r'data-mark="(\w+)" data-key="(\w)"', html)) == {action: key for key, action in KEYS.items()}
+    labels = re.findall(r"<button data-mark[^>]*>(?:<span>)?([a-z ]+?)(?:</span>)? <kbd>(\w)</kbd>", html)
+    labels += [(words, "p") for words in re.findall(r'data-text="go_on">([^<]*)', html)]
+    assert NAMES.items() <= {*labels}
+
+
+def test_numbers_that_stand_twice_are_the_same() -> None:
+    session = (STATIC / "session.js").read_text(encoding="utf-8")
+    numbers = {name: float(value) for name, value in re.findall(r"^const (\w+) = ([\d.e-]+);", session, flags=re.MULTILINE)}
+    assert numbers == {"MICRO_G": MICRO_G_M_S2, "FEWEST_CHECKED": FEWEST_CHECKED}
 
 
 def test_a_night_that_is_chosen_has_the_colours_of_the_system_s() -> None:

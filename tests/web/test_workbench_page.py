@@ -61,9 +61,9 @@ def table_of_stills(path: Path) -> None:
 
 
 PARTS = {"#history": "#instruments h3", "#sessions": "#list a", "#import": "#drop", "#calibrate": "#start"}
-# A table scrolls in its own frame.
+# A table scrolls in its own frame, but for those whose cells stack.
 WIDER = """() => [...document.querySelectorAll("body *")]
-    .filter((element) => !element.closest(".wide > *") && element.checkVisibility())
+    .filter((element) => !element.closest(".wide:not(.stacks) > *") && element.checkVisibility())
     .filter((element) => element.getBoundingClientRect().right > innerWidth + 1)
     .map((element) => element.id || element.tagName)"""
 

@@ -33,7 +33,7 @@ from imufield.calibrate.gyroscope.report import (
 )
 from imufield.calibrate.gyroscope.residuals import VERTICAL
 from imufield.calibrate.gyroscope.static import StaticData, fit_static, latitude_words, sees_earth, static_bias
-from imufield.calibrate.gyroscope.whole_turns import find_stops, whole_stops
+from imufield.calibrate.gyroscope.whole_turns import find_stops, misses_and_limits
 from imufield.calibrate.model.grades import find_grade
 from imufield.errors import CalibrationError, Reason
 from imufield.sentences import Sentences
@@ -85,7 +85,7 @@ def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -
         # A fit without the stops tells which of their turns were whole; the others are used as moves.
         moves, sigma = find_stops(given.stops, given.moves.start_s, given.moves.end_s)
         first = fit_jointly(data, start, observability.free(FULL))
-        missed, limit = whole_stops(first.evaluation, data, moves, sigma)
+        missed, limit = misses_and_limits(first.evaluation, data, moves, sigma)
         whole = np.abs(missed) <= limit
         warnings = tuple(
             sentence("calibrate.not_whole", start_s=start_s, missed_deg=missed_deg, limit_deg=limit_deg)

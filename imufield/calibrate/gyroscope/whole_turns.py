@@ -77,7 +77,7 @@ def closures(evaluation: Evaluation, data: GyroscopeData) -> FloatArray:
     return np.asarray(np.sum(logarithm(from_matrix(evaluation.carry)) * data.up[data.moves.after], axis=1))
 
 
-def whole_stops(
+def misses_and_limits(
     evaluation: Evaluation, data: GyroscopeData, moves: IntArray, sigma: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return by how much each stop misses a whole turn, and the limit, rad, shape (c,): from a fit without them.

@@ -33,9 +33,10 @@ from imufield.errors import ImufieldError, RecordingError, UsageError
 from imufield.files import read_small_file, typed_write_errors, write_atomically
 from imufield.guide.events import Advice, Event, Topic
 from imufield.guide.positions import SCHEME_FILE, SCHEMES, scheme
+from imufield.guide.view.marks import AGAIN_WITHIN_S, KEYS
 from imufield.guide.view.plain import known_words, words
 from imufield.guide.view.terminal import Keyboard
-from imufield.pipeline.calibration import FEWEST_POSITIONS, one_of
+from imufield.pipeline.calibration import FEWEST_CHECKED, one_of
 from imufield.pipeline.chain import (
     MARK,
     REVISIT_FROM,
@@ -60,7 +61,6 @@ DEFAULT_SCHEME = "paper24"  # What the README promises: 24 positions, hand-held.
 SILENCE_S = 2.0
 """Real time without a byte after which the screen says so: the slowest instruments send ten times a second."""
 REFRESH_EVERY_S = 0.1  # Ten pictures a second: a person sees a turn without delay, and the decoder keeps its time.
-KEYS = {"r": "retake", "s": "skip", "u": "undo", "p": "pause", "f": "finish", "g": "go_on"}
 BIG = "b"
 HELP = "?"
 QUIT = "q"
@@ -69,9 +69,6 @@ QUICKLY_DECODED = 10
 """Reads that take no time that a person notices; more, on a machine that is behind, and a screen that does not answer is
 pressed again."""
 REOPEN = "reopen"  # Not a key: recorded where a session that was finished goes on.
-AGAIN_WITHIN_S = 10.0
-"""Finishing with something left ends the session only with the same key again within this time; a person's time is real,
-however fast an emulated instrument runs."""
 _SEQUENCE = re.compile(r"\x1b(\[[\d;]*\w|o\w)?")  # Of arrows and the like, lower case as keys are.
 
 
@@ -89,9 +86,14 @@ class Captured:
     """What the screen showed last, which is gone with it: how well all is known, drift, common scale."""
 
     @property
+    def missing(self) -> int:
+        """How many positions more a result needs at least, of those that are planned."""
+        return max(0, min(FEWEST_CHECKED, self.planned) - self.accepted)
+
+    @property
     def can_be_solved(self) -> bool:
         """Whether nothing is left to measure, and enough was."""
-        return self.finished and self.accepted >= min(FEWEST_POSITIONS, self.planned)
+        return self.finished and not self.missing
 
 
 def guide_record(options: CaptureOptions) -> GuideRecord:
@@ -209,7 +211,10 @@ def guided_session(
                 raise
             finally:
                 if page is not None:
-                    page.end(*_closing_words(loop.captured(), clock, reason))
+                    ended = loop.captured()
+                    counts = {"accepted": ended.accepted, "planned": ended.planned, "missing": ended.missing}
+                    outcome = "finished" if ended.can_be_solved else "stopped"
+                    page.end({"outcome": outcome, "reason": reason, "command": _next_command(ended, clock), **counts})
     except (KeyboardInterrupt, ImufieldError):
         if loop is not None:
             farewell(loop.captured(), options.view, clock)
@@ -399,6 +404,8 @@ def farewell(captured: Captured, view: ViewName, clock: HostClock) -> None:
         say(line)
     measured = f"{captured.accepted} of {captured.planned} positions measured"
     echo(beside(f"{measured}, session" if captured.can_be_solved else f"{measured} so far, all on disk in", folder))
+    if captured.finished and captured.missing:
+        say(sentence("guided.missing", missing=captured.missing))
     echo(beside("next: " if captured.can_be_solved else "go on:", _next_command(captured, clock)))
 
 
@@ -410,15 +417,3 @@ def _next_command(captured: Captured, clock: HostClock) -> str:
     # An emulated instrument that runs faster than real must be read as fast again.
     speed = f"IMUFIELD_CLOCK_SPEED={clock.speed:g} " if isinstance(clock, ScaledClock) else ""
     return f"{speed}imufield capture --resume --session {folder}"
-
-
-def _closing_words(captured: Captured, clock: HostClock, reason: str) -> tuple[str, str]:
-    """Return the last headline of the page, and why it ended, what there is and comes next: at the computer, where keys are."""
-    details = sentence(
-        "guided.solve_next" if captured.can_be_solved else "guided.go_on",
-        accepted=captured.accepted,
-        planned=captured.planned,
-        command=_next_command(captured, clock),
-    )
-    headline = sentence("guided.ended" if captured.can_be_solved else "guided.stopped")
-    return headline, "; ".join(filter(None, (reason, details)))

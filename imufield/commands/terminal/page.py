@@ -90,7 +90,7 @@ class ServedPage:
     """
 
     def __init__(self, page: GuidePage, server: PageServer, notice: str) -> None:
-        self.show, self.tell, self.read = page.show, page.tell, page.read
+        self.show, self.read, self.end = page.show, page.read, server.end
         self.notice = notice
         self._page, self._server = page, server
 
@@ -105,10 +105,6 @@ class ServedPage:
         """Whether a page looks at the moment."""
         return self._server.pages > 0
 
-    def end(self, headline: str, details: str) -> None:
-        """Tell the pages, as the last thing, how all has ended and what comes next."""
-        self._server.end({"headline": headline, "details": details})
-
 
 @contextmanager
 def serve_page(
@@ -118,11 +114,12 @@ def serve_page(
     *,
     cable: str | None = None,
     as_json: bool = False,
-    takes_marks: bool = True,
+    replay_speed: float | None = None,
 ) -> Iterator[ServedPage]:
     """Serve the page while entered; say where it is, and open it where there is a browser.
 
-    A program that reads JSON gets the addresses as a line of it, and opens the page itself.
+    A program that reads JSON gets the addresses as a line of it, and opens the page itself. A replay, at times the speed of
+    the recording, takes no marks; 0 is as fast as possible.
     """
     from imufield.web.access import Access, Role
     from imufield.web.address import qr_code
@@ -130,7 +127,15 @@ def serve_page(
     from imufield.web.server import PageServer
 
     access = Access(place.hosts)
-    page = GuidePage(positions, session=session.name, instrument=session.record.model, cable=cable, shape=_shape())
+    takes_marks = replay_speed is None
+    page = GuidePage(
+        positions,
+        session=session.name,
+        instrument=session.record.model,
+        cable=cable,
+        shape=_shape(),
+        replay_speed=replay_speed,
+    )
     watch_url = f"{place.url}#token={access.watch}"
     url = f"{place.url}#token={access.mark}" if takes_marks else watch_url
     lines = [sentence("page.at", url=url)]

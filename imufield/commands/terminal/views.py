@@ -64,8 +64,6 @@ class View:
 
     def tell(self, text: str) -> None:
         """Answer a key that is no mark; lines are answered as lines."""
-        if self.page is not None:
-            self.page.tell(text)
         if self._pictures is not None:
             self._pictures.tell(text)
         elif isinstance(self._lines, PlainView):

@@ -8,13 +8,14 @@ which it was made is complete.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from imufield.calibrate.model.observations import Observations
 from imufield.guide.cross_checks.axes import AxesCheck
-from imufield.guide.events import Event, Marked, Vector, vector
+from imufield.guide.events import Event, Marked, RefusalCode, Vector, vector
 from imufield.guide.hold.observe import gather
 from imufield.guide.lead.actions import GuideActions
 from imufield.guide.lead.live import LiveFeed, Signals
@@ -62,6 +63,8 @@ class Snapshot:
         Of the measured positions by the fit to all of them, m/s^2; empty until there are four.
     signals : Signals or None
         The live feed; None before the first.
+    marks : tuple of str
+        What the operator may say now with an effect: actions as ``Guide.mark`` takes them.
     """
 
     state: State
@@ -83,6 +86,7 @@ class Snapshot:
     forecast: dict[str, float] | None
     residuals: dict[str, float]
     signals: Signals | None
+    marks: tuple[str, ...]
 
 
 class Guide:
@@ -229,7 +233,21 @@ class Guide:
             forecast=None if fit is None else fit.forecast(),
             residuals={} if fit is None else dict(zip(fit.names, fit.residual_m_s2.tolist(), strict=True)),
             signals=self._feed.signals(self.detector.scale),
+            marks=tuple(self._marks_with_effect()),
         )
+
+    def _marks_with_effect(self) -> Iterator[str]:
+        plan, known = self.plan, TABLE[self.state]
+        if plan.accepted:
+            yield "retake"
+        if plan.proposed() is not None or self._held() is not None or self.state is State.ROLLING:
+            yield "skip"
+        if plan.can_undo:
+            yield "undo"
+        yield from (action for action, given in _INPUTS.items() if given in known and action != "reopen")
+        refusal = self._actions.hold.refusal
+        if refusal is not None and refusal.reason is RefusalCode.WARMING_UP and not self._actions.goes_on_cold:
+            yield "go_on"
 
     def _process(self, cells: Cells) -> None:
         """Judge finished cells in order, each mark right after the cell in which it was made."""

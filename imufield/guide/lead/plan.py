@@ -178,6 +178,11 @@ class Plan:
         self.wanted_again.discard(index)
         self._history.append(_Done("skip", index))
 
+    @property
+    def can_undo(self) -> bool:
+        """Whether there is something to reverse."""
+        return bool(self._history)
+
     def undo(self) -> tuple[str, int] | None:
         """Reverse the last accept, retake, skip or revisit; return it and its position, None when there is none."""
         if not self._history:

@@ -15,6 +15,7 @@ from functools import singledispatch
 from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2
 from imufield.guide import events
 from imufield.guide.events import Event, RefusalCode, Topic
+from imufield.guide.view.marks import with_keys
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -75,7 +76,7 @@ class PlainView:
 def line(event: Event, origin_s: float = 0.0) -> str:
     """Return the line of an event: time since ``origin_s``, then words."""
     time = f"{event.time_s - origin_s:9.1f} s" if math.isfinite(event.time_s) else " " * 9 + "- s"
-    return f"{time}  {words(event)}"
+    return f"{time}  {with_keys(words(event))}"
 
 
 def said_once(some: list[Event]) -> list[Event]:
@@ -119,7 +120,7 @@ _KEYS: dict[type[Event], str] = {
 
 @singledispatch
 def words(event: Event) -> str:
-    """Return the words of an event; a test walks ``EVENTS``."""
+    """Return the words of an event, marks by their names; a test walks ``EVENTS``."""
     return sentence(_KEYS[type(event)], event=event)
 
 

@@ -11,7 +11,9 @@ import math
 import re
 import textwrap
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
@@ -30,6 +32,7 @@ from imufield.guide.lead.state_table import State
 from imufield.guide.positions import Scheme, nearest_cube_direction
 from imufield.guide.refusals import quantities
 from imufield.guide.stillness.limits import Activity
+from imufield.guide.view.marks import NAMES, with_keys
 from imufield.guide.view.pictures import ROWS, big_lines, draw_box
 from imufield.guide.view.plain import NOT_TOLD, known_words, said_once, suspect_words, words
 from imufield.guide.view.traces import draw_signals, signals_title
@@ -57,12 +60,25 @@ _MESSAGES = 4
 _BIG_MESSAGES = 2  # Below the big letters.
 _KEPT = 80  # Messages that a large window shows.
 _READ_S = 4.0  # A refusal stays on the screen for this long although the unit moves on.
-# A refusal that is nobody's mistake: words, style, and the word in big letters.
-_REFUSED = {
-    RefusalCode.ALREADY_DONE: ("DONE BEFORE", "bold green", "TURN"),
-    RefusalCode.OTHER_SIDE: ("OTHER SIDE", "bold yellow", "TURN"),
-    RefusalCode.START_UP: ("WAIT", "bold yellow", "WAIT"),
-    RefusalCode.WARMING_UP: ("WAIT", "bold yellow", "WAIT"),
+
+
+class Mood(Enum):
+    """What kind of thing is to be done: its colour, in every view."""
+
+    MOVE = "move"
+    CARE = "care"
+    GOOD = "good"
+    WRONG = "wrong"
+    NONE = "none"
+
+
+_STYLES = {Mood.MOVE: "bold cyan", Mood.CARE: "bold yellow", Mood.GOOD: "bold green", Mood.WRONG: "bold red", Mood.NONE: "bold"}
+# A refusal that is nobody's mistake: its headline, its mood, and the word in big letters.
+MILD_REFUSALS = {
+    RefusalCode.ALREADY_DONE: ("headline.already_done", Mood.GOOD, "TURN"),
+    RefusalCode.OTHER_SIDE: ("headline.other_side", Mood.CARE, "TURN"),
+    RefusalCode.START_UP: ("headline.start_up", Mood.CARE, "WAIT"),
+    RefusalCode.WARMING_UP: ("headline.warming_up", Mood.CARE, "WAIT"),
 }
 # Messages of these no longer hold once a hold begins.
 _WAITS = (RefusalCode.START_UP, RefusalCode.WARMING_UP, RefusalCode.NOT_QUIET)
@@ -110,6 +126,8 @@ class Screen:
         A cable was pulled, or the session is resumed: nobody knows how many samples that cost.
     attitude : ndarray, shape (3, 3)
         Of the box as it is drawn; its heading is kept from frame to frame.
+    say : callable
+        Returns a sentence of the guide as this view says it, the marks in it above all.
     """
 
     move: events.Move | None = None
@@ -124,6 +142,7 @@ class Screen:
     attitude: FloatArray = field(default_factory=lambda: np.eye(3))
     messages: deque[str] = field(default_factory=lambda: deque(maxlen=_KEPT))
     message_number: int = 0  # Of the newest; those before it may be gone.
+    say: Callable[[str], str] = with_keys
     _waits: set[str] = field(default_factory=set)
 
     def tell(self, text: str) -> None:
@@ -159,7 +178,7 @@ class Screen:
 
     def _update_messages(self, event: Event) -> None:
         if not isinstance(event, _NO_MESSAGE):
-            self.tell(_accepted(event) if isinstance(event, events.Accepted) else words(event))
+            self.tell(self.say(_accepted(event) if isinstance(event, events.Accepted) else words(event)))
         if isinstance(event, events.Rejected) and event.reason in _WAITS:
             self._waits.add(self.messages[-1])
         elif isinstance(event, (events.Hold, events.Accepted)) and self._waits:
@@ -177,25 +196,50 @@ def _accepted(event: events.Accepted) -> str:
 
 
 class Instruction(NamedTuple):
-    """What to do now: a headline, the words below it, and two words of six letters at most for big letters."""
+    """What to do now.
 
-    headline: str
+    ``key`` is that of its headline, ``details`` stand below it, ``big`` are two words of six letters at most for big letters,
+    and ``side`` is what has to come up, where a side has to.
+    """
+
+    key: str
     details: str
-    style: str
+    mood: Mood
     big: tuple[str, str]
+    side: str = ""
+
+    @property
+    def code(self) -> str:
+        """Its name for programs."""
+        return self.key.partition(".")[2]
+
+    @property
+    def headline(self) -> str:
+        """The words for it, in capitals."""
+        return sentence(self.key)
+
+    @property
+    def style(self) -> str:
+        """Its colour in a terminal."""
+        return _STYLES[self.mood]
 
 
 # States with one instruction each, the details by their key.
 _BY_STATE = {
-    State.LEARNING: Instruction("LEAVE IT STILL", "screen.learning", "bold yellow", ("LEAVE", "IT")),
-    State.PAUSED: Instruction("PAUSED", "screen.paused", "bold", ("PAUSED", "")),
-    State.LOST: Instruction("NO LINK", "screen.lost", "bold red", ("NO", "LINK")),
-    State.DONE: Instruction("DONE", "screen.done", "bold green", ("DONE", "")),
+    State.LEARNING: Instruction("headline.learning", "screen.learning", Mood.CARE, ("LEAVE", "IT")),
+    State.PAUSED: Instruction("headline.paused", "screen.paused", Mood.NONE, ("PAUSED", "")),
+    State.LOST: Instruction("headline.lost", "screen.lost", Mood.WRONG, ("NO", "LINK")),
+    State.DONE: Instruction("headline.done", "screen.done", Mood.GOOD, ("DONE", "")),
 }
 
 
 def instruct(screen: Screen, snapshot: Snapshot) -> Instruction:
-    """Return what to do now."""
+    """Return what to do now, as the view of this screen says it."""
+    now = _instruct(screen, snapshot)
+    return now._replace(details=screen.say(now.details))
+
+
+def _instruct(screen: Screen, snapshot: Snapshot) -> Instruction:
     state, refused, turn, hold = snapshot.state, screen.refused, screen.turn, screen.hold
     if (now := _BY_STATE.get(state)) is not None:
         return now._replace(details=sentence(now.details))
@@ -203,21 +247,21 @@ def instruct(screen: Screen, snapshot: Snapshot) -> Instruction:
     if snapshot.target_direction is not None:
         side = nearest_cube_direction(np.array(snapshot.target_direction))
     if refused is not None and state in (State.RESTING, State.TURNING, State.ROLLING):
-        headline, style, big = _REFUSED.get(refused.reason, ("NOT TAKEN", "bold red", "AGAIN"))
-        return Instruction(headline, f"{refused.words}; {refused.remedy}", style, (big, side))
+        key, mood, big = MILD_REFUSALS.get(refused.reason, ("headline.not_taken", Mood.WRONG, "AGAIN"))
+        return Instruction(key, f"{refused.words}; {refused.remedy}", mood, (big, side), side)
     if state is State.HOLDING:
         place = f"{hold.position}: {hold.words}" if hold else ": "
         left = f"{screen.remaining_s:.0f}" if math.isfinite(screen.remaining_s) else ""
-        return Instruction("HOLD STILL", place + " (in the hand)" * snapshot.in_hand, "bold yellow", ("HOLD", left))
+        return Instruction("headline.hold", place + " (in the hand)" * snapshot.in_hand, Mood.CARE, ("HOLD", left))
     if state is State.ROLLING and turn is not None:
-        return Instruction("ROLL", turn.words, "bold cyan", ("ROLL", f"{'+' if turn.sense > 0 else '-'}{turn.axis}"))
+        return Instruction("headline.roll", turn.words, Mood.MOVE, ("ROLL", f"{'+' if turn.sense > 0 else '-'}{turn.axis}"))
     if state is State.RESTING and (accepted := screen.accepted) is not None:
         if accepted.suspect:
             off_mg = (accepted.leave_one_out_m_s2 or 0.0) / MILLI_G_M_S2
             details = sentence("screen.suspect", position=accepted.position, off_mg=off_mg, target=target)
-            return Instruction("SUSPECT - PRESS R", details, "bold red", ("PRESS", "R"))
-        return Instruction("GOOD - TURN", target, "bold green", ("GOOD", side))
-    return Instruction("TURN", target, "bold cyan", ("TURN", side))
+            return Instruction("headline.suspect", details, Mood.WRONG, ("PRESS", NAMES["retake"].upper()))
+        return Instruction("headline.good", target, Mood.GOOD, ("GOOD", side), side)
+    return Instruction("headline.turn", target, Mood.MOVE, ("TURN", side), side)
 
 
 def draw(

@@ -4,24 +4,22 @@
 /** @type {HTMLVideoElement | null} */
 let film = null;
 
-async function lock() {
-  if (!("wakeLock" in navigator)) return play();
+/** Whether a browser allows something. @param {() => Promise<unknown>} ask */
+async function isAllowed(ask) {
   try {
-    await navigator.wakeLock.request("screen");
+    await ask();
     return true;
-  } catch {
-    return false; // Low battery, or a rule of the system.
+  } catch (error) {
+    // Refused: low battery, a rule of the system, or nobody has touched the page yet. Anything else is a defect.
+    if (!(error instanceof DOMException)) throw error;
+    return false;
   }
 }
 
-async function play() {
-  film ??= makeFilm();
-  try {
-    await film?.play();
-    return film !== null;
-  } catch {
-    return false;
-  }
+async function lock() {
+  if ("wakeLock" in navigator) return isAllowed(() => navigator.wakeLock.request("screen"));
+  const video = (film ??= makeFilm());
+  return video !== null && isAllowed(() => video.play());
 }
 
 /** @returns {HTMLVideoElement | null} of two by two points, once a second a new picture */

@@ -70,18 +70,18 @@ export class Box {
     let size = Math.min(width, height) / 2 / REACH;
     if (this.goal) {
       // Side by side, or small in the corner where there is no room for two.
-      size = Math.min(isWide ? width / 2 : width, height) / 2 / REACH;
+      size = Math.min(isWide ? width / 2 : 0.88 * width, height) / 2 / REACH;
       const share = isWide ? 1 : 0.5;
       /** @type {[number, number]} */
       const there = isWide ? [(3 * width) / 4, height / 2] : [width - size, size * share * REACH + 4];
-      middle = isWide ? [width / 4, height / 2] : [width / 2 - 0.3 * size, height / 2 + 0.3 * size];
+      middle = isWide ? [width / 4, height / 2] : [width / 2 - 0.5 * size, height / 2 + 0.3 * size];
       this.solid(context, this.wanted(), there, size * share, colour("goal"));
+      this.turn(context, middle, size, true);
+      this.solid(context, this.attitude, middle, size, colour("box"));
+      this.turn(context, middle, size, false);
       this.caption(context, text("goal"), [there[0], isWide ? height / 2 + size * REACH - 6 : 16]);
       this.caption(context, text("now"), [middle[0], Math.min(middle[1] + size * REACH, height) - 6]);
-    }
-    if (this.goal) this.turn(context, middle, size, true);
-    this.solid(context, this.attitude, middle, size, colour("box"));
-    if (this.goal) this.turn(context, middle, size, false);
+    } else this.solid(context, this.attitude, middle, size, colour("box"));
     this.pointUp(context, height);
   }
 
@@ -90,6 +90,10 @@ export class Box {
     context.font = "600 16px system-ui, sans-serif";
     context.textAlign = "center";
     context.textBaseline = "alphabetic";
+    // The cable may run behind it.
+    context.strokeStyle = colour("panel");
+    context.lineWidth = 5;
+    context.strokeText(words, x, y);
     context.fillStyle = colour("faint");
     context.fillText(words, x, y);
   }

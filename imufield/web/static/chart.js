@@ -3,9 +3,8 @@
 import { colour, prepare } from "./canvas.js";
 import { text } from "./texts.js";
 
-const NAMES = ["acc x", "acc y", "acc z", "gyro x", "gyro y", "gyro z"];
+const AXES = "xyz";
 const UNITS = ["m/s²", "°/s", "°C"];
-const SPAN_S = 30;
 const LEAST = [0.5, 2, 0.5]; // Of each unit: what is smaller is noise.
 const LABEL = 92;
 const EDGE = 10;
@@ -59,10 +58,11 @@ function drawStrips(canvas, strips) {
 /**
  * @param {HTMLCanvasElement} canvas
  * @param {(number | null)[][]} blocks time, six values and the temperature, SI and °C
+ * @param {number} spanS that is shown
  */
-export function drawTrace(canvas, blocks) {
+export function drawTrace(canvas, blocks, spanS) {
   const newest = Number(blocks[blocks.length - 1]?.[0]);
-  const shown = blocks.filter((block) => newest - Number(block[0]) <= SPAN_S);
+  const shown = blocks.filter((block) => newest - Number(block[0]) <= spanS);
   const columns = [1, 2, 3, 4, 5, 6, 7].filter((k) => shown.some((block) => typeof block[k] === "number"));
   if (!columns.length) return;
   drawStrips(
@@ -74,14 +74,14 @@ export function drawTrace(canvas, blocks) {
       const [low, high] = [Math.min(...known), Math.max(...known)];
       const half = Math.max(high - low, LEAST[unit]) / 2;
       const points = values.map((value, index) => {
-        const across = 1 - (newest - Number(shown[index][0])) / SPAN_S;
+        const across = 1 - (newest - Number(shown[index][0])) / spanS;
         return /** @type {[number, number]} */ ([across, 0.5 + (value - (low + high) / 2) / half / 2]);
       });
       const last = values[values.length - 1] ?? NaN;
       return {
-        name: NAMES[k - 1] ?? text("temperature"),
+        name: text(["acc", "gyro", "temperature"][unit], { axis: AXES[(k - 1) % 3] }),
         value: Number.isFinite(last) ? `${last.toFixed(2).replace("-", "−")} ${UNITS[unit]}` : "–",
-        ink: unit < 2 ? `signal-${"xyz"[(k - 1) % 3]}` : "text",
+        ink: unit < 2 ? `signal-${AXES[(k - 1) % 3]}` : "text",
         points,
       };
     }),

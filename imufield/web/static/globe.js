@@ -6,6 +6,8 @@ import { apply, product, rotation } from "./vectors.js";
 /** @typedef {import("./vectors.js").Vector} Vector */
 
 const VIEW = product(rotation([1, 0, 0], 0.4), rotation([0, 0, 1], 0.6));
+/** A direction as it is seen: to the right, away from the onlooker, up. @param {Vector} direction */
+export const seen = (direction) => apply(VIEW, direction);
 const POINT = 6;
 const FAR = 0.45; // Opacity of what is behind.
 
@@ -19,7 +21,7 @@ export function drawGlobe(canvas, positions, up) {
   const radius = Math.min(width, height) * 0.44;
   /** @param {Vector} direction @returns {[number, number, number]} place, and how far behind */
   const place = (direction) => {
-    const [x, depth, z] = apply(VIEW, direction);
+    const [x, depth, z] = seen(direction);
     return [width / 2 + x * radius, height / 2 - z * radius, depth];
   };
   context.strokeStyle = colour("line");

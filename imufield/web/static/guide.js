@@ -6,22 +6,19 @@ import { forgetColours } from "./canvas.js";
 import { drawForecast, drawTrace } from "./chart.js";
 import { drawGlobe } from "./globe.js";
 import { Link, isOfThisMachine } from "./link.js";
-import { at } from "./make.js";
+import { at, make } from "./make.js";
 import { drawnShape } from "./shape.js";
 import { Sound } from "./sound.js";
-import { text } from "./texts.js";
+import { text, withMarks } from "./texts.js";
 
-const MILLI_G = 9.80665e-3;
-const LOG_LINES = 200;
-const TRACE_BLOCKS = 300;
-const SURE_MS = 10000; // As long as the program believes the second tap.
 const ROUND = 2 * Math.PI * 52;
-const ROWS = 8; // Of the list: turns about one axis stand below each other.
 /** @type {Record<string, string>} */
 const SIGNS = { accepted: "●", next: "◉", open: "○", suspect: "■", again: "↻", skipped: "×" };
 
-/** @param {string} words as a terminal can show them @returns {string} */
-const pretty = (words) => words.replaceAll("^2", "²").replace(/\bug\b/g, "µg").replace(/ deg\b/g, "°").replace(/(^|\W)-(?=[xyz\d])/g, "$1−");
+/** @param {string} words as a terminal can show them, marks by their names @returns {string} */
+const pretty = (words) =>
+  withMarks(words, role === "mark" ? "tap" : "named")
+    .replaceAll("^2", "²").replace(/\bug\b/g, "µg").replace(/ deg\b/g, "°").replace(/(^|\W)-(?=[xyz\d])/g, "$1−");
 /** @param {string} id @param {string} words changed only where they are others: each change is read out */
 const write = (id, words) => {
   const element = at(id);
@@ -39,12 +36,13 @@ let map = { accepted: {}, suspects: [], skipped: [], again: [], forecasts: [] };
 /** @type {(number | null)[][]} */
 let blocks = [];
 let role = "watch";
-let asked = -Infinity;
+let sureUntil = -Infinity;
 
 linkBack();
 const link = new Link(take, (isThere) => {
   document.body.classList.toggle("away", !isThere);
-  write("link", isThere ? "" : text(state ? "away" : "never"));
+  write("link", isThere ? "" : text(state ? "away" : link.token ? "never" : "no_token"));
+  if (!state) write("headline", text(isThere ? "connecting" : "not_connected"));
 });
 
 /** Show the way back to a workbench of this machine, which stands in the address. */
@@ -73,40 +71,46 @@ function show(message) {
     head = message.head;
     blocks = [];
     at("log").firstElementChild.replaceChildren();
-    write("about", [head.instrument, head.session, head.scheme, role === "watch" ? text("watching") : ""].filter(Boolean).join(" · "));
+    const speed = head.replay_speed;
+    const isLive = speed === null;
+    write("about", [head.instrument, head.session, head.scheme, role === "watch" && isLive ? text("watching") : ""].filter(Boolean).join(" · "));
+    write("recording", isLive ? "" : speed ? text("recording", { speed }) : text("recording_fast"));
+    write("span", text("span", { seconds: head.trace_s }));
     box.cable = head.cable;
     if (head.shape) box.shape = drawnShape(head.shape);
   }
   if (!message.state.headline) return; // Nothing has been shown yet.
   state = message.state;
   if (message.map) map = message.map;
-  if (message.trace) blocks = blocks.concat(message.trace).slice(-TRACE_BLOCKS);
+  if (message.trace) blocks = blocks.concat(message.trace).slice(-head.trace_blocks);
   if (message.log) hear(message.log, Boolean(message.head));
   showWords();
   showStillness();
   box.up = state.up;
   box.goal = state.state === "holding" || state.state === "done" ? null : state.target_up;
-  const isPaused = state.state === "paused";
-  label("p", text(isPaused ? "go_on" : "pause"), isPaused);
-  button("g").hidden = state.headline !== "WAIT";
-  button("r").classList.toggle("wanted", state.big[0] === "PRESS");
+  for (const each of /** @type {NodeListOf<HTMLButtonElement>} */ (document.querySelectorAll("[data-mark]")))
+    each.disabled = !state.marks.includes(each.dataset.mark);
+  const isPaused = state.now === "paused";
+  label("pause", text(isPaused ? "go_on" : "pause"), isPaused);
+  button("go_on").hidden = button("go_on").disabled;
+  button("retake").classList.toggle("wanted", state.now === "suspect");
   const places = positions();
   drawGlobe(at("globe"), places, state.up);
   if (message.map || message.head) showPositions(places);
-  if (message.trace || message.head) drawTrace(at("trace"), blocks);
+  if (message.trace || message.head) drawTrace(at("trace"), blocks, head.trace_s);
   document.body.dataset.version = message.version;
 }
 
-/** @param {string} key @returns {HTMLButtonElement} */
-function button(key) {
-  return at("marks").querySelector(`[data-key=${key}]`);
+/** @param {string} mark @returns {HTMLButtonElement} */
+function button(mark) {
+  return at("marks").querySelector(`[data-mark=${mark}]`);
 }
 
-/** @param {string} key @param {string} words @param {boolean} isWanted whether the program waits for it */
-function label(key, words, isWanted) {
-  const span = /** @type {HTMLElement} */ (button(key).firstElementChild);
+/** @param {string} mark @param {string} words @param {boolean} isWanted whether the program waits for it */
+function label(mark, words, isWanted) {
+  const span = /** @type {HTMLElement} */ (button(mark).firstElementChild);
   if (span.textContent !== words) span.textContent = words;
-  button(key).classList.toggle("wanted", isWanted);
+  button(mark).classList.toggle("wanted", isWanted);
 }
 
 /**
@@ -118,23 +122,20 @@ function hear(lines, isOld) {
   for (const line of lines) {
     if (!isOld) sound.play(line.kind, line.tones);
     if (!line.text) continue; // To be heard only.
-    const entry = document.createElement("li");
-    entry.textContent = pretty(line.text);
-    entry.className = line.kind;
-    log.prepend(entry);
+    log.prepend(make("li", { class: line.kind }, pretty(line.text)));
   }
   // What was said together is not cut off by its last part.
   const spoken = lines.map((line) => line.spoken).filter(Boolean);
   if (!isOld && spoken.length) sound.say(spoken.join(". "));
-  while (log.children.length > LOG_LINES) log.lastChild.remove();
+  while (log.children.length > head.log_lines) log.lastChild.remove();
 }
 
 function showWords() {
   document.body.dataset.mood = state.mood;
   document.body.dataset.state = state.state;
   write("headline", state.headline);
-  const side = /^[+-]/.test(state.big[1]) ? state.big[1] : "";
-  write("side", side && text("side", { side: side.replaceAll("-", "−").replace(/(.)([+−])/g, "$1 $2") }));
+  const side = state.side && text("side", { side: state.side.replaceAll("-", "−").replace(/(.)([+−])/g, "$1 $2") });
+  write("side", state.now === "suspect" && role === "mark" ? pretty("[retake]") : side);
   write("details", pretty(state.details));
   const [, done] = at("ring").querySelectorAll("circle");
   const number = at("ring").querySelector("text");
@@ -149,7 +150,7 @@ function showWords() {
   if (state.rate_hz !== null) parts.push(text("rate", { rate: Math.round(state.rate_hz) }));
   parts.push(state.samples_lost ? text("samples_lost", { count: state.samples_lost }) : text("none_lost"));
   write("rate", parts.join(" · "));
-  write("link", state.link === "there" ? "" : text(state.link));
+  write("link", state.link === "silent" ? text("silent") : ""); // Of one that is lost the headline speaks.
 }
 
 function showStillness() {
@@ -174,8 +175,7 @@ function positions() {
       ["suspect", map.suspects.includes(name)],
       ["accepted", accepted],
     ];
-    const residual = typeof accepted?.residual_m_s2 === "number" ? accepted.residual_m_s2 / MILLI_G : null;
-    return { ...position, state: kinds.find(([, applies]) => applies)?.[0] ?? "open", residual };
+    return { ...position, state: kinds.find(([, applies]) => applies)?.[0] ?? "open", residual: accepted?.residual_mg ?? null };
   });
 }
 
@@ -183,29 +183,19 @@ function positions() {
 function showPositions(places) {
   const named = [...places].sort((a, b) => a.name.localeCompare(b.name, "en", { numeric: true }));
   const rows = named.map((position) => {
-    const row = document.createElement("li");
-    row.className = position.state;
-    row.title = position.words;
     const size = Math.abs(position.residual ?? 0);
     const residual = position.residual === null ? "" : `${position.residual < 0 ? "−" : "+"}${size.toFixed(size < 10 ? 2 : 1)}`;
-    const parts = [
-      ["sign", SIGNS[position.state]],
-      ["name", position.name.replaceAll("-", "−")],
-      ["unseen", [text(position.state), residual && text("residual", { residual })].filter(Boolean).join(", ")],
-      ["residual", residual],
-    ];
-    for (const [kind, words] of parts) {
-      const part = document.createElement("span");
-      part.className = kind;
-      part.textContent = words;
-      if (kind === "sign" || kind === "residual") part.setAttribute("aria-hidden", "true");
-      row.append(part);
-    }
-    return row;
+    return make(
+      "li",
+      { class: position.state, title: position.words },
+      make("span", { class: "sign", "aria-hidden": "true" }, SIGNS[position.state]),
+      make("span", { class: "name" }, position.name.replaceAll("-", "−")),
+      make("span", { class: "unseen" }, [text(position.state), residual && text("residual", { residual })].filter(Boolean).join(", ")),
+      make("span", { class: "residual", "aria-hidden": "true" }, residual),
+    );
   });
-  at("positions").style.gridTemplateRows = `repeat(${Math.min(ROWS, rows.length)}, auto)`;
   at("positions").replaceChildren(...rows);
-  const signs = Object.entries(SIGNS).map(([kind, sign]) => `${sign} ${text(kind)}`);
+  const signs = Object.entries(SIGNS).map(([kind, sign]) => `${sign}\u00a0${text(kind)}`);
   write("legend", text("legend", { signs: signs.join("  ") }));
   const known = Object.values(state.known ?? {}).map(pretty);
   drawForecast(at("forecast"), map.forecasts, state.planned, known);
@@ -213,42 +203,49 @@ function showPositions(places) {
   write("known", state.known ? "" : text("accuracy_later"));
 }
 
-/** @param {{headline: string, details: string}} last */
+/** @param {{outcome: string, accepted: number, planned: number, missing: number, command: string, reason: string}} last */
 function end(last) {
+  const { outcome, missing, reason } = last;
   link.end();
   document.body.classList.remove("away");
-  document.body.dataset.mood = "plain";
+  document.body.dataset.mood = outcome === "finished" ? "good" : "none";
   document.body.dataset.state = "ended";
-  write("headline", last.headline);
+  const then = at("back").hidden ? "next" : "back";
+  at("back").classList.add("wanted");
+  write("headline", text(outcome));
   write("side", "");
-  write("details", last.details);
+  const lines = [reason, text("measured", last), missing ? text("missing", { missing }) : "", text(`${outcome}_${then}`)].filter(Boolean);
+  const command = then === "next" ? last.command.split(" ").flatMap((word) => [" ", make("span", {}, word)]) : [];
+  at("details").replaceChildren(lines.join("\n"), make("code", {}, command));
   write("link", "");
   write("cause", text("gone"));
   write("calm", "");
   box.goal = null;
   at("ring").classList.remove("shown");
   at("marks").hidden = true;
-  sound.say(`${last.headline}. ${last.details}`);
+  sound.say(`${text(outcome)}. ${text("measured", last)}`);
 }
 
-/** @param {string} key */
-function mark(key) {
-  link.send(key);
-  if (key !== "f") return;
+/** @param {HTMLButtonElement} pressed */
+function mark({ dataset }) {
+  link.send(dataset.key ?? "");
+  if (dataset.mark !== "finish") return;
   // The program asks for a second tap itself; the button says so.
-  const isSure = performance.now() - asked < SURE_MS;
-  asked = isSure ? -Infinity : performance.now();
-  label("f", text(isSure ? "finish" : "finish_sure"), !isSure);
-  setTimeout(() => performance.now() - asked >= SURE_MS && label("f", text("finish"), false), SURE_MS + 50);
+  const [nowMs, againMs] = [performance.now(), 1000 * head.finish_again_s];
+  const isSure = nowMs < sureUntil;
+  sureUntil = isSure ? -Infinity : nowMs + againMs;
+  label("finish", text(isSure ? "finish" : "finish_sure"), !isSure);
+  setTimeout(() => performance.now() >= sureUntil && label("finish", text("finish"), false), againMs + 50);
 }
 
 at("marks").addEventListener("click", (/** @type {any} */ event) => {
-  const key = event.target.closest("button")?.dataset.key;
-  if (key) mark(key);
+  const pressed = event.target.closest("button");
+  if (pressed) mark(pressed);
 });
 document.addEventListener("keydown", (event) => {
-  const isPlain = !event.repeat && !event.ctrlKey && !event.altKey && !event.metaKey;
-  if (role === "mark" && isPlain && event.key.length === 1 && "rsupgf".includes(event.key)) mark(event.key);
+  if (role !== "mark" || event.repeat || event.ctrlKey || event.altKey || event.metaKey) return;
+  const meant = [...at("marks").children].find(({ dataset, disabled }) => dataset.key === event.key && !disabled);
+  if (meant) mark(meant);
 });
 at("sound").addEventListener("click", () => at("sound").setAttribute("aria-pressed", String(sound.toggle())));
 at("voice").addEventListener("click", () => {
@@ -256,6 +253,10 @@ at("voice").addEventListener("click", () => {
   at("voice").setAttribute("aria-pressed", String(sound.voice));
   if (sound.voice) sound.say(at("words").innerText);
 });
+
+// What this browser lacks is not offered.
+at("sound").hidden = !("AudioContext" in window);
+at("voice").hidden = !("speechSynthesis" in window);
 
 /** Draw everything in the colours of day or night. */
 function recolour() {
@@ -267,7 +268,7 @@ function recolour() {
 }
 
 function redraw() {
-  drawTrace(at("trace"), blocks);
+  drawTrace(at("trace"), blocks, head.trace_s);
   showPositions(positions());
 }
 

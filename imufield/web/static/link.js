@@ -35,8 +35,10 @@ export class Link {
     this.waitMs = SHORTEST_MS;
     this.timer = 0;
     this.heardMs = 0; // By the clock of the day: others stand still while a phone sleeps.
-    this.ended = false;
-    this.open();
+    // Without a token nobody gets in, however often it is tried.
+    this.ended = !this.token;
+    if (this.token) this.open();
+    else queueMicrotask(() => onChange(false));
     // A phone that slept, or has another network, finds its socket dead at once and not after minutes.
     for (const event of ["online", "pageshow", "focus"]) addEventListener(event, () => this.check());
     document.addEventListener("visibilitychange", () => this.check());

@@ -2,7 +2,7 @@
 
 import { complaint } from "./bench.js";
 import { at, button, make, table } from "./make.js";
-import { text } from "./texts.js";
+import { text, when } from "./texts.js";
 
 /** @typedef {import("./bench.js").Bench} Bench */
 /** @typedef {import("./bench.js").Job} Job */
@@ -13,14 +13,14 @@ export function showSessions(bench, job) {
     const name = bench.below(row.folder);
     return [
       make("a", { href: `#session/${encodeURIComponent(name)}` }, name),
-      row.created?.slice(0, 16).replace("T", " ") ?? "",
+      when(row.created),
       [row.instrument, row.serial_number].filter(Boolean).join(" "),
-      row.positions === null ? "" : `${row.positions} of ${row.planned ?? "?"}`,
+      row.positions !== null && row.planned !== null ? text("ofPlanned", row) : row.positions,
       row.fault ?? row.state,
       make("strong", { class: row.verdict ?? "" }, row.verdict?.toUpperCase() ?? text("unsolved")),
     ];
   });
-  at("list").replaceChildren(rows.length ? table(text("sessionsHead").split(", "), rows) : make("p", {}, job.code === 0 ? text("noSessions") : complaint(job)));
+  at("list").replaceChildren(rows.length ? table(text("sessionsHead").split(", "), rows, "stacks") : make("p", {}, job.code === 0 ? text("noSessions") : complaint(job)));
 }
 
 /** @param {Bench} bench @param {Job} job */
@@ -44,7 +44,7 @@ export function showHistory(bench, job) {
         "article",
         {},
         make("h3", {}, `${instrument.instrument} ${instrument.serial_number ?? ""}`),
-        table(text("historyHead").split(", "), calibrations),
+        table(text("historyHead").split(", "), calibrations, "stacks"),
         make(
           "ul",
           {},

@@ -61,34 +61,17 @@ export function sureButton(words, sure, act) {
 /**
  * @param {string[]} head
  * @param {any[][]} rows
+ * @param {string} [how] "stacks": on a narrow screen the cells of a row stand below each other, each with its name
  */
-export const table = (head, rows) =>
+export const table = (head, rows, how = "") =>
   make(
     "div",
-    { class: "wide" },
+    { class: `wide ${how}` },
     make(
       "table",
       {},
-      make(
-        "thead",
-        {},
-        make(
-          "tr",
-          {},
-          head.map((words) => make("th", { scope: "col" }, words)),
-        ),
-      ),
-      make(
-        "tbody",
-        {},
-        rows.map((row) =>
-          make(
-            "tr",
-            {},
-            row.map((cell) => make("td", {}, cell)),
-          ),
-        ),
-      ),
+      make("thead", {}, make("tr", {}, head.map((words) => make("th", { scope: "col" }, words)))),
+      make("tbody", {}, rows.map((row) => make("tr", {}, row.map((cell, k) => make("td", { "data-head": head[k] }, cell))))),
     ),
   );
 

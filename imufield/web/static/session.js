@@ -3,9 +3,10 @@
 import { complaint } from "./bench.js";
 import { at, button, filled, make, table } from "./make.js";
 import { barOf, drawSignals, readSamples } from "./plots.js";
-import { text } from "./texts.js";
+import { text, when } from "./texts.js";
 
 const MICRO_G = 9.80665e-6;
+const FEWEST_CHECKED = 10; // Positions, for a result that is checked: see the pipeline of the program.
 const AXES = ["x", "y", "z"];
 
 /** @typedef {import("./bench.js").Bench} Bench */
@@ -87,13 +88,23 @@ export class SessionView {
     at("session-says").textContent = /** @type {Error} */ (error).message;
   }
 
+  /** The commands about this session, of these kinds. @param {string[]} actions */
+  jobs(actions) {
+    return [...this.bench.jobs.values()].filter(
+      ({ action, values }) => actions.includes(action) && (values.new ?? values.session) === this.name,
+    );
+  }
+
   /** The command that is about this session and has not ended. */
   underWay() {
-    const mine = (/** @type {Job} */ job) =>
-      job.code === null && (job.values.session === this.name || job.values.new === this.name);
-    return [...this.bench.jobs.values()].find(
-      (job) => mine(job) && ["capture", "resume", "solve", "import"].includes(job.action),
-    );
+    return this.jobs(["capture", "resume", "solve", "import"]).find((job) => job.code === null);
+  }
+
+  /** How many positions a result needs beside those that this page knows of; 0 where it knows of none. */
+  missing() {
+    const told = this.jobs(["capture", "resume"]).flatMap((job) => job.found.filter((value) => "accepted" in value));
+    const positions = told.pop()?.accepted ?? this.row?.positions ?? Infinity;
+    return Math.max(0, Math.min(FEWEST_CHECKED, this.row?.planned ?? 0) - positions);
   }
 
   /** Follow what the program says. */
@@ -108,21 +119,23 @@ export class SessionView {
   showState() {
     const row = this.row;
     const job = this.underWay();
+    const missing = this.missing();
     const facts = !row
       ? row === null && text("noSession")
       : [
           row.instrument,
           row.serial_number,
-          row.created?.slice(0, 16).replace("T", " "),
+          when(row.created),
           row.positions === null ? "" : text("ofPositions", { positions: row.positions, planned: row.planned ?? row.positions }),
           row.state,
           row.verdict ? text("verdict", { verdict: row.verdict.toUpperCase() }) : text("notComputed"),
+          missing ? text("missing", { missing }) : "",
         ]
           .filter(Boolean)
           .join(" · ");
     at("state").replaceChildren(make("p", {}, facts), ...(row?.fault ? [make("p", { class: "failed" }, row.fault)] : []));
     const canSolve = row && row.state !== "damaged" && !job;
-    const canGoOn = canSolve && row.state === "unfinished" && row.kind === "capture";
+    const canGoOn = canSolve && row.kind === "capture" && (row.state === "unfinished" || missing);
     at("steps").replaceChildren(
       ...[
         canGoOn ? button(text("goOn"), () => this.resume(), { class: "main" }) : null,
@@ -317,7 +330,7 @@ export class SessionView {
       [text("gyroAngles"), gyro],
     ])
       if (triad) rows.push(...this.angles(name, triad));
-    return table(["", "unit", "x", "y", "z"], rows);
+    return table(text("parametersHead").split(", "), rows, "stacks");
   }
 
   /** Rows of the angles that were fitted, three in each. @param {string} name @param {any} triad */

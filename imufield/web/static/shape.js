@@ -8,7 +8,6 @@ import { cross, unit } from "./vectors.js";
 
 /** @type {Vector} */
 const HALF = [1, 0.72, 0.42];
-const HALF_OF_DRAWING = 32767;
 
 /** @param {Vector[]} corners seen from outside, against the clock @returns {Face} */
 function face(corners) {
@@ -38,7 +37,10 @@ export function boxShape() {
 /** @param {string} drawing base64 of nine 16-bit integers for each triangle @returns {Shape} */
 export function drawnShape(drawing) {
   const bytes = Uint8Array.from(atob(drawing), (letter) => letter.charCodeAt(0));
-  const values = Array.from(new Int16Array(bytes.buffer), (value) => value / HALF_OF_DRAWING);
+  const numbers = new Int16Array(bytes.buffer);
+  // Its longest side fills the picture.
+  const largest = numbers.reduce((most, value) => Math.max(most, Math.abs(value)), 1);
+  const values = Array.from(numbers, (value) => value / largest);
   const corners = Array.from({ length: values.length / 3 }, (_, k) => /** @type {Vector} */ (values.slice(3 * k, 3 * k + 3)));
   const faces = Array.from({ length: corners.length / 3 }, (_, k) => face(corners.slice(3 * k, 3 * k + 3)));
   const half = /** @type {Vector} */ ([0, 1, 2].map((k) => corners.reduce((most, corner) => Math.max(most, Math.abs(corner[k])), 0)));

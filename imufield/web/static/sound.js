@@ -2,7 +2,7 @@
 
 /** Of events, in ms: for a hand that holds the phone. */
 /** @type {Record<string, number[]>} */
-const SHAKES = { hold: [40], accepted: [60, 60, 60], rejected: [300], done: [80, 80, 80, 80, 200] };
+const SHAKES = { hold: [40], accepted: [60, 60, 60], rejected: [300], suspect: [300], done: [80, 80, 80, 80, 200] };
 
 /** @type {[number, number][]} */
 const HELLO = [[660, 0.12]];

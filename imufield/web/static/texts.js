@@ -10,3 +10,12 @@ export function text(name, values = {}) {
   if (!found) throw new Error(`no text ${name}`);
   return (found.textContent ?? "").replace(/\{(\w+)\}/g, (_, value) => String(values[value]));
 }
+
+/**
+ * A sentence of the guide, with the marks that it names in brackets as this page says them.
+ * @param {string} words @param {string} how name of the text for a mark
+ */
+export const withMarks = (words, how) => words.replace(/\[([a-z ]+)\]/g, (_, mark) => text(how, { mark }));
+
+/** Day and time of a date as files have it. @param {string | undefined} date */
+export const when = (date) => (date ?? "").slice(0, 16).replace("T", " ");

@@ -4,9 +4,9 @@ import { Bench, complaint } from "./bench.js";
 import { showHistory, showSessions } from "./lists.js";
 import { at, button, clean, filled, make, stamp, sureButton } from "./make.js";
 import { watchDrop } from "./dropped.js";
-import { isOfThisMachine } from "./link.js";
 import { SessionView } from "./session.js";
-import { text } from "./texts.js";
+import { isOfThisMachine } from "./link.js";
+import { text, withMarks } from "./texts.js";
 
 const VIEWS = ["calibrate", "import", "sessions", "session", "history"];
 const LOOKS = ["devices", "probe", "targets", "sessions", "history"]; // What the page asks for by itself.
@@ -264,7 +264,7 @@ function showUnderWay() {
     // Changed and not made anew: somebody may be about to press a button of it.
     const { words, newest, guide } = banners.get(job.job) ?? banner(job, name);
     words.textContent = clean(underWay(job, { name, accepted: counted?.accepted, planned: counted?.planned }, Boolean(job.told.page)));
-    newest.textContent = clean(told.filter((value) => value.words).pop()?.words ?? "");
+    newest.textContent = job.action === "emulate" ? "" : clean(withMarks(told.filter((value) => value.words).pop()?.words ?? "", "named"));
     guide.hidden = !job.told.page;
   }
 }

@@ -111,14 +111,15 @@ def test_a_program_is_told_the_address_and_pages_the_end(program: Program) -> No
         watching.send("f")
         marking.send("q")
         marking.send("f")
-        asked = read_until(marking, lambda message: any("again" in line for line in log_of(message)))
+        asked = read_until(marking, lambda message: any("[finish] again" in line for line in log_of(message)))
         assert asked["state"]["state"] != "done"
         marking.send("f")
         for each in (marking, watching):
             ended = read_until(each, lambda message: "ended" in message)["ended"]
-            # What the terminal says at the end, as it can be pasted.
-            assert "1 of 6" in ended["details"]
-            assert ended["details"].endswith("IMUFIELD_CLOCK_SPEED=16 imufield capture --resume --session 'one session'")
+            # What the terminal says at the end, as it can be pasted; too few for a result.
+            command = "IMUFIELD_CLOCK_SPEED=16 imufield capture --resume --session 'one session'"
+            counts = {"accepted": 1, "planned": 6, "missing": 5}
+            assert ended == {"outcome": "stopped", "reason": "", "command": command, **counts}
         assert process.wait(WAIT_S) == 0
     lines = [json.loads(line) for line in printed.read_text().splitlines()]
     assert lines[1]["event"] == "session"
@@ -133,7 +134,7 @@ def test_a_person_reads_the_address_beside_the_lines(program: Program) -> None:
         read_until(marking, lambda message: "state" in message)
         process.send_signal(2)
         ended = read_until(marking, lambda message: "ended" in message)["ended"]
-    assert "--resume" in ended["details"]
+    assert (ended["outcome"], "--resume" in ended["command"]) == ("stopped", True)
     process.communicate(timeout=WAIT_S)
     assert process.returncode == 130
 
@@ -158,9 +159,9 @@ def test_pages_are_told_why_a_session_was_broken_off(program: Program) -> None:
         assert process.wait(WAIT_S) == 3
     assert process.stderr is not None
     error = process.stderr.read()
-    reason = ended["details"].partition("; ")[0]
-    assert reason in " ".join(error.split())
-    assert "--resume" in ended["details"]
+    assert ended["reason"]
+    assert ended["reason"] in " ".join(error.split())
+    assert "--resume" in ended["command"]
 
 
 def test_the_picture_for_a_phone_stands_in_place_of_the_guide_until_one_looks(program: Program) -> None:
@@ -191,12 +192,14 @@ def test_a_recorded_session_is_shown_at_any_speed(program: Program, make_session
         # There is nothing to mark any more.
         assert told["url"] == told["watch_url"]
         assert json.loads(watching.recv(timeout=WAIT_S)) == {"role": "watch"}
-        states = []
+        states, heads = [], []
         while "ended" not in (message := json.loads(watching.recv(timeout=WAIT_S))):
             states.append(message["state"])
+            heads += [message["head"]] if "head" in message else []
+        assert {head["replay_speed"] for head in heads} == {speed}
         assert states[-1]["done"] == states[-1]["planned"] == 6
         assert states[-1]["state"] == "done"
-        assert message["ended"]["details"].endswith(f"imufield replay --web {folder}")
+        assert (message["ended"]["outcome"], message["ended"]["command"]) == ("replayed", f"imufield replay --web {folder}")
         assert process.wait(WAIT_S) == 0
     lines = printed.read_text().splitlines(keepends=True)
     assert "".join(lines[1:]) == program.run("replay", folder, "--json").stdout

@@ -16,6 +16,7 @@ from imufield.guide.events import Accepted, Advice, Done, Event, Hold, Move, Ref
 from imufield.guide.lead.guide import Guide
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.positions import scheme
+from imufield.guide.view.marks import with_keys
 from imufield.guide.view.plain import PlainView
 from imufield.samples import Samples
 from imufield.sentences import Sentences
@@ -171,7 +172,7 @@ def test_a_bump_is_a_suspect_in_the_line_that_accepts_it_and_on_the_map(make_pat
     lines = [line for line in told if "moved or bumped" in line or "SUSPECT" in line]
     assert len(lines) == 1
     assert f"accepted {name}: SUSPECT" in lines[0]
-    assert "press r" in lines[0]
+    assert with_keys("[retake]") in lines[0]
 
 
 def test_skip_during_a_hold_ends_it_and_skips_its_position(make_path: Any) -> None:

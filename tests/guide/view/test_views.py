@@ -25,6 +25,7 @@ from imufield.guide.events import (
 from imufield.guide.lead.guide import Guide
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.positions import SCHEMES, scheme
+from imufield.guide.view.marks import with_keys
 from imufield.guide.view.pictures import big_lines
 from imufield.guide.view.plain import JsonLinesView, PlainView, line
 from imufield.guide.view.screen import HEIGHT, WIDTH, LinkState, Screen, draw, draw_big, draw_small, instruct
@@ -197,10 +198,11 @@ def test_what_is_nobodys_mistake_is_not_called_refused(session: Any) -> None:
     starting = refused(
         RefusalCode.START_UP, "the instrument is still starting up in 0.5 of 3 s", "leave it alone until it is ready"
     )
-    for event, big, short in ((done, "DONE BEFORE", "TURN"), (starting, "WAIT", "WAIT")):
+    for event, code, short in ((done, "already_done", "TURN"), (starting, "start_up", "WAIT")):
         screen = Screen()
         screen.follow([event])
-        assert instruct(screen, guide.snapshot())[:2] == (big, f"{event.words}; {event.remedy}")
+        now = instruct(screen, guide.snapshot())
+        assert (now.code, now.details) == (code, f"{event.words}; {event.remedy}")
         assert instruct(screen, guide.snapshot()).big[0] == short
         assert "refused" not in line(event)
 
@@ -342,12 +344,14 @@ def test_a_suspect_is_said_instead_of_good(session: Any) -> None:
     assert instruct(screen, snapshot).big[0] == "GOOD"
     screen.follow([replace(good, suspect=True, leave_one_out_m_s2=0.057)])
     now = instruct(screen, snapshot)
-    assert now.big == ("PRESS", "R")
+    assert (now.code, now.big) == ("suspect", ("PRESS", "R"))
+    assert with_keys("[retake]") in now.details
+    assert with_keys("[retake]") in screen.messages[-1]
     assert "+5.81 mg" in now.details
     assert "SUSPECT" in screen.messages[-1]
     # What the operator answers is what the screen speaks of next.
     screen.follow([Marked(9.0, "retake", "+z", "")])
-    assert instruct(screen, snapshot).headline == "TURN"
+    assert instruct(screen, snapshot).code == "turn"
 
 
 @pytest.mark.parametrize(("kind", "sign"), [("suspects", "?"), ("again", "r"), ("skipped", "-")])
