@@ -1,25 +1,43 @@
-"""A capture with a page, against an emulated instrument that a virtual person turns: the real programs on a real port."""
+"""A capture with a page, against an emulated instrument that a virtual person turns: the real programs on a real port.
+
+And the same capture without one: its bytes and marks, from the recording, through the loop of every capture.
+"""
 
 from __future__ import annotations
 
 import json
+import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from subprocess import Popen
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from imufield.acquire.recording.reader import RecordedEvent, read_session
+from imufield.acquire.instrument.connected import Connected
+from imufield.acquire.instrument.same_stream import SameStream
+from imufield.acquire.link.host_clock import SystemClock
+from imufield.acquire.link.serial import Chunk
+from imufield.acquire.recording.reader import PartStart, RecordedEvent, read_session
+from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import Session
+from imufield.commands.terminal.guided import FINISH, KEYS, CaptureLoop
+from imufield.commands.terminal.views import View
+from imufield.errors import LinkError, Reason
 from imufield.guide.positions import scheme
+from imufield.pipeline.chain import MARK, UNPLUGGED, Chain, ReadingPlan, recorded_protocol
+from imufield.pipeline.intake import Intake
 from tests.commands.conftest import SPEED, Program
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
 
 POSITIONS = [position.name for position in scheme("paper24").positions]
 OPERATOR_HOLD_S, HOLD_S = 5.0, 2.0
-PASSES = 4
-"""How often the person goes through the positions: what was missed while paused or unplugged comes up again. The first position
-is shown in the first pass only, so that the guide, which ends with it, waits there until the session is finished."""
+PASSES = 100
+"""How often the person goes through the positions: what was missed while paused or unplugged, or by a busy machine, comes up
+again. The first position is shown in the first pass only, so that the guide, which ends with it, waits there until the session
+is finished."""
 WAIT_S = 300.0  # Only a program that hangs takes so long, however busy the machine.
 
 
@@ -84,7 +102,7 @@ class PageSession:
     @property
     def recorded(self) -> list[dict[str, Any]]:
         """The events in the recording, the operator's marks included."""
-        return [item.event for item in read_session(self.session) if isinstance(item, RecordedEvent)]
+        return recorded_events(self.session)
 
     def wait_for(self, is_meant: Callable[[dict[str, Any]], bool], *, after: int = 0) -> dict[str, Any]:
         """Wait until an event is printed, and return it; ``after`` so many others."""
@@ -96,3 +114,108 @@ class PageSession:
             assert self.process.poll() is None, self.process.communicate()[1]
             time.sleep(0.05)
         raise AssertionError(f"not printed within {WAIT_S} s; the last was {self.told[-1]}")
+
+
+def recorded_events(session: Session) -> list[dict[str, Any]]:
+    return [item.event for item in read_session(session) if isinstance(item, RecordedEvent)]
+
+
+def finish(page: Page) -> None:
+    """Press until the session is finished: on a busy machine the second may come too late for the first."""
+    while "FINISHED" not in page.locator("#headline").inner_text():
+        page.keyboard.press("f")
+        page.wait_for_timeout(200)
+
+
+class Recorded:
+    """A recording of one part as link and keyboard: each read its chunk, each mark its key, each cut the error of a cable."""
+
+    name = "recording"
+
+    def __init__(self, session: Session) -> None:
+        first, *self._items = read_session(session)
+        assert isinstance(first, PartStart)
+        self.metadata = first.metadata
+        self._keys = ""
+        self._put_back: list[Chunk | Exception] = []
+        key = {action: key for key, action in KEYS.items()}
+        # What is finished for sure takes two.
+        self._key = {action: 2 * letter if letter == FINISH else letter for action, letter in key.items()}
+
+    def read(self) -> Chunk:
+        """Return the next chunk; the keys that came behind it wait for ``keys``."""
+        found = self._put_back.pop(0) if self._put_back else self._next()
+        if isinstance(found, Exception):
+            raise found
+        return found
+
+    def _next(self) -> Chunk | Exception:
+        while self._items:
+            item = self._items.pop(0)
+            is_cut = isinstance(item, RecordedEvent) and item.event["event"] == UNPLUGGED
+            if not (is_cut or isinstance(item, Chunk)):
+                continue
+            while self._items and isinstance(self._items[0], RecordedEvent) and self._items[0].event["event"] != UNPLUGGED:
+                event = self._items.pop(0).event
+                self._keys += self._key[event["action"]] if event["event"] == MARK else ""
+            return item if isinstance(item, Chunk) else LinkError("cut", Reason.DISCONNECTED)
+        raise AssertionError("the capture without a page has not ended where the one with a page did")
+
+    def put_back(self, items: Sequence[Chunk | Exception]) -> None:
+        self._put_back = [*items, *self._put_back]
+
+    def drain(self) -> list[Chunk]:
+        return [item for item in self._items if isinstance(item, Chunk)]
+
+    def reopen(self) -> bool:
+        return True
+
+    def keys(self) -> str:
+        keys, self._keys = self._keys, ""
+        return keys
+
+
+def without_a_page(session: Session, folder: Path) -> Session:
+    """Capture what was recorded once more, into another folder, without a page."""
+    shutil.copytree(session.folder, folder, ignore=lambda _, names: [name for name in names if name != "session.toml"])
+    again, recorded = Session.open(folder), Recorded(session)
+    again.update(finished=False)
+    stream = SameStream(recorded.name, SPEED)
+    stream.begin()
+    chain = Chain(ReadingPlan.of(again), listeners=(stream.hear,))
+    protocol = recorded_protocol(recorded.metadata, again)
+    with Recorder(again.add_part(), recorded.metadata) as recorder:
+        CaptureLoop(
+            session=again,
+            connected=Connected(
+                link=recorded,  # type: ignore[arg-type]
+                protocol=protocol,
+                driver="stim300",
+                model="",
+                baud=None,
+                chunks=[],
+                identity={},
+            ),
+            intake=Intake(recorder=recorder, chain=chain, stream=stream),
+            view=View(),
+            keyboard=_Keyboard(recorded),  # type: ignore[arg-type]
+            clock=SystemClock(),
+            check=lambda: None,
+        ).run()
+    return again
+
+
+@dataclass
+class _Keyboard:
+    recorded: Recorded
+
+    def read(self) -> str:
+        return self.recorded.keys()
+
+
+def parameters_of(program: Program, folder: Path) -> list[str]:
+    """Solve a session and return its parameter file, but for the lines that say when, and from which folder."""
+    solved = program.run("solve", folder)
+    assert solved.returncode == 0, solved.stderr
+    other = ("created = ", "sha256 = ", f'name = "{folder.name}"')
+    return [line for line in (folder / "parameters.toml").read_text().splitlines() if not line.startswith(other)]
