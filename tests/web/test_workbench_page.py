@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import itertools
+import json
 import os
 import re
 import signal
+import subprocess
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -98,7 +100,13 @@ def wait_for(page: Page, place: str, words: str) -> None:
 
 # The browser and some fifteen programs, six positions of an emulated instrument among them: once, for the whole way.
 def test_from_an_empty_folder_to_the_files(program: Program, screens: Screens, address: str) -> None:
-    port = program.emulate("--positions", "faces6", "--wait")
+    # A person who shows five sides, and the last one when asked to: the guide cannot end before.
+    person = program.start("emulate", "stim300", "--json", "--wait", "--speed", SPEED, "--poses", "-", stdin=subprocess.PIPE)
+    assert person.stdin is not None
+    assert person.stdout is not None
+    port = json.loads(person.stdout.readline())["port"]
+    person.stdin.write("+x\n-x\n+y\n-y\n")
+    person.stdin.flush()
     page = screens.open(address)
     assert "token" not in page.url
     page.get_by_text("by hand").click()
@@ -112,7 +120,9 @@ def test_from_an_empty_folder_to_the_files(program: Program, screens: Screens, a
     wait_for(page, "#headline", "TURN|HOLD|STAY|DONE|still")
     assert page.url.split(":")[2] != address.split(":")[2]
     page.locator("#back").click()
-    wait_for(page, "#under-way", "Session first: [1-6] of 6")
+    wait_for(page, "#under-way", "Session first: 5 of 6")
+    person.stdin.write("-z\n")
+    person.stdin.flush()
     page.get_by_role("button", name="Compute the result").click()
     wait_for(page, "#verdict", "POOR")  # Six positions have six parameters: nothing is left to check them.
     parameters = load(program.folder / "imufield-sessions" / "first")

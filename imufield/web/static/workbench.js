@@ -4,18 +4,20 @@ import { Bench, complaint } from "./bench.js";
 import { showHistory, showSessions } from "./lists.js";
 import { at, button, clean, filled, make } from "./make.js";
 import { watchDrop } from "./dropped.js";
+import { watchPlan } from "./plan.js";
 import { SessionView } from "./session.js";
 import { text } from "./texts.js";
 
 const VIEWS = ["calibrate", "import", "sessions", "session", "history"];
-const LOOKS = ["devices", "probe", "targets", "sessions", "history"]; // What the page asks for by itself.
+const LOOKS = ["devices", "probe", "plan", "targets", "sessions", "history"]; // What the page asks for by itself.
 
 const bench = new Bench(show);
 const session = new SessionView(bench);
 watchDrop(bench);
-/** @type {Map<string, {name: string, says: string, values: any}>} */
+/** @type {Map<string, {name: string, says: string, values: any, noise?: any}>} */
 const ports = new Map();
 let chosen = "";
+const askPlan = watchPlan(bench, () => ports.get(chosen)?.noise ?? {});
 let isLooking = false;
 let hasLooked = false;
 let shown = "";
@@ -112,6 +114,7 @@ async function listen(key) {
       .filter(Boolean)
       .join("; ");
     port.values = { ...port.values, driver: probed.found.name, ...(probed.baud ? { baud: probed.baud } : {}) };
+    if (probed.found.noise_ug) port.noise = { noise_ug: probed.found.noise_ug };
     if (!chosen) chosen = key;
   } else port.says = text("unrecognised", { why: complaint(job) });
   showPorts();
@@ -127,12 +130,16 @@ function showPorts() {
         name: "where",
         value: key,
         ...(key === chosen ? { checked: true } : {}),
-        onchange: () => (chosen = key),
+        onchange: () => {
+          chosen = key;
+          askPlan();
+        },
       }),
       make("div", {}, make("strong", {}, name), make("span", {}, says)),
     ),
   );
   at("ports").replaceChildren(...(rows.length ? rows : [make("p", {}, text(isLooking ? "looking" : "noPort"))]));
+  askPlan();
 }
 
 /** Virtual instruments are ports for as long as they run. */
@@ -146,6 +153,7 @@ function knowVirtual() {
       name: text("virtual", { port: started.port }),
       says: text("virtualIs", { driver: started.driver, speed: started.speed }),
       values: { port: started.port, driver: started.driver, clock_speed: started.speed },
+      noise: { grade: "tactical" }, // What `emulate` makes where nobody says otherwise.
     });
     if (!ports.has(chosen)) chosen = started.port;
   }
