@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import json
 import shutil
+import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from subprocess import Popen
+from subprocess import PIPE, Popen
 from typing import TYPE_CHECKING, Any
 
 from imufield.acquire.instrument.connected import Connected
@@ -33,25 +35,17 @@ if TYPE_CHECKING:
     from playwright.sync_api import Page
 
 POSITIONS = [position.name for position in scheme("paper24").positions]
-OPERATOR_HOLD_S, HOLD_S = 5.0, 2.0
-PASSES = 100
-"""How often the person goes through the positions: what was missed while paused or unplugged, or by a busy machine, comes up
-again. The first position is shown in the first pass only, so that the guide, which ends with it, waits there until the session
-is finished."""
+HOLD_S = 2.0
 WAIT_S = 300.0  # Only a program that hangs takes so long, however busy the machine.
-
-
-def plug_in(program: Program, link: Path, poses: list[str], seed: int) -> Popen[str]:
-    """Start an instrument that waits for its reader and is shown these positions."""
-    path = program.folder / "poses.txt"
-    path.write_text("\n".join(poses))
-    program.emulate("--poses", path, "--hold-s", OPERATOR_HOLD_S, "--wait", "--seed", seed, "--link", link)
-    return program.started[-1]
 
 
 @dataclass
 class PageSession:
-    """A capture that is under way; what it prints goes to a file."""
+    """A capture that is under way; what it prints goes to a file, which the person who turns the instrument reads.
+
+    That person shows what the guide asks for, again and again where it is refused; only not the first position once more at the
+    end, so that the guide waits there until the session is finished. However busy the machine is, nothing is missed.
+    """
 
     program: Program
     process: Popen[str]
@@ -59,6 +53,7 @@ class PageSession:
     printed: Path
     link: Path
     seed: int
+    asked: str = ""
     url: str = ""
     watch_url: str = ""
 
@@ -66,17 +61,51 @@ class PageSession:
     def begin(cls, program: Program, *, seed: int = 1, name: str = "session") -> PageSession:
         """Start the instrument and the capture."""
         link = program.folder / f"imu-{name}"
-        plug_in(program, link, [POSITIONS[0], *POSITIONS[1:] * PASSES], seed)
         printed = program.folder / f"{name}.jsonl"
+        instrument = cls._instrument(program, link, seed)
         with printed.open("w") as output:
             how = ("--driver", "stim300", "--hold-s", HOLD_S, "--clock-speed", SPEED, "--latitude", 45, "--height", 0)
             process = program.start(
                 *("capture", "--port", link, *how, "--session", program.folder / name, "--json", "--web"), stdout=output
             )
-        begun = cls(program, process, program.started[-2], printed, link, seed)
+        begun = cls(program, process, instrument, printed, link, seed)
+        threading.Thread(target=begun._turn_it, daemon=True).start()
         first = begun.wait_for(lambda told: told["event"] == "page")
         begun.url, begun.watch_url = first["url"], first["watch_url"]
         return begun
+
+    @staticmethod
+    def _instrument(program: Program, link: Path, seed: int) -> Popen[str]:
+        """Start an instrument that waits for its reader and is shown what is written to it."""
+        how = ("--poses", "-", "--hold-s", 1.0, "--wait", "--seed", seed, "--link", link)
+        program.emulate(*how, stdin=PIPE)
+        return program.started[-1]
+
+    def _turn_it(self) -> None:
+        """Follow the guide until the capture ends."""
+        accepted = set[str]()
+        with self.printed.open() as printed:
+            while self.process.poll() is None:
+                line = printed.readline()
+                if not line.endswith("\n"):
+                    printed.seek(printed.tell() - len(line))
+                    time.sleep(0.02)
+                    continue
+                told = json.loads(line)
+                if told["event"] == "accepted":
+                    accepted.add(told["position"])
+                elif told["event"] == "move" and len(accepted) < len(POSITIONS):
+                    self._show(told["position"])
+                elif told["event"] in ("rejected", "marked") and self.asked:
+                    self._show(self.asked)
+
+    def _show(self, position: str) -> None:
+        self.asked = position
+        # The cable is out: it is shown when it is in again.
+        with suppress(OSError, ValueError):
+            assert self.instrument.stdin is not None
+            self.instrument.stdin.write(f"{position}\n")
+            self.instrument.stdin.flush()
 
     def unplug(self) -> None:
         """Take the instrument away."""
@@ -85,8 +114,9 @@ class PageSession:
         self.link.unlink(missing_ok=True)
 
     def plug_in(self) -> None:
-        """Bring it back; the person goes through the positions from the second one again."""
-        self.instrument = plug_in(self.program, self.link, POSITIONS[1:] * PASSES, self.seed)
+        """Bring it back."""
+        self.instrument = self._instrument(self.program, self.link, self.seed)
+        self._show(self.asked)
 
     @property
     def told(self) -> list[dict[str, Any]]:
@@ -157,7 +187,7 @@ class Recorded:
                 continue
             while self._items and isinstance(self._items[0], RecordedEvent) and self._items[0].event["event"] != UNPLUGGED:
                 event = self._items.pop(0).event
-                self._keys += self._key[event["action"]] if event["event"] == MARK else ""
+                self._keys += self._key[str(event["action"])] if event["event"] == MARK else ""
             return item if isinstance(item, Chunk) else LinkError("cut", Reason.DISCONNECTED)
         raise AssertionError("the capture without a page has not ended where the one with a page did")
 

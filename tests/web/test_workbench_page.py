@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import os
 import re
 import signal
@@ -101,11 +100,10 @@ def wait_for(page: Page, place: str, words: str) -> None:
 # The browser and some fifteen programs, six positions of an emulated instrument among them: once, for the whole way.
 def test_from_an_empty_folder_to_the_files(program: Program, screens: Screens, address: str) -> None:
     # A person who shows five sides, and the last one when asked to: the guide cannot end before.
-    person = program.start("emulate", "stim300", "--json", "--wait", "--speed", SPEED, "--poses", "-", stdin=subprocess.PIPE)
+    port = program.emulate("--wait", "--poses", "-", stdin=subprocess.PIPE)
+    person = program.started[-1]
     assert person.stdin is not None
-    assert person.stdout is not None
-    port = json.loads(person.stdout.readline())["port"]
-    person.stdin.write("+x\n-x\n+y\n-y\n")
+    person.stdin.write("+z\n+x\n-x\n+y\n-y\n")
     person.stdin.flush()
     page = screens.open(address)
     assert "token" not in page.url

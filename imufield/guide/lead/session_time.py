@@ -14,7 +14,7 @@ import numpy as np
 from imufield.calibrate.accelerometer.drift import MOST_CONFUSION, order_confusion
 from imufield.guide.cross_checks.running_fit import LINEAR, RunningFit, running_fit
 from imufield.guide.lead.settings import GuideSettings
-from imufield.guide.positions import Scheme
+from imufield.guide.positions import Position, Scheme
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import FloatArray
 from imufield.sentences import Sentence, Sentences
@@ -102,7 +102,7 @@ def session_time(scheme: Scheme, settings: GuideSettings, *, noise: float, scatt
     """
     hold_s = settings.hold_target.expected_s(noise)
     covariance = noise**2 / hold_s * np.eye(3)
-    left, done = [*scheme.positions], []
+    left, done = [*scheme.positions], list[Position]()
     forecast: dict[str, float] = {}
     while left and not (len(done) >= LINEAR and is_met(settings.targets, forecast)):
         done.append(left.pop(0))
