@@ -114,6 +114,8 @@ def real_time(turned: Turned, seconds: float) -> tuple[list[tuple[float, int]], 
             last_s = time.monotonic()
             shown_s.append(turned.show(number))
             number += 1
+    # What came behind the last state, too: every sample has one that shows it.
+    turned.show(number)
     return arrivals, fed_s, shown_s
 
 
@@ -132,12 +134,15 @@ def in_the_browser() -> list[dict[str, Any]]:
         frames = page.evaluate(_FRAMES, FRAMES_S)
         while feeding.is_alive():
             page.wait_for_timeout(200)
-        page.wait_for_timeout(500)
-        shown = {int(number): time_ms for number, time_ms in page.evaluate("window.shown")}
+        newest = max(number for _, number in found[0])
+        shown: dict[int, float] = {}
+        while max(shown, default=0) < newest:
+            page.wait_for_timeout(200)
+            shown = {int(number): time_ms for number, time_ms in page.evaluate("window.shown")}
         paths = ["/", *page.evaluate(_LOADED)]
         screens.close()
     arrivals, fed_s, shown_s = found
-    late_ms = [next_shown - arrived for arrived, number in arrivals if (next_shown := _first_from(shown, number)) is not None]
+    late_ms = [_first_from(shown, number) - arrived for arrived, number in arrivals]
     bytes_raw, bytes_packed = _loaded(paths)
     median, worst = np.percentile(late_ms, [50, 99])
     return [
@@ -156,10 +161,9 @@ def in_the_browser() -> list[dict[str, Any]]:
     ]
 
 
-def _first_from(shown: dict[int, float], number: int) -> float | None:
-    """Return when a state, or where a frame has passed over it the next one, was shown."""
-    later = [shown[key] for key in range(number, number + 20) if key in shown]
-    return min(later, default=None)
+def _first_from(shown: dict[int, float], number: int) -> float:
+    """Return when a state was shown, or where a frame has passed over it the next one, however much later."""
+    return min(time_ms for later, time_ms in shown.items() if later >= number)
 
 
 def _loaded(paths: list[str]) -> tuple[int, int]:

@@ -80,6 +80,7 @@ _COMMANDS: dict[str, tuple[tuple[str, type, str], ...]] = {
         ("init", samples.InitOptions, "init.run_init"),
         ("devices", samples.DevicesOptions, "devices.list_devices"),
         ("probe", samples.ProbeOptions, "probe.run_probe"),
+        ("plan", samples.PlanOptions, "plan.run_plan"),
         ("capture", samples.CaptureOptions, "capture.run_capture"),
         ("solve", results.SolveOptions, "solve.run_solve"),
         ("report", results.ReportOptions, "report.run_report"),

@@ -21,7 +21,7 @@ sentence = Sentences(__package__)
 FILE_NAME = "imufield.toml"
 KEYS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("port", "bus", "dbc", "mapping", "driver", "baud"), ("capture", "record")),
-    **dict.fromkeys(("positions", "hold_s", "target_bias_ug", "target_scale_ppm"), ("capture",)),
+    **dict.fromkeys(("positions", "hold_s", "target_bias_ug", "target_scale_ppm"), ("capture", "plan")),
     **dict.fromkeys(("gravity", "latitude", "height"), ("capture", "record", "solve")),
     "settings": ("capture", "record"),
     "instrument": (),

@@ -15,7 +15,7 @@ from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
 
-REFRESH_S = 1.0  # A page believes after three seconds of silence that the program has gone.
+LOOK_S = 1.0  # A Ctrl-C ends the sleep at once.
 
 
 def run_web(options: WebOptions) -> None:
@@ -44,6 +44,6 @@ def run_web(options: WebOptions) -> None:
         url = f"{place.url}#token={access.mark}"
         say(sentence("web.at", url=url), err=True)
         show_in_browser(f"{place.url}#token={access.once(Role.MARK)}")
+        bench.refresh()
         while True:
-            bench.refresh()
-            time.sleep(REFRESH_S)
+            time.sleep(LOOK_S)

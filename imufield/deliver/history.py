@@ -412,7 +412,7 @@ def _differences(old: Entry, new: Entry, *, sessions: int) -> Iterator[Sentence]
     """Yield a sentence for each number that differs, or one that none does."""
     family = family_of(old.gauge_free, new.gauge_free, new.shared_with(old))
     since = _moment(old, new)
-    grade = GRADES.get(new.grade) or grade_by_noise(new.gyroscope_noise_rad_s_per_root_hz)
+    grade = GRADES.get(new.grade) or grade_by_noise("gyroscope", new.gyroscope_noise_rad_s_per_root_hz)
     for change in family.beyond:
         turn_on = typical_turn_on(grade, change.name)
         said = {"name": change.name, "since": since, "difference": change.difference, "unit": change.unit}

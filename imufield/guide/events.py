@@ -225,6 +225,8 @@ class Topic(Enum):
     ORDER = "order"
     """A drift would look like a quadratic term in the order of positions so far."""
     OFFSET = "offset"
+    TIME = "time"
+    """How long the session takes to the accuracy that is wanted."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

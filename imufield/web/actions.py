@@ -173,6 +173,12 @@ _PLACE: Mapping[str, Field] = {"port": _option("--port", _port), "bus": _option(
 _DRIVER = _option("--driver", _matching(_WORD))
 _SETTINGS = _each("--set", _setting)
 _CLOCK_SPEED = _option("--clock-speed", _number)
+_GOAL: Mapping[str, Field] = {
+    "positions": _option("--positions", _matching(_WORD)),
+    "hold_s": _option("--hold-s", _number),
+    "target_bias_ug": _option("--target-bias-ug", _number),
+    "target_scale_ppm": _option("--target-scale-ppm", _number),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,6 +201,14 @@ ACTIONS: Mapping[str, Action] = {
         {"speed": _option("--speed", _number)},
         is_alone=True,
     ),
+    "plan": Action(
+        "plan --json",
+        {
+            **_GOAL,
+            "noise_ug": _option("--noise-ug", _number),
+            "grade": _option("--grade", _matching(_WORD)),
+        },
+    ),
     "capture": Action(
         "capture --json --web",
         {
@@ -203,9 +217,7 @@ ACTIONS: Mapping[str, Action] = {
             "driver": _DRIVER,
             "baud": _option("--baud", _number),
             "settings": _SETTINGS,
-            "positions": _option("--positions", _matching(_WORD)),
-            "target_bias_ug": _option("--target-bias-ug", _number),
-            "target_scale_ppm": _option("--target-scale-ppm", _number),
+            **_GOAL,
             "cable": _option("--cable", _text),
             "clock_speed": _CLOCK_SPEED,
             "new": lambda value, sessions: [f"--session={sessions.new(value)}"],
@@ -241,7 +253,7 @@ ACTIONS: Mapping[str, Action] = {
         },
         needs=("session", "to"),
     ),
-    "samples": Action("export-data", {"session": _session}, needs=("session",)),
+    "overview": Action("export-data --to=overview", {"session": _session}, needs=("session",)),
     "replay": Action("replay --web --json", {"session": _session, "speed": _option("--speed", _number)}, needs=("session",)),
     "sessions": Action("sessions --json {root}", {}),
     "history": Action(

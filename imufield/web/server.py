@@ -47,6 +47,9 @@ MARKS_A_SECOND = 10
 ACCEPT_S = 0.2
 _PASSING = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM, errno.ECONNABORTED, errno.EAGAIN, errno.EINTR)
 EVERY_S = 0.05  # Marks are looked for as often.
+BEAT_S = 1.0
+"""A page that hears nothing for three seconds takes its connection for dead: where there is nothing to say, it hears a beat."""
+BEAT = "{}"
 
 # Its messages are about pages that went away: for nobody.
 _SILENT = logging.getLogger(f"{__name__}.silent")
@@ -282,13 +285,14 @@ class PageServer:
     def _follow(self, page: _Page, lasting: str | None) -> None:
         """Send what is new and take marks, until the page goes or all ends; ``lasting`` is the token to come back with."""
         page.connection.send(json.dumps({"role": page.role.value} | ({} if lasting is None else {"token": lasting})))
-        ends = False
+        ends, sent_s = False, time.monotonic()
         while not ends:
             # Asked before the board: what was put there before the end is sent.
             ends = self._ends
             page.seen, message = self._board.wait(page.seen, 0.0 if ends else EVERY_S)
-            if message is not None:
-                page.connection.send(message)
+            if message is not None or time.monotonic() - sent_s >= BEAT_S:
+                page.connection.send(message or BEAT)
+                sent_s = time.monotonic()
             # All that the page has said was taken.
             with suppress(TimeoutError):
                 while self._take(page, page.connection.recv(timeout=0)):

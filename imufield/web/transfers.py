@@ -28,7 +28,7 @@ sentence = Sentences(__package__)
 LARGEST_UPLOAD = 1 << 30
 """Bytes: an hour of a fast instrument as text."""
 LARGEST_DOWNLOAD = 1 << 26
-"""Bytes: it is held in memory while it goes down; samples of ten minutes take some ten megabytes."""
+"""Bytes: it is held in memory while it goes down; parameters, reports and overviews take some megabytes at most."""
 UPLOADS_AT_ONCE = 4
 ADDRESSES_AT_ONCE = 64
 GOOD_FOR_S = 60.0

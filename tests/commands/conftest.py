@@ -92,10 +92,12 @@ class Program:
             options["preexec_fn"] = lambda: at_start.do(calls)
         return subprocess.Popen([*IMUFIELD, *arguments], cwd=self.folder, env=variables, text=True, **options)
 
-    def emulate(self, *options: object, driver: str = "stim300", speed: float = SPEED, rate_hz: float = RATE_HZ) -> str:
+    def emulate(
+        self, *options: object, driver: str = "stim300", speed: float = SPEED, rate_hz: float = RATE_HZ, **streams: Any
+    ) -> str:
         """Start an emulator and return its port."""
         rate = ("--rate-hz", rate_hz, "--speed", speed)
-        process = self.start("emulate", driver, "--json", *rate, *options, stderr=subprocess.DEVNULL)
+        process = self.start("emulate", driver, "--json", *rate, *options, **{"stderr": subprocess.DEVNULL, **streams})
         assert process.stdout is not None
         return str(json.loads(process.stdout.readline())["port"])
 

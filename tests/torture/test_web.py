@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import random
 import re
 import time
@@ -15,7 +14,7 @@ import pytest
 from tests.torture.conftest import FULL, Campaign
 from tests.web.browser import Screens, open_browser
 from tests.web.network import ARGUMENT, Network
-from tests.web.page_session import POSITIONS, WAIT_S, PageSession
+from tests.web.page_session import POSITIONS, WAIT_S, PageSession, finish, parameters_of, recorded_events, without_a_page
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -116,28 +115,27 @@ def test_a_session_from_the_page_whatever_happens(program: Program, number: int,
         pages = [run.page, *run.others]
         for page in pages:
             page.locator("#done", has_text=re.compile("^24$")).wait_for()
-        for _ in "ff":
-            run.page.locator("#marks [data-key=f]").click()
+        finish(run.page)
         for page in pages:
             page.locator("#headline", has_text="FINISHED").wait_for()
         assert session.process.wait(300) == 0, session.process.communicate()[1]
         assert [line for line in screens.console if NO_NETWORK not in line] == []
         screens.close()
 
-    recorded = session.recorded
-    replayed = program.run("replay", session.session.folder, "--json")
-    again = [json.loads(line) for line in replayed.stdout.splitlines()]
-    assert again == [event for event in recorded if event["event"] not in ("mark", "unplugged")]
-    assert {event["position"] for event in again if event["event"] == "accepted"} == set(POSITIONS)
-    solved = program.run("solve", session.session.folder, "--json")
-    assert solved.returncode == 0, solved.stderr
-    assert len(json.loads(solved.stdout)["position"]) == len(POSITIONS)
+    # What a capture without a page makes of the same bytes and marks.
+    recorded, folder = session.recorded, session.session.folder
+    assert recorded_events(without_a_page(session.session, program.folder / "without")) == recorded
+    assert {event["position"] for event in recorded if event["event"] == "accepted"} == set(POSITIONS)
+    parameters = parameters_of(program, folder)
+    assert parameters == parameters_of(program, program.folder / "without")
+    assert parameters.count("[[position]]") == len(POSITIONS)
     campaign.tell(
         "whole session from the page; cable out, network cut, reloads, other pages, sleep, marks at random moments",
         1,
         "sessions",
-        "{positions} positions of {planned} measured, {faults} faults; without a page the recording gives the same",
-        positions=len(json.loads(solved.stdout)["position"]),
+        "{positions} positions of {planned} measured, {faults} faults; without a page the same bytes and marks give the same"
+        " parameter file",
+        positions=parameters.count("[[position]]"),
         planned=len(POSITIONS),
         faults=len(kinds),
     )

@@ -1,39 +1,51 @@
-"""A capture with a page, against an emulated instrument that a virtual person turns: the real programs on a real port."""
+"""A capture with a page, against an emulated instrument that a virtual person turns: the real programs on a real port.
+
+And the same capture without one: its bytes and marks, from the recording, through the loop of every capture.
+"""
 
 from __future__ import annotations
 
 import json
+import shutil
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from subprocess import Popen
-from typing import Any
+from subprocess import PIPE, Popen
+from typing import TYPE_CHECKING, Any
 
-from imufield.acquire.recording.reader import RecordedEvent, read_session
+from imufield.acquire.instrument.connected import Connected
+from imufield.acquire.instrument.same_stream import SameStream
+from imufield.acquire.link.host_clock import SystemClock
+from imufield.acquire.link.serial import Chunk
+from imufield.acquire.recording.reader import PartStart, RecordedEvent, read_session
+from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import Session
+from imufield.commands.terminal.guided import FINISH, KEYS, CaptureLoop
+from imufield.commands.terminal.views import View
+from imufield.errors import LinkError, Reason
 from imufield.guide.positions import scheme
+from imufield.pipeline.chain import MARK, UNPLUGGED, Chain, ReadingPlan, recorded_protocol
+from imufield.pipeline.intake import Intake
 from tests.commands.conftest import SPEED, Program
 
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
 POSITIONS = [position.name for position in scheme("paper24").positions]
-OPERATOR_HOLD_S, HOLD_S = 5.0, 2.0
-PASSES = 4
-"""How often the person goes through the positions: what was missed while paused or unplugged comes up again. The first position
-is shown in the first pass only, so that the guide, which ends with it, waits there until the session is finished."""
+HOLD_S = 2.0
 WAIT_S = 300.0  # Only a program that hangs takes so long, however busy the machine.
-
-
-def plug_in(program: Program, link: Path, poses: list[str], seed: int) -> Popen[str]:
-    """Start an instrument that waits for its reader and is shown these positions."""
-    path = program.folder / "poses.txt"
-    path.write_text("\n".join(poses))
-    program.emulate("--poses", path, "--hold-s", OPERATOR_HOLD_S, "--wait", "--seed", seed, "--link", link)
-    return program.started[-1]
 
 
 @dataclass
 class PageSession:
-    """A capture that is under way; what it prints goes to a file."""
+    """A capture that is under way; what it prints goes to a file, which the person who turns the instrument reads.
+
+    That person shows what the guide asks for, again and again where it is refused; only not the first position once more at the
+    end, so that the guide waits there until the session is finished. However busy the machine is, nothing is missed.
+    """
 
     program: Program
     process: Popen[str]
@@ -41,6 +53,7 @@ class PageSession:
     printed: Path
     link: Path
     seed: int
+    asked: str = ""
     url: str = ""
     watch_url: str = ""
 
@@ -48,17 +61,51 @@ class PageSession:
     def begin(cls, program: Program, *, seed: int = 1, name: str = "session") -> PageSession:
         """Start the instrument and the capture."""
         link = program.folder / f"imu-{name}"
-        plug_in(program, link, [POSITIONS[0], *POSITIONS[1:] * PASSES], seed)
         printed = program.folder / f"{name}.jsonl"
+        instrument = cls._instrument(program, link, seed)
         with printed.open("w") as output:
             how = ("--driver", "stim300", "--hold-s", HOLD_S, "--clock-speed", SPEED, "--latitude", 45, "--height", 0)
             process = program.start(
                 *("capture", "--port", link, *how, "--session", program.folder / name, "--json", "--web"), stdout=output
             )
-        begun = cls(program, process, program.started[-2], printed, link, seed)
+        begun = cls(program, process, instrument, printed, link, seed)
+        threading.Thread(target=begun._turn_it, daemon=True).start()
         first = begun.wait_for(lambda told: told["event"] == "page")
         begun.url, begun.watch_url = first["url"], first["watch_url"]
         return begun
+
+    @staticmethod
+    def _instrument(program: Program, link: Path, seed: int) -> Popen[str]:
+        """Start an instrument that waits for its reader and is shown what is written to it."""
+        how = ("--poses", "-", "--hold-s", 1.0, "--wait", "--seed", seed, "--link", link)
+        program.emulate(*how, stdin=PIPE)
+        return program.started[-1]
+
+    def _turn_it(self) -> None:
+        """Follow the guide until the capture ends."""
+        accepted = set[str]()
+        with self.printed.open() as printed:
+            while self.process.poll() is None:
+                line = printed.readline()
+                if not line.endswith("\n"):
+                    printed.seek(printed.tell() - len(line))
+                    time.sleep(0.02)
+                    continue
+                told = json.loads(line)
+                if told["event"] == "accepted":
+                    accepted.add(told["position"])
+                elif told["event"] == "move" and len(accepted) < len(POSITIONS):
+                    self._show(told["position"])
+                elif told["event"] in ("rejected", "marked") and self.asked:
+                    self._show(self.asked)
+
+    def _show(self, position: str) -> None:
+        self.asked = position
+        # The cable is out: it is shown when it is in again.
+        with suppress(OSError, ValueError):
+            assert self.instrument.stdin is not None
+            self.instrument.stdin.write(f"{position}\n")
+            self.instrument.stdin.flush()
 
     def unplug(self) -> None:
         """Take the instrument away."""
@@ -67,8 +114,9 @@ class PageSession:
         self.link.unlink(missing_ok=True)
 
     def plug_in(self) -> None:
-        """Bring it back; the person goes through the positions from the second one again."""
-        self.instrument = plug_in(self.program, self.link, POSITIONS[1:] * PASSES, self.seed)
+        """Bring it back."""
+        self.instrument = self._instrument(self.program, self.link, self.seed)
+        self._show(self.asked)
 
     @property
     def told(self) -> list[dict[str, Any]]:
@@ -84,7 +132,7 @@ class PageSession:
     @property
     def recorded(self) -> list[dict[str, Any]]:
         """The events in the recording, the operator's marks included."""
-        return [item.event for item in read_session(self.session) if isinstance(item, RecordedEvent)]
+        return recorded_events(self.session)
 
     def wait_for(self, is_meant: Callable[[dict[str, Any]], bool], *, after: int = 0) -> dict[str, Any]:
         """Wait until an event is printed, and return it; ``after`` so many others."""
@@ -96,3 +144,108 @@ class PageSession:
             assert self.process.poll() is None, self.process.communicate()[1]
             time.sleep(0.05)
         raise AssertionError(f"not printed within {WAIT_S} s; the last was {self.told[-1]}")
+
+
+def recorded_events(session: Session) -> list[dict[str, Any]]:
+    return [item.event for item in read_session(session) if isinstance(item, RecordedEvent)]
+
+
+def finish(page: Page) -> None:
+    """Press until the session is finished: on a busy machine the second may come too late for the first."""
+    while "FINISHED" not in page.locator("#headline").inner_text():
+        page.keyboard.press("f")
+        page.wait_for_timeout(200)
+
+
+class Recorded:
+    """A recording of one part as link and keyboard: each read its chunk, each mark its key, each cut the error of a cable."""
+
+    name = "recording"
+
+    def __init__(self, session: Session) -> None:
+        first, *self._items = read_session(session)
+        assert isinstance(first, PartStart)
+        self.metadata = first.metadata
+        self._keys = ""
+        self._put_back: list[Chunk | Exception] = []
+        key = {action: key for key, action in KEYS.items()}
+        # What is finished for sure takes two.
+        self._key = {action: 2 * letter if letter == FINISH else letter for action, letter in key.items()}
+
+    def read(self) -> Chunk:
+        """Return the next chunk; the keys that came behind it wait for ``keys``."""
+        found = self._put_back.pop(0) if self._put_back else self._next()
+        if isinstance(found, Exception):
+            raise found
+        return found
+
+    def _next(self) -> Chunk | Exception:
+        while self._items:
+            item = self._items.pop(0)
+            is_cut = isinstance(item, RecordedEvent) and item.event["event"] == UNPLUGGED
+            if not (is_cut or isinstance(item, Chunk)):
+                continue
+            while self._items and isinstance(self._items[0], RecordedEvent) and self._items[0].event["event"] != UNPLUGGED:
+                event = self._items.pop(0).event
+                self._keys += self._key[str(event["action"])] if event["event"] == MARK else ""
+            return item if isinstance(item, Chunk) else LinkError("cut", Reason.DISCONNECTED)
+        raise AssertionError("the capture without a page has not ended where the one with a page did")
+
+    def put_back(self, items: Sequence[Chunk | Exception]) -> None:
+        self._put_back = [*items, *self._put_back]
+
+    def drain(self) -> list[Chunk]:
+        return [item for item in self._items if isinstance(item, Chunk)]
+
+    def reopen(self) -> bool:
+        return True
+
+    def keys(self) -> str:
+        keys, self._keys = self._keys, ""
+        return keys
+
+
+def without_a_page(session: Session, folder: Path) -> Session:
+    """Capture what was recorded once more, into another folder, without a page."""
+    shutil.copytree(session.folder, folder, ignore=lambda _, names: [name for name in names if name != "session.toml"])
+    again, recorded = Session.open(folder), Recorded(session)
+    again.update(finished=False)
+    stream = SameStream(recorded.name, SPEED)
+    stream.begin()
+    chain = Chain(ReadingPlan.of(again), listeners=(stream.hear,))
+    protocol = recorded_protocol(recorded.metadata, again)
+    with Recorder(again.add_part(), recorded.metadata) as recorder:
+        CaptureLoop(
+            session=again,
+            connected=Connected(
+                link=recorded,  # type: ignore[arg-type]
+                protocol=protocol,
+                driver="stim300",
+                model="",
+                baud=None,
+                chunks=[],
+                identity={},
+            ),
+            intake=Intake(recorder=recorder, chain=chain, stream=stream),
+            view=View(),
+            keyboard=_Keyboard(recorded),  # type: ignore[arg-type]
+            clock=SystemClock(),
+            check=lambda: None,
+        ).run()
+    return again
+
+
+@dataclass
+class _Keyboard:
+    recorded: Recorded
+
+    def read(self) -> str:
+        return self.recorded.keys()
+
+
+def parameters_of(program: Program, folder: Path) -> list[str]:
+    """Solve a session and return its parameter file, but for the lines that say when, and from which folder."""
+    solved = program.run("solve", folder)
+    assert solved.returncode == 0, solved.stderr
+    other = ("created = ", "sha256 = ", f'name = "{folder.name}"')
+    return [line for line in (folder / "parameters.toml").read_text().splitlines() if not line.startswith(other)]

@@ -17,6 +17,7 @@ websockets = pytest.importorskip("websockets", reason="the page needs websockets
 
 from websockets.exceptions import ConnectionClosed, WebSocketException  # noqa: E402
 
+from imufield.web import server  # noqa: E402
 from imufield.web.access import PROTOCOL, Access, Role  # noqa: E402
 from imufield.web.board import Board  # noqa: E402
 from imufield.web.server import CLIENTS, CONNECTIONS, LARGEST_MESSAGE, SEND_TIMEOUT_S, static_files  # noqa: E402
@@ -48,6 +49,17 @@ def test_a_page_is_told_everything_and_then_what_is_new(served: Served) -> None:
         # One that comes later has all of it.
         with served.open() as late:
             assert next_state(late)["trace"] == [[0.0, 1], [0.1, 2]]
+
+
+def test_a_page_hears_a_beat_where_there_is_nothing_to_say(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "BEAT_S", 0.0)
+    # Before the first state, and behind one that does not change, as in a replay that waits for its next block.
+    with served.open() as page:
+        assert json.loads(page.recv(timeout=WAIT_S)) == {"role": "mark"}
+        assert json.loads(page.recv(timeout=WAIT_S)) == {}
+        served.board.put({"n": 1})
+        assert next_state(page)["state"] == {"n": 1}
+        assert json.loads(page.recv(timeout=WAIT_S)) == {}
 
 
 def test_one_that_was_away_too_long_begins_anew() -> None:

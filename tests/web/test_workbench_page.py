@@ -6,6 +6,7 @@ import itertools
 import os
 import re
 import signal
+import subprocess
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -103,7 +104,12 @@ def wait_for(page: Page, place: str, words: str) -> None:
 
 # The browser and some fifteen programs, six positions of an emulated instrument among them: once, for the whole way.
 def test_from_an_empty_folder_to_the_files(program: Program, screens: Screens, address: str) -> None:
-    port = program.emulate("--positions", "faces6", "--wait")
+    # A person who shows five sides, and the last one when asked to: the guide cannot end before.
+    port = program.emulate("--wait", "--poses", "-", stdin=subprocess.PIPE)
+    person = program.started[-1]
+    assert person.stdin is not None
+    person.stdin.write("+z\n+x\n-x\n+y\n-y\n")
+    person.stdin.flush()
     page = screens.open(address)
     assert "token" not in page.url
     page.get_by_text("by hand").click()
@@ -117,7 +123,9 @@ def test_from_an_empty_folder_to_the_files(program: Program, screens: Screens, a
     wait_for(page, "#headline", "TURN|HOLD|STAY|DONE|still")
     assert page.url.split(":")[2] != address.split(":")[2]
     page.locator("#back").click()
-    wait_for(page, "#under-way", "Session first: [1-6] of 6")
+    wait_for(page, "#under-way", "Session first: 5 of 6")
+    person.stdin.write("-z\n")
+    person.stdin.flush()
     page.get_by_role("button", name="Compute the result").click()
     wait_for(page, "#verdict", "POOR")  # Six positions have six parameters: nothing is left to check them.
     parameters = load(program.folder / "imufield-sessions" / "first")

@@ -19,6 +19,7 @@ from imufield.acquire.decoder import Decoder
 from imufield.acquire.driver import Driver, Message
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.protocol import Protocol
+from imufield.earth import MICRO_G_M_S2
 from imufield.errors import ProtocolError
 from imufield.samples import Samples
 from imufield.sentences import Sentences
@@ -97,6 +98,8 @@ class Finding:
         Samples for each second of the host.
     norm_m_s2 : float or None
         Median size of the acceleration; None where its unit is not known.
+    noise_ug : float or None
+        White noise of it, micro-g per root Hz, by the differences between neighbours, which a unit in the hand hardly changes.
     """
 
     name: str
@@ -112,6 +115,7 @@ class Finding:
     checked_bits: int
     rate_hz: float | None
     norm_m_s2: float | None
+    noise_ug: float | None
     steady: bool
 
     @property
@@ -243,6 +247,7 @@ class Listener:
             checked_bits=self._checked_bits,
             rate_hz=rate_hz,
             norm_m_s2=norm,
+            noise_ug=self._noise_ug(rate_hz),
             steady=steady,
         )
 
@@ -263,6 +268,14 @@ class Listener:
         scale = units.interval_s if units.accelerometer_is_increment else 1.0
         if units.accelerometer in ("m/s^2", "m/s") and scale and len(self._norms) < _NORMS_KEPT:
             self._norms += (np.linalg.norm(samples.accelerometer[finite], axis=1) / scale).tolist()
+
+    def _noise_ug(self, rate_hz: float | None) -> float | None:
+        # Fewer tell a variance to no better than a factor.
+        if not rate_hz or len(self._norms) < CERTAIN_SAMPLES:
+            return None
+        # A second difference of independent values has six times their variance, and no drift or slow turn.
+        sigma_m_s2 = float(np.std(np.diff(self._norms, 2))) / math.sqrt(6)
+        return sigma_m_s2 / math.sqrt(rate_hz) / MICRO_G_M_S2 or None
 
     def _objection(self, share: float, norm: float | None, *, steady: bool) -> str:
         """Return why this is not the instrument; empty if it is."""

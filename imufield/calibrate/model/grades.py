@@ -13,7 +13,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from imufield.earth import MICRO_G_M_S2, STANDARD_GRAVITY_M_S2
 from imufield.errors import UsageError
@@ -133,8 +133,12 @@ def find_grade(name: str) -> Grade:
     return GRADES[name]
 
 
-def grade_by_noise(gyroscope_noise_rad_s_per_root_hz: float) -> Grade:
-    """Return the grade whose gyroscope has the nearest noise, as a ratio; infinite: not known, so the worst."""
-    noise = max(gyroscope_noise_rad_s_per_root_hz, sys.float_info.min)
+def grade_by_noise(triad: Literal["accelerometer", "gyroscope"], noise_density: float) -> Grade:
+    """Return the grade whose triad has the nearest noise, SI per sqrt(Hz), as a ratio; infinite: not known, so the worst."""
+    noise = max(noise_density, sys.float_info.min)
+
+    def apart(grade: Grade) -> float:
+        return abs(math.log(noise / (grade.gyroscope if triad == "gyroscope" else grade.accelerometer).noise_density))
+
     # Where all are as far, the first counts.
-    return min(reversed(GRADES.values()), key=lambda grade: abs(math.log(noise / grade.gyroscope.noise_density)))
+    return min(reversed(GRADES.values()), key=apart)

@@ -200,7 +200,7 @@ class ExportDataOptions:
     """
 
     session: NewestSession = None
-    to: Annotated[str, option(help="csv, parquet, hdf5 or ros2 (MCAP).")] = "csv"
+    to: Annotated[str, option(help="csv, parquet, hdf5, ros2 (MCAP) or overview (for plots).")] = "csv"
     output: Annotated[Path | None, option("-o", "--output", help="File to write (default: SESSION/samples.*).")] = None
 
 

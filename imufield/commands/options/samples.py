@@ -29,11 +29,19 @@ from imufield.commands.options.shared import (
 )
 from imufield.errors import UsageError
 from imufield.files import DEFAULT_ROOT
-from imufield.limits import BAUD_RANGE, HOLD_RANGE_S, PORT_RANGE, RATE_RANGE_HZ
+from imufield.limits import BAUD_RANGE, HOLD_RANGE_S, PORT_RANGE, RATE_RANGE_HZ, TARGET_RANGE
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
 
+SchemeName = Annotated[
+    str | None,
+    option("--positions", help="Scheme: paper24, paper36, corners24, all26, faces6 or a TOML list (default: paper24)."),
+]
+HoldS = Annotated[
+    float | None,
+    option("--hold-s", help="Seconds to hold each position (default: 3 to 10, up to 60 with a target).", within=HOLD_RANGE_S),
+]
 WebPort = Annotated[int | None, option(help="Port of that page (default: 8777 or the next free one).", within=PORT_RANGE)]
 ViewName = Literal["auto", "plain", "json"]
 # Signs are part of the name: `--cable=-x` needs its equals sign, or the parser takes -x for an option.
@@ -118,13 +126,8 @@ class CaptureOptions:
     """
 
     connect: ConnectionOptions
-    positions: Annotated[
-        str | None, option(help="Scheme: paper24, paper36, corners24, all26, faces6 or a TOML list (default: paper24).")
-    ] = None
-    hold_s: Annotated[
-        float | None,
-        option(help="Seconds to hold each position (default: 3 to 10, up to 60 with a target).", within=HOLD_RANGE_S),
-    ] = None
+    positions: SchemeName = None
+    hold_s: HoldS = None
     session: SessionFolder = None
     resume: Annotated[bool, option("--resume", help="Go on with an unfinished session.")] = False
     retake: Annotated[
@@ -160,6 +163,30 @@ class CaptureOptions:
     def view(self) -> ViewName:
         """What shows the events; "auto" is pictures where there is a terminal."""
         return "json" if self.as_json else "plain" if self.plain else "auto"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanOptions:
+    """Say before a session how long it takes: positions, holds, minutes, and the accuracy to expect.
+
+    Example: imufield plan --target-bias-ug 150 --grade tactical
+    """
+
+    positions: SchemeName = None
+    hold_s: HoldS = None
+    target_bias_ug: TargetBiasUg = None
+    target_scale_ppm: TargetScalePpm = None
+    grade: Annotated[
+        str | None, option(help="Instrument class, whose noise is assumed: navigation, tactical, industrial or mems (default).")
+    ] = None
+    noise_ug: Annotated[
+        float | None,
+        option(
+            help="Noise of the accelerometer, micro-g per root Hz: from its data sheet, or as probe hears it.",
+            within=TARGET_RANGE,
+        ),
+    ] = None
+    as_json: AsJson = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -16,6 +16,7 @@ import numpy as np
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.deliver.samples.export_ros2 import write_ros2
 from imufield.deliver.samples.export_tables import write_hdf5, write_parquet
+from imufield.deliver.samples.overview import overview
 from imufield.errors import RecordingError
 from imufield.files import make_beside, typed_write_errors
 from imufield.samples import NO_COUNTER, SAMPLE_COLUMNS, FloatArray, Samples, concatenate
@@ -31,7 +32,7 @@ class Format:
     suffix: str
     title: str
     write: Callable[[Iterable[Samples], Path, Mapping[str, str]], int]
-    """Writes blocks to a new file, with facts for its head; returns the number of rows."""
+    """Writes blocks to a new file, with facts for its head; returns the number of samples."""
     lacks: str = ""
     """What it has no place for, in words."""
 
@@ -53,7 +54,7 @@ def export_samples(blocks: Iterable[Samples], path: str | Path, to: str = "csv",
     Returns
     -------
     int
-        Rows written.
+        Samples written.
 
     Raises
     ------
@@ -122,12 +123,20 @@ def _write_csv(blocks: Iterable[Samples], path: Path, facts: Mapping[str, str]) 
     return rows
 
 
+def _write_overview(blocks: Iterable[Samples], path: Path, facts: Mapping[str, str]) -> int:  # noqa: ARG001  (the same)
+    columns, samples = overview(blocks)
+    rows = zip(*(_floats(column) for column in columns.values()), strict=True)
+    path.write_text("".join(",".join(row) + "\n" for row in (columns, *rows)), encoding="ascii", newline="")
+    return samples
+
+
 _LACKING = "messages of ROS hold no temperature, counter, losses or status"
 FORMATS = {
     "csv": Format("csv", "text, one line for each sample", _write_csv),
     "parquet": Format("parquet", "Parquet (extra `parquet`)", write_parquet),
     "hdf5": Format("h5", "HDF5, one dataset for each column (extra `hdf5`)", write_hdf5),
     "ros2": Format("mcap", "sensor_msgs/msg/Imu for ROS 2, Foxglove, PlotJuggler", write_ros2, _LACKING),
+    "overview": Format("overview.csv", "text, least, mean and largest values of blocks, for plots of hours", _write_overview),
 }
 
 

@@ -13,8 +13,10 @@ positions tell otherwise. The forecast has the scatter found.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
@@ -22,11 +24,12 @@ from imufield.calibrate.model.models import PARAMETERS, norm_derivatives
 from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS, observe
 from imufield.earth import MICRO_G_M_S2, STANDARD_GRAVITY_M_S2
 from imufield.errors import CalibrationError
-from imufield.guide.hold.observe import Observation
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import FloatArray
 
 FEWEST = 4  # Fewer observations leave every residual to the priors.
+LINEAR = 9
+"""Free parameters without the quadratic terms."""
 EXPECTED_SCATTER_M_S2 = 1e-4 * STANDARD_GRAVITY_M_S2  # Between positions: what good instruments repeat to.
 EXPECTED_FREEDOM = 2.0  # Weight of that expectation, as if it came from this number of residuals.
 _LEAST_VARIANCE = 0.05  # Of the expected one: positions that agree by chance make no suspects of the others.
@@ -38,7 +41,6 @@ _FEW = (182.6, 41.9, 21.1, 14.3, 11.2, 9.5, 8.43, 7.7, 7.18, 6.79, 6.49, 6.24, 6
 SUSPECT_M_S2 = 3e-4 * STANDARD_GRAVITY_M_S2  # And by this much: less does no harm that another hold would cure.
 _TOLD_SHARE = 0.5  # A sigma of more than this share of the prior's was assumed rather than measured.
 _STEPS = 8  # Of Gauss-Newton: with priors it converges in four.
-_LINEAR = 9  # Free parameters without the quadratic term.
 _LEAST_FREEDOM = 0.05  # Of a residual: a position that the others say nothing of would weigh without bound.
 _MEDIAN_OF_SQUARES = 0.455  # Of a normal variable with sigma 1.
 # Spread of uncalibrated instruments: scale as a share, bias in m/s^2, misalignment in rad, quadratic term per m/s^2 of scale.
@@ -47,6 +49,25 @@ _SCALE_SPREAD_LEARNED = 0.2  # A scale learned from one still has its bias in it
 _BIAS_SPREAD_M_S2 = 0.5
 _MISALIGNMENT_SPREAD_RAD = 0.02
 _QUADRATIC_SPREAD = 5e-4
+
+
+class Measured(Protocol):
+    """What is fitted of an observation: the mean of a hold with the covariance of that mean, raw rates."""
+
+    @property
+    def name(self) -> str:
+        """Of the position."""
+        ...
+
+    @property
+    def mean_raw(self) -> FloatArray:
+        """Shape (3,)."""
+        ...
+
+    @property
+    def covariance_raw(self) -> FloatArray:
+        """Shape (3, 3)."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +128,12 @@ class RunningFit:
         }
         return {name: float(value) for name, (told, value) in known.items() if told}
 
+    def with_scatter(self, scatter_m_s2: float) -> RunningFit:
+        """Return the fit as it is where positions turn out to differ by this much, 1 sigma, beyond the noise within them."""
+        within = self.expected_m_s2**2 - EXPECTED_SCATTER_M_S2**2
+        variance = float(np.mean(within + scatter_m_s2**2)) / EXPECTED_SCATTER_M_S2**2
+        return replace(self, sigma_m_s2=_with_scatter(self.expected_m_s2, variance))
+
     def common_scale(self) -> tuple[float, float]:
         """Return the mean of the sensing axes' scales, raw rate per m/s^2, and its relative 1 sigma; free of the gauge."""
         T = _axes(self.vector)
@@ -155,12 +182,12 @@ def _axes(vector: FloatArray) -> FloatArray:
     return T
 
 
-def running_fit(observations: list[Observation], scale: RoughScale, gravity_m_s2: float) -> RunningFit | None:
+def running_fit(observations: Sequence[Measured], scale: RoughScale, gravity_m_s2: float) -> RunningFit | None:
     """Fit the observations so far; None while they are too few or where the fit does not converge.
 
     Parameters
     ----------
-    observations : list of Observation
+    observations : sequence of Measured
     scale : RoughScale
         Nominal scale and mid-scale: where the fit starts, and the centre of the priors.
     gravity_m_s2 : float
@@ -235,10 +262,14 @@ def _sigma(residual: FloatArray, jacobian: FloatArray, expected: FloatArray, pri
     The variance between positions comes from the residuals, pulled towards the expected one while there are few. The median
     keeps one bad position from raising the sigma of all.
     """
-    scatter, freedom = 1.0, max(len(residual) - _LINEAR, 0)
-    if freedom >= 2:
-        spare = np.maximum(1 - _leverage(jacobian, expected, prior), _LEAST_FREEDOM)
-        robust = float(np.median((residual / EXPECTED_SCATTER_M_S2) ** 2 / spare)) / _MEDIAN_OF_SQUARES
-        scatter = (EXPECTED_FREEDOM + freedom * robust) / (EXPECTED_FREEDOM + freedom)
+    spare = np.maximum(1 - _leverage(jacobian, expected, prior), _LEAST_FREEDOM)
+    robust = float(np.median((residual / EXPECTED_SCATTER_M_S2) ** 2 / spare)) / _MEDIAN_OF_SQUARES
+    return _with_scatter(expected, robust)
+
+
+def _with_scatter(expected: FloatArray, variance: float) -> FloatArray:
+    """Return 1 sigma of each norm where the residuals show this variance, in that of the expected scatter."""
+    freedom = max(len(expected) - LINEAR, 0)
+    scatter = 1.0 if freedom < 2 else (EXPECTED_FREEDOM + freedom * variance) / (EXPECTED_FREEDOM + freedom)
     result: FloatArray = np.sqrt(expected**2 + EXPECTED_SCATTER_M_S2**2 * (scatter - 1))
     return result

@@ -50,6 +50,11 @@ class HoldTarget:
         """Return the length at which a hold ends at the latest; ``minimum_s`` is that of the Allan deviation."""
         return self.fixed_s or max(min(self.longest_s, minimum_s), SHORTEST_S)
 
+    def expected_s(self, noise: float) -> float:
+        """Return the length of a hold with white noise alone, m/s^2 per sqrt(Hz)."""
+        wanted_s = (noise / self.sigma_m_s2) ** 2 if self.sigma_m_s2 else math.inf
+        return min(max(wanted_s, SHORTEST_S), self.latest_s(math.inf))
+
     def is_met(self, length_s: float, sigma_m_s2: float, minimum_s: float) -> bool:
         """Whether a hold may end.
 

@@ -164,6 +164,7 @@ class GuideActions:
         self.hold.first_judged_s = floor.start_s
         self.speaker.now_s = floor.start_s + floor.duration_s
         self.speaker.say(floor_event(self.speaker.now_s, floor, self.detector))
+        self.speaker.say(*self.adviser.time_advice(self.speaker.now_s, floor, self.detector.scale))
         nearest = self.plan.nearest(self.detector.scale.up(floor.mean[:3]), pending=True)
         if nearest is not None and nearest.angle_deg <= self.plan.tolerance_deg:
             self.plan.first = nearest.index

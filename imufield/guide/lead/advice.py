@@ -6,31 +6,32 @@ Positions that the others contradict are suspects: each suspicion is told, and w
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imufield.calibrate.accelerometer.drift import MOST_CONFUSION, order_confusion
+from imufield.calibrate.model.grades import grade_by_noise
 from imufield.earth import MILLI_G_M_S2
 from imufield.guide.cross_checks.axes import GOOD_DEG, AxesCheck
 from imufield.guide.cross_checks.centre import LEAST_OFFSET_M_S2
-from imufield.guide.cross_checks.running_fit import EXPECTED_SCATTER_M_S2, Disagreement, RunningFit, running_fit
+from imufield.guide.cross_checks.running_fit import EXPECTED_SCATTER_M_S2, LINEAR, Disagreement, RunningFit, running_fit
 from imufield.guide.events import Advice, Topic
 from imufield.guide.lead.plan import Plan
+from imufield.guide.lead.session_time import is_met, next_best, session_time
 from imufield.guide.lead.settings import GuideSettings
+from imufield.guide.stillness.cells import CELL_S
+from imufield.guide.stillness.noise_floor import NoiseFloor
 from imufield.guide.stillness.scale import RoughScale
+from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
 
-# A position is proposed before its turn where its gain is larger by this factor: the order that drift cannot imitate is worth
-# more than a little gain.
-_CLEARLY_MORE = 1.5
 _EXONERATED_SHARE = 0.5  # A suspect is none any more where it disagrees by less than this share of before.
 _MATTERS_SIGMAS = 3.0  # A quadratic term of less may be chance.
 _FEWEST_FOR_QUADRATIC = 18  # Of a scheme of 24; fewer positions leave the quadratic terms to the priors.
-_FEWEST_FOR_SCALE = 9  # As many as there are parameters without the quadratic terms.
 # Common scale against the nominal one: instruments repeat to 0.1 to 1 %, a wrong range or a wrong g shows as more.
 _SCALE_SHARE = 0.02
 # Common scale against an earlier calibration's: 2 degrees of latitude; good instruments repeat to it, chips within 1 degC.
@@ -76,6 +77,8 @@ _LIKE_EARLIER = _Kind(Topic.SCALE, "advice.earlier_scale", "advice.earlier_scale
 _OFF_NOMINAL = _Kind(Topic.SCALE, "advice.nominal_scale", "advice.off_scale_remedy", "1")
 _LIKE_NOMINAL = _Kind(Topic.SCALE, "advice.nominal_scale", "advice.nominal_scale_remedy", "1")
 _OFFSET = _Kind(Topic.OFFSET, "advice.offset", "advice.offset_remedy", "m/s^2")
+_SOON_ENOUGH = _Kind(Topic.TIME, "advice.time", "advice.time_remedy", "min")
+_NOT_ENOUGH = _Kind(Topic.TIME, "advice.time", "advice.time_unmet_remedy", "min")
 _GYROSCOPE_SCALE = _Kind(Topic.SCALE, "advice.gyroscope_scale", "advice.gyroscope_scale_remedy", "deg")
 
 
@@ -117,13 +120,8 @@ class Adviser:
         pending = plan.pending()
         if self.fit is None or len(pending) < 2:
             return
-        gain = self.fit.gain(np.array([plan.position(i).direction for i in pending]))
-        # Somebody with a target wants to be there soon.
-        hurried = settings.target_bias_ug is not None or settings.target_scale_ppm is not None
-        if gain.max() > (1.0 if hurried else _CLEARLY_MORE) * gain[0]:
-            preferred = pending[int(np.argmax(gain))]
-            if self._confusion([preferred, *(index for index in pending if index != preferred)]) <= MOST_CONFUSION:
-                plan.preferred = preferred
+        best = next_best(self.fit, self._ups(plan.accepted), self._ups(pending), hurried=bool(settings.targets))
+        plan.preferred = pending[best] if best else None
 
     def _compare(self, scale: RoughScale) -> None:
         """Compare each position with the others but the suspects: a bump makes good ones disagree, and hides another."""
@@ -149,6 +147,16 @@ class Adviser:
         worst_first = sorted(self.compared.items(), key=lambda found: -abs(found[1].sigmas))
         self.suspects = {index: found for index, found in worst_first if found.is_suspect}
 
+    def time_advice(self, now_s: float, floor: NoiseFloor, scale: RoughScale) -> list[Advice]:
+        """Return how long the session takes to its target, by the noise that was measured; nothing without a target."""
+        if not self._settings.targets or not scale.accelerometer:
+            return []
+        noise = math.sqrt(float(np.mean(floor.cell_sigma[:3] ** 2)) * CELL_S) / scale.accelerometer
+        scatter_m_s2 = grade_by_noise("accelerometer", noise).scatter_m_s2
+        time = session_time(self._plan.scheme, self._settings, noise=noise, scatter_m_s2=scatter_m_s2)
+        kind = _SOON_ENOUGH if time.is_met else _NOT_ENOUGH
+        return [kind.advice(now_s, time.minutes, math.inf, time=time.words)]
+
     def advise(self, now_s: float) -> list[Advice]:
         """Return what the running fit shows that the operator may want to act on; each topic once."""
         if self.fit is None:
@@ -163,12 +171,10 @@ class Adviser:
     def _advise_once(self, now_s: float, fit: RunningFit) -> Iterator[Advice]:
         """Yield what one fit shows; each topic is told the first time."""
         settings, count = self._settings, len(fit.names)
-        if count < _FEWEST_FOR_SCALE:
+        if count < LINEAR:
             return
-        wanted = {"bias_ug": settings.target_bias_ug, "scale_ppm": settings.target_scale_ppm}
-        asked = {key: value for key, value in wanted.items() if value is not None}
-        forecast = fit.forecast()
-        if asked and all(forecast.get(key, math.inf) <= value for key, value in asked.items()):
+        asked, forecast = settings.targets, fit.forecast()
+        if is_met(asked, forecast):
             kinds = {"bias_ug": _BIAS_MET, "scale_ppm": _SCALE_MET}
             known = [f"{key.split('_')[0]} {forecast[key]:.3g} {kinds[key].unit} (wanted {asked[key]:g})" for key in asked]
             key, value = next(iter(asked.items()))
@@ -191,8 +197,10 @@ class Adviser:
 
     def _confusion(self, pending: list[int]) -> float:
         """Return how alike drift and quadratic term look where the pending positions follow those so far in this order."""
-        plan = self._plan
-        return order_confusion(np.array([plan.position(index).direction for index in (*plan.accepted, *pending)]))
+        return order_confusion(self._ups([*self._plan.accepted, *pending]))
+
+    def _ups(self, indices: Iterable[int]) -> FloatArray:
+        return np.array([self._plan.position(index).direction for index in indices])
 
     def _advise_suspects(self, now_s: float) -> list[Advice]:
         """Return what to tell of suspects: suspicions that are settled, and the worst one if it was not told yet."""
@@ -252,7 +260,7 @@ class Adviser:
         Gravity and a common scale are one parameter: a wrong latitude shows here or nowhere.
         """
         fit, earlier = self.fit, self._settings.earlier_scale_raw
-        if fit is None or len(fit.names) < _FEWEST_FOR_SCALE or (Topic.SCALE in self._told and earlier is None):
+        if fit is None or len(fit.names) < LINEAR or (Topic.SCALE in self._told and earlier is None):
             return []
         reference = earlier or (None if fit.scale.learned else fit.scale.accelerometer)
         if reference is None:

@@ -43,9 +43,15 @@ class GuideSettings:
     earlier_scale_sigma: float = 0.0
 
     @property
+    def targets(self) -> dict[str, float]:
+        """What is wanted, by the names that a forecast has for it."""
+        wanted = {"bias_ug": self.target_bias_ug, "scale_ppm": self.target_scale_ppm}
+        return {name: value for name, value in wanted.items() if value is not None}
+
+    @property
     def hold_target(self) -> HoldTarget:
         """What ends a hold: a bias or scale known to the target needs positions about as good."""
         if self.hold_s is not None:
             return HoldTarget(self.hold_s, 0.0, self.hold_s)
-        wanted = [target for target in (self.target_bias_ug, self.target_scale_ppm) if target is not None]
+        wanted = self.targets.values()
         return HoldTarget(None, min(wanted) * MICRO_G_M_S2, LONGEST_S) if wanted else HoldTarget()

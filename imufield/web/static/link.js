@@ -3,7 +3,7 @@
 const SOCKET = "/socket";
 const SHORTEST_MS = 250;
 const LONGEST_MS = 4000;
-const SILENT_MS = 3000; // A session that runs says something ten times a second.
+const SILENT_MS = 3000; // The program says something once a second, if only a beat: {}.
 
 /** Whether an address is one of this machine: others may come from anybody. @param {string} url */
 export const isOfThisMachine = (url) => /^http:\/\/(127\.0\.0\.1|localhost|\[::1\]):\d+\//.test(url);
@@ -59,7 +59,7 @@ export class Link {
       const message = JSON.parse(event.data);
       // What let this page in lets nobody in again.
       if (message.token) sessionStorage.setItem("token", (this.token = message.token));
-      this.onMessage(message);
+      if (Object.keys(message).length) this.onMessage(message);
     };
     socket.onclose = () => {
       if (socket === this.socket) this.again();

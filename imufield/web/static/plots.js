@@ -5,7 +5,8 @@ import { text } from "./texts.js";
 
 const WIDTH = 1000;
 const HEIGHT = 260;
-const POINTS = 1500; // A screen shows no more.
+const TIMES = 5; // Written below what a screen shows.
+const AXES = ["x", "y", "z"];
 
 /** @param {number} share of the largest @param {string} kind */
 export const barOf = (share, kind) =>
@@ -30,50 +31,40 @@ export function lineOf(values, kind) {
 }
 
 /**
- * Read what `export-data` writes: time and the accelerometer, some thousand means of neighbours.
+ * Read what `export-data --to overview` writes.
  * @param {string} text
- * @returns {number[][]} rows of time and three axes
+ * @returns {Record<string, number[]>} columns by name
  */
-export function readSamples(text) {
-  const lines = text.split("\n");
-  const names = lines[0].split(",");
-  const wanted = ["time_s", "ax", "ay", "az"].map((name) => names.indexOf(name));
-  const step = Math.max(1, Math.ceil((lines.length - 1) / POINTS));
-  const rows = [];
-  for (let start = 1; start + step <= lines.length; start += step) {
-    const sums = [0, 0, 0, 0];
-    let count = 0;
-    for (let k = start; k < start + step; k++) {
-      const cells = lines[k].split(",");
-      const values = wanted.map((place) => (cells[place] ? Number(cells[place]) : NaN));
-      if (!values.every(Number.isFinite)) continue;
-      values.forEach((value, axis) => (sums[axis] += value));
-      count += 1;
-    }
-    if (count) rows.push(sums.map((sum) => sum / count));
-  }
-  return rows;
+export function readOverview(text) {
+  const [names, ...rows] = text
+    .trimEnd()
+    .split("\n")
+    .map((line) => line.split(","));
+  return Object.fromEntries(names.map((name, k) => [name, rows.map((row) => (row[k] ? Number(row[k]) : NaN))]));
 }
 
 /**
- * @param {number[][]} samples
+ * @param {Record<string, number[]>} columns
  * @param {any[]} holds
  * @param {Set<string>} without
  * @param {(name: string) => void} onChoose
+ * @param {number} zoom how many times as wide as the page
  */
-export function drawSignals(samples, holds, without, onChoose) {
-  if (!samples.length) return make("p", {}, text("noSamples"));
-  const [first, last] = [samples[0][0], samples[samples.length - 1][0]];
-  const values = samples.flatMap((row) => row.slice(1));
-  const [low, high] = [Math.min(...values), Math.max(...values)];
-  const x = (/** @type {number} */ time) => (WIDTH * (time - first)) / (last - first || 1);
+export function drawSignals(columns, holds, without, onChoose, zoom) {
+  const time = columns.time_s;
+  const values = AXES.flatMap((axis) => [...columns[`a${axis}_min`], ...columns[`a${axis}_max`]]).filter(Number.isFinite);
+  if (!values.length) return make("p", {}, text("noSamples"));
+  const [first, last, wide] = [time[0], time[time.length - 1], WIDTH * zoom];
+  const low = values.reduce((a, b) => Math.min(a, b));
+  const high = values.reduce((a, b) => Math.max(a, b));
+  const x = (/** @type {number} */ at) => (wide * (at - first)) / (last - first || 1);
   const y = (/** @type {number} */ value) => HEIGHT - 20 - ((HEIGHT - 25) * (value - low)) / (high - low || 1);
-  const lines = ["x", "y", "z"].map((axis, k) =>
-    draw("polyline", {
-      class: axis,
-      points: samples.map((row) => `${x(row[0]).toFixed(1)},${y(row[k + 1]).toFixed(1)}`).join(" "),
-    }),
-  );
+  const pointsOf = (/** @type {string} */ name) =>
+    columns[name].map((value, k) => (Number.isFinite(value) ? `${x(time[k]).toFixed(1)},${y(value).toFixed(1)}` : "")).filter(Boolean);
+  const lines = AXES.map((axis) => [
+    draw("polygon", { class: axis, points: [...pointsOf(`a${axis}_max`), ...pointsOf(`a${axis}_min`).reverse()].join(" ") }),
+    draw("polyline", { class: axis, points: pointsOf(`a${axis}_mean`).join(" ") }),
+  ]);
   const stills = holds
     .filter((hold) => hold.start_s !== null)
     .map((hold) => {
@@ -102,15 +93,19 @@ export function drawSignals(samples, holds, without, onChoose) {
         draw("title", {}, hold.name),
       );
     });
-  const words = [
-    draw("text", { x: 2, y: HEIGHT - 4 }, "0 s"),
-    draw("text", { x: WIDTH - 2, y: HEIGHT - 4, "text-anchor": "end" }, `${(last - first).toFixed(0)} s`),
-  ];
-  return draw(
+  const words = Array.from({ length: TIMES * zoom + 1 }, (_, k) => {
+    const at = k / (TIMES * zoom);
+    const anchor = at === 0 ? "start" : at === 1 ? "end" : "middle";
+    return draw("text", { x: wide * at, y: HEIGHT - 4, "text-anchor": anchor }, `${((last - first) * at).toFixed(0)} s`);
+  });
+  const drawn = draw(
     "svg",
-    { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, class: "plot", role: "group", "aria-label": text("plot") },
+    { viewBox: `0 0 ${wide} ${HEIGHT}`, class: "plot", role: "group", "aria-label": text("plot") },
     lines,
     stills,
     words,
   );
+  drawn.style.width = `${100 * zoom}%`;
+  drawn.style.minWidth = `${44 * zoom}rem`;
+  return drawn;
 }

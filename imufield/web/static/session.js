@@ -2,12 +2,13 @@
 
 import { complaint } from "./bench.js";
 import { at, button, filled, make, table } from "./make.js";
-import { barOf, drawSignals, readSamples } from "./plots.js";
+import { barOf, drawSignals, readOverview } from "./plots.js";
 import { text, when } from "./texts.js";
 
 const MICRO_G = 9.80665e-6;
 const FEWEST_CHECKED = 10; // Positions, for a result that is checked: see the pipeline of the program.
 const AXES = ["x", "y", "z"];
+const LARGEST_ZOOM = 8; // Closer there is nothing more to see in the blocks that the program makes.
 
 /** @typedef {import("./bench.js").Bench} Bench */
 /** @typedef {import("./bench.js").Job} Job */
@@ -275,18 +276,24 @@ export class SessionView {
     const place = at("signals-of-session");
     place.replaceChildren(make("p", { role: "status" }, text("reading")));
     try {
-      const job = await this.bench.run("samples", { session: this.name });
+      const job = await this.bench.run("overview", { session: this.name });
       if (job.code !== 0) throw new Error(complaint(job));
-      const answer = await fetch(await this.bench.address(`${this.name}/samples.csv`));
-      const samples = readSamples(await answer.text());
+      const columns = readOverview(await (await fetch(await this.bench.address(`${this.name}/samples.overview.csv`))).text());
+      const frame = make("div", { class: "wide" });
+      let zoom = 1;
+      const show = (/** @type {number} */ times) => {
+        // What is in the middle stays there.
+        const middle = (frame.scrollLeft + frame.clientWidth / 2) / (frame.scrollWidth || 1);
+        zoom = Math.max(1, Math.min(LARGEST_ZOOM, zoom * times));
+        frame.replaceChildren(drawSignals(columns, holds, this.without, (name) => this.keep(name, this.without.has(name)), zoom));
+        frame.scrollLeft = middle * frame.scrollWidth - frame.clientWidth / 2;
+      };
       place.replaceChildren(
         make("p", {}, text("signalsHow")),
-        make(
-          "div",
-          { class: "wide" },
-          drawSignals(samples, holds, this.without, (name) => this.keep(name, this.without.has(name))),
-        ),
+        make("p", { class: "row" }, button(text("closer"), () => show(2)), button(text("farther"), () => show(1 / 2))),
+        frame,
       );
+      show(1);
     } catch (error) {
       place.replaceChildren(make("p", { class: "failed" }, /** @type {Error} */ (error).message));
     }

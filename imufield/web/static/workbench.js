@@ -4,20 +4,22 @@ import { Bench, complaint } from "./bench.js";
 import { showHistory, showSessions } from "./lists.js";
 import { at, button, clean, filled, make, stamp, sureButton } from "./make.js";
 import { watchDrop } from "./dropped.js";
+import { watchPlan } from "./plan.js";
 import { SessionView } from "./session.js";
 import { isOfThisMachine } from "./link.js";
 import { text, withMarks } from "./texts.js";
 
 const VIEWS = ["calibrate", "import", "sessions", "session", "history"];
-const LOOKS = ["devices", "probe", "targets", "sessions", "history"]; // What the page asks for by itself.
+const LOOKS = ["devices", "probe", "plan", "targets", "sessions", "history"]; // What the page asks for by itself.
 const VIRTUAL = { driver: "stim300", latitude: 45, height: 0, speed: 4 }; // 24 positions in two minutes: a person can follow.
 
 const bench = new Bench(show);
 const session = new SessionView(bench);
 watchDrop(bench);
-/** @type {Map<string, {name: string, says: string, values: any}>} */
+/** @type {Map<string, {name: string, says: string, values: any, noise?: any}>} */
 const ports = new Map();
 let chosen = "";
+const askPlan = watchPlan(bench, () => ports.get(chosen)?.noise ?? {});
 let isLooking = false;
 let hasLooked = false;
 let shown = "";
@@ -113,6 +115,7 @@ async function listen(key) {
       .filter(Boolean)
       .join("; ");
     port.values = { ...port.values, driver: probed.found.name, ...(probed.baud ? { baud: probed.baud } : {}) };
+    if (probed.found.noise_ug) port.noise = { noise_ug: probed.found.noise_ug };
     if (!chosen) chosen = key;
   } else port.says = text("unrecognised", { why: complaint(job) });
   showPorts();
@@ -128,18 +131,22 @@ function showPorts() {
         name: "where",
         value: key,
         ...(key === chosen ? { checked: true } : {}),
-        onchange: () => (chosen = key),
+        onchange: () => {
+          chosen = key;
+          askPlan();
+        },
       }),
       make("div", {}, make("strong", {}, name), make("span", {}, says)),
     ),
   );
   at("ports").replaceChildren(...(rows.length ? rows : [make("p", {}, text(isLooking ? "looking" : "noPort"))]));
+  askPlan();
 }
 
 at("look").addEventListener("click", look);
 at("virtual").addEventListener("click", () => {
   chosen = bench.head.virtual;
-  ports.set(chosen, { name: text("virtual"), says: text("virtualIs", VIRTUAL), values: { isVirtual: true } });
+  ports.set(chosen, { name: text("virtual"), says: text("virtualIs", VIRTUAL), values: { isVirtual: true }, noise: { grade: "tactical" } });
   showPorts();
   fillPlace(VIRTUAL);
 });

@@ -36,14 +36,14 @@ def test_turning_on_adds_what_data_sheets_say() -> None:
 @pytest.mark.parametrize("grade", GRADES.values(), ids=GRADES)
 def test_the_noise_of_a_gyroscope_tells_its_grade(grade: Grade) -> None:
     for factor in (0.9, 1.0, 1.1):
-        assert grade_by_noise(factor * grade.gyroscope.noise_density) is grade
+        assert grade_by_noise("gyroscope", factor * grade.gyroscope.noise_density) is grade
 
 
 def test_without_noise_the_worst_is_taken() -> None:
-    assert grade_by_noise(math.inf) is GRADES[DEFAULT_GRADE]
-    assert grade_by_noise(0.0) is GRADES["navigation"]
+    assert grade_by_noise("gyroscope", math.inf) is GRADES[DEFAULT_GRADE]
+    assert grade_by_noise("gyroscope", 0.0) is GRADES["navigation"]
     # 0.3 deg/sqrt(h), half-way between two classes.
-    assert {grade_by_noise(np.radians(noise) / 60).name for noise in (0.29, 0.31)} == {"tactical", "industrial"}
+    assert {grade_by_noise("gyroscope", np.radians(noise) / 60).name for noise in (0.29, 0.31)} == {"tactical", "industrial"}
 
 
 def test_the_parameter_file_knows_the_grades() -> None:

@@ -1,0 +1,52 @@
+"""``imufield plan``: how long a session takes, and how good it becomes, before it begins."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+
+from imufield.calibrate.model.grades import DEFAULT_GRADE, find_grade, grade_by_noise
+from imufield.commands.options.samples import PlanOptions
+from imufield.commands.terminal.guided import DEFAULT_SCHEME
+from imufield.commands.terminal.output import echo, say
+from imufield.earth import MICRO_G_M_S2
+from imufield.guide.lead.session_time import session_time
+from imufield.guide.lead.settings import GuideSettings
+from imufield.guide.positions import scheme
+from imufield.pipeline.chain import REVISIT_FROM
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
+
+
+def run_plan(options: PlanOptions) -> None:
+    """Say how long it takes by the guide's own forecast, and what was assumed for it.
+
+    Raises
+    ------
+    UsageError
+        If there is no such scheme or grade.
+    """
+    positions = scheme(options.positions or DEFAULT_SCHEME)
+    settings = GuideSettings(
+        hold_s=options.hold_s,
+        target_bias_ug=options.target_bias_ug,
+        target_scale_ppm=options.target_scale_ppm,
+        revisit_first=len(positions) >= REVISIT_FROM,
+    )
+    noise = None if options.noise_ug is None else options.noise_ug * MICRO_G_M_S2
+    if options.grade is not None or noise is None:
+        grade = find_grade(options.grade or DEFAULT_GRADE)
+    else:
+        grade = grade_by_noise("accelerometer", noise)
+    noise = noise or grade.accelerometer.noise_density
+    time = session_time(positions, settings, noise=noise, scatter_m_s2=grade.scatter_m_s2)
+    sizes = {"noise_ug": noise / MICRO_G_M_S2, "scatter_ug": grade.scatter_m_s2 / MICRO_G_M_S2}
+    is_known = options.noise_ug is not None or options.grade is not None
+    assumed = sentence("plan.known" if is_known else "plan.assumed", grade=grade.name, **sizes)
+    if options.as_json:
+        facts = {**asdict(time), **sizes, "grade": grade.name, "is_met": time.is_met}
+        echo(json.dumps({**facts, "words": time.words, "assumed": assumed}))
+    else:
+        say(time.words)
+        say(assumed)
