@@ -201,6 +201,20 @@ def test_marks_that_make_no_sense_are_answered(make_path: Any) -> None:
         run(samples, marks=(("explode", 1.0),))
 
 
+def test_marks_are_offered_that_do_something(make_path: Any) -> None:
+    samples = faces_session(make_path, ("+z", "+x")).samples()
+    guide = Guide(scheme("faces6"), samples.units, settings=GuideSettings(hold_s=4.0))
+    guide.feed(samples[:100])
+    assert set(guide.snapshot().marks) == {"skip", "pause", "finish"}
+    guide.feed(samples[100:])
+    assert set(guide.snapshot().marks) == {"retake", "skip", "undo", "pause", "finish"}
+    guide.link_lost()
+    # Nobody can pause what is not there.
+    assert "pause" not in guide.snapshot().marks
+    guide.mark("finish", guide.time_s)
+    assert not {"pause", "finish"} & {*guide.snapshot().marks}
+
+
 def test_pause_measures_nothing(make_path: Any) -> None:
     guide, events = run(make_path(100.0).hold([0, 0, 1], 20).samples(), marks=(("pause", 3.2), ("pause", 12.0)))
     accepted = of(events, Accepted)

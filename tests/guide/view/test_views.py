@@ -442,7 +442,7 @@ SNAPSHOT = """\
  link ok   100 Hz   0 samples lost   no temperature
  noise floor: accelerometer 9.62 mm/s^2 rms per axis, gyroscope 0.057 deg/s;
    limit for stillness 50 mm/s^2
- accepted +z: 3.0 s
+ accepted +z: 3 s
 
 r retake  s skip  u undo  p pause  f finish  ? keys  q quit (resume later)
 """
