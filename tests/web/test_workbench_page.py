@@ -118,6 +118,10 @@ def test_from_an_empty_folder_to_the_files(program: Program, screens: Screens, a
     page.get_by_label("Height").first.fill("0")
     page.locator("[name=positions]").select_option("faces6")
     page.get_by_label("Name of the session").fill("first")
+    # How long it takes is said before, for what was chosen.
+    page.get_by_label("Class of the instrument").select_option("navigation")
+    wait_for(page, "#plan-says", "^6 positions with holds of 3 s")
+    wait_for(page, "#commands code", "imufield plan --json --positions=faces6 --grade=navigation")
     page.get_by_role("button", name="Start the guide").click()
     # The guide has a page of its own, and leads back to where the session is.
     wait_for(page, "#headline", "TURN|HOLD|STAY|DONE|still")
@@ -204,6 +208,8 @@ def test_a_dropped_file_is_asked_about_and_solved_without_a_position(program: Pr
     page.get_by_role("button", name="Compute the result").click()
     wait_for(page, "#verdict", "GOOD|USABLE")
     page.get_by_role("button", name="Show the signals").click()
+    page.get_by_role("button", name="Closer").click()
+    assert page.locator("#signals-of-session polyline").count() == page.locator("#signals-of-session polygon").count() == 3
     page.locator("[data-still]").nth(3).focus()
     page.keyboard.press("Enter")
     name = str(page.locator("[data-still]").nth(3).get_attribute("data-still"))

@@ -78,9 +78,9 @@ class SessionTime:
             + (f" (wanted {self.wanted[name]:g})" if name in self.wanted else "")
             for name, unit in _UNITS.items()
         ]
-        key = "free" if not self.wanted else "met" if self.is_met else "unmet"
+        reached = "session_time.met" if self.is_met else "session_time.unmet"
         sizes = {"positions": self.positions, "hold_s": self.hold_s, "minutes": self.minutes}
-        return sentence(f"session_time.{key}", known=known, **sizes)
+        return sentence(reached if self.wanted else "session_time.free", known=known, **sizes)
 
 
 def is_met(wanted: dict[str, float], forecast: dict[str, float]) -> bool:

@@ -62,7 +62,7 @@ async function bring(bench, files) {
       .replace(/[^A-Za-z0-9_-]+/g, "-")
       .replace(/^[-_]+/, "") || "recording";
   // One form for all attempts: what was typed stays.
-  const form = await asking(files, (values) => void tryImport(values));
+  const form = await asking(bench, files, (values) => void tryImport(values));
   await tryImport({});
 
   /** @param {any} typed */
@@ -92,7 +92,8 @@ async function bring(bench, files) {
           ),
         );
       } else {
-        say(complaint(job));
+        // Where it is kept here says nothing to whoever dropped it.
+        say(paths.reduce((words, path) => words.replaceAll(`${bench.root}/${path}`, path.slice(path.lastIndexOf("/") + 1)), complaint(job)));
         at("import-more").replaceChildren(make("section", {}, make("h2", {}, text("what")), form));
       }
     } catch (error) {
@@ -101,6 +102,31 @@ async function bring(bench, files) {
     }
   }
 }
+
+const unitFields = () => [
+  ...Object.entries(UNITS).map(([name, units]) =>
+    choice(
+      text("unit", { quantity: name.replace("_", ", "), name }),
+      { "data-unit": name },
+      units.map((unit) => make("option", {}, unit)),
+    ),
+  ),
+  make("label", {}, text("rate"), make("input", { name: "rate_hz", inputmode: "decimal", autocomplete: "off" })),
+];
+
+/** @param {Bench} bench */
+async function instrumentField(bench) {
+  const { drivers } = await bench.found("devices").catch(() => ({ drivers: [] }));
+  return choice(
+    text("whose"),
+    { name: "driver" },
+    drivers.map((/** @type {any} */ driver) => make("option", { value: driver.name }, `${driver.title} (${driver.name})`)),
+  );
+}
+
+/** @param {string} words @param {any} properties @param {any[]} options behind what the program finds */
+const choice = (words, properties, options) =>
+  make("label", {}, words, make("select", properties, make("option", { value: "" }, text("asFound")), options));
 
 /** The first rows of a table: what stands in its lines, split at commas, semicolons or blanks. @param {File} file */
 async function rowsOf(file) {
@@ -130,10 +156,11 @@ async function rowsOf(file) {
 }
 
 /**
- * A form that asks what the program does not know, with the first rows and the signals beside it.
- * @param {File[]} files @param {(values: any) => void} onAnswer
+ * A form that asks what the program does not know: of tables, with the first rows and the signals beside it, of all else
+ * whose bytes or frames they are.
+ * @param {Bench} bench @param {File[]} files @param {(values: any) => void} onAnswer
  */
-async function asking(files, onAnswer) {
+async function asking(bench, files, onAnswer) {
   /** @type {{file: File, head: string[], choices: any[], element: any}[]} */
   const tables = [];
   for (const file of files) {
@@ -170,20 +197,7 @@ async function asking(files, onAnswer) {
   const form = make(
     "form",
     { class: "fields" },
-    Object.entries(UNITS).map(([name, units]) =>
-      make(
-        "label",
-        {},
-        text("unit", { quantity: name.replace("_", ", "), name }),
-        make(
-          "select",
-          { "data-unit": name },
-          make("option", { value: "" }, text("asFound")),
-          units.map((unit) => make("option", {}, unit)),
-        ),
-      ),
-    ),
-    make("label", {}, text("rate"), make("input", { name: "rate_hz", inputmode: "decimal", autocomplete: "off" })),
+    tables.length ? unitFields() : await instrumentField(bench),
     make("button", { type: "submit", class: "main" }, text("importThese")),
   );
   form.addEventListener("submit", (/** @type {Event} */ event) => {

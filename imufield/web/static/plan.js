@@ -8,21 +8,21 @@ import { at, filled } from "./make.js";
  * @returns {() => Promise<void>} to be called where that has changed
  */
 export function watchPlan(bench, noise) {
-  const form = at("plan");
+  const [form, grade] = [at("plan"), at("grade")];
   let asked = "";
   const ask = async () => {
     const { positions, target_bias_ug, target_scale_ppm } = filled(form);
-    const values = { positions, target_bias_ug, target_scale_ppm, ...noise() };
+    const values = { positions, target_bias_ug, target_scale_ppm, ...noise(), ...(grade.value ? { grade: grade.value } : {}) };
     const mine = JSON.stringify(values);
     if (form.closest("[data-view]").hidden || mine === asked) return;
     asked = mine;
     const says = await bench.found("plan", values).then(
-      (found) => `${found.words}. ${found.assumed}.`,
+      ({ words, assumed }) => [words, assumed].map((part) => `${part[0].toUpperCase()}${part.slice(1)}.`).join(" "),
       (/** @type {Error} */ error) => error.message,
     );
     // Of what was chosen in the meantime the answer comes later.
-    if (mine === asked) at("plan-says").textContent = says.replace(/^./, (letter) => letter.toUpperCase());
+    if (mine === asked) at("plan-says").textContent = says;
   };
-  form.addEventListener("change", ask);
+  for (const field of [form, grade]) field.addEventListener("change", ask);
   return ask;
 }

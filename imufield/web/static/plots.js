@@ -61,7 +61,7 @@ export function drawSignals(columns, holds, without, onChoose, zoom) {
   const y = (/** @type {number} */ value) => HEIGHT - 20 - ((HEIGHT - 25) * (value - low)) / (high - low || 1);
   const pointsOf = (/** @type {string} */ name) =>
     columns[name].map((value, k) => (Number.isFinite(value) ? `${x(time[k]).toFixed(1)},${y(value).toFixed(1)}` : "")).filter(Boolean);
-  const lines = AXES.map((axis) => [
+  const lines = AXES.flatMap((axis) => [
     draw("polygon", { class: axis, points: [...pointsOf(`a${axis}_max`), ...pointsOf(`a${axis}_min`).reverse()].join(" ") }),
     draw("polyline", { class: axis, points: pointsOf(`a${axis}_mean`).join(" ") }),
   ]);
