@@ -46,7 +46,7 @@ HEIGHT_RANGE_M = (-500.0, 9000.0)
 """From the shore of the Dead Sea to the top of Mount Everest, with a margin."""
 
 _SOURCE_WORDS = {
-    "typed": "given by the user",
+    "typed": "stated for the site",
     "normal": "WGS-84 normal gravity",
     "measured": "measured",
     "assumed": "ASSUMED, place unknown",

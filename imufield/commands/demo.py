@@ -27,7 +27,7 @@ from imufield.calibrate.model.models import to_vector
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration
 from imufield.commands.options.samples import CaptureOptions, DemoOptions
 from imufield.commands.terminal.guided import Captured, guided_session, new_session
-from imufield.commands.terminal.output import before_recording, echo, say_assumed
+from imufield.commands.terminal.output import before_recording, echo, say, say_assumed
 from imufield.deliver.parameters.file import PARAMETER_FILE, write_document
 from imufield.deliver.report.summary import Outcome, print_summary
 from imufield.errors import LinkError, Reason, UsageError
@@ -75,6 +75,8 @@ def run_demo(options: DemoOptions) -> None:
     solved = solve_session(captured.session, SolveSettings())
     path = captured.session.folder / PARAMETER_FILE
     kept = write_document(path, solved.document)
+    site = Site()
+    say(sentence("demo.site", latitude_deg=site.latitude_deg, gravity_m_s2=site.gravity_m_s2))
     print_summary(solved, Outcome(path, kept, captured.session.folder))
     _print_comparison(captured, _errors_in_sigma(solved.calibration, truth), truth["seed"])
 

@@ -16,7 +16,7 @@ sentence = Sentences(__package__)
 
 
 def run_export(options: ExportOptions) -> None:
-    """Write the files of a target and say what it cannot hold; without a target list them.
+    """Write the files of a target and say what it cannot express; without a target list them.
 
     Raises
     ------

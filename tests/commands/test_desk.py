@@ -27,6 +27,7 @@ from imufield.guide.positions import scheme
 from imufield.pipeline.chain import Chain, ReadingPlan, replay_into, session_samples
 from imufield.samples import AXES, SAMPLE_COLUMNS, concatenate
 from imufield.sentences import Sentences
+from imufield.simulate.truth.motion import Site
 from tests.commands.told import missing, says
 from tests.conftest import PROJECT
 from tests.refused import refused
@@ -264,6 +265,8 @@ def test_a_table_becomes_a_session_and_what_was_assumed_is_said(program: Program
 def test_demo(program: Program) -> None:
     ended = program.run("demo", "--plain", "--speed", 12)
     assert ended.returncode == 0, ended.stdout + ended.stderr
+    site = Site()
+    assert says(ended.stdout, "commands", "demo.site", latitude_deg=site.latitude_deg, gravity_m_s2=site.gravity_m_s2)
     assert "24 of 24 positions, seed 2: as it should be" in ended.stdout
     last = ended.stdout.splitlines()[-1]
     assert last.startswith("within 4 sigma of the simulator's truth: largest ")

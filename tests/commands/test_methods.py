@@ -26,8 +26,7 @@ def test_a_method_solves_both_triads_and_a_cross_check_covers_both(program: Prog
     found = json.loads(ended.stdout)
     reasons = found["quality"]["reasons"]
     for triad in ("accelerometer", "gyroscope"):
-        (check,) = [reason for reason in reasons if reason.startswith(f"cross-check of the {triad} (bsas, ide, least-squares)")]
-        assert "DISAGREES" not in check
+        assert any(reason.startswith(f"bsas, ide, least-squares agree on the {triad}: ") for reason in reasons)
         sigma = np.array(plain[triad]["uncertainty"]["scale"])
         assert np.all(np.abs(np.array(found[triad]["scale"]) - plain[triad]["scale"]) <= 0.02 * sigma)
     assert any(reason.startswith("gyroscope solved by bsas: ") for reason in reasons)
@@ -51,7 +50,7 @@ def test_settings_of_a_method_reach_both_triads(program: Program, solved_session
     reasons = json.loads(ended.stdout)["quality"]["reasons"]
     # Three generations are not enough, and each triad says why.
     assert sum("ide did not converge" in reason for reason in reasons) == 2
-    assert json.loads(ended.stdout)["solver"]["message"].startswith("not converged within 3 generations")
+    assert json.loads(ended.stdout)["solver"]["message"].endswith("3 generations")
     ended = program.run(*short, "--set", "beetles=8")
     assert ended.returncode == 2
     assert "beetles" in ended.stderr

@@ -25,7 +25,10 @@ def gyroscope_path(session: Session) -> str:
 
 @pytest.mark.parametrize(
     ("kind", "words"),
-    [("rolled", "6 of them whole turns closed by gravity"), ("table", "6 whole turns about the vertical against a stop")],
+    [
+        ("rolled", "6 of them whole turns, whose end is checked against gravity"),
+        ("table", "6 whole turns about the vertical against a stop"),
+    ],
 )
 def test_solve_closes_the_turns_that_the_guide_led(make_session: Callable[..., Session], kind: str, words: str) -> None:
     session = make_session("faces6", rotations=kind)
@@ -60,4 +63,4 @@ def test_the_emulated_operator_turns_and_the_program_sees_it(program: Program) -
     assert session.finished
     solved = program.run("solve", session.folder)
     assert solved.returncode == 0, solved.stderr
-    assert "whole turns closed by gravity" in gyroscope_path(session)
+    assert "whole turns, whose end is checked against gravity" in gyroscope_path(session)

@@ -94,7 +94,8 @@ def solve_bas(
         if record.end_of_iteration():
             return record.stopped()
     finished = smelled <= settings.tolerance * record.best_cost
-    return record.result(settings.s, _ending(finished, settings), converged=finished)
+    ending = sentence("beetles.smelled", tolerance=settings.tolerance) if finished else _limit_reached(settings)
+    return record.result(settings.s, ending, converged=finished)
 
 
 def solve_bsas(
@@ -119,7 +120,9 @@ def solve_bsas(
     x = np.asarray(problem.start, dtype=np.float64)
     f = float(record.cost(x[None])[0])
     record.offer(x, f)
-    s, d, invalid, finished = settings.s, settings.d, 0, False
+    s, d, invalid = settings.s, settings.d, 0
+    least_s = settings.s_0 / (1 - settings.c_s)  # Eq. 6 approaches it.
+    ending: Sentence | None = None
     for _ in range(settings.k_max):
         u = _directions(record.rng, settings.m, len(x))
         towards, smelled = _antennae(record, problem, x, u, d=d)
@@ -137,12 +140,15 @@ def solve_bsas(
                 invalid = 0
         if record.end_of_iteration():
             return record.stopped()
-        # The antennae smell no difference, or the step is down at the resolution of eq. 6.
-        at_resolution = s <= 1.01 * settings.s_0 / (1 - settings.c_s)
-        finished = not len(better) and (smelled <= settings.tolerance * f or at_resolution)
-        if finished:
+        if len(better):
+            continue
+        if smelled <= settings.tolerance * f:
+            ending = sentence("beetles.smelled", tolerance=settings.tolerance)
+        elif s <= 1.01 * least_s:
+            ending = sentence("beetles.least_step", step=least_s)
+        if ending is not None:
             break
-    return record.result(settings.s, _ending(finished, settings), converged=finished)
+    return record.result(settings.s, ending or _limit_reached(settings), converged=ending is not None)
 
 
 def _directions(rng: np.random.Generator, beetles: int, n: int) -> FloatArray:
@@ -168,7 +174,5 @@ def _attenuate(s: float, d: float, settings: BasSettings) -> tuple[float, float]
     return settings.c_s * s + settings.s_0, settings.c_d * d + settings.d_0
 
 
-def _ending(finished: bool, settings: BasSettings) -> Sentence:
-    if finished:
-        return sentence("beetles.smelled", tolerance=settings.tolerance)
+def _limit_reached(settings: BasSettings) -> Sentence:
     return sentence("beetles.iteration_limit", iterations=settings.k_max)

@@ -135,13 +135,16 @@ class NoiseOptions:
     to: Annotated[str, option(help="Form of --output: kalibr, openvins, vins or ros2.")] = "kalibr"
     output: Annotated[Path | None, option("-o", "--output", help="YAML for a navigation filter.")] = None
     plot: Annotated[Path | None, option(help="Draw the Allan deviation into this file (needs matplotlib).")] = None
-    parameters: Annotated[Path | None, option(help="Parameter file to write the table `noise` into.")] = None
+    parameters: Annotated[
+        Path | None,
+        option(help="Parameter file: its scales convert the noise to SI units, and the table `noise` is written into it."),
+    ] = None
     as_json: AsJson = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StudyOptions:
-    """Reproduce a table or figure of the papers, with the published numbers beside ours.
+    """Reproduce a table or figure of the two papers on BSAS and IDE, with the published numbers beside ours.
 
     BAS is beetle antennae search, BSAS its swarm version (with m beetles); IDE is improved differential evolution.
 
@@ -153,7 +156,11 @@ class StudyOptions:
     """
 
     name: Annotated[
-        str | None, argument(help="A study, a paper (bsas, ide), all of the papers, or answers (default: list them).")
+        str | None,
+        argument(
+            help="Name of a study, bsas or ide (all studies of that paper), all (both papers), or answers (all studies "
+            "answers-*) (default: list the names)."
+        ),
     ] = None
     quick: Annotated[bool, option("--quick", help="Few runs, to see that it works.")] = False
     seed: Annotated[int, option(help="Seed of all runs.", low=0, high=LARGEST_SEED)] = 0
@@ -165,7 +172,7 @@ class StudyOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportOptions:
-    """Write the parameters in another program's format, and say what it cannot hold.
+    """Write the parameters in another program's format, and say what that format cannot express.
 
     Example: imufield export my-session/parameters.toml --to c -o calibration.h
     """
@@ -175,7 +182,12 @@ class ExportOptions:
         str | None, option(help="Target, e.g. c, px4, vectornav (default: list them).", autocompletion=completion.targets)
     ] = None
     settings: ExportSettings = field(default_factory=dict)
-    output: Annotated[Path | None, option("-o", "--output", help="File or folder (default: the usual names here).")] = None
+    output: Annotated[
+        Path | None,
+        option(
+            "-o", "--output", help="File or folder to write (default: the target's usual file names, in the current folder)."
+        ),
+    ] = None
     as_json: AsJson = False
 
 
@@ -245,14 +257,14 @@ class VerifyOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReportOptions:
-    """Write the report of a session, one page that needs no network, and a calibration record of one sheet.
+    """Write two files for a session: a report page that needs no network, and a calibration record of one sheet.
 
     Example: imufield report my-session --operator "J. Doe"
     """
 
     session: NewestSession = None
     parameters: Annotated[Path | None, option(help="Parameter file (default: SESSION/parameters.toml).")] = None
-    preset: Annotated[Path | None, option(help="Parameter file in force before, to compare with.")] = None
+    preset: Annotated[Path | None, option(help="Previous parameter file, to compare with.")] = None
     operator: Annotated[str, option(help="Who calibrated, for the record.")] = ""
     output: Annotated[Path | None, option("-o", "--output", help="Page (default: SESSION/report.html).")] = None
     record: Annotated[Path | None, option(help="Calibration record (default: SESSION/calibration-record.html).")] = None

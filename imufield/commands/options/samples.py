@@ -40,7 +40,11 @@ SchemeName = Annotated[
 ]
 HoldS = Annotated[
     float | None,
-    option("--hold-s", help="Seconds to hold each position (default: 3 to 10, up to 60 with a target).", within=HOLD_RANGE_S),
+    option(
+        "--hold-s",
+        help="Seconds to hold each position (default: until the mean is accurate enough, 3 to 10 s; with a target up to 60 s).",
+        within=HOLD_RANGE_S,
+    ),
 ]
 WebPort = Annotated[int | None, option(help="Port of that page (default: 8777 or the next free one).", within=PORT_RANGE)]
 ViewName = Literal["auto", "plain", "json"]
@@ -129,7 +133,7 @@ class CaptureOptions:
     positions: SchemeName = None
     hold_s: HoldS = None
     session: SessionFolder = None
-    resume: Annotated[bool, option("--resume", help="Go on with an unfinished session.")] = False
+    resume: Annotated[bool, option("--resume", help="Continue an unfinished session.")] = False
     retake: Annotated[
         list[str] | None,
         option(help="With --resume: position to measure again, also of a finished session; may be repeated."),
@@ -143,7 +147,11 @@ class CaptureOptions:
         Path | None, option(help="Previous parameter file; comparison with its scale reveals a wrong latitude or gravity.")
     ] = None
     rotations: Annotated[
-        str | None, option(help="Whole turns for the gyroscope: rolled (edge over edge) or table (against a stop).")
+        str | None,
+        option(
+            help="Whole turns for the gyroscope: rolled (edge over edge), or table (turned on the table from a fixed stop "
+            "back to it)."
+        ),
     ] = None
     quiet: Annotated[bool, option("--quiet", help="No sound.")] = False
     speak: Annotated[bool, option("--speak", help="Speak the instructions aloud, where a speech program is installed.")] = False
@@ -152,9 +160,9 @@ class CaptureOptions:
         str | None, option(help="Side of the unit where the cable leaves, for the pictures: +x ... -z.", check=_check_side)
     ] = None
     web: Annotated[bool, option("--web", help="Show the guide in a browser on this machine, too.")] = False
-    web_lan: Annotated[str | None, option(help="Show it to phones in the network: address of this machine there, or auto.")] = (
-        None
-    )
+    web_lan: Annotated[
+        str | None, option(help="Show the guide to phones: this machine's address in their network, or auto.")
+    ] = None
     web_port: WebPort = None
     clock_speed: ClockSpeed = 1.0
     root: Path = DEFAULT_ROOT
@@ -276,7 +284,7 @@ class ReplayOptions:
     speed: Annotated[
         float, option(help="Speed of --web, --to-pty and --bus relative to real time; 0 is as fast as possible.", low=0)
     ] = 1.0
-    web: Annotated[bool, option("--web", help="Show it in a browser on this machine, at --speed.")] = False
+    web: Annotated[bool, option("--web", help="Show the guide in a browser on this machine, at --speed.")] = False
     as_json: EventsAsJson = False
 
 
@@ -293,9 +301,16 @@ class EmulateOptions:
             help="Instrument family, see `imufield devices`, or your protocol file (.toml).", autocompletion=completion.drivers
         ),
     ]
-    form: Annotated[str | None, option(help="Format of the data, e.g. RAWIMUX; an unknown name is refused with a list.")] = None
+    form: Annotated[
+        str | None, option(help="Format of the data, e.g. RAWIMUX; with an unknown name, all formats are listed.")
+    ] = None
     settings: Settings = field(default_factory=dict)
-    bus: Annotated[str | None, option(help="CAN bus, e.g. udp_multicast:239.0.0.1 (default: slcan on a port).")] = None
+    bus: Annotated[
+        str | None,
+        option(
+            help="Bus of a CAN instrument, e.g. udp_multicast:239.0.0.1 (default: an slcan adapter on a virtual serial port)."
+        ),
+    ] = None
     rate_hz: Annotated[
         float | None, option(help="Sample rate (default: the instrument's usual one).", low=1, high=RATE_RANGE_HZ[1])
     ] = None
@@ -305,7 +320,9 @@ class EmulateOptions:
     day: Annotated[
         int,
         option(
-            help="Number of the day: each has other noise, tilts and faults of the same instrument.", low=0, high=LARGEST_SEED
+            help="Number of the day: another day gives the same instrument other noise, tilts and faults.",
+            low=0,
+            high=LARGEST_SEED,
         ),
     ] = 0
     positions: Annotated[str, option(help="Scheme the operator works through; `none`: it lies still.")] = "paper24"
@@ -322,7 +339,10 @@ class EmulateOptions:
         ),
     ] = None
     style: Annotated[str, option(help="placed (on a surface) or held (in the hand).")] = "placed"
-    rotations: Annotated[str | None, option(help="Whole turns after the positions: rolled or table.")] = None
+    rotations: Annotated[
+        str | None,
+        option(help="Whole turns after the positions: rolled (edge over edge) or table (from a fixed stop back to it)."),
+    ] = None
     hold_s: Annotated[float, option(help="Seconds the virtual operator holds each position.", within=HOLD_RANGE_S)] = 14.0
     wait: Annotated[
         bool | None,

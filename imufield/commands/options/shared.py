@@ -162,11 +162,14 @@ Settings = Annotated[
     ),
 ]
 ExportSettings = Annotated[
-    Mapping[str, str], _set_option("Setting of the export, NAME=VALUE, e.g. instance=1; a wrong name lists all.")
+    Mapping[str, str],
+    _set_option("Setting of the export, NAME=VALUE, e.g. instance=1; with an unknown name, all settings are listed."),
 ]
 MethodSettings = Annotated[
     Mapping[str, str],
-    _set_option("Setting of --method, NAME=VALUE, e.g. m=20 (number of beetles of bsas); a wrong name lists all."),
+    _set_option(
+        "Setting of --method, NAME=VALUE, e.g. m=20 (number of beetles of bsas); with an unknown name, all settings are listed."
+    ),
 ]
 TableRateHz = Annotated[
     float | None, option("--rate-hz", help="Sample rate, where the file has no time.", within=RATE_RANGE_HZ)

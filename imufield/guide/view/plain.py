@@ -22,7 +22,7 @@ sentence = Sentences(__package__)
 
 NOT_TOLD = "not known yet"
 _LARGE = 999.5  # Three digits of the smaller unit end here.
-_KNOWN_UNITS = {"bias_ug": ("ug", 1e3, "mg"), "scale_ppm": ("ppm", 1e4, "%"), "misalignment_urad": ("urad", 1e3, "mrad")}
+KNOWN_UNITS = {"bias_ug": ("ug", 1e3, "mg"), "scale_ppm": ("ppm", 1e4, "%"), "misalignment_urad": ("urad", 1e3, "mrad")}
 _PROGRESS = (events.Turning, events.Holding)
 _EVERY_S = 5.0  # Least time between two lines of progress: a log stays readable.
 
@@ -97,7 +97,7 @@ def suspect_words(event: events.Accepted) -> str:
 
 def known_words(forecast: dict[str, float], name: str) -> str:
     """Return how well a group of parameters is known, 1 sigma, in a unit by its size: 172 ug, 25.8 mg, 2.6 %."""
-    return _in_unit(forecast[name], *_KNOWN_UNITS[name]) if name in forecast else NOT_TOLD
+    return _in_unit(forecast[name], *KNOWN_UNITS[name]) if name in forecast else NOT_TOLD
 
 
 def _in_unit(value: float, unit: str, larger: float, larger_unit: str) -> str:

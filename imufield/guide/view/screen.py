@@ -34,7 +34,7 @@ from imufield.guide.refusals import quantities
 from imufield.guide.stillness.limits import Activity
 from imufield.guide.view.marks import NAMES, with_keys
 from imufield.guide.view.pictures import ROWS, big_lines, draw_box
-from imufield.guide.view.plain import NOT_TOLD, known_words, said_once, suspect_words, words
+from imufield.guide.view.plain import KNOWN_UNITS, NOT_TOLD, known_words, said_once, suspect_words, words
 from imufield.guide.view.traces import draw_signals, signals_title
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
@@ -456,14 +456,10 @@ def _stillness_bar(snapshot: Snapshot, width: int = _BAR_WIDTH) -> Text:
 
 def _known(forecast: dict[str, float] | None) -> list[Text]:
     """Return how well the parameters are known, in two lines as wide as the map."""
-    if forecast is None:
+    if not forecast:
         return [_dim("screen.not_known")]
-    bias, scale, angles = (known_words(forecast, name) for name in ("bias_ug", "scale_ppm", "misalignment_urad"))
-    # Thirty columns do not hold the words twice.
-    both = f"bias {bias}, scale {scale}".replace(NOT_TOLD, "unknown")
-    both = f"bias, scale {NOT_TOLD}" if bias == scale == NOT_TOLD else both
-    sigma = "" if angles == NOT_TOLD else " (1 sigma)"
-    return [Text(both, no_wrap=True), Text(f"angles {angles}{sigma}", no_wrap=True)]
+    words = {name.partition("_")[0]: known_words(forecast, name).replace(NOT_TOLD, "unknown") for name in KNOWN_UNITS}
+    return [Text(sentence(key, **words), no_wrap=True) for key in ("screen.known_bias", "screen.known_scale")]
 
 
 def _map(snapshot: Snapshot, scheme: Scheme) -> RenderableType:

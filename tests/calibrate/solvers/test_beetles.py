@@ -10,6 +10,7 @@ from imufield.calibrate.solvers.base import SolverStatus
 from imufield.calibrate.solvers.beetles import WHITENED_SETTINGS, BasSettings, BsasSettings, solve_bas, solve_bsas
 from imufield.calibrate.solvers.costs import NormProblem
 from imufield.samples import FloatArray
+from imufield.sentences import Sentence
 from imufield.study.instruments import BSAS_AXES, BSAS_GRAVITY_M_S2, bsas_outputs, bsas_preset
 from imufield.study.optimum import exact_absolute_minimum
 from tests.told import key_of
@@ -72,7 +73,17 @@ def test_table_3_setting_ends_at_the_exact_minimum(seed: int) -> None:
     found = solve_bsas(problem, rng=rng)
     exact, _ = exact_absolute_minimum(problem)
     assert found.converged
+    assert key_of(found.message) == "beetles.smelled"
     assert exact * (1 - 1e-9) <= found.cost <= 1.1 * exact
+
+
+def test_a_search_that_the_least_step_ended_says_so() -> None:
+    problem, rng = _table_3_problem(0)
+    # Steps no smaller than 0.2 sigma end far above where the antennae smell no difference.
+    found = solve_bsas(problem, rng=rng, settings=replace(WHITENED_SETTINGS, c_s=0.5, s_0=0.1, p_st=1.0))
+    assert isinstance(found.message, Sentence)
+    ending = found.message.values.get("message", found.message)
+    assert (ending.key, round(ending.values["step"], 9)) == ("beetles.least_step", 0.2)
 
 
 def test_one_beetle_stalls_there_and_says_so() -> None:

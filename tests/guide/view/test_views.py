@@ -222,11 +222,11 @@ def test_what_was_waited_for_is_withdrawn_when_a_hold_begins(session: Any) -> No
 def test_the_panel_says_what_is_not_known_yet(session: Any) -> None:
     guide = list(session(9.0))[-1][1]
     for forecast, told in (
-        ({}, ("bias, scale not known yet", "angles not known yet")),
-        ({"scale_ppm": 26000.0}, ("bias unknown, scale 2.6 %", "angles not known yet")),
+        ({}, ("accuracy: not known yet",)),
+        ({"scale_ppm": 26000.0}, ("1 sigma so far: bias unknown", "scale 2.6 %, angle unknown")),
         (
-            {"bias_ug": 172.0, "scale_ppm": 88.0, "misalignment_urad": 120.0},
-            ("bias 172 ug, scale 88 ppm", "angles 120 urad (1 sigma)"),
+            {"bias_ug": 25800.0, "scale_ppm": 9990.0, "misalignment_urad": 25800.0},
+            ("1 sigma so far: bias 25.8 mg", "scale 0.999 %, angle 25.8 mrad"),
         ),
     ):
         console = Console(width=WIDTH, height=HEIGHT, record=True, file=open_nothing())
@@ -424,8 +424,8 @@ SNAPSHOT = """\
 ╭─ faces6: 1 of 6 done ──────────────────────╮╭─ positions ────────────────────╮
 │ G O O D   -   T U R N                      ││ [ ]+x [x]+z [ ]-y              │
 │ +y: +y up, standing on the -y face         ││ [>]+y [ ]-x [ ]-z              │
-│                                            ││ x done > next @ here           │
-│                                            ││ ? suspect r retake - skipped   │
+│                                            ││ x done, > next, @ here         │
+│                                            ││ ? suspect, r retake, - skipped │
 │ now                   goal                 ││ accuracy: not known yet        │
 │          ⢀⣀⡠⠤⡀              ⢀⣀⡠⠤⠔⠒⠊⠑⠢⢄⡀    ││                                │
 │    ⣀⠤⠤⠒⠒⠉+z  ⠈⠑⠤⣀        ⢰⠮⣉⠁ ⣀+y⠤⠒⠒⠉⠁⡇    ││                                │
@@ -437,7 +437,7 @@ SNAPSHOT = """\
 │ to target ................                 ││                                │
 │ hold      ................                 ││                                │
 │ stillness ##......|....... still           ││                                │
-│ vibration 11 of 50 mm/s^2 (acc z)          ││                                │
+│ vibration 11, limit 50 mm/s^2 (acc z)      ││                                │
 ╰────────────────────────────────────────────╯╰────────────────────────────────╯
  link ok   100 Hz   0 samples lost   no temperature
  noise floor: accelerometer 9.62 mm/s^2 rms per axis, gyroscope 0.057 deg/s;
