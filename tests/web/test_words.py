@@ -63,7 +63,7 @@ def test_the_page_makes_the_marks_of_the_terminal_and_names_them_as_the_guide_do
 def test_numbers_that_stand_twice_are_the_same() -> None:
     session = (STATIC / "session.js").read_text(encoding="utf-8")
     numbers = {name: float(value) for name, value in re.findall(r"^const (\w+) = ([\d.e-]+);", session, flags=re.MULTILINE)}
-    assert numbers == {"MICRO_G": MICRO_G_M_S2, "FEWEST_CHECKED": FEWEST_CHECKED}
+    assert {"MICRO_G": MICRO_G_M_S2, "FEWEST_CHECKED": FEWEST_CHECKED}.items() <= numbers.items()
 
 
 def test_a_night_that_is_chosen_has_the_colours_of_the_system_s() -> None:

@@ -177,7 +177,7 @@ def test_the_picture_for_a_phone_stands_in_place_of_the_guide_until_one_looks(pr
             terminal.expect("stillness", after=place)
             # A mark is no key that leads from the picture to the guide.
             page.send("p")
-            read_until(page, lambda message: message["state"]["state"] == "paused")
+            read_until(page, lambda message: message.get("state", {}).get("state") == "paused")
         terminal.type("q")
         assert terminal.wait() == 0
     finally:
