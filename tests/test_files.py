@@ -66,8 +66,8 @@ def test_previous_results_are_numbered(tmp_path: Path) -> None:
     for number, content in enumerate(("one", "two"), start=1):
         path.write_text(content)
         kept = keep_previous(path)
-        assert kept == tmp_path / f"parameters-{number}.toml"
-        assert kept.read_text() == content
+        assert kept is not None
+        assert (kept, kept.read_text()) == (tmp_path / f"parameters-{number}.toml", content)
     assert not path.exists()
 
 

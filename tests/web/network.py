@@ -55,7 +55,12 @@ class Network:
         with suppress(OSError):
             while True:
                 near, _ = listening.accept()
-                far = socket.create_connection(("127.0.0.1", self._port))
+                try:
+                    far = socket.create_connection(("127.0.0.1", self._port))
+                except OSError:
+                    # The program does not answer: whoever asks hears that at once.
+                    near.close()
+                    continue
                 with self._lock:
                     self._lines += [near, far]
                     self.connections += 1
