@@ -16,7 +16,7 @@ ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))
 
 from tests.web.browser import open_browser  # noqa: E402
-from tests.web.guide_stages import ENDED, StagedSession  # noqa: E402
+from tests.web.guide_stages import ENDED, STAND_STILL, StagedSession  # noqa: E402
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -84,6 +84,7 @@ def main() -> None:
         for (name, width, height, _), scheme in product(SCREENS, ("light", "dark")):
             page = browser.new_context(viewport={"width": width, "height": height}, reduced_motion="reduce").new_page()
             page.emulate_media(color_scheme="dark" if scheme == "dark" else "light")
+            page.add_init_script(STAND_STILL)
             pages[name, scheme] = page
         visit(pages, pictures)
         for (name, scheme), taken in pictures.items():

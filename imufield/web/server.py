@@ -42,7 +42,6 @@ CONNECTIONS = 128
 OPEN_TIMEOUT_S = 5.0  # For a request that does not come.
 SEND_TIMEOUT_S = 5.0  # A page that takes nothing for so long is cut off; it comes back by itself.
 CLOSE_TIMEOUT_S = 0.5
-LAST_WORDS_S = 3.0  # Until then each page is told how it ended; on a machine under load half a second was too short.
 LARGEST_MESSAGE = 1024  # Bytes: a mark has less than a tenth of it.
 MARKS_A_SECOND = 10
 ACCEPT_S = 0.2
@@ -208,7 +207,7 @@ class PageServer:
 
     def __exit__(self, *_: object) -> None:
         self._ends = True
-        deadline_s = time.monotonic() + LAST_WORDS_S
+        deadline_s = time.monotonic() + CLOSE_TIMEOUT_S
         while self.pages and time.monotonic() < deadline_s:
             time.sleep(EVERY_S)
         # A page that takes nothing would hold its thread, and the end of the program, until its send times out.

@@ -39,6 +39,8 @@ ENDED: dict[str, object] = {
     "reason": "",
 }
 """What pages are told last."""
+STAND_STILL = "Date.now = () => 0"
+"""For a page: a session that stands still is silent, and a page that hears nothing for three seconds opens a new connection."""
 
 
 class StagedSession:

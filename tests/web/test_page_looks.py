@@ -18,7 +18,7 @@ pytest.importorskip("websockets", reason="the page needs websockets")
 from imufield.guide.events import Marked
 from imufield.guide.positions import angle_deg
 from tests.web.browser import Screens
-from tests.web.guide_stages import ENDED, StagedSession
+from tests.web.guide_stages import ENDED, STAND_STILL, StagedSession
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -82,6 +82,7 @@ def findings(browser: Browser) -> Iterator[Findings]:
     found, screens, staged = Findings(), Screens(browser), StagedSession()
     with staged.served() as (server, url):
         page = screens.open(f"{url}&back=http://127.0.0.1:8778/")
+        page.evaluate(STAND_STILL)
         if AXE.exists():
             page.evaluate(AXE.read_text(encoding="utf-8"))
         for stage in staged.stages():

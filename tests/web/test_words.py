@@ -8,6 +8,7 @@ import pytest
 
 from imufield.earth import MICRO_G_M_S2
 from imufield.guide.view.marks import KEYS, NAMES
+from imufield.guide.view.screen import Mood
 from imufield.pipeline.calibration import FEWEST_CHECKED
 
 STATIC = files("imufield.web") / "static"
@@ -64,6 +65,11 @@ def test_numbers_that_stand_twice_are_the_same() -> None:
     session = (STATIC / "session.js").read_text(encoding="utf-8")
     numbers = {name: float(value) for name, value in re.findall(r"^const (\w+) = ([\d.e-]+);", session, flags=re.MULTILINE)}
     assert {"MICRO_G": MICRO_G_M_S2, "FEWEST_CHECKED": FEWEST_CHECKED}.items() <= numbers.items()
+
+
+def test_each_mood_has_its_colours() -> None:
+    style = (STATIC / "style.css").read_text(encoding="utf-8")
+    assert {*re.findall(r'\[data-mood="(\w+)"\]', style)} == {mood.value for mood in Mood} - {Mood.NONE.value}
 
 
 def test_a_night_that_is_chosen_has_the_colours_of_the_system_s() -> None:
