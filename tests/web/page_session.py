@@ -186,15 +186,19 @@ class Recorded:
     def _next(self) -> Chunk | Exception:
         while self._items:
             item = self._items.pop(0)
-            is_cut = isinstance(item, RecordedEvent) and item.event["event"] == UNPLUGGED
-            if not (is_cut or isinstance(item, Chunk)):
+            if isinstance(item, RecordedEvent) and item.event["event"] == UNPLUGGED:
+                found: Chunk | Exception = LinkError("cut", Reason.DISCONNECTED)
+            elif isinstance(item, Chunk):
+                found = item
+            else:
                 continue
-            while self._items and isinstance(self._items[0], RecordedEvent) and self._items[0].event["event"] != UNPLUGGED:
-                event = self._items.pop(0).event
-                if event["event"] == MARK:
-                    self._keys += self._key[str(event["action"])]
-                    self._key["finish"] = FINISH if event["action"] == "finish" else self._key["finish"]
-            return item if isinstance(item, Chunk) else LinkError("cut", Reason.DISCONNECTED)
+            while self._items and isinstance(behind := self._items[0], RecordedEvent) and behind.event["event"] != UNPLUGGED:
+                self._items.pop(0)
+                if behind.event["event"] == MARK:
+                    action = str(behind.event["action"])
+                    self._keys += self._key[action]
+                    self._key["finish"] = FINISH if action == "finish" else self._key["finish"]
+            return found
         raise AssertionError("the capture without a page has not ended where the one with a page did")
 
     def put_back(self, items: Sequence[Chunk | Exception]) -> None:
