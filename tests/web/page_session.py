@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import socket
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -63,10 +64,13 @@ class PageSession:
         link = program.folder / f"imu-{name}"
         printed = program.folder / f"{name}.jsonl"
         instrument = cls._instrument(program, link, seed)
-        with printed.open("w") as output:
+        with printed.open("w") as output, socket.create_server(("127.0.0.1", 0)) as free:
+            # A port of its own: beside another session the network of that one may still hold the usual port.
             how = ("--driver", "stim300", "--hold-s", HOLD_S, "--clock-speed", SPEED, "--latitude", 45, "--height", 0)
+            port = ("--web-port", free.getsockname()[1])
+            free.close()
             process = program.start(
-                *("capture", "--port", link, *how, "--session", program.folder / name, "--json", "--web"), stdout=output
+                *("capture", "--port", link, *how, "--session", program.folder / name, "--json", "--web", *port), stdout=output
             )
         begun = cls(program, process, instrument, printed, link, seed)
         threading.Thread(target=begun._turn_it, daemon=True).start()
@@ -168,9 +172,9 @@ class Recorded:
         self.metadata = first.metadata
         self._keys = ""
         self._put_back: list[Chunk | Exception] = []
-        key = {action: key for key, action in KEYS.items()}
-        # What is finished for sure takes two.
-        self._key = {action: 2 * letter if letter == FINISH else letter for action, letter in key.items()}
+        self._key = {action: key for key, action in KEYS.items()}
+        # What is finished for sure takes two; a third press, before all has ended, is one more mark.
+        self._key["finish"] = 2 * FINISH
 
     def read(self) -> Chunk:
         """Return the next chunk; the keys that came behind it wait for ``keys``."""
@@ -182,13 +186,19 @@ class Recorded:
     def _next(self) -> Chunk | Exception:
         while self._items:
             item = self._items.pop(0)
-            is_cut = isinstance(item, RecordedEvent) and item.event["event"] == UNPLUGGED
-            if not (is_cut or isinstance(item, Chunk)):
+            if isinstance(item, RecordedEvent) and item.event["event"] == UNPLUGGED:
+                found: Chunk | Exception = LinkError("cut", Reason.DISCONNECTED)
+            elif isinstance(item, Chunk):
+                found = item
+            else:
                 continue
-            while self._items and isinstance(self._items[0], RecordedEvent) and self._items[0].event["event"] != UNPLUGGED:
-                event = self._items.pop(0).event
-                self._keys += self._key[str(event["action"])] if event["event"] == MARK else ""
-            return item if isinstance(item, Chunk) else LinkError("cut", Reason.DISCONNECTED)
+            while self._items and isinstance(behind := self._items[0], RecordedEvent) and behind.event["event"] != UNPLUGGED:
+                self._items.pop(0)
+                if behind.event["event"] == MARK:
+                    action = str(behind.event["action"])
+                    self._keys += self._key[action]
+                    self._key["finish"] = FINISH if action == "finish" else self._key["finish"]
+            return found
         raise AssertionError("the capture without a page has not ended where the one with a page did")
 
     def put_back(self, items: Sequence[Chunk | Exception]) -> None:
