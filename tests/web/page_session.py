@@ -24,10 +24,11 @@ from imufield.acquire.link.serial import Chunk
 from imufield.acquire.recording.reader import PartStart, RecordedEvent, read_session
 from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import Session
-from imufield.commands.terminal.guided import FINISH, KEYS, CaptureLoop
+from imufield.commands.terminal.guided import FINISH, CaptureLoop
 from imufield.commands.terminal.views import View
 from imufield.errors import LinkError, Reason
 from imufield.guide.positions import scheme
+from imufield.guide.view.marks import KEYS
 from imufield.pipeline.chain import MARK, UNPLUGGED, Chain, ReadingPlan, recorded_protocol
 from imufield.pipeline.intake import Intake
 from tests.commands.conftest import SPEED, Program

@@ -93,7 +93,7 @@ async function bring(bench, files) {
         );
       } else {
         // Where it is kept here says nothing to whoever dropped it.
-        say(paths.reduce((words, path) => words.replaceAll(`${bench.root}/${path}`, path.slice(path.lastIndexOf("/") + 1)), complaint(job)));
+        say(paths.reduce((words, path) => words.replaceAll(`${bench.head.root}/${path}`, bench.nameOf(path)), complaint(job)));
         at("import-more").replaceChildren(make("section", {}, make("h2", {}, text("what")), form));
       }
     } catch (error) {
