@@ -109,7 +109,7 @@ def test_codes_that_stick_are_in_the_verdict_which_is_not_good(rows: tuple[list[
     assert run(["solve", "new", "--latitude", "48", "-o", "new.toml"]) == 0
     quality = tomllib.loads(Path("new.toml").read_text())["quality"]
     assert quality["verdict"] != "good"
-    assert any("accelerometer axis x" in reason and "(raw)" in reason for reason in quality["reasons"][:3])
+    assert any("accelerometer axis x" in reason and "raw value" in reason for reason in quality["reasons"][:3])
 
 
 def test_a_recording_of_repeated_frames_says_so(rows: tuple[list[str], np.ndarray]) -> None:

@@ -47,7 +47,7 @@ _ENTRY = re.compile(r"\b(?:BO_\s++\d++\s*+\w++|SG_\s++\w++(?:\s++\w++)?+)\s*+:")
 _BITS = re.compile(r":\s*+(\d++)\s*+\|\s*+(\d++)\s*+@")
 _MULTIPLEXED = re.compile(r"\bSG_MUL_VAL_\s++\+?(\d++)\s*+(\w++)\s++(\w++)\s*+([\d\s,+-]*+);")
 # The largest double has 309 digits, and Python makes no integer of more than 4300.
-_LONG_NUMBER = re.compile(r"(?<!\d)\d{400}\d*+")
+_LONG_NUMBER = re.compile(r"(?<!\d)\d{1000}\d*+")
 _CHOICES = re.compile(r"\bVAL_\s++\+?(\d++)\s*+(\w++)([\d\s\"+-]*+);")
 # J1939: below this PDU format 240 the lower byte is a destination address and no part of the group number.
 _PDU1_BELOW = 0xF000

@@ -144,7 +144,7 @@ def multiplexed(*statements: str) -> str:
 
 
 LONG_NUMBERS = ("SG_MUL_VAL_ {} A B 0-1;", 'VAL_ 256 A {} "x";', 'VAL_ {} A 1 "x";', "BO_ {} X: 8 V")
-FAR_BITS = ("0|2147483648", f"0 | {10**390}", "2147483648|8")
+FAR_BITS = ("0|2147483648", f"0 | {10**400}", "2147483648|8")
 
 
 @pytest.mark.parametrize(
