@@ -274,7 +274,14 @@ def test_keys_on_a_terminal(program: Program, screen: Terminal) -> None:
     screen.wait_for("Latitude in degrees")
     screen.type("48.1\n")
     screen.wait_for("1 of 6 done")
-    for key, words in (("p", "press p to continue"), ("p", "continuing"), ("s", "skip:"), ("u", "undo:"), ("r", "retake:"), ("S", "skip:")):
+    for key, words in (
+        ("p", "press p to continue"),
+        ("p", "continuing"),
+        ("s", "skip:"),
+        ("u", "undo:"),
+        ("r", "retake:"),
+        ("S", "skip:"),
+    ):
         screen.type(key)
         screen.wait_for(words)
     screen.wait_for("accepted -")
