@@ -26,7 +26,7 @@ import numpy as np
 from imufield.calibrate.model.grades import GRADES, grade_by_noise
 from imufield.deliver.family import Change, Shared, compare, family_of, typical_turn_on
 from imufield.deliver.parameters.file import Parameters, load_found
-from imufield.deliver.parameters.gauge_free import GaugeFree, Number, gauge_free
+from imufield.deliver.parameters.gauge_free import GaugeFree, Number
 from imufield.drawing.style import BLUE, INK, ORANGE, figure, legend_beside, plot_style, title, to_svg
 from imufield.errors import ImufieldError, ParameterFileError, Reason, UsageError
 from imufield.files import Origin, open_to_read, write_atomically
@@ -100,8 +100,7 @@ class Entry:
         """Return the entry of a loaded file; raises as ``numbers_of``."""
         context, calibration = parameters.context, parameters.calibration
         positions = parameters.document["position"]
-        raw = (np.array([position[key] for position in positions], dtype=np.float64) for key in ("mean_raw", "sigma_raw"))
-        found = gauge_free(calibration, *raw)
+        found = parameters.gauge_free()
         names = " ".join(sorted(position["name"] for position in positions))
         # A drift shows in the number of parameters.
         model = f"{calibration.model} {calibration.quality.parameters_fitted}"
@@ -348,7 +347,9 @@ def _read_files(folder: Path) -> tuple[list[_Row], list[str], int]:
 def _read_file(name: str, path: Path) -> tuple[str, Entry | None]:
     """Return what is wrong with a file, and what it holds."""
     try:
-        return "", Entry.of(name, load_found(path, Origin.FOUND))
+        parameters = load_found(path, Origin.FOUND)
+        # Solved from several sessions, it is none of its own: they are in the history themselves.
+        return "", None if parameters.context.together is not None else Entry.of(name, parameters)
     except ImufieldError as error:
         # Session files and configurations are TOML too, and nobody's fault.
         return "" if error.reason is Reason.FOREIGN else error.message, None

@@ -18,7 +18,6 @@ from imufield.acquire.protocol.protocol import Protocol, parse_protocol
 from imufield.acquire.recording.reader import Damage, PartStart, RecordedBlock, RecordedEvent, read_blocks, read_session
 from imufield.acquire.recording.session import SETTINGS_FILE, Session
 from imufield.calibrate.model.observations import Observations
-from imufield.earth import choose_gravity
 from imufield.errors import CalibrationError, ProtocolError, Reason, RecordingError, SettingError
 from imufield.files import Origin
 from imufield.guide.events import Event, LinkLost
@@ -29,6 +28,7 @@ from imufield.guide.lead.unguided import StillIntervalFinder, StillIntervals
 from imufield.guide.positions import SCHEME_FILE, SCHEMES, scheme
 from imufield.guide.stillness.scale import RoughScale
 from imufield.pipeline.damage import require_samples
+from imufield.pipeline.site import SiteOptions
 from imufield.samples import FloatArray, Samples, Status
 from imufield.sentences import Sentences
 
@@ -68,10 +68,10 @@ class ReadingPlan:
             path = session.folder / SETTINGS_FILE
             raise RecordingError(sentence("chain.scheme", path=path, scheme=record.scheme, known=[*SCHEMES, SCHEME_FILE]))
         scheme = str(session.folder / SCHEME_FILE) if record.scheme == SCHEME_FILE else record.scheme or None
-        gravity = choose_gravity(site.gravity_m_s2, site.latitude_deg, site.height_m)
+        gravity = SiteOptions(is_default=True).gravity(site)
         # The settings have the names that they have in the file; what it does not state keeps its default.
         stated: dict[str, Any] = {name: value for name, value in asdict(record.guide).items() if value is not None}
-        return cls(scheme, GuideSettings(gravity_m_s2=gravity.gravity_m_s2, **stated), record.nominal.raw_zero)
+        return cls(scheme, GuideSettings(gravity=gravity, **stated), record.nominal.raw_zero)
 
 
 class Chain:

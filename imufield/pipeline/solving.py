@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
+import numpy as np
+
 from imufield.acquire.recording.part_file import open_part
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
@@ -25,7 +27,7 @@ from imufield.guide.lead.guide import Guide
 from imufield.guide.refusals import Refusal
 from imufield.guide.view.marks import with_keys
 from imufield.pipeline.calibration import FEWEST_POSITIONS, Measured, MoveListener, SolveSettings, calibrate
-from imufield.pipeline.chain import Chain, ReadingPlan, replay_into
+from imufield.pipeline.chain import Chain, ReadingPlan, SamplesListener, replay_into
 from imufield.pipeline.damage import naming_damage, without_end_under_way
 from imufield.pipeline.site import SiteOptions
 from imufield.progress import task
@@ -49,6 +51,7 @@ def solve_session(
     session: Session,
     settings: SolveSettings,
     site: SiteOptions | None = None,
+    listeners: tuple[SamplesListener, ...] = (),
 ) -> Parameters:
     """Replay a session and solve it.
 
@@ -58,6 +61,8 @@ def solve_session(
     settings : SolveSettings
     site : SiteOptions, optional
         What was typed of the place.
+    listeners : sequence of callable
+        Each is given every block of samples, in order.
 
     Raises
     ------
@@ -67,7 +72,7 @@ def solve_session(
     damage: list[Damage] = []
     goes_on = session.is_being_recorded
     moves = MoveListener()
-    chain = Chain(ReadingPlan.of(session), listeners=(moves.feed,))
+    chain = Chain(ReadingPlan.of(session), listeners=(moves.feed, *listeners))
     refusals: list[Rejected] = []
 
     def hear(events: list[Event]) -> None:
@@ -85,7 +90,9 @@ def solve_session(
             raise axes.error
         is_import = session.record.kind == "import"
         lost = _loss_sentences(chain, damage, is_import=is_import)
-        reasons = (axes.words, *filter(None, (saturated,)), *refused, *chain.notes, *lost)
+        # Axes are compared by the gyroscope's turns: where there is none, of few of them nobody need be told.
+        compared = axes.words if np.isfinite(observations.gyroscope_mean_raw).any() else ""
+        reasons = (*filter(None, (compared, saturated)), *refused, *chain.notes, *lost)
         best = best_rate(chain.statistics)
         true_rate_hz = math.nan if best is None else best.rate_hz or math.nan
         rests = chain.turn_rests()

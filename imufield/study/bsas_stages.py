@@ -91,7 +91,7 @@ def _arrival(curve: FloatArray) -> int:
 
 def figure_3(context: StudyContext) -> Findings:
     """Show convergence with different numbers of beetles and probabilities."""
-    runs = context.runs(50, 2)
+    runs = context.runs(50, 1)
     plain = BsasSettings()
     variants = {f"m = {m}": replace(plain, m=m) for m in (2, 6, 10)}
     variants |= {f"p_st = {p:g}": replace(plain, p_st=p) for p in _VARIED}
@@ -176,7 +176,7 @@ def run_scale_stage_with_bias_off(off_m_s2: float, rng: np.random.Generator) -> 
 
 @cache
 def _staged(context: StudyContext) -> dict[str, FloatArray]:
-    runs = context.runs(50, 2)
+    runs = context.runs(50, 1)
     found = {
         name: np.array(context.campaign(f"bsas-staged {name}", run_staged, [error] * runs))
         for name, error in (("moderate", _MODERATE), ("field", FIELD_PRESET))

@@ -104,26 +104,30 @@ def integrate(x: FloatArray, moves: Moves, noise_density_raw: FloatArray) -> Tur
     to_end = np.swapaxes(np.repeat(C[last], length, axis=0), 1, 2) @ C
     W = to_end @ right_jacobian(vectors)
 
-    def total(values: FloatArray) -> FloatArray:
-        return np.asarray(np.add.reduceat(values, first, axis=0))
+    def products(left: FloatArray, right: FloatArray) -> FloatArray:
+        """Return the sum of left^T right over the slots of each move: one product of long matrices a move."""
+        ends = zip(first * left.shape[1], (last + 1) * left.shape[1], strict=True)
+        rows, others = (factor.reshape(-1, factor.shape[-1]) for factor in (left, right))
+        sums = np.array([rows[begin:end].T @ others[begin:end] for begin, end in ends])
+        return sums.reshape(-1, left.shape[2], right.shape[2])  # also of no move at all
 
-    by_inverse = total((W[:, :, :, None] * slots.turn[:, None, None, :]).reshape(-1, 3, 9))
-    duration = total(W * T[:, :, None])
-    by_force = total((W[:, :, :, None] * slots.force[:, None, None, :]).reshape(-1, 3, 9))
+    by_all = products(W.reshape(-1, 1, 9), np.hstack([slots.turn, slots.force, T])[:, None])
+    by_inverse, by_force = (by_all[:, :, columns].reshape(-1, 3, 9) for columns in (slice(3), slice(3, 6)))
+    duration = by_all[:, :, 6].reshape(-1, 3, 3)
     # White noise of density n gives each slot the variance n^2 T.
-    noise = W @ (A * noise_density_raw)
-    spread = noise @ np.swapaxes(noise, 1, 2) * T[:, :, None]
+    noise = np.swapaxes(W @ (A * noise_density_raw), 1, 2) * np.sqrt(T)[:, :, None]
+    spread = products(noise, noise)
     if slots.bridge.any():
-        bridged = W @ A
         # A rate that changes anywhere in a gap, evenly likely: a third of the square of the largest error.
-        spread += bridged @ np.swapaxes(bridged, 1, 2) * (slots.bridge / 3)[:, None, None]
+        bridged = np.swapaxes(W @ A, 1, 2) * np.sqrt(slots.bridge / 3)[:, None, None]
+        spread += products(bridged, bridged)
     return Turns(
         quaternion=end,
         jacobian=np.concatenate([by_inverse, -duration, -by_force], axis=2),
         by_slot=W,
         duration=duration,
-        spread=total(spread),
-        net_rad=total((to_end @ vectors[:, :, None])[:, :, 0]),
+        spread=spread,
+        net_rad=np.add.reduceat((to_end @ vectors[:, :, None])[:, :, 0], first, axis=0),
     )
 
 

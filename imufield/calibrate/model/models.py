@@ -36,6 +36,7 @@ import numpy as np
 
 from imufield.calibrate.model.higher import HigherTerms, higher_columns
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters, QuadraticAxes
+from imufield.calibrate.model.temperature import TriadTemperature
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentences
@@ -248,3 +249,33 @@ def predict_gyroscope(parameters: GyroscopeParameters, rate: FloatArray, a: Floa
     turned = rate + rate @ parameters.misalignment_rad.T
     output: FloatArray = parameters.scale * turned + parameters.bias
     return output if a is None else output + a @ parameters.g_sensitivity.T
+
+
+def accelerometer_at(
+    parameters: AccelerometerParameters, temperature: TriadTemperature | None, temperature_degc: float
+) -> AccelerometerParameters:
+    """Return the parameters that hold at a temperature."""
+    if temperature is None:
+        return parameters
+    factor, bias = temperature.change_at(temperature_degc)
+    return replace(
+        parameters,
+        scale=parameters.scale * factor,
+        bias_m_s2=parameters.bias_m_s2 + bias,
+        quadratic=parameters.quadratic * factor,
+    )
+
+
+def gyroscope_at(
+    parameters: GyroscopeParameters, temperature: TriadTemperature | None, temperature_degc: float
+) -> GyroscopeParameters:
+    """Return the parameters that hold at a temperature."""
+    if temperature is None:
+        return parameters
+    factor, bias = temperature.change_at(temperature_degc)
+    return replace(
+        parameters,
+        scale=parameters.scale * factor,
+        bias=(parameters.bias + parameters.scale * bias) * factor,
+        g_sensitivity=parameters.g_sensitivity * factor[:, None],
+    )

@@ -9,6 +9,7 @@ import numpy as np
 
 from imufield.calibrate.model.higher import HigherTerms
 from imufield.calibrate.model.observations import Observations
+from imufield.calibrate.model.temperature import TriadTemperature
 from imufield.earth import Gravity
 from imufield.samples import FloatArray
 
@@ -91,6 +92,8 @@ class GyroscopeCalibration:
     raw_unit: str = "rad/s"
     range_rad_s: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
     """Largest rate about each axis that the scale comes from, shape (3,); NaN where it comes from none."""
+    temperature: TriadTemperature | None = None
+    """None where the parameters are known at one temperature only."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,6 +195,8 @@ class Calibration:
     gyroscope: GyroscopeCalibration | None = None
     unobservable: tuple[str, ...] = ()
     """Names of parameters left at the preset because these positions cannot show them."""
+    accelerometer_temperature: TriadTemperature | None = None
+    """None where the parameters are known at one temperature only."""
 
     @property
     def model(self) -> ModelChoice:

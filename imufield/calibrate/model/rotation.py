@@ -19,6 +19,8 @@ import numpy as np
 
 from imufield.samples import FloatArray, IntArray
 
+# Element by element below, not as products of small matrices: NumPy's loops over three numbers cost more than the numbers.
+_CYCLES = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
 _SMALL_RAD = 1e-3  # Below this the series of ``Jr`` is exact to the last bit that matters (1e-13).
 
 
@@ -38,10 +40,12 @@ def skew(vector: FloatArray) -> FloatArray:
 
 def multiply(left: FloatArray, right: FloatArray) -> FloatArray:
     """Return the quaternion product, shape (..., 4)."""
-    lw, lv = left[..., :1], left[..., 1:]
-    rw, rv = right[..., :1], right[..., 1:]
-    scalar = lw * rw - np.sum(lv * rv, axis=-1, keepdims=True)
-    return np.concatenate([scalar, lw * rv + rw * lv + cross(lv, rv)], axis=-1)
+    (lw, *lv), (rw, *rv) = (np.moveaxis(factor, -1, 0) for factor in (left, right))
+    product = np.empty(np.broadcast_shapes(left.shape, right.shape))
+    product[..., 0] = lw * rw - (lv[0] * rv[0] + lv[1] * rv[1] + lv[2] * rv[2])
+    for i, j, k in _CYCLES:
+        product[..., 1 + i] = lw * rv[i] + rw * lv[i] + (lv[j] * rv[k] - lv[k] * rv[j])
+    return product
 
 
 def exponential(rotation_rad: FloatArray) -> FloatArray:
@@ -75,9 +79,14 @@ def rotate(quaternion: FloatArray, vector: FloatArray) -> FloatArray:
 
 def matrix(quaternion: FloatArray) -> FloatArray:
     """Return rotation matrices, shape (..., 4) -> (..., 3, 3)."""
-    w, v = quaternion[..., 0], quaternion[..., 1:]
-    result: FloatArray = 2 * v[..., :, None] * v[..., None, :] + 2 * w[..., None, None] * skew(v)
-    result[..., range(3), range(3)] += (w**2 - np.sum(v**2, axis=-1))[..., None]
+    w, *v = np.moveaxis(quaternion, -1, 0)
+    result = np.empty((*quaternion.shape[:-1], 3, 3))
+    common = w**2 - (v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
+    for i, j, k in _CYCLES:
+        product, turn = 2 * v[i] * v[j], 2 * w * v[k]
+        result[..., i, i] = 2 * v[i] ** 2 + common
+        result[..., i, j] = product - turn
+        result[..., j, i] = product + turn
     return result
 
 
@@ -104,13 +113,19 @@ def rotation_matrix(rotation_rad: FloatArray) -> FloatArray:
 
 def right_jacobian(rotation_rad: FloatArray) -> FloatArray:
     """Return Jr of rotation vectors, shape (..., 3) -> (..., 3, 3)."""
-    angle = np.linalg.norm(rotation_rad, axis=-1)[..., None, None]
+    p = np.moveaxis(rotation_rad, -1, 0)
+    angle = np.linalg.norm(rotation_rad, axis=-1)
     small = angle < _SMALL_RAD
     safe = np.where(small, 1.0, angle)
     first = np.where(small, 0.5 - angle**2 / 24, (1 - np.cos(safe)) / safe**2)
     second = np.where(small, 1 / 6 - angle**2 / 120, (safe - np.sin(safe)) / safe**3)
-    S = skew(rotation_rad)
-    return np.asarray(np.eye(3) - first * S + second * (S @ S))
+    result = np.empty((*rotation_rad.shape, 3))
+    for i, j, k in _CYCLES:
+        product, turn = second * p[i] * p[j], first * p[k]
+        result[..., i, i] = 1 - second * (p[j] ** 2 + p[k] ** 2)
+        result[..., i, j] = product + turn
+        result[..., j, i] = product - turn
+    return result
 
 
 def running_turns(quaternion: FloatArray, first: IntArray) -> FloatArray:

@@ -16,11 +16,13 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from imufield.calibrate.model.models import BIAS, PARAMETERS, QUADRATIC, SCALE
+from imufield.calibrate.model.result import GRAVITY_NAME
 from imufield.samples import FloatArray
 
 NOT_LEFT_OUT = 1 - 1e-6
@@ -186,6 +188,15 @@ def single_position_factors(spread: Influence, singles: tuple[SinglePosition, ..
         rows = list(single.coordinates)
         factors[rows] = np.fmax(factors[rows], ratio[rows])  # NaN where the jackknife has nothing to say
     return factors
+
+
+def without_gravity(names: Sequence[str], covariance: FloatArray) -> FloatArray:
+    """Return the covariance of parameters for a known gravity, ``C - c c^T / C_gg``: its error is common to all sessions."""
+    if GRAVITY_NAME not in names:
+        return covariance
+    of_gravity = covariance[names.index(GRAVITY_NAME)]
+    variance = of_gravity[names.index(GRAVITY_NAME)]
+    return covariance - np.outer(of_gravity, of_gravity) / variance if variance > 0 else covariance
 
 
 def gravity_sensitivity(vector: FloatArray, gravity_m_s2: float) -> FloatArray:

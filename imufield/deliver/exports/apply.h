@@ -42,6 +42,38 @@ typedef struct imufield_parameters {
     imufield_real g_sensitivity[3][3];     /* G, raw unit per m/s^2 */
 } imufield_parameters;
 
+/* One triad over temperature, with d the temperature above `reference` in degC: raw - raw_zero is (1 + scale(d)) times what it is
+ * at the reference, bias(d) added to that before. Row n - 1 is the factor of d^n. */
+typedef struct imufield_temperature {
+    imufield_real reference;               /* degC */
+    imufield_real range[2];                /* degC */
+    imufield_real bias[5][3];              /* raw unit per degC^n */
+    imufield_real scale[5][3];             /* relative, per degC^n */
+    imufield_real raw_zero[3];             /* raw unit */
+} imufield_temperature;
+
+/* Raw output of a triad at a temperature in degC to what it would be at the reference: then apply it as any other.
+ * A temperature that is not a number counts as the reference. `raw` and `out` may be the same. */
+static inline void imufield_at_reference(const imufield_temperature *t, imufield_real degc, const imufield_real raw[3],
+                                         imufield_real out[3])
+{
+    imufield_real d;
+    int i, n;
+    if (degc != degc) {
+        degc = t->reference;
+    }
+    degc = degc < t->range[0] ? t->range[0] : degc > t->range[1] ? t->range[1] : degc;
+    d = degc - t->reference;
+    for (i = 0; i < 3; i++) {
+        imufield_real bias = 0, scale = 0;
+        for (n = 4; n >= 0; n--) {
+            bias = (bias + t->bias[n][i]) * d;
+            scale = (scale + t->scale[n][i]) * d;
+        }
+        out[i] = (raw[i] - t->raw_zero[i]) / (1 + scale) + t->raw_zero[i] - bias;
+    }
+}
+
 static inline void imufield_multiply(const imufield_real matrix[3][3], const imufield_real vector[3],
                                      imufield_real product[3])
 {

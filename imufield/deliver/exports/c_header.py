@@ -7,6 +7,7 @@ import re
 import numpy as np
 
 from imufield.calibrate.model.models import predict, predict_gyroscope
+from imufield.calibrate.model.temperature import HIGHEST_ORDER, Polynomials
 from imufield.deliver.exports.job import Draft, Job, sentence
 from imufield.deliver.exports.text import number, text_file
 from imufield.deliver.exports.whole_model import WholeModel, apply_header, gauge_note, whole_model
@@ -44,9 +45,40 @@ def export(job: Job) -> Draft:
         *(f"    {_initializer(values)}, /* {field} */" for field, values in model.arrays().items()),
         "};",
         "",
+        *_temperatures(job, name),
         f"#endif /* {guard} */",
     ]
     return Draft(files={f"{name}.h": text_file(lines)}, notes=gauge_note(job))
+
+
+def _temperatures(job: Job, name: str) -> list[str]:
+    """Return a constant for each triad that is known over temperature: NAME_accelerometer_temperature, and the gyroscope's."""
+    calibration, lines = job.parameters.calibration, []
+    gyroscope = calibration.gyroscope if job.has_gyroscope else None
+    zero = {"accelerometer": calibration.accelerometer.raw_zero, "gyroscope": np.zeros(3)}
+    scales = {"accelerometer": calibration.accelerometer.scale}
+    models = {"accelerometer": calibration.accelerometer_temperature}
+    if gyroscope is not None:
+        scales["gyroscope"], models["gyroscope"] = gyroscope.parameters.scale, gyroscope.temperature
+    for triad, model in models.items():
+        if model is None:
+            continue
+        rows = {"bias": _padded(model.bias) * scales[triad], "scale": _padded(model.scale), "raw_zero": zero[triad]}
+        lines += [
+            f"/* imufield_at_reference(&{name}_{triad}_temperature, degc, raw, raw) comes first. */",
+            f"static const imufield_temperature {name}_{triad}_temperature = {{",
+            f"    {_initializer(np.array([model.reference_degc]))[1:-1]},",
+            f"    {_initializer(np.array(model.range_degc))},",
+            *(f"    {_initializer(values)}, /* {field} */" for field, values in rows.items()),
+            "};",
+            "",
+        ]
+    return lines
+
+
+def _padded(polynomials: Polynomials) -> FloatArray:
+    """Return the coefficients of the highest order there can be, shape (5, 3)."""
+    return np.vstack([polynomials.coefficients, np.zeros((HIGHEST_ORDER - polynomials.order, 3))])
 
 
 def _initializer(values: FloatArray) -> str:

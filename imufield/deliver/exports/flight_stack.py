@@ -6,11 +6,14 @@ ArduPilot: ``accel = (raw - OFFS) .* SCAL`` and ``gyro = raw - OFFS``, then boar
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from imufield.deliver.exports.conventions import Correction, diagonal_corrections
 from imufield.deliver.exports.job import BIAS_ONLY, Draft, Job, sentence
 from imufield.deliver.exports.text import comment, number, text_file
+from imufield.deliver.exports.thermal import ThermalOffsets
 from imufield.errors import ParameterFileError, Reason, UsageError
 from imufield.samples import AXES, FloatArray
 
@@ -44,6 +47,9 @@ def export(job: Job) -> Draft:
     target_model = job.gyroscope_bias_only(corrections)
     single_precision = sentence("flight_stack.single_precision", program=program)
     values = _values(job, offset, scale, si.gyroscope)
+    thermal = ThermalOffsets(job) if job.parameters.temperature_models else None
+    if thermal is not None:
+        values |= thermal.px4() if is_px4 else thermal.ardupilot()
     if is_px4:
         # Vehicle 1, component 1 (autopilot), name, value, type: the columns of a QGroundControl file.
         heading = ["Onboard parameters for Vehicle 1", "", *job.heading(), "", "Vehicle-Id Component-Id Name Value Type"]
@@ -61,13 +67,16 @@ def export(job: Job) -> Draft:
             notes.append(sentence("flight_stack.learns"))
         if not np.any(offset) and np.all(scale == 1):
             notes.append(sentence("flight_stack.not_calibrated"))
-    return Draft(
+    if thermal is not None:
+        notes.append(sentence("thermal.px4_order" if is_px4 else "thermal.ardupilot_order"))
+    draft = Draft(
         files={"px4.params" if is_px4 else "ardupilot.param": text_file([*comment(heading), *lines])},
         target_model=target_model,
         accelerometer_lacks=sentence("flight_stack.lacks"),
         gyroscope_lacks=BIAS_ONLY,
         notes=tuple(notes),
     )
+    return draft if thermal is None else replace(draft, losses=thermal.loss(draft))
 
 
 def _values(job: Job, offset: FloatArray, scale: FloatArray, gyroscope: Correction | None) -> dict[str, int | float]:
@@ -86,6 +95,9 @@ def _values(job: Job, offset: FloatArray, scale: FloatArray, gyroscope: Correcti
     if gyroscope is not None:
         triads.append((names[1], options.gyroscope_id, [gyroscope.offset]))
     low, high = job.parameters.context.session.temperature_degc
+    if models := job.parameters.temperature_models:
+        # Exactly there the offset over temperature is zero.
+        low = high = models[0].reference_degc
     values: dict[str, int | float] = {}
     for name, device_id, vectors in triads:
         if device_id is not None:

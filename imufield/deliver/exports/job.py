@@ -17,7 +17,7 @@ from imufield.deliver.exports.conventions import (
     require_usable,
     rotation_vector,
 )
-from imufield.deliver.exports.loss import loss_sentences
+from imufield.deliver.exports.loss import at_one_temperature, loss_sentences
 from imufield.deliver.exports.target import Exported, ExportOptions, Target
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.numbers import to_ascii
@@ -175,9 +175,11 @@ def _shown(values: FloatArray) -> str:
 
 def run(export: Callable[[Job], Draft], parameters: Parameters, target: Target, options: ExportOptions) -> Exported:
     """Check, export, and measure what was lost."""
+    parameters, cost = at_one_temperature(parameters, target, options.temperature_degc)
     require_usable(parameters.calibration)
     job = Job(parameters, target, options)
     draft = export(job)
+    draft = replace(draft, losses=(*draft.losses, *cost))
     notes = draft.notes
     if not job.has_gyroscope and parameters.calibration.gyroscope is not None:
         notes = (sentence("job.no_gyroscope"), *notes)

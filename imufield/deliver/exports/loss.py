@@ -6,8 +6,11 @@ import numpy as np
 
 from imufield.calibrate.model.models import predict, predict_gyroscope
 from imufield.deliver.exports.conventions import Corrections
+from imufield.deliver.exports.target import Target
 from imufield.deliver.parameters.file import Parameters
+from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S
 from imufield.earth import MILLI_G_M_S2
+from imufield.errors import UsageError
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 
@@ -84,3 +87,44 @@ def _at_positions(parameters: Parameters, target: Corrections) -> str:
         for force in (parameters.apply_accelerometer(raw), target.apply_accelerometer(raw))
     )
     return " " + sentence("loss.positions", positions=len(raw), theirs=theirs, ours=ours)
+
+
+def at_one_temperature(
+    parameters: Parameters, target: Target, temperature_degc: float | None
+) -> tuple[Parameters, tuple[str, ...]]:
+    """Return what a target gets of parameters over temperature, and what it costs where that is one temperature only.
+
+    Raises
+    ------
+    UsageError
+        If a temperature is asked for where there is nothing to choose, or one outside the range measured.
+    """
+    models = parameters.temperature_models
+    if temperature_degc is not None and (target.over_temperature or not models):
+        key = "loss.all_temperatures" if models else "loss.no_temperature"
+        raise UsageError(sentence(key, target=target.name, value=temperature_degc))
+    if target.over_temperature or not models:
+        return parameters, ()
+    chosen_degc = models[0].reference_degc if temperature_degc is None else temperature_degc
+    low, high = max(model.range_degc[0] for model in models), min(model.range_degc[1] for model in models)
+    # Not by a comparison that nan passes.
+    if not low <= chosen_degc <= high:
+        raise UsageError(sentence("loss.outside", value=chosen_degc, low=low, high=high))
+    return parameters.at(chosen_degc), _cost_of(parameters, chosen_degc)
+
+
+def _cost_of(parameters: Parameters, temperature_degc: float) -> tuple[str, ...]:
+    """Say what a target that knows one temperature only is off by at the ends of the range."""
+    models, chosen = parameters.temperature_models, parameters.at(temperature_degc)
+    force = parameters.calibration.gravity.gravity_m_s2 * directions()
+    said = []
+    for end_degc in sorted({end for model in models for end in model.range_degc}):
+        there = parameters.at(end_degc).calibration
+        off = chosen.apply_accelerometer(predict(there.accelerometer, force)) - force
+        values = {"force_mg": float(np.linalg.norm(off, axis=1).max()) / MILLI_G_M_S2, "rate_deg_h": 0.0}
+        if there.gyroscope is not None and parameters.gyroscope_is_complete:
+            still = predict_gyroscope(there.gyroscope.parameters, np.zeros((1, 3)))
+            rate = chosen.apply_gyroscope(still, np.zeros((1, 3)))
+            values["rate_deg_h"] = float(np.linalg.norm(rate)) / DEG_PER_HOUR_RAD_S
+        said.append(sentence("loss.one_temperature", at=temperature_degc, end=end_degc, **values))
+    return tuple(said)

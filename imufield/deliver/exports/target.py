@@ -23,6 +23,8 @@ class Target:
     """What of the model it can express, in words."""
     module: str
     """Module of this package whose ``export(job)`` writes it."""
+    over_temperature: bool = False
+    """Whether it takes bias over temperature; all others get the values at one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,6 +50,8 @@ class ExportOptions:
     """Bias random walk, m/s^3/sqrt(Hz), for Kalibr, OpenVINS and Basalt."""
     gyroscope_random_walk: float | None = None
     """rad/s^2/sqrt(Hz)."""
+    temperature_degc: float | None = None
+    """At which the numbers are to hold where the target knows one temperature only (default: the file's reference)."""
     name: str = "imufield_calibration"
     """Name of the constant in C."""
 

@@ -23,7 +23,7 @@ from imufield.deliver.navigation.mechanise import Mechanisation, load_pyins
 from imufield.deliver.navigation.rest import SECOND_S, IntervalMeans, RestNoise, fill_gaps, measure_noise, moving_seconds
 from imufield.deliver.parameters.file import Corrected
 from imufield.errors import ImufieldError, Reason, RecordingError, UsageError
-from imufield.samples import FloatArray, Samples
+from imufield.samples import FloatArray, Samples, TemperatureHold
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -107,6 +107,7 @@ class StaticNavigation:
         self.settings = settings
         self.stopped: ImufieldError | None = None  # Why this recording cannot be navigated; set at once, raised by ``finish``.
         self._sets = {name: ParameterSet(apply, settings) for name, apply in sets.items()}
+        self._temperature = TemperatureHold()
         self._counts = np.zeros(2, dtype=np.int64)
         self._gap_s = 0.0
         self._start_s: float | None = None
@@ -117,6 +118,7 @@ class StaticNavigation:
         # What one block refuses, the next would refuse again; the caller reads on for the positions.
         if self.stopped is not None:
             return
+        samples = self._temperature.fill(samples)
         usable = samples.usable & np.isfinite(samples.accelerometer).all(axis=1) & np.isfinite(samples.gyroscope).all(axis=1)
         self._counts += (len(samples), len(samples) - int(usable.sum()))
         kept = samples if usable.all() else samples[usable]

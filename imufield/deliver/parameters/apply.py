@@ -12,6 +12,7 @@ import numpy as np
 
 from imufield.calibrate.model.models import recover
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters
+from imufield.calibrate.model.temperature import TriadTemperature
 from imufield.errors import ParameterFileError, Reason
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
@@ -115,6 +116,27 @@ def _by_triads(
     force = correct_accelerometer(accelerometer, raw[:, :3], out=out[:, :3])
     correct_gyroscope(gyroscope, raw[:, 3:], force, out=out[:, 3:])
     return out
+
+
+def at_reference(
+    raw: FloatArray,
+    temperature_degc: FloatArray | float | None,
+    model: TriadTemperature | None,
+    *,
+    scale: FloatArray,
+    raw_zero: FloatArray | float = 0.0,
+) -> FloatArray:
+    """Return what raw outputs of shape (..., 3) would be at the reference temperature of their triad.
+
+    As they are where nothing is known over temperature, or no temperature is given; ``temperature_degc`` is one for all, or of
+    shape (...). ``scale`` is K at the reference.
+    """
+    if model is None or temperature_degc is None:
+        return raw
+    raw = np.asarray(raw, dtype=np.float64)
+    each_degc = np.broadcast_to(np.asarray(temperature_degc, dtype=np.float64), raw.shape[:-1])
+    rows = model.to_reference(raw.reshape(-1, 3), each_degc.ravel(), scale=scale, raw_zero=raw_zero)
+    return rows.reshape(raw.shape)
 
 
 def correction_matrix(scale: FloatArray, misalignment_rad: FloatArray) -> FloatArray:

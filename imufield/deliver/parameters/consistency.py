@@ -19,6 +19,7 @@ from imufield.calibrate.model.result import GRAVITY_NAME, Calibration, Gyroscope
 from imufield.deliver.parameters.apply import correct_accelerometer
 from imufield.deliver.parameters.document import GYROSCOPE_EQUATION, calibration_from_document, gyroscope_bias_rad_s
 from imufield.deliver.parameters.schema import Document
+from imufield.deliver.parameters.temperature import temperature_contradictions
 from imufield.errors import CalibrationError
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentences
@@ -48,6 +49,7 @@ def contradiction(document: Document, *, is_edited: bool = False) -> str:
 
 def _contradictions(document: Document, *, is_edited: bool) -> Iterator[str]:
     yield from _shape(document)
+    yield from temperature_contradictions(document)
     # From what is typed most often to what only a program gets wrong: the first sentence is the one a person reads.
     calibration, table = calibration_from_document(document), document["accelerometer"]
     wanted = (HIGHER_EQUATIONS if "higher" in table else EQUATIONS)[table["quadratic_axes"]]

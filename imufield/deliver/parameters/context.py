@@ -58,6 +58,18 @@ class SessionFacts:
     recorded: str = ""
 
 
+@dataclass(frozen=True, slots=True)
+class TemperatureSource:
+    """One recording that the parameters over temperature rest on."""
+
+    name: str
+    kind: str
+    """"session" or "ramp"."""
+    sha256: str
+    temperature_degc: tuple[float, float]
+    """Lowest and highest."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClockFacts:
     """The clock that gave the samples their time.
@@ -87,6 +99,44 @@ class Noise:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class JoinedSession:
+    """One of the sessions of a file that was solved from several."""
+
+    name: str
+    sha256: str
+    recorded: str
+    """UTC, ISO 8601; empty where another program recorded it."""
+    positions: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DayToDay:
+    """How a kind of parameter changes from session to session, 1 sigma, and how well it is known, for x, y, z; SI."""
+
+    kind: str
+    """"accelerometer.bias_m_s2", "accelerometer.scale", "gyroscope.bias_rad_s" or "gyroscope.scale"; scales are relative."""
+    sigma: float
+    low: float
+    """Of the 95 % interval of sigma."""
+    high: float
+    degrees_of_freedom: int
+    mean_sigma: tuple[float, ...]
+    """Of the mean over all days."""
+    day_sigma: tuple[float, ...]
+    """Of a new day."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Together:
+    """What sessions that were solved together tell beside the parameters."""
+
+    session: tuple[JoinedSession, ...]
+    repeatability: tuple[DayToDay, ...]
+    prior_grade: str = ""
+    """Whose typical figures bound the change from day to day where the sessions are few; empty where none did."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Context:
     """Everything in a parameter file that the solver does not know."""
 
@@ -95,6 +145,9 @@ class Context:
     clock: ClockFacts | None = None
     """None where no samples were timed."""
     noise: Noise | None = None
+    temperature_sources: tuple[TemperatureSource, ...] = ()
+    together: Together | None = None
+    """None for the file of one session."""
     created: str = field(default_factory=now_text)
     """UTC, ISO 8601."""
     software: str = SOFTWARE

@@ -6,7 +6,7 @@ Keys and shapes are docs/parameter-file.md and ``parameters.schema.json``. NaN s
 from __future__ import annotations
 
 import math
-from dataclasses import fields
+from dataclasses import asdict, fields
 
 import numpy as np
 
@@ -22,14 +22,31 @@ from imufield.calibrate.model.result import (
     Quality,
     SolverSummary,
 )
-from imufield.deliver.parameters.context import ClockFacts, Context, InstrumentFacts, Noise, SessionFacts
+from imufield.deliver.parameters.context import (
+    ClockFacts,
+    Context,
+    DayToDay,
+    InstrumentFacts,
+    JoinedSession,
+    Noise,
+    SessionFacts,
+    Together,
+)
 from imufield.deliver.parameters.schema import Document
+from imufield.deliver.parameters.temperature import (
+    VERSION_WITH_TEMPERATURE,
+    add_temperature,
+    temperature_of,
+    temperature_sources,
+)
 from imufield.earth import Gravity
 from imufield.samples import FloatArray
 
-# docs/parameter-file.md; VERSION rises where an old program would misread a new file.
+# docs/parameter-file.md; VERSION rises where an old program would misread a new file. Written is the lowest that can say what
+# a file says: a program that knows no temperature reads all files without one.
 FORMAT = "imufield-parameters"
-VERSION = 1
+VERSION = VERSION_WITH_TEMPERATURE
+VERSION_WITHOUT_TEMPERATURE = 1
 GYROSCOPE_EQUATION = "N = K E w + e + G a"
 
 _ACCELEROMETER_VECTORS = ("scale", "bias_m_s2", "misalignment_rad", "quadratic")
@@ -46,6 +63,7 @@ _INTRINSIC = _names(Intrinsic)
 _HIGHER = _names(HigherTerms)
 _NOISE = _names(Noise, "source")
 _CLOCK = _names(ClockFacts)
+_DAY_VECTORS = ("mean_sigma", "day_sigma")
 _TRIAD_VERDICTS = ("accelerometer_verdict", "gyroscope_verdict")
 _QUALITY_LISTS = ("reasons", "warnings", "suspects")
 _QUALITY_FIGURES = _names(Quality, "verdict", *_QUALITY_LISTS, *_TRIAD_VERDICTS)
@@ -58,7 +76,7 @@ def to_document(calibration: Calibration, observations: Observations, context: C
     parameters, quality, gyroscope = calibration.accelerometer, calibration.quality, calibration.gyroscope
     document: Document = {
         "format": FORMAT,
-        "version": VERSION,
+        "version": VERSION_WITHOUT_TEMPERATURE,
         "created": context.created,
         "software": context.software,
         "instrument": _plain(context.instrument, _names(InstrumentFacts)),
@@ -96,10 +114,7 @@ def to_document(calibration: Calibration, observations: Observations, context: C
         }
     if gyroscope is not None:
         document["gyroscope"] = _gyroscope_table(gyroscope, calibration.gauge, context.clock)
-    if context.clock is not None:
-        document["clock"] = _plain(context.clock, _CLOCK)
-    if context.noise is not None:
-        document["noise"] = noise_table(context.noise)
+    document |= _context_tables(context)
     # A method that draws nothing has no seed, and TOML no null.
     document["solver"] = {key: value for key, value in _plain(calibration.solver, _SOLVER).items() if value is not None}
     document["quality"] = {
@@ -112,7 +127,27 @@ def to_document(calibration: Calibration, observations: Observations, context: C
     }
     document["position"] = _positions(calibration.positions, observations)
     document["covariance"] = {"names": list(calibration.covariance_names), "matrix": calibration.covariance.tolist()}
-    return document
+    return add_temperature(document, calibration, context.temperature_sources)
+
+
+def _context_tables(context: Context) -> Document:
+    """Return the tables of what may not be known."""
+    tables: Document = {}
+    if context.clock is not None:
+        tables["clock"] = _plain(context.clock, _CLOCK)
+    if context.noise is not None:
+        tables["noise"] = noise_table(context.noise)
+    if context.together is not None:
+        tables["together"] = _together_table(context.together)
+    return tables
+
+
+def _together_table(together: Together) -> Document:
+    days = (
+        {**asdict(kind), "mean_sigma": [*kind.mean_sigma], "day_sigma": [*kind.day_sigma]} for kind in together.repeatability
+    )
+    sessions = [asdict(session) for session in together.session]
+    return {"prior_grade": together.prior_grade, "session": sessions, "repeatability": [*days]}
 
 
 def _gyroscope_table(gyroscope: GyroscopeCalibration, gauge: str, clock: ClockFacts | None) -> Document:
@@ -232,8 +267,10 @@ def calibration_from_document(document: Document) -> Calibration:
             path=gyroscope["path"],
             raw_unit=gyroscope["raw_unit"],
             range_rad_s=_array(gyroscope.get("range_rad_s", [np.nan] * 3)),
+            temperature=temperature_of(document, "gyroscope"),
         ),
         unobservable=tuple(quality["unobservable"]),
+        accelerometer_temperature=temperature_of(document, "accelerometer"),
     )
 
 
@@ -261,6 +298,19 @@ def context_from_document(document: Document) -> Context:
         ),
         clock=None if "clock" not in document else ClockFacts(**document["clock"]),
         noise=None if noise is None else Noise(source=noise["source"], **_arrays(noise, _NOISE)),
+        temperature_sources=temperature_sources(document),
+        together=_together(document["together"]) if "together" in document else None,
         created=document["created"],
         software=document["software"],
+    )
+
+
+def _together(table: Document) -> Together:
+    days = (
+        {**kind, "mean_sigma": (*kind["mean_sigma"],), "day_sigma": (*kind["day_sigma"],)} for kind in table["repeatability"]
+    )
+    return Together(
+        session=tuple(JoinedSession(**session) for session in table["session"]),
+        repeatability=tuple(DayToDay(**kind) for kind in days),
+        prior_grade=table["prior_grade"],
     )

@@ -7,21 +7,28 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple, overload
+from typing import TYPE_CHECKING, NamedTuple, overload
 
 import numpy as np
+from numpy.typing import NDArray
 
+from imufield.calibrate.model.models import accelerometer_at, gyroscope_at
+from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration, GyroscopeParameters
-from imufield.deliver.parameters.apply import correct_accelerometer, correct_both, correct_gyroscope
+from imufield.calibrate.model.temperature import TriadTemperature
+from imufield.deliver.parameters.apply import at_reference, correct_accelerometer, correct_both, correct_gyroscope
 from imufield.deliver.parameters.context import Context, InstrumentFacts, Noise, SessionFacts
-from imufield.deliver.parameters.document import VERSION, calibration_from_document, context_from_document, to_document
+from imufield.deliver.parameters.document import calibration_from_document, context_from_document, to_document
 from imufield.deliver.parameters.read import read_document
 from imufield.deliver.parameters.schema import Document, json_ready, parameter_schema
 from imufield.deliver.parameters.write import EDITED, to_toml, write_document, write_parameters
 from imufield.errors import ParameterFileError, Reason
 from imufield.files import Origin
-from imufield.samples import FloatArray, Samples
+from imufield.samples import FloatArray, Samples, Status, TemperatureHold
 from imufield.sentences import Sentences
+
+if TYPE_CHECKING:
+    from imufield.deliver.parameters.gauge_free import GaugeFree
 
 sentence = Sentences(__package__)
 
@@ -69,11 +76,18 @@ class Parameters:
     edited: bool = False
     """Whether somebody changed the file by hand and said so."""
     path: Path | None = None
-    version: int = VERSION
-    """Of the file; an older one was converted."""
+    version: int
+    """Of the file; older than that of the document where it was converted."""
 
-    def apply_accelerometer(self, raw: FloatArray) -> FloatArray:
+    @property
+    def is_converted(self) -> bool:
+        """Whether the document is of a newer version than the file."""
+        return bool(self.version != self.document["version"])
+
+    def apply_accelerometer(self, raw: FloatArray, *, temperature_degc: FloatArray | float | None = None) -> FloatArray:
         """Return specific force in m/s^2 for raw outputs (increments divided by their interval), both of shape (..., 3).
+
+        ``temperature_degc`` is one for all or of shape (...); without it, as at the reference temperature.
 
         Raises
         ------
@@ -82,9 +96,24 @@ class Parameters:
         ParameterFileError
             If the last axis of ``raw`` has not 3 entries.
         """
-        return correct_accelerometer(self.calibration.accelerometer, raw)
+        return correct_accelerometer(self.calibration.accelerometer, self._accelerometer_at_reference(raw, temperature_degc))
 
-    def apply_gyroscope(self, raw: FloatArray, specific_force: FloatArray | None = None) -> FloatArray:
+    def _accelerometer_at_reference(self, raw: FloatArray, temperature_degc: FloatArray | float | None) -> FloatArray:
+        parameters, model = self.calibration.accelerometer, self.calibration.accelerometer_temperature
+        return at_reference(raw, temperature_degc, model, scale=parameters.scale, raw_zero=parameters.raw_zero)
+
+    def _gyroscope_at_reference(self, raw: FloatArray, temperature_degc: FloatArray | float | None) -> FloatArray:
+        gyroscope = self.calibration.gyroscope
+        model = None if gyroscope is None else gyroscope.temperature
+        return at_reference(raw, temperature_degc, model, scale=self._gyroscope().scale)
+
+    def apply_gyroscope(
+        self,
+        raw: FloatArray,
+        specific_force: FloatArray | None = None,
+        *,
+        temperature_degc: FloatArray | float | None = None,
+    ) -> FloatArray:
         """Return angular rate in rad/s for raw outputs, both of shape (..., 3).
 
         Parameters
@@ -93,6 +122,8 @@ class Parameters:
             Raw unit; increments divided by their interval.
         specific_force : ndarray, shape (..., 3), optional
             What ``apply_accelerometer`` returns, m/s^2; needed where a g-sensitivity was fitted.
+        temperature_degc : float or ndarray of shape (...), optional
+            Without it, as at the reference temperature.
 
         Raises
         ------
@@ -100,7 +131,7 @@ class Parameters:
             If the file has no gyroscope or not its scale, a g-sensitivity was fitted and ``specific_force`` is not given, or a
             shape is wrong.
         """
-        return correct_gyroscope(self._gyroscope(), raw, specific_force)
+        return correct_gyroscope(self._gyroscope(), self._gyroscope_at_reference(raw, temperature_degc), specific_force)
 
     def _gyroscope(self) -> GyroscopeParameters:
         if self.calibration.gyroscope is None:
@@ -113,16 +144,22 @@ class Parameters:
     def apply(self, raw: Samples) -> Corrected: ...
 
     @overload
-    def apply(self, raw: FloatArray) -> FloatArray: ...
+    def apply(self, raw: FloatArray, *, temperature_degc: FloatArray | float | None = None) -> FloatArray: ...
 
-    def apply(self, raw: Samples | FloatArray) -> Corrected | FloatArray:
+    def apply(self, raw: Samples | FloatArray, *, temperature_degc: FloatArray | float | None = None) -> Corrected | FloatArray:
         """Correct raw values.
+
+        Of a recording that comes in blocks, give each block through one ``imufield.samples.TemperatureHold`` first: a block
+        knows no temperature of those before it.
 
         Parameters
         ----------
         raw : Samples or ndarray
             Samples, or an array of shape (..., 3), ax ay az, or of shape (..., 6), ax ay az gx gy gz; raw units,
             increments divided by their interval.
+        temperature_degc : float or ndarray of shape (...), optional
+            Of an array; samples have their own, the last one known where a sample has none. Without it, or where it is NaN,
+            raw values are corrected as at the reference temperature (``temperature_status`` tells which).
 
         Returns
         -------
@@ -139,17 +176,78 @@ class Parameters:
         """
         if isinstance(raw, Samples):
             self.check_unit("accelerometer", raw.units.accelerometer_rate_unit)
-            force = self.apply_accelerometer(raw.accelerometer_rate())
+            at_degc = TemperatureHold().fill(raw).temperature_degc
+            force = self.apply_accelerometer(raw.accelerometer_rate(), temperature_degc=at_degc)
             # A file without the gyroscope is still good for the accelerometer.
             if not self.gyroscope_is_complete:
                 return Corrected(raw.time_s, force, np.full_like(force, np.nan))
             self.check_unit("gyroscope", raw.units.gyroscope_rate_unit)
-            return Corrected(raw.time_s, force, self.apply_gyroscope(raw.gyroscope_rate(), force))
+            rate = self.apply_gyroscope(raw.gyroscope_rate(), force, temperature_degc=at_degc)
+            return Corrected(raw.time_s, force, rate)
         # What a caller gives may be a list, or an array of whole counts.
         raw = np.asarray(raw, dtype=np.float64)
         if raw.shape[-1:] != (6,):
-            return self.apply_accelerometer(raw)
-        return correct_both(self.calibration.accelerometer, self._gyroscope(), raw.reshape(-1, 6)).reshape(raw.shape)
+            return self.apply_accelerometer(raw, temperature_degc=temperature_degc)
+        gyroscope = self._gyroscope()
+        if temperature_degc is not None and self.temperature_models:
+            triads = self._accelerometer_at_reference, self._gyroscope_at_reference
+            raw = np.concatenate([to(raw[..., 3 * k : 3 * k + 3], temperature_degc) for k, to in enumerate(triads)], axis=-1)
+        return correct_both(self.calibration.accelerometer, gyroscope, raw.reshape(-1, 6)).reshape(raw.shape)
+
+    @property
+    def temperature_models(self) -> tuple[TriadTemperature, ...]:
+        """What is known over temperature, of the triads of which it is."""
+        gyroscope = self.calibration.gyroscope
+        both = (self.calibration.accelerometer_temperature, None if gyroscope is None else gyroscope.temperature)
+        return tuple(model for model in both if model is not None)
+
+    def temperature_status(self, raw: Samples | FloatArray) -> NDArray[np.uint32]:
+        """Return ``Status`` flags: which temperatures are not known, and which lie outside those measured, shape (n,).
+
+        ``raw`` is samples, whose temperatures are those that ``apply`` uses, or temperatures of shape (n,).
+        """
+        temperature_degc = TemperatureHold().fill(raw).temperature_degc if isinstance(raw, Samples) else raw
+        status = np.zeros(len(temperature_degc), dtype=np.uint32)
+        for model in self.temperature_models:
+            status[model.is_outside(temperature_degc)] |= np.uint32(Status.TEMPERATURE_OUTSIDE)
+            status[np.isnan(temperature_degc)] |= np.uint32(Status.TEMPERATURE_UNKNOWN)
+        return status
+
+    def observed_at_reference(self, observations: Observations) -> Observations:
+        """Return observations as they would be at the reference temperature."""
+        at_degc = observations.temperature_degc
+        force = self._accelerometer_at_reference(observations.mean_raw, at_degc)
+        if not self.gyroscope_is_complete:
+            return replace(observations, mean_raw=force)
+        rate = self._gyroscope_at_reference(observations.gyroscope_mean_raw, at_degc)
+        return replace(observations, mean_raw=force, gyroscope_mean_raw=rate)
+
+    def at(self, temperature_degc: float) -> Parameters:
+        """Return the parameters that hold at one temperature, for programs that know none; sigma is that at the reference.
+
+        The document stays that of the file, without positions: their outputs belong to the temperature they were measured at.
+        """
+        if not self.temperature_models:
+            return self
+        calibration, gyroscope = self.calibration, self.calibration.gyroscope
+        accelerometer = accelerometer_at(calibration.accelerometer, calibration.accelerometer_temperature, temperature_degc)
+        if gyroscope is not None:
+            there = gyroscope_at(gyroscope.parameters, gyroscope.temperature, temperature_degc)
+            gyroscope = replace(gyroscope, parameters=there, temperature=None)
+        calibration = replace(calibration, accelerometer=accelerometer, gyroscope=gyroscope, accelerometer_temperature=None)
+        session = replace(self.context.session, temperature_degc=(temperature_degc, temperature_degc))
+        context = replace(self.context, session=session, temperature_sources=())
+        return replace(self, calibration=calibration, context=context, document=self.document | {"position": []})
+
+    def gauge_free(self) -> GaugeFree:
+        """Return the numbers that no choice of the body frame changes; raises CalibrationError for left-handed axes."""
+        from imufield.deliver.parameters.gauge_free import gauge_free  # late: most files are applied, and not compared
+
+        positions = self.document["position"]
+        mean_raw, sigma_raw = (
+            np.array([position[key] for position in positions], dtype=np.float64) for key in ("mean_raw", "sigma_raw")
+        )
+        return gauge_free(self.calibration, mean_raw, sigma_raw)
 
     @property
     def gyroscope_is_complete(self) -> bool:
@@ -200,6 +298,7 @@ def from_document(document: Document, *, path: Path | None = None) -> Parameters
         # A document that was just made, and not read, has no hash yet.
         edited=document.get("integrity", {}).get("sha256") == EDITED,
         path=path,
+        version=document["version"],
     )
 
 

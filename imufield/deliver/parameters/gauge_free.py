@@ -11,6 +11,14 @@ differ: what a term that was not fitted may hide, a prior. What differs is the c
 positions: ``(r^T W r / n) (A^T W A)^-1`` with A the Jacobian of the norms, that of a fitted drift with it, W their weights, r
 the residuals and n their degrees of freedom. Scaled by its own residuals it is Student's with n; a sigma that may not fall
 below the noise of a hold would be right on the average only.
+
+The way back, into the gauge "lower": there the unit sensing axes u_i are lower triangular, and follow from the cosines between
+them, with c = -sin(angle)
+
+    u_x = (1, 0, 0),    u_y = (c_xy, sqrt(1 - c_xy^2), 0),    u_z = (c_xz, (c_yz - c_xz c_xy) / u_yy, rest)
+
+T_i = u_i / u_ii, and scale, bias and quadratic term are those along u_i with the powers of u_ii that T leaves to them. The
+gyroscope's numbers are its parameters in that gauge, divided by its scale.
 """
 
 from __future__ import annotations
@@ -22,11 +30,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imufield.calibrate.accelerometer.fit import column_basis
+from imufield.calibrate.gyroscope.report import GYROSCOPE_NAMES
 from imufield.calibrate.model.gauge import change_gauge, intrinsic, turn_gyroscope
 from imufield.calibrate.model.models import QUADRATIC, to_vector
 from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS
-from imufield.calibrate.model.result import ACCELEROMETER_NAMES, GRAVITY_NAME, Calibration, GyroscopeParameters
-from imufield.calibrate.model.uncertainty import degrees_of_freedom
+from imufield.calibrate.model.result import ACCELEROMETER_NAMES, Calibration, GyroscopeParameters
+from imufield.calibrate.model.uncertainty import degrees_of_freedom, without_gravity
 from imufield.calibrate.solvers.costs import NormProblem
 from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2
@@ -36,8 +45,7 @@ from imufield.samples import AXES, FloatArray
 _ANGLES = ("xy", "xz", "yz")
 _MISALIGNMENTS = ("xy", "xz", "yx", "yz", "zx", "zy")
 _SENSITIVITIES = tuple(row + column for row in AXES for column in AXES)
-# In the order of ``_values``.
-_NAMES = tuple(
+NAMES = tuple(
     f"{kind} {place}"
     for kind, places in (
         ("scale", AXES),
@@ -51,13 +59,19 @@ _NAMES = tuple(
     )
     for place in places
 )
+"""Of every gauge-free number, in the order of ``si_values``."""
 _GYROSCOPE = 12  # Where the numbers of the gyroscope begin.
-_ACCELEROMETER_NAMES = frozenset(_NAMES[:_GYROSCOPE])
+_ACCELEROMETER_NAMES = frozenset(NAMES[:_GYROSCOPE])
 _ROUNDING = 1e-9  # Of a drift: what of three axes is smaller than the largest by this is no form of it.
 _TINY = np.finfo(np.float64).tiny
 # Of the whole over its part: what choosing counts are other residuals, with a third of the variance at least.
 _LEAST_RATIO = 0.3
 _STEP_SIGMA = 0.1  # Of the central differences: far above rounding, far below what bends the function.
+FIXED_NAMES = tuple(f"accelerometer.misalignment_rad.{pair}" for pair in ("xy", "xz", "yz"))
+"""Zero in the lower gauge."""
+PARAMETER_NAMES = (*ACCELEROMETER_NAMES, *GYROSCOPE_NAMES)
+"""Of what ``lower_parameters`` returns, as covariances name them."""
+_STEP = 1e-6  # Of differences, relative to the size of a number; the function is smooth, and angles are small beside 1.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,14 +118,10 @@ def gauge_free(calibration: Calibration, mean_raw: FloatArray, sigma_raw: FloatA
         If the accelerometer's axes are left-handed or nearly in one plane.
     """
     names, C = calibration.covariance_names, calibration.covariance
-    values, J = _values(calibration), _jacobian(calibration)
+    values, J = si_values(calibration), _jacobian(calibration)
     sigma = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", J, C, J), 0.0))
     numbers = (*_accelerometer(calibration), *_gyroscope(calibration, values[_GYROSCOPE:], sigma[_GYROSCOPE:]))
-    known = C
-    if GRAVITY_NAME in names and C[names.index(GRAVITY_NAME), names.index(GRAVITY_NAME)] > 0:
-        of_gravity = C[names.index(GRAVITY_NAME)]
-        known = C - np.outer(of_gravity, of_gravity) / of_gravity[names.index(GRAVITY_NAME)]
-    error = J @ known @ J.T
+    error = J @ without_gravity(names, C) @ J.T
     scatter = error.copy()
     fitted = _fit_covariance(calibration, mean_raw, sigma_raw)
     if fitted is not None:
@@ -123,7 +133,7 @@ def gauge_free(calibration: Calibration, mean_raw: FloatArray, sigma_raw: FloatA
         ratio = np.diag(error)[:_GYROSCOPE] / np.maximum(np.diag(fitted), _TINY)
         size = np.sqrt(np.where(ratio < _LEAST_RATIO, ratio, 1.0))
         scatter[:_GYROSCOPE, :_GYROSCOPE] = fitted * np.outer(size, size)
-    places = [_NAMES.index(number.name) for number in numbers]
+    places = [NAMES.index(number.name) for number in numbers]
     stated = np.sqrt([max(number.sigma**2 - number.common**2, 0.0) for number in numbers])
     own = np.sqrt(np.maximum(np.diag(error)[places], 0.0))
     # From SI to the unit of each number: its stated sigma over that of its error.
@@ -170,7 +180,7 @@ def _fit_covariance(calibration: Calibration, mean_raw: FloatArray, sigma_raw: F
     A = jacobian / np.sqrt(variance)[:, None]
     own, J = intrinsic(vector, used.quadratic_axes)
     K = own[:3]
-    # Bias and quadratic term over the scale, as in ``_values``.
+    # Bias and quadratic term over the scale, as in ``si_values``.
     over = [*range(3, 6), *range(9, 12)]
     J[over] = (J[over] - own[over, None] * np.tile(J[:3] / K[:, None], (2, 1))) / np.tile(K, 2)[:, None]
     J = J @ problem.basis
@@ -195,7 +205,7 @@ def _gyroscope(calibration: Calibration, values: FloatArray, sigma: FloatArray) 
     gyroscope = calibration.gyroscope
     if gyroscope is None or not np.isfinite(gyroscope.parameters.scale).all():
         return
-    # In the order of _NAMES. What is not in the covariance was not estimated.
+    # In the order of NAMES. What is not in the covariance was not estimated.
     keys = (("bias", AXES), ("scale", AXES), ("misalignment_rad", _MISALIGNMENTS), ("g_sensitivity", _SENSITIVITIES))
     own = [f"gyroscope.{key}.{place}" in calibration.covariance_names for key, places in keys for place in places]
     sigma = np.where(own, sigma, np.nan)
@@ -214,7 +224,7 @@ def _gyroscope(calibration: Calibration, values: FloatArray, sigma: FloatArray) 
 def _numbers(
     what: str, unit: str, values: FloatArray, sigmas: FloatArray, *, freedom: float, common: FloatArray | None = None
 ) -> Iterator[Number]:
-    names = [name for name in _NAMES if name.rpartition(" ")[0] == what]
+    names = [name for name in NAMES if name.rpartition(" ")[0] == what]
     shared = np.zeros(len(values)) if common is None else common
     for name, value, sigma, part in zip(names, values, sigmas, shared, strict=True):
         # Sigma 0 is fixed by the gauge, NaN was not estimated: neither can have changed.
@@ -233,16 +243,16 @@ def _numbers(
 def _jacobian(calibration: Calibration) -> FloatArray:
     """Return d values / d parameters of the covariance, by central differences."""
     names, C = calibration.covariance_names, calibration.covariance
-    J = np.zeros((len(_values(calibration)), len(names)))
+    J = np.zeros((len(si_values(calibration)), len(names)))
     for column, size in enumerate(_STEP_SIGMA * np.sqrt(np.maximum(np.diag(C), 0.0))):
         if size > 0:
-            ends = [_values(calibration, names[column], sign * size) for sign in (1.0, -1.0)]
+            ends = [si_values(calibration, names[column], sign * size) for sign in (1.0, -1.0)]
             J[:, column] = (ends[0] - ends[1]) / (2 * size)
     return J
 
 
-def _values(calibration: Calibration, name: str = "", offset: float = 0.0) -> FloatArray:
-    """Return the values of ``_NAMES`` in SI with one parameter changed, those of the accelerometer alone without a gyroscope.
+def si_values(calibration: Calibration, name: str = "", offset: float = 0.0) -> FloatArray:
+    """Return the values of ``NAMES`` in SI with one parameter changed, those of the accelerometer alone without a gyroscope.
 
     The quadratic term and the bias of the accelerometer are divided by its scale, those of the gyroscope by its own.
     """
@@ -264,3 +274,29 @@ def _values(calibration: Calibration, name: str = "", offset: float = 0.0) -> Fl
     K, off_diagonal = turned.scale, ~np.eye(3, dtype=np.bool_)
     sensitivity = (turned.g_sensitivity / K[:, None]).ravel()
     return np.concatenate([own, turned.bias / K, K, turned.misalignment_rad[off_diagonal], sensitivity])
+
+
+def lower_parameters(values: FloatArray) -> FloatArray:
+    """Return the parameters of gauge-free numbers in SI, ``si_values``, shape (12,) -> (15,) or (33,) -> (36,)."""
+    scale, bias, angle, quadratic = values[:_GYROSCOPE].reshape(4, 3)
+    xy, xz, yz = -np.sin(angle)
+    u = np.array([[1.0, 0.0, 0.0], [xy, np.sqrt(1 - xy**2), 0.0], [xz, 0.0, 0.0]])
+    u[2, 1] = (yz - xz * xy) / u[1, 1]
+    u[2, 2] = np.sqrt(1 - u[2, 0] ** 2 - u[2, 1] ** 2)
+    d = np.diag(u)
+    T = u / d[:, None]
+    accelerometer = np.concatenate([scale * d, bias / d, T[~np.eye(3, dtype=np.bool_)], quadratic * scale * d**2])
+    if len(values) == _GYROSCOPE:
+        return accelerometer
+    bias, K, misalignment, sensitivity = np.split(values[_GYROSCOPE:], (3, 6, 12))
+    return np.concatenate([accelerometer, K, misalignment, bias * K, sensitivity * np.repeat(K, 3)])
+
+
+def lower_jacobian(values: FloatArray) -> FloatArray:
+    """Return d ``lower_parameters`` / d values."""
+    columns = []
+    for k, value in enumerate(values):
+        step = np.zeros_like(values)
+        step[k] = _STEP * max(abs(float(value)), 1.0)
+        columns.append((lower_parameters(values + step) - lower_parameters(values - step)) / (2 * step[k]))
+    return np.stack(columns, axis=1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import NamedTuple
 
-from imufield.deliver.parameters.document import FORMAT, VERSION
+from imufield.deliver.parameters.document import FORMAT, VERSION, VERSION_WITHOUT_TEMPERATURE
 from imufield.deliver.parameters.schema import Document, first_fault, shown
 from imufield.deliver.parameters.versions import CONVERTERS, to_current
 from imufield.deliver.parameters.write import EDITED, content_sha256
@@ -18,7 +18,7 @@ sentence = Sentences(__package__)
 
 
 class VersionedDocument(NamedTuple):
-    """A document of the current version, and the version the file is of."""
+    """A document of a version that is still written, and the version the file is of."""
 
     document: Document
     version: int
@@ -45,7 +45,7 @@ def parse_document(text: str, where: str = "parameter file") -> VersionedDocumen
     """Return the content of a parameter file's text; ``where`` names it in errors, which are those of ``read_document``."""
     document: Document = parse_toml(text, where, ParameterFileError)
     version = _trusted_version(document, where)
-    if version != VERSION:
+    if version < VERSION_WITHOUT_TEMPERATURE:
         try:
             document = to_current(document, version)
         except ParameterFileError as error:

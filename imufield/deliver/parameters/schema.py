@@ -84,7 +84,7 @@ def _faults(value: object, rule: Document, key: str, definitions: Document) -> I
     elif isinstance(value, list):
         fewest, most = rule.get("minItems", 0), rule.get("maxItems", math.inf)
         if not fewest <= len(value) <= most:
-            yield _fault(key, "schema.entries", found=len(value), wanted=fewest)
+            yield _fault(key, "schema.entries", found=len(value), wanted=fewest if len(value) < fewest else most)
         for index, item in enumerate(value):
             yield from _faults(item, rule["items"], f"{key}[{index}]", definitions)
 

@@ -2,8 +2,8 @@
 
 A file is checked against the hash of what was written first, then converted step by step in memory, then checked against the
 schema like any other; the file itself stays as it is. A version without a converter is refused, and so is a key that its
-version did not have. Whoever raises ``VERSION`` adds the step from the one before to ``CONVERTERS``, and a file of it to the
-tests.
+version did not have. Version 1 is version 2 without temperature and is still written: it is not converted. Whoever ends a
+version adds the step to the next to ``CONVERTERS``, and a file of it to the tests.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import copy
 import math
 from collections.abc import Callable
 
-from imufield.deliver.parameters.document import VERSION
+from imufield.deliver.parameters.document import VERSION_WITHOUT_TEMPERATURE
 from imufield.deliver.parameters.schema import Document
 from imufield.deliver.parameters.write import EDITED, content_sha256
 from imufield.errors import ParameterFileError, Reason
@@ -55,11 +55,11 @@ def _add(table: Document, keys: Document, above: str) -> None:
 
 
 CONVERTERS: dict[int, Callable[[Document], Document]] = {0: _from_0}
-"""From this version to the next."""
+"""From this version to the next, up to the one that is still written."""
 
 
 def to_current(document: Document, version: int) -> Document:
-    """Return a document of an older version as one of ``VERSION``; the one given is left alone.
+    """Return a document of an older version as one that is still written; the one given is left alone.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def to_current(document: Document, version: int) -> Document:
     """
     # What the caller holds stays what the file said.
     converted = copy.deepcopy(document)
-    for step in range(version, VERSION):
+    for step in range(version, VERSION_WITHOUT_TEMPERATURE):
         converted = {**CONVERTERS[step](converted), "version": step + 1}
     if converted["integrity"]["sha256"] != EDITED:
         converted["integrity"] = {"sha256": content_sha256(converted)}

@@ -21,7 +21,7 @@ from imufield.deliver.parameters.schema import Document
 from imufield.earth import EARTH_RATE_RAD_S
 from imufield.errors import CalibrationError
 from imufield.progress import one_by_one
-from imufield.samples import FloatArray, Samples, SampleUnits
+from imufield.samples import FloatArray, Samples, SampleUnits, TemperatureHold
 
 CELL_S = 0.5
 """Of the stillness trace: short against a hold, long against the interval between samples."""
@@ -82,11 +82,14 @@ class TraceCollector:
 
     def __init__(self, parameters: Parameters) -> None:
         self._parameters = parameters
+        self._temperature = TemperatureHold()
         self._means: IntervalMeans | None = None
         self._centre = np.zeros(6)
 
     def feed(self, samples: Samples) -> None:
         """Take the next block."""
+        # Before any is left out: its temperature may be the last one known.
+        samples = self._temperature.fill(samples)
         # One sample that is not finite would make a whole cell NaN.
         kept = samples[samples.usable & np.isfinite(samples.accelerometer).all(axis=1)]
         if not len(kept):

@@ -20,6 +20,7 @@ from imufield.deliver.report.data import ReportData
 from imufield.deliver.report.gain import gain
 from imufield.deliver.report.positions import directions, position_cards
 from imufield.deliver.report.rows import VERDICT_WORDS, Row, parameter_rows
+from imufield.deliver.report.together import HEADINGS, session_rows, together_rows
 from imufield.deliver.verification.result import duration_words
 from imufield.drawing.style import missing_package, plot_style
 from imufield.earth import MICRO_G_M_S2, height_words
@@ -138,6 +139,9 @@ def _facts(data: ReportData) -> Document:
         "gyroscope_path": "not calibrated" if calibration.gyroscope is None else calibration.gyroscope.path,
         "gauge": calibration.gauge,
         "equation": calibration.equation,
+        "together": [*together_rows(parameters)],
+        "together_headings": HEADINGS,
+        "sessions": [*session_rows(parameters)],
         "checks": list(_checks(verification)),
         "requirements": _requirements(verification),
         "objections": verification.get("objections", []),

@@ -19,7 +19,6 @@ from rich.text import Text
 
 from imufield.calibrate.model.result import Calibration
 from imufield.console import PlainTextConsole
-from imufield.deliver.parameters.document import VERSION
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.numbers import (
     ARC_MINUTE_RAD,
@@ -226,7 +225,7 @@ def _verdict(parameters: Parameters) -> RenderableType:
     line.append(f", {VERDICT_WORDS[quality.verdict]}", style="not bold")
     if parameters.edited:
         line.append(f" {sentence('summary.edited')}", style="bold yellow")
-    if parameters.version != VERSION:
+    if parameters.is_converted:
         line.append(f" {sentence('summary.converted', version=parameters.version)}", style="bold yellow")
     if quality.gyroscope_verdict:
         words = {"accelerometer": quality.accelerometer_verdict, "gyroscope": quality.gyroscope_verdict}

@@ -6,12 +6,56 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.samples.export_data import export_csv
-from imufield.samples import Samples, SampleUnits
+from imufield.samples import Samples, SampleUnits, Status, TemperatureHold
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 
-def apply_session(parameters: Parameters, blocks: Iterable[Samples], path: str | Path, *, serial_number: str = "") -> int:
+class TemperatureFlags:
+    """Flags samples whose temperature the calibration does not cover, and counts them.
+
+    Parameters
+    ----------
+    parameters : Parameters
+    """
+
+    def __init__(self, parameters: Parameters) -> None:
+        self._parameters = parameters
+        self._outside = self._unknown = 0
+
+    def flag(self, block: Samples) -> Samples:
+        """Return a block, its temperatures filled in, with its flags."""
+        flags = self._parameters.temperature_status(block)
+        self._outside += int(np.count_nonzero(flags & np.uint32(Status.TEMPERATURE_OUTSIDE)))
+        self._unknown += int(np.count_nonzero(flags & np.uint32(Status.TEMPERATURE_UNKNOWN)))
+        return replace(block, status=block.status | flags)
+
+    def notes(self) -> tuple[str, ...]:
+        """Return a sentence for each flag that was set."""
+        models, said = self._parameters.temperature_models, []
+        if self._outside:
+            low, high = max(model.range_degc[0] for model in models), min(model.range_degc[1] for model in models)
+            flag = Status.TEMPERATURE_OUTSIDE.value
+            said.append(sentence("apply_session.outside", samples=self._outside, low=low, high=high, flag=flag))
+        if self._unknown:
+            values = {"reference": models[0].reference_degc, "flag": Status.TEMPERATURE_UNKNOWN.value}
+            said.append(sentence("apply_session.unknown", samples=self._unknown, **values))
+        return tuple(said)
+
+
+def apply_session(
+    parameters: Parameters,
+    blocks: Iterable[Samples],
+    path: str | Path,
+    *,
+    serial_number: str = "",
+    flags: TemperatureFlags | None = None,
+) -> int:
     """Correct blocks of samples and write them as CSV, in m/s^2 and rad/s; the file takes its name when it is complete.
 
     Columns are those of ``export-data``: time, corrected specific force and angular rate, temperature, counter, status; empty
@@ -26,6 +70,8 @@ def apply_session(parameters: Parameters, blocks: Iterable[Samples], path: str |
         Replaced if it exists.
     serial_number : str
         Of the instrument that was recorded; empty where not known.
+    flags : TemperatureFlags, optional
+        Counts the samples whose temperature the calibration does not cover; they are flagged all the same.
 
     Returns
     -------
@@ -41,11 +87,13 @@ def apply_session(parameters: Parameters, blocks: Iterable[Samples], path: str |
     """
     # Before the first block: the file must not begin with numbers of another instrument.
     parameters.check_instrument(serial_number)
-    return export_csv(corrected_blocks(parameters, blocks), path)
+    return export_csv(corrected_blocks(parameters, blocks, flags or TemperatureFlags(parameters)), path)
 
 
-def corrected_blocks(parameters: Parameters, blocks: Iterable[Samples]) -> Iterator[Samples]:
-    """Yield blocks in SI for raw blocks; raises as ``Parameters.apply``."""
+def corrected_blocks(parameters: Parameters, blocks: Iterable[Samples], flags: TemperatureFlags) -> Iterator[Samples]:
+    """Yield blocks in SI, with the temperatures that were recorded, for raw blocks; raises as ``Parameters.apply``."""
+    temperature = TemperatureHold()
     for block in blocks:
-        _, force, rate = parameters.apply(block)
-        yield replace(block, accelerometer=force, gyroscope=rate, units=SampleUnits())
+        filled = flags.flag(temperature.fill(block))
+        _, force, rate = parameters.apply(filled)
+        yield replace(block, accelerometer=force, gyroscope=rate, status=filled.status, units=SampleUnits())

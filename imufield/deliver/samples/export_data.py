@@ -18,7 +18,7 @@ from imufield.deliver.samples.export_ros2 import write_ros2
 from imufield.deliver.samples.export_tables import write_hdf5, write_parquet
 from imufield.deliver.samples.overview import overview
 from imufield.errors import RecordingError
-from imufield.files import make_beside, typed_write_errors
+from imufield.files import make_beside, typed_write_errors, usual_mode
 from imufield.samples import NO_COUNTER, SAMPLE_COLUMNS, FloatArray, Samples, concatenate
 
 _ROWS_AT_ONCE = 8192  # Text made at a time: about 1 MB, however large the blocks are.
@@ -69,10 +69,7 @@ def export_samples(blocks: Iterable[Samples], path: str | Path, to: str = "csv",
         os.close(descriptor)
         try:
             rows = FORMATS[to].write(in_large_blocks(blocks), Path(name), facts or {})
-            # mkstemp makes a file for its owner alone; the umask can only be read by setting it.
-            mask = os.umask(0)
-            os.umask(mask)
-            Path(name).chmod(0o666 & ~mask)
+            Path(name).chmod(usual_mode(path))
             # The last step: whoever watches the folder never sees half a file.
             Path(name).replace(path)
         finally:

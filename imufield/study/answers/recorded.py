@@ -263,4 +263,4 @@ offsets = Study(
     holds=HOLDS + 1,
     peak=PEAK_DEG_S,
 )
-wrong_clock = Study(Table(label="clock", campaign="answers-clock", rows=_TIMED, runs=(100, 2), statistics=_COUNTED))
+wrong_clock = Study(Table(label="clock", campaign="answers-clock", rows=_TIMED, runs=(100, 1), statistics=_COUNTED))

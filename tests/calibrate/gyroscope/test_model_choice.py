@@ -43,6 +43,11 @@ def plain() -> Session:
 
 
 @pytest.fixture(scope="module")
+def analogue() -> Session:
+    return simulate(3, grade="industrial", settings=ANALOGUE)
+
+
+@pytest.fixture(scope="module")
 def result(plain: Session) -> GyroscopeResult:
     return calibrate_gyroscope(plain.given)
 
@@ -56,13 +61,12 @@ def result(plain: Session) -> GyroscopeResult:
     ids=["asymmetry", "nonlinearity"],
 )
 def test_the_columns_are_what_the_effects_do_to_the_residuals(
-    result: GyroscopeResult, effects: Effects, kind: slice, size: tuple[float, float, float]
+    result: GyroscopeResult, analogue: Session, effects: Effects, kind: slice, size: tuple[float, float, float]
 ) -> None:
     """The same session of one instrument with and without the effect, of the same noise: by simulation, not by derivation."""
     fit = solution_of(result).chosen.fit
-    without, with_effect = (
-        make_data(simulate(3, grade="industrial", settings=ANALOGUE, effects=each).given) for each in (Effects(), effects)
-    )
+    changed = simulate(3, grade="industrial", settings=ANALOGUE, effects=effects)
+    without, with_effect = make_data(analogue.given), make_data(changed.given)
     before = evaluate(fit.p, without)
     range_rad_s, C, _ = _rate_columns(without, replace(fit, evaluation=before))
     relative = np.array(size) * (1 if kind.start == 0 else range_rad_s**2)

@@ -144,8 +144,10 @@ def test_a_full_disk_leaves_the_old_file(
 
     before = file.read_bytes()
     monkeypatch.setattr("os.fsync", no_space)
+    # What stands there already would not be written.
+    other = replace(calibration, accelerometer=replace(calibration.accelerometer, scale=calibration.accelerometer.scale * 1.1))
     with refused(ParameterFileError, Reason.DISK_FULL, "parameters.toml") as caught:
-        write_parameters(file, calibration, observations, context)
+        write_parameters(file, other, observations, context)
     assert caught.value.values["errno"] == 28
     assert caught.value.reason is Reason.DISK_FULL
     assert {path.name: path.read_bytes() for path in file.parent.iterdir()} == {"parameters.toml": before}
@@ -286,7 +288,7 @@ def edit(file: Path, old: str, new: str) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "reason", "key", "facts"),
     [
-        ("version = 1", "version = 2", Reason.NEWER, "read.newer", ["version 2"]),
+        ("version = 1", "version = 3", Reason.NEWER, "read.newer", ["version 3"]),
         ("version = 1", "version = true", Reason.DAMAGED, "read.version", ["True"]),
         ("version = 1", "version = -1", Reason.DAMAGED, "read.version", ["-1"]),
         ("version = 1", "version = 0", Reason.UNKNOWN_KEY, "versions.unknown", ["accelerometer.raw_zero", "version 0"]),

@@ -57,7 +57,7 @@ def places(value: Any, way: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
 WRONG = [None, True, -1, 1, 0.0, -1e300, 1e9, float("inf"), "", "good", [], [1.0, 2.0, 3.0], {}, {"scale": 1}]
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(choice=st.integers(0, 10**6), wrong=st.sampled_from(WRONG), how=st.sampled_from(["set", "delete", "add"]))
 def test_agrees_with_a_full_validator_on_damage(document: dict[str, Any], choice: int, wrong: Any, how: str) -> None:
     damaged = copy.deepcopy(document)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from imufield.cli.run import run
-from imufield.deliver.parameters.document import VERSION
+from imufield.deliver.parameters.document import VERSION, VERSION_WITHOUT_TEMPERATURE
 from imufield.deliver.parameters.file import json_ready, load, parameter_schema
 from imufield.deliver.parameters.versions import CONVERTERS, to_current
 from imufield.deliver.parameters.write import content_sha256
@@ -30,13 +30,14 @@ def rewritten(path: Path, old: str, new: str) -> Path:
     return path
 
 
-def test_there_is_a_step_from_every_older_version() -> None:
-    assert sorted(CONVERTERS) == list(range(VERSION))
+def test_there_is_a_step_from_every_version_that_is_no_longer_written() -> None:
+    assert sorted(CONVERTERS) == list(range(VERSION_WITHOUT_TEMPERATURE))
 
 
 def test_an_old_file_corrects_as_its_own_numbers_say() -> None:
     loaded = load(OLD)
     assert loaded.version == 0
+    assert loaded.is_converted
     stored = tomllib.loads(OLD.read_text(encoding="utf-8"))
     table, rate = stored["accelerometer"], stored["gyroscope"]
     raw = np.array([[0.3, -0.2, 9.7, 0.01, -0.02, 0.03]])
@@ -50,7 +51,7 @@ def test_an_old_file_corrects_as_its_own_numbers_say() -> None:
 def test_what_comes_out_is_a_whole_file_of_today() -> None:
     loaded = load(OLD)
     jsonschema.validate(json_ready(loaded.document), parameter_schema())
-    assert loaded.document["version"] == VERSION
+    assert loaded.document["version"] == VERSION_WITHOUT_TEMPERATURE
     assert loaded.document["integrity"]["sha256"] == content_sha256(loaded.document)
     assert not loaded.edited
     sigma = loaded.calibration.accelerometer_sigma

@@ -10,11 +10,12 @@ import pytest
 
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration
+from imufield.calibrate.model.temperature import Polynomials, TriadTemperature, unchanging
 from imufield.deliver.parameters.context import Context
 from imufield.deliver.parameters.file import Parameters, from_document, to_document
-from imufield.deliver.samples.apply_session import apply_session
+from imufield.deliver.samples.apply_session import TemperatureFlags, apply_session
 from imufield.errors import ParameterFileError, Reason
-from imufield.samples import Samples, SampleUnits, make_samples
+from imufield.samples import Samples, SampleUnits, Status, make_samples
 from tests.refused import refused
 
 ROWS = 1000
@@ -93,3 +94,32 @@ def test_memory_does_not_grow_with_the_recording(loaded: Parameters, tmp_path: P
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[1] < 1.2 * peaks[0]
+
+
+def test_samples_beyond_the_calibrated_temperatures_are_flagged_and_counted(loaded: Parameters, tmp_path: Path) -> None:
+    model = TriadTemperature(
+        reference_degc=20.0,
+        range_degc=(0.0, 40.0),
+        bias=Polynomials(np.full((1, 3), 1e-3), np.zeros((3, 1, 1))),
+        scale=unchanging(),
+        hysteresis=np.full(3, np.nan),
+        scale_separated=True,
+    )
+    warm = replace(loaded, calibration=replace(loaded.calibration, accelerometer_temperature=model))
+    at_degc = np.full(ROWS, np.nan)
+    at_degc[10], at_degc[500] = 30.0, 50.0
+    blocks = [replace(block(0), temperature_degc=at_degc), block(1)]
+    flags = TemperatureFlags(warm)
+    apply_session(warm, blocks, tmp_path / "corrected.csv", flags=flags)
+    table = np.genfromtxt(tmp_path / "corrected.csv", delimiter=",", names=True)
+    # What the second block lacks is held from the first.
+    expected = np.repeat([Status.TEMPERATURE_UNKNOWN, 0, Status.TEMPERATURE_OUTSIDE], [10, 490, 500 + ROWS])
+    np.testing.assert_array_equal(table["status"], expected)
+    np.testing.assert_array_equal(table["temperature_degc"], np.concatenate([at_degc, block(1).temperature_degc]))
+    reference = loaded.apply(block(0)).specific_force_m_s2[:, 0]
+    np.testing.assert_allclose(table["ax"][:10], reference[:10], rtol=1e-12)
+    assert np.all(np.abs(table["ax"][11:500] - reference[11:500] + 0.01) < 1e-4)
+    assert {sentence.key: sentence.values["samples"] for sentence in flags.notes()} == {  # type: ignore[attr-defined]
+        "apply_session.outside": 500 + ROWS,
+        "apply_session.unknown": 10,
+    }

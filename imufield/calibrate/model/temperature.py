@@ -1,0 +1,103 @@
+"""How bias and scale of a triad go with its temperature.
+
+With d degrees C above the reference, the temperature at which the other parameters hold, the raw output is
+
+    N(d) - raw_zero = (1 + k(d)) (N(0) - raw_zero + K B(d))
+
+``N(0)`` is what the same motion gives at the reference, ``B`` the change of the bias (m/s^2, rad/s), ``k`` the relative one of
+the scale. Both are polynomials without a constant term, so that the parameters at the reference stay what they are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imufield.samples import FloatArray
+
+HIGHEST_ORDER = 5
+"""The bias of an ICM-42688 needs it (ArduPilot#27295); beyond, a polynomial swings between the temperatures measured."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Polynomials:
+    """p(d) = c_1 d + c_2 d^2 + ... of three axes, without a constant term."""
+
+    coefficients: FloatArray
+    """Shape (order, 3), row n - 1 in the unit of the quantity per degC^n."""
+    covariance: FloatArray
+    """Of the coefficients of each axis, shape (3, order, order)."""
+
+    @property
+    def order(self) -> int:
+        """The highest power of d; 0 where the quantity stays as it is."""
+        return len(self.coefficients)
+
+    def at(self, d_degc: FloatArray) -> FloatArray:
+        """Return the values for shape (n,) of degrees above the reference, shape (n, 3)."""
+        return powers(d_degc, self.order) @ self.coefficients
+
+    def sigma_at(self, d_degc: FloatArray) -> FloatArray:
+        """Return 1 sigma of ``at``, shape (n, 3)."""
+        V = powers(d_degc, self.order)
+        variance: FloatArray = np.einsum("np,apq,nq->na", V, self.covariance, V)
+        return np.sqrt(np.maximum(variance, 0.0))
+
+
+def powers(d_degc: FloatArray, order: int) -> FloatArray:
+    """Return d, d^2, ... of shape (n,), shape (n, order)."""
+    return np.asarray(np.asarray(d_degc, dtype=np.float64)[:, None] ** np.arange(1, order + 1))
+
+
+def unchanging() -> Polynomials:
+    """Return the polynomials of a quantity that stays as it is."""
+    return Polynomials(np.zeros((0, 3)), np.zeros((3, 0, 0)))
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class TriadTemperature:
+    """Bias and scale of a triad over temperature."""
+
+    reference_degc: float
+    range_degc: tuple[float, float]
+    """Measured, lowest and highest: outside, the values at its ends are taken."""
+    bias: Polynomials
+    """B, m/s^2 or rad/s."""
+    scale: Polynomials
+    """k, relative."""
+    hysteresis: FloatArray
+    """1 sigma of the bias by the way to a temperature: half the difference of the branches, shape (3,); NaN: not known."""
+    scale_separated: bool
+    """False where one pose alone was seen: the drift of the scale, times its specific force, is in the bias."""
+
+    def degrees_above(self, temperature_degc: FloatArray) -> FloatArray:
+        """Return d for temperatures of shape (n,): clamped into the range, and zero where the temperature is not known."""
+        clamped = np.clip(np.asarray(temperature_degc, dtype=np.float64), *self.range_degc)
+        return np.asarray(np.where(np.isnan(clamped), 0.0, clamped - self.reference_degc))
+
+    def is_outside(self, temperature_degc: FloatArray) -> NDArray[np.bool_]:
+        """Return where a temperature was clamped, shape (n,)."""
+        low, high = self.range_degc
+        return np.asarray((temperature_degc < low) | (temperature_degc > high))
+
+    def bias_sigma_at(self, temperature_degc: FloatArray) -> FloatArray:
+        """Return 1 sigma of the change of the bias from the reference, hysteresis included, shape (n, 3)."""
+        return np.hypot(self.bias.sigma_at(self.degrees_above(temperature_degc)), np.nan_to_num(self.hysteresis))
+
+    def to_reference(
+        self, raw: FloatArray, temperature_degc: FloatArray, *, scale: FloatArray, raw_zero: FloatArray | float = 0.0
+    ) -> FloatArray:
+        """Return N(0) for raw outputs N, both of shape (n, 3), at temperatures of shape (n,).
+
+        ``scale`` is K at the reference, shape (3,).
+        """
+        d_degc = self.degrees_above(temperature_degc)
+        unscaled = (raw - raw_zero) / (1 + self.scale.at(d_degc))
+        return np.asarray(unscaled + raw_zero - scale * self.bias.at(d_degc))
+
+    def change_at(self, temperature_degc: float) -> tuple[FloatArray, FloatArray]:
+        """Return 1 + k and B at a temperature, both of shape (3,)."""
+        d_degc = self.degrees_above(np.array([temperature_degc]))
+        return 1 + self.scale.at(d_degc)[0], self.bias.at(d_degc)[0]

@@ -1,0 +1,1 @@
+"""Bias and scale over temperature: from sessions at several temperatures and from ramps in one pose."""

@@ -1,0 +1,283 @@
+"""Polynomials of bias and scale through what sessions and ramps saw.
+
+For each axis, with d degrees above the reference, a session finds bias and scale themselves, up to constants that all sessions
+share; a ramp sees both in its output y, up to a constant of its own, as y = (1 + k) (omega + B). With q = k / (1 + k):
+
+    session   bias = beta + B(d),   scale / (1 + scale) = kappa + q(d)        ramp   y = omega + B(d) + y q(d)
+
+That is linear in the coefficients of B and q: one weighted least-squares fit. A ramp alone cannot tell ``B`` from ``y q``;
+sessions at two temperatures, or ramps in poses that differ, can. What q leaves beyond a polynomial k of its order is a few ppm.
+
+The orders are those of the lowest Bayesian information criterion [1]_, over the three axes together. The variances given count
+as lower bounds: the profile likelihood of one factor f >= 1 on all of them stands in the criterion, so that scatter beyond
+them asks for lower orders and luck in few points does not ask for higher ones.
+
+References
+----------
+.. [1] G. Schwarz, "Estimating the dimension of a model", Annals of Statistics 6 (1978) 461.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from imufield.calibrate.model.temperature import HIGHEST_ORDER, Polynomials, TriadTemperature, powers
+from imufield.earth import STANDARD_GRAVITY_M_S2
+from imufield.errors import CalibrationError, Reason
+from imufield.samples import FloatArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
+
+SAME_TEMPERATURE_DEGC = 0.5
+"""Temperatures nearer than this are one block: half a degree is what thermometers of instruments are good for."""
+WIDEST_GAP_DEGC = 5.0
+"""Between the reference and what was measured: beyond, what joins the two is a guess."""
+MOST_SCATTER = 4.0
+"""Factor on the sigmas given; days that differ as the sessions' own sigma make 2 of it."""
+_OTHER_POSE_M_S2 = 0.5 * STANDARD_GRAVITY_M_S2  # Along each axis: below, bias and scale share what the ramps see.
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class SessionPoints:
+    """What sessions at m temperatures found of a triad."""
+
+    temperature_degc: FloatArray
+    """Shape (m,)."""
+    bias: FloatArray
+    """m/s^2 or rad/s, shape (m, 3)."""
+    scale: FloatArray
+    """Relative to the scale at the reference, less 1, shape (m, 3); NaN where a session does not show it."""
+    covariance: FloatArray
+    """Of bias and scale of each axis, shape (m, 3, 2, 2)."""
+
+    def __len__(self) -> int:
+        return len(self.temperature_degc)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class RampBlocks:
+    """What a triad gave in one pose while its temperature changed, as means over n blocks of temperature."""
+
+    temperature_degc: FloatArray
+    """Shape (n,)."""
+    output: FloatArray
+    """Raw output over the scale at the reference, m/s^2 or rad/s, shape (n, 3)."""
+    sigma: FloatArray
+    """Of ``output``, shape (n, 3)."""
+    direction: FloatArray
+    """1 where the temperature rises, -1 where it falls, 0 where it stands, shape (n,)."""
+    specific_force_m_s2: FloatArray
+    """Along the sensing axes in this pose, shape (3,); zeros for a gyroscope."""
+
+    def __len__(self) -> int:
+        return len(self.temperature_degc)
+
+
+class _System(NamedTuple):
+    """Whitened equations of one axis: rows by unknowns, and what they must give."""
+
+    matrix: FloatArray
+    values: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class TemperatureFit:
+    """Bias and scale of a triad over temperature, and how they were found."""
+
+    temperature: TriadTemperature
+    blocks: int
+    """Distinct temperatures."""
+    factor: float
+    """By which the scatter about the polynomials is beyond the sigma given; 1 at least."""
+    gap_degc: float
+    """From the reference to the nearest temperature that was measured: there the polynomials only join the two."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Evidence:
+    """All that is known of a triad over temperature."""
+
+    reference_degc: float
+    points: SessionPoints | None = None
+    ramps: Sequence[RampBlocks] = ()
+
+    @property
+    def temperature_degc(self) -> FloatArray:
+        """Every temperature that there is."""
+        points = () if self.points is None else (self.points.temperature_degc,)
+        return np.concatenate([np.empty(0), *points, *(ramp.temperature_degc for ramp in self.ramps)])
+
+    def highest_orders(self) -> tuple[int, int]:
+        """Return the highest order of bias and of scale that these temperatures and poses can show."""
+        bias = min(HIGHEST_ORDER, distinct(self.temperature_degc) - 2)
+        scale = 0
+        if self.points is not None:
+            seen = distinct(self.points.temperature_degc[np.isfinite(self.points.scale).all(axis=1)])
+            # Where a ramp sees both, it checks what two sessions say of each.
+            scale = seen - 2 + self._ramps_feel
+        if len(self.ramps) > 1 and np.all(np.ptp([ramp.specific_force_m_s2 for ramp in self.ramps], axis=0) > _OTHER_POSE_M_S2):
+            scale = max(scale, bias)
+        return max(bias, 0), min(max(scale, 0), HIGHEST_ORDER)
+
+    @property
+    def separates_scale(self) -> bool:
+        """Whether no drift of the scale can pose as one of the bias: it does in ramps, by the specific force of their pose."""
+        return not self._ramps_feel or self.highest_orders()[1] > 0
+
+    @property
+    def _ramps_feel(self) -> bool:
+        """Whether ramps show the scale beside the bias: those of a gyroscope at rest do not."""
+        return any(np.any(ramp.specific_force_m_s2) for ramp in self.ramps)
+
+
+def distinct(temperature_degc: FloatArray) -> int:
+    """Return how many temperatures there are that differ."""
+    count, first_degc = 0, -math.inf
+    for value in sorted(temperature_degc[np.isfinite(temperature_degc)].tolist()):
+        if value - first_degc >= SAME_TEMPERATURE_DEGC:
+            count, first_degc = count + 1, value
+    return count
+
+
+def fit_temperature(evidence: Evidence) -> TemperatureFit:
+    """Return bias and scale of a triad over temperature, of the orders that the data ask for.
+
+    Raises
+    ------
+    CalibrationError
+        If there are fewer than three distinct temperatures: nothing would check a straight line.
+    """
+    temperature_degc = evidence.temperature_degc
+    blocks = distinct(temperature_degc)
+    most_bias, most_scale = evidence.highest_orders()
+    if most_bias == 0:
+        raise CalibrationError(sentence("fit.too_few", blocks=blocks, span=float(np.ptp(temperature_degc))), Reason.TOO_FEW)
+    return fit_orders(evidence, *_chosen_orders(evidence, most_bias, most_scale))
+
+
+def fit_warnings(found: TemperatureFit, triad: str) -> tuple[str, ...]:
+    """Return what keeps a fit from being good."""
+    told = []
+    if found.factor > MOST_SCATTER:
+        told.append(sentence("fit.scatter", triad=triad, factor=found.factor, limit=MOST_SCATTER))
+    if found.gap_degc > WIDEST_GAP_DEGC:
+        reference = found.temperature.reference_degc
+        told.append(sentence("fit.gap", triad=triad, gap=found.gap_degc, reference=reference, limit=WIDEST_GAP_DEGC))
+    return tuple(told)
+
+
+def _chosen_orders(evidence: Evidence, most_bias: int, most_scale: int) -> tuple[int, int]:
+    """Return the orders of bias and scale with the lowest information criterion."""
+    full = [_system(evidence, most_bias, most_scale, axis) for axis in range(3)]
+    rows = sum(len(system.values) for system in full)
+    criteria = {}
+    for bias in range(most_bias + 1):
+        for scale in range(most_scale + 1):
+            # Constants come last, and every model has them.
+            kept = np.r_[0:bias, most_bias : most_bias + scale, most_bias + most_scale : full[0].matrix.shape[1]]
+            misfit = sum(_misfit(_System(system.matrix[:, kept], system.values)) for system in full)
+            beyond = misfit if misfit <= rows else rows * (1 + math.log(misfit / rows))
+            criteria[bias, scale] = beyond + 3 * (bias + scale) * math.log(rows)
+    return min(criteria, key=lambda orders: criteria[orders])
+
+
+def _misfit(system: _System) -> float:
+    solution = np.linalg.lstsq(system.matrix, system.values, rcond=None)[0]
+    return float(np.sum((system.values - system.matrix @ solution) ** 2))
+
+
+def fit_orders(evidence: Evidence, bias: int, scale: int) -> TemperatureFit:
+    """Return the fit of polynomials of these orders."""
+    systems = [_system(evidence, bias, scale, axis) for axis in range(3)]
+    spare = sum(len(system.values) - system.matrix.shape[1] for system in systems)
+    factor = math.sqrt(max(1.0, sum(map(_misfit, systems)) / max(spare, 1)))
+    span = _span(evidence)
+    unit = np.concatenate([span ** -np.arange(1.0, order + 1) for order in (bias, scale)])
+    coefficients, covariances = np.zeros((bias + scale, 3)), np.zeros((3, bias + scale, bias + scale))
+    for axis, system in enumerate(systems):
+        inverse = np.linalg.pinv(system.matrix)[: bias + scale]
+        coefficients[:, axis] = inverse @ system.values * unit
+        covariances[axis] = factor**2 * inverse @ inverse.T * np.outer(unit, unit)
+    measured_degc = evidence.temperature_degc
+    range_degc = (
+        min(float(measured_degc.min()), evidence.reference_degc),
+        max(float(measured_degc.max()), evidence.reference_degc),
+    )
+    temperature = TriadTemperature(
+        reference_degc=evidence.reference_degc,
+        range_degc=range_degc,
+        bias=Polynomials(coefficients[:bias], covariances[:, :bias, :bias]),
+        scale=Polynomials(
+            _scale_of_share(coefficients[bias:], np.array(range_degc) - evidence.reference_degc), covariances[:, bias:, bias:]
+        ),
+        hysteresis=_hysteresis(evidence.ramps),
+        scale_separated=evidence.separates_scale,
+    )
+    gap_degc = float(np.abs(measured_degc - evidence.reference_degc).min())
+    return TemperatureFit(temperature=temperature, blocks=distinct(measured_degc), factor=factor, gap_degc=gap_degc)
+
+
+def _scale_of_share(coefficients: FloatArray, range_d_degc: FloatArray) -> FloatArray:
+    """Return the coefficients of k for those of q = k / (1 + k), of the same order."""
+    order = len(coefficients)
+    V = powers(np.linspace(range_d_degc[0], range_d_degc[1], 10 * HIGHEST_ORDER), order)
+    share = V @ coefficients
+    return np.asarray(np.linalg.lstsq(V, share / (1 - share), rcond=None)[0]) if order else coefficients
+
+
+def _span(evidence: Evidence) -> float:
+    """Return the largest distance from the reference, degC: powers of d over it are of one size."""
+    return float(np.abs(evidence.temperature_degc - evidence.reference_degc).max())
+
+
+def _system(evidence: Evidence, bias: int, scale: int, axis: int) -> _System:
+    """Return the equations of one axis; the unknowns are B and q in powers of d over the span, then the constants."""
+    points, ramps, span = evidence.points, evidence.ramps, _span(evidence)
+    constants = 2 * (points is not None) + len(ramps)
+    matrices, values = [], []
+    if points is not None:
+        d = (points.temperature_degc - evidence.reference_degc) / span
+        for row in range(len(points)):
+            pair = np.zeros((2, bias + scale + constants))
+            pair[0, :bias] = powers(d[row : row + 1], bias)
+            pair[1, bias : bias + scale] = powers(d[row : row + 1], scale)
+            pair[0, bias + scale] = pair[1, bias + scale + 1] = 1.0
+            scaled = points.scale[row, axis]
+            found = np.array([points.bias[row, axis], scaled / (1 + scaled)])
+            shown = np.isfinite(found)
+            white = np.linalg.inv(np.linalg.cholesky(points.covariance[row, axis][np.ix_(shown, shown)]))
+            matrices.append(white @ pair[shown])
+            values.append(white @ found[shown])
+    for number, ramp in enumerate(ramps):
+        d = (ramp.temperature_degc - evidence.reference_degc) / span
+        block = np.zeros((len(ramp), bias + scale + constants))
+        block[:, :bias] = powers(d, bias)
+        block[:, bias : bias + scale] = ramp.output[:, axis, None] * powers(d, scale)
+        block[:, constants + bias + scale - len(ramps) + number] = 1.0
+        matrices.append(block / ramp.sigma[:, axis, None])
+        values.append(ramp.output[:, axis] / ramp.sigma[:, axis])
+    return _System(np.vstack(matrices), np.concatenate(values))
+
+
+def _hysteresis(ramps: Sequence[RampBlocks]) -> FloatArray:
+    """Return half the difference between the branches, RMS over the temperatures that both have, shape (3,)."""
+    halves = []
+    for ramp in ramps:
+        rising, falling = ramp.direction > 0, ramp.direction < 0
+        if rising.sum() < 2 or falling.sum() < 2:
+            continue
+        up, down = (np.argsort(ramp.temperature_degc[branch]) for branch in (rising, falling))
+        x_up, x_down = ramp.temperature_degc[rising][up], ramp.temperature_degc[falling][down]
+        common = (x_up >= x_down[0]) & (x_up <= x_down[-1])
+        if not common.any():
+            continue
+        y_up, y_down = ramp.output[rising][up][common], ramp.output[falling][down]
+        y_there = np.column_stack([np.interp(x_up[common], x_down, column) for column in y_down.T])
+        halves.append((y_up - y_there) / 2)
+    return np.sqrt(np.mean(np.vstack(halves) ** 2, axis=0)) if halves else np.full(3, np.nan)

@@ -1,0 +1,59 @@
+"""What solved sessions at several temperatures say of bias and scale, relative to the calibration at the reference."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from imufield.calibrate.model.result import (
+    AccelerometerParameters,
+    Calibration,
+    GyroscopeCalibration,
+    GyroscopeParameters,
+)
+from imufield.calibrate.model.uncertainty import without_gravity
+from imufield.calibrate.temperature.fit import SessionPoints
+from imufield.samples import FloatArray
+
+_LEFT_OUT = 1.0  # Variance of a scale that a session does not show: any, as its row is left out.
+_Point = tuple[FloatArray, FloatArray, FloatArray]
+
+
+def accelerometer_points(
+    reference: AccelerometerParameters, sessions: Sequence[Calibration], temperature_degc: Sequence[float]
+) -> SessionPoints:
+    """Return bias and scale of sessions at temperatures, one each; all in the gauge of the reference."""
+    return _points([_accelerometer(reference, session) for session in sessions], temperature_degc)
+
+
+def gyroscope_points(
+    reference: GyroscopeParameters, sessions: Sequence[GyroscopeCalibration], temperature_degc: Sequence[float]
+) -> SessionPoints:
+    """Return bias as a rate and scale of sessions at temperatures, one each; all in the frame of the reference."""
+    return _points([_gyroscope(reference, session) for session in sessions], temperature_degc)
+
+
+def _points(points: Sequence[_Point], temperature_degc: Sequence[float]) -> SessionPoints:
+    bias, scale, covariance = (np.array(values) for values in zip(*points, strict=True))
+    return SessionPoints(temperature_degc=np.array(temperature_degc), bias=bias, scale=scale, covariance=covariance)
+
+
+def _accelerometer(reference: AccelerometerParameters, session: Calibration) -> _Point:
+    unit = np.stack([np.ones(3), 1 / reference.scale], axis=1)
+    rows = [[session.covariance_names.index(f"accelerometer.{key}.{axis}") for key in ("bias_m_s2", "scale")] for axis in "xyz"]
+    # The error of gravity is that of the place, and no change from one temperature to another.
+    known = without_gravity(session.covariance_names, session.covariance)
+    covariance = np.array([known[np.ix_(row, row)] for row in rows]) * unit[:, :, None] * unit[:, None, :]
+    return session.accelerometer.bias_m_s2, session.accelerometer.scale / reference.scale - 1, covariance
+
+
+def _gyroscope(reference: GyroscopeParameters, session: GyroscopeCalibration) -> _Point:
+    K, found, sigma = reference.scale, session.parameters, session.sigma
+    is_shown = np.isfinite(sigma.scale)
+    scale = np.where(is_shown, found.scale / K - 1, np.nan)
+    covariance = np.zeros((3, 2, 2))
+    covariance[:, 0, 0] = (sigma.bias / K) ** 2
+    covariance[:, 1, 1] = np.where(is_shown, (sigma.scale / K) ** 2, _LEFT_OUT)
+    # The bias as an output has grown with the scale; B has not.
+    return found.bias / np.where(is_shown, 1 + scale, 1.0) / K, scale, covariance

@@ -1,0 +1,81 @@
+"""``imufield solve --together``: sessions of one instrument in, the parameters of a new day and the repeatability out."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+from rich.table import Table
+
+from imufield.acquire.recording.session import Session
+from imufield.commands.options.results import SolveOptions
+from imufield.commands.terminal.output import echo, say, say_each, tell_written
+from imufield.console import PlainTextConsole
+from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, json_ready, write_document
+from imufield.deliver.parameters.numbers import WIDTH, to_ascii
+from imufield.deliver.report.together import HEADINGS, together_rows
+from imufield.errors import UsageError
+from imufield.files import DEFAULT_ROOT, refuse_overwriting
+from imufield.pipeline.together import sessions_of, solve_together
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
+
+
+def run_solve_together(options: SolveOptions) -> int:
+    """Solve sessions together, write one parameter file, and print what changes from day to day; return the exit code.
+
+    Raises
+    ------
+    UsageError
+        If it is not said which sessions, or an option belongs to single ones.
+    ImufieldError
+        If a session cannot be solved, or they cannot be joined.
+    """
+    sessions = _sessions(options)
+    path = options.output or Path(PARAMETER_FILE)
+    parts = [part for session in sessions for part in session.parts]
+    refuse_overwriting(path, parts, advice=sentence("solve.elsewhere"))
+    parameters = solve_together(sessions, options.settings(), options.site)
+    kept = write_document(path, parameters.document, advice=sentence("solve.elsewhere"))
+    if options.as_json:
+        echo(json.dumps(json_ready(parameters.document)))
+    else:
+        _print(parameters)
+    tell_written(path, kept, as_json=options.as_json)
+    return 0
+
+
+def _sessions(options: SolveOptions) -> list[Session]:
+    folders, serial_number = options.sessions or [], options.serial_number
+    if not options.together:
+        raise UsageError(sentence("solve_together.serial_alone", serial_number=serial_number))
+    refused = {"--observations": options.observations is not None, "--scheduler": options.scheduler is not None}
+    for option, is_given in refused.items():
+        if is_given:
+            raise UsageError(sentence("solve_together.option", option=option))
+    if serial_number is not None:
+        if folders:
+            raise UsageError(sentence("solve_together.both", serial_number=serial_number))
+        return sessions_of(serial_number, DEFAULT_ROOT)
+    if not folders:
+        raise UsageError(sentence("solve_together.none"))
+    # A folder that is named twice is one session.
+    return [Session.open(folder) for folder in dict.fromkeys(folder.resolve() for folder in folders)]
+
+
+def _print(parameters: Parameters) -> None:
+    """Print a row for each kind of parameter that changes, and the verdict."""
+    quality, instrument = parameters.calibration.quality, parameters.context.instrument
+    console = PlainTextConsole(width=None if sys.stdout.isatty() else WIDTH)
+    who = " ".join(filter(None, (instrument.model or instrument.driver, instrument.serial_number)))
+    say(f"{who}: {quality.reasons[0]}")
+    table = Table(box=None, pad_edge=False)
+    for k, heading in enumerate(HEADINGS):
+        table.add_column(heading, justify="left" if k < 2 else "right", no_wrap=True)
+    for row in together_rows(parameters):
+        table.add_row(*(to_ascii(cell) if console.options.ascii_only else cell for cell in row))
+    console.print(table)
+    say(f"Verdict: {quality.verdict.upper()}")
+    say_each((*quality.warnings, *quality.details), indent=4, begin="  - ")

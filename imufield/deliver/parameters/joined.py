@@ -1,0 +1,369 @@
+"""Between parameter files and the joint adjustment of sessions: their numbers in, one file's parameters out.
+
+Scales go in as their deviation from those of one session, ppm. What a session's model leaves out is in all of them alike: it is
+no part of what another session draws anew, so it stays out of the adjustment and is added to its result.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imufield.calibrate.accelerometer.quality import USABLE_BIAS_SIGMA_M_S2
+from imufield.calibrate.model.gauge import intrinsic, make_intrinsic
+from imufield.calibrate.model.grades import Grade
+from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS, PARAMETERS, from_vector
+from imufield.calibrate.model.observations import Observations
+from imufield.calibrate.model.result import (
+    GRAVITY_NAME,
+    Calibration,
+    GyroscopeCalibration,
+    GyroscopeParameters,
+    PositionResult,
+    Quality,
+    SolverSummary,
+)
+from imufield.calibrate.model.uncertainty import NORMAL_FACTOR_95, rms
+from imufield.calibrate.sessions.joint import Joint, SessionNumbers, kind_of
+from imufield.deliver.parameters.context import Context, DayToDay, JoinedSession, SessionFacts, Together, now_text
+from imufield.deliver.parameters.file import Parameters, from_document, to_document
+from imufield.deliver.parameters.gauge_free import (
+    FIXED_NAMES,
+    NAMES,
+    PARAMETER_NAMES,
+    GaugeFree,
+    lower_jacobian,
+    lower_parameters,
+    si_values,
+)
+from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S
+from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2, STANDARD_GRAVITY_M_S2
+from imufield.samples import AXES, FloatArray, SampleUnits
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
+
+_PPM = 1e-6
+# Of a kind of numbers in the adjustment: its unit for people and that unit in SI (of scales relative).
+_UNITS = {
+    "bias": ("mg", MILLI_G_M_S2),
+    "scale": ("ppm", _PPM),
+    "angle": ("mrad", 1e-3),
+    "quadratic": ("ug/g^2", MICRO_G_M_S2 / STANDARD_GRAVITY_M_S2**2),
+    "gyroscope bias": ("deg/h", DEG_PER_HOUR_RAD_S),
+    "gyroscope scale": ("ppm", _PPM),
+    "gyroscope misalignment": ("mrad", 1e-3),
+    "g-sensitivity": ("deg/h/g", DEG_PER_HOUR_RAD_S / STANDARD_GRAVITY_M_S2),
+}
+_KEYS = {
+    "bias": "accelerometer.bias_m_s2",
+    "scale": "accelerometer.scale",
+    "gyroscope bias": "gyroscope.bias_rad_s",
+    "gyroscope scale": "gyroscope.scale",
+}
+_SCALES = ("scale", "gyroscope scale")
+# Each session's own file has its positions.
+_NO_POSITIONS = PositionResult(
+    residual_m_s2=np.zeros(0),
+    leave_one_out_m_s2=np.zeros(0),
+    leverage=np.zeros(0),
+    used=np.zeros(0, dtype=np.bool_),
+    bias_drift_m_s2=np.zeros((0, 3)),
+)
+_RANKS = ("good", "usable", "poor")
+
+
+@dataclass(frozen=True, slots=True)
+class Gathered:
+    """What a session gives to the adjustment."""
+
+    own: SessionNumbers
+    shared: Mapping[tuple[str, str], float]
+    """By two names, covariance of the errors that it shares with the other sessions."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JoinedFrom:
+    """What is joined."""
+
+    parameters: Sequence[Parameters]
+    """Of each session, in order of time."""
+    base: int
+    """Whose gravity, units and unfitted terms stand in the result."""
+    shared: Sequence[Mapping[tuple[str, str], float]]
+    prior_grade: str
+    sha256: str
+    """Over those of all sessions."""
+
+
+def prior_scales(grade: Grade) -> dict[str, float]:
+    """Return what each kind typically changes by from day to day at most, in its unit."""
+    accelerometer, gyroscope = grade.accelerometer, grade.gyroscope
+    return {
+        "bias": accelerometer.turn_on / MILLI_G_M_S2,
+        # What a maker leaves in a scale: no instrument changes by more.
+        "scale": accelerometer.scale_ppm,
+        "gyroscope bias": gyroscope.turn_on / DEG_PER_HOUR_RAD_S,
+        "gyroscope scale": gyroscope.scale_ppm,
+    }
+
+
+def shown_unit(kind: str) -> tuple[str, float]:
+    """Return the unit for people of a ``DayToDay.kind``, and its size in the unit of the file."""
+    return _UNITS[next(name for name, key in _KEYS.items() if key == kind)]
+
+
+def shown_name(kind: str) -> str:
+    """Return the words for a ``DayToDay.kind``: "gyroscope bias"."""
+    return next(name for name, key in _KEYS.items() if key == kind)
+
+
+def unit_of(name: str) -> str:
+    """Return the unit of a number of the adjustment."""
+    return _UNITS[kind_of(name)][0]
+
+
+def numbers_of(calibration: Calibration, found: GaugeFree, reference: GaugeFree) -> Gathered:
+    """Return the numbers of a session for the adjustment, scales against those of a reference."""
+    before = {number.name: number.value for number in reference.numbers}
+    # A quadratic term that was not fitted is zero with a sigma, and nothing that the session says.
+    rows = [k for k, number in enumerate(found.numbers) if calibration.quadratic_fitted or kind_of(number.name) != "quadratic"]
+    numbers = [found.numbers[k] for k in rows]
+    names = tuple(number.name for number in numbers)
+    sizes, offsets = np.ones(len(numbers)), np.zeros(len(numbers))
+    for k, number in enumerate(numbers):
+        if kind_of(number.name) in _SCALES:
+            sizes[k], offsets[k] = 1 / (_PPM * before.get(number.name, number.value)), 1 / _PPM
+    values = np.array([number.value for number in numbers]) * sizes - offsets
+    units = np.outer(sizes, sizes)
+    error, scatter = (part[np.ix_(rows, rows)] * units for part in (found.error, found.scatter))
+    # The two triads have parts of their own only as wholes: what they have in common is not told apart from what is drawn anew.
+    gyroscope = np.array([name.startswith(("gyroscope", "g-")) for name in names])
+    scatter[gyroscope[:, None] != gyroscope] = 0.0
+    shared = np.where(gyroscope[:, None] | gyroscope, 0.0, error - scatter)
+    gravity = calibration.gravity
+    # K goes with 1/g: what is taken for too much makes it too small.
+    by_gravity = [-gravity.sigma_m_s2 / gravity.gravity_m_s2 / _PPM if kind_of(name) == "scale" else 0.0 for name in names]
+    own = SessionNumbers(
+        names=names,
+        values=values,
+        covariance=scatter,
+        by_gravity=np.array(by_gravity),
+        site=f"{gravity.gravity_m_s2:.6f}",
+        freedom=calibration.quality.degrees_of_freedom,
+    )
+    table = {(one, two): float(shared[i, j]) for i, one in enumerate(names) for j, two in enumerate(names)}
+    return Gathered(own, table)
+
+
+def joined_parameters(
+    joined: JoinedFrom, joint: Joint, reference: GaugeFree, *, warnings: Sequence[str], notes: Sequence[str]
+) -> Parameters:
+    """Return the parameters of a new day, in the lower gauge.
+
+    Parameters
+    ----------
+    joined : JoinedFrom
+    joint : Joint
+    reference : GaugeFree
+        Of the base, whose scales the joint ones are shares of.
+    warnings, notes : sequence of str
+        What lowers the verdict, and what does not.
+    """
+    base = joined.parameters[joined.base].calibration
+    quality = _quality(joined, joint, warnings, notes)
+    shared = _shared(joined.shared, joint.names)
+    calibration = _calibration(base, joint, joint.covariance + shared, reference)
+    context = _context(joined, joint, dict(zip(joint.names, np.diag(shared).tolist(), strict=True)))
+    return from_document(to_document(replace(calibration, quality=quality), _no_observations(), context))
+
+
+def _shared(tables: Sequence[Mapping[tuple[str, str], float]], names: tuple[str, ...]) -> FloatArray:
+    """Return the covariance of the errors that all sessions share: the mean over those that have them."""
+    n = len(names)
+    total = np.zeros((n, n))
+    for i, one in enumerate(names):
+        for j, two in enumerate(names):
+            known = [table[one, two] for table in tables if (one, two) in table]
+            total[i, j] = sum(known) / max(len(known), 1)
+    # A difference of two covariances may be slightly negative in some direction.
+    values, vectors = np.linalg.eigh((total + total.T) / 2)
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
+
+
+def _calibration(base: Calibration, joint: Joint, covariance: FloatArray, reference: GaugeFree) -> Calibration:
+    values = si_values(base)
+    before = {number.name: number.value for number in reference.numbers}
+    places = [NAMES.index(name) for name in joint.names]
+    units = np.array([_UNITS[kind_of(name)][1] * (before[name] if kind_of(name) in _SCALES else 1.0) for name in joint.names])
+    scales = np.array([before[name] if kind_of(name) in _SCALES else 0.0 for name in joint.names])
+    values[places] = scales + units * joint.values
+    vector = lower_parameters(values)
+    J = lower_jacobian(values)[:, places] * units
+    gravity, site = base.gravity, f"{base.gravity.gravity_m_s2:.6f}"
+    sigma_m_s2 = gravity.sigma_m_s2 * math.sqrt(joint.gravity_variance[site])
+    with_gravity = J @ joint.with_gravity[site] * gravity.sigma_m_s2
+    full = np.block([[J @ covariance @ J.T, with_gravity[:, None]], [with_gravity, np.array([sigma_m_s2**2])]])
+    names = (*PARAMETER_NAMES[: len(vector)], GRAVITY_NAME)
+    known = np.array([name not in FIXED_NAMES and variance > 0 for name, variance in zip(names, np.diag(full), strict=True)])
+    sigma = np.where(known, np.sqrt(np.maximum(np.diag(full), 0.0)), np.nan)
+    sigma[[names.index(name) for name in FIXED_NAMES]] = 0.0
+    quadratic = any(kind_of(name) == "quadratic" for name in joint.names)
+    numbers, by_vector = intrinsic(vector[:PARAMETERS])
+    spread = np.sqrt(np.einsum("ij,jk,ik->i", by_vector, full[:PARAMETERS, :PARAMETERS], by_vector))
+    accelerometer = from_vector(vector[:PARAMETERS], base.accelerometer.raw_zero)
+    return replace(
+        base,
+        accelerometer=accelerometer,
+        accelerometer_sigma=replace(from_vector(sigma[:PARAMETERS]), misalignment_rad=_off_diagonal(sigma[6:12])),
+        gauge="lower",
+        intrinsic=make_intrinsic(numbers, np.where((np.arange(12) < 9) | quadratic, spread, np.nan)),
+        covariance_names=tuple(name for name, is_known in zip(names, known, strict=True) if is_known),
+        covariance=full[np.ix_(known, known)],
+        gravity=replace(gravity, sigma_m_s2=sigma_m_s2),
+        positions=_NO_POSITIONS,
+        solver=SolverSummary(
+            method="together", status=1, message=sentence("joined.solved"), cost=0.0, evaluations=len(joint.names)
+        ),
+        quadratic_fitted=quadratic,
+        gyroscope=_gyroscope(base.gyroscope, vector[PARAMETERS:], sigma[PARAMETERS:-1]),
+    )
+
+
+def _off_diagonal(values: FloatArray) -> FloatArray:
+    matrix = np.zeros((3, 3))
+    matrix[MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS] = values
+    return matrix
+
+
+def _gyroscope(base: GyroscopeCalibration | None, vector: FloatArray, sigma: FloatArray) -> GyroscopeCalibration | None:
+    if base is None or not len(vector):
+        return None
+    return replace(base, parameters=_gyroscope_parameters(vector), sigma=_gyroscope_parameters(sigma))
+
+
+def _gyroscope_parameters(vector: FloatArray) -> GyroscopeParameters:
+    scale, misalignment, bias, sensitivity = np.split(vector, (3, 9, 12))
+    return GyroscopeParameters(scale, _off_diagonal(misalignment), bias, sensitivity.reshape(3, 3))
+
+
+def _quality(joined: JoinedFrom, joint: Joint, warnings: Sequence[str], notes: Sequence[str]) -> Quality:
+    """Return the figures of all sessions as one, with a verdict no better than that of any of them."""
+    each = [parameters.calibration for parameters in joined.parameters]
+    residual, left_out = (
+        np.concatenate([getattr(calibration.positions, name) for calibration in each])
+        for name in ("residual_m_s2", "leave_one_out_m_s2")
+    )
+    quality = replace(
+        each[joined.base].quality,
+        residual_rms_m_s2=rms(residual),
+        residual_max_m_s2=float(np.nanmax(np.abs(residual))),
+        leave_one_out_rms_m_s2=rms(left_out),
+        between_position_sigma_m_s2=rms(np.array([calibration.quality.between_position_sigma_m_s2 for calibration in each])),
+        degrees_of_freedom=sum(calibration.quality.degrees_of_freedom for calibration in each),
+        student_factor_95=NORMAL_FACTOR_95,
+        rank=len(joint.names),
+        parameters_fitted=len(joint.names),
+        condition=math.nan,
+        verdict="good",
+        accelerometer_verdict=_worst([calibration.quality.accelerometer_verdict for calibration in each]) or "good",
+        gyroscope_verdict=_worst([calibration.quality.gyroscope_verdict for calibration in each])
+        or each[joined.base].quality.gyroscope_verdict,
+        reasons=(_summary(joined), *notes),
+        warnings=(),
+        suspects=tuple(
+            f"{parameters.context.session.name}: {name}"
+            for parameters in joined.parameters
+            for name in parameters.calibration.quality.suspects
+        ),
+    )
+    quality = quality.lowered(_worst([calibration.quality.verdict for calibration in each]) or "good")
+    if warnings:
+        quality = quality.lowered("usable", *warnings)
+    bias = joint.daily.get("bias")
+    largest_m_s2 = 0.0 if bias is None else float(bias.day_sigma.max()) * MILLI_G_M_S2
+    if largest_m_s2 > USABLE_BIAS_SIGMA_M_S2:
+        figures = {"sigma_mg": largest_m_s2 / MILLI_G_M_S2, "limit_mg": USABLE_BIAS_SIGMA_M_S2 / MILLI_G_M_S2}
+        quality = quality.lowered("usable", sentence("joined.day_sigma", **figures))
+    return quality
+
+
+def _worst(verdicts: Sequence[str]) -> str:
+    return max((verdict for verdict in verdicts if verdict in _RANKS), key=_RANKS.index, default="")
+
+
+def _summary(joined: JoinedFrom) -> str:
+    days = sorted(parameters.context.session.recorded[:10] for parameters in joined.parameters)
+    span = "" if not days[0] or days[0] == days[-1] else f", {days[0]} to {days[-1]},"
+    positions = sum(len(parameters.document["position"]) for parameters in joined.parameters)
+    return sentence("joined.summary", sessions=len(joined.parameters), span=span, positions=positions)
+
+
+def _context(joined: JoinedFrom, joint: Joint, shared: Mapping[str, float]) -> Context:
+    each = [parameters.context for parameters in joined.parameters]
+    base = each[joined.base]
+    temperatures = np.array([context.session.temperature_degc for context in each])
+    known = temperatures[np.isfinite(temperatures).all(axis=1)]
+    instrument = next((context.instrument for context in each[::-1] if context.instrument.serial_number), base.instrument)
+    session = SessionFacts(
+        name=", ".join(context.session.name for context in each),
+        sha256=joined.sha256,
+        sample_rate_hz=base.session.sample_rate_hz,
+        temperature_degc=(float(known[:, 0].min()), float(known[:, 1].max())) if len(known) else (math.nan, math.nan),
+        recorded=max(context.session.recorded for context in each),
+    )
+    sessions = tuple(
+        JoinedSession(
+            name=parameters.context.session.name,
+            sha256=parameters.context.session.sha256,
+            recorded=parameters.context.session.recorded,
+            positions=len(parameters.document["position"]),
+        )
+        for parameters in joined.parameters
+    )
+    together = Together(session=sessions, repeatability=tuple(_day_to_day(joint, shared)), prior_grade=joined.prior_grade)
+    instrument = replace(instrument, grade=base.instrument.grade, grade_source=base.instrument.grade_source)
+    return replace(base, instrument=instrument, session=session, together=together, created=now_text())
+
+
+def _day_to_day(joint: Joint, shared: Mapping[str, float]) -> list[DayToDay]:
+    """Return what changes from day to day; sigmas of mean and new day hold what no session shows, too."""
+    found = []
+    for kind, daily in joint.daily.items():
+        size, own = _UNITS[kind][1], daily.repeatability
+        hidden = np.sqrt([shared[f"{kind} {place}"] for place in daily.places])
+        both = [np.hypot(sigma, hidden) * size for sigma in (daily.mean_sigma, daily.day_sigma)]
+        on_axes = [dict(zip(daily.places, sigma.tolist(), strict=True)) for sigma in both]
+        mean_sigma, day_sigma = (tuple(sigmas.get(axis, math.nan) for axis in AXES) for sigmas in on_axes)
+        found.append(
+            DayToDay(
+                kind=_KEYS[kind],
+                sigma=own.sigma * size,
+                low=own.low * size,
+                high=own.high * size,
+                degrees_of_freedom=own.freedom,
+                mean_sigma=mean_sigma,
+                day_sigma=day_sigma,
+            )
+        )
+    return found
+
+
+def _no_observations() -> Observations:
+    """Return those of no position."""
+    none, covariance, times = np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0)
+    return Observations(
+        name=(),
+        mean_raw=none,
+        covariance_raw=covariance,
+        gyroscope_mean_raw=none,
+        gyroscope_covariance_raw=covariance,
+        direction=none,
+        start_s=times,
+        duration_s=times,
+        temperature_degc=times,
+        units=SampleUnits(),
+    )

@@ -1,0 +1,274 @@
+"""Bias and scale over temperature, from solved sessions at several temperatures and from recordings of a ramp in one pose."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imufield.acquire.recording.reader import Damage
+from imufield.acquire.recording.session import Session
+from imufield.calibrate.model.grades import DEFAULT_GRADE, find_grade
+from imufield.calibrate.model.temperature import TriadTemperature
+from imufield.calibrate.temperature.fit import Evidence, SessionPoints, TemperatureFit, fit_temperature, fit_warnings
+from imufield.calibrate.temperature.points import accelerometer_points, gyroscope_points
+from imufield.calibrate.temperature.ramp import RampWindows, cut_ramp, ramp_sentences, turns
+from imufield.calibrate.temperature.trap import gyroscope_sentence, trap_sentence
+from imufield.deliver.parameters.context import TemperatureSource
+from imufield.deliver.parameters.file import Parameters, from_document
+from imufield.deliver.parameters.temperature import add_temperature
+from imufield.errors import CalibrationError, Reason
+from imufield.pipeline.calibration import SolveSettings
+from imufield.pipeline.chain import session_samples
+from imufield.pipeline.site import SiteOptions
+from imufield.pipeline.solving import session_sha256, solve_session
+from imufield.samples import FloatArray, Samples, TemperatureHold
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
+
+WINDOW_S = 10.0
+"""Means of a ramp: at 2 degC/min the temperature moves by a third of a degree."""
+POSSIBLE_DEGC = (-100.0, 300.0)
+"""Of an instrument that works: those for boreholes go to 225."""
+_TRIADS = ("accelerometer", "gyroscope")
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class RampMeans:
+    """Means of a recording over windows, in its raw units."""
+
+    name: str
+    sha256: str
+    time_s: FloatArray
+    temperature_degc: FloatArray
+    accelerometer: FloatArray
+    gyroscope: FloatArray
+    damage: tuple[str, ...] = ()
+    """What of the recording could not be read, in sentences."""
+
+
+class _Windows:
+    """Adds samples up by windows of time."""
+
+    def __init__(self) -> None:
+        self._sums: dict[int, FloatArray] = {}
+        self._temperature = TemperatureHold()
+
+    def feed(self, samples: Samples) -> None:
+        """Take the next block."""
+        at_degc = self._temperature.fill(samples).temperature_degc
+        rows = np.column_stack(
+            [samples.time_s, at_degc, samples.accelerometer_rate(), samples.gyroscope_rate(), np.ones(len(samples))]
+        )[samples.usable]
+        number = np.floor(rows[:, 0] / WINDOW_S).astype(int)
+        for window in np.unique(number):
+            self._sums[int(window)] = self._sums.get(int(window), np.zeros(9)) + rows[number == window].sum(axis=0)
+
+    def means(self) -> FloatArray:
+        """Return time, temperature, accelerometer and gyroscope of every window, shape (n, 8)."""
+        sums = np.array([self._sums[window] for window in sorted(self._sums)]).reshape(-1, 9)
+        return np.asarray(sums[:, :8] / sums[:, 8:])
+
+
+def read_ramp(session: Session, base: Parameters) -> RampMeans:
+    """Return the means of a recorded ramp.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be read.
+    ParameterFileError
+        If it is of another instrument than the parameters, or in other raw units.
+    """
+    base.check_instrument(session.serial_number)
+    damage: list[Damage] = []
+    windows = _Windows()
+    for samples in session_samples(session, damage):
+        base.check_unit("accelerometer", samples.units.accelerometer_rate_unit)
+        windows.feed(samples)
+    means = windows.means()
+    _require_possible(session.name, means[:, 1])
+    return RampMeans(
+        name=session.name,
+        sha256=session_sha256(session),
+        time_s=means[:, 0],
+        temperature_degc=means[:, 1],
+        accelerometer=means[:, 2:5],
+        gyroscope=means[:, 5:8],
+        damage=tuple(entry.what for entry in damage),
+    )
+
+
+def over_temperature(
+    base: Parameters, recorded: Sequence[Session], settings: SolveSettings, site: SiteOptions | None = None
+) -> Parameters:
+    """Return solved parameters over temperature, from sessions at other temperatures and ramps; raises as what it calls.
+
+    What was captured with a guide is a session; of other recordings one whose pose stays the same is a ramp.
+    """
+    ramps, sessions = [], [base]
+    for session in recorded:
+        means = None if session.record.kind == "capture" else read_ramp(session, base)
+        if means is None or turns(_windows(base, "accelerometer", means).specific_force_m_s2):
+            # Positions that are left out are those of the first session.
+            sessions.append(solve_session(session, replace(settings, without=()), site))
+        else:
+            ramps.append(means)
+    return with_temperature(base, sessions if len(sessions) > 1 else [], ramps)
+
+
+def with_temperature(base: Parameters, sessions: Sequence[Parameters], ramps: Sequence[RampMeans]) -> Parameters:
+    """Return parameters that hold over temperature.
+
+    Parameters
+    ----------
+    base : Parameters
+        What holds at the reference, the temperature of its own session; its numbers stay as they are.
+    sessions : sequence of Parameters
+        Solved sessions at several temperatures, ``base`` among them if it is one of them.
+    ramps : sequence of RampMeans
+        In one pose each.
+
+    Raises
+    ------
+    CalibrationError
+        If a session has no temperature, its parameters stand in another frame or unit, or there are too few temperatures.
+    ParameterFileError
+        If a session is of another instrument.
+    """
+    for other in sessions:
+        _require_comparable(base, other)
+    reference_degc, grade = _temperature(base), find_grade(base.context.instrument.grade or DEFAULT_GRADE)
+    models: dict[str, TriadTemperature] = {}
+    told: list[str] = []
+    warnings: dict[str, list[str]] = {triad: [] for triad in _TRIADS}
+    for triad in _TRIADS if base.gyroscope_is_complete else _TRIADS[:1]:
+        # A ramp without gyroscope is still good for the accelerometer.
+        shown = [means for means in ramps if np.isfinite(getattr(means, triad)).any()]
+        cut = [cut_ramp(_windows(base, triad, means)) for means in shown]
+        if triad == "accelerometer":
+            for ramp, means in zip(cut, ramps, strict=True):
+                told += (*means.damage, *ramp_sentences(ramp, means.name))
+        points = _points(base, triad, sessions) if sessions else None
+        evidence = Evidence(reference_degc=reference_degc, points=points, ramps=[ramp.blocks for ramp in cut])
+        if triad == "gyroscope" and evidence.highest_orders()[0] == 0:
+            told.append(sentence("temperature.gyroscope_unknown"))
+            continue
+        found = fit_temperature(evidence)
+        models[triad] = found.temperature
+        told.append(_words(triad, found))
+        warnings[triad] += fit_warnings(found, triad)
+        if triad == "accelerometer":
+            warnings[triad] += filter(None, [trap_sentence(found.temperature, grade)])
+        else:
+            told += filter(None, [gyroscope_sentence(found.temperature, grade, scale_shown=evidence.highest_orders()[1] > 0)])
+    return _joined(base, models, sources=_sources(sessions, ramps), told=told, warnings=warnings)
+
+
+def _require_comparable(base: Parameters, other: Parameters) -> None:
+    """Raise where parameters of a session mean something else than those of the base."""
+    base.check_instrument(other.context.instrument.serial_number)
+    ours, theirs = base.calibration, other.calibration
+    alike = (
+        ("gauge", ours.gauge, theirs.gauge),
+        ("raw_unit", ours.accelerometer_raw_unit, theirs.accelerometer_raw_unit),
+        ("quadratic_fitted", ours.quadratic_fitted, theirs.quadratic_fitted),
+    )
+    for what, wanted, found in alike:
+        if wanted != found:
+            values = {"name": other.context.session.name, "what": what, "found": found, "wanted": wanted}
+            raise CalibrationError(sentence("temperature.differs", **values), Reason.UNITS)
+
+
+def _temperature(parameters: Parameters) -> float:
+    """Return the temperature at which parameters hold: the mean over their positions, as the bias is the mean over them."""
+    measured = np.array([row["temperature_degc"] for row in parameters.document["position"] if row["used"]], dtype=np.float64)
+    known = measured[np.isfinite(measured)]
+    mean = float(known.mean() if len(known) else np.mean(parameters.context.session.temperature_degc))
+    if not np.isfinite(mean):
+        none = sentence("temperature.none", name=parameters.context.session.name)
+        raise CalibrationError(none, Reason.NOT_FINITE)
+    _require_possible(parameters.context.session.name, np.array([mean]))
+    return mean
+
+
+def _require_possible(name: str, temperature_degc: FloatArray) -> None:
+    """Raise ``CalibrationError`` where a thermometer shows what no instrument survives."""
+    low, high = POSSIBLE_DEGC
+    wrong = temperature_degc[(temperature_degc < low) | (temperature_degc > high)]
+    if len(wrong):
+        values = {"name": name, "found": float(wrong[0]), "low": low, "high": high}
+        raise CalibrationError(sentence("temperature.impossible", **values), Reason.BAD_DATA)
+
+
+def _points(base: Parameters, triad: str, sessions: Sequence[Parameters]) -> SessionPoints:
+    """Return what the sessions found of a triad."""
+    at_degc = [_temperature(session) for session in sessions]
+    calibrations = [session.calibration for session in sessions]
+    gyroscope = base.calibration.gyroscope
+    if triad == "accelerometer" or gyroscope is None:
+        return accelerometer_points(base.calibration.accelerometer, calibrations, at_degc)
+    theirs = [calibration.gyroscope for calibration in calibrations if calibration.gyroscope is not None]
+    if len(theirs) < len(sessions):
+        lacking = next(session for session in sessions if session.calibration.gyroscope is None)
+        none = sentence("temperature.no_gyroscope", name=lacking.context.session.name)
+        raise CalibrationError(none, Reason.UNOBSERVABLE)
+    return gyroscope_points(gyroscope.parameters, theirs, at_degc)
+
+
+def _windows(base: Parameters, triad: str, means: RampMeans) -> RampWindows:
+    """Return a ramp's means over the scale at the reference."""
+    accelerometer = base.calibration.accelerometer
+    force = (means.accelerometer - accelerometer.raw_zero) / accelerometer.scale
+    output, felt = force, force - accelerometer.bias_m_s2
+    if triad == "gyroscope" and base.calibration.gyroscope is not None:
+        output, felt = means.gyroscope / base.calibration.gyroscope.parameters.scale, np.zeros_like(force)
+    return RampWindows(time_s=means.time_s, temperature_degc=means.temperature_degc, output=output, specific_force_m_s2=felt)
+
+
+def _words(triad: str, found: TemperatureFit) -> str:
+    model = found.temperature
+    low, high = model.range_degc
+    orders = {"bias": model.bias.order, "scale": model.scale.order, "blocks": found.blocks}
+    return sentence("temperature.found", triad=triad, low=low, high=high, reference=model.reference_degc, **orders)
+
+
+def _sources(sessions: Sequence[Parameters], ramps: Sequence[RampMeans]) -> tuple[TemperatureSource, ...]:
+    of_sessions = (
+        TemperatureSource(facts.name, "session", facts.sha256, facts.temperature_degc)
+        for facts in (session.context.session for session in sessions)
+    )
+    of_ramps = (
+        TemperatureSource(ramp.name, "ramp", ramp.sha256, (float(known.min()), float(known.max())))
+        for ramp, known in ((ramp, ramp.temperature_degc[np.isfinite(ramp.temperature_degc)]) for ramp in ramps)
+    )
+    return (*of_sessions, *of_ramps)
+
+
+def _joined(
+    base: Parameters,
+    models: dict[str, TriadTemperature],
+    *,
+    sources: tuple[TemperatureSource, ...],
+    told: Sequence[str],
+    warnings: dict[str, list[str]],
+) -> Parameters:
+    """Return the parameters with what was found; a warning keeps the verdict from being good."""
+    calibration = base.calibration
+    quality = replace(calibration.quality, reasons=(*calibration.quality.reasons, *told))
+    if any(warnings.values()):
+        quality = quality.lowered("usable", *warnings["accelerometer"], *warnings["gyroscope"])
+    if warnings["accelerometer"] and quality.accelerometer_verdict == "good":
+        quality = replace(quality, accelerometer_verdict="usable")
+    gyroscope = calibration.gyroscope
+    if gyroscope is not None and "gyroscope" in models:
+        gyroscope = replace(gyroscope, temperature=models["gyroscope"])
+    calibration = replace(calibration, accelerometer_temperature=models["accelerometer"], gyroscope=gyroscope)
+    judged = {"verdict": quality.verdict, "reasons": list(quality.reasons), "warnings": list(quality.warnings)}
+    if quality.accelerometer_verdict:
+        judged["accelerometer_verdict"] = quality.accelerometer_verdict
+    document = base.document | {"quality": base.document["quality"] | judged}
+    document.pop("integrity", None)
+    return from_document(add_temperature(document, calibration, sources))

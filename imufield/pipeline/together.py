@@ -1,0 +1,249 @@
+"""Sessions of one instrument solved together: read, refused where they cannot be joined, adjusted, and put into one result.
+
+Each session is solved by itself. What is joined are its gauge-free numbers (``deliver/parameters/gauge_free``), which no choice
+of the body frame changes, so sessions may come from any gauge; scales count as shares of those of one session.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from imufield.acquire.recording.session import SETTINGS_FILE, Session
+from imufield.calibrate.model.grades import find_grade
+from imufield.calibrate.sessions.joint import FEWEST, FEWEST_WITHOUT_PRIOR, Joint, SessionNumbers, adjust
+from imufield.deliver.parameters.file import Parameters
+from imufield.deliver.parameters.gauge_free import GaugeFree
+from imufield.deliver.parameters.joined import JoinedFrom, joined_parameters, numbers_of, prior_scales, unit_of
+from imufield.errors import CalibrationError, ImufieldError, Reason, UsageError
+from imufield.pipeline.calibration import SolveSettings
+from imufield.pipeline.chain import session_protocol
+from imufield.pipeline.same_recording import RecordingMarks
+from imufield.pipeline.site import SiteOptions
+from imufield.pipeline.solving import solve_session
+from imufield.progress import one_by_one
+from imufield.sentences import Sentence, Sentences
+
+sentence = Sentences(__package__)
+
+_LARGEST_CHANGE = 0.05  # Of a scale, ten times what the worst instruments do; another range is a factor of two.
+_FREE_SETTINGS = ("rate_hz",)  # Of a protocol: what changes no value.
+# Rooms whose sentences about a session are about its recording: what is missing or damaged.
+_OF_RECORDINGS = ("solving", "chain", "damage", "reader", "part_file", "mcap_format", "session", "session_record")
+
+
+@dataclass(frozen=True, slots=True)
+class _Solved:
+    """One session."""
+
+    session: Session
+    parameters: Parameters
+    numbers: GaugeFree
+    marks: RecordingMarks
+
+    @property
+    def name(self) -> str:
+        return self.session.name
+
+
+def sessions_of(serial_number: str, root: Path) -> list[Session]:
+    """Return all sessions of an instrument below a folder, the oldest first.
+
+    Raises
+    ------
+    UsageError
+        If there is none.
+    """
+    found = []
+    for path in root.glob(f"*/{SETTINGS_FILE}"):
+        try:
+            session = Session.open(path.parent)
+        except ImufieldError:
+            continue  # `imufield sessions` lists it as damaged; whose it is, it does not say
+        if session.serial_number == serial_number:
+            found.append(session)
+    if not found:
+        raise UsageError(sentence("together.none_of_serial", serial_number=serial_number, folder=root))
+    return sorted(found, key=lambda session: (session.record.created, session.name))
+
+
+def solve_together(
+    sessions: Sequence[Session],
+    settings: SolveSettings,
+    site: SiteOptions | None = None,
+) -> Parameters:
+    """Solve sessions of one instrument together.
+
+    Parameters
+    ----------
+    sessions : sequence of Session
+    settings : SolveSettings
+        How each is solved.
+    site : SiteOptions, optional
+        What was typed of the place of all of them; by default each has its own.
+
+    Raises
+    ------
+    UsageError
+        If a setting is for single sessions only.
+    CalibrationError
+        If fewer than two remain, or they cannot be joined.
+    ImufieldError
+        As ``solve_session``.
+    """
+    _refuse_settings(settings)
+    _require_two(len(sessions))
+    _check_instruments(sessions)
+    for session in sessions[1:]:
+        _check_protocols(sessions[0], session)
+    # In order of time where all have one; else as they were named.
+    if all(session.record.recorded for session in sessions):
+        sessions = sorted(sessions, key=lambda session: session.record.recorded)
+    solved, copies = _without_copies([_solve(session, settings, site) for session in one_by_one("solving", sessions)])
+    _require_two(len(solved))
+    for other in solved[1:]:
+        _check_scales(solved[0], other)
+    solved = list(_with_one_model(solved, settings, site))
+    # The one with the most numbers, of several the newest, states what no adjustment changes.
+    base = max(reversed(solved), key=lambda each: len(each.numbers.numbers))
+    gathered = [numbers_of(each.parameters.calibration, each.numbers, base.numbers) for each in solved]
+    grade = base.parameters.context.instrument.grade
+    joint = adjust([each.own for each in gathered], prior_scales(find_grade(grade)))
+    return joined_parameters(
+        JoinedFrom(
+            parameters=[each.parameters for each in solved],
+            base=solved.index(base),
+            shared=[each.shared for each in gathered],
+            prior_grade=grade if len(solved) < FEWEST_WITHOUT_PRIOR else "",
+            sha256=hashlib.sha256("".join(sorted(_hash(each) for each in solved)).encode()).hexdigest(),
+        ),
+        joint,
+        base.numbers,
+        warnings=[*_warnings(solved, joint)],
+        notes=[*copies, *_notes(solved, joint, [each.own for each in gathered], grade)],
+    )
+
+
+def _hash(solved: _Solved) -> str:
+    return solved.parameters.context.session.sha256
+
+
+def _refuse_settings(settings: SolveSettings) -> None:
+    refused = {"--preset": settings.preset is not None, "--model extended": settings.model == "extended"}
+    refused["--gauge"] = settings.gauge not in (None, "lower")
+    for option, is_given in refused.items():
+        if is_given:
+            raise UsageError(sentence("together.option", option=option))
+
+
+def _require_two(found: int) -> None:
+    if found < FEWEST:
+        raise CalibrationError(sentence("together.too_few", found=found, limit=FEWEST), Reason.TOO_FEW)
+
+
+def _check_instruments(sessions: Sequence[Session]) -> None:
+    known = [session for session in sessions if session.serial_number]
+    for session in known[1:]:
+        if session.serial_number != known[0].serial_number:
+            serial_numbers = [known[0].serial_number, session.serial_number]
+            names = [known[0].name, session.name]
+            raise CalibrationError(sentence("together.instruments", names=names, serial_numbers=serial_numbers), Reason.FOREIGN)
+
+
+def _solve(session: Session, settings: SolveSettings, site: SiteOptions | None) -> _Solved:
+    marks = RecordingMarks()
+    parameters = solve_session(session, settings, site, (marks.feed,))
+    return _Solved(session, parameters, parameters.gauge_free(), marks)
+
+
+def _without_copies(solved: list[_Solved]) -> tuple[list[_Solved], list[str]]:
+    """Return the sessions of recordings of their own, and a sentence for each other one; of copies the most complete counts."""
+    kept: list[_Solved] = []
+    said: list[str] = []
+    for each in sorted(solved, key=lambda each: -len(each.parameters.document["position"])):
+        whole = next((other for other in kept if each.marks.same_as(other.marks)), None)
+        if whole is None:
+            kept.append(each)
+        else:
+            said.append(sentence("together.copy", copy=each.name, whole=whole.name))
+    return sorted(kept, key=solved.index), said
+
+
+def _check_protocols(first: Session, other: Session) -> None:
+    """Refuse sessions whose values do not mean the same; raises CalibrationError."""
+    names, protocols = [first.name, other.name], [session_protocol(session) for session in (first, other)]
+    units = [protocol.units.words for protocol in protocols]
+    if units[0] != units[1]:
+        raise CalibrationError(sentence("together.units", names=names, units=units), Reason.UNITS)
+    # What a person typed in place of the protocol's own zero is one of its settings here.
+    zeros = [session.record.nominal.raw_zero for session in (first, other)]
+    settings = [
+        {key: value.value for key, value in protocol.settings.items()} | {"zero": zero}
+        for protocol, zero in zip(protocols, zeros, strict=True)
+    ]
+    for key in sorted(settings[0].keys() | settings[1].keys()):
+        values = [each.get(key) for each in settings]
+        if key not in _FREE_SETTINGS and values[0] != values[1]:
+            raise CalibrationError(sentence("together.setting", names=names, key=key, values=values), Reason.UNITS)
+    if protocols[0].samples != protocols[1].samples or protocols[0].can != protocols[1].can:
+        raise CalibrationError(sentence("together.axes", names=names), Reason.UNITS)
+
+
+def _check_scales(first: _Solved, other: _Solved) -> None:
+    """Refuse sessions whose range or signs changed without a word; raises CalibrationError."""
+    before = {number.name: number.value for number in first.numbers.numbers}
+    for number in other.numbers.numbers:
+        change = number.value / before.get(number.name, number.value) - 1 if "scale" in number.name else 0.0
+        if abs(change) > _LARGEST_CHANGE:
+            told = {"names": [first.name, other.name], "number": number.name, "change": change, "limit": _LARGEST_CHANGE}
+            raise CalibrationError(sentence("together.scale", **told), Reason.UNITS)
+
+
+def _with_one_model(solved: list[_Solved], settings: SolveSettings, site: SiteOptions | None) -> Iterator[_Solved]:
+    """Yield the sessions with every term that one of them shows: a term left out of some would pose as a change."""
+    is_quadratic = any(each.parameters.calibration.quadratic_fitted for each in solved)
+    is_sensitive = any(_is_sensitive(each.numbers) for each in solved)
+    for each in solved:
+        lacks_quadratic = is_quadratic and not each.parameters.calibration.quadratic_fitted
+        lacks_sensitivity = is_sensitive and not _is_sensitive(each.numbers)
+        if not (lacks_quadratic or lacks_sensitivity):
+            yield each
+            continue
+        model = "quadratic" if is_quadratic else settings.model
+        gyroscope_model = "g-sensitive" if is_sensitive else settings.gyroscope_model
+        yield _solve(each.session, replace(settings, model=model, gyroscope_model=gyroscope_model), site)
+
+
+def _is_sensitive(numbers: GaugeFree) -> bool:
+    return any(number.name.startswith("g-sensitivity") for number in numbers.numbers)
+
+
+def _warnings(solved: Sequence[_Solved], joint: Joint) -> Iterator[str]:
+    """Yield what keeps the verdict from being good: of the sessions themselves, and between them."""
+    for each in solved:
+        for warning in each.parameters.calibration.quality.warnings:
+            yield sentence("together.of_session", session=each.name, reason=warning)
+    for number in joint.outlying:
+        yield sentence("together.outlying", session=solved[number.session].name, number=number.name, off_sigma=number.off_sigma)
+    if joint.differs:
+        yield sentence("together.differs")
+
+
+def _notes(solved: Sequence[_Solved], joint: Joint, numbers: Sequence[SessionNumbers], grade: str) -> Iterator[str]:
+    """Yield what belongs to the result and lowers no verdict."""
+    for each in solved:
+        for reason in each.parameters.calibration.quality.reasons:
+            if isinstance(reason, Sentence) and reason.key.partition(".")[0] in _OF_RECORDINGS:
+                yield sentence("together.of_session", session=each.name, reason=reason)
+    unnamed = [each.name for each in solved if not each.session.serial_number]
+    if unnamed:
+        yield sentence("together.no_serial", names=unnamed)
+    if len(solved) < FEWEST_WITHOUT_PRIOR:
+        freedom = max((kind.repeatability.freedom for kind in joint.daily.values()), default=0)
+        yield sentence("together.few", sessions=len(solved), freedom=freedom, limit=FEWEST_WITHOUT_PRIOR, grade=grade)
+    for name in joint.trends:
+        values = [float(each.values[each.names.index(name)]) for each in numbers if name in each.names]
+        change, unit = values[-1] - values[0], unit_of(name)
+        yield sentence("together.trend", number=name, sessions=len(values), change=change, unit=unit)

@@ -1,0 +1,202 @@
+"""Sessions at three temperatures and a ramp, simulated, become one parameter file that holds over temperature."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imufield.acquire.recording.session import Session
+from imufield.calibrate.model.models import accelerometer_at, predict
+from imufield.calibrate.model.observations import Observations
+from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeCalibration, GyroscopeParameters
+from imufield.calibrate.model.temperature import Polynomials, TriadTemperature
+from imufield.cli.run import run
+from imufield.deliver.parameters.context import Context, InstrumentFacts, SessionFacts
+from imufield.deliver.parameters.file import Parameters, load, write_document
+from imufield.earth import MILLI_G_M_S2, Gravity
+from imufield.errors import CalibrationError, ParameterFileError, Reason
+from imufield.guide.positions import scheme
+from imufield.pipeline.calibration import Measured, SolveSettings, calibrate
+from imufield.pipeline.temperature import RampMeans, read_ramp, with_temperature
+from imufield.samples import SampleUnits
+from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
+from imufield.simulate.truth.imu import ImuSettings
+from imufield.simulate.truth.operator import OperatorSettings
+from tests.refused import refused
+from tests.told import keys
+
+pytestmark = pytest.mark.numerical
+
+GRAVITY = Gravity(gravity_m_s2=9.81, sigma_m_s2=1e-5, source="measured")
+NOISE_M_S2 = 2e-4
+TRUTH = AccelerometerParameters(
+    scale=np.array([1.01, 0.99, 1.005]),
+    bias_m_s2=np.array([0.05, -0.08, 0.1]),
+    misalignment_rad=np.array([[0, 0, 0], [2e-3, 0, 0], [-1e-3, 3e-3, 0]]),
+)
+BIAS = np.array([[0.15, -0.12, 0.2], [1e-3, -1.5e-3, 1e-3]]) * MILLI_G_M_S2
+SCALE = np.array([[60e-6, -50e-6, 70e-6]])
+OVER_TEMPERATURE = TriadTemperature(
+    reference_degc=20.0,
+    range_degc=(-40.0, 80.0),
+    bias=Polynomials(BIAS, np.zeros((3, 2, 2))),
+    scale=Polynomials(SCALE, np.zeros((3, 1, 1))),
+    hysteresis=np.full(3, np.nan),
+    scale_separated=True,
+)
+UP = np.array([[0.55, -0.6, 0.58]])
+
+
+def solved(temperature_degc: float, *, gauge: str = "lower", serial_number: str = "A1") -> Parameters:
+    rng, up = np.random.default_rng(int(temperature_degc) + 50), scheme("paper24").directions()
+    m = len(up)
+    output = predict(accelerometer_at(TRUTH, OVER_TEMPERATURE, temperature_degc), GRAVITY.gravity_m_s2 * up)
+    observations = Observations(
+        name=tuple(position.name for position in scheme("paper24").positions),
+        mean_raw=output + NOISE_M_S2 * rng.normal(size=output.shape),
+        covariance_raw=np.broadcast_to(NOISE_M_S2**2 * np.eye(3), (m, 3, 3)),
+        gyroscope_mean_raw=np.full((m, 3), np.nan),
+        gyroscope_covariance_raw=np.full((m, 3, 3), np.nan),
+        direction=up,
+        start_s=20 * np.arange(m, dtype=np.float64),
+        duration_s=np.full(m, 10.0),
+        temperature_degc=np.full(m, temperature_degc),
+        units=SampleUnits(),
+    )
+    context = Context(
+        instrument=InstrumentFacts(serial_number=serial_number),
+        session=SessionFacts(f"at {temperature_degc:g}", 64 * "b", 100.0, (temperature_degc, temperature_degc)),
+    )
+    settings = SolveSettings(model="linear", gauge=gauge, grade="industrial")  # type: ignore[arg-type]
+    return calibrate(Measured(observations=observations, gravity=GRAVITY, context=context), settings)
+
+
+@pytest.fixture(scope="module")
+def sessions() -> tuple[Parameters, ...]:
+    return solved(-18.0), solved(20.0), solved(55.0)
+
+
+def ramp() -> RampMeans:
+    """Return a ramp of two hours from -20 to 60 degC and back, one pose."""
+    time_s = np.arange(0.0, 14400.0, 10.0)
+    at_degc = -20 + 80 * (1 - np.abs(time_s / 7200 - 1))
+    truths = (accelerometer_at(TRUTH, OVER_TEMPERATURE, degc) for degc in at_degc)
+    output = np.vstack([predict(truth, GRAVITY.gravity_m_s2 * UP / np.linalg.norm(UP)) for truth in truths])
+    noise = NOISE_M_S2 * np.random.default_rng(2).normal(size=output.shape)
+    return RampMeans(
+        name="ramp",
+        sha256=64 * "c",
+        time_s=time_s,
+        temperature_degc=at_degc,
+        accelerometer=output + noise,
+        gyroscope=np.full_like(output, np.nan),
+    )
+
+
+def residual_m_s2(parameters: Parameters, temperature_degc: float) -> float:
+    """Return the RMS of norm less gravity in poses never measured."""
+    up = np.random.default_rng(8).normal(size=(200, 3))
+    force = GRAVITY.gravity_m_s2 * up / np.linalg.norm(up, axis=1)[:, None]
+    raw = predict(accelerometer_at(TRUTH, OVER_TEMPERATURE, temperature_degc), force)
+    corrected = parameters.apply_accelerometer(raw, temperature_degc=temperature_degc)
+    return float(np.sqrt(np.mean((np.linalg.norm(corrected, axis=1) - GRAVITY.gravity_m_s2) ** 2)))
+
+
+def test_joint_parameters_hold_where_one_session_and_one_pose_do_not(sessions: tuple[Parameters, ...], tmp_path: Path) -> None:
+    base = sessions[1]
+    joint, one_pose = with_temperature(base, sessions, [ramp()]), with_temperature(base, [], [ramp()])
+    write_document(tmp_path / "parameters.toml", joint.document)
+    joint = load(tmp_path)
+    for at_degc in (-20.0, 60.0):
+        left = residual_m_s2(joint, at_degc)
+        assert left < residual_m_s2(base, at_degc) / 10
+        assert left < residual_m_s2(one_pose, at_degc) / 4
+    np.testing.assert_array_equal(joint.calibration.accelerometer.scale, base.calibration.accelerometer.scale)
+    assert "temperature.found" not in keys(base.calibration.quality.reasons)
+    assert [source.kind for source in joint.context.temperature_sources] == ["session"] * 3 + ["ramp"]
+
+
+def test_one_pose_alone_is_never_good_and_sessions_keep_their_verdict(sessions: tuple[Parameters, ...]) -> None:
+    base = sessions[1]
+    assert base.calibration.quality.verdict == "good"
+    one_pose = with_temperature(base, [], [ramp()]).calibration.quality
+    assert one_pose.verdict == one_pose.accelerometer_verdict == "usable"
+    assert "trap.pose" in keys(one_pose.warnings)
+    # Three sessions show a straight line, which the bias is not.
+    bent = with_temperature(base, sessions, []).calibration.quality
+    assert bent.verdict == "usable"
+    assert keys(bent.warnings) == ["fit.scatter"]
+    assert with_temperature(base, sessions, [ramp()]).calibration.quality.verdict == "good"
+
+
+def test_ramps_without_gyroscope_leave_it_at_one_temperature(sessions: tuple[Parameters, ...]) -> None:
+    calibration = sessions[1].calibration
+    rates = GyroscopeParameters(np.ones(3), np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3)))
+    base = replace(sessions[1], calibration=replace(calibration, gyroscope=GyroscopeCalibration(rates, rates, "made up")))
+    told = with_temperature(base, [], [ramp()]).calibration.quality.reasons
+    assert "temperature.gyroscope_unknown" in keys(told)
+
+
+def test_sessions_that_mean_something_else_are_refused(sessions: tuple[Parameters, ...]) -> None:
+    with refused(CalibrationError, Reason.UNITS, "gauge", key="temperature.differs"):
+        with_temperature(sessions[1], [*sessions[:2], solved(55.0, gauge="upper")], [])
+    with refused(ParameterFileError, Reason.FOREIGN):
+        with_temperature(sessions[1], [*sessions[:2], solved(55.0, serial_number="B2")], [])
+    positions = [row | {"temperature_degc": float("nan")} for row in sessions[0].document["position"]]
+    session = SessionFacts("cold", 64 * "d", 100.0)
+    nowhere = replace(sessions[0].context, session=session)
+    cold = replace(sessions[0], document=sessions[0].document | {"position": positions}, context=nowhere)
+    with refused(CalibrationError, Reason.NOT_FINITE, key="temperature.none"):
+        with_temperature(sessions[1], [*sessions[1:], cold], [])
+    heated = [row | {"temperature_degc": 1000.0} for row in positions]
+    hot = replace(sessions[0], document=sessions[0].document | {"position": heated})
+    with refused(CalibrationError, Reason.BAD_DATA, key="temperature.impossible"):
+        with_temperature(sessions[1], [*sessions[1:], hot], [])
+
+
+def import_table(folder: Path, name: str, table: np.ndarray) -> Path:
+    head = "time_s,ax,ay,az,gx,gy,gz,temperature_degc"
+    np.savetxt(folder / f"{name}.csv", table, delimiter=",", header=head, comments="", fmt="%.9g")
+    assert run(["import", str(folder / f"{name}.csv"), "-o", str(folder / name), "--latitude", "48", "--height", "500"]) == 0
+    return folder / name
+
+
+def recorded(folder: Path, temperature_degc: float) -> Path:
+    """Return an imported session of one simulated instrument, 24 positions at a temperature."""
+    options = Emulation(
+        device="text",
+        rate_hz=50.0,
+        grade="industrial",
+        directions=scheme("paper24").directions(),
+        operator=OperatorSettings(hold_s=5.5, initial_still_s=6.0, begins_in_first_position=True),
+        imu=ImuSettings(temperature_degc=temperature_degc),
+    )
+    source = make_virtual_imu(options)
+    samples = source.next_block(int((source.operator.plan_all() + 2) / source.interval_s))
+    columns = (samples.time_s, samples.accelerometer, samples.gyroscope, samples.temperature_degc)
+    return import_table(folder, f"at{temperature_degc:g}", np.column_stack(columns))
+
+
+def test_solve_takes_sessions_and_ramps_as_they_come(tmp_path: Path) -> None:
+    time_s = np.arange(0.0, 4000.0, 2.0)
+    at_degc = 10 + 30 * (1 - np.abs(time_s / 2000 - 1))
+    outputs = np.array([0.1, 0.2, 9.8, 0, 0, 0]) + np.outer(at_degc, [1e-3, 1e-3, 1e-3, 1e-5, 1e-5, 1e-5])
+    noise = 1e-4 * np.random.default_rng(3).normal(size=(len(time_s), 6))
+    warm_up = import_table(tmp_path, "warm-up", np.column_stack([time_s, outputs + noise, at_degc]))
+    base, cold, output = recorded(tmp_path, 25.0), recorded(tmp_path, 0.0), tmp_path / "parameters.toml"
+    assert run(["solve", str(base), "--temperature", str(cold), "--temperature", str(warm_up), "-o", str(output)]) == 0
+    joint = load(output)
+    assert [source.kind for source in joint.context.temperature_sources] == ["session", "session", "ramp"]
+    accelerometer, gyroscope = joint.temperature_models
+    assert accelerometer.scale_separated
+    # At rest the ramp shows the gyroscope's bias alone, and it is most of what is known of it.
+    assert gyroscope.bias.order >= 1
+    change = gyroscope.bias.at(np.array([10.0])) - gyroscope.bias.at(np.array([0.0]))
+    np.testing.assert_allclose(change, 1e-4, atol=5e-5)
+    means = read_ramp(Session.open(warm_up), joint)
+    assert 399 <= len(means.time_s) <= 401
+    np.testing.assert_allclose(means.accelerometer[:, 0], 0.1 + 1e-3 * means.temperature_degc, atol=3e-4)
+    assert run(["solve", str(base), str(cold), "--temperature", str(warm_up)]) == 2
