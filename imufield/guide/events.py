@@ -146,7 +146,7 @@ class Hold(Event, kind="hold"):
     angle_deg: float
     """Off the planned direction."""
     hold_s: float
-    """At most; a hold ends earlier when its mean is good enough."""
+    """Expected: it ends when its mean is good enough, which noise that is not white puts off."""
 
 
 @dataclass(frozen=True, slots=True)

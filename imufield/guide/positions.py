@@ -28,6 +28,8 @@ _SAME_SIZE = 0.02  # Parts of a direction that differ by less are those of an ed
 
 SCHEMES = ("paper24", "paper36", "corners24", "all26", "faces6")
 """Names of the shipped schemes."""
+MOST_POSITIONS = 300
+"""Of a scheme: an hour of holds and turns. The guide fits all that is measured after each of them."""
 SCHEME_FILE = "positions.toml"
 """Copy, in the session's folder, of positions that are not shipped: the session must be solved again without their file."""
 
@@ -193,6 +195,8 @@ def read_positions(path: Path, origin: Origin = Origin.TYPED) -> tuple[tuple[Pos
         raise UsageError(sentence("positions.unknown_key_of_file", file=path.name, key=unknown[0]))
     if not isinstance(tables, list) or not tables:
         raise UsageError(sentence("positions.no_position", file=path.name))
+    if len(tables) > MOST_POSITIONS:
+        raise UsageError(sentence("positions.too_many", file=path.name, positions=len(tables), limit=MOST_POSITIONS))
     lines = [number for number, line in enumerate(text.splitlines(), 1) if re.match(r"\s*\[\[\s*position\s*\]\]", line)]
     found: list[Position] = []
     for i, table in enumerate(tables):

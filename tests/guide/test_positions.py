@@ -112,6 +112,7 @@ def test_own_positions(tmp_path: Any) -> None:
     [
         ("", "no_position", ("[[position]]",)),
         ("position = 3", "no_position", ("[[position]]",)),
+        ("[[position]]\nup = [0, 0, 1]\n" * 301, "too_many", ("301", "300")),
         ("colour = 1\n" + GOOD, "unknown_key_of_file", ("'colour'",)),
         (GOOD + "[[position]]\nup = [0, 0, 0]\n", "no_direction", ("line 8", "up = [0, 0, 0]")),
         (GOOD + "[[position]]\nup = [0, 0]\n", "no_direction", ("line 8", "up = [0, 0]")),

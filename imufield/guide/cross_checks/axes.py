@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from imufield.calibrate.model.rotation import conjugate, cross, exponential, rotate, running_turns
 from imufield.errors import CalibrationError, Reason
 from imufield.guide import refusals
 from imufield.guide.cross_checks.centre import centred
@@ -247,20 +248,16 @@ def signed_permutations() -> FloatArray:
 
 def _misfit(moves: list[MoveBetweenStills], permutations: FloatArray, scale: float) -> FloatArray:
     """Return the RMS angle between predicted and measured up for each permutation, rad, shape (48,)."""
-    longest = max(len(move.rate_raw) for move in moves)
-    angle = np.zeros((longest, len(moves), 3))
-    for i, move in enumerate(moves):
-        angle[: len(move.rate_raw), i] = move.rate_raw * (CELL_S / scale)
-    up = np.tile(np.array([move.up_before for move in moves]), (len(permutations), 1, 1))
-    for step in angle:
-        # Turned by minus the rotation vectors: Rodrigues' formula.
-        turn = np.einsum("pij,mj->pmi", permutations, step)
-        size = np.linalg.norm(turn, axis=-1, keepdims=True)
-        axis = turn / np.maximum(size, 1e-12)
-        along = (axis * up).sum(axis=-1, keepdims=True)
-        up = up * np.cos(size) - np.cross(axis, up) * np.sin(size) + axis * along * (1 - np.cos(size))
-    after = np.array([move.up_after for move in moves])
-    sine = np.linalg.norm(np.cross(up, after), axis=2)
+    length = np.array([len(move.rate_raw) for move in moves])
+    last = np.cumsum(length) - 1
+    turned = np.concatenate([move.rate_raw for move in moves]) * (CELL_S / scale)
+    before, after = (np.array([getattr(move, name) for move in moves]) for name in ("up_before", "up_after"))
+    # A permutation P of determinant d gives exp(P w) = P exp(d w) P^T, so all 48 need two chains of turns: of w and of -w.
+    chains = [running_turns(exponential(side * turned), last + 1 - length)[last] for side in (1.0, -1.0)]
+    mirrored = np.linalg.det(permutations) < 0
+    back = conjugate(np.stack(chains))[mirrored.astype(int)]
+    up = np.einsum("pij,pmj->pmi", permutations, rotate(back, np.einsum("pji,mj->pmi", permutations, before)))
+    sine = np.linalg.norm(cross(up, after), axis=2)
     return np.asarray(np.sqrt(np.mean(np.arctan2(sine, (up * after).sum(axis=2)) ** 2, axis=1)))
 
 

@@ -20,9 +20,12 @@ from typing import Protocol
 
 import numpy as np
 
+from imufield.calibrate.model.grades import Grade
 from imufield.calibrate.model.models import PARAMETERS, norm_derivatives
 from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS, observe
-from imufield.earth import MICRO_G_M_S2, STANDARD_GRAVITY_M_S2
+from imufield.calibrate.model.typical import open_terms
+from imufield.calibrate.model.uncertainty import gravity_sensitivity
+from imufield.earth import MICRO_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity
 from imufield.errors import CalibrationError
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import FloatArray
@@ -30,6 +33,8 @@ from imufield.samples import FloatArray
 FEWEST = 4  # Fewer observations leave every residual to the priors.
 LINEAR = 9
 """Free parameters without the quadratic terms."""
+SHOWS_SCATTER = LINEAR + 2
+"""Fewer observations say nothing of the scatter between positions, and nothing checks a result of them."""
 EXPECTED_SCATTER_M_S2 = 1e-4 * STANDARD_GRAVITY_M_S2  # Between positions: what good instruments repeat to.
 EXPECTED_FREEDOM = 2.0  # Weight of that expectation, as if it came from this number of residuals.
 _LEAST_VARIANCE = 0.05  # Of the expected one: positions that agree by chance make no suspects of the others.
@@ -40,7 +45,8 @@ SUSPECT_SHARE = 3e-5
 _FEW = (182.6, 41.9, 21.1, 14.3, 11.2, 9.5, 8.43, 7.7, 7.18, 6.79, 6.49, 6.24, 6.05, 5.88, 5.75, 5.63, 5.53, 5.44, 5.36, 5.29)
 SUSPECT_M_S2 = 3e-4 * STANDARD_GRAVITY_M_S2  # And by this much: less does no harm that another hold would cure.
 _TOLD_SHARE = 0.5  # A sigma of more than this share of the prior's was assumed rather than measured.
-_STEPS = 8  # Of Gauss-Newton: with priors it converges in four.
+_STEPS = 8  # Of Gauss-Newton at most: with priors it converges in four.
+_LEAST_STEP = 1e-12  # Of the sigma of a prior: rounding makes steps of that size.
 _LEAST_FREEDOM = 0.05  # Of a residual: a position that the others say nothing of would weigh without bound.
 _MEDIAN_OF_SQUARES = 0.455  # Of a normal variable with sigma 1.
 # Spread of uncalibrated instruments: scale as a share, bias in m/s^2, misalignment in rad, quadratic term per m/s^2 of scale.
@@ -102,7 +108,11 @@ class RunningFit:
     """The same by the scatter that the positions show."""
     jacobian: FloatArray
     """Of the norms, shape (m, 12)."""
+    up: FloatArray
+    """Where up is in the body, unit vectors, shape (m, 3)."""
     prior_sigma: FloatArray
+    gravity_sigma: FloatArray
+    """1 sigma of each parameter by gravity alone, which no position shows."""
     rank: int
     condition: float
 
@@ -112,13 +122,19 @@ class RunningFit:
         weighted = np.vstack([self.jacobian / self.sigma_m_s2[:, None], np.diag(1 / self.prior_sigma)])
         return np.asarray(np.linalg.inv(weighted.T @ weighted), dtype=np.float64)
 
-    def forecast(self) -> dict[str, float]:
-        """Return 1 sigma of the groups of parameters, the largest axis of each, in the units people use.
+    def forecast(self, grade: Grade | None = None) -> dict[str, float]:
+        """Return 1 sigma of the groups of parameters, the largest axis of each, in the units people use, with gravity's.
 
-        A group that the positions do not show yet, whose sigma is still that of the prior, is left out.
+        A group that the positions do not show yet, whose sigma is still that of the prior, is left out. With a grade it
+        includes what is typical of that and no residual shows, as the result does.
         """
-        sigma = np.sqrt(np.diag(self.covariance))
-        scale, bias, angles, square = (sigma / self.prior_sigma).reshape(4, 3).max(axis=1) < _TOLD_SHARE
+        shown = np.sqrt(np.diag(self.covariance))
+        scale, bias, angles, square = (shown / self.prior_sigma).reshape(4, 3).max(axis=1) < _TOLD_SHARE
+        sigma = np.hypot(shown, self.gravity_sigma)
+        if grade is not None:
+            unseen = open_terms(self.up, grade, np.zeros(6, dtype=np.bool_))
+            alias = self.covariance @ (self.jacobian / self.sigma_m_s2[:, None] ** 2).T @ unseen
+            sigma = np.hypot(sigma, np.linalg.norm(alias, axis=1))
         K = np.abs(self.vector[:3])
         known = {
             "bias_ug": (bias, sigma[3:6].max() / MICRO_G_M_S2),
@@ -128,11 +144,23 @@ class RunningFit:
         }
         return {name: float(value) for name, (told, value) in known.items() if told}
 
-    def with_scatter(self, scatter_m_s2: float) -> RunningFit:
-        """Return the fit as it is where positions turn out to differ by this much, 1 sigma, beyond the noise within them."""
-        within = self.expected_m_s2**2 - EXPECTED_SCATTER_M_S2**2
-        variance = float(np.mean(within + scatter_m_s2**2)) / EXPECTED_SCATTER_M_S2**2
-        return replace(self, sigma_m_s2=_with_scatter(self.expected_m_s2, variance))
+    def of(self, rows: list[int]) -> RunningFit:
+        """Return the fit as it is to some of the observations where all agree."""
+        parts = (self.residual_m_s2, self.expected_m_s2, self.sigma_m_s2, self.jacobian, self.up)
+        residual, expected, sigma, jacobian, up = (part[rows] for part in parts)
+        names = tuple(self.names[row] for row in rows)
+        return replace(
+            self, names=names, residual_m_s2=residual, expected_m_s2=expected, sigma_m_s2=sigma, jacobian=jacobian, up=up
+        )
+
+    def expecting(self, within_m_s2: float, scatter_m_s2: float) -> RunningFit:
+        """Return the fit as it is where means are known to this much, 1 sigma, and positions turn out to differ by that.
+
+        While they are few they seem to differ as usual; it is not better known for that.
+        """
+        expected = np.full(len(self.names), math.hypot(within_m_s2, EXPECTED_SCATTER_M_S2))
+        sigma = np.maximum(_with_scatter(expected, scatter_m_s2**2), math.hypot(within_m_s2, scatter_m_s2))
+        return replace(self, expected_m_s2=expected, sigma_m_s2=sigma)
 
     def common_scale(self) -> tuple[float, float]:
         """Return the mean of the sensing axes' scales, raw rate per m/s^2, and its relative 1 sigma; free of the gauge."""
@@ -182,7 +210,7 @@ def _axes(vector: FloatArray) -> FloatArray:
     return T
 
 
-def running_fit(observations: Sequence[Measured], scale: RoughScale, gravity_m_s2: float) -> RunningFit | None:
+def running_fit(observations: Sequence[Measured], scale: RoughScale, gravity: Gravity) -> RunningFit | None:
     """Fit the observations so far; None while they are too few or where the fit does not converge.
 
     Parameters
@@ -190,9 +218,10 @@ def running_fit(observations: Sequence[Measured], scale: RoughScale, gravity_m_s
     observations : sequence of Measured
     scale : RoughScale
         Nominal scale and mid-scale: where the fit starts, and the centre of the priors.
-    gravity_m_s2 : float
-        Local gravity if known; a wrong value changes the common scale only.
+    gravity : Gravity
+        A wrong value changes the common scale only.
     """
+    gravity_m_s2 = gravity.gravity_m_s2
     if len(observations) < FEWEST or not scale.accelerometer:
         return None
     raw = np.array([observation.mean_raw for observation in observations]) - scale.raw_zero
@@ -215,6 +244,8 @@ def running_fit(observations: Sequence[Measured], scale: RoughScale, gravity_m_s
         own = np.einsum("mi,mij,mj->m", across, within, across)
         # The first fit tells how sure each mean is along its norm.
         expected = np.sqrt(np.maximum(own, 0.0) + EXPECTED_SCATTER_M_S2**2)
+        # The norm grows along the force, but for misalignment.
+        up = across * vector[:3]
         vector, residual, jacobian, _ = _minimise(start, raw, expected, prior, gravity_m_s2=gravity_m_s2)
         observability = observe(norm_derivatives(vector, raw), vector, gravity_m_s2, quadratic=True)
     except (CalibrationError, np.linalg.LinAlgError):
@@ -227,7 +258,9 @@ def running_fit(observations: Sequence[Measured], scale: RoughScale, gravity_m_s
         expected_m_s2=expected,
         sigma_m_s2=_sigma(residual, jacobian, expected, prior),
         jacobian=jacobian,
+        up=up / np.linalg.norm(up, axis=1, keepdims=True),
         prior_sigma=prior,
+        gravity_sigma=np.abs(gravity_sensitivity(vector, gravity_m_s2)[list(LOWER_GAUGE_COLUMNS)]) * gravity.sigma_m_s2,
         rank=observability.rank,
         condition=observability.condition,
     )
@@ -244,7 +277,10 @@ def _minimise(
         rows = np.vstack([derivatives.jacobian[:, columns] / sigma[:, None], np.diag(1 / prior)])
         residual = derivatives.norm - gravity_m_s2
         goal = -np.concatenate([residual / sigma, (vector - start)[columns] / prior])
-        vector[columns] += np.linalg.lstsq(rows, goal, rcond=None)[0]
+        step = np.linalg.lstsq(rows, goal, rcond=None)[0]
+        vector[columns] += step
+        if np.abs(step / prior).max() < _LEAST_STEP:
+            break
     found = norm_derivatives(vector, raw)
     return vector, found.norm - gravity_m_s2, found.jacobian[:, columns], found.raw_gradient
 
@@ -259,17 +295,23 @@ def _leverage(jacobian: FloatArray, sigma: FloatArray, prior: FloatArray) -> Flo
 def _sigma(residual: FloatArray, jacobian: FloatArray, expected: FloatArray, prior: FloatArray) -> FloatArray:
     """Return 1 sigma of each norm: of its mean, and between positions.
 
-    The variance between positions comes from the residuals, pulled towards the expected one while there are few. The median
-    keeps one bad position from raising the sigma of all.
+    The variance between positions is what the residuals show beyond that of the means, pulled towards the expected one while
+    there are few. The median keeps one bad position from raising the sigma of all.
     """
     spare = np.maximum(1 - _leverage(jacobian, expected, prior), _LEAST_FREEDOM)
-    robust = float(np.median((residual / EXPECTED_SCATTER_M_S2) ** 2 / spare)) / _MEDIAN_OF_SQUARES
-    return _with_scatter(expected, robust)
+    shown = float(np.median(residual**2 / spare)) / _MEDIAN_OF_SQUARES
+    within = float(np.mean(expected**2)) - EXPECTED_SCATTER_M_S2**2
+    return _with_scatter(expected, max(shown - within, 0.0))
 
 
 def _with_scatter(expected: FloatArray, variance: float) -> FloatArray:
-    """Return 1 sigma of each norm where the residuals show this variance, in that of the expected scatter."""
+    """Return 1 sigma of each norm where the positions show this variance between them, in m^2/s^4."""
     freedom = max(len(expected) - LINEAR, 0)
-    scatter = 1.0 if freedom < 2 else (EXPECTED_FREEDOM + freedom * variance) / (EXPECTED_FREEDOM + freedom)
-    result: FloatArray = np.sqrt(expected**2 + EXPECTED_SCATTER_M_S2**2 * (scatter - 1))
+    usual = EXPECTED_SCATTER_M_S2**2
+    between = (
+        usual
+        if len(expected) < SHOWS_SCATTER
+        else (EXPECTED_FREEDOM * usual + freedom * variance) / (EXPECTED_FREEDOM + freedom)
+    )
+    result: FloatArray = np.sqrt(expected**2 - usual + between)
     return result

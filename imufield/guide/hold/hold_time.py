@@ -1,4 +1,6 @@
-"""How long a hold must be: until the mean is known as well as wanted, and no longer than the Allan minimum.
+"""When a hold ends: as soon as its mean is known as well as wanted, and no later than the Allan minimum.
+
+How well that is for a target of the result follows from the whole session: ``session_time``.
 
 Within a hold the mean of white noise improves with the root of time until flicker noise dominates; the Allan deviation of the
 stills of this session shows where (docs/maths.md, stillness). It is pooled over all placed holds, so each adds to it.
@@ -18,14 +20,17 @@ from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import FloatArray
 
 SHORTEST_S = 3.0  # The scatter of a shorter hold does not tell how well its mean is known.
-LONGEST_S = 60.0  # Where a target is given: a person's patience with a purpose.
-_USUAL_S = 10.0  # Longest hold where no target is given: a person's patience.
+LONGEST_S = 60.0  # Where a target needs it: a person's patience with a purpose.
+USUAL_S = 10.0  # Longest hold where no target needs more: a person's patience.
 # Good enough where no target is given: below what most instruments repeat from hold to hold.
 _USUAL_SIGMA_M_S2 = 10e-6 * STANDARD_GRAVITY_M_S2
 _FEWEST_DIFFERENCES = 50  # Of two neighbouring means; the Allan deviation of fewer scatters by more than a tenth.
 _STILL_FALLING = 0.85  # White noise falls by 0.71 when the time doubles; above this the minimum is near.
 _OCTAVES = 9  # Averaging times up to 25 s: longer ones do not occur twice in a hold.
 _FEWEST_CELLS = 8  # The autocorrelation of fewer cells says nothing.
+# Later than with a sigma that is known: that of a hold scatters, white noise looks a little correlated by chance, and both are
+# looked at each half second. Simulated, 0.9 to 1.3 s for holds of 3 to 8 s.
+_LATE_S = 1.0
 _ROUNDING_S = 1e-9  # A whole number of cells is its length but for rounding.
 
 
@@ -44,15 +49,28 @@ class HoldTarget:
 
     fixed_s: float | None = None
     sigma_m_s2: float = _USUAL_SIGMA_M_S2
-    longest_s: float = _USUAL_S
+    longest_s: float = USUAL_S
+
+    @classmethod
+    def fixed(cls, length_s: float) -> HoldTarget:
+        """Return what ends a hold at this length, whatever its noise."""
+        return cls(length_s, 0.0, length_s)
+
+    @classmethod
+    def lasting(cls, length_s: float, noise: float) -> HoldTarget:
+        """Return what ends a hold at this length on average where its noise is white, m/s^2 per sqrt(Hz).
+
+        Where it is not, a hold of less than 10 s may last up to 10 s; a longer one never exceeds its length.
+        """
+        return cls(None, noise / math.sqrt(length_s - _LATE_S), max(length_s, USUAL_S))
 
     def latest_s(self, minimum_s: float) -> float:
         """Return the length at which a hold ends at the latest; ``minimum_s`` is that of the Allan deviation."""
         return self.fixed_s or max(min(self.longest_s, minimum_s), SHORTEST_S)
 
     def expected_s(self, noise: float) -> float:
-        """Return the length of a hold with white noise alone, m/s^2 per sqrt(Hz)."""
-        wanted_s = (noise / self.sigma_m_s2) ** 2 if self.sigma_m_s2 else math.inf
+        """Return the length of a hold with white noise alone, m/s^2 per sqrt(Hz), on average."""
+        wanted_s = (noise / self.sigma_m_s2) ** 2 + _LATE_S if self.sigma_m_s2 else math.inf
         return min(max(wanted_s, SHORTEST_S), self.latest_s(math.inf))
 
     def is_met(self, length_s: float, sigma_m_s2: float, minimum_s: float) -> bool:

@@ -18,7 +18,7 @@ from imufield.guide.events import Done, Hold, Holding, LinkBack, LinkLost, Marke
 from imufield.guide.hold.checks import LOST_SHARE, check_gravity, examine, explain_flags
 from imufield.guide.hold.observe import observe
 from imufield.guide.hold.output import HoldOutput
-from imufield.guide.lead.advice import Adviser
+from imufield.guide.lead.advice import Adviser, time_advice
 from imufield.guide.lead.hold_under_way import HoldUnderWay
 from imufield.guide.lead.plan import Plan
 from imufield.guide.lead.settings import MOVED_DEG, MOVED_S, GuideSettings
@@ -122,12 +122,11 @@ class GuideActions:
     """
 
     def __init__(self, scheme: Scheme, scale: RoughScale, settings: GuideSettings) -> None:
-        target = settings.hold_target
-        longest_s = max(LONGEST_S, target.longest_s + _HOLD_MARGIN_S)
+        longest_s = max(LONGEST_S, settings.longest_hold_s + _HOLD_MARGIN_S)
         self.plan = Plan(scheme)
         self.detector = StillnessDetector(scale, hand=True, longest_s=longest_s)
         self.speaker = Speaker()
-        self.hold = HoldUnderWay(self.detector, target, longest_s)
+        self.hold = HoldUnderWay(self.detector, settings.hold_target, longest_s)
         self.adviser = Adviser(self.plan, settings)
         self.turns = TurnLeader(settings.rotations)
         self.watch = StreamWatch(self.detector, self.speaker)
@@ -164,7 +163,10 @@ class GuideActions:
         self.hold.first_judged_s = floor.start_s
         self.speaker.now_s = floor.start_s + floor.duration_s
         self.speaker.say(floor_event(self.speaker.now_s, floor, self.detector))
-        self.speaker.say(*self.adviser.time_advice(self.speaker.now_s, floor, self.detector.scale))
+        time = self.adviser.session_time(floor, self.detector.scale)
+        if time is not None:
+            self.hold.target = time.hold_target
+            self.speaker.say(time_advice(self.speaker.now_s, time))
         nearest = self.plan.nearest(self.detector.scale.up(floor.mean[:3]), pending=True)
         if nearest is not None and nearest.angle_deg <= self.plan.tolerance_deg:
             self.plan.first = nearest.index
@@ -281,7 +283,7 @@ class GuideActions:
         position = self.plan.position(self.hold.position)
         direction = self.detector.scale.up(np.array(self.detector.stretch.mean[:3]))
         angle = angle_deg(position.direction, direction)
-        self.speaker.say(Hold(self.speaker.now_s, position.name, position.words, angle, self.hold.latest_s))
+        self.speaker.say(Hold(self.speaker.now_s, position.name, position.words, angle, self.hold.expected_s))
 
     def count(self) -> Input | None:
         """Count the cells of a hold; when there are enough, check whether enough remain after trimming."""
@@ -289,8 +291,7 @@ class GuideActions:
         if hold.evaluate():
             return Input.LONG_ENOUGH
         if hold.position is not None and speaker.due("holding", REPEAT_S):
-            left_s = (1 - hold.fraction) * hold.latest_s
-            speaker.say(Holding(speaker.now_s, self.plan.position(hold.position).name, hold.fraction, left_s))
+            speaker.say(Holding(speaker.now_s, self.plan.position(hold.position).name, hold.fraction, hold.left_s))
         return None
 
     def judge(self) -> Input:
@@ -414,7 +415,7 @@ class GuideActions:
                 LEAVE_FACTOR,
                 what="shook" if activity.kind == "vibration" else "moved",
                 lasted_s=lasted_s,
-                hold_s=self.hold.latest_s,
+                hold_s=round(self.hold.expected_s, 1),
                 times=self._moved_in_a_row,
             )
             self._reject_hold()

@@ -12,16 +12,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imufield.calibrate.accelerometer.drift import MOST_CONFUSION, order_confusion
-from imufield.calibrate.model.grades import grade_by_noise
+from imufield.calibrate.model.grades import Grade, grade_by_noise
 from imufield.earth import MILLI_G_M_S2
 from imufield.guide.cross_checks.axes import GOOD_DEG, AxesCheck
 from imufield.guide.cross_checks.centre import LEAST_OFFSET_M_S2
-from imufield.guide.cross_checks.running_fit import EXPECTED_SCATTER_M_S2, LINEAR, Disagreement, RunningFit, running_fit
+from imufield.guide.cross_checks.running_fit import (
+    EXPECTED_SCATTER_M_S2,
+    LINEAR,
+    Disagreement,
+    RunningFit,
+    running_fit,
+)
 from imufield.guide.events import Advice, Topic
 from imufield.guide.lead.plan import Plan
-from imufield.guide.lead.session_time import is_met, next_best, session_time
+from imufield.guide.lead.session_time import SessionTime, is_met, next_best, session_time
 from imufield.guide.lead.settings import GuideSettings
-from imufield.guide.stillness.cells import CELL_S
 from imufield.guide.stillness.noise_floor import NoiseFloor
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import FloatArray
@@ -77,8 +82,6 @@ _LIKE_EARLIER = _Kind(Topic.SCALE, "advice.earlier_scale", "advice.earlier_scale
 _OFF_NOMINAL = _Kind(Topic.SCALE, "advice.nominal_scale", "advice.off_scale_remedy", "1")
 _LIKE_NOMINAL = _Kind(Topic.SCALE, "advice.nominal_scale", "advice.nominal_scale_remedy", "1")
 _OFFSET = _Kind(Topic.OFFSET, "advice.offset", "advice.offset_remedy", "m/s^2")
-_SOON_ENOUGH = _Kind(Topic.TIME, "advice.time", "advice.time_remedy", "min")
-_NOT_ENOUGH = _Kind(Topic.TIME, "advice.time", "advice.time_unmet_remedy", "min")
 _GYROSCOPE_SCALE = _Kind(Topic.SCALE, "advice.gyroscope_scale", "advice.gyroscope_scale_remedy", "deg")
 
 
@@ -86,6 +89,20 @@ def gyroscope_scale_advice(now_s: float, axes: AxesCheck) -> Advice:
     """Return what a gyroscope of unknown scale sends, by the moves that agree with the accelerometer."""
     count_deg_s = math.degrees(1 / axes.gyroscope_scale)
     return _GYROSCOPE_SCALE.advice(now_s, axes.misfit_deg, GOOD_DEG, count_deg_s=count_deg_s, within_deg=axes.misfit_deg)
+
+
+def time_advice(now_s: float, time: SessionTime) -> Advice:
+    """Return how long the session takes to its target, and what to do where it misses it."""
+    return Advice(
+        time_s=now_s,
+        topic=Topic.TIME,
+        position=None,
+        words=time.words,
+        remedy=time.remedy,
+        measured=time.minutes,
+        limit=math.inf,
+        unit="min",
+    )
 
 
 class Adviser:
@@ -105,6 +122,7 @@ class Adviser:
         self.suspects: dict[int, Disagreement] = {}  # Positions that the fit to the others contradicts, the worst first.
         self._told: set[Topic] = set()
         self._revisited = False
+        self._grade: Grade | None = None  # By the noise, where there is a target.
 
     @property
     def suspect_names(self) -> tuple[str, ...]:
@@ -114,7 +132,7 @@ class Adviser:
     def fit_again(self, scale: RoughScale) -> None:
         """Fit everything measured so far, and choose the next position where another helps clearly more."""
         settings, plan = self._settings, self._plan
-        self.fit = running_fit(list(plan.accepted.values()), scale, settings.gravity_m_s2)
+        self.fit = running_fit(list(plan.accepted.values()), scale, settings.gravity)
         self._compare(scale)
         plan.preferred = None
         pending = plan.pending()
@@ -125,12 +143,14 @@ class Adviser:
 
     def _compare(self, scale: RoughScale) -> None:
         """Compare each position with the others but the suspects: a bump makes good ones disagree, and hides another."""
-        accepted = self._plan.accepted
+        accepted, fit_to_all = self._plan.accepted, self.fit
         out = [index for index in self.suspects if index in accepted]
 
         def compare(*more: int) -> dict[int, Disagreement]:
             indices = [index for index in accepted if index not in out or index in more]
-            fit = running_fit([accepted[index] for index in indices], scale, self._settings.gravity_m_s2)
+            some = [accepted[index] for index in indices]
+            is_all = len(some) == len(accepted)
+            fit = fit_to_all if is_all else running_fit(some, scale, self._settings.gravity)
             return {} if fit is None else dict(zip(indices, fit.disagreements(), strict=True))
 
         compared = compare()
@@ -147,15 +167,13 @@ class Adviser:
         worst_first = sorted(self.compared.items(), key=lambda found: -abs(found[1].sigmas))
         self.suspects = {index: found for index, found in worst_first if found.is_suspect}
 
-    def time_advice(self, now_s: float, floor: NoiseFloor, scale: RoughScale) -> list[Advice]:
-        """Return how long the session takes to its target, by the noise that was measured; nothing without a target."""
-        if not self._settings.targets or not scale.accelerometer:
-            return []
-        noise = math.sqrt(float(np.mean(floor.cell_sigma[:3] ** 2)) * CELL_S) / scale.accelerometer
-        scatter_m_s2 = grade_by_noise("accelerometer", noise).scatter_m_s2
-        time = session_time(self._plan.scheme, self._settings, noise=noise, scatter_m_s2=scatter_m_s2)
-        kind = _SOON_ENOUGH if time.is_met else _NOT_ENOUGH
-        return [kind.advice(now_s, time.minutes, math.inf, time=time.words)]
+    def session_time(self, floor: NoiseFloor, scale: RoughScale) -> SessionTime | None:
+        """Return how long the session takes to its target, by the noise that was measured; None without a target."""
+        noise = floor.white_noise(scale)
+        if not self._settings.targets or not math.isfinite(noise):
+            return None
+        self._grade = grade_by_noise("accelerometer", noise)
+        return session_time(self._plan.scheme, self._settings, noise=noise, grade=self._grade)
 
     def advise(self, now_s: float) -> list[Advice]:
         """Return what the running fit shows that the operator may want to act on; each topic once."""
@@ -173,8 +191,8 @@ class Adviser:
         settings, count = self._settings, len(fit.names)
         if count < LINEAR:
             return
-        asked, forecast = settings.targets, fit.forecast()
-        if is_met(asked, forecast):
+        asked, forecast = settings.targets, fit.forecast(self._grade)
+        if is_met(asked, forecast, count):
             kinds = {"bias_ug": _BIAS_MET, "scale_ppm": _SCALE_MET}
             known = [f"{key.split('_')[0]} {forecast[key]:.3g} {kinds[key].unit} (wanted {asked[key]:g})" for key in asked]
             key, value = next(iter(asked.items()))

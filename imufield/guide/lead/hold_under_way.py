@@ -86,12 +86,14 @@ class HoldUnderWay:
 
     def __init__(self, detector: StillnessDetector, target: HoldTarget, longest_s: float) -> None:
         self._detector = detector
-        self._target = target
+        self.target = target
         self._allan = AllanMinimum()
         self.history = SampleHistory(longest_s + _HISTORY_MARGIN_S)
         self.first_judged_s = math.nan  # Samples from before this time are not kept.
         self.position: int | None = None  # Where the hold belongs.
         self.fraction = 0.0  # Part of the hold that is done.
+        self.expected_s = 0.0  # Length at which it will end by what is known of its noise, guard bands off.
+        self.left_s = 0.0  # Until then.
         self.measured: HoldUnderTest | None = None  # The hold, once it is long enough.
         self.output: HoldOutput | None = None  # Of the hold that was judged.
         self.again_at: int | None = None  # Where the hold before was to be measured again.
@@ -100,11 +102,17 @@ class HoldUnderWay:
     @property
     def latest_s(self) -> float:
         """Length at which a hold ends at the latest."""
-        return self._target.latest_s(self._allan.minimum_s)
+        return self.target.latest_s(self._allan.minimum_s)
 
     def begin(self) -> None:
         """Begin a hold."""
         self.fraction, self.measured = 0.0, None
+        floor, detector = self._detector.floor, self._detector
+        self.expected_s = self.latest_s
+        # As on a table: whether it is in the hand shows later.
+        if floor is not None:
+            self.expected_s = min(self.target.expected_s(floor.white_noise(detector.scale)), self.latest_s)
+        self.left_s = self.expected_s
 
     def forget(self) -> None:
         """Forget the hold: it was accepted, refused or left."""
@@ -126,10 +134,14 @@ class HoldUnderWay:
         guard = cells_in(HAND_GUARD_S) if detector.in_hand else guard_cells(detector.limits)
         usable = detector.stretch.judged - 2 * guard
         latest = cells_in(self.latest_s)
-        earliest = latest if self._target.fixed_s is not None else cells_in(SHORTEST_S)
-        self.fraction = min(max(self.fraction, usable / latest), 1.0) if usable > 0 else 0.0
+        earliest = latest if self.target.fixed_s is not None else cells_in(SHORTEST_S)
         due = usable >= latest or (usable >= earliest and usable % _EVALUATE_EVERY == 0)
         self.measured = self._measure(latest) if due else None
+        if due and self.measured is None:
+            # Not yet: it will end at the next evaluation at the earliest, and in the hand at the latest.
+            self.expected_s = self.latest_s if detector.in_hand else max(self.expected_s, (usable + _EVALUATE_EVERY) * CELL_S)
+        self.left_s = max(self.expected_s - max(usable, 0) * CELL_S, 0.0)
+        self.fraction = min(max(self.fraction, 1 - self.left_s / self.expected_s), 1.0) if usable > 0 else 0.0
         return self.measured is not None
 
     def _measure(self, latest: int) -> HoldUnderTest | None:
@@ -156,10 +168,10 @@ class HoldUnderWay:
             kept = cells[rows]
             if not len(kept):
                 return None
-            sigma, wanted = sigma_along(kept, detector.scale), self._target.sigma_m_s2
-            if sigma > 0 and math.isfinite(sigma) and wanted > 0:
-                self.fraction = min(max(self.fraction, (wanted / sigma) ** 2), 1.0)
-            if not full and not self._target.is_met(len(kept) * CELL_S, sigma, self._allan.minimum_s):
+            sigma, wanted, length_s = sigma_along(kept, detector.scale), self.target.sigma_m_s2, len(kept) * CELL_S
+            if not full and not self.target.is_met(length_s, sigma, self._allan.minimum_s):
+                if math.isfinite(sigma) and wanted > 0:
+                    self.expected_s = min(length_s * (sigma / wanted) ** 2, self.latest_s)
                 return None
         return HoldUnderTest(cells=kept, floor=floor, limits=detector.limits, scale=detector.scale, hand_mean=hand_mean)
 

@@ -1,20 +1,27 @@
-"""How long a session takes until it is as good as wanted, told before it begins.
+"""How long a session takes until it is as good as wanted, told before it begins; and how long its holds must be for that.
 
 The guide's own fit is asked for its forecast, position by position in the order in which the guide asks for them, of an
 instrument without errors. What is not known yet is said by who asks: the noise, and by how much positions differ beyond it.
+
+Longer holds need fewer positions. Of all lengths of a hold the one is taken with which the session is shortest
+(docs/maths.md, positions).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from imufield.calibrate.accelerometer.drift import MOST_CONFUSION, order_confusion
-from imufield.guide.cross_checks.running_fit import LINEAR, RunningFit, running_fit
+from imufield.calibrate.model.grades import Grade
+from imufield.earth import Gravity
+from imufield.guide.cross_checks.running_fit import FEWEST, SHOWS_SCATTER, RunningFit, running_fit
+from imufield.guide.hold.hold_time import LONGEST_S, SHORTEST_S, HoldTarget
 from imufield.guide.lead.settings import GuideSettings
-from imufield.guide.positions import Position, Scheme
+from imufield.guide.positions import Scheme
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import FloatArray
 from imufield.sentences import Sentence, Sentences
@@ -25,9 +32,16 @@ BETWEEN_S = 7.0
 """From one hold to the next: what a person needs to turn the unit, lay it down, let go of it, and have it settle."""
 BEGIN_S = 10.0
 """Until the first hold: three seconds of it are the noise floor."""
+# Lengths of a hold that are tried, a tenth apart: the shortest session is hardly shorter between two of them.
+_LENGTHS_S = np.geomspace(SHORTEST_S, LONGEST_S, 32)
+# Of what is wanted: noise and scatter of the session to come are known to a tenth.
+_WITH_MARGIN = 0.9
+# Of the scatter between positions: noise below it makes the result worse by 5 %, and a longer hold helps no more.
+_NOISE_THAT_HELPS = 1 / 3
 # A position is proposed before its turn where its gain is larger by this factor: the order that drift cannot imitate is worth
 # more than a little gain.
 _CLEARLY_MORE = 1.5
+_ALIKE = 1e-6  # Gains of mirrored positions differ by rounding.
 _UNITS = {"bias_ug": "ug", "scale_ppm": "ppm"}
 
 
@@ -46,8 +60,14 @@ class SessionTime:
 
     Attributes
     ----------
-    hold_s : float
-        Of each position.
+    hold_s, usual_hold_s : float
+        Of each position, and without a target.
+    is_fixed : bool
+        Somebody fixed the length of the holds.
+    helps_s : float
+        Longer holds help no more.
+    noise : float
+        White noise of the accelerometer, m/s^2 per sqrt(Hz).
     positions, planned : int
         Measured when the target is reached, all where it is not; of the scheme.
     minutes : float
@@ -56,40 +76,83 @@ class SessionTime:
         1 sigma of the groups of parameters then, as ``RunningFit.forecast``.
     wanted : dict of float
         Of these groups; empty without a target.
+    gravity : Gravity
+        Whose uncertainty is in the forecast.
     """
 
     hold_s: float
+    usual_hold_s: float
+    is_fixed: bool
+    helps_s: float
+    noise: float
     positions: int
     planned: int
     minutes: float
     forecast: dict[str, float]
     wanted: dict[str, float]
+    gravity: Gravity
 
     @property
     def is_met(self) -> bool:
         """Whether the target is reached."""
-        return is_met(self.wanted, self.forecast)
+        return is_met(self.wanted, self.forecast, self.positions)
+
+    @property
+    def gravity_ppm(self) -> float:
+        """1 sigma of the scale by gravity alone."""
+        return 1e6 * self.gravity.sigma_m_s2 / self.gravity.gravity_m_s2
+
+    @property
+    def hold_target(self) -> HoldTarget:
+        """What ends each hold."""
+        return HoldTarget.fixed(self.hold_s) if self.is_fixed else HoldTarget.lasting(self.hold_s, self.noise)
 
     @property
     def words(self) -> Sentence:
         """The whole in a sentence."""
         known = [
-            f"{name.partition('_')[0]} {self.forecast.get(name, math.inf):.3g} {unit}"
+            f"{name.partition('_')[0]} {_known(self.forecast, name, unit)}"
             + (f" (wanted {self.wanted[name]:g})" if name in self.wanted else "")
             for name, unit in _UNITS.items()
         ]
-        reached = "session_time.met" if self.is_met else "session_time.unmet"
-        sizes = {"positions": self.positions, "hold_s": self.hold_s, "minutes": self.minutes}
-        return sentence(reached if self.wanted else "session_time.free", known=known, **sizes)
+        sizes = {"positions": self.positions, "hold_s": self.hold_s, "minutes": self.minutes, "usual_s": self.usual_hold_s}
+        sizes["least"] = SHOWS_SCATTER
+        if not self.wanted:
+            reached = "session_time.free"
+        elif not self.is_met:
+            reached = "session_time.few" if self.planned < SHOWS_SCATTER else "session_time.unmet"
+        else:
+            reached = "session_time.met_shorter" if self.hold_s < self.usual_hold_s else "session_time.met"
+        return sentence(reached, known=known, **sizes)
+
+    @property
+    def remedy(self) -> Sentence:
+        """What to do where the target is missed."""
+        if self.is_met or not self.wanted:
+            return sentence("session_time.no_remedy")
+        if self.planned < SHOWS_SCATTER:
+            return sentence("session_time.few_remedy", least=SHOWS_SCATTER)
+        if self.gravity_ppm >= self.wanted.get("scale_ppm", math.inf):
+            sizes = {"scale_ppm": self.wanted["scale_ppm"], "gravity_ppm": self.gravity_ppm}
+            return sentence("session_time.gravity_remedy", source=self.gravity.source_words, **sizes)
+        if self.hold_s < self.helps_s:
+            return sentence("session_time.fixed_remedy", helps_s=self.helps_s)
+        return sentence("session_time.unmet_remedy")
 
 
-def is_met(wanted: dict[str, float], forecast: dict[str, float]) -> bool:
-    """Whether a forecast is as good as wanted; where nothing is wanted it is not."""
-    return bool(wanted) and all(forecast.get(name, math.inf) <= value for name, value in wanted.items())
+def _known(forecast: dict[str, float], name: str, unit: str) -> str:
+    # Three digits without an exponent: 1840, not 1.84e+03.
+    return f"{float(f'{forecast[name]:.3g}'):g} {unit}" if name in forecast else sentence("session_time.not_shown")
 
 
-def session_time(scheme: Scheme, settings: GuideSettings, *, noise: float, scatter_m_s2: float) -> SessionTime:
-    """Return the time that a session takes.
+def is_met(wanted: dict[str, float], forecast: dict[str, float], positions: int) -> bool:
+    """Whether a forecast is as good as wanted and enough positions check it; where nothing is wanted it is not."""
+    is_enough = bool(wanted) and positions >= SHOWS_SCATTER
+    return is_enough and all(forecast.get(name, math.inf) <= value for name, value in wanted.items())
+
+
+def session_time(scheme: Scheme, settings: GuideSettings, *, noise: float, grade: Grade) -> SessionTime:
+    """Return the time that a session takes: the shortest of those that meet the target, or one of all positions.
 
     Parameters
     ----------
@@ -97,33 +160,66 @@ def session_time(scheme: Scheme, settings: GuideSettings, *, noise: float, scatt
     settings : GuideSettings
     noise : float
         White noise of the accelerometer, m/s^2 per sqrt(Hz).
-    scatter_m_s2 : float
-        Between positions, beyond that noise.
+    grade : Grade
+        Tells how much positions differ beyond that noise, and what no position shows.
     """
-    hold_s = settings.hold_target.expected_s(noise)
-    covariance = noise**2 / hold_s * np.eye(3)
-    left, done = [*scheme.positions], list[Position]()
-    forecast: dict[str, float] = {}
-    while left and not (len(done) >= LINEAR and is_met(settings.targets, forecast)):
+    usual_s = settings.hold_target.expected_s(noise)
+    averaged_s = (noise / (_NOISE_THAT_HELPS * grade.scatter_m_s2)) ** 2
+    helps_s = max(HoldTarget().expected_s(noise), min(averaged_s, LONGEST_S))
+    steps = list(_steps(scheme, settings, noise=noise / math.sqrt(usual_s)))
+
+    def taking(positions: int, hold_s: float) -> SessionTime:
+        # Whoever finishes early leaves out the first position, which is otherwise asked for again at the end.
+        holds = positions + int(settings.revisit_first and positions == len(scheme))
+        fit = steps[positions - 1]
+        return SessionTime(
+            hold_s=hold_s,
+            usual_hold_s=usual_s,
+            is_fixed=settings.hold_s is not None,
+            helps_s=helps_s,
+            noise=noise,
+            positions=positions,
+            planned=len(scheme),
+            minutes=(BEGIN_S + holds * (hold_s + BETWEEN_S)) / 60,
+            forecast={} if fit is None else fit.expecting(noise / math.sqrt(hold_s), grade.scatter_m_s2).forecast(grade),
+            wanted=settings.targets,
+            gravity=settings.gravity,
+        )
+
+    if settings.targets:
+        for share in (_WITH_MARGIN, 1.0):
+            enough = {name: share * value for name, value in settings.targets.items()}
+            lengths_s = _LENGTHS_S.tolist() if settings.hold_s is None else [settings.hold_s]
+            counts = range(SHOWS_SCATTER, len(scheme) + 1)
+            meeting = [
+                next((time for count in counts if is_met(enough, (time := taking(count, hold_s)).forecast, count)), None)
+                for hold_s in lengths_s
+            ]
+            if found := [time for time in meeting if time is not None]:
+                return min(found, key=lambda time: time.minutes)
+        if settings.hold_s is None:
+            return taking(len(scheme), helps_s)
+    return taking(len(scheme), usual_s)
+
+
+def _steps(scheme: Scheme, settings: GuideSettings, *, noise: float) -> Iterator[RunningFit | None]:
+    """Yield the fit to a perfect instrument position by position, in the order in which the guide asks for them.
+
+    One fit serves all: without errors each of them finds the same parameters, and only their covariance is another.
+    """
+    covariance, gravity = noise**2 * np.eye(3), settings.gravity
+    means = [_Mean(each.name, gravity.gravity_m_s2 * each.direction, covariance) for each in scheme.positions]
+    whole, up = running_fit(means, RoughScale(1.0), gravity), scheme.directions()
+    left, done = [*range(len(means))], list[int]()
+    while left:
         done.append(left.pop(0))
-        means = [_Mean(each.name, settings.gravity_m_s2 * each.direction, covariance) for each in done]
-        fit = running_fit(means, RoughScale(1.0), settings.gravity_m_s2)
-        if fit is None:
+        if whole is None or len(done) < FEWEST:
+            yield None
             continue
-        forecast = fit.with_scatter(scatter_m_s2).forecast()
+        fit = whole.of(done)
+        yield fit
         if len(left) > 1:
-            directions = [np.array([each.direction for each in some]) for some in (done, left)]
-            left.insert(0, left.pop(next_best(fit, *directions, hurried=bool(settings.targets))))
-    # Whoever finishes early leaves out the first position, which is otherwise asked for again at the end.
-    holds = len(done) + int(settings.revisit_first and not left)
-    return SessionTime(
-        hold_s=hold_s,
-        positions=len(done),
-        planned=len(scheme),
-        minutes=(BEGIN_S + holds * (hold_s + BETWEEN_S)) / 60,
-        forecast=forecast,
-        wanted=settings.targets,
-    )
+            left.insert(0, left.pop(next_best(fit, up[done], up[left], hurried=bool(settings.targets))))
 
 
 def next_best(fit: RunningFit, done: FloatArray, left: FloatArray, *, hurried: bool) -> int:
@@ -139,7 +235,8 @@ def next_best(fit: RunningFit, done: FloatArray, left: FloatArray, *, hurried: b
         Somebody with a target wants to be there soon.
     """
     gain = fit.gain(left)
-    best = int(np.argmax(gain))
+    # The first of those that help alike: rounding must not choose.
+    best = int(np.argmax(gain > (1 - _ALIKE) * gain.max()))
     if gain[best] <= (1.0 if hurried else _CLEARLY_MORE) * gain[0]:
         return 0
     order = np.concatenate([done, left[best : best + 1], np.delete(left, best, axis=0)])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from imufield.earth import MICRO_G_M_S2, STANDARD_GRAVITY_M_S2
+from imufield.earth import Gravity, choose_gravity
 from imufield.guide.hold.hold_time import LONGEST_S, HoldTarget
 
 # A unit that moved for less than both was not lifted: it rests where it was.
@@ -19,15 +19,15 @@ class GuideSettings:
     Attributes
     ----------
     hold_s : float or None
-        Fixes the length of a hold; None: as long as the uncertainty wanted needs, see ``hold_target``.
+        Fixes the length of a hold; None: as ``session_time`` finds it for the targets, or the usual one without.
     target_bias_ug, target_scale_ppm : float or None
         Uncertainty wanted of the result, 1 sigma; once met, finishing early is offered.
     revisit_first : bool
         Come back to the first position at the end: a check for drift.
     rotations : str or None
         Whole turns after the positions, about a "horizontal" (rolled) or "vertical" axis: see ``turns``.
-    gravity_m_s2 : float
-        For the running fit only.
+    gravity : Gravity
+        For the running fit and its forecast; by default that of an unknown place.
     earlier_scale_raw, earlier_scale_sigma : float
         Common scale of an earlier calibration of this instrument, raw rate per m/s^2, which a wrong gravity contradicts,
         and its relative 1 sigma.
@@ -38,7 +38,7 @@ class GuideSettings:
     target_scale_ppm: float | None = None
     revisit_first: bool = False
     rotations: str | None = None
-    gravity_m_s2: float = STANDARD_GRAVITY_M_S2
+    gravity: Gravity = choose_gravity()  # noqa: RUF009 - frozen, so one default may be shared
     earlier_scale_raw: float | None = None
     earlier_scale_sigma: float = 0.0
 
@@ -50,8 +50,10 @@ class GuideSettings:
 
     @property
     def hold_target(self) -> HoldTarget:
-        """What ends a hold: a bias or scale known to the target needs positions about as good."""
-        if self.hold_s is not None:
-            return HoldTarget(self.hold_s, 0.0, self.hold_s)
-        wanted = self.targets.values()
-        return HoldTarget(None, min(wanted) * MICRO_G_M_S2, LONGEST_S) if wanted else HoldTarget()
+        """What ends a hold without a target, or as long as the noise is not known that tells what a target needs."""
+        return HoldTarget() if self.hold_s is None else HoldTarget.fixed(self.hold_s)
+
+    @property
+    def longest_hold_s(self) -> float:
+        """Length that no hold exceeds."""
+        return LONGEST_S if self.targets and self.hold_s is None else self.hold_target.longest_s

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imufield.guide.stillness.cells import Cells
+from imufield.guide.stillness.cells import CELL_S, Cells
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import FloatArray
 
@@ -84,6 +84,12 @@ class NoiseFloor:
     def known_step(self) -> FloatArray:
         """``step``, 0 where the output never changed."""
         return np.where(np.isfinite(self.step), self.step, 0.0)
+
+    def white_noise(self, scale: RoughScale) -> float:
+        """Return the accelerometer's noise, mean of its axes, m/s^2 per sqrt(Hz); infinite where the scale is not known."""
+        if not scale.accelerometer:
+            return math.inf
+        return math.sqrt(float(np.mean(self.cell_sigma[:3] ** 2)) * CELL_S) / scale.accelerometer
 
 
 def measure_floor(cells: Cells) -> NoiseFloor:

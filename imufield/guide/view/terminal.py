@@ -21,7 +21,8 @@ from imufield.console import PlainTextConsole
 from imufield.guide.events import Event
 from imufield.guide.lead.guide import Snapshot
 from imufield.guide.positions import Scheme
-from imufield.guide.view.screen import HEIGHT, WIDTH, LinkState, Screen, draw, draw_big, draw_small
+from imufield.guide.view.instruction import Screen
+from imufield.guide.view.screen import HEIGHT, WIDTH, LinkState, draw, draw_big, draw_small
 
 
 class Keyboard(ExitStack):

@@ -27,7 +27,7 @@ def test_several_bumps_are_all_found_and_none_is_exonerated_by_another(
     """A second bump of the same size makes the first look usual where both stay in the fit."""
     some = observations("mems", 1)
     plan = Plan(scheme("paper24"))
-    adviser = Adviser(plan, GuideSettings(gravity_m_s2=9.80665))
+    adviser = Adviser(plan, GuideSettings())
     found: list[int] = []
     for index, observation in enumerate(some):
         mean_raw = observation.mean_raw * (BUMP if index in bumped else 1.0)

@@ -28,7 +28,7 @@ from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.lead.state_table import State
 from imufield.guide.positions import scheme
 from imufield.guide.refusals import RefusalKind
-from imufield.samples import Samples, SampleUnits, Status, concatenate
+from imufield.samples import SampleUnits, Status, concatenate
 from tests.guide.guided import FACES, SHORT, faces_session, is_said_by, of, run, values_of
 
 
@@ -483,15 +483,7 @@ def test_increment_outputs_work_like_rates(make_path: Any) -> None:
     units = SampleUnits(
         accelerometer="m/s", gyroscope="rad", accelerometer_is_increment=True, gyroscope_is_increment=True, interval_s=0.01
     )
-    increments = Samples(
-        time_s=rates.time_s,
-        accelerometer=rates.accelerometer * 0.01,
-        gyroscope=rates.gyroscope * 0.01,
-        temperature_degc=rates.temperature_degc,
-        counter=rates.counter,
-        status=rates.status,
-        units=units,
-    )
+    increments = replace(rates, accelerometer=rates.accelerometer * 0.01, gyroscope=rates.gyroscope * 0.01, units=units)
     guide, _ = run(increments)
     assert guide.done
     np.testing.assert_allclose(guide.observations().mean_raw, run(rates)[0].observations().mean_raw, rtol=1e-9)

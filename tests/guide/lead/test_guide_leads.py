@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from imufield.calibrate.accelerometer.drift import MOST_CONFUSION
+from imufield.earth import choose_gravity
 from imufield.guide import refusals
 from imufield.guide.events import Accepted, Advice, Done, Event, Hold, Move, RefusalCode, Rejected, Topic
 from imufield.guide.lead.guide import Guide
@@ -328,7 +329,9 @@ def test_a_wrong_latitude_shows_against_an_earlier_calibration(make_path: Any, l
     wrong = 1 + 90e-6 * latitude_error_deg
     samples = corners(make_path)
     gravity = float(np.linalg.norm(samples.accelerometer[:300].mean(axis=0)))
-    _, events = feed(samples, "corners24", gravity_m_s2=gravity * wrong, earlier_scale_raw=1.0)
+    _, events = feed(
+        samples, "corners24", gravity=replace(choose_gravity(), gravity_m_s2=gravity * wrong), earlier_scale_raw=1.0
+    )
     said = [event for event in of(events, Advice) if event.topic is Topic.SCALE]
     assert len(said) == 1
     assert (said[0].measured > said[0].limit) is (latitude_error_deg > 0)

@@ -25,10 +25,11 @@ from imufield.guide.events import (
 from imufield.guide.lead.guide import Guide
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.positions import SCHEMES, scheme
+from imufield.guide.view.instruction import Screen, instruct
 from imufield.guide.view.marks import with_keys
 from imufield.guide.view.pictures import big_lines
 from imufield.guide.view.plain import JsonLinesView, PlainView, line
-from imufield.guide.view.screen import HEIGHT, WIDTH, LinkState, Screen, draw, draw_big, draw_small, instruct
+from imufield.guide.view.screen import HEIGHT, WIDTH, LinkState, draw, draw_big, draw_small
 from imufield.guide.view.terminal import TerminalView
 
 
