@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from imufield.errors import UsageError
+from imufield.files import real_path
 from imufield.sentences import Sentences, printable
 
 sentence = Sentences(__package__)
@@ -49,8 +50,7 @@ class Sessions:
     def existing(self, name: object) -> Path:
         """Return the path of a session; raises ``UsageError`` for what is no folder of the root."""
         path = self.root / _text(name)
-        # Not ``resolve``, which fails at a link that leads to itself.
-        is_inside = Path(os.path.realpath(path)).parent == Path(os.path.realpath(self.root)) and path.name == name
+        is_inside = real_path(path).parent == real_path(self.root) and path.name == name
         if not (is_inside and path.is_dir()):
             raise UsageError(sentence("actions.no_session", name=name, root=self.root))
         return path
@@ -64,7 +64,7 @@ class Sessions:
 
     def holds(self, path: Path) -> bool:
         """Whether a path leads to something below the root, links followed."""
-        return Path(os.path.realpath(path)).is_relative_to(os.path.realpath(self.root))
+        return real_path(path).is_relative_to(real_path(self.root))
 
     def file(self, path: object) -> Path:
         """Return the path of a file below the root; raises ``UsageError`` for any other."""
@@ -205,6 +205,7 @@ ACTIONS: Mapping[str, Action] = {
         "plan --json",
         {
             **_GOAL,
+            **_SITE,
             "noise_ug": _option("--noise-ug", _number),
             "grade": _option("--grade", _matching(_WORD)),
         },

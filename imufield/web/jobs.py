@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass, field
 from typing import IO
 
 from imufield.errors import EXIT_INTERRUPTED, UsageError
+from imufield.progress import ERASE
 from imufield.sentences import Sentences, printable
 from imufield.web.board import Json
 
@@ -27,6 +28,7 @@ LONGEST_OUTPUT = 1 << 22
 """Characters of one line: the parameters of a thousand positions take half of it."""
 END_S = 10.0
 """Twice what a command that is interrupted has by itself; then it is killed."""
+PROGRESS = "progress"
 # Live values of the guide, which has a page of its own for them.
 _PASSING = ("turning", "holding")
 
@@ -37,21 +39,24 @@ class Jobs:
     Parameters
     ----------
     tell : callable
-        Given what happens, from threads of the jobs.
+        Given what happens, from threads of the jobs; nothing where only what runs is to be shown anew.
     """
 
-    def __init__(self, tell: Callable[[Json], None]) -> None:
+    def __init__(self, tell: Callable[..., None]) -> None:
         self._tell = tell
         self._lock = threading.Lock()
         self._started = 0
         self._heads: dict[int, _Head] = {}
         self._waiting: dict[int, list[str]] = {}
         self._running: dict[int, subprocess.Popen[str]] = {}
+        self._ending: set[int] = set()  # Asked to end: nobody is given one of these.
+        self._alone: set[int] = set()
+        self._handed_out: set[int] = set()  # Whoever was given one of these has not begun to read it yet.
 
     def start(self, action: str, values: Json, words: list[str], *, is_alone: bool = False) -> int:
         """Start ``imufield WORDS``, now or when another has ended, and return its number.
 
-        With ``is_alone`` one of the same action that has not ended is returned in its place.
+        With ``is_alone`` one of the same action that runs is returned in its place; one that is ending is waited for.
 
         Raises
         ------
@@ -59,8 +64,9 @@ class Jobs:
             If too many are waiting.
         """
         with self._lock:
-            same = [number for number, head in self._heads.items() if head.action == action] if is_alone else []
+            same = [number for number in self._of(action) if is_alone and number not in self._ending]
             if same:
+                self._handed_out.add(same[0])
                 return same[0]
             if len(self._waiting) >= MOST_WAITING:
                 raise UsageError(sentence("jobs.too_many", limit=MOST_WAITING))
@@ -68,16 +74,32 @@ class Jobs:
             number = self._started
             head = _Head(number, action, values, shlex.join(["imufield", *words]))
             self._heads[number], self._waiting[number] = head, words
+            if is_alone:
+                self._alone.add(number)
+                self._handed_out.add(number)
+            # From now on it is read.
+            self._handed_out -= self._offering(values.get("port"))
         self._tell(asdict(head))
         self._begin_next()
         return number
+
+    def _of(self, action: str) -> list[int]:
+        return [number for number, head in self._heads.items() if head.action == action]
+
+    def _offering(self, port: object) -> set[int]:
+        """Return the virtual instruments at a port."""
+        return {number for number, head in self._heads.items() if port and head.port == port}
+
+    def _next(self) -> int | None:
+        """Return the number of the next one; what is alone begins behind the one before it, at whose port it will be."""
+        before = {number: {*self._of(self._heads[number].action)} & self._running.keys() for number in self._waiting}
+        return next((number for number in self._waiting if not (number in self._alone and before[number])), None)
 
     def _begin_next(self) -> None:
         """Start those whose turn it is."""
         refused: dict[int, str | None] = {}
         with self._lock:
-            while self._waiting and len(self._running) < MOST_AT_ONCE:
-                number = next(iter(self._waiting))
+            while len(self._running) < MOST_AT_ONCE and (number := self._next()) is not None:
                 try:
                     process = _started(self._waiting.pop(number))
                 # No process or memory is left: the page hears it as it hears of any other failure.
@@ -102,18 +124,34 @@ class Jobs:
         with self._lock:
             process = self._running.get(number)
             waited = self._waiting.pop(number, None)
+            # A number that was never given, or has ended, may not mark the job that gets it.
+            if number in self._heads:
+                self._ending.add(number)
         if process is not None:
             _interrupt(process)
         elif waited is not None:
             self._end(number, EXIT_INTERRUPTED)
 
+    def release(self, port: object) -> None:
+        """End the virtual instrument at a port where nobody reads it: what it was begun for did not begin."""
+        with self._lock:
+            self._handed_out -= self._offering(port)
+            unread = self._unread(port)
+        for number in unread:
+            self.cancel(number)
+
+    def _unread(self, port: object) -> set[int]:
+        is_read = any(head.values.get("port") == port for head in self._heads.values())
+        return set() if is_read else self._offering(port) - self._handed_out
+
     def _end(self, number: int, code: int) -> None:
         with self._lock:
             self._running.pop(number, None)
             port = self._heads.pop(number).values.get("port")
-            is_read = any(head.values.get("port") == port for head in self._heads.values())
+            for kept in (self._ending, self._alone, self._handed_out):
+                kept.discard(number)
             # A virtual instrument ends with the last command that reads it.
-            unread = [other for other, head in self._heads.items() if port and not is_read and head.port == port]
+            unread = self._unread(port)
         self._tell({"job": number, "code": code})
         for other in unread:
             self.cancel(other)
@@ -148,6 +186,9 @@ class Jobs:
     def _read(self, number: int, stream: IO[str], kind: str) -> None:
         while line := stream.readline(LONGEST_OUTPUT):
             text = line.rstrip("\n")
+            if text.startswith(ERASE):
+                self._go_on(number, printable(text.removeprefix(ERASE)))
+                continue
             value = _value(text) if kind == "line" else None
             if value is None:
                 self._tell({"job": number, kind: printable(text)})
@@ -159,6 +200,14 @@ class Jobs:
                     told |= {} if event is None else {event: value}
                 self._tell({"job": number, "value": value})
         stream.close()
+
+    def _go_on(self, number: int, words: str) -> None:
+        """Show how far a command is, which is nothing to be kept."""
+        with self._lock:
+            told = self._heads[number].told
+            told.pop(PROGRESS, None)
+            told |= {PROGRESS: {"event": PROGRESS, "words": words}} if words else {}
+        self._tell()
 
 
 @dataclass(frozen=True, slots=True)

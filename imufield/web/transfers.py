@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from imufield.errors import ImufieldError, UsageError
-from imufield.files import Origin, make_beside, open_to_read, typed_write_errors
+from imufield.files import Origin, make_beside, new_mode, open_to_read, publish_beside_others, typed_write_errors
 from imufield.sentences import Sentences
 from imufield.web.actions import UPLOADS, Sessions
 from imufield.web.board import Json
@@ -79,9 +79,10 @@ class Uploads:
             where = self._sessions.root / UPLOADS / (_new_name() if folder is None else _known(folder))
             path = where / _plain(name)
             with typed_write_errors(path):
-                where.mkdir(parents=True, exist_ok=True)
+                # Before anything is made there.
                 if not self._sessions.holds(where):
                     raise UsageError(sentence("actions.no_file", name=where, root=self._sessions.root))
+                where.mkdir(parents=True, exist_ok=True)
                 if path.exists() or any(upload.path == path for upload in self._open.values()):
                     raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
                 # It takes its name when it is whole: what a program that was killed leaves behind is no recording.
@@ -111,7 +112,9 @@ class Uploads:
                     # The last bytes are written when it is closed.
                     if len(data) == upload.left:
                         upload.file.close()
-                        upload.beside.replace(upload.path)
+                        upload.beside.chmod(new_mode())
+                        # Another program may have put a file there since it began: both stay.
+                        upload.path = publish_beside_others(upload.beside, upload.path)
             except ImufieldError:
                 self._drop(identity)
                 raise

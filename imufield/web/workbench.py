@@ -6,13 +6,17 @@ Nothing is computed here: a capture never waits for anything else, and whatever 
 from __future__ import annotations
 
 import json
+import math
 import os
+import stat
 import threading
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
+from imufield.acquire.recording.session import Session
 from imufield.errors import ImufieldError, UsageError
-from imufield.files import is_recorded
+from imufield.files import is_kept, is_recorded
 from imufield.sentences import Sentences
 from imufield.web.actions import ACTIONS, VIRTUAL, Sessions, command_line
 from imufield.web.board import Board, Json
@@ -22,6 +26,11 @@ from imufield.web.transfers import Downloads, Uploads
 
 sentence = Sentences(__package__)
 
+# Files of a session that are nothing of its parameters, whatever they are older than.
+SAMPLES = "samples."
+PART_SUFFIX = ".mcap"
+# A report replaces the one before, which is not kept: one with a number beside it is somebody's own.
+_REPLACED = (".html", ".pdf")
 EVENTS_KEPT = 1000
 """Of all commands, for a page that comes: a session of 24 positions makes some 200."""
 LARGEST_PIECE = 1 << 19
@@ -78,10 +87,7 @@ class Workbench:
     def _answer(self, asked: Mapping[str, object]) -> Json:
         """Do what a page asks for; raises ``ImufieldError``."""
         if "run" in asked:
-            values = asked.get("values", {})
-            action, words = str(asked["run"]), command_line(asked["run"], values, self._sessions)
-            given = values if isinstance(values, dict) else {}
-            return {"job": self._jobs.start(action, given, words, is_alone=ACTIONS[action].is_alone)}
+            return {"job": self._run(asked["run"], asked.get("values", {}))}
         if "cancel" in asked:
             self._jobs.cancel(asked["cancel"])
             return {}
@@ -93,6 +99,16 @@ class Workbench:
             return self._uploads.begin(asked["upload"], asked.get("size"), asked.get("folder"))
         raise UsageError(sentence("workbench.unknown"))
 
+    def _run(self, name: object, values: object) -> int:
+        """Start a command and return its number; raises ``UsageError``."""
+        action, given = str(name), values if isinstance(values, dict) else {}
+        try:
+            words = command_line(name, values, self._sessions)
+            return self._jobs.start(action, given, words, is_alone=ACTIONS[action].is_alone)
+        except UsageError:
+            self._jobs.release(given.get("port"))
+            raise
+
     def close(self) -> None:
         """End the commands that run, and remove files that have not come whole."""
         self._jobs.close()
@@ -100,25 +116,69 @@ class Workbench:
 
 
 def _found(folder: Path) -> Json:
-    """Return what the folder of a session holds now: the names of files that were made of it, and its parameters."""
+    """Return what the folder of a session holds now.
+
+    Returns
+    -------
+    dict
+        ``files``, the names of what was made of it; ``earlier``, of those what is older than its parameters or was replaced;
+        ``parameters``;
+        ``fault``, what is wrong with them; ``is_outdated``, whether the recording has grown since.
+    """
     from imufield.deliver.parameters.file import PARAMETER_FILE, load
     from imufield.deliver.report.gain import document_with_gain
+    from imufield.pipeline.solving import session_sha256
 
-    made = [path for path in folder.iterdir() if path.is_file() and not (path.is_symlink() or is_recorded(path))]
-    # What begins with a point is being written.
-    names = [path.name for path in made if not path.name.startswith(".")]
+    written_ns = _written_ns(folder)
+    made = [name for name in written_ns if not is_recorded(folder / name)]
+    found: Json = {"files": sorted(made, key=lambda name: (name != PARAMETER_FILE, name)), "earlier": [], "is_outdated": False}
     # Most have no parameters because nobody has solved them yet.
-    parameters = document_with_gain(load(folder)) if PARAMETER_FILE in names else None
-    return {"files": sorted(names, key=lambda name: (name != PARAMETER_FILE, name)), "parameters": parameters}
+    if PARAMETER_FILE not in made:
+        return {**found, "parameters": None, "fault": ""}
+    is_older = {name: time_ns < written_ns[PARAMETER_FILE] for name, time_ns in written_ns.items()}
+    found["earlier"] = [name for name in made if _is_earlier(folder / name, is_older=is_older[name])]
+    try:
+        parameters = load(folder)
+        # A copy may have the time of the copying: then the recording itself is looked at.
+        is_newer = any(not older for name, older in is_older.items() if name.endswith(PART_SUFFIX))
+        found["is_outdated"] = is_newer and session_sha256(Session.open(folder)) != parameters.context.session.sha256
+        return {**found, "parameters": document_with_gain(parameters), "fault": ""}
+    # It can be solved again, whatever has become of its parameters.
+    except ImufieldError as error:
+        return {**found, "parameters": None, "fault": error.message}
+
+
+def _is_earlier(path: Path, *, is_older: bool) -> bool:
+    """Whether a file is not of the present parameters: older than they are, or kept when another took its name."""
+    return not path.name.startswith(SAMPLES) and (is_older or (is_kept(path) and path.suffix not in _REPLACED))
+
+
+def _written_ns(folder: Path) -> dict[str, int]:
+    """Return when each file of a folder was written; not of those that are being written, whose names begin with a point."""
+    times_ns: dict[str, int] = {}
+    for path in folder.iterdir():
+        # Another program may remove it or give it another name meanwhile.
+        with suppress(FileNotFoundError):
+            status = path.lstat()
+            if stat.S_ISREG(status.st_mode) and not path.name.startswith("."):
+                times_ns[path.name] = status.st_mtime_ns
+    return times_ns
 
 
 def _no_number(name: str) -> None:
     raise ValueError(name)
 
 
+def _number(digits: str) -> float:
+    """Return a number of JSON; "1e999" is none that could be one on its way back."""
+    if math.isinf(value := float(digits)):
+        _no_number(digits)
+    return value
+
+
 def _read(message: str) -> dict[str, object]:
     try:
-        asked = json.loads(message, parse_constant=_no_number)
+        asked = json.loads(message, parse_constant=_no_number, parse_float=_number)
     except (ValueError, RecursionError):
         asked = None
     if not isinstance(asked, dict):

@@ -95,6 +95,8 @@ def findings(browser: Browser) -> Iterator[Findings]:
         found.console = list(screens.console)
         server.end(ENDED)
     page.locator("#headline", has_text="FINISHED").wait_for()
+    assert page.locator("#positions .next").count() == 0
+    assert not [shown for shown in page.locator("#positions .residual").all_inner_texts() if shown in ("+0.00", "\u22120.00")]
     find(page, "ended", found)
     yield found
     screens.close()
@@ -188,6 +190,14 @@ def test_who_has_no_token_is_told_what_to_open(screens: Screens, idle: str, frag
     page = screens.open(idle.partition("#")[0] + fragment)
     page.locator("#link", has_text="address").wait_for()
     assert not page.locator("#marks").is_visible()
+
+
+def test_a_guide_that_tells_nothing_is_told_of_though_the_program_answers(screens: Screens, idle: str) -> None:
+    page = screens.open(idle)
+    page.locator("#marks").wait_for()
+    assert page.locator("#link").inner_text() == ""
+    page.evaluate("() => { const now = Date.now; Date.now = () => now() + 60000; }")
+    page.locator("#link", has_text="10 s").wait_for()
 
 
 def test_text_of_others_stays_text(screens: Screens) -> None:

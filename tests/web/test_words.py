@@ -7,8 +7,8 @@ from itertools import chain
 import pytest
 
 from imufield.earth import MICRO_G_M_S2
+from imufield.guide.view.instruction import Mood
 from imufield.guide.view.marks import KEYS, NAMES
-from imufield.guide.view.screen import Mood
 from imufield.pipeline.calibration import FEWEST_CHECKED
 
 STATIC = files("imufield.web") / "static"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
@@ -10,6 +11,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -27,6 +29,7 @@ from websockets.typing import Origin, Subprotocol
 from imufield.acquire.recording.reader import Damage, read_session
 from imufield.acquire.recording.session import Session
 from imufield.errors import EXIT_INTERRUPTED, UsageError
+from imufield.progress import ERASE
 from imufield.sentences import Sentence
 from imufield.web import jobs, transfers
 from imufield.web.access import PROTOCOL
@@ -217,6 +220,18 @@ def test_what_is_no_number_is_none_on_its_way_to_the_pages() -> None:
     assert jobs._value("words") is jobs._value("{words}") is None
 
 
+def test_how_far_a_command_is_is_shown_and_not_kept() -> None:
+    told: list[dict[str, object]] = []
+    under_way = jobs.Jobs(lambda *events: told.extend(events))
+    under_way._heads[1] = jobs._Head(1, "solve", {}, "imufield solve")
+    under_way._read(1, io.StringIO(f"{ERASE}reading: 9%\nwords\n"), "said")
+    (head,) = under_way.unfinished()
+    assert head["told"] == {"progress": {"event": "progress", "words": "reading: 9%"}}
+    under_way._read(1, io.StringIO(f"{ERASE}\n"), "said")
+    assert under_way.unfinished()[0]["told"] == {}
+    assert told == [{"job": 1, "said": "words"}]
+
+
 def test_a_command_that_fails_says_why(page: Page) -> None:
     job = page.run("solve", session="one")
     assert page.heard(job, "code") == 4
@@ -238,7 +253,10 @@ def test_a_command_waits_for_its_turn_and_is_ended_as_by_ctrl_c(
 ) -> None:
     monkeypatch.setattr(jobs, "MOST_AT_ONCE", 1)
     monkeypatch.setattr(jobs, "MOST_WAITING", 2)
+    # Nobody has this number yet: it ends nothing, now or later.
+    page.ask({"cancel": 1})
     running = page.run("emulate")
+    assert running == 1
     assert Path(page.heard(running, "value")["port"]).exists()
     # There is one, and whoever comes later knows where.
     assert page.run("emulate") == running
@@ -256,6 +274,30 @@ def test_a_command_waits_for_its_turn_and_is_ended_as_by_ctrl_c(
     # What has ended, and what never was.
     assert page.ask({"cancel": running})["answer"] == page.ask({"cancel": 99})["answer"] == {}
     assert page.ask({"cancel": [1]})["answer"] == {}
+
+
+# Three programs, one after the other.
+def test_an_instrument_that_ends_is_given_to_nobody_and_one_that_is_given_does_not_end(page: Page) -> None:
+    first = page.run("emulate")
+    port = page.heard(first, "value")["port"]
+    page.ask({"cancel": first})
+    second = page.run("emulate")
+    assert second != first
+    # It is at the port of the one before it, which is gone by then.
+    assert page.heard(second, "value")["port"] == port
+    assert page.heard(first, "code") == EXIT_INTERRUPTED
+    assert Path(port).exists()
+    # While one that reads it ends, it is given to another: for that one it stays.
+    reader = page.run("probe", port=port)
+    assert page.run("emulate") == second
+    page.heard(reader, "code")
+    # What comes behind it is answered behind it.
+    assert page.ask({"cancel": 99})["answer"] == {}
+    assert not any(event["job"] == second and "code" in event for event in page.events)
+    # What it was given for is refused.
+    assert "refused" in page.ask({"run": "capture", "values": {"new": "one", "port": port}})
+    assert page.heard(second, "code") == EXIT_INTERRUPTED
+    assert not Path(port).exists()
 
 
 # Two programs.
@@ -277,10 +319,61 @@ def test_what_a_session_holds_is_told_from_its_folder(page: Page, root: Path, so
     assert len(found["parameters"]["position"]) == 24
     assert found["parameters"]["error_at_rest"]["after_mg"] < found["parameters"]["error_at_rest"]["before_mg"]
     (root / "two" / "parameters.toml").unlink()
-    assert page.ask({"session": "two"})["answer"] == {"files": ["report.html"], "parameters": None}
-    # Its parameters are none: the sentence of whoever reads them.
-    assert "sessions/one" in page.ask({"session": "one"})["refused"]
+    assert page.ask({"session": "two"})["answer"] == found | {"files": ["report.html"], "parameters": None}
+    # Its parameters are none: the sentence of whoever reads them, and all else.
+    damaged = page.ask({"session": "one"})["answer"]
+    assert "sessions/one" in damaged["fault"]
+    assert (damaged["files"], damaged["parameters"]) == (["parameters.toml"], None)
     assert "refused" in page.ask({"session": ".."})
+
+
+def test_what_a_session_holds_is_told_while_programs_write_there(root: Path) -> None:
+    workbench, done = Workbench(root), threading.Event()
+
+    def write() -> None:
+        while not done.is_set():
+            for number in range(100):
+                (root / "one" / f".{number}.tmp").touch()
+            for number in range(100):
+                (root / "one" / f".{number}.tmp").unlink()
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    try:
+        answers = [json.loads(workbench.take('{"session": "one"}')) for _ in range(100)]
+    finally:
+        done.set()
+        writer.join()
+        workbench.close()
+    assert not [answer for answer in answers if "refused" in answer]
+    assert all(answer["answer"]["files"] == ["parameters.toml"] for answer in answers)
+
+
+def test_what_is_older_than_the_parameters_or_replaced_is_told_apart(page: Page, root: Path, solved_session: Path) -> None:
+    shutil.copytree(solved_session, root / "two")
+    parameters = root / "two" / "parameters.toml"
+    for name in (
+        "c.h",
+        "c-1.h",
+        "px4-1.params",
+        "report.html",
+        "report-2.html",
+        "samples.overview.csv",
+        "samples.overview-1.csv",
+    ):
+        (root / "two" / name).touch()
+    solved_ns = parameters.stat().st_mtime_ns
+    for name, made_ns in (("report.html", solved_ns - 1), ("samples.overview.csv", solved_ns - 1), ("c.h", solved_ns)):
+        os.utime(root / "two" / name, ns=(made_ns, made_ns))
+    found = page.ask({"session": "two"})["answer"]
+    # Replaced, or older; a number alone says nothing, and of reports and samples none is kept.
+    assert (sorted(found["earlier"]), found["is_outdated"]) == (["c-1.h", "report.html"], False)
+    # A copy of the recording has a time of its own; it is another one where something came to it.
+    part = next((root / "two").glob("part-*.mcap"))
+    os.utime(part, ns=(solved_ns + 1, solved_ns + 1))
+    assert not page.ask({"session": "two"})["answer"]["is_outdated"]
+    shutil.copy(part, part.with_name("part-999.mcap"))
+    assert page.ask({"session": "two"})["answer"]["is_outdated"]
 
 
 @pytest.mark.parametrize(
@@ -290,6 +383,7 @@ def test_what_a_session_holds_is_told_from_its_folder(page: Page, root: Path, so
      '{"upload": "x", "size": 1, "folder": "../.."}', '{"upload": "x", "size": 1e300}', '{"file": ["x"]}', '{"file": ".."}',
      '{"file": "../secret"}', '{"file": "/etc/passwd"}', '{"file": "one"}', '{"file": "one/led-out"}',
      '{"file": "led-out/secret"}',
+     '{"run": "solve", "values": {"session": "one", "latitude": 1e999}}', '{"id": 1e999, "session": "one"}',
      '{"file": "one/../../secret"}', '{"file": "one/parameters.toml\\u0000"}', '{"file": ""}'],
 )  # fmt: skip
 def test_a_message_that_makes_no_sense_is_answered_by_a_sentence(page: Page, message: str | bytes) -> None:
@@ -332,6 +426,27 @@ def test_a_file_comes_up_in_pieces_and_others_of_its_recording_beside_it(page: P
     assert Path(other["file"]).parent == Path(sent["file"]).parent
     # The same name again would be another file under it.
     assert "refused" in page.ask({"upload": "acc.csv", "size": 1, "folder": sent["folder"]})
+
+
+def test_nothing_is_made_where_a_link_leads_out(page: Page, root: Path, tmp_path: Path) -> None:
+    (root / UPLOADS).symlink_to(tmp_path / "elsewhere")
+    assert "refused" in page.ask({"upload": "acc.csv", "size": 4})
+    assert not (tmp_path / "elsewhere").exists()
+
+
+def test_what_came_meanwhile_under_its_name_stays(page: Page, root: Path) -> None:
+    begun = page.ask({"upload": "acc.csv", "size": 4})["answer"]
+    theirs = root / UPLOADS / begun["folder"] / "acc.csv"
+    theirs.write_text("theirs")
+    mask = os.umask(0o027)
+    try:
+        sent = page.ask(begun["upload"].encode() + b"ours")["answer"]
+    finally:
+        os.umask(mask)
+    assert (theirs.read_text(), (root / sent["file"]).read_text()) == ("theirs", "ours")
+    # As any other file that this person makes, and not for the owner alone.
+    assert (root / sent["file"]).stat().st_mode & 0o777 == 0o640
+    assert len([*theirs.parent.iterdir()]) == 2
 
 
 @pytest.mark.parametrize(

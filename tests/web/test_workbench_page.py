@@ -6,6 +6,7 @@ import itertools
 import os
 import re
 import signal
+import socket
 import subprocess
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,6 +23,7 @@ from tests.web.test_page_looks import AXE, RUN_AXE, SIZES
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
+    from imufield.deliver.parameters.file import Parameters
     from tests.web.browser import Screens
 
 pytest.importorskip("websockets", reason="the workbench needs websockets")
@@ -37,8 +39,13 @@ def address(program: Program) -> str:
     return start(program)
 
 
-def start(program: Program) -> str:
-    process = program.start("web", variables={"DISPLAY": "", "WAYLAND_DISPLAY": "", "IMUFIELD_CLOCK_SPEED": f"{SPEED:g}"})
+def start(program: Program, port: int | None = None) -> str:
+    """Start it at a port of its own: the usual ones may be taken or given up by others at any moment."""
+    if port is None:
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            port = free.getsockname()[1]
+    variables = {"DISPLAY": "", "WAYLAND_DISPLAY": "", "IMUFIELD_CLOCK_SPEED": f"{SPEED:g}"}
+    process = program.start("web", "--web-port", port, variables=variables)
     assert process.stderr is not None
     found = re.search(r"http://\S+", process.stderr.readline())
     assert found is not None
@@ -98,6 +105,18 @@ def barriers(page: Page) -> list[str]:
     return found
 
 
+def assert_each_angle_stands_below_its_axis(page: Page, found: Parameters) -> None:
+    """Compare with the file, whose rows are sensing axes."""
+    shown = page.locator("#result td[data-head]", has_text=re.compile("^[xyz]{2} ")).all()
+    angles = [(str(cell.get_attribute("data-head")), *cell.inner_text().split()[:2]) for cell in shown]
+    assert [(axis, pair) for axis, pair, _ in angles] == [("y", "yx"), ("z", "zx"), ("z", "zy")]
+    exact_rad = found.calibration.accelerometer.misalignment_rad
+    for _, pair, mrad in angles:
+        # Half of the last digit that is shown.
+        half = 0.51 * 10 ** -len(mrad.partition(".")[2])
+        assert float(mrad) == pytest.approx(1e3 * exact_rad["xyz".index(pair[0]), "xyz".index(pair[1])], abs=half)
+
+
 def wait_for(page: Page, place: str, words: str) -> None:
     page.locator(place, has_text=re.compile(words)).first.wait_for()
 
@@ -120,8 +139,14 @@ def test_from_an_empty_folder_to_the_files(program: Program, screens: Screens, a
     page.get_by_label("Name of the session").fill("first")
     # How long it takes is said before, for what was chosen.
     page.get_by_label("Class of the instrument").select_option("navigation")
+    # What is too large for a number is refused as it was typed.
+    page.get_by_label("Bias wanted to").fill("1e999")
+    page.get_by_label("Bias wanted to").blur()
+    wait_for(page, "#plan-says", "1e999")
+    page.get_by_label("Bias wanted to").fill("")
+    page.get_by_label("Bias wanted to").blur()
     wait_for(page, "#plan-says", "^6 positions with holds of 3 s")
-    wait_for(page, "#commands code", "imufield plan --json --positions=faces6 --grade=navigation")
+    wait_for(page, "#commands code", "imufield plan --json --positions=faces6 --latitude=45 --height=0 --grade=navigation")
     page.get_by_role("button", name="Start the guide").click()
     # The guide has a page of its own, and leads back to where the session is.
     wait_for(page, "#headline", "TURN|HOLD|STAY|DONE|still")
@@ -151,7 +176,7 @@ def test_from_an_empty_folder_to_the_files(program: Program, screens: Screens, a
     # Another one knows neither this page nor what was done here; the folder tells it.
     program.started[0].kill()
     program.started[0].wait()
-    address = start(program)
+    address = start(program, int(address.split(":")[2].partition("/")[0]))
     wait_for(page, "#link", "open the address")
     page.goto(address)
     page.locator('header a[href="#sessions"]').click()
@@ -222,6 +247,18 @@ def test_a_dropped_file_is_asked_about_and_solved_without_a_position(program: Pr
     found = load(folder)
     assert [position["name"] for position in found.document["position"] if not position["used"]] == [name]
     assert found.calibration.accelerometer.bias_m_s2 == pytest.approx(BIAS_M_S2, abs=2e-3)
+    assert_each_angle_stands_below_its_axis(page, found)
+    # What was made of an earlier result is offered as that.
+    page.get_by_text("Older files").click()
+    page.locator("#saved-earlier").get_by_role("button", name="Save parameters-1.toml").wait_for()
+    assert page.locator("#saved").get_by_role("button", name="Save parameters.toml").is_visible()
+    # A damaged result is told of, and computed again.
+    (folder / "parameters.toml").write_text("cut")
+    page.reload()
+    page.locator("#state .failed", has_text="parameters.toml").wait_for()
+    page.get_by_role("button", name="Compute the result").click()
+    wait_for(page, "#verdict", "GOOD|USABLE")
+    assert page.locator("#state .failed").count() == 0
     assert screens.console == []
     os.kill(program.started[0].pid, signal.SIGINT)
     assert program.started[0].wait(60) == 130

@@ -100,7 +100,7 @@ export class Bench {
       else if (job.code !== null) resolve(job);
       return job?.code === null;
     });
-    if (message.log || message.head) this.onChange();
+    this.onChange();
   }
 
   /** @param {any} head @returns {any} */

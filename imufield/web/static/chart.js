@@ -80,7 +80,7 @@ export function drawTrace(canvas, blocks, spanS) {
       const last = values[values.length - 1] ?? NaN;
       return {
         name: text(["acc", "gyro", "temperature"][unit], { axis: AXES[(k - 1) % 3] }),
-        value: Number.isFinite(last) ? `${last.toFixed(2).replace("-", "−")} ${UNITS[unit]}` : "–",
+        value: Number.isFinite(last) ? `${last.toFixed(2).replace(/^-0.00$/, "0.00").replace("-", "−")} ${UNITS[unit]}` : "–",
         ink: unit < 2 ? `signal-${AXES[(k - 1) % 3]}` : "text",
         points,
       };

@@ -9,16 +9,16 @@ import { Link, isOfThisMachine } from "./link.js";
 import { at, make } from "./make.js";
 import { drawnShape } from "./shape.js";
 import { Sound } from "./sound.js";
-import { text, withMarks } from "./texts.js";
+import { signed, text, withMarks, withSigns } from "./texts.js";
 
+const QUIET_MS = 10000; // The guide tells its state many times a second; opening a port again takes some seconds.
 const ROUND = 2 * Math.PI * 52;
 /** @type {Record<string, string>} */
 const SIGNS = { accepted: "●", next: "◉", open: "○", suspect: "■", again: "↻", skipped: "×" };
 
 /** @param {string} words as a terminal can show them, marks by their names @returns {string} */
 const pretty = (words) =>
-  withMarks(words, role === "mark" ? "tap" : "named")
-    .replaceAll("^2", "²").replace(/\bug\b/g, "µg").replace(/ deg\b/g, "°").replace(/(^|\W)-(?=[xyz\d])/g, "$1−");
+  withSigns(withMarks(words, role === "mark" ? "tap" : "named")).replace(/(^|\W)-(?=[xyz\d])/g, "$1−");
 /** @param {string} id @param {string} words changed only where they are others: each change is read out */
 const write = (id, words) => {
   const element = at(id);
@@ -37,6 +37,7 @@ let map = { accepted: {}, suspects: [], skipped: [], again: [], forecasts: [] };
 let blocks = [];
 let role = "watch";
 let sureUntil = -Infinity;
+let toldMs = Date.now(); // By the clock of the day, as the link counts.
 
 linkBack();
 const link = new Link(take, (isThere) => {
@@ -44,6 +45,12 @@ const link = new Link(take, (isThere) => {
   write("link", isThere ? "" : text(state ? "away" : link.token ? "never" : "no_token"));
   if (!state) write("headline", text(isThere ? "connecting" : "not_connected"));
 });
+
+// The program answers for its guide, too, where that hangs. A recording may have gaps.
+setInterval(() => {
+  const isQuiet = state && head.replay_speed === null && Date.now() - toldMs > QUIET_MS;
+  if (isQuiet && !link.ended && !document.body.classList.contains("away")) write("link", text("quiet", { seconds: QUIET_MS / 1000 }));
+}, 1000);
 
 /** Show the way back to a workbench of this machine, which stands in the address. */
 function linkBack() {
@@ -81,6 +88,8 @@ function show(message) {
   }
   if (!message.state.headline) return; // Nothing has been shown yet.
   state = message.state;
+  // A page that comes back is told what it knows.
+  if (document.body.dataset.version !== String(message.version)) toldMs = Date.now();
   if (message.map) map = message.map;
   if (message.trace) blocks = blocks.concat(message.trace).slice(-head.trace_blocks);
   if (message.log) hear(message.log, Boolean(message.head));
@@ -169,7 +178,7 @@ function positions() {
     const accepted = map.accepted[name];
     // The first that applies, as in the terminal.
     const kinds = [
-      ["next", state.state !== "done" && (name === state.position || name === state.target)],
+      ["next", state.state !== "done" && document.body.dataset.state !== "ended" && (name === state.position || name === state.target)],
       ["skipped", map.skipped.includes(name)],
       ["again", map.again.includes(name)],
       ["suspect", map.suspects.includes(name)],
@@ -184,7 +193,7 @@ function showPositions(places) {
   const named = [...places].sort((a, b) => a.name.localeCompare(b.name, "en", { numeric: true }));
   const rows = named.map((position) => {
     const size = Math.abs(position.residual ?? 0);
-    const residual = position.residual === null ? "" : `${position.residual < 0 ? "−" : "+"}${size.toFixed(size < 10 ? 2 : 1)}`;
+    const residual = position.residual === null ? "" : signed(position.residual, size < 10 ? 2 : 1);
     return make(
       "li",
       { class: position.state, title: position.words },
@@ -221,6 +230,7 @@ function end(last) {
   write("cause", text("gone"));
   write("calm", "");
   box.goal = null;
+  showPositions(positions());
   at("ring").classList.remove("shown");
   at("marks").hidden = true;
   sound.say(`${text(outcome)}. ${text("measured", last)}`);

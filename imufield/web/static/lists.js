@@ -12,11 +12,11 @@ export function showSessions(bench, job) {
   const rows = (job.found[0]?.sessions ?? []).map((/** @type {any} */ row) => {
     const name = bench.below(row.folder);
     return [
-      make("a", { href: `#session/${encodeURIComponent(name)}` }, name),
+      row.leads_to ? name : make("a", { href: `#session/${encodeURIComponent(name)}` }, name),
       when(row.created),
       [row.instrument, row.serial_number].filter(Boolean).join(" "),
       row.positions !== null && row.planned !== null ? text("ofPlanned", row) : row.positions,
-      row.fault ?? row.state,
+      row.leads_to ? text("leadsOut", row) : (row.fault ?? row.state),
       make("strong", { class: row.verdict ?? "" }, row.verdict?.toUpperCase() ?? text("unsolved")),
     ];
   });
@@ -27,7 +27,7 @@ export function showSessions(bench, job) {
 export function showHistory(bench, job) {
   const instruments = job.found[0]?.instruments ?? [];
   at("instruments").replaceChildren(
-    ...(instruments.length ? [] : [make("p", {}, job.code === 0 ? text("noHistory") : complaint(job))]),
+    ...(instruments.length ? [] : [make("p", {}, text("noHistory")), job.code === 0 ? "" : make("p", { class: "state" }, complaint(job))]),
     ...instruments.map((/** @type {any} */ instrument) => {
       const plot = make("div");
       const serial = instrument.serial_number ? { serial_number: instrument.serial_number } : {};
@@ -50,7 +50,8 @@ export function showHistory(bench, job) {
           {},
           instrument.sentences.map((/** @type {string} */ words) => make("li", {}, words)),
         ),
-        button(text("draw"), async () => {
+        // Of one alone there is no change.
+        calibrations.length < 2 ? null : button(text("draw"), async () => {
           try {
             const drawn = await bench.run("history", { ...serial, plot: true });
             if (drawn.code !== 0) throw new Error(complaint(drawn));

@@ -87,8 +87,8 @@ export function filled(form) {
     const text = field.value.trim();
     if (field.type === "checkbox" ? !field.checked : !text) continue;
     const number = field.inputMode === "decimal" ? Number(text.replace(",", ".")) : NaN;
-    // What should be a number and is none is refused with what was typed.
-    values[field.name] = field.type === "checkbox" ? true : Number.isNaN(number) ? text : number;
+    // What should be a number and is none, or is too large for one, is refused with what was typed.
+    values[field.name] = field.type === "checkbox" ? true : Number.isFinite(number) ? number : text;
   }
   return values;
 }

@@ -1,6 +1,7 @@
 // How long a session takes with what was chosen, asked of the program whenever that changes.
 
 import { at, filled } from "./make.js";
+import { withSigns } from "./texts.js";
 
 /**
  * @param {import("./bench.js").Bench} bench
@@ -8,21 +9,28 @@ import { at, filled } from "./make.js";
  * @returns {() => Promise<void>} to be called where that has changed
  */
 export function watchPlan(bench, noise) {
-  const [form, grade] = [at("plan"), at("grade")];
+  const [form, place, grade] = [at("plan"), at("place"), at("grade")];
   let asked = "";
   const ask = async () => {
     const { positions, target_bias_ug, target_scale_ppm } = filled(form);
-    const values = { positions, target_bias_ug, target_scale_ppm, ...noise(), ...(grade.value ? { grade: grade.value } : {}) };
+    const wanted = { positions, target_bias_ug, target_scale_ppm, ...filled(place) };
+    const values = { ...wanted, ...noise(), ...(grade.value ? { grade: grade.value } : {}) };
     const mine = JSON.stringify(values);
     if (form.closest("[data-view]").hidden || mine === asked) return;
     asked = mine;
     const says = await bench.found("plan", values).then(
-      ({ words, assumed }) => [words, assumed].map((part) => `${part[0].toUpperCase()}${part.slice(1)}.`).join(" "),
+      ({ words, remedy, assumed }) =>
+        withSigns(
+          [words, remedy, assumed]
+            .filter(Boolean)
+            .map((part) => `${part[0].toUpperCase()}${part.slice(1)}.`)
+            .join(" "),
+        ),
       (/** @type {Error} */ error) => error.message,
     );
     // Of what was chosen in the meantime the answer comes later.
     if (mine === asked) at("plan-says").textContent = says;
   };
-  for (const field of [form, grade]) field.addEventListener("change", ask);
+  for (const field of [form, place, grade]) field.addEventListener("change", ask);
   return ask;
 }

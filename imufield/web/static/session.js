@@ -1,7 +1,7 @@
 // One session: how far it is, its result, and its files.
 
 import { complaint } from "./bench.js";
-import { at, button, filled, make, table } from "./make.js";
+import { at, button, clean, filled, make, table } from "./make.js";
 import { barOf, drawSignals, readOverview } from "./plots.js";
 import { text, when } from "./texts.js";
 
@@ -21,6 +21,19 @@ function withSigma(value, sigma) {
   return `${value.toFixed(digits)} ± ${sigma.toFixed(digits)}`;
 }
 
+/**
+ * What the folder of a session holds.
+ * @typedef {object} Found
+ * @property {string[]} files what was made of it
+ * @property {string[]} earlier those of them that are older than its parameters, or were replaced
+ * @property {any} parameters
+ * @property {string} fault of the parameters
+ * @property {boolean} is_outdated whether the recording has grown since
+ */
+
+/** @type {Found} */
+const EMPTY = { files: [], earlier: [], parameters: null, fault: "", is_outdated: false };
+
 export class SessionView {
   /** @param {Bench} bench */
   constructor(bench) {
@@ -28,8 +41,7 @@ export class SessionView {
     this.name = "";
     /** @type {any} as `sessions` lists it; null where it does not, undefined until that is known */
     this.row = undefined;
-    /** @type {string[]} what was made of it */
-    this.files = [];
+    this.found = EMPTY;
     /** @type {Set<string>} */
     this.without = new Set();
     /** @type {(action: string, values: any) => Promise<void>} */
@@ -43,7 +55,7 @@ export class SessionView {
   async open(name) {
     if (name !== this.name) {
       this.row = undefined;
-      this.files = [];
+      this.found = EMPTY;
       for (const id of ["result", "made"]) at(id).replaceChildren();
       at("other-place").hidden = true;
     }
@@ -61,15 +73,15 @@ export class SessionView {
     try {
       const listed = (await this.bench.found("sessions")).sessions;
       const row = listed.find((/** @type {any} */ each) => this.bench.below(each.folder) === name) ?? null;
-      const { files, parameters } = row ? await this.bench.ask({ session: name }) : { files: [], parameters: null };
+      const found = row && !row.leads_to ? await this.bench.ask({ session: name }) : EMPTY;
       if (name !== this.name) return;
       this.row = row;
-      this.files = files;
+      this.found = found;
       this.showState();
       if (isOther) {
         this.without.clear();
         at("result").replaceChildren();
-        if (parameters) this.showResult(parameters);
+        if (found.parameters) this.showResult(found.parameters);
       }
       if (this.row?.verdict && !at("targets").length) {
         const { targets } = await this.bench.found("targets");
@@ -101,11 +113,15 @@ export class SessionView {
     return this.jobs(["capture", "resume", "solve", "import"]).find((job) => job.code === null);
   }
 
-  /** How many positions a result needs beside those that this page knows of; 0 where it knows of none. */
-  missing() {
+  /** How many positions this page knows of; null where it knows of none. @returns {number | null} */
+  positions() {
     const told = this.jobs(["capture", "resume"]).flatMap((job) => job.found.filter((value) => "accepted" in value));
-    const positions = told.pop()?.accepted ?? this.row?.positions ?? Infinity;
-    return Math.max(0, Math.min(FEWEST_CHECKED, this.row?.planned ?? 0) - positions);
+    return told.pop()?.accepted ?? this.row?.positions ?? null;
+  }
+
+  /** How many a result needs beside those. */
+  missing() {
+    return Math.max(0, Math.min(FEWEST_CHECKED, this.row?.planned ?? 0) - (this.positions() ?? Infinity));
   }
 
   /** Follow what the program says. */
@@ -115,45 +131,55 @@ export class SessionView {
     if (this.wasUnderWay && !isUnderWay) this.refresh();
     if (this.wasUnderWay !== isUnderWay) this.showState();
     this.wasUnderWay = isUnderWay;
+    const reading = this.jobs(["overview"]).find((job) => job.code === null)?.told.progress;
+    const place = document.querySelector("#signals-of-session [role=status]");
+    if (reading && place) place.textContent = clean(reading.words);
   }
 
   showState() {
     const row = this.row;
     const job = this.underWay();
-    const missing = this.missing();
+    const [positions, missing] = [this.positions(), this.missing()];
     const facts = !row
-      ? row === null && text("noSession")
+      ? text(row === null ? "noSession" : "listing")
       : [
           row.instrument,
           row.serial_number,
           when(row.created),
-          row.positions === null ? "" : text("ofPositions", { positions: row.positions, planned: row.planned ?? row.positions }),
+          positions === null ? "" : text("ofPositions", { positions, planned: row.planned ?? positions }),
           row.state,
           row.verdict ? text("verdict", { verdict: row.verdict.toUpperCase() }) : text("notComputed"),
           missing ? text("missing", { missing }) : "",
         ]
           .filter(Boolean)
           .join(" · ");
-    at("state").replaceChildren(make("p", {}, facts), ...(row?.fault ? [make("p", { class: "failed" }, row.fault)] : []));
-    const canSolve = row && row.state !== "damaged" && !job;
+    const { files, earlier, parameters, is_outdated: isOutdated } = this.found;
+    const fault = (row?.leads_to ? text("leadsOut", row) : "") || this.found.fault || row?.fault;
+    at("state").replaceChildren(
+      make("p", {}, facts),
+      ...[fault, isOutdated && !job ? text("outdated") : ""].filter(Boolean).map((words) => make("p", { class: "failed" }, words)),
+    );
+    const canSolve = row && row.state !== "damaged" && !row.leads_to && !job;
     const canGoOn = canSolve && row.kind === "capture" && (row.state === "unfinished" || missing);
     at("steps").replaceChildren(
       ...[
         canGoOn ? button(text("goOn"), () => this.resume(), { class: "main" }) : null,
-        canSolve ? button(text(row.verdict ? "solveAgain" : "solve"), () => this.solve(), { class: !canGoOn && "main" }) : null,
+        canSolve ? button(text(row.verdict ? "solveAgain" : "solve"), () => this.solve(), { class: !canGoOn && (!parameters || isOutdated) && "main" }) : null,
         canSolve && row.kind === "capture"
           ? button(text("replay"), () => this.begin("replay", { session: this.name, speed: 4 }))
           : null,
       ].filter(Boolean),
     );
-    at("give").hidden = !row?.verdict;
+    at("give").hidden = !parameters;
     at("again").hidden = !canSolve;
     at("again").open = row?.kind === "import" && !row.verdict;
-    at("saved").replaceChildren(
-      ...this.files.map((name) =>
+    const saves = (/** @type {string[]} */ names) =>
+      names.map((name) =>
         button(text("save", { name }), () => this.save(`${this.name}/${name}`), { class: name === "parameters.toml" && "main" }),
-      ),
-    );
+      );
+    at("saved").replaceChildren(...saves(files.filter((name) => !earlier.includes(name))));
+    at("earlier").hidden = !earlier.length;
+    at("saved-earlier").replaceChildren(...saves(files.filter((name) => earlier.includes(name))));
   }
 
   /** @param {string} path */
@@ -340,17 +366,16 @@ export class SessionView {
     return table(text("parametersHead").split(", "), rows, "stacks");
   }
 
-  /** Rows of the angles that were fitted, three in each. @param {string} name @param {any} triad */
+  /** Rows of the angles that were fitted, each below the sensing axis that it is of. @param {string} name @param {any} triad */
   angles(name, triad) {
     const sigmas = triad.uncertainty.misalignment_rad;
-    const cells = AXES.flatMap((row, i) =>
-      AXES.map((column, j) =>
-        i !== j && sigmas[i][j] > 0 ? `${row}${column} ${withSigma(1e3 * triad.misalignment_rad[i][j], 1e3 * sigmas[i][j])}` : "",
+    const columns = AXES.map((axis, i) =>
+      AXES.flatMap((towards, j) =>
+        i !== j && sigmas[i][j] > 0 ? `${axis}${towards} ${withSigma(1e3 * triad.misalignment_rad[i][j], 1e3 * sigmas[i][j])}` : [],
       ),
-    ).filter(Boolean);
-    const rows = [];
-    for (let k = 0; k < cells.length; k += 3) rows.push([name, "mrad", ...cells.slice(k, k + 3)]);
-    return rows;
+    );
+    const high = Math.max(...columns.map((column) => column.length));
+    return Array.from({ length: high }, (_, k) => [name, "mrad", ...columns.map((column) => column[k] ?? "")]);
   }
 
   /** @param {Event} event */
@@ -363,7 +388,8 @@ export class SessionView {
   async export(event) {
     event.preventDefault();
     const { to, settings } = filled(at("export"));
-    const typed = settings ? { settings: settings.split(/[\s,;]+/).filter(Boolean) } : {};
+    // As the page names them, or as they are typed in a terminal.
+    const typed = settings ? { settings: settings.split(/(?:[\s,;]|--set\b=?)+/).filter(Boolean) } : {};
     await this.made("export", { session: this.name, to, ...typed });
   }
 
@@ -373,8 +399,9 @@ export class SessionView {
     try {
       const job = await this.bench.run(action, values);
       if (job.code !== 0) throw new Error(complaint(job));
-      const { losses, notes } = job.found[0] ?? {};
+      const { files, losses, notes } = job.found[0] ?? {};
       at("made").replaceChildren(
+        files ? make("p", {}, text("made", { names: files.map((/** @type {string} */ path) => this.bench.nameOf(path)).join(", ") })) : "",
         make(
           "ul",
           {},

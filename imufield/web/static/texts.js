@@ -17,5 +17,15 @@ export function text(name, values = {}) {
  */
 export const withMarks = (words, how) => words.replace(/\[([a-z ]+)\]/g, (_, mark) => text(how, { mark }));
 
+/** Words as a terminal can show them, with the signs of units. @param {string} words */
+export const withSigns = (words) =>
+  words.replaceAll("^2", "²").replaceAll(" per root Hz", "/√Hz").replace(/\bu(?=g\b|rad\b)/g, "µ").replace(/ deg\b/g, "°");
+
+/** A number with its sign; what is rounded to zero has none. @param {number} value @param {number} digits */
+export function signed(value, digits) {
+  const size = Math.abs(value).toFixed(digits);
+  return `${Number(size) === 0 ? "" : value < 0 ? "−" : "+"}${size}`;
+}
+
 /** Day and time of a date as files have it. @param {string | undefined} date */
 export const when = (date) => (date ?? "").slice(0, 16).replace("T", " ");

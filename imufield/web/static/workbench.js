@@ -44,9 +44,15 @@ function route() {
   shown = key;
   at("says").textContent = "";
   if (name === "calibrate" && !hasLooked) look();
-  if (name === "sessions") bench.run("sessions").then((job) => showSessions(bench, job), refuse);
-  if (name === "history") bench.run("history").then((job) => showHistory(bench, job), refuse);
+  if (name === "sessions") list("list", showSessions);
+  if (name === "history") list("instruments", showHistory);
   if (name === "session") session.open(rest.join("/"));
+}
+
+/** Show what the folder holds, of which the command is the name of the part. @param {string} id @param {(bench: Bench, job: any) => void} showAll */
+function list(id, showAll) {
+  if (!at(id).childElementCount) at(id).replaceChildren(make("p", { role: "status" }, text("listing")));
+  bench.run(place()[0]).then((job) => showAll(bench, job), refuse);
 }
 
 /** @param {Error} error */
@@ -131,10 +137,7 @@ function showPorts() {
         name: "where",
         value: key,
         ...(key === chosen ? { checked: true } : {}),
-        onchange: () => {
-          chosen = key;
-          askPlan();
-        },
+        onchange: () => choose(key),
       }),
       make("div", {}, make("strong", {}, name), make("span", {}, says)),
     ),
@@ -143,12 +146,20 @@ function showPorts() {
   askPlan();
 }
 
+/** @param {string} key */
+function choose(key) {
+  chosen = key;
+  at("start-says").textContent = "";
+  askPlan();
+}
+
 at("look").addEventListener("click", look);
 at("virtual").addEventListener("click", () => {
-  chosen = bench.head.virtual;
-  ports.set(chosen, { name: text("virtual"), says: text("virtualIs", VIRTUAL), values: { isVirtual: true }, noise: { grade: "tactical" } });
-  showPorts();
+  const key = bench.head.virtual;
+  ports.set(key, { name: text("virtual"), says: text("virtualIs", VIRTUAL), values: { isVirtual: true }, noise: { grade: "tactical" } });
   fillPlace(VIRTUAL);
+  choose(key);
+  showPorts();
 });
 
 /** Start the virtual instrument, which ends with the session that reads it, or join the one that runs. @returns {Promise<any>} */
