@@ -47,6 +47,8 @@ ROOMS = (
     ("calibrate/solvers",),
     ("calibrate/accelerometer",),
     ("calibrate/gyroscope",),
+    ("calibrate/temperature",),
+    ("calibrate/sessions",),
     ("calibrate",),
     ("guide/positions", "guide/events"),
     ("guide/refusals",),

@@ -1,8 +1,9 @@
 """Run the tests marked ``numerical`` with other kernels than those this processor takes by itself.
 
 ``python .ci/numerical.py``: once under each OpenBLAS core type that the processor can run, and once with NumPy's choice of
-kernels switched off. That a kernel was taken is read from the libraries, so that a new name cannot make this run the same
-tests four times. Runs go side by side, one for each core.
+kernels switched off; those that it takes by itself are left to ``make test``. That a kernel was taken is read from the
+libraries, so that a new name cannot make this run the same tests four times. The rooms of all runs go side by side, one for
+each core.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import sys
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -30,7 +32,7 @@ CORE_TYPES = {
 CORE_NAMES = {"Prescott": {"Prescott", "Katmai"}}
 CORE_NAME = "OPENBLAS_CORETYPE"
 FEATURES_OFF = "NPY_DISABLE_CPU_FEATURES"
-LONGEST_S = 300  # One run takes about 15 s; a machine under load may take longer, one that hangs must not.
+LONGEST_S = 300  # A room takes about 30 s; a machine under load may take longer, one that hangs must not.
 
 
 class Kernels(NamedTuple):
@@ -98,6 +100,9 @@ def runs() -> Iterator[Run]:
         if not (usual.openblas and needed <= flags):
             print(f"{run}: not on this processor")
             continue
+        if set(usual.openblas) <= CORE_NAMES.get(name, {name}):
+            print(f"{run}: taken by itself, so by `make test`")
+            continue
         if not set(kernels_of(run.environment).openblas) <= CORE_NAMES.get(name, {name}):
             sys.exit(f"{run} has not taken: OpenBLAS says {kernels_of(run.environment).openblas}")
         yield run
@@ -108,8 +113,18 @@ def runs() -> Iterator[Run]:
         yield run
 
 
-def do(run: Run) -> bool:
-    """Run the tests, print what they said; return whether they passed."""
+def marked() -> dict[str, list[str]]:
+    """Return the files with marked tests by room: others need not be collected."""
+    found: dict[str, list[str]] = {}
+    for path in sorted((PROJECT / "tests").rglob("test_*.py")):
+        if "mark.numerical" in path.read_text(encoding="utf-8"):
+            name = path.relative_to(PROJECT)
+            found.setdefault(name.parts[1], []).append(str(name))
+    return found
+
+
+def do(run: Run, room: str, files: list[str]) -> bool:
+    """Run the marked tests of a room, print what they said; return whether they passed."""
     begin_s = time.monotonic()
     command = [
         sys.executable,
@@ -125,7 +140,7 @@ def do(run: Run) -> bool:
         "no:xdist",
     ]
     ended = subprocess.run(
-        [*command, "tests/calibrate", "tests/deliver", "tests/guide"],
+        [*command, *files],
         cwd=PROJECT,
         env=run.environment,
         timeout=LONGEST_S,
@@ -136,15 +151,15 @@ def do(run: Run) -> bool:
     )
     lines = ended.stdout.splitlines()
     shown = lines if ended.returncode else lines[-1:]
-    print("\n".join([f"{run}: {time.monotonic() - begin_s:.0f} s", *shown]), flush=True)
+    print("\n".join([f"{run} {room}: {time.monotonic() - begin_s:.0f} s", *shown]), flush=True)
     return ended.returncode == 0
 
 
 def main() -> int:
     """Return 1 if a test fails with one of the kernels."""
-    possible = list(runs())
+    jobs = [(run, room, files) for (room, files), run in product(marked().items(), runs())]
     with ThreadPoolExecutor(os.cpu_count()) as workers:
-        return int(not all(list(workers.map(do, possible))))
+        return int(not all(list(workers.map(do, *zip(*jobs, strict=True)))))
 
 
 if __name__ == "__main__":

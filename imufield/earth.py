@@ -49,7 +49,7 @@ _SOURCE_WORDS = {
     "typed": "stated for the site",
     "normal": "WGS-84 normal gravity",
     "measured": "measured",
-    "assumed": "ASSUMED, place unknown",
+    "assumed": "ASSUMED: textbook value or unknown place",
 }
 
 

@@ -20,7 +20,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from enum import Enum
 from io import BufferedReader
-from itertools import count
+from itertools import chain, count
 from pathlib import Path
 from typing import TypeVar
 
@@ -48,6 +48,8 @@ PIPE_OPEN_LIMIT_S = 5.0
 _NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 _NO_WAIT = getattr(os, "O_NONBLOCK", 0)
 _BINARY = getattr(os, "O_BINARY", 0)
+# What file systems without hard links say (FAT, some network and FUSE ones).
+_NO_HARD_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)
 _NAME_KEPT = 32  # Characters of a name that its temporary file repeats: at four bytes each both fit into the 255 of a name.
 _NO_UTF8 = re.compile("[\ud800-\udfff]")  # What Python makes of bytes in names that are no UTF-8.
 
@@ -235,19 +237,62 @@ def write_atomically(path: str | Path, data: bytes) -> None:
         As the system reports it (disk full, no permission), or ``path`` is a folder or device; it is untouched then.
     """
     path = Path(path)
+    with _written_beside(path, data) as whole:
+        whole.replace(path)
+    sync_folder(path.parent)
+
+
+@contextmanager
+def _written_beside(path: Path, data: bytes) -> Iterator[Path]:
+    """Write the temporary file that takes the name of ``path`` inside the block; where it does not, it is removed."""
     descriptor, name = make_beside(path)
     try:
         with os.fdopen(descriptor, "wb") as file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
-        Path(name).chmod(_usual_mode(path))
-        Path(name).replace(path)
+        Path(name).chmod(usual_mode(path))
+        yield Path(name)
     except BaseException:
         with suppress(OSError):
             Path(name).unlink()
         raise
+
+
+def publish(whole: Path, path: Path) -> None:
+    """Give a temporary file the name of ``path`` in one step, which replaces nothing.
+
+    Raises
+    ------
+    OSError
+        As the system reports it, ``FileExistsError`` where anything has that name; both are untouched then.
+    """
+    if os.name == "nt":
+        whole.rename(path)  # It replaces nothing there.
+        return
+    try:
+        os.link(whole, path)
+    except OSError as error:
+        if error.errno not in _NO_HARD_LINKS:
+            raise
+        # The name is taken first: only what is written into this empty file at the same moment could be lost.
+        path.touch(exist_ok=False)
+        whole.replace(path)
+    else:
+        whole.unlink()
     sync_folder(path.parent)
+
+
+def publish_beside_others(whole: Path, path: Path) -> Path:
+    """Give a temporary file the name of ``path``, or that with the first free number; return it. Raises as ``publish``."""
+    return next(free for free in chain([path], _numbered(path)) if _is_published(whole, free))
+
+
+def _is_published(whole: Path, path: Path) -> bool:
+    with suppress(FileExistsError):
+        publish(whole, path)
+        return True
+    return False
 
 
 def make_beside(path: Path) -> tuple[int, str]:
@@ -284,7 +329,7 @@ def refuse_overwriting(
     ImufieldError
         Of the given kind, where nothing can be written.
     """
-    if any(map(is_recorded, (output, Path(os.path.realpath(output))))):
+    if any(map(is_recorded, (output, real_path(output)))):
         raise UsageError(sentence("files.name_of_recording", output=output))
     for path in inputs:
         # Where one of them is not there they are not the same.
@@ -308,18 +353,26 @@ def refuse_what_is_no_file(path: Path) -> None:
         raise FileExistsError(errno.EEXIST, "it is a folder or device, not a file", str(path))
 
 
-def _usual_mode(path: Path) -> int:
-    """Return the permissions of the file replaced, or what the umask gives a new one (mkstemp gives 0600)."""
+def usual_mode(path: Path) -> int:
+    """Return the permissions of the file replaced, or those of a new one."""
     try:
         return path.stat().st_mode & 0o777
-    except FileNotFoundError:
-        mask = os.umask(0)
-        os.umask(mask)
-        return 0o666 & ~mask
+    # Not there, or a link that leads nowhere.
+    except OSError:
+        return new_mode()
+
+
+def new_mode() -> int:
+    """Return the permissions that the umask gives a new file; ``make_beside`` gives 0600."""
+    mask = os.umask(0)  # To be read only by setting it.
+    os.umask(mask)
+    return 0o666 & ~mask
 
 
 def write_keeping(path: str | Path, data: bytes) -> Path | None:
     """Write as ``write_atomically`` does; a file with other content that stood there is kept as by ``keep_previous``.
+
+    Several programs may write at once: each result is kept, the last one has the name.
 
     Returns
     -------
@@ -332,14 +385,26 @@ def write_keeping(path: str | Path, data: bytes) -> Path | None:
         As the system reports it; what stood there stands there again.
     """
     path = Path(path)
-    kept = None if _holds(path, data) else keep_previous(path)
-    try:
-        write_atomically(path, data)
-    except OSError:
-        if kept is not None:
-            kept.rename(path)
-        raise
-    return kept
+    if _holds(path, data):
+        # As new as what it was made of. In a folder of several people it may be somebody else's.
+        with suppress(PermissionError):
+            path.touch()
+        return None
+    kept = None
+    with _written_beside(path, data) as whole:
+        while True:
+            kept = keep_previous(path) or kept
+            try:
+                publish(whole, path)
+            # Another program was quicker: its result is kept, too.
+            except FileExistsError:
+                continue
+            except OSError:
+                if kept is not None:
+                    with suppress(FileExistsError):
+                        publish(kept, path)
+                raise
+            return kept
 
 
 def _holds(path: Path, data: bytes) -> bool:
@@ -351,11 +416,12 @@ def _holds(path: Path, data: bytes) -> bool:
 def keep_previous(path: str | Path) -> Path | None:
     """Rename an existing ``parameters.toml`` to the next free ``parameters-<n>.toml``; return the new name, or None."""
     path = Path(path)
-    if not path.exists():
+    # A link that leads nowhere has the name, too.
+    if not os.path.lexists(path):
         return None
     refuse_what_is_no_file(path)
     # Taken before the renaming, which would replace what another program has kept there since a mere look.
-    kept = next(filter(_take, (path.with_name(f"{path.stem}-{number}{path.suffix}") for number in count(1))))
+    kept = next(filter(_take, _numbered(path)))
     try:
         path.replace(kept)
     except OSError as error:
@@ -368,9 +434,25 @@ def keep_previous(path: str | Path) -> Path | None:
     return kept
 
 
+def _numbered(path: Path) -> Iterator[Path]:
+    """Yield the names of what is kept beside a file."""
+    return (path.with_name(f"{path.stem}-{number}{path.suffix}") for number in count(1))
+
+
+def is_kept(path: Path) -> bool:
+    """Whether a file has a name under which ``keep_previous`` keeps another that is there."""
+    found = re.fullmatch(r"(.+)-[1-9]\d*", path.stem)
+    return found is not None and path.with_name(f"{found[1]}{path.suffix}").exists()
+
+
 def _take(path: Path) -> bool:
     """Make an empty file of a name that is free; return whether it was."""
     with suppress(FileExistsError):
         path.touch(exist_ok=False)
         return True
     return False
+
+
+def real_path(path: str | Path) -> Path:
+    """Return where a path leads, links followed; one that leads to itself, at which ``resolve`` fails, stays as it is."""
+    return Path(os.path.realpath(path))

@@ -1,4 +1,4 @@
-"""What a command does at the moment and how long it still takes: one line on a terminal, nothing in a pipe.
+"""What a command does at the moment and how long it still takes: one line on a terminal, nothing in a pipe that nobody watches.
 
 Whoever begins something that may take more than a second names it: ``with task("reading", total) as reading``, and counts
 ``reading.done`` where it can. A thread draws the line, so that nothing that computes asks the time. All that is printed goes
@@ -24,6 +24,9 @@ FIRST_S = 0.5
 """A command shorter than this needs no line."""
 _FORESEEN_S = 1.0  # What the first moments foretell changes with each of them.
 EVERY_S = 0.2  # Fast enough to be seen to move, slow enough to be read.
+TOLD_EVERY_S = 1.0  # To a program, which shows it to others.
+ERASE = "\x1b[K"
+"""Begins each line that a program is told, and stands at the start of no other."""
 
 
 @dataclass(slots=True, eq=False)
@@ -52,6 +55,7 @@ class _Line:
         self._lock = threading.RLock()  # Of what follows; again by the same thread, as an interrupt may come anywhere.
         self._covers = 0  # How many are printing.
         self._is_drawn = False
+        self.is_told = False  # To a program, in lines, and not drawn.
 
     def draw(self) -> None:
         with self._lock:
@@ -77,7 +81,7 @@ class _Line:
         # A terminal that was closed is noticed by what has more to say.
         with suppress(OSError):
             # Back to the start of the line, and what stood there away.
-            sys.stderr.write(f"\r\x1b[K{text}")
+            sys.stderr.write(f"{ERASE}{text}\n" if self.is_told else f"\r{ERASE}{text}")
             sys.stderr.flush()
 
 
@@ -114,16 +118,21 @@ def hidden() -> Iterator[None]:
         _line.uncover()
 
 
+def tell() -> None:
+    """Tell the program that has started this one, as lines of standard error; an empty one where there is nothing to tell."""
+    _line.is_told = True
+
+
 @contextmanager
 def shown(words: str) -> Iterator[None]:
     """Show the tasks inside the block, the outermost of which it is, if standard error is a terminal; it is left clean."""
     ended = threading.Event()
 
     def draw() -> None:
-        while not ended.wait(EVERY_S):
+        while not ended.wait(TOLD_EVERY_S if _line.is_told else EVERY_S):
             _line.draw()
 
-    if sys.stderr.isatty():
+    if _line.is_told or sys.stderr.isatty():
         _line.due_s = time.monotonic() + FIRST_S
         # A daemon: whatever ends the program is not kept waiting.
         threading.Thread(target=draw, name="progress", daemon=True).start()

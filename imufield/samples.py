@@ -7,7 +7,7 @@ instrument sent them (``SampleUnits`` says in what unit, and whether a value is 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from enum import IntFlag
 
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+UIntArray = NDArray[np.uint64]
 
 AXES = ("x", "y", "z")
 ACCELEROMETER_COLUMNS = ("ax", "ay", "az")
@@ -47,6 +48,10 @@ class Status(IntFlag):
     """The instrument reports a fault that concerns the inertial values."""
     STANDING = 512
     """Acceleration or rate comes at a lower rate than the other: its values are those of a sample before."""
+    TEMPERATURE_OUTSIDE = 1024
+    """Of corrected samples: the temperature lies outside those of the calibration, and the nearest of them was taken."""
+    TEMPERATURE_UNKNOWN = 2048
+    """Of corrected samples: without a temperature, they were corrected as at the reference of the calibration."""
 
 
 INSTRUMENT_STATUS_SHIFT = 16
@@ -163,6 +168,23 @@ def _as_rate(values: FloatArray, is_increment: bool, interval_s: float | None) -
     if interval_s is None:
         raise ValueError("increments need `interval_s` in SampleUnits")
     return values / interval_s
+
+
+class TemperatureHold:
+    """Gives the samples of one recording, block after block, the last temperature known where they have none."""
+
+    def __init__(self) -> None:
+        self._last_degc = np.nan
+
+    def fill(self, samples: Samples) -> Samples:
+        """Return the next block with its temperatures filled in; NaN stays before the first one known."""
+        if not len(samples):
+            return samples
+        known_degc = np.concatenate([[self._last_degc], samples.temperature_degc])
+        row = np.maximum.accumulate(np.where(np.isnan(known_degc), 0, np.arange(len(known_degc))))
+        held_degc = known_degc[row][1:]
+        self._last_degc = float(held_degc[-1])
+        return replace(samples, temperature_degc=held_degc)
 
 
 def make_samples(

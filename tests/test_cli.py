@@ -185,3 +185,23 @@ def test_names_longer_than_a_file_can_have(command: tuple[str, ...], capsys: pyt
     said = capsys.readouterr().err
     assert "Traceback" not in said
     assert said.strip()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs groups of processes")
+@pytest.mark.parametrize("is_leader", [True, False])
+def test_what_is_watched_ends_its_own_group_and_no_other(tmp_path: Path, *, is_leader: bool) -> None:
+    # A program with a group of its own, which is not to hear how the one that it has started ends.
+    code = f"""
+import subprocess, sys
+command = [sys.executable, "-m", "imufield.cli.watched", "emulate", "stim300", "--json", "--wait", "--link", "port"]
+held = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session={is_leader})
+held.stdout.readline()
+held.stdin.close()
+print(held.wait())
+"""
+    script = [sys.executable, "-c", code]
+    ended = subprocess.run(
+        script, capture_output=True, text=True, check=False, cwd=tmp_path, start_new_session=True, timeout=900
+    )
+    assert (ended.returncode, ended.stdout) == (0, f"{EXIT_INTERRUPTED}\n")
+    assert not (tmp_path / "port").is_symlink()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import shlex
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,6 +15,7 @@ from typer.main import get_command
 
 from imufield import errors
 from imufield.cli.app import app
+from imufield.cli.run import run
 from imufield.commands.configuration import KEYS
 from imufield.deliver.parameters.file import parameter_schema
 from imufield.errors import ImufieldError, Reason
@@ -54,6 +56,18 @@ def test_commands_and_options_exist(path: Path) -> None:
             assert option in known, f"imufield {command} {option}"
 
 
+def test_a_plan_prints_what_the_program_says(capsys: pytest.CaptureFixture[str]) -> None:
+    """Every indented ``imufield plan`` that is followed by indented lines."""
+    texts = [path.read_text(encoding="utf-8") for path in PAGES]
+    printed = [
+        pair for text in texts for pair in re.findall(r"^ {4}imufield (plan .*)\n\n((?: {4}.+\n)+)", text, flags=re.MULTILINE)
+    ]
+    assert printed
+    for command, lines in printed:
+        assert run(shlex.split(command)) == 0
+        assert capsys.readouterr().out.splitlines() == [line.strip() for line in lines.splitlines()]
+
+
 def test_every_reason_and_exit_code_has_a_row() -> None:
     text = (PROJECT / "docs" / "errors.md").read_text(encoding="utf-8")
     assert re.findall(r"^\| `(\w+)` \|", text, flags=re.MULTILINE) == [reason.value for reason in Reason]
@@ -71,7 +85,7 @@ def _keys(rule: dict[str, Any], above: str = "") -> Iterator[str]:
 
 def test_every_key_of_the_parameter_file_is_described() -> None:
     text = (PROJECT / "docs" / "parameter-file.md").read_text(encoding="utf-8")
-    known = set(re.findall(r"`([a-z0-9_]+)`", text)) | set(re.findall(r"`\[+([a-z.]+)\]+`", text))
+    known = set(re.findall(r"`([a-z0-9_]+)`", text)) | set(re.findall(r"`\[+([a-z_.]+)\]+`", text))
     known |= {name.partition(".")[2] for name in known if "." in name}
     assert set(_keys(parameter_schema())) <= known
 

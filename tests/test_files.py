@@ -15,12 +15,14 @@ from imufield.files import (
     keep_previous,
     open_regular,
     open_to_read,
+    publish_beside_others,
     read_small_file,
     refuse_overwriting,
     typed_write_errors,
     utf8_text,
     write_atomically,
     write_error,
+    write_keeping,
 )
 from tests.refused import refused
 
@@ -94,6 +96,81 @@ def test_what_another_program_keeps_at_the_same_time_stays(tmp_path: Path, monke
     monkeypatch.setattr(Path, "touch", take_too_late)
     assert keep_previous(path) is None
     assert {each.name for each in tmp_path.iterdir()} == {others.name, kept.name}
+
+
+@pytest.fixture(params=[True, False], ids=["hard links", "no hard links"])
+def file_systems(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Be on a file system with hard links, and on one without, as FAT is."""
+    if not request.param:
+
+        def refuse(*_: Any) -> None:
+            raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
+
+        monkeypatch.setattr(os, "link", refuse)
+
+
+@pytest.mark.usefixtures("file_systems")
+def test_of_two_programs_that_write_at_once_both_results_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "parameters.toml"
+    path.write_text("before")
+    keep = files.keep_previous
+
+    def keep_and_be_slow(path: Path) -> Path | None:
+        kept = keep(path)
+        if kept == tmp_path / "parameters-1.toml":
+            path.write_text("theirs")
+        return kept
+
+    monkeypatch.setattr(files, "keep_previous", keep_and_be_slow)
+    assert write_keeping(path, b"ours") == tmp_path / "parameters-2.toml"
+    found = {each.name: each.read_text() for each in tmp_path.iterdir()}
+    assert found == {"parameters.toml": "ours", "parameters-1.toml": "before", "parameters-2.toml": "theirs"}
+
+
+def test_a_result_that_cannot_be_written_leaves_the_old_one_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "parameters.toml"
+    path.write_text("before")
+    link = os.link
+
+    def refuse_new(source: Path, place: Path) -> None:
+        if Path(source).suffix == ".new":
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        link(source, place)
+
+    monkeypatch.setattr(os, "link", refuse_new)
+    with pytest.raises(OSError, match=os.strerror(errno.EIO)):
+        write_keeping(path, b"ours")
+    assert {each.name: each.read_text() for each in tmp_path.iterdir()} == {"parameters.toml": "before"}
+
+
+@pytest.mark.skipif(os.name == "nt", reason="needs links")
+def test_a_link_that_leads_nowhere_is_kept_as_what_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "parameters.toml"
+    path.symlink_to("parameters.toml")
+    kept = write_keeping(path, b"ours")
+    assert kept is not None
+    assert kept.is_symlink()
+    assert (path.read_bytes(), path.is_symlink()) == (b"ours", False)
+
+
+def test_the_same_content_is_written_once_and_is_new(tmp_path: Path) -> None:
+    path = tmp_path / "c.h"
+    path.write_bytes(b"ours")
+    os.utime(path, (1.0, 1.0))
+    assert write_keeping(path, b"ours") is None
+    assert path.stat().st_mtime > 1.0
+    assert [*tmp_path.iterdir()] == [path]
+
+
+@pytest.mark.usefixtures("file_systems")
+def test_a_name_that_is_taken_gets_a_number(tmp_path: Path) -> None:
+    path = tmp_path / "acc.csv"
+    for number, name in enumerate(("acc.csv", "acc-1.csv", "acc-2.csv")):
+        whole = tmp_path / "whole"
+        whole.write_text(str(number))
+        assert publish_beside_others(whole, path) == tmp_path / name
+        assert (tmp_path / name).read_text() == str(number)
+        assert not whole.exists()
 
 
 @pytest.mark.skipif(not Path("/dev/zero").exists(), reason="needs a file without end")

@@ -9,9 +9,9 @@ from contextlib import contextmanager, redirect_stderr
 import pytest
 
 from imufield import progress
-from imufield.progress import Task, hidden, one_by_one, shown, task
+from imufield.progress import ERASE, Task, hidden, one_by_one, shown, task
 
-ERASED = "\r\x1b[K"
+ERASED = f"\r{ERASE}"
 
 
 class Terminal(io.StringIO):
@@ -83,6 +83,16 @@ def test_a_pipe_sees_nothing() -> None:
     with command(pipe), task("reading"):
         pass
     assert pipe.getvalue() == ""
+
+
+def test_a_program_is_told_in_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(progress, "FIRST_S", -1.0)
+    monkeypatch.setattr(progress._line, "is_told", True)
+    pipe = io.StringIO()
+    with command(pipe), task("reading"):
+        pass
+    lines = pipe.getvalue().splitlines()
+    assert [line.partition(":")[0] for line in lines] == [f"{ERASE}command", f"{ERASE}reading", ERASE]
 
 
 def test_a_short_command_shows_nothing(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -46,7 +46,7 @@ class _Commands(TyperGroup):
 app = typer.Typer(
     name="imufield",
     cls=_Commands,
-    help="Calibrate an IMU in the field: no turntable, 24 hand-held positions, a parameter file for your INS.",
+    help="Calibrate an IMU in the field: no turntable, 24 positions by hand, a parameter file for your INS.",
     no_args_is_help=True,
     context_settings={"help_option_names": ["--help", "-h"]},
     pretty_exceptions_enable=False,
@@ -67,7 +67,7 @@ def root(
         bool, typer.Option("--version", help="Print the version.", is_eager=True, callback=_print_version)
     ] = False,
 ) -> None:
-    """Calibrate an IMU in the field: no turntable, 24 hand-held positions, a parameter file for your INS."""
+    """Calibrate an IMU in the field: no turntable, 24 positions by hand, a parameter file for your INS."""
     from imufield.commands.configuration import default_map
 
     context.default_map = default_map()

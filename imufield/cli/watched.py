@@ -13,6 +13,7 @@ import threading
 import time
 from pathlib import Path
 
+from imufield import progress
 from imufield.errors import EXIT_INTERRUPTED
 
 END_S = 5.0
@@ -24,8 +25,10 @@ def _end_with(starter: int) -> None:
         pass
     if os.name == "posix":
         # All of its group, as a terminal does: what it has started itself hears it, too. Not SIGINT, to which programs that are
-        # started in the background of a shell are deaf; both are handled as Ctrl-C is.
-        os.killpg(0, signal.SIGTERM)
+        # started in the background of a shell are deaf; both are handled as Ctrl-C is. The group of whoever has started this
+        # one is left alone.
+        end = os.killpg if os.getpgrp() == os.getpid() else os.kill
+        end(os.getpid(), signal.SIGTERM)
     else:
         _thread.interrupt_main(signal.SIGTERM)
     time.sleep(END_S)
@@ -39,5 +42,6 @@ if __name__ == "__main__":
     held = os.dup(0)
     with Path(os.devnull).open() as nobody:
         os.dup2(nobody.fileno(), 0)
+    progress.tell()
     threading.Thread(target=_end_with, args=(held,), daemon=True).start()
     main()

@@ -9,7 +9,7 @@ from imufield.commands.terminal.output import echo, say, say_each
 from imufield.commands.terminal.row_count import RowCount
 from imufield.deliver.parameters.file import load
 from imufield.deliver.parameters.numbers import beside, hanging
-from imufield.deliver.samples.apply_session import apply_session
+from imufield.deliver.samples.apply_session import TemperatureFlags, apply_session
 from imufield.errors import RecordingError, UsageError
 from imufield.files import refuse_overwriting
 from imufield.pipeline.chain import session_samples
@@ -38,11 +38,11 @@ def run_apply(options: ApplyOptions) -> None:
     else:
         refuse_overwriting(output, [options.parameters, source], RecordingError)
         serial_number, blocks = "", table_samples(source, options.rate_hz)
-    count = RowCount()
-    rows = apply_session(parameters, count.through(blocks), output, serial_number=serial_number)
+    count, flags = RowCount(), TemperatureFlags(parameters)
+    rows = apply_session(parameters, count.through(blocks), output, serial_number=serial_number, flags=flags)
     # On the other stream: the rows say nothing of what is missing between them.
     say_each((entry.what for entry in damage), err=True)
     echo(beside(f"{rows} corrected samples in", output))
     say("time in s, specific force in m/s^2, angular rate in rad/s, temperature in degC")
-    for note in filter(None, (parameters.edited_note, count.flags())):
+    for note in filter(None, (parameters.edited_note, count.flags(), *flags.notes())):
         echo(hanging("", note))

@@ -106,6 +106,8 @@ def _emulator(seed: int, speed: float, truth: Path) -> Iterator[tuple[str, Calla
     command = [sys.executable, "-P", "-m", "imufield", "emulate", "stim300", "--json", "--wait", "--truth", str(truth)]
     numbers = {"seed": seed, "speed": speed, "rate-hz": RATE_HZ, "hold-s": OPERATOR_HOLD_S, "duration-s": LONGEST_S}
     command += [f"--{name}={value}" for name, value in numbers.items()]
+    # By a name of its own: the number of its terminal may be another's as soon as it has ended, and would be opened again.
+    command += ["--link", str(truth.with_name("instrument"))]
     # What it says when it is ended is nobody's concern here; that it did not start is said below.
     quiet = subprocess.DEVNULL
     words: queue.SimpleQueue[str] = queue.SimpleQueue()

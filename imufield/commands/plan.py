@@ -25,7 +25,9 @@ def run_plan(options: PlanOptions) -> None:
     Raises
     ------
     UsageError
-        If there is no such scheme or grade.
+        If there is no such scheme, grade or place.
+    CalibrationError
+        If gravity is nowhere on Earth what was given.
     """
     positions = scheme(options.positions or DEFAULT_SCHEME)
     settings = GuideSettings(
@@ -33,6 +35,7 @@ def run_plan(options: PlanOptions) -> None:
         target_bias_ug=options.target_bias_ug,
         target_scale_ppm=options.target_scale_ppm,
         revisit_first=len(positions) >= REVISIT_FROM,
+        gravity=options.site.gravity(),
     )
     noise = None if options.noise_ug is None else options.noise_ug * MICRO_G_M_S2
     if options.grade is not None or noise is None:
@@ -40,13 +43,17 @@ def run_plan(options: PlanOptions) -> None:
     else:
         grade = grade_by_noise("accelerometer", noise)
     noise = noise or grade.accelerometer.noise_density
-    time = session_time(positions, settings, noise=noise, scatter_m_s2=grade.scatter_m_s2)
+    time = session_time(positions, settings, noise=noise, grade=grade)
     sizes = {"noise_ug": noise / MICRO_G_M_S2, "scatter_ug": grade.scatter_m_s2 / MICRO_G_M_S2}
     is_known = options.noise_ug is not None or options.grade is not None
-    assumed = sentence("plan.known" if is_known else "plan.assumed", grade=grade.name, **sizes)
+    gravity = {"gravity_ppm": time.gravity_ppm, "source": time.gravity.source_words}
+    assumed = sentence("plan.known" if is_known else "plan.assumed", grade=grade.name, **gravity, **sizes)
+    remedy = time.remedy if time.wanted and not time.is_met else ""
     if options.as_json:
         facts = {**asdict(time), **sizes, "grade": grade.name, "is_met": time.is_met}
-        echo(json.dumps({**facts, "words": time.words, "assumed": assumed}))
+        echo(json.dumps({**facts, "words": time.words, "remedy": remedy, "assumed": assumed}))
     else:
         say(time.words)
+        if remedy:
+            say(remedy)
         say(assumed)

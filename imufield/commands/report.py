@@ -15,7 +15,6 @@ from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session, open_or_newest
 from imufield.commands.options.results import ReportOptions
 from imufield.commands.terminal.output import write_output
-from imufield.deliver.parameters.document import VERSION
 from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, load
 from imufield.deliver.parameters.write import content_sha256
 from imufield.deliver.report.data import (
@@ -143,7 +142,7 @@ def _replay(
 
 
 def _provenance(path: Path, parameters: Parameters, session: Session | None) -> Iterator[tuple[str, str]]:
-    converted = "" if parameters.version == VERSION else f", converted from version {parameters.version}"
+    converted = f", converted from version {parameters.version}" if parameters.is_converted else ""
     yield "Parameter file", f"{path}{converted}"
     if session is not None:
         record = session.record

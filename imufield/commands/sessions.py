@@ -13,7 +13,7 @@ from imufield.commands.options.samples import SessionsOptions
 from imufield.commands.terminal.output import echo, say
 from imufield.deliver.parameters.file import PARAMETER_FILE
 from imufield.errors import ImufieldError, ParameterFileError, RecordingError, UsageError
-from imufield.files import DEFAULT_ROOT, Origin, read_small_file
+from imufield.files import DEFAULT_ROOT, Origin, read_small_file, real_path
 from imufield.guide.positions import SCHEME_FILE, SCHEMES, scheme
 from imufield.sentences import Sentences
 from imufield.toml_files import decode_toml, parse_toml
@@ -24,7 +24,7 @@ sentence = Sentences(__package__)
 Row = dict[str, Any]  # Texts and numbers, in JSON under the same names.
 # The others of a parameter file are most of it, and take most of the time.
 _TABLES = re.compile(r"^\[(?:session|quality|integrity)\]\n(?:(?!\[).*\n)*", re.MULTILINE)
-_NOT_KNOWN = ("created", "instrument", "serial_number", "port", "kind", "planned", "positions", "verdict", "fault")
+_NOT_KNOWN = ("created", "instrument", "serial_number", "port", "kind", "planned", "positions", "verdict", "fault", "leads_to")
 
 
 def list_sessions(options: SessionsOptions) -> None:
@@ -38,7 +38,7 @@ def list_sessions(options: SessionsOptions) -> None:
     folder, words = options.folder, (options.find or "").lower().split()
     if not folder.is_dir() and folder != DEFAULT_ROOT:
         raise UsageError(sentence("sessions.no_folder", folder=folder))
-    listed = [_row(path.parent) for path in folder.glob(f"*/{SETTINGS_FILE}")]
+    listed = [_row(path.parent, folder) for path in folder.glob(f"*/{SETTINGS_FILE}")]
     listed.sort(key=lambda row: (row["created"] or "", row["folder"]), reverse=True)
     found = [row for row in listed if all(word in f"{_line(row)} {row['folder']}".lower() for word in words)]
     if options.as_json:
@@ -53,9 +53,15 @@ def list_sessions(options: SessionsOptions) -> None:
         say(sentence(key, folder=folder, sessions=len(listed), find=options.find), err=True)
 
 
-def _row(folder: Path) -> Row:
-    """Return what is listed of a session: ``planned`` positions were asked for, the parameters come from ``positions``."""
+def _row(folder: Path, root: Path) -> Row:
+    """Return what is listed of a session: ``planned`` positions were asked for, the parameters come from ``positions``.
+
+    ``leads_to`` is where a link leads that stands for a folder of elsewhere.
+    """
     row: Row = {"folder": str(folder), "state": "damaged", **dict.fromkeys(_NOT_KNOWN)}
+    place = real_path(folder)
+    if place.parent != real_path(root):
+        row["leads_to"] = str(place)
     try:
         session = Session.open(folder)
     except RecordingError as error:

@@ -17,6 +17,7 @@ from rich.table import Table
 
 from imufield.acquire.recording.session import Session
 from imufield.commands.options.results import SolveOptions
+from imufield.commands.solve_together import run_solve_together
 from imufield.commands.terminal.output import echo, say, tell_written
 from imufield.console import PlainTextConsole
 from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, json_ready, write_document
@@ -26,8 +27,9 @@ from imufield.deliver.report.gain import document_with_gain
 from imufield.deliver.report.summary import Outcome, print_summary
 from imufield.earth import MICRO_G_M_S2
 from imufield.errors import ImufieldError, UsageError
-from imufield.files import refuse_overwriting
+from imufield.files import real_path, refuse_overwriting
 from imufield.pipeline.solving import better_gravity, solve_observations, solve_session
+from imufield.pipeline.temperature import over_temperature
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences, printable
 
@@ -40,6 +42,8 @@ WIDTH = 80  # Of the table where there is no terminal: what a log or a mail show
 def run_solve(options: SolveOptions) -> int:
     """Solve, write the parameter file, and print the summary or the document; return the exit code."""
     sessions = options.sessions or []
+    if options.together or options.serial_number is not None:
+        return run_solve_together(options)
     if options.scheduler is not None or len(sessions) > 1:
         return run_solve_many(sessions, options)
     settings = options.settings()
@@ -55,6 +59,9 @@ def run_solve(options: SolveOptions) -> int:
         path = options.output or session.folder / PARAMETER_FILE
         refuse_overwriting(path, session.parts, advice=sentence("solve.elsewhere"))
         solved = solve_session(session, settings, options.site)
+    base = solved
+    if options.temperature:
+        solved = over_temperature(base, [Session.open(folder) for folder in options.temperature], settings, options.site)
     # Asked before the file that stands there is replaced.
     better = better_gravity(path, solved.calibration.gravity)
     kept = write_document(path, solved.document, advice=sentence("solve.elsewhere"))
@@ -63,7 +70,8 @@ def run_solve(options: SolveOptions) -> int:
         tell_written(path, kept, as_json=True)
         return 0
     print_summary(solved, Outcome(path, kept, None if session is None else session.folder))
-    for note in better:
+    said = base.calibration.quality.reasons
+    for note in (*better, *(reason for reason in solved.calibration.quality.reasons if reason not in said)):
         echo(hanging("", note))
     return 0
 
@@ -106,12 +114,14 @@ def run_solve_many(sessions: Sequence[Path], options: SolveOptions) -> int:
         raise UsageError(sentence("solve.observations_elsewhere"))
     if not sessions:
         raise UsageError(sentence("solve.no_sessions"))
+    if options.temperature:
+        raise UsageError(sentence("solve.temperature_of_one"))
     if options.output is not None:
         key = "solve.output_of_scheduler" if len(sessions) == 1 else "solve.output_of_several"
         raise UsageError(sentence(key, output=options.output, file=PARAMETER_FILE))
     # Workers on a cluster have a working folder of their own.
-    preset = None if options.preset is None else options.preset.resolve()
-    folders = dict.fromkeys(folder.resolve() for folder in sessions)
+    preset = None if options.preset is None else real_path(options.preset)
+    folders = dict.fromkeys(real_path(folder) for folder in sessions)
     # Asked here, where it is written, and before anything is computed for no place.
     failed = {folder: outcome for folder in folders if (outcome := _unwritable(folder)) is not None}
     jobs = [replace(options, sessions=[folder], preset=preset) for folder in folders if folder not in failed]

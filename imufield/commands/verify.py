@@ -68,7 +68,11 @@ class _Task:
             checked.check_instrument(self.session.serial_number)
         # By the bytes and not by the name: a folder may be renamed or copied. Parameters of no session have no hash.
         sha256 = self.parameters.context.session.sha256
-        self.is_its_own = bool(sha256) and sha256 == session_sha256(self.session)
+        own_sha256 = session_sha256(self.session)
+        self.is_its_own = bool(sha256) and sha256 == own_sha256
+        together = self.parameters.context.together
+        if together is not None and own_sha256 in [session.sha256 for session in together.session]:
+            raise UsageError(sentence("verify.one_of_them", session=self.session.name))
         self.wants_navigation = options.turned or options.heading_deg is not None or "nav-nmi-per-h" in self.limits
         own, recorded = self.parameters.calibration.gravity, self.session.record.site
         # Where a session does not say where it was taken, what was typed to solve it goes before a default.
@@ -163,6 +167,8 @@ def _left_out(task: _Task, chain: Chain, problems: list[ImufieldError]) -> LeftO
         observations = chain.observations() if chain.guide is not None else chain.still_intervals().observations
         before = _before_accelerometer(task, protocol)
         if not task.is_its_own:
+            # Its own positions were measured where the parameters hold; others may come from the cold.
+            observations = task.parameters.observed_at_reference(observations)
             grade = task.parameters.context.instrument.grade
             return check_positions(calibration, observations, task.gravity, before, grade=grade)
         not_used = [table["name"] for table in task.parameters.document["position"] if not table["used"]]

@@ -1,4 +1,4 @@
-"""Ten seconds of every instrument at rest, made byte by byte, independently of the decoders; and what is no instrument."""
+"""One second and a half of every instrument at rest, byte by byte, independently of the decoders; and what is no instrument."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from imufield.simulate.instruments.witmotion import wit_frame
 from imufield.simulate.instruments.xsens import xbus_message
 from imufield.simulate.wire.stim300 import Stim300Format
 
-DURATION_S = 2.5
+DURATION_S = 1.5
 CHUNK_S = 0.02
 G = 9.80665
 DEGREE = 0.017453292519943295

@@ -116,7 +116,7 @@ def test_capture_gives_525_frames_however_it_is_cut(shared_folder: Path) -> None
     still = np.linalg.norm(whole.accelerometer[:20].mean(axis=0)) / 9.80665
     assert still == pytest.approx(1, abs=0.02)
     rng = np.random.default_rng(0)
-    for cuts in (range(len(data)), *(rng.integers(0, len(data), 60).tolist() for _ in range(5))):
+    for cuts in (range(4000), *(rng.integers(0, len(data), 60).tolist() for _ in range(5))):
         again, other = decode(protocol, data, cuts)
         assert_same(whole, again)
         assert other.statistics == decoder.statistics

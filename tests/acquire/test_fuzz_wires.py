@@ -28,7 +28,7 @@ from tests.acquire.plain_frames import pack_frames
 from tests.simulate.accounting import random_samples, serial_wires
 
 SECONDS = float(os.environ.get("IMUFIELD_FUZZ_S", "0"))
-ROUNDS = 4
+ROUNDS = 2
 SAMPLES = 40
 EXAMPLES_PER_ROUND = 40
 GROWTH_LIMIT_MB = 160.0

@@ -149,10 +149,13 @@ def simulated_session(
     style: str = "placed",
     day: int = 0,
     rotations: str | None = None,
+    serial_number: str = "",
+    range_g: int | None = None,
 ) -> Session:
     """Record a simulated session as ``capture`` would, without a port; ``change`` spoils the samples on purpose.
 
     ``visits`` lets the operator go home early; on another ``day`` the same instrument has other noise and is in other hands.
+    ``range_g`` is said to be the accelerometer's range, and changes nothing else.
     """
     directions = scheme(positions).directions()[:visits]
     habits = OperatorSettings(
@@ -166,14 +169,15 @@ def simulated_session(
         other = make_virtual_imu(Emulation(rate_hz=RATE_HZ, seed=3 + day, directions=directions, operator=habits))
         source = VirtualImu(Imu(source.imu.instrument, 3 + day, source.imu.settings), other.operator)
     duration_s = source.operator.plan_all() - 0.5
-    protocol = load_driver("stim300").load_protocol({"rate_hz": RATE_HZ})
+    said = {} if range_g is None else {"accelerometer_range_g": range_g}
+    protocol = load_driver("stim300").load_protocol({"rate_hz": RATE_HZ, **said})
     device = Stim300Device(Stim300Format(rate_hz=RATE_HZ))
     metadata = {
         "kind": "capture",
         "scheme": positions,
         "guide": {"hold_s": 4.0, **({"rotations": ROTATIONS[rotations]} if rotations else {})},
         "site": {"gravity_m_s2": 9.80665, "gravity_sigma_m_s2": 1.1e-5},
-        "instrument": {"driver": "stim300", "model": "stim300"},
+        "instrument": {"driver": "stim300", "model": "stim300", "serial_number": serial_number},
         "link": {"port": "/dev/ttyUSB0", "baud": 921600},
         "protocol": {"name": protocol.name, "sha256": protocol.sha256, "text": protocol.text},
         "settings": {name: {"value": one.value, "origin": one.origin} for name, one in protocol.settings.items()},
@@ -216,11 +220,35 @@ def whole_session(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def solved_session(whole_session: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the folder of the same session with its parameters; copy it before changing anything."""
+def short_session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of a finished session as short as every command takes it; copy it before changing anything.
+
+    Its 13 positions are enough for the linear model, and for verifying without some of them.
+    """
+
+    def make(folder: Path) -> None:
+        simulated_session(folder / "session", visits=13, hold_s=5.0)
+
+    return made_once(tmp_path_factory, "short", make) / "session"
+
+
+def solved(session: Path, name: str, factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of a copy of a session, with its parameters."""
 
     def solve(folder: Path) -> None:
-        shutil.copytree(whole_session, folder / "session")
+        shutil.copytree(session, folder / "session")
         assert run(["solve", str(folder / "session"), "--latitude", "48"]) == 0
 
-    return made_once(tmp_path_factory, "solved", solve) / "session"
+    return made_once(factory, name, solve) / "session"
+
+
+@pytest.fixture(scope="session")
+def solved_session(whole_session: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of the whole session with its parameters; copy it before changing anything."""
+    return solved(whole_session, "solved", tmp_path_factory)
+
+
+@pytest.fixture(scope="session")
+def short_solved(short_session: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of the short session with its parameters; copy it before changing anything."""
+    return solved(short_session, "short_solved", tmp_path_factory)

@@ -1,7 +1,8 @@
-"""Starts the program without starting an interpreter: the modules are imported once, each command is a fork of this process.
+"""Starts a program without starting an interpreter: the modules are imported once, each program is a fork of this process.
 
-Run by ``forks.py``, which asks through a socket: a message with the command, and with it the three standard streams and a
-pipe, to which the number of the program's process is written and later how it ended.
+It is imufield itself, or the reader of files of other programs. Run by ``forks.py``, which asks through a socket: a message
+with the command, and with it the three standard streams and a pipe, to which the number of the program's process is written
+and later how it ended.
 """
 
 from __future__ import annotations
@@ -15,12 +16,14 @@ import io
 import json
 import os
 import pkgutil
+import runpy
 import select
 import signal
 import socket
 import struct
 import sys
 import threading
+from collections.abc import Callable
 from typing import Any
 
 MESSAGE_BYTES = 1 << 20
@@ -45,7 +48,7 @@ SELDOM_RUN = ("study",)
 RUN_FIRST = (["capture", "--help"], ["devices"], ["solve", "nowhere"])
 
 
-def serve(channel: socket.socket) -> None:
+def serve(channel: socket.socket, run_program: Callable[[], None]) -> None:
     """Fork for each message until the other end closes; does not return in a fork."""
     reports: dict[int, int] = {}
     ended, ends = os.pipe()
@@ -67,11 +70,15 @@ def serve(channel: socket.socket) -> None:
         descriptors = array.array("i")
         for _, _, data in ancillary:
             descriptors.frombytes(data)
+        wanted = json.loads(message)
+        with contextlib.suppress(ImportError):  # The program itself says what it misses.
+            for name in wanted["modules"]:
+                importlib.import_module(name)
         process = os.fork()
         if not process:
             signal.set_wakeup_fd(-1)
             signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-            leave(run_command(json.loads(message), descriptors))
+            leave(run_command(run_program, wanted, descriptors))
         *streams, report = descriptors
         for descriptor in streams:
             os.close(descriptor)
@@ -92,7 +99,7 @@ def tell_ends(reports: dict[int, int]) -> None:
             os.close(report)
 
 
-def run_command(wanted: dict[str, Any], descriptors: array.array[int]) -> int:
+def run_command(run_program: Callable[[], None], wanted: dict[str, Any], descriptors: array.array[int]) -> int:
     """Become the program: its streams, folder, variables and arguments; return its exit code."""
     if wanted["session"]:
         os.setsid()
@@ -113,16 +120,26 @@ def run_command(wanted: dict[str, Any], descriptors: array.array[int]) -> int:
         setattr(sys, name, stream)
         setattr(sys, f"__{name}__", stream)
     sys.argv = ["imufield", *wanted["arguments"]]
-    from imufield.cli import main
-
     try:
-        main()
+        run_program()
     except SystemExit as left:
         return left.code if isinstance(left.code, int) else int(left.code is not None)
     except BaseException:  # noqa: BLE001  (a defect leaves its traceback, as from an interpreter)
         sys.excepthook(*sys.exc_info())
         return 1
     return 0
+
+
+def run_imufield() -> None:
+    """Run the program itself."""
+    from imufield.cli import main
+
+    main()
+
+
+def run_reader() -> None:
+    """Run the program that reads a file of another program."""
+    runpy.run_module("imufield.acquire.formats.array_file_reader", run_name="__main__", alter_sys=True)
 
 
 def leave(code: int) -> None:
@@ -156,10 +173,18 @@ def warm_up() -> None:
             run(arguments)
 
 
+def warm_up_reader() -> None:
+    """Import what all readers need."""
+    import numpy.lib.format  # noqa: F401
+
+
+PROGRAMS = {"imufield": (warm_up, run_imufield), "reader": (warm_up_reader, run_reader)}
+
 if __name__ == "__main__":
-    warm_up()
+    begin, run_program = PROGRAMS[sys.argv[2]]
+    begin()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # A collection in a fork would copy every page it looks at.
     gc.collect()
     gc.freeze()
-    serve(socket.socket(fileno=int(sys.argv[1])))
+    serve(socket.socket(fileno=int(sys.argv[1])), run_program)

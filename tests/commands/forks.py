@@ -1,4 +1,4 @@
-"""The program as a process that is forked from one that has imported it already: half a second to a second less for each.
+"""A program as a process that is forked from one that has imported it already: half a second to a second less for each.
 
 It is a process like any other: its own streams, folder, variables, process number, signals and exit code.
 """
@@ -30,11 +30,11 @@ def can_fork(variables: Mapping[str, str], options: Mapping[str, Any]) -> bool:
 
 
 @cache
-def server() -> socket.socket:
-    """Start the process to fork from; return the socket to ask it by."""
+def server(program: str) -> socket.socket:
+    """Start the process to fork a program from; return the socket to ask it by."""
     ours, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     process = subprocess.Popen(
-        [sys.executable, str(SERVER), str(its.fileno())],
+        [sys.executable, str(SERVER), str(its.fileno()), program],
         pass_fds=[its.fileno()],
         env={**os.environ, **{f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "MKL", "OMP")}},
         stdin=subprocess.DEVNULL,
@@ -51,13 +51,22 @@ def server() -> socket.socket:
 
 
 class Forked(subprocess.Popen[str]):
-    """``imufield`` with these arguments, as ``subprocess.Popen`` would start it.
+    """``imufield`` with these arguments, as ``subprocess.Popen`` would start it, or another program of ``fork_server.py``.
 
-    ``at_start`` names functions of ``at_start.py``, each with its arguments, that are called first.
+    ``at_start`` names functions of ``at_start.py``, each with its arguments, that are called first, ``modules`` what is
+    imported before the fork.
     """
 
-    def __init__(self, arguments: list[str], *, at_start: Iterable[Sequence[object]] = (), **options: Any) -> None:
-        self._at_start = [*at_start]
+    def __init__(
+        self,
+        arguments: list[str],
+        *,
+        program: str = "imufield",
+        at_start: Iterable[Sequence[object]] = (),
+        modules: Iterable[str] = (),
+        **options: Any,
+    ) -> None:
+        self._program, self._at_start, self._modules = program, [*at_start], [*modules]
         self._report = -1
         super().__init__(arguments, **options)
 
@@ -71,8 +80,9 @@ class Forked(subprocess.Popen[str]):
             "environment": environment,
             "session": rest[5],
             "at_start": self._at_start,
+            "modules": self._modules,
         }
-        socket.send_fds(server(), [json.dumps(wanted).encode()], [*streams, report])
+        socket.send_fds(server(self._program), [json.dumps(wanted).encode()], [*streams, report])
         os.close(report)
         self.pid = self._read_report()
         self._child_created = True

@@ -41,7 +41,7 @@ def edited(text: str) -> str:
 
 
 def newer(text: str) -> str:
-    return on_purpose(text.replace("version = 1", "version = 2", 1))
+    return on_purpose(text.replace("version = 1", "version = 3", 1))
 
 
 def not_a_number(text: str) -> str:
@@ -93,7 +93,7 @@ other_instrument = changed("instrument", "serial_number", "A1")
 BAD: dict[str, tuple[Callable[[str], str], Reason, tuple[str, ...]]] = {
     "cut": (cut, Reason.DAMAGED, ("bad.toml",)),
     "edited by hand": (edited, Reason.DAMAGED, ("bad.toml",)),
-    "newer": (newer, Reason.NEWER, ("bad.toml", "version 2", "version 1")),
+    "newer": (newer, Reason.NEWER, ("bad.toml", "version 3", "version 2")),
     "not a number": (not_a_number, Reason.NOT_FINITE, ("bad.toml", "scale[0]", "nan")),
     "other units": (other_unit, Reason.UNITS, ("count",)),
     "another instrument": (other_instrument, Reason.FOREIGN, ("A1",)),

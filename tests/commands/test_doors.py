@@ -6,13 +6,12 @@ import json
 import os
 import shutil
 import signal
-import subprocess
-import sys
 import threading
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType
+from typing import TYPE_CHECKING
 
 import pytest
 import tomli_w
@@ -29,6 +28,9 @@ from imufield.guide.positions import SCHEME_FILE
 from imufield.pipeline.chain import part_metadata
 from tests.commands.told import fails, failure
 from tests.refused import refused
+
+if TYPE_CHECKING:
+    from tests.commands.conftest import Program
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes with a name and links")
 
@@ -47,8 +49,8 @@ READERS = (
 
 
 @pytest.fixture
-def session(solved_session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    shutil.copytree(solved_session, tmp_path / "S")
+def session(short_solved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    shutil.copytree(short_solved, tmp_path / "S")
     monkeypatch.chdir(tmp_path)
     return tmp_path / "S"
 
@@ -71,15 +73,17 @@ def refuses(line: str) -> None:
     assert run(line.split()) in (0, 2, 4, 5, 6, 7), line
 
 
+# Neither a lock nor results keep a reader from the other of them.
 @pytest.mark.parametrize(
-    "name", ["session.toml", "part-001.mcap", "parameters.toml", LOCK_FILE, "parameters.verification.json"]
+    "names", [("session.toml",), ("part-001.mcap",), ("parameters.toml",), (LOCK_FILE, RESULTS)], ids=" ".join
 )
-def test_a_pipe_in_a_session_hangs_nothing(session: Path, name: str) -> None:
-    (session / name).unlink(missing_ok=True)
-    os.mkfifo(session / name)
+def test_a_pipe_in_a_session_hangs_nothing(session: Path, names: tuple[str, ...]) -> None:
+    for name in names:
+        (session / name).unlink(missing_ok=True)
+        os.mkfifo(session / name)
     for line in READERS:
         refuses(line)
-    if name in ("session.toml", "part-001.mcap"):
+    if (name := names[0]) in ("session.toml", "part-001.mcap"):
         fails("solve S -o out.toml", 4, Reason.DAMAGED if name == "session.toml" else Reason.NOT_A_RECORDING, "pipe")
         fails("export-data S -o out.csv", 4, Reason.DAMAGED if name == "session.toml" else Reason.NOT_A_RECORDING, "pipe")
 
@@ -223,13 +227,7 @@ def test_defaults_in_a_pipe_are_refused(session: Path) -> None:
     fails("devices", 2, Reason.USAGE, "pipe")
 
 
-def imufield(*arguments: object) -> subprocess.CompletedProcess[bytes]:
-    """Run the real program, whose standard output is what matters here."""
-    command = [sys.executable, "-m", "imufield", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, check=False, timeout=10 * LONGEST_S)
-
-
-def test_names_that_are_no_utf8(session: Path) -> None:
+def test_names_that_are_no_utf8(session: Path, program: Program) -> None:
     folder = session.parent / NOT_UTF8
     try:
         session.rename(folder)
@@ -242,16 +240,16 @@ def test_names_that_are_no_utf8(session: Path) -> None:
         ("report", folder),
         ("history", session.parent, "--csv", "table.csv"),
     ):
-        done = imufield(*arguments)
+        done = program.run(*arguments)
         assert done.returncode == 0, done.stderr
-        assert b"Traceback" not in done.stderr
+        assert "Traceback" not in done.stderr
     assert tomllib.loads((folder / "parameters.toml").read_text("utf-8"))["session"]["name"] == "caf\ufffd"
     assert "caf\ufffd/parameters.toml" in Path("table.csv").read_text("utf-8")
     # What is printed for a script is the name that can be opened.
-    found = imufield("history", session.parent, "--at", "2026-01-01").stdout
-    assert Path(os.fsdecode(found.strip())).is_file()
+    found = program.run("history", session.parent, "--at", "2026-01-01", errors="surrogateescape").stdout
+    assert Path(found.strip()).is_file()
     # The second time from the index.
-    assert imufield("history", session.parent).returncode == 0
+    assert program.run("history", session.parent).returncode == 0
 
 
 def test_a_path_beyond_the_limit_is_refused_before_the_work(session: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -126,7 +126,7 @@ def test_a_log_with_a_dbc_and_a_mapping(tmp_path: Path, capsys: pytest.CaptureFi
     path.write_bytes(content[: len(content) - 30])
     capsys.readouterr()
     assert typed("import", path, "--dbc", dbc, *maps, "-o", tmp_path / "cut") == 0
-    assert f"is cut: {len(content) - 30} of {len(content)} bytes" in capsys.readouterr().err
+    assert f"{len(content) - 30} of {len(content)} bytes" in capsys.readouterr().err
     assert typed("import", path, "--driver", "aceinna_can", "-o", tmp_path / "other") == 4
     assert re.search(r"drive.blf: 4\d\d frames contain no sample of j1939_imu \(other: 4\d\d\)", capsys.readouterr().err)
     unknown = ["import", str(path), "-o", str(tmp_path / "other")]

@@ -149,6 +149,15 @@ def test_a_wrong_unit_of_the_gyroscope_is_told_by_solve_with_its_factor(tmp_path
     assert "deg/s taken for rad/s" in caught.value.message
 
 
+def test_without_a_gyroscope_nobody_is_told_of_its_turns(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    np.savetxt(path, recorded()[0][:, :4], delimiter=",", fmt="%.9g")
+    session, _ = imported(path)
+    reasons = solve_session(session, SolveSettings(), SiteOptions(gravity_m_s2=G)).calibration.quality.reasons
+    assert told(reasons, "quality.assumed_signs")
+    assert not told(reasons, "axes.few_moves")
+
+
 def test_what_was_refused_stands_in_the_verdict(tmp_path: Path) -> None:
     """One still of twice its length, which no offset explains."""
     path, values = tmp_path / "table.csv", recorded()[0].copy()

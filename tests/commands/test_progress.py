@@ -35,8 +35,8 @@ AT_ONCE = [("show_progress_at_once",)]
 
 
 @pytest.fixture
-def here(program: Program, solved_session: Path) -> Path:
-    shutil.copytree(solved_session, program.folder / "here")
+def here(program: Program, short_solved: Path) -> Path:
+    shutil.copytree(short_solved, program.folder / "here")
     return program.folder / "here"
 
 

@@ -33,6 +33,12 @@ def test_pages_are_written_into_the_session(solved: Path, capsys: pytest.Capture
     assert "A. Person" in record.read_text(encoding="utf-8")
 
 
+def test_a_file_of_the_version_that_is_written_is_not_converted(solved: Path) -> None:
+    data, _ = gather(ReportOptions(session=solved))
+    assert dict(data.provenance)["Parameter file"] == str(solved / "parameters.toml")
+    assert not data.parameters.is_converted
+
+
 def test_recording_tells_what_the_file_cannot(solved: Path) -> None:
     data, _ = gather(ReportOptions(session=solved))
     assert data.trace is not None

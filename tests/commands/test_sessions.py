@@ -61,6 +61,17 @@ def test_the_newest_first_and_the_damaged_last(folder: Path, capsys: pytest.Capt
     assert "parameters.toml" in cut["fault"]
 
 
+@pytest.mark.skipif(os.name == "nt", reason="needs links")
+def test_where_a_link_leads_is_said(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    solved = folder / "20260301T101500Z-solved"
+    outside = solved.rename(tmp_path / "outside")
+    (folder / "led-out").symlink_to(outside)
+    (folder / "led-in").symlink_to("20260302T101500Z-raw")
+    rows = {Path(row["folder"]).name: row["leads_to"] for row in listed(capsys)}
+    assert {name: where for name, where in rows.items() if where is not None} == {"led-out": str(outside)}
+    assert "led-in" in rows
+
+
 def test_a_person_sees_the_same(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["sessions"]) == 0
     shown = capsys.readouterr().out

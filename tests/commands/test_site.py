@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import tomllib
 from pathlib import Path
@@ -51,6 +52,19 @@ def test_gravity_is_as_uncertain_as_its_digits(session: Path) -> None:
     document = solved(session, "--gravity", "9.816650")
     assert document["site"]["gravity_sigma_m_s2"] == pytest.approx(1e-5)
     assert "294 ppm" not in reasons(document)
+
+
+@pytest.mark.parametrize(
+    ("place", "ppm"),
+    [([], 1835.0), (["--latitude=45"], 51.0), (["--gravity=9.8062"], 2.9), (["--gravity=9.8062+-0.001"], 102.0)],
+)
+def test_a_plan_promises_no_scale_better_than_gravity(capsys: pytest.CaptureFixture[str], place: list[str], ppm: float) -> None:
+    assert run(["plan", "--json", "--grade=navigation", "--target-scale-ppm=45", *place]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["forecast"]["scale_ppm"] > ppm
+    assert told["is_met"] is (ppm < 45)
+    assert bool(told["remedy"]) is not told["is_met"]
+    assert told["is_met"] or not missing(told["remedy"], f"{ppm:.3g} ppm"[:4], "--gravity", "45")
 
 
 @pytest.mark.parametrize("value", ["9.80665", "9.81", "9.8", "9.807"])

@@ -66,6 +66,16 @@ def written(folder: Path) -> list[str]:
     return numbers(folder / "parameters.toml")
 
 
+@pytest.mark.skipif(os.name == "nt", reason="needs links")
+def test_a_link_that_leads_to_itself_fails_as_any_other_that_is_no_session(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("round").symlink_to("round")
+    assert run(["solve", "round", "nowhere", "--workers", "1"]) == 4
+    assert run(["solve", "nowhere", "elsewhere", "--preset", "round", "--workers", "1"]) == 4
+
+
 def test_one_that_fails_does_not_stop_the_others(program: Program, sessions: list[Path], alone: dict[str, list[str]]) -> None:
     part = next(sessions[1].glob("part-*.mcap"))
     part.write_bytes(b"nothing")

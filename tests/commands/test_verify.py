@@ -42,6 +42,12 @@ def solved(solved_session: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(solved_session, tmp_path / "solved"))
 
 
+@pytest.fixture
+def short(short_solved: Path, tmp_path: Path) -> Path:
+    """Return the same of 13 positions, where nothing is asked of how they fit."""
+    return Path(shutil.copytree(short_solved, tmp_path / "short"))
+
+
 def rest_session(folder: Path, duration_s: float = 500.0, unit: str = "m/s^2", **metadata: Any) -> Session:
     """Record an instrument at rest, level, heading east of north, with the noise of a good one."""
     rate_hz, rng = 20.0, np.random.default_rng(1)
@@ -129,16 +135,16 @@ def test_results_are_kept_beside_the_parameters(solved: Path) -> None:
     assert (solved / "parameters.verification.json").is_file()
 
 
-def test_failed_requirement_leaves_with_7_and_says_what(solved: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_failed_requirement_leaves_with_7_and_says_what(short: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with refused(VerificationError, Reason.FAILED_REQUIREMENT, "residual-ug") as caught:
-        run_verify(VerifyOptions(parameters=solved / "parameters.toml", session=solved, require="residual-ug=1"))
+        run_verify(VerifyOptions(parameters=short / "parameters.toml", session=short, require="residual-ug=1"))
     values = caught.value.values
     assert values["requirement"] == "residual-ug"
     assert values["measured"] > values["limit"] == 1
-    assert run(["verify", str(solved / "parameters.toml"), str(solved), "--require", "residual-ug=1"]) == 7
+    assert run(["verify", str(short / "parameters.toml"), str(short), "--require", "residual-ug=1"]) == 7
     output = capsys.readouterr()
     assert "Verdict: FAIL" in output.out
-    assert run(["verify", str(solved / "parameters.toml"), str(solved), "--require", "residual-ug=5000"]) == 0
+    assert run(["verify", str(short / "parameters.toml"), str(short), "--require", "residual-ug=5000"]) == 0
 
 
 def edited(path: Path, target: Path, **changes: Any) -> Path:
@@ -187,27 +193,27 @@ def test_a_common_scale_that_gravity_would_hide_fails_too(solved: Path, tmp_path
 
 
 def test_what_the_file_says_of_itself_goes_into_the_verdict(
-    solved: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     stalled = {"status": -3, "message": "stalled"}
-    path = with_document(solved / "parameters.toml", tmp_path / "stalled.toml", solver=stalled, quality={"verdict": "poor"})
-    common = ["verify", str(path), str(solved), "-o", str(tmp_path / "found.json")]
+    path = with_document(short / "parameters.toml", tmp_path / "stalled.toml", solver=stalled, quality={"verdict": "poor"})
+    common = ["verify", str(path), str(short), "-o", str(tmp_path / "found.json")]
     assert run([*common, "--require", "residual-ug=5000"]) == 7
     assert not missing(capsys.readouterr().out, "status -3", "stalled", "FAIL")
     assert run(common) == 0
     assert not missing(capsys.readouterr().out, "status -3", "stalled")
-    poor = with_document(solved / "parameters.toml", tmp_path / "poor.toml", quality={"verdict": "poor"})
-    arguments = ["verify", str(poor), str(solved), "-o", str(tmp_path / "found.json"), "--require", "residual-ug=5000"]
+    poor = with_document(short / "parameters.toml", tmp_path / "poor.toml", quality={"verdict": "poor"})
+    arguments = ["verify", str(poor), str(short), "-o", str(tmp_path / "found.json"), "--require", "residual-ug=5000"]
     assert run(arguments) == 7
     assert "POOR" in capsys.readouterr().out
 
 
-def test_options_that_would_change_nothing_are_refused(solved: Path, tmp_path: Path) -> None:
-    foreign = with_document(solved / "parameters.toml", tmp_path / "foreign.toml", session={"sha256": "0" * 64})
+def test_options_that_would_change_nothing_are_refused(short: Path, tmp_path: Path) -> None:
+    foreign = with_document(short / "parameters.toml", tmp_path / "foreign.toml", session={"sha256": "0" * 64})
     output = ["-o", str(tmp_path / "found.json")]
-    error = fails(["verify", str(foreign), str(solved), "--hold-out", "4", *output], 2, Reason.USAGE, "--hold-out 4")
+    error = fails(["verify", str(foreign), str(short), "--hold-out", "4", *output], 2, Reason.USAGE, "--hold-out 4")
     assert error.values["hold_out"] == 4
-    own = ["verify", str(solved / "parameters.toml"), str(solved), *output]
+    own = ["verify", str(short / "parameters.toml"), str(short), *output]
     for site in (["--gravity", "9.83"], ["--latitude", "10"]):
         error = fails([*own, *site], 2, Reason.USAGE, "--gravity", "--latitude")
         assert error.values["typed"] != error.values["solved"]
@@ -215,21 +221,21 @@ def test_options_that_would_change_nothing_are_refused(solved: Path, tmp_path: P
 
 
 def test_an_instrument_without_serial_number_is_said_not_to_be_checked(
-    solved: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     named = with_document(
-        solved / "parameters.toml", tmp_path / "named.toml", session={"sha256": "0" * 64}, instrument={"serial_number": "A1"}
+        short / "parameters.toml", tmp_path / "named.toml", session={"sha256": "0" * 64}, instrument={"serial_number": "A1"}
     )
-    found = run_verify(VerifyOptions(parameters=named, session=solved, output=tmp_path / "found.json"))
+    found = run_verify(VerifyOptions(parameters=named, session=short, output=tmp_path / "found.json"))
     (note,) = [one for one in found.notes if "serial number" in one]
     assert not missing(capsys.readouterr().out, note)
-    own = run_verify(VerifyOptions(parameters=solved / "parameters.toml", session=solved, output=tmp_path / "found.json"))
+    own = run_verify(VerifyOptions(parameters=short / "parameters.toml", session=short, output=tmp_path / "found.json"))
     assert not [one for one in own.notes if "serial number" in one]
 
 
 @pytest.mark.parametrize("text", ["", ",", "residual-ug=50,", "residual-ug=50,residual-ug=500"])
-def test_requirements_that_amount_to_nothing_are_refused(solved: Path, tmp_path: Path, text: str) -> None:
-    arguments = ["verify", str(solved / "parameters.toml"), str(solved), "-o", str(tmp_path / "found.json")]
+def test_requirements_that_amount_to_nothing_are_refused(short: Path, tmp_path: Path, text: str) -> None:
+    arguments = ["verify", str(short / "parameters.toml"), str(short), "-o", str(tmp_path / "found.json")]
     assert run([*arguments, "--require", text]) == 2
 
 
@@ -250,18 +256,18 @@ def test_rest_is_navigated_before_and_after(solved: Path, tmp_path: Path) -> Non
 
 
 def test_short_rest_is_checked_as_a_position_and_the_reason_told(
-    solved: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     session = rest_session(tmp_path / "rest", 60.0)
-    arguments = ["verify", str(solved / "parameters.toml"), str(session.folder), "-o", str(tmp_path / "found.json")]
+    arguments = ["verify", str(short / "parameters.toml"), str(session.folder), "-o", str(tmp_path / "found.json")]
     assert run(arguments) == 0
     assert not missing(capsys.readouterr().out, "60 s", "660 s")
     assert run([*arguments, "--require", "nav-nmi-per-h=1"]) == 4
 
 
-def test_unannounced_options_are_refused(solved: Path, tmp_path: Path) -> None:
+def test_unannounced_options_are_refused(short: Path, tmp_path: Path) -> None:
     session = rest_session(tmp_path / "rest")
-    common = ["verify", str(solved / "parameters.toml"), str(session.folder), "-o", str(tmp_path / "found.json")]
+    common = ["verify", str(short / "parameters.toml"), str(session.folder), "-o", str(tmp_path / "found.json")]
     assert run([*common, "--turned", "--align-s", "200"]) == 4
     assert run([*common, "--require", "speed=1"]) == 2
     assert run([*common, "--hold-out", "3"]) == 2
@@ -280,30 +286,30 @@ def test_parameters_in_other_units_are_refused(solved: Path, tmp_path: Path) -> 
         run_verify(VerifyOptions(parameters=solved / "parameters.toml", session=session.folder))
 
 
-def test_edited_file_is_refused_and_the_results_left_alone(solved: Path, tmp_path: Path) -> None:
+def test_edited_file_is_refused_and_the_results_left_alone(short: Path, tmp_path: Path) -> None:
     path = tmp_path / "parameters.toml"
-    path.write_text((solved / "parameters.toml").read_text().replace("bias_m_s2 = [", "bias_m_s2 = [1.", 1))
+    path.write_text((short / "parameters.toml").read_text().replace("bias_m_s2 = [", "bias_m_s2 = [1.", 1))
     old = tmp_path / "parameters.verification.json"
     old.write_text("old")
-    assert run(["verify", str(path), str(solved)]) == 5
+    assert run(["verify", str(path), str(short)]) == 5
     assert old.read_text() == "old"
 
 
-def test_latitude_is_asked_for(solved: Path, tmp_path: Path) -> None:
+def test_latitude_is_asked_for(short: Path, tmp_path: Path) -> None:
     session = rest_session(tmp_path / "rest")
     metadata = dict(session.metadata)
     metadata["site"] = {"gravity_m_s2": GRAVITY_M_S2}
     (session.folder / "session.toml").write_bytes(tomli_w.dumps(metadata).encode())
-    nowhere = with_document(solved / "parameters.toml", tmp_path / "nowhere.toml", site={"latitude_deg": float("nan")})
+    nowhere = with_document(short / "parameters.toml", tmp_path / "nowhere.toml", site={"latitude_deg": float("nan")})
     arguments = ["verify", str(nowhere), str(session.folder), "--align-s", "200", "-o", str(tmp_path / "found.json")]
     assert run([*arguments, "--require", "nav-nmi-per-h=100"]) == 2
     assert run([*arguments, "--require", "nav-nmi-per-h=1000000", "--latitude", "48"]) == 0
 
 
-def test_a_known_heading_is_taken_instead_of_found(solved: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_known_heading_is_taken_instead_of_found(short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     session = rest_session(tmp_path / "rest")
     output = tmp_path / "found.json"
-    common = ["verify", str(solved / "parameters.toml"), str(session.folder), "--align-s", "200", "-o", str(output)]
+    common = ["verify", str(short / "parameters.toml"), str(session.folder), "--align-s", "200", "-o", str(output)]
     assert run([*common, "--heading", "-36.87", "--heading-sigma", "1"]) == 0
     assert "-36.87 deg" in capsys.readouterr().out
     document = json.loads(output.read_text())

@@ -18,7 +18,6 @@ from imufield.cli.run import _interrupted_words, run
 from imufield.commands.terminal.guided import Captured, farewell
 from imufield.commands.terminal.output import NothingRecorded
 from imufield.deliver.exports import export_parameters
-from imufield.deliver.parameters.file import Parameters
 from imufield.errors import ParameterFileError, Reason
 from imufield.guide.events import LinkLost
 from imufield.pipeline.chain import Chain, ReadingPlan, replay_into
@@ -67,7 +66,7 @@ def test_an_export_asks_for_all_that_is_missing_at_once(solved_session: Path) ->
     calibration = parameters.calibration
     assert calibration.gyroscope is not None
     counts = replace(calibration, accelerometer_raw_unit="count", gyroscope=replace(calibration.gyroscope, raw_unit="count"))
-    unknown = Parameters(calibration=counts, context=parameters.context, document=parameters.document)
+    unknown = replace(parameters, calibration=counts)
     with pytest.raises(ParameterFileError) as caught:
         export_parameters(unknown, "px4")
     assert "--set accelerometer_nominal=NUMBER (count per m/s^2)" in caught.value.message

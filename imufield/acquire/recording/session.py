@@ -20,6 +20,7 @@ from imufield.files import (
     Origin,
     open_regular,
     read_small_file,
+    real_path,
     sync_folder,
     typed_write_errors,
     utf8_text,
@@ -155,7 +156,7 @@ class Session:
     @property
     def name(self) -> str:
         """Name of the folder, to be shown."""
-        return printable(utf8_text(self.folder.resolve().name))
+        return printable(utf8_text(real_path(self.folder).name))
 
     @property
     def parts(self) -> list[Path]:

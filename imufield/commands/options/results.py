@@ -36,7 +36,11 @@ ParameterFile = Annotated[Path, session_argument(help="Parameter file.")]
 class SolveOptions:
     """Solve a session: parameters with uncertainty, and a verdict. Several are solved in parallel, with a table of verdicts.
 
+    With --together, sessions of one instrument give one file: parameters of a new day, and how much days differ.
+
     Example: imufield solve --latitude 48.1 --height 520
+
+    Example: imufield solve march april june --together
     """
 
     sessions: Annotated[
@@ -54,7 +58,8 @@ class SolveOptions:
     gauge: Annotated[
         str | None,
         option(
-            help="How the body axes are fixed in the sensor: lower (default), upper, symmetric or preset; see docs/glossary.md."
+            help="Which axes are the body axes: lower (body x is the sensor's x axis; default), upper (body z is its z axis), "
+            "symmetric (each pair of misalignments equal) or preset (nearest to the axes of --preset)."
         ),
     ] = None
     preset: Annotated[
@@ -62,6 +67,14 @@ class SolveOptions:
         option(help="Previous parameter file: compared with the result, and source of what this session cannot determine."),
     ] = None
     zero: Annotated[str | None, option(help="Raw output at zero input, one or three numbers.")] = None
+    temperature: Annotated[
+        list[Path] | None,
+        option(
+            autocompletion=completion.sessions,
+            help="Session at another temperature, or a ramp recorded in one pose, for bias and scale over temperature; may "
+            "be repeated.",
+        ),
+    ] = None
     without: Annotated[list[str] | None, option(help="Name of a position to leave out; may be repeated.")] = None
     clock_sigma_ppm: Annotated[
         float | None, option(help="How well the sample period is known, 1 sigma, ppm (default: by kind of clock).", low=0)
@@ -74,13 +87,19 @@ class SolveOptions:
     grade: Annotated[
         str | None,
         option(
-            help="Instrument class, whose typical errors widen sigma where data cannot show them: navigation, "
-            "tactical, industrial or mems."
+            help="Instrument class: navigation, tactical, industrial or mems. Sigma includes its typical errors where a "
+            "session cannot measure them."
         ),
     ] = None
     seed: Annotated[int, option(help="Seed of everything random.", low=0, high=LARGEST_SEED)] = 0
     workers: Workers = None
     scheduler: Scheduler = None
+    together: Annotated[
+        bool, option("--together", help="Solve all sessions, of one instrument, as one; see docs/together.md.")
+    ] = False
+    serial_number: Annotated[
+        str | None, option("--serial", help="With --together: all sessions of this instrument in imufield-sessions.")
+    ] = None
     output: Annotated[Path | None, option("-o", "--output", help="Where to write the parameter file.")] = None
     as_json: AsJson = False
 
@@ -158,8 +177,8 @@ class StudyOptions:
     name: Annotated[
         str | None,
         argument(
-            help="Name of a study, bsas or ide (all studies of that paper), all (both papers), or answers (all studies "
-            "answers-*) (default: list the names)."
+            help="Name of one study or of a group: bsas, ide (the studies of one paper), all (both papers), answers (the "
+            "studies answers-*). Default: list the names."
         ),
     ] = None
     quick: Annotated[bool, option("--quick", help="Few runs, to see that it works.")] = False
@@ -235,7 +254,7 @@ class VerifyOptions:
         ),
     ] = None
     turned: Annotated[
-        bool, option("--turned", help="The instrument was turned upside down and laid to rest again after the alignment.")
+        bool, option("--turned", help="Say that you turned the instrument upside down after the alignment and left it so.")
     ] = False
     align_s: Annotated[float, option(help="Seconds of rest at the start to align with.", low=1)] = 600.0
     # From -360, as headings are written from 0 to 360 or from -180 to 180.
@@ -250,7 +269,9 @@ class VerifyOptions:
     require: Annotated[str | None, option(help="Limits, e.g. residual-ug=50,nav-nmi-per-h=1.")] = None
     turn_on_ug: Annotated[float | None, option(help="Turn-on bias of the accelerometer, 1 sigma.", low=0)] = None
     turn_on_deg_per_h: Annotated[float | None, option(help="Turn-on bias of the gyroscope, 1 sigma.", low=0)] = None
-    seed: Annotated[int, option(help="Seed of the forecast.", low=0, high=LARGEST_SEED)] = 0
+    seed: Annotated[
+        int, option(help="Seed of the random runs that forecast the navigation error.", low=0, high=LARGEST_SEED)
+    ] = 0
     output: Annotated[Path | None, option("-o", "--output", help="Where to keep the results for the report.")] = None
     as_json: AsJson = False
 
@@ -278,7 +299,7 @@ class HistoryOptions:
     Example: imufield history calibrations --serial 1234 --plot drift.svg
     """
 
-    folder: Annotated[Path, argument(help="Folder of parameter files, searched below too.")] = DEFAULT_ROOT
+    folder: Annotated[Path, argument(help="Folder of parameter files; its subfolders are searched, too.")] = DEFAULT_ROOT
     serial_number: Annotated[str | None, option("--serial", help="Only this serial number.")] = None
     at: Annotated[str | None, option(help="Print only the file calibrated closest to this date, e.g. 2026-03-04.")] = None
     # A year, as calibrations are usually dated.

@@ -42,11 +42,11 @@ HoldS = Annotated[
     float | None,
     option(
         "--hold-s",
-        help="Seconds to hold each position (default: until the mean is accurate enough, 3 to 10 s; with a target up to 60 s).",
+        help="Seconds to hold each position (default: until the mean is accurate enough, 3 to 10 s; to 60 s with a --target).",
         within=HOLD_RANGE_S,
     ),
 ]
-WebPort = Annotated[int | None, option(help="Port of that page (default: 8777 or the next free one).", within=PORT_RANGE)]
+WebPort = Annotated[int | None, option(help="Port of the page (default: 8777 or the next free one).", within=PORT_RANGE)]
 ViewName = Literal["auto", "plain", "json"]
 # Signs are part of the name: `--cable=-x` needs its equals sign, or the parser takes -x for an option.
 SIDES = ("+x", "-x", "+y", "-y", "+z", "-z")
@@ -149,8 +149,8 @@ class CaptureOptions:
     rotations: Annotated[
         str | None,
         option(
-            help="Whole turns for the gyroscope: rolled (edge over edge), or table (turned on the table from a fixed stop "
-            "back to it)."
+            help="Whole turns for the gyroscope: rolled (edge over edge), or table (flat on the table; each turn starts "
+            "and ends with a side against a fixed stop)."
         ),
     ] = None
     quiet: Annotated[bool, option("--quiet", help="No sound.")] = False
@@ -184,13 +184,14 @@ class PlanOptions:
     hold_s: HoldS = None
     target_bias_ug: TargetBiasUg = None
     target_scale_ppm: TargetScalePpm = None
+    site: PlaceOptions = field(default_factory=unknown_site)
     grade: Annotated[
         str | None, option(help="Instrument class, whose noise is assumed: navigation, tactical, industrial or mems (default).")
     ] = None
     noise_ug: Annotated[
         float | None,
         option(
-            help="Noise of the accelerometer, micro-g per root Hz: from its data sheet, or as probe hears it.",
+            help="Noise of the accelerometer, micro-g per root Hz: from its data sheet, or from `imufield probe`.",
             within=TARGET_RANGE,
         ),
     ] = None
@@ -301,9 +302,7 @@ class EmulateOptions:
             help="Instrument family, see `imufield devices`, or your protocol file (.toml).", autocompletion=completion.drivers
         ),
     ]
-    form: Annotated[
-        str | None, option(help="Format of the data, e.g. RAWIMUX; with an unknown name, all formats are listed.")
-    ] = None
+    form: Annotated[str | None, option(help="Format of the data, e.g. RAWIMUX; any unknown name lists all of them.")] = None
     settings: Settings = field(default_factory=dict)
     bus: Annotated[
         str | None,
@@ -320,7 +319,7 @@ class EmulateOptions:
     day: Annotated[
         int,
         option(
-            help="Number of the day: another day gives the same instrument other noise, tilts and faults.",
+            help="Number of the day: on another day the instrument is the same, but noise, tilts and faults differ.",
             low=0,
             high=LARGEST_SEED,
         ),
@@ -341,7 +340,7 @@ class EmulateOptions:
     style: Annotated[str, option(help="placed (on a surface) or held (in the hand).")] = "placed"
     rotations: Annotated[
         str | None,
-        option(help="Whole turns after the positions: rolled (edge over edge) or table (from a fixed stop back to it)."),
+        option(help="Whole turns after the positions: rolled (edge over edge) or table (flat on the table)."),
     ] = None
     hold_s: Annotated[float, option(help="Seconds the virtual operator holds each position.", within=HOLD_RANGE_S)] = 14.0
     wait: Annotated[

@@ -163,13 +163,11 @@ Settings = Annotated[
 ]
 ExportSettings = Annotated[
     Mapping[str, str],
-    _set_option("Setting of the export, NAME=VALUE, e.g. instance=1; with an unknown name, all settings are listed."),
+    _set_option("Setting of the export, NAME=VALUE, e.g. instance=1; any unknown name lists all settings."),
 ]
 MethodSettings = Annotated[
     Mapping[str, str],
-    _set_option(
-        "Setting of --method, NAME=VALUE, e.g. m=20 (number of beetles of bsas); with an unknown name, all settings are listed."
-    ),
+    _set_option("Setting of --method, NAME=VALUE, e.g. m=20 (swarm size of bsas); any unknown name lists all settings."),
 ]
 TableRateHz = Annotated[
     float | None, option("--rate-hz", help="Sample rate, where the file has no time.", within=RATE_RANGE_HZ)
@@ -183,7 +181,7 @@ TargetBiasUg = Annotated[
     float | None,
     option(
         "--target-bias-ug",
-        help="Accuracy wanted for the biases, 1 sigma, micro-g; holds are lengthened (up to 60 s) to reach it.",
+        help="Accuracy wanted for the biases, 1 sigma, micro-g; holds become as long as it needs (60 s at most).",
         within=TARGET_RANGE,
     ),
 ]
@@ -191,7 +189,7 @@ TargetScalePpm = Annotated[
     float | None,
     option(
         "--target-scale-ppm",
-        help="Accuracy wanted for the scale factors, 1 sigma, ppm; holds are lengthened to reach it.",
+        help="Accuracy wanted for the scale factors, 1 sigma, ppm; gravity must be known better than that.",
         within=TARGET_RANGE,
     ),
 ]

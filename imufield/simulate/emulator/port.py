@@ -85,12 +85,13 @@ class PseudoTerminal:
         """Take the port away; a host that holds it sees a disconnection."""
         if self._master < 0:
             return
+        # Before the device: once that is gone the system gives its number to the next terminal, which is no instrument.
+        if self._link is not None:
+            self._link.unlink(missing_ok=True)
         os.close(self._master)
         self._master = -1
         self.bytes_dropped += len(self._waiting)
         self._waiting = b""
-        if self._link is not None:
-            self._link.unlink(missing_ok=True)
 
     def has_reader(self) -> bool:
         """Return whether a host holds the port open (always, where the system does not tell)."""

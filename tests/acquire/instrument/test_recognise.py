@@ -108,7 +108,7 @@ def test_lines_that_come_in_bursts_are_doubted() -> None:
     data, bytes_per_s = stream("lines")
     text = Listener(next(one for one in serial_candidates() if one.name == "text"))
     for number, chunk in enumerate(chunks(data, bytes_per_s)):
-        late = 0.0 if number < 100 else 20.0
+        late = 0.0 if number < 50 else 20.0
         text.feed(type(chunk)(chunk.data, chunk.monotonic_s + late, 0))
     text.close()
     assert text.finding().reason == "its frames arrive irregularly"
