@@ -26,14 +26,15 @@ def test_no_legend_covers_a_curve_and_nothing_is_cut(name: str) -> None:
         drawn = figure(4.6)
         draw(drawn)
         drawn.draw_without_rendering()
-    shown = [axes for axes in drawn.axes if axes.axison]
-    assert shown
-    for axes in shown:
-        legend = axes.get_legend()
-        assert (legend is None) == (name == "bars")
-        assert legend is None or legend.get_window_extent().x0 >= axes.get_window_extent().x1
-        assert axes.get_ylabel()
-    everything = drawn.get_tightbbox()
-    assert everything is not None
-    assert everything.x0 >= 0
-    assert everything.x1 <= drawn.get_figwidth() + 0.01
+        # Measured in the style, too: fonts are looked up when they are used.
+        shown = [axes for axes in drawn.axes if axes.axison]
+        assert shown
+        for axes in shown:
+            legend = axes.get_legend()
+            assert (legend is None) == (name == "bars")
+            assert legend is None or legend.get_window_extent().x0 >= axes.get_window_extent().x1
+            assert axes.get_ylabel()
+        everything = drawn.get_tightbbox()
+        assert everything is not None
+        assert everything.x0 >= 0
+        assert everything.x1 <= drawn.get_figwidth() + 0.01
