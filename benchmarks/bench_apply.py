@@ -98,7 +98,8 @@ def make_parameters(quadratic: FloatArray, g_sensitivity: FloatArray) -> Paramet
         temperature_degc=times,
         units=SampleUnits(),
     )
-    return Parameters(calibration=calibration, context=Context(), document=to_document(calibration, none, Context()))
+    document = to_document(calibration, none, Context())
+    return Parameters(calibration=calibration, context=Context(), document=document, version=document["version"])
 
 
 def make_block(count: int) -> Samples:
