@@ -10,8 +10,8 @@ from imufield.acquire.decode.statistics import DecoderStatistics, combined, rema
 from imufield.acquire.instrument.connect import connect
 from imufield.acquire.instrument.connected import Connected
 from imufield.acquire.instrument.same_stream import SameStream
-from imufield.acquire.link.background import PatientLink
 from imufield.acquire.link.host_clock import HostClock, patience_s
+from imufield.acquire.link.reconnect import ReconnectingLink
 from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import Session, create_session
 from imufield.commands.options.samples import RecordOptions
@@ -77,7 +77,7 @@ def _record(connected: Connected, intake: Intake, clock: HostClock, *, options: 
         intake.take(heard)
     told_s = clock.monotonic_s()
     start_s, is_silent = (connected.chunks[0].monotonic_s, False) if connected.chunks else (told_s, True)
-    link, was_lost = PatientLink(connected.link, clock, connected.ask_again), False
+    link, was_lost = ReconnectingLink(connected.link, clock, connected.ask_again), False
     while options.duration_s is None or clock.monotonic_s() - start_s < options.duration_s:
         chunk = link.read()
         if link.lost is not None and not was_lost:

@@ -1,4 +1,4 @@
-"""Read a link in a background thread, so that no byte is lost while the program is busy, and open a lost one again.
+"""Read a link in a background thread, so that no byte is lost while the program is busy.
 
 The system keeps about 68 KiB of a serial port: at 80 kB/s that is less than a second, and a terminal that is stopped
 (Ctrl-S, a slow remote connection) or a long computation may take longer. Chunks keep the arrival time they had.
@@ -8,19 +8,14 @@ from __future__ import annotations
 
 import queue
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import Protocol
 
-from imufield.acquire.link.host_clock import HostClock
 from imufield.acquire.link.serial import WAIT_S, Chunk, Link
-from imufield.errors import LinkError, Reason
 
 LONGEST_BACKLOG = 50 * 600
 """Chunks: ten minutes of 50 a second; beyond it the thread waits, and the system's buffer overflows as it would without."""
-
-RECONNECT_EVERY_S = 0.5  # A plug is back within seconds; opening a port takes some milliseconds.
-_BETWEEN_TRIES_S = 0.1  # The caller still sees Ctrl-C and draws its screen.
 
 
 class ReopenableLink(Link, Protocol):
@@ -122,67 +117,3 @@ class BackgroundLink:
             # Nobody takes chunks any more when the thread is to end; what there is room for, ``drain`` finds.
             if self._stopping.is_set():
                 return
-
-
-class PatientLink:
-    """Reads a link, and while it is lost tries to open it again, so that a loose plug does not end a session.
-
-    Parameters
-    ----------
-    link : BackgroundLink
-    clock : HostClock
-    ask : callable
-        Called with the first chunk behind a reconnection, in a list where it puts what is to be read instead; refuses another
-        instrument.
-    """
-
-    def __init__(self, link: BackgroundLink, clock: HostClock, ask: Callable[[list[Chunk]], None]) -> None:
-        self._link = link
-        self._clock = clock
-        self._ask = ask
-        self._is_new = False  # Nothing was read since it was opened again.
-        self._next_try_s = 0.0
-        self.lost: LinkError | None = None  # Why nothing arrives; None while the link is there.
-
-    def read(self) -> Chunk | None:
-        """Return the next chunk, None if nothing came for a moment.
-
-        Raises
-        ------
-        LinkError
-            The port is there again and cannot be used, or another instrument is on it: waiting would not help.
-        """
-        if self.lost is None:
-            try:
-                chunk = self._link.read()
-                if chunk is None or not self._is_new:
-                    return chunk
-                self._ask_behind(chunk)
-            except LinkError as error:
-                if error.reason is Reason.FOREIGN:
-                    raise
-                self.lost, self._next_try_s = error, self._clock.monotonic_s()
-            return None
-        now_s = self._clock.monotonic_s()
-        if now_s < self._next_try_s:
-            self._clock.sleep(_BETWEEN_TRIES_S)
-        elif self._link.reopen():
-            self.lost, self._is_new = None, True
-        else:
-            self._next_try_s = now_s + RECONNECT_EVERY_S
-        return None
-
-    def _ask_behind(self, first: Chunk) -> None:
-        """Ask who is there when it sends, and not before: an instrument that starts hears nothing yet."""
-        chunks, self._is_new = [first], False
-        try:
-            self._ask(chunks)
-        except LinkError as error:
-            if error.reason is Reason.FOREIGN:
-                raise
-            # The link is lost behind what was read.
-            self._link.put_back([error])
-        except KeyboardInterrupt:
-            self._link.put_back(chunks)
-            raise
-        self._link.put_back(chunks)

@@ -26,6 +26,13 @@ from imufield.calibrate.accelerometer.unshown import Unshown, higher_sigma, unsh
 from imufield.calibrate.model.gauge import change_gauge, intrinsic, make_intrinsic
 from imufield.calibrate.model.grades import Grade, find_grade
 from imufield.calibrate.model.higher import HigherTerms, higher_scale
+from imufield.calibrate.model.leave_one_out import (
+    Influence,
+    SinglePosition,
+    influence,
+    single_position_factors,
+    single_positions,
+)
 from imufield.calibrate.model.models import (
     PARAMETERS,
     SCALE,
@@ -53,17 +60,7 @@ from imufield.calibrate.model.result import (
     PositionResult,
     QuadraticAxes,
 )
-from imufield.calibrate.model.uncertainty import (
-    SPARE_POSITIONS,
-    Influence,
-    SinglePosition,
-    estimated_share,
-    gravity_sensitivity,
-    influence,
-    known_covariance,
-    single_position_factors,
-    single_positions,
-)
+from imufield.calibrate.model.uncertainty import SPARE_POSITIONS, estimated_share, gravity_sensitivity, known_covariance
 from imufield.calibrate.solvers.least_squares import Loss
 from imufield.earth import STANDARD_GRAVITY_M_S2, Gravity
 from imufield.errors import CalibrationError, Reason, UsageError

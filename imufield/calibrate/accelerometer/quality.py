@@ -11,11 +11,12 @@ from imufield.calibrate.accelerometer.drift import MOST_CONFUSION
 from imufield.calibrate.accelerometer.fit import Fit, FitData
 from imufield.calibrate.accelerometer.model_choice import HIGHER_LEVEL, ChosenModel
 from imufield.calibrate.accelerometer.outliers import Outlier, find_outliers
+from imufield.calibrate.model.leave_one_out import Influence, SinglePosition
 from imufield.calibrate.model.models import BIAS, SCALE
 from imufield.calibrate.model.observability import Observability
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, Quality
-from imufield.calibrate.model.uncertainty import SPARE_POSITIONS, Influence, SinglePosition, rms, student_factor
+from imufield.calibrate.model.uncertainty import SPARE_POSITIONS, rms, student_factor
 from imufield.earth import MEASURED_GRAVITY_SIGMA_M_S2, MILLI_G_M_S2, Gravity, contradiction
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray

@@ -17,8 +17,8 @@ import numpy as np
 from imufield.acquire.decode.statistics import remarks
 from imufield.acquire.instrument.connected import Connected
 from imufield.acquire.instrument.same_stream import SameStream
-from imufield.acquire.link.background import PatientLink
 from imufield.acquire.link.host_clock import HostClock, ScaledClock, patience_s
+from imufield.acquire.link.reconnect import ReconnectingLink
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import Session, create_session
@@ -241,7 +241,7 @@ class CaptureLoop:
         self.chain, self.recorder = self.intake.chain, self.intake.recorder
         self._last_byte_s = self.clock.monotonic_s()
         self._last_refresh_s = self._last_shown_s = float("-inf")
-        self._link = PatientLink(self.connected.link, self.clock, self.connected.ask_again)
+        self._link = ReconnectingLink(self.connected.link, self.clock, self.connected.ask_again)
         self._finish_until_s = float("-inf")  # Until then the key that finishes is believed.
         self._advice: dict[Topic, Advice] = {}  # The newest of those that are for the end.
 

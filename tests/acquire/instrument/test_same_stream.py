@@ -12,8 +12,9 @@ import pytest
 from imufield.acquire.instrument.connected import Connected
 from imufield.acquire.instrument.instrument import Instrument
 from imufield.acquire.instrument.same_stream import SameStream
-from imufield.acquire.link.background import BackgroundLink, PatientLink
+from imufield.acquire.link.background import BackgroundLink
 from imufield.acquire.link.host_clock import SystemClock
+from imufield.acquire.link.reconnect import ReconnectingLink
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.acquire.registry import load_driver
@@ -140,7 +141,7 @@ def test_another_serial_number_ends_the_session_and_nothing_is_put_back_there() 
 def test_what_was_read_counts_where_the_link_goes_while_the_instrument_is_asked(driver: str) -> None:
     wire, clock = Scripted(b"before", LinkError("gone")), SystemClock()
     one = replace(connected({}), link=BackgroundLink(wire), instrument=Instrument(load_driver(driver), clock))
-    link = PatientLink(one.link, clock, one.ask_again)
+    link = ReconnectingLink(one.link, clock, one.ask_again)
     heard: list[bytes] = []
 
     def read_until_lost() -> None:
@@ -165,7 +166,7 @@ def test_what_was_read_is_there_where_a_person_ends_it_while_the_instrument_is_a
 
     wire, clock = Interrupted(LinkError("gone")), SystemClock()
     one = replace(connected({}), link=BackgroundLink(wire), instrument=Instrument(load_driver("stim300"), clock))
-    link = PatientLink(one.link, clock, one.ask_again)
+    link = ReconnectingLink(one.link, clock, one.ask_again)
     while link.lost is None:
         link.read()
 
