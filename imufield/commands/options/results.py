@@ -36,7 +36,8 @@ ParameterFile = Annotated[Path, session_argument(help="Parameter file.")]
 class SolveOptions:
     """Solve a session: parameters with uncertainty, and a verdict. Several are solved in parallel, with a table of verdicts.
 
-    With --together, sessions of one instrument give one file: parameters of a new day, and how much days differ.
+    With --together, sessions of one instrument give one file: parameters for a day not measured, and the
+    change from day to day.
 
     Example: imufield solve --latitude 48.1 --height 520
 

@@ -42,7 +42,7 @@ HoldS = Annotated[
     float | None,
     option(
         "--hold-s",
-        help="Seconds to hold each position (default: until the mean is accurate enough, 3 to 10 s; to 60 s with a --target).",
+        help="Seconds to hold each position (default: until its mean is accurate enough, 3 to 10 s; up to 60 s with --target-...).",
         within=HOLD_RANGE_S,
     ),
 ]
@@ -302,7 +302,7 @@ class EmulateOptions:
             help="Instrument family, see `imufield devices`, or your protocol file (.toml).", autocompletion=completion.drivers
         ),
     ]
-    form: Annotated[str | None, option(help="Format of the data, e.g. RAWIMUX; any unknown name lists all of them.")] = None
+    form: Annotated[str | None, option(help="Format of the data, e.g. RAWIMUX; for a list, give any unknown name.")] = None
     settings: Settings = field(default_factory=dict)
     bus: Annotated[
         str | None,

@@ -163,11 +163,11 @@ Settings = Annotated[
 ]
 ExportSettings = Annotated[
     Mapping[str, str],
-    _set_option("Setting of the export, NAME=VALUE, e.g. instance=1; any unknown name lists all settings."),
+    _set_option("Setting of the export, NAME=VALUE, e.g. instance=1; for a list, give any unknown name."),
 ]
 MethodSettings = Annotated[
     Mapping[str, str],
-    _set_option("Setting of --method, NAME=VALUE, e.g. m=20 (swarm size of bsas); any unknown name lists all settings."),
+    _set_option("Setting of --method, NAME=VALUE, e.g. m=20 (swarm size of bsas); for a list, give any unknown name."),
 ]
 TableRateHz = Annotated[
     float | None, option("--rate-hz", help="Sample rate, where the file has no time.", within=RATE_RANGE_HZ)
