@@ -42,7 +42,7 @@ HoldS = Annotated[
     float | None,
     option(
         "--hold-s",
-        help="Seconds to hold each position (default: until its mean is accurate enough, 3 to 10 s; with --target-..., to 60 s).",
+        help="Seconds to hold each position (default: until its mean is accurate enough, 3 to 10 s; to 60 s for a target).",
         within=HOLD_RANGE_S,
     ),
 ]
