@@ -177,11 +177,13 @@ def open_bus(address: BusAddress, bit_rate: int | None = None) -> can.BusABC:
         if key == "can.absent" and address.interface == "socketcan":
             key = "can.absent_link"
         raise LinkError(sentence(key, bus=name, channel=address.channel, cause=cause), reason) from error
-    channel = getattr(bus, "socket", None)
-    if isinstance(channel, socket.socket):
-        # A system that refuses the larger buffer still has its usual one.
-        with contextlib.suppress(OSError):
+    # Serial and virtual buses have no socket, and a system that refuses the larger buffer still has its usual one.
+    with contextlib.suppress(OSError, NotImplementedError):
+        channel = socket.socket(fileno=bus.fileno())
+        try:
             channel.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
+        finally:
+            channel.detach()  # The bus closes it.
     return bus
 
 

@@ -7,12 +7,13 @@ import os
 import sys
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import can
 import pytest
 
 from imufield.acquire.instrument.can_map import open_can
-from imufield.acquire.link.can import CanLink, open_can_link, parse_bus
+from imufield.acquire.link.can import RECEIVE_BUFFER_BYTES, CanLink, open_can_link, parse_bus
 from imufield.acquire.link.host_clock import ScaledClock
 from imufield.acquire.protocol.can_frames import ADAPTER_TIME, ERROR, EXTENDED, FD, Frame, pack_frame, unpack_frames
 from imufield.errors import LinkError, ProtocolError, Reason, UsageError
@@ -85,6 +86,19 @@ def test_udp_multicast(port: int) -> None:
         for message in messages():
             bus.send(message)
         check(read_all(link, 52), messages())
+    link.close()
+
+
+def test_datagrams_wait_while_the_program_is_busy(port: int) -> None:
+    most_bytes = Path("/proc/sys/net/core/rmem_max")
+    if not most_bytes.exists() or int(most_bytes.read_text()) < RECEIVE_BUFFER_BYTES:
+        pytest.skip("this system gives no socket a larger buffer")
+    burst = 2 * 270  # Twice what the usual buffer holds.
+    link = open_can_link(f"udp_multicast:{GROUP}:{port}")
+    with can.Bus(GROUP, "udp_multicast", port=port) as bus:
+        for number in range(burst):
+            bus.send(can.Message(arbitration_id=number, data=bytes(8), is_extended_id=False))
+        assert [frame.can_id for frame in read_all(link, burst)] == list(range(burst))
     link.close()
 
 
