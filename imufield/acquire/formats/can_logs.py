@@ -20,7 +20,8 @@ from imufield.acquire.formats.tables import ChunkWriter
 from imufield.acquire.link.can import make_message, open_bus, pack_message, parse_bus
 from imufield.acquire.link.host_clock import NANOSECONDS
 from imufield.acquire.link.serial import WRITE_TIMEOUT_S, Chunk
-from imufield.acquire.protocol.can_frames import ERROR, LATEST_S, MOST_DATA, SENT, Frame, Unpacker, unpack_frames
+from imufield.acquire.protocol.can_frame import ERROR, MOST_DATA, SENT, Frame
+from imufield.acquire.protocol.can_frames import LATEST_S, Unpacker, unpack_frames
 from imufield.acquire.recording.reader import EndOfRecordingError, Pacer, RecordingLink
 from imufield.errors import LinkError, Reason, RecordingError, UsageError
 from imufield.files import open_to_read
