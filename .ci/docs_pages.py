@@ -19,7 +19,7 @@ from mkdocs.structure.files import File, Files
 from typer.main import get_command
 
 from imufield.acquire.registry import driver_names, load_driver
-from imufield.cli.app import app
+from imufield.cli.app import make_app
 
 PROJECT = Path(__file__).resolve().parent.parent
 SCHEMAS = {"parameters.schema.json": "imufield.deliver.parameters", "events.schema.json": "imufield.guide"}
@@ -53,7 +53,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 def commands() -> Iterator[str]:
     """Yield the page of all commands, from what ``--help`` says."""
     yield "# Commands\n\n`imufield COMMAND -h` and [the man page](imufield.1) say the same. Exit codes: [errors](errors.md).\n"
-    group: Any = get_command(app)
+    group: Any = get_command(make_app())
     for name, command in sorted(group.commands.items()):
         text = inspect.cleandoc(command.help or "")
         summary, *examples = text.split("Example:")

@@ -15,7 +15,7 @@ from typing import Any
 
 from typer.main import get_command
 
-from imufield.cli.app import app
+from imufield.cli.app import make_app
 from imufield.errors import EXIT_INTERRUPTED, ImufieldError
 from imufield.version import __version__
 
@@ -33,7 +33,7 @@ def man_page() -> str:
 
 def lines() -> Iterator[str]:
     """Yield its lines."""
-    group: Any = get_command(app)
+    group: Any = get_command(make_app())
     yield f'.TH IMUFIELD 1 "" "imufield {__version__}" "User Commands"'
     # Words whole, and only the left side even: names of options and ports are long. Every heading sets both from these.
     yield ".nr HY 0\n.ds AD l\n.nh\n.ad l"

@@ -22,7 +22,7 @@ import cantools
 import numpy as np
 
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.protocol.can_frames import EXTENDED, MARK, UNIT_BYTES
+from imufield.acquire.protocol.can_frame import EXTENDED, MARK, UNIT_BYTES
 from imufield.acquire.protocol.protocol import load_protocol
 
 SAMPLES = 200_000

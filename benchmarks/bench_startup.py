@@ -9,7 +9,7 @@ from typing import Any
 
 from typer.main import get_command
 
-from imufield.cli.app import app
+from imufield.cli.app import make_app
 
 ROUNDS = 3
 BARE = "import numpy"
@@ -30,7 +30,7 @@ def run() -> list[dict[str, Any]]:
     """Return one row for each command; the peer is a bare Python."""
     bare = best_s("-c", "pass")
     numpy = best_s("-c", BARE)
-    group: Any = get_command(app)
+    group: Any = get_command(make_app())
     lines = [("imufield --help", ["--help"]), *((f"{name} --help", [name, "--help"]) for name in sorted(group.commands))]
     rows = [{"name": what, "value": best_s("-m", "imufield", *words), "unit": "s", "peer": bare} for what, words in lines]
     rows.append({"name": "devices", "value": best_s("-m", "imufield", "devices"), "unit": "s", "peer": numpy})

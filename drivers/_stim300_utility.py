@@ -8,11 +8,11 @@ characters up to and including the last comma (TS1524 rev. 31, section 10). Sett
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
-from imufield.acquire.driver import Command, Message
-from imufield.acquire.protocol.checksum import make_checksum
+from imufield.acquire.driver import Command, Message, checksum_of
 
-_CRC = make_checksum("CRC-8/SMBUS", start=0xFF)
+_CRC = partial(checksum_of, "CRC-8/SMBUS", start=0xFF)
 
 
 def enter_utility_mode() -> Command:
@@ -23,7 +23,7 @@ def enter_utility_mode() -> Command:
 def utility(name: str, *values: object, is_last: bool = False) -> Command:
     """Return a command of utility mode."""
     body = ",".join([f"${name}", *map(str, values)]) + ","
-    data = f"{body}{_CRC.of(body.encode())}\r".encode()
+    data = f"{body}{_CRC(body.encode())}\r".encode()
     return Command(name=name, data=data, refusal=_refusal, is_last=is_last, read=_answer(name))
 
 
@@ -36,7 +36,7 @@ def _answer(name: str) -> Callable[[bytes], Message | None]:
         # What stands behind the last CR is a line that has not ended.
         for line in heard.split(b"\r")[:-1]:
             body, comma, crc = line[line.rfind(b"#") :].rpartition(b",")
-            if body.startswith(f"#{name}".encode()) and crc == str(_CRC.of(body + comma)).encode():
+            if body.startswith(f"#{name}".encode()) and crc == str(_CRC(body + comma)).encode():
                 return {"kind": "utility", "values": body.decode("ascii", "replace").split(",")[1:]}
         return None
 

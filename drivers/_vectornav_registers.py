@@ -8,15 +8,15 @@ refuses. XX is the XOR of what stands between dollar and star. What is written l
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
+from functools import partial
 
-from imufield.acquire.driver import BY_DOCUMENT, Command, Driver, Message
-from imufield.acquire.protocol.checksum import make_checksum
+from imufield.acquire.driver import BY_DOCUMENT, Command, Driver, Message, checksum_of
 
 BINARY_OUTPUTS = (75, 76, 77)  # Each configures one of the three messages that can be sent at once.
 MODEL = 1
 _SERIAL = 3
 _FIRMWARE = 4
-_XOR = make_checksum("XOR-8")
+_XOR = partial(checksum_of, "XOR-8")
 
 
 class VectorNav(Driver):
@@ -84,7 +84,7 @@ def _command(name: str, text: str, answer: str, number: int, *, is_last: bool = 
 
 def sentence(text: str) -> bytes:
     """Return a line with its checksum."""
-    return f"${text}*{_XOR.of(text.encode()):02X}\r\n".encode()
+    return f"${text}*{_XOR(text.encode()):02X}\r\n".encode()
 
 
 def _is_about(message: Message, number: int) -> bool:

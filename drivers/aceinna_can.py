@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from imufield.acquire.driver import Driver, Message
-from imufield.acquire.protocol.can_frames import EXTENDED, pack_frame
+from imufield.acquire.protocol.can_frame import EXTENDED, pack_frame
 
 HOST_ADDRESS = 0xF9
 """J1939 address of an off-board service tool."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Collection, Iterable, Sequence
+from functools import partial
 
-from imufield.acquire.driver import BY_DOCUMENT, Command, Driver, Message, choose_divisor, choose_rate
-from imufield.acquire.protocol.checksum import make_checksum
+from imufield.acquire.driver import BY_DOCUMENT, Command, Driver, Message, checksum_of, choose_divisor, choose_rate
 
-_CRC = make_checksum("CRC-16/SPI-FUJITSU")
+_CRC = partial(checksum_of, "CRC-16/SPI-FUJITSU")
 _DMU_KINDS = frozenset({"0x5330", "0x5331"})  # Packets S0 and S1; only these instruments know the commands in capitals.
 _RATES_HZ = (200, 100, 50, 20, 10, 5, 2)
 _PACKET_RATE = 4  # Parameter of an OpenIMU, in Hz.
@@ -126,7 +126,7 @@ def packet(name: str, letters: str, data: bytes, answer: str) -> Command:
     body = letters.encode() + bytes([len(data)]) + data
     return Command(
         name=name,
-        data=b"UU" + body + _CRC.of(body).to_bytes(2, "big"),
+        data=b"UU" + body + _CRC(body).to_bytes(2, "big"),
         answer=lambda message: message["kind"] == answer or (message["kind"] == "refused" and message["letters"] == letters),
         refusal=_refusal,
     )

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from functools import partial
 from typing import ClassVar
 
-from imufield.acquire.driver import BY_DOCUMENT, Ability, Command, Driver, Evidence, Message, choose_divisor
-from imufield.acquire.protocol.checksum import make_checksum
+from imufield.acquire.driver import BY_DOCUMENT, Ability, Command, Driver, Evidence, Message, checksum_of, choose_divisor
 
-_SUMS = make_checksum("FLETCHER-16/MOD-256")
+_SUMS = partial(checksum_of, "FLETCHER-16/MOD-256")
 # Descriptor sets of commands, and the kinds of messages that answer them.
 BASE = 0x01
 SETTINGS = 0x0C
@@ -119,7 +119,7 @@ def command(name: str, descriptor_set: int, number: int, data: bytes = b"", *, i
     body = bytes([0x75, 0x65, descriptor_set, len(data) + 2, len(data) + 2, number]) + data
     return Command(
         name=name,
-        data=body + _SUMS.of(body).to_bytes(2, "big"),
+        data=body + _SUMS(body).to_bytes(2, "big"),
         answer=lambda message: message["kind"] == _KINDS[descriptor_set] and message.get("answered_command") == number,
         refusal=lambda answer: f"error {answer['error']}" if answer["error"] else "",
         is_last=is_last,

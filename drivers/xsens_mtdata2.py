@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from functools import partial
 from typing import ClassVar
 
-from imufield.acquire.driver import Ability, Command, Driver, Evidence, Message
-from imufield.acquire.protocol.checksum import make_checksum
+from imufield.acquire.driver import Ability, Command, Driver, Evidence, Message, checksum_of
 
-_SUM = make_checksum("SUM-8/NEGATED")
+_SUM = partial(checksum_of, "SUM-8/NEGATED")
 # Message identifiers; each answer has the next one.
 REQUEST_DEVICE_ID = 0x00
 GO_TO_MEASUREMENT = 0x10
@@ -90,7 +90,7 @@ def request(name: str, message_id: int, answer: str, data: bytes = b"", *, is_la
     body = bytes([0xFF, message_id, len(data)]) + data
     return Command(
         name=name,
-        data=b"\xfa" + body + bytes([_SUM.of(body)]),
+        data=b"\xfa" + body + bytes([_SUM(body)]),
         answer=lambda message: message["kind"] in (answer, "error"),
         refusal=_refusal,
         is_last=is_last,

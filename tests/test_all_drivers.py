@@ -17,7 +17,7 @@ from imufield.acquire.decoder import Decoder
 from imufield.acquire.driver import Driver
 from imufield.acquire.instrument.can_map import open_can
 from imufield.acquire.link.serial import Link, open_link
-from imufield.acquire.protocol.can_frames import EXTENDED, pack_frame
+from imufield.acquire.protocol.can_frame import EXTENDED, pack_frame
 from imufield.acquire.protocol.protocol import Protocol, load_protocol, protocol_names
 from imufield.acquire.registry import load_driver, shipped_names
 from imufield.samples import Samples, concatenate

@@ -12,11 +12,12 @@ import typer
 from typer.main import get_command
 
 from imufield import __version__
-from imufield.cli.app import app
+from imufield.cli.app import make_app
+from imufield.cli.root_help import OF_TYPER
 from imufield.cli.run import run
 from imufield.errors import EXIT_INTERRUPTED, ImufieldError
 
-COMMANDS = sorted(get_command(app).commands)  # type: ignore[attr-defined]  # the app is a group
+COMMANDS = sorted(get_command(make_app()).commands)  # type: ignore[attr-defined]  # the app is a group
 
 
 def imufield(*arguments: str, **options: object) -> subprocess.CompletedProcess[str]:
@@ -44,7 +45,7 @@ def test_help_has_an_example(command: str, monkeypatch: pytest.MonkeyPatch, caps
     ("command", "setting"), [("export", "instance="), ("solve", "m="), ("capture", "accelerometer_range_g=")]
 )
 def test_help_of_set_names_a_setting_of_the_command(command: str, setting: str) -> None:
-    options = get_command(app).commands[command].params  # type: ignore[attr-defined]  # the app is a group
+    options = get_command(make_app()).commands[command].params  # type: ignore[attr-defined]  # the app is a group
     (told,) = [option.help for option in options if "--set" in option.opts]
     assert f"e.g. {setting}" in told
 
@@ -56,6 +57,38 @@ def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert "<bool>" not in shown
     assert run(["-h"]) == 0
     assert capsys.readouterr().out == shown
+
+
+@pytest.mark.parametrize("columns", [60, 80, 132])
+def test_help_without_typer_is_that_of_typer(columns: int) -> None:
+    environment = {name: value for name, value in os.environ.items() if name not in OF_TYPER} | {"COLUMNS": str(columns)}
+    ours = imufield("--help", env=environment)
+    of_typer = imufield("--help", env=environment | {"_TYPER_FORCE_DISABLE_TERMINAL": "1"})
+    assert ours.stdout == of_typer.stdout
+    assert (ours.returncode, of_typer.returncode) == (0, 0)
+
+
+@pytest.mark.parametrize(
+    ("command", "unused"),
+    [
+        ("--version", {"typer", "rich", "imufield.errors"}),
+        ("--help", {"typer", "imufield.commands", "numpy"}),
+        ("devices --json", {"numpy", "pydantic", "rich.table", "imufield.commands.options.results"}),
+    ],
+)
+def test_a_start_loads_what_it_uses(command: str, unused: set[str]) -> None:
+    code = f"""
+import sys
+sys.argv[1:] = {command.split()}
+from imufield.cli import main
+try:
+    main()
+finally:
+    print(sorted({unused} & set(sys.modules)), file=sys.stderr)
+"""
+    environment = {name: value for name, value in os.environ.items() if name not in OF_TYPER}
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
+    assert ended.stderr == "[]\n"
 
 
 @pytest.mark.parametrize(("option", "value"), [("--seed", "-1"), ("--seed", str(2**63)), ("--workers", "0")])

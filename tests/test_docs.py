@@ -14,7 +14,7 @@ import pytest
 from typer.main import get_command
 
 from imufield import errors
-from imufield.cli.app import app
+from imufield.cli.app import make_app
 from imufield.cli.run import run
 from imufield.commands.configuration import KEYS
 from imufield.deliver.parameters.file import parameter_schema
@@ -47,7 +47,7 @@ def test_code_is_code(path: Path) -> None:
 
 @page
 def test_commands_and_options_exist(path: Path) -> None:
-    commands = get_command(app).commands  # type: ignore[attr-defined]  # the app is a group
+    commands = get_command(make_app()).commands  # type: ignore[attr-defined]  # the app is a group
     text = path.read_text(encoding="utf-8")
     for command, rest in re.findall(r"(?:^\s{4,}|`|&& )imufield ([a-z][a-z-]*)([^`\n&]*)", text, flags=re.MULTILINE):
         assert command in commands, f"imufield {command}"

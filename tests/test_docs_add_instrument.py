@@ -17,7 +17,7 @@ import pytest
 from imufield.acquire.decode.statistics import remarks
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.instrument.can_map import parse_map, protocol_from_dbc
-from imufield.acquire.protocol.can_frames import Frame
+from imufield.acquire.protocol.can_frame import Frame
 from imufield.acquire.protocol.protocol import Protocol, load_protocol
 from imufield.samples import Samples, Status, concatenate
 from tests.acquire.plain_frames import pack_frames

@@ -11,7 +11,7 @@ import pytest
 from typer.main import get_command
 
 from imufield.acquire.registry import driver_names, load_driver
-from imufield.cli.app import app
+from imufield.cli.app import make_app
 
 pytest.importorskip("mkdocs", reason="install the docs extra to build the pages")
 pytest.importorskip("towncrier", reason="install the dev extra to join the list of changes")
@@ -28,7 +28,7 @@ def test_every_command_and_instrument_has_its_section(tmp_path: Path) -> None:
     done = build(PROJECT / "mkdocs.yml", tmp_path)
     assert done.returncode == 0, done.stderr
     commands = (tmp_path / "commands.html").read_text(encoding="utf-8")
-    for name, command in get_command(app).commands.items():  # type: ignore[attr-defined]  # the app is a group
+    for name, command in get_command(make_app()).commands.items():  # type: ignore[attr-defined]  # the app is a group
         assert f'<h2 id="{name}">' in commands
         for option in command.params:
             assert option.hidden or all(f"<code>{one}</code>" in commands for one in option.opts if one.startswith("-"))

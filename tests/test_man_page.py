@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from typer.main import get_command
 
-from imufield.cli.app import app
+from imufield.cli.app import make_app
 from imufield.errors import ImufieldError
 
 MAN_PAGE = Path(__file__).resolve().parent.parent / ".ci" / "man_page.py"
@@ -26,7 +26,7 @@ def test_all_that_help_says_is_there(page: str) -> None:
     plain = page.replace("\\-", "-")
     headings = re.findall(r"^\.SH (.*)$", page, flags=re.MULTILINE)
     assert headings == ["NAME", "SYNOPSIS", "OPTIONS", "COMMANDS", "ENVIRONMENT", "FILES", "EXIT STATUS"]
-    for name, command in get_command(app).commands.items():  # type: ignore[attr-defined]  # the app is a group
+    for name, command in get_command(make_app()).commands.items():  # type: ignore[attr-defined]  # the app is a group
         section = plain.partition(f"\n.SS imufield {name}")[2].partition("\n.S")[0]
         for one in command.params:
             if one.param_type_name == "option" and not one.hidden:

@@ -128,7 +128,8 @@ MAY_PRINT = {
     "imufield/acquire/formats/array_file_reader.py",  # To the program that started it, never to a terminal.
     "imufield/commands/terminal/output.py",
     "imufield/console.py",
-    "imufield/cli/app.py",  # The version.
+    "imufield/cli/__init__.py",  # The version.
+    "imufield/cli/app.py",  # The same.
     "imufield/progress.py",  # A line, made printable there.
 }
 

@@ -1,5 +1,6 @@
 """Logs of CAN buses: the address that programs of others import."""
 
+from imufield.acquire.formats.can_log_heads import *  # noqa: F403  the names are listed below
 from imufield.acquire.formats.can_logs import *  # noqa: F403  the names are listed below
 
 __all__ = ["CHUNK_FRAMES", "CHUNK_S", "SUFFIXES", "begins_as_can_log", "import_log", "is_can_log"]  # noqa: F405

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from imufield.acquire.protocol.protocol import Protocol, load_protocol
 from imufield.errors import UsageError
 from imufield.sentences import Sentences
+
+if TYPE_CHECKING:  # Whoever lists instruments should not wait for NumPy.
+    from imufield.acquire.protocol.protocol import Protocol
 
 sentence = Sentences(__package__)
 
@@ -119,6 +121,8 @@ class Driver:
         ProtocolError
             If a given setting is not known or not allowed.
         """
+        from imufield.acquire.protocol.protocol import load_protocol
+
         read = {**cls.settings, **cls.read_settings(messages)}
         return load_protocol(cls.protocol, given, read=read)
 
@@ -179,6 +183,13 @@ class Driver:
     def stop_orders(cls, state: Sequence[Message] = ()) -> Sequence[Command]:  # noqa: ARG003  for drivers to use
         """Return the commands that silence it until ``start_orders`` or the next power-on; none where ``state`` is missing."""
         return ()
+
+
+def checksum_of(algorithm: str, message: bytes, *, start: int | None = None) -> int:
+    """Return the checksum of a command; arguments as of ``protocol.checksum.make_checksum``, which is made when one is sent."""
+    from imufield.acquire.protocol.checksum import make_checksum
+
+    return make_checksum(algorithm, start=start).of(message)
 
 
 def choose_rate(title: str, rate_hz: float, rates_hz: Collection[float]) -> float:

@@ -8,9 +8,10 @@ from __future__ import annotations
 import io
 import os
 import sys
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from imufield.errors import EXIT_INTERRUPTED
+from imufield.version import __version__
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
@@ -26,12 +27,20 @@ def main() -> None:
     # Names of files may be no UTF-8. A pipe gets their bytes, as a shell would use them; a terminal gets them spelt out.
     if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
         sys.stdout.reconfigure(errors="backslashreplace" if sys.stdout.isatty() else "surrogateescape")
+    if sys.argv[1:] == ["--version"]:
+        # Where this fails, the whole command line says why.
+        with suppress(OSError):
+            sys.stdout.write(f"imufield {__version__}\n")
+            sys.stdout.flush()
+            return
     try:
         # Imported here, so that a Ctrl-C in the first tenth of a second is one like any other.
         from imufield.cli.run import run
 
         code = run(sys.argv[1:])
     except KeyboardInterrupt:
+        from imufield.errors import EXIT_INTERRUPTED
+
         code = EXIT_INTERRUPTED
     sys.exit(code)
 

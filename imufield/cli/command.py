@@ -14,16 +14,19 @@ from imufield.commands.options.shared import Converted, Group
 from imufield.progress import shown
 
 
-def make_command(options: type, work: str) -> Callable[..., None]:
+def make_command(options: type, work: str, told: str) -> Callable[..., None]:
     """Return the function of a command.
 
     Parameters
     ----------
     options : type
-        Dataclass of its options, whose docstring is the help (see ``commands.options.shared``).
+        Dataclass of its options; its docstring, from the second paragraph, goes on with the help (see
+        ``commands.options.shared``).
     work : str
         "module.function" below ``imufield.commands``, imported when the command runs, and called with the options; an int that
         it returns is the exit code.
+    told : str
+        What it does: the first paragraph of the help.
     """
 
     def command(context: typer.Context, **values: object) -> None:
@@ -39,7 +42,7 @@ def make_command(options: type, work: str) -> Callable[..., None]:
 
     context = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
     parameters = [context, *_parameters(options)]
-    command.__doc__ = options.__doc__
+    command.__doc__ = "\n\n".join([told, *(inspect.getdoc(options) or "").split("\n\n")[1:]])
     command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # what inspect and typer read
     command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return command

@@ -11,9 +11,7 @@ from collections.abc import Iterator
 from types import FrameType
 from typing import TextIO
 
-import typer
-
-from imufield.cli.app import app
+from imufield.cli.table import NAMES
 from imufield.errors import EXIT_INTERRUPTED, ImufieldError, Reason, RecordingError, UsageError
 from imufield.files import write_error
 from imufield.sentences import Sentences
@@ -60,12 +58,19 @@ def run(arguments: list[str]) -> int:
             _complain(sentence("run.long_name", name=str(error.filename)))
             return UsageError.exit_code
         # The reader of our output went away (`imufield ... | head`), or the terminal was closed: there is nobody to tell.
-        closed = error.errno == errno.EIO and _comes_from(error, KeyboardInterrupt, typer.Abort)
+        closed = error.errno == errno.EIO and _comes_from(error, KeyboardInterrupt, _abort())
         if not (closed or isinstance(error, BrokenPipeError)):
             raise
         _forget(sys.stdout)
         _forget(sys.stderr)
         return EXIT_INTERRUPTED
+
+
+def _abort() -> type[Exception]:
+    """Return what typer raises for a Ctrl-C at a question; whoever asks has typer already."""
+    from typer import Abort
+
+    return Abort
 
 
 def _forget(stream: TextIO) -> None:
@@ -82,7 +87,13 @@ def _complain(message: str) -> None:
 def _run(arguments: list[str]) -> int:
     try:
         with _signals_as_interrupts():
-            app(arguments, prog_name="imufield")
+            if arguments in (["--help"], ["-h"]) and _help_is_printed():
+                return 0
+            # Made for the command alone that is run; all of them where none is named: help, completion, a slip of the pen.
+            wanted = arguments[:1] if arguments and arguments[0] in NAMES else NAMES
+            from imufield.cli.app import make_app
+
+            make_app(wanted)(arguments, prog_name="imufield")
     except ImufieldError as error:
         _complain(error.message)
         return error.exit_code
@@ -90,13 +101,19 @@ def _run(arguments: list[str]) -> int:
         if isinstance(leave.__context__, BrokenPipeError):
             # typer leaves with 1 then, which is kept for defects.
             raise leave.__context__ from None
-        if leave.code == EXIT_INTERRUPTED or isinstance(leave.__context__, typer.Abort):
+        if leave.code == EXIT_INTERRUPTED or isinstance(leave.__context__, _abort()):
             from imufield.commands.terminal.output import say
 
             say(f"imufield: {_interrupted_words(arguments, leave)}.", err=True)
             return EXIT_INTERRUPTED
         return leave.code if isinstance(leave.code, int) else 0
     return 0
+
+
+def _help_is_printed() -> bool:
+    from imufield.cli.root_help import print_help
+
+    return print_help()
 
 
 def _interrupted_words(arguments: list[str], leave: BaseException) -> str:

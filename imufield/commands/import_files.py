@@ -13,6 +13,7 @@ from pathlib import Path
 
 from imufield.acquire.decode.statistics import remarks, without_samples
 from imufield.acquire.decoder import Decoder
+from imufield.acquire.formats.can_log_heads import begins_as_can_log
 from imufield.acquire.formats.ros_bags import is_bag
 from imufield.acquire.formats.table_columns import TIME_UNIT
 from imufield.acquire.formats.table_text import read_pieces
@@ -126,8 +127,6 @@ def _refuse_own(paths: list[Path]) -> None:
 
 
 def _import_tables(options: ImportOptions) -> tuple[Session, list[str]]:
-    from imufield.acquire.formats.can_logs import begins_as_can_log
-
     for path in options.files:
         # Of a log of a CAN bus nobody said what is on it: its frames alone mean nothing.
         if begins_as_can_log(path):

@@ -35,7 +35,7 @@ from imufield.pipeline.damage import without_end_under_way
 from imufield.sentences import Sentences
 
 if TYPE_CHECKING:
-    from imufield.acquire.protocol.can_frames import Frame
+    from imufield.acquire.protocol.can_frame import Frame
 
 sentence = Sentences(__package__)
 

@@ -17,7 +17,6 @@ from rich.table import Table
 
 from imufield.acquire.recording.session import Session
 from imufield.commands.options.results import SolveOptions
-from imufield.commands.solve_together import run_solve_together
 from imufield.commands.terminal.output import echo, say, tell_written
 from imufield.console import PlainTextConsole
 from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, json_ready, write_document
@@ -29,7 +28,6 @@ from imufield.earth import MICRO_G_M_S2
 from imufield.errors import ImufieldError, UsageError
 from imufield.files import real_path, refuse_overwriting
 from imufield.pipeline.solving import better_gravity, solve_observations, solve_session
-from imufield.pipeline.temperature import over_temperature
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences, printable
 
@@ -43,6 +41,9 @@ def run_solve(options: SolveOptions) -> int:
     """Solve, write the parameter file, and print the summary or the document; return the exit code."""
     sessions = options.sessions or []
     if options.together or options.serial_number is not None:
+        # What it needs is slow to import, and most solve one session.
+        from imufield.commands.solve_together import run_solve_together
+
         return run_solve_together(options)
     if options.scheduler is not None or len(sessions) > 1:
         return run_solve_many(sessions, options)
@@ -61,6 +62,8 @@ def run_solve(options: SolveOptions) -> int:
         solved = solve_session(session, settings, options.site)
     base = solved
     if options.temperature:
+        from imufield.pipeline.temperature import over_temperature
+
         solved = over_temperature(base, [Session.open(folder) for folder in options.temperature], settings, options.site)
     # Asked before the file that stands there is replaced.
     better = better_gravity(path, solved.calibration.gravity)

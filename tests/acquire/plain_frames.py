@@ -9,7 +9,7 @@ import numpy as np
 
 from imufield.acquire.decode.framing import Framer
 from imufield.acquire.protocol.can_dbc import CanSignal
-from imufield.acquire.protocol.can_frames import EXTENDED, Frame, pack_frame
+from imufield.acquire.protocol.can_frame import EXTENDED, Frame, pack_frame
 from imufield.acquire.protocol.layout import Rows
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.samples import FloatArray

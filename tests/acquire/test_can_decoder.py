@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from imufield.acquire.decode.statistics import LEFT_OUT, DecoderStatistics, remarks
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.instrument.can_map import protocol_from_dbc
-from imufield.acquire.protocol.can_frames import ERROR, EXTENDED, FD, REMOTE, Frame, pack_frame
+from imufield.acquire.protocol.can_frame import ERROR, EXTENDED, FD, REMOTE, Frame, pack_frame
 from imufield.acquire.protocol.protocol import Protocol, load_protocol
 from imufield.samples import Samples, Status, concatenate
 from tests.acquire.plain_frames import parse_candump

@@ -22,7 +22,7 @@ import pytest
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.instrument.can_map import protocol_from_dbc
 from imufield.acquire.link.serial import Chunk
-from imufield.acquire.protocol.can_frames import ERROR, EXTENDED, Frame
+from imufield.acquire.protocol.can_frame import ERROR, EXTENDED, Frame
 from imufield.acquire.protocol.protocol import Protocol, load_protocol
 from imufield.acquire.recording.reader import read_part
 from imufield.errors import ProtocolError

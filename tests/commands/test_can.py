@@ -24,7 +24,7 @@ from imufield.acquire.instrument.can_map import parse_map, protocol_from_dbc
 from imufield.acquire.instrument.connected import ConnectOptions
 from imufield.acquire.instrument.recognise import FEWEST_SAMPLES, Listener
 from imufield.acquire.link.serial import Chunk
-from imufield.acquire.protocol.can_frames import EXTENDED, pack_frame
+from imufield.acquire.protocol.can_frame import EXTENDED, pack_frame
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.recording.session import Session
 from imufield.acquire.registry import load_driver

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from functools import cache, partial
 from random import Random
 
-from imufield.acquire.protocol.can_frames import Frame
+from imufield.acquire.protocol.can_frame import Frame
 from imufield.simulate.emulator.emulate import (
     OWN_RATE_HZ,
     SCRIPTS,

@@ -21,7 +21,7 @@ from imufield.acquire.instrument.connected import Connected
 from imufield.acquire.instrument.same_stream import SameStream
 from imufield.acquire.link.background import BackgroundLink
 from imufield.acquire.link.serial import Chunk
-from imufield.acquire.protocol.can_frames import ERROR, EXTENDED, pack_frame
+from imufield.acquire.protocol.can_frame import ERROR, EXTENDED, pack_frame
 from imufield.acquire.protocol.protocol import Protocol, load_protocol
 from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import Session

@@ -193,9 +193,9 @@ def test_anything_else_is_refused(root: Path, action: Any, values: Any) -> None:
 
 
 def test_the_words_of_the_table_are_commands_of_the_program() -> None:
-    from imufield.cli.app import app
+    from imufield.cli.app import make_app
 
-    known = {command.name for command in app.registered_commands}
+    known = {command.name for command in make_app().registered_commands}
     assert {action.words.split()[0] for action in ACTIONS.values()} <= known
     assert all(set(action.needs) <= action.fields.keys() for action in ACTIONS.values())
 

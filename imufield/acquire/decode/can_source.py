@@ -16,7 +16,8 @@ from imufield.acquire.decode.assembly import NO_FRAME, Keep, RawBlock, instrumen
 from imufield.acquire.decode.can_assembly import Assembler, SampleFrames
 from imufield.acquire.decode.statistics import LEFT_OUT, DecoderStatistics
 from imufield.acquire.protocol.can_dbc import CanSignal
-from imufield.acquire.protocol.can_frames import ERROR, EXTENDED, REMOTE, CanFrames, Unpacker
+from imufield.acquire.protocol.can_frame import ERROR, EXTENDED, REMOTE
+from imufield.acquire.protocol.can_frames import CanFrames, Unpacker
 from imufield.acquire.protocol.can_protocol import ANY_ADDRESS, TEMPERATURE, CanKind, CanRule, Column
 from imufield.acquire.protocol.samples_and_clock import FlagRule
 from imufield.samples import NO_COUNTER, FloatArray, IntArray, Status

@@ -5,8 +5,6 @@ from __future__ import annotations
 import importlib.util
 import json
 import math
-import re
-import zlib
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import closing
 from pathlib import Path
@@ -15,15 +13,16 @@ from typing import IO, Any, TextIO, cast
 import can
 
 from imufield.acquire.formats import array_file_reader
+from imufield.acquire.formats.can_log_heads import CANDUMP, HEADS
 from imufield.acquire.formats.table_arrays import missing_package, start_reader
 from imufield.acquire.formats.tables import ChunkWriter
 from imufield.acquire.link.can import make_message, open_bus, pack_message, parse_bus
 from imufield.acquire.link.host_clock import NANOSECONDS
 from imufield.acquire.link.serial import WRITE_TIMEOUT_S, Chunk
-from imufield.acquire.protocol.can_frames import ERROR, LATEST_S, MOST_DATA, SENT, Frame, Unpacker, unpack_frames
+from imufield.acquire.protocol.can_frame import ERROR, MOST_DATA, SENT, Frame
+from imufield.acquire.protocol.can_frames import LATEST_S, Unpacker, unpack_frames
 from imufield.acquire.recording.reader import EndOfRecordingError, Pacer, RecordingLink
 from imufield.errors import LinkError, Reason, RecordingError, UsageError
-from imufield.files import open_to_read
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -31,43 +30,8 @@ sentence = Sentences(__package__)
 CHUNK_S = 0.05
 """Frames of this much time make a chunk, as they do when a bus is recorded live."""
 CHUNK_FRAMES = 2048
-
-
-_CANDUMP = ".log"
-_TABLE = ".csv"
-# What each kind begins with.
-_HEADS = {
-    _CANDUMP: rb"\s*\(\d+\.\d+\)\s",
-    ".asc": rb"(?i)\s*(date|base)\s",
-    ".blf": rb"LOGG",
-    ".trc": rb"\s*;",
-    ".mf4": rb"MDF",
-    _TABLE: rb"timestamp,arbitration_id,",
-}
-SUFFIXES = tuple(suffix for suffix in _HEADS if suffix != _TABLE)
-"""Logs this module reads, packed with gzip too; besides, tables of python-can."""
-_HEAD_BYTES = 256
 _LONGEST_WAIT_S = 5.0  # Parts have clocks of their own: a jump of the stamps beyond this begins anew.
 _EPOCH_S = 1e8  # Time stamps below 1973 count from the start of the log, not from 1970.
-
-
-def is_can_log(path: str | Path) -> bool:
-    """Tell by the name whether a file is a log of a CAN bus."""
-    return any(suffix in SUFFIXES for suffix in Path(path).suffixes[-2:])
-
-
-def begins_as_can_log(path: str | Path) -> bool:
-    """Tell by name and first lines whether a file is a log of a CAN bus: others' logs and grids have the same suffixes."""
-    suffixes = Path(path).suffixes[-2:]
-    heads = [head for suffix, head in _HEADS.items() if suffix in suffixes]
-    if not heads:
-        return False
-    try:
-        with open_to_read(path) as file:
-            begin = (array_file_reader.SoundGzip(fileobj=file) if suffixes[-1] == ".gz" else file).read(_HEAD_BYTES)
-    except (OSError, EOFError, zlib.error):
-        return False
-    return any(re.match(head, begin) for head in heads)
 
 
 def read_log(path: str | Path, *, channel: str | None = None, losses: list[str] | None = None) -> Iterator[Chunk]:
@@ -167,10 +131,10 @@ def _of_channel(reader: Iterable[can.Message], path: Path, channel: str | None) 
 
 def _frames(path: Path, end: dict[str, Any]) -> Generator[can.Message, None, None]:
     """Yield the frames of a log; note in ``end`` what ``array_file_reader`` says of its end."""
-    suffix = next((suffix for suffix in reversed(path.suffixes[-2:]) if suffix in _HEADS), "")
+    suffix = next((suffix for suffix in reversed(path.suffixes[-2:]) if suffix in HEADS), "")
     if not suffix:
-        raise UsageError(sentence("can_logs.suffix", path=str(path), known=[*_HEADS]))
-    if suffix == _CANDUMP:
+        raise UsageError(sentence("can_logs.suffix", path=str(path), known=[*HEADS]))
+    if suffix == CANDUMP:
         # Its reader looks at one line after the other and makes nothing of a length that stands there.
         with array_file_reader.open_log(path) as file:
             yield from can.CanutilsLogReader(cast("TextIO", array_file_reader.text_lines(file)))

@@ -30,7 +30,8 @@ from imufield.acquire.link.background import BackgroundLink
 from imufield.acquire.link.can import CanLink, open_can_link, parse_bus
 from imufield.acquire.link.host_clock import HostClock, patience_s
 from imufield.acquire.link.serial import Chunk
-from imufield.acquire.protocol.can_frames import ERROR, unpack_frames
+from imufield.acquire.protocol.can_frame import ERROR
+from imufield.acquire.protocol.can_frames import unpack_frames
 from imufield.acquire.protocol.protocol import parse_protocol
 from imufield.errors import LinkError, LinkTimeoutError, Reason, UsageError
 from imufield.sentences import Sentences

@@ -27,7 +27,7 @@ import can
 from imufield.acquire.link.host_clock import HostClock, SystemClock
 from imufield.acquire.link.link_errors import system_errno
 from imufield.acquire.link.serial import COLLECT_S, WAIT_S, WRITE_TIMEOUT_S, Chunk, not_taken
-from imufield.acquire.protocol.can_frames import (
+from imufield.acquire.protocol.can_frame import (
     ADAPTER_TIME,
     BIT_RATE_SWITCH,
     BUS_OFF,
@@ -39,8 +39,8 @@ from imufield.acquire.protocol.can_frames import (
     REMOTE,
     SENT,
     pack_frame,
-    unpack_frames,
 )
+from imufield.acquire.protocol.can_frames import unpack_frames
 from imufield.acquire.protocol.toml import near
 from imufield.errors import LinkError, Reason, UsageError
 from imufield.sentences import Sentences
@@ -164,7 +164,7 @@ def open_bus(address: BusAddress, bit_rate: int | None = None) -> can.BusABC:
     if bit_rate and address.takes_bit_rate:
         options["bitrate"] = bit_rate
     try:
-        bus = can.Bus(address.channel, address.interface, ignore_config=True, **options)
+        bus = _make_bus(address.interface, address.channel, options)
     except can.CanInterfaceNotImplementedError as error:
         # The driver of the interface, or the package that holds it, is not installed.
         missing = sentence("can.no_driver", interface=address.interface, cause=error)
@@ -185,6 +185,14 @@ def open_bus(address: BusAddress, bit_rate: int | None = None) -> can.BusABC:
         finally:
             channel.detach()  # The bus closes it.
     return bus
+
+
+def _make_bus(interface: str, channel: str, options: BusOptions) -> can.BusABC:
+    if interface == "slcan":
+        from imufield.acquire.link.slcan import SlcanBus
+
+        return SlcanBus(channel, **options)
+    return can.Bus(channel, interface, ignore_config=True, **options)
 
 
 class CanLink:

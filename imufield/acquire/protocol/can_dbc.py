@@ -18,7 +18,7 @@ import numpy as np
 from cantools.database import Database, Message, Signal
 from numpy.typing import NDArray
 
-from imufield.acquire.protocol.can_frames import EXTENDED, ID_MASK, MOST_DATA
+from imufield.acquire.protocol.can_frame import EXTENDED, ID_MASK, MOST_DATA
 from imufield.acquire.protocol.layout import MessageValue, Numbers
 from imufield.acquire.protocol.toml import LARGEST, LEAST_SCALE, near
 from imufield.errors import ProtocolError, Reason

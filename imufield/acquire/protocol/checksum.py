@@ -14,14 +14,16 @@ from __future__ import annotations
 import difflib
 from abc import ABC, abstractmethod
 from functools import cache
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-import crccheck.crc
 import numpy as np
 from numpy.typing import NDArray
 
 from imufield.errors import ProtocolError
 from imufield.sentences import Sentences
+
+if TYPE_CHECKING:
+    import crccheck.crc
 
 sentence = Sentences(__package__)
 
@@ -265,6 +267,8 @@ _PLAIN = {
 @cache
 def _catalogue() -> dict[str, type[crccheck.crc.CrcBase]]:
     """Return every CRC of the catalogue that works on whole bytes, by name."""
+    import crccheck.crc  # Slow to import, and not every wire has a CRC.
+
     return {
         name: parameters
         for parameters in crccheck.crc.ALLCRCCLASSES

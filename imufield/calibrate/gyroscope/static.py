@@ -235,8 +235,6 @@ def _fit(data: StaticData, start: FloatArray, columns: list[int]) -> tuple[Float
 
 def linearise_static(p: FloatArray, data: StaticData) -> tuple[FloatArray, FloatArray, Covariances]:
     """Return, at A, b and v (13), residuals (2 s), derivatives by A, b and v (2 s, 13), and the parts of their covariance."""
-    from scipy.linalg import block_diag  # slow to load
-
     A, b, v = p[:9].reshape(3, 3), p[9:12], p[12]
     s = len(data.rate_raw)
     w = data.rate_raw @ A.T - b
@@ -249,7 +247,7 @@ def linearise_static(p: FloatArray, data: StaticData) -> tuple[FloatArray, Float
     jacobian[:, :, 9:12] = -B
     jacobian[:, 1, 12] = -1.0
     # Norm and invariant share the noise of their still: B C B^T, block by block.
-    spread, noise = block_diag(*B), block_diag(*(A @ data.covariance_raw @ A.T))
+    spread, noise = _in_blocks(B), _in_blocks(A @ data.covariance_raw @ A.T)
     fixed = spread @ noise @ spread.T
     fixed += np.eye(2 * s) * (_AT_POLE * EARTH_RATE_RAD_S) ** 2
     wander = spread @ np.kron(random_walk(data.time_s), np.eye(3)) @ spread.T
@@ -257,3 +255,11 @@ def linearise_static(p: FloatArray, data: StaticData) -> tuple[FloatArray, Float
         fixed=fixed, drift=spread @ spread.T, wander=wander, turn=np.zeros_like(fixed), with_accelerometer=np.zeros((2 * s, 16))
     )
     return residual.ravel(), jacobian.reshape(2 * s, 13), parts
+
+
+def _in_blocks(blocks: FloatArray) -> FloatArray:
+    """Return a matrix with these on its diagonal, shape (s, n, m) -> (s n, s m)."""
+    s, n, m = blocks.shape
+    whole = np.zeros((s, n, s, m))
+    whole[range(s), :, range(s)] = blocks
+    return whole.reshape(s * n, s * m)

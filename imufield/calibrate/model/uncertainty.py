@@ -17,6 +17,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from imufield.calibrate.model.distributions import f_quantile, f_tail, student_freedom, student_quantile
 from imufield.calibrate.model.models import BIAS, PARAMETERS, QUADRATIC, SCALE
 from imufield.calibrate.model.result import GRAVITY_NAME
 from imufield.samples import FloatArray
@@ -132,24 +133,19 @@ def student_factor(degrees_of_freedom: float, of: int = 1, chance: float = 0.05)
     Two-sided, by Student's distribution, Bonferroni for ``of`` values. It is 1.96 for one value and infinitely many degrees of
     freedom; NaN without any.
     """
-    from scipy.special import stdtrit  # the module is slow to load, and only a finished fit needs it
-
-    # Infinitely many make NaN of it; the factor is the same to six digits.
-    return float(stdtrit(min(degrees_of_freedom, 1e9), 1 - chance / (2 * of))) if degrees_of_freedom > 0 else float("nan")
+    return student_quantile(float(degrees_of_freedom), 1 - chance / (2 * of)) if degrees_of_freedom > 0 else float("nan")
 
 
 def degrees_of_freedom(student_factor_95: float) -> float:
     """Return the degrees of freedom whose ``student_factor`` this is; 0 where it is NaN."""
-    from scipy.special import stdtridf  # slow to load, as above
-
     if not student_factor_95 > 0:
         return 0.0
-    return float(stdtridf(0.975, student_factor_95)) if student_factor_95 > _NORMAL_NEARLY else float("inf")
+    return student_freedom(0.975, student_factor_95) if student_factor_95 > _NORMAL_NEARLY else float("inf")
 
 
 def deviation_limits_95(sigma: FloatArray, freedom: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the 95 % limits of estimated standard deviations: chi squared with their degrees of freedom."""
-    from scipy.special import chdtri  # slow to load, as above
+    from scipy.special import chdtri  # slow to load, and only noise needs it
 
     low = sigma * np.sqrt(freedom / chdtri(freedom, 0.025))
     high = sigma * np.sqrt(freedom / chdtri(freedom, 0.975))
@@ -158,16 +154,12 @@ def deviation_limits_95(sigma: FloatArray, freedom: FloatArray) -> tuple[FloatAr
 
 def f_chance(value: float, numerator: int, denominator: int) -> float:
     """Return the probability that a variable of the F distribution is at least ``value``."""
-    from scipy.special import fdtrc  # slow to load, as above
-
-    return float(fdtrc(numerator, denominator, value))
+    return f_tail(numerator, denominator, float(value))
 
 
 def f_limit_95(numerator: int, denominator: int) -> float:
     """Return the 95 % point of the F distribution; infinite without degrees of freedom."""
-    from scipy.special import fdtri  # slow to load, as above
-
-    return float(fdtri(numerator, denominator, 0.95)) if denominator > 0 else float("inf")
+    return f_quantile(float(numerator), float(denominator), 0.95) if denominator > 0 else float("inf")
 
 
 def told_apart(value: float, limit: float) -> tuple[str, str]:

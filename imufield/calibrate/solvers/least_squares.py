@@ -1,13 +1,20 @@
-"""Least squares: Levenberg-Marquardt on the analytic Jacobian, or a trust region where the loss is robust.
+"""Least squares: Levenberg and Marquardt's method on the analytic Jacobian, or SciPy's trust region where the loss is robust.
+
+Each step is that of Gauss and Newton, by singular values; where it does not lower the cost as foretold, a damping in units of
+the columns shortens it. It ends as MINPACK's ``lmder`` does [1]_.
 
 Bounds say where a swarm looks, and a start outside them is a mistake for every method; they do not hold the minimum, which
 here is wherever the residuals are least.
+
+References
+----------
+.. [1] J. J. More, "The Levenberg-Marquardt algorithm: implementation and theory", Lecture Notes in Mathematics 630 (1978).
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -22,6 +29,10 @@ Loss = Literal["linear", "soft_l1", "huber", "cauchy"]
 
 # Relative change of cost and coordinates at which it stops: a few ulp above what double precision can resolve.
 _TOLERANCE = 1e-14
+# Of the gain foretold: a step is taken above the first, the next is damped more below the second, less above the third.
+_LEAST_GAIN, _POOR, _GOOD = 1e-4, 0.25, 0.75
+# In squares of the lengths of the columns, which are one: where there was no damping, and how it grows and falls.
+_FIRST_DAMPING, _MORE, _LESS = 1e-6, 4.0, 3.0
 # By the status of ``scipy.optimize.least_squares``, whose own words are about the names of its settings.
 _ENDINGS = {
     0: "least_squares.evaluation_limit",
@@ -63,40 +74,99 @@ def solve_least_squares(
     CalibrationError
         If the start is outside the bounds, or not finite.
     """
-    import scipy.optimize  # here, because it takes longer to load than the fit to run
-
     check_start(problem)
-    start = problem.start
-    # MINPACK takes neither a robust loss nor fewer residuals than coordinates.
-    plain = loss == "linear" and len(problem.residuals(start)) >= len(start)
     left_domain = sentence("least_squares.left_domain")
-    failed = SolverResult(x=start, cost=np.inf, status=SolverStatus.FAILED, message=left_domain, evaluations=0)
+    failed = SolverResult(x=problem.start, cost=np.inf, status=SolverStatus.FAILED, message=left_domain, evaluations=0)
+    # SciPy where the loss is robust, or residuals are fewer than coordinates.
+    is_plain = loss == "linear" and len(problem.residuals(problem.start)) >= len(problem.start)
     try:
-        fit = scipy.optimize.least_squares(
-            problem.residuals,
-            start,
-            jac=problem.jacobian,
-            method="lm" if plain else "trf",
-            loss=loss,
-            ftol=_TOLERANCE,
-            xtol=_TOLERANCE,
-            gtol=_TOLERANCE,
-            max_nfev=max_evaluations,
-        )
+        end = _marquardt(problem, max_evaluations) if is_plain else _trust_region(problem, loss, max_evaluations)
     except (ValueError, np.linalg.LinAlgError) as error:
         # A candidate outside the model's domain has NaN residuals; scipy and LAPACK refuse those.
         return replace(failed, message=sentence("least_squares.refused_values", cause=error))
-    x: FloatArray = fit.x
-    cost = float(np.sum(problem.residuals(x) ** 2))
+    cost = float(np.sum(problem.residuals(end.x) ** 2))
     if not np.isfinite(cost):
-        return replace(failed, evaluations=int(fit.nfev))
+        return replace(failed, evaluations=end.evaluations)
     if callback is not None:
-        callback(int(fit.nfev), x, cost)
+        callback(end.evaluations, end.x, cost)
     return SolverResult(
-        x=x,
+        x=end.x,
         cost=cost,
-        status=SolverStatus(min(int(fit.status), SolverStatus.CONVERGED)),  # scipy tells convergence by 1 to 4
-        message=sentence(_ENDINGS[int(fit.status)]) if fit.status in _ENDINGS else str(fit.message),
-        evaluations=int(fit.nfev) + int(fit.njev or 0),
+        status=SolverStatus(min(end.status, SolverStatus.CONVERGED)),  # Convergence is told by 1 to 4.
+        message=sentence(_ENDINGS[end.status]) if end.status in _ENDINGS else end.message,
+        evaluations=end.evaluations,
         history=np.array([cost]),
     )
+
+
+class _End(NamedTuple):
+    x: FloatArray
+    status: int  # As in scipy.optimize, see ``_ENDINGS``.
+    evaluations: int
+    message: str = ""
+
+
+def _trust_region(problem: Problem, loss: Loss, most: int) -> _End:
+    import scipy.optimize  # here, because it takes longer to load than the fit to run
+
+    fit = scipy.optimize.least_squares(
+        problem.residuals,
+        problem.start,
+        jac=problem.jacobian,
+        loss=loss,
+        ftol=_TOLERANCE,
+        xtol=_TOLERANCE,
+        gtol=_TOLERANCE,
+        max_nfev=most,
+    )
+    return _End(fit.x, int(fit.status), int(fit.nfev) + int(fit.njev or 0), str(fit.message))
+
+
+def _marquardt(problem: Problem, most: int) -> _End:
+    x = problem.start
+    residual, jacobian = problem.residuals(x), problem.jacobian(x)
+    size, damping, evaluations = np.zeros(len(x)), 0.0, 2
+    while True:
+        norms = np.linalg.norm(jacobian, axis=0)
+        # Coordinates differ by many powers of ten; a column that vanishes once must not send its coordinate away.
+        size = np.maximum(size, norms)
+        unit = np.where(size > 0, size, 1.0)
+        cost = float(residual @ residual)
+        slope = np.abs(jacobian.T @ residual)
+        if np.all(slope <= _TOLERANCE * norms * np.sqrt(cost)):
+            return _End(x, 1, evaluations)
+        while True:
+            if evaluations >= most:
+                return _End(x, 0, evaluations)
+            step, foretold = _damped_step(residual, jacobian / unit, damping)
+            trial = x + step / unit
+            residual_there = problem.residuals(trial)
+            evaluations += 1
+            gain = 1 - float(residual_there @ residual_there) / cost
+            gain = gain if np.isfinite(gain) else -1.0
+            has_settled = abs(gain) <= _TOLERANCE and foretold <= _TOLERANCE
+            stands = bool(np.linalg.norm(step) <= _TOLERANCE * np.linalg.norm(unit * x))
+            is_better = gain > _LEAST_GAIN * foretold
+            if gain < _POOR * foretold:
+                damping = max(_MORE * damping, _FIRST_DAMPING)
+            elif gain > _GOOD * foretold:
+                damping = damping / _LESS if damping > _FIRST_DAMPING else 0.0
+            if is_better:
+                x, residual = trial, residual_there
+            if has_settled or stands:
+                return _End(x, 1 + has_settled + 2 * stands, evaluations)
+            if is_better:
+                break
+        jacobian = problem.jacobian(x)
+        evaluations += 1
+
+
+def _damped_step(residual: FloatArray, jacobian: FloatArray, damping: float) -> tuple[FloatArray, float]:
+    """Return the step in units of the columns, and the share of the cost by which it should fall."""
+    u, sigma, v = np.linalg.svd(jacobian, full_matrices=False)
+    known = sigma > sigma[0] * len(residual) * np.finfo(float).eps
+    along = (u.T @ residual)[known]
+    s = sigma[known]
+    step = -v[known].T @ (s * along / (s**2 + damping))
+    left = along * damping / (s**2 + damping)
+    return step, float((along @ along - left @ left) / (residual @ residual))

@@ -34,7 +34,7 @@ ParameterFile = Annotated[Path, session_argument(help="Parameter file.")]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SolveOptions:
-    """Solve a session: parameters with uncertainty, and a verdict. Several are solved in parallel, with a table of verdicts.
+    """The options of ``solve``.
 
     With --together, sessions of one instrument give one file: parameters for a day not measured, and the
     change from day to day.
@@ -146,7 +146,7 @@ class SolveOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoiseOptions:
-    """Measure the noise of hours of standstill by Allan deviation.
+    """The options of ``noise``.
 
     Example: imufield noise my-standstill --plot allan.png
     """
@@ -164,7 +164,7 @@ class NoiseOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StudyOptions:
-    """Reproduce a table or figure of the two papers on BSAS and IDE, with the published numbers beside ours.
+    """The options of ``study``.
 
     BAS is beetle antennae search, BSAS its swarm version (with m beetles); IDE is improved differential evolution.
 
@@ -192,7 +192,7 @@ class StudyOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportOptions:
-    """Write the parameters in another program's format, and say what that format cannot express.
+    """The options of ``export``.
 
     Example: imufield export my-session/parameters.toml --to c -o calibration.h
     """
@@ -213,7 +213,7 @@ class ExportOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ApplyOptions:
-    """Correct a recording with the parameters.
+    """The options of ``apply``.
 
     Example: imufield apply my-session/parameters.toml my-session -o corrected.csv
     """
@@ -226,7 +226,7 @@ class ApplyOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportDataOptions:
-    """Write the decoded samples of a session for other programs.
+    """The options of ``export-data``.
 
     Example: imufield export-data my-session --to csv -o samples.csv
     """
@@ -238,7 +238,7 @@ class ExportDataOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VerifyOptions:
-    """Check parameters on data not used to solve them: held-out positions, and hours of static navigation.
+    """The options of ``verify``.
 
     Example: imufield verify parameters.toml standstill-5h --require nav-nmi-per-h=1
     """
@@ -279,7 +279,7 @@ class VerifyOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReportOptions:
-    """Write two files for a session: a report page that needs no network, and a calibration record of one sheet.
+    """The options of ``report``.
 
     Example: imufield report my-session --operator "J. Doe"
     """
@@ -295,7 +295,7 @@ class ReportOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HistoryOptions:
-    """Show how the parameters of each instrument changed from calibration to calibration, in units of sigma.
+    """The options of ``history``.
 
     Example: imufield history calibrations --serial 1234 --plot drift.svg
     """

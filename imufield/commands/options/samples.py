@@ -60,7 +60,7 @@ def _check_side(text: str | None) -> str | None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DemoOptions:
-    """Run the whole chain with no hardware: virtual IMU and operator, capture, solve.
+    """The options of ``demo``.
 
     Example: imufield demo
     """
@@ -75,7 +75,7 @@ class DemoOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DevicesOptions:
-    """List serial ports, CAN interfaces and the instruments that have a driver, or show one of them.
+    """The options of ``devices``.
 
     Example: imufield devices
 
@@ -91,7 +91,7 @@ class DevicesOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InitOptions:
-    """Write imufield.toml, the defaults of this folder; at a terminal it asks for place, instrument, port and accuracy.
+    """The options of ``init``.
 
     Example: imufield init
 
@@ -108,7 +108,7 @@ class InitOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProbeOptions:
-    """Listen and say what instrument is on a port (default: on every port) or a CAN bus, and how to read it.
+    """The options of ``probe``.
 
     Example: imufield probe --port /dev/ttyUSB0
 
@@ -124,7 +124,7 @@ class ProbeOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CaptureOptions:
-    """Record a guided session: the screen leads you through 24 positions, without a key press.
+    """The options of ``capture``.
 
     Example: imufield capture --port /dev/ttyUSB0 --latitude 48.1 --height 520
     """
@@ -175,7 +175,7 @@ class CaptureOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanOptions:
-    """Say before a session how long it takes: positions, holds, minutes, and the accuracy to expect.
+    """The options of ``plan``.
 
     Example: imufield plan --target-bias-ug 150 --grade tactical
     """
@@ -200,7 +200,7 @@ class PlanOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionsOptions:
-    """List sessions, the newest first: when, how complete, the verdict, the instrument.
+    """The options of ``sessions``.
 
     Example: imufield sessions --find "stim300 usable"
     """
@@ -212,7 +212,7 @@ class SessionsOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WebOptions:
-    """Do all of it in a browser on this machine: find the instrument, be guided, see the result, get the files.
+    """The options of ``web``.
 
     Example: imufield web
     """
@@ -223,7 +223,7 @@ class WebOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordOptions:
-    """Record without a guide, e.g. hours of standstill.
+    """The options of ``record``.
 
     Example: imufield record --port /dev/ttyUSB0 --duration-s 3600
 
@@ -241,7 +241,7 @@ class RecordOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImportOptions:
-    """Turn files of another program into a session: tables, MATLAB, HDF5, Parquet, ROS, CAN logs, raw bytes.
+    """The options of ``import``.
 
     Example: imufield import acc.txt.gz gyro.txt.gz --zero 32768 -o my-session
 
@@ -271,7 +271,7 @@ class ImportOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplayOptions:
-    """Run a recorded session through the guide again, or send its data to a port or bus.
+    """The options of ``replay``.
 
     Example: imufield replay imufield-sessions/20260301T101500Z-stim300
     """
@@ -291,7 +291,7 @@ class ReplayOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EmulateOptions:
-    """Pretend to be an instrument on a virtual serial port or a CAN bus.
+    """The options of ``emulate``.
 
     Example: imufield emulate xsens_mtdata2 --form fp16.32 --wait --link /tmp/imu
     """

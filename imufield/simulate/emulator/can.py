@@ -19,7 +19,7 @@ import can
 import numpy as np
 
 from imufield.acquire.link.can import make_message, open_bus, parse_bus
-from imufield.acquire.protocol.can_frames import EXTENDED, Frame
+from imufield.acquire.protocol.can_frame import EXTENDED, Frame
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.samples import Samples, Status
 from imufield.simulate.emulator.core import LINGER_S, EmulatorCore, EmulatorSettings

@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from imufield.acquire.protocol.can_frames import ERROR, Frame
+from imufield.acquire.protocol.can_frame import ERROR, Frame
 from imufield.errors import UsageError
 from imufield.sentences import Sentences
 from imufield.simulate.wire.frames import Bytes

@@ -7,7 +7,7 @@ Frames come the other way in the same form. Error frames have no form at all.
 
 from __future__ import annotations
 
-from imufield.acquire.protocol.can_frames import ERROR, EXTENDED, FD, ID_MASK, REMOTE, Frame
+from imufield.acquire.protocol.can_frame import ERROR, EXTENDED, FD, ID_MASK, REMOTE, Frame
 from imufield.simulate.emulator.port import BUFFER_BYTES, PseudoTerminal
 
 SLCAN = "slcan"

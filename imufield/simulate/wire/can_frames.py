@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from imufield.acquire.protocol.can_dbc import CanSignal
-from imufield.acquire.protocol.can_frames import FD, Frame
+from imufield.acquire.protocol.can_frame import FD, Frame
 from imufield.acquire.protocol.can_protocol import TEMPERATURE, CanKind, Column
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.errors import UsageError

@@ -18,10 +18,12 @@ import pytest
 
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.formats import array_file_reader
-from imufield.acquire.formats.can_logs import begins_as_can_log, import_log, is_can_log, read_log, replay_to_bus
+from imufield.acquire.formats.can_log_heads import begins_as_can_log, is_can_log
+from imufield.acquire.formats.can_logs import import_log, read_log, replay_to_bus
 from imufield.acquire.link.can import pack_message
 from imufield.acquire.link.serial import Chunk
-from imufield.acquire.protocol.can_frames import ERROR, Frame, pack_frame, unpack_frames
+from imufield.acquire.protocol.can_frame import ERROR, Frame, pack_frame
+from imufield.acquire.protocol.can_frames import unpack_frames
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.acquire.recording.reader import RecordingLink, read_part
 from imufield.acquire.recording.recorder import Recorder

@@ -15,7 +15,8 @@ import pytest
 from imufield.acquire.instrument.can_map import open_can
 from imufield.acquire.link.can import RECEIVE_BUFFER_BYTES, CanLink, open_can_link, parse_bus
 from imufield.acquire.link.host_clock import ScaledClock
-from imufield.acquire.protocol.can_frames import ADAPTER_TIME, ERROR, EXTENDED, FD, Frame, pack_frame, unpack_frames
+from imufield.acquire.protocol.can_frame import ADAPTER_TIME, ERROR, EXTENDED, FD, Frame, pack_frame
+from imufield.acquire.protocol.can_frames import unpack_frames
 from imufield.errors import LinkError, ProtocolError, Reason, UsageError
 from imufield.simulate.emulator.slcan import SlcanDevice
 from tests.refused import refused

@@ -14,7 +14,7 @@ from cantools.database.conversion import BaseConversion
 from cantools.database.errors import Error
 
 from imufield.acquire.protocol.can_dbc import DbcFile, compile_signal
-from imufield.acquire.protocol.can_frames import EXTENDED
+from imufield.acquire.protocol.can_frame import EXTENDED
 from imufield.acquire.protocol.protocol import load_protocol, protocol_names
 from imufield.errors import ProtocolError, Reason
 from tests.acquire.plain_frames import values_of

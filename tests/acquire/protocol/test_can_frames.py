@@ -9,18 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imufield.acquire.protocol.can_frames import (
-    ADAPTER_TIME,
-    ERROR,
-    EXTENDED,
-    FD,
-    REMOTE,
-    UNIT_BYTES,
-    Frame,
-    Unpacker,
-    pack_frame,
-    unpack_frames,
-)
+from imufield.acquire.protocol.can_frame import ADAPTER_TIME, ERROR, EXTENDED, FD, REMOTE, UNIT_BYTES, Frame, pack_frame
+from imufield.acquire.protocol.can_frames import Unpacker, unpack_frames
 from tests.acquire.plain_frames import pack_frames, parse_candump
 
 SIZES = (0, 1, 6, 8, 12, 16, 20, 24, 28, 32, 48, 64)

@@ -15,7 +15,7 @@ import pytest
 
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.instrument.can_map import parse_map, protocol_from_dbc, protocol_text
-from imufield.acquire.protocol.can_frames import Frame, pack_frame
+from imufield.acquire.protocol.can_frame import Frame, pack_frame
 from imufield.acquire.protocol.can_protocol import embed_dbc
 from imufield.acquire.protocol.protocol import Protocol, load_protocol, parse_protocol
 from imufield.errors import ProtocolError, Reason, UsageError

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
+import scipy.optimize
 
 from imufield.calibrate.solvers.base import Solver, SolverStatus
 from imufield.calibrate.solvers.least_squares import solve_least_squares
@@ -22,7 +23,7 @@ class Line:
     x: FloatArray
     y: FloatArray
 
-    start = property(lambda self: np.zeros(2))
+    start: FloatArray = field(default_factory=lambda: np.zeros(2))
     bounds = property(lambda self: (np.full(2, -np.inf), np.full(2, np.inf)))
 
     def residuals(self, z: FloatArray) -> FloatArray:
@@ -88,3 +89,24 @@ def test_outside_the_model_is_a_status() -> None:
     assert result.status is SolverStatus.FAILED
     assert result.x.tolist() == [0.0, 0.0]
     assert key_of(result.message) in {"least_squares.left_domain", "least_squares.refused_values"}
+
+
+@dataclass
+class Valley(Line):
+    """Rosenbrock's valley, from a start outside of it, with residuals left over at the end."""
+
+    def residuals(self, z: FloatArray) -> FloatArray:
+        return np.array([100 * (z[1] - z[0] ** 2), 1 - z[0], 0.3 * z[1] + 1, z[0] * z[1]])
+
+    def jacobian(self, z: FloatArray) -> FloatArray:
+        return np.array([[-200 * z[0], 100.0], [-1.0, 0.0], [0.0, 0.3], [z[1], z[0]]])
+
+
+@pytest.mark.parametrize("start", [(-1.2, 1.0), (5.0, -7.0), (0.0, 0.0), (30.0, 900.0)])
+def test_a_curved_problem_ends_where_that_of_scipy_does(start: tuple[float, float]) -> None:
+    valley = Valley(np.empty(0), np.empty(0), np.array(start))
+    ours = solve_least_squares(valley)
+    theirs = scipy.optimize.least_squares(valley.residuals, start, jac=valley.jacobian, method="lm", ftol=1e-15, xtol=1e-15)
+    assert ours.converged
+    # In units of sigma, as the residuals are.
+    assert np.linalg.norm(valley.jacobian(theirs.x) @ (ours.x - theirs.x)) < 1e-6

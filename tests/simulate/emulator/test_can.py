@@ -15,7 +15,8 @@ import pytest
 
 from imufield.acquire.decode.assembly import Message
 from imufield.acquire.instrument.can_map import OpenedCan, open_can
-from imufield.acquire.protocol.can_frames import ERROR, unpack_frames
+from imufield.acquire.protocol.can_frame import ERROR
+from imufield.acquire.protocol.can_frames import unpack_frames
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.acquire.registry import load_driver
 from imufield.errors import Reason, UsageError

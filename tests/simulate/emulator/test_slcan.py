@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from imufield.acquire.protocol.can_frames import ERROR, EXTENDED, FD, REMOTE, Frame
+from imufield.acquire.protocol.can_frame import ERROR, EXTENDED, FD, REMOTE, Frame
 from imufield.simulate.emulator.slcan import SlcanDevice, format_frame, parse_frame
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="this system has no pseudo-terminals")

@@ -1,0 +1,37 @@
+"""Student's and the F distribution against SciPy's."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import scipy.special
+
+from imufield.calibrate.model.distributions import f_quantile, f_tail, student_freedom, student_quantile
+
+pytestmark = pytest.mark.numerical
+
+
+@pytest.mark.parametrize("freedom", [0.3, 1, 2, 2.5, 7, 24.3, 100, 999.99, 1000, 1e4, 1e9])
+def test_student(freedom: float) -> None:
+    for p in (0.6, 0.9, 0.975, 0.999, 1 - 0.05 / 600):
+        assert student_quantile(freedom, p) == pytest.approx(float(scipy.special.stdtrit(freedom, p)), rel=1e-10)
+    if freedom < 1e4:
+        assert student_freedom(0.975, student_quantile(freedom, 0.975)) == pytest.approx(freedom, rel=1e-9)
+
+
+@pytest.mark.parametrize("numerator", [1, 2, 3, 12, 40])
+@pytest.mark.parametrize("denominator", [0.5, 1, 3, 9, 60, 1000, 1e5])
+def test_f(numerator: float, denominator: float) -> None:
+    for value in (0.0, 1e-3, 0.5, 1.0, 1.5, 10.0, 1e6):
+        expected = float(scipy.special.fdtrc(numerator, denominator, value))
+        assert f_tail(numerator, denominator, value) == pytest.approx(expected, rel=1e-9, abs=1e-290)
+    expected = float(scipy.special.fdtri(numerator, denominator, 0.95))
+    assert f_quantile(numerator, denominator, 0.95) == pytest.approx(expected, rel=1e-9)
+
+
+def test_where_there_is_no_chance() -> None:
+    assert math.isnan(f_tail(3, 0, 1.0))
+    assert math.isnan(f_tail(3, 5, math.nan))
+    assert f_tail(3, 5, np.inf) == 0.0
