@@ -179,7 +179,7 @@ def _announce(options: EmulateOptions, emulation: Emulation, emulator: EmulatorC
     form = f" ({wire.form.name})" if wire.form and wire.form.name not in ("", "default") else ""
     echo(beside(f"{options.driver}{form} at {rate_hz:.0f} Hz, {options.speed:g} times real time, on", address))
     # Slower than real time the host needs no other clock.
-    clock = "" if options.speed == 1 else f"IMUFIELD_CLOCK_SPEED={max(options.speed, 1):g} "
+    clock = "" if options.speed <= 1 else f" --clock-speed {options.speed:g}"
     # The right place matters: the scale of the accelerometer is as good as the gravity it is given, which is that of height 0.
     place = f"--latitude {emulation.site.latitude_deg:g} --height 0"
     # A protocol file of the user's own is no driver that another command knows by name.
@@ -188,7 +188,7 @@ def _announce(options: EmulateOptions, emulation: Emulation, emulator: EmulatorC
     if options.truth is not None:
         echo(beside("truth in", options.truth))
     echo("read it with:")
-    echo(f"  {clock}imufield capture --{kind} {shlex.quote(address)} {which} {told}{place}")
+    echo(f"  imufield capture --{kind} {shlex.quote(address)} {which} {told}{place}{clock}")
     waits = "it begins when a program opens the port; " if options.waits_for_reader and kind == "port" else ""
     asks = "type poses, e.g. x+ or z+135 or roll 30; " if str(options.poses) == STANDARD_INPUT else ""
     echo(f"{waits}{asks}Ctrl-C ends it")
