@@ -30,7 +30,7 @@ def run_capture(options: CaptureOptions, clock: HostClock | None = None) -> Capt
     interactive = options.view == "auto" and sys.stdout.isatty()
     clock = clock or host_clock(options.clock_speed)
     # A name that is wrong is refused before the port is opened.
-    scheme(options.positions or DEFAULT_SCHEME)
+    scheme(DEFAULT_SCHEME if options.positions is None else options.positions)
     asked = guide_record(options)
     with ExitStack() as stack:
         with before_recording():

@@ -38,6 +38,8 @@ STANDARD_INPUT = "-"
 TYPED_HOLD_S = 0.5  # Who types a pose wants to see it.
 INITIAL_STILL_S = 6.0
 """Before the first hold; the guide needs 3 s of it for the noise floor."""
+SAFE_RATE_HZ = 8000.0
+"""Samples in a second of real time that a machine of two cores makes, sends and reads; beyond it is told before."""
 ROUNDS = 20
 """How often the operator goes through his positions: what a reader missed, or came too late for, comes up again."""
 
@@ -52,6 +54,7 @@ def run_emulate(options: EmulateOptions) -> None:
             emulation,
             on_start=lambda running: _announce(options, emulation, running),
             on_slow=lambda reached: _tell_slow(options, reached),
+            on_left=lambda: None if options.as_json else say(sentence("emulate.left"), err=True),
         )
     if not options.as_json:
         echo(f"stopped after {emulator.samples_sent} samples")
@@ -179,7 +182,7 @@ def _announce(options: EmulateOptions, emulation: Emulation, emulator: EmulatorC
     form = f" ({wire.form.name})" if wire.form and wire.form.name not in ("", "default") else ""
     echo(beside(f"{options.driver}{form} at {rate_hz:.0f} Hz, {options.speed:g} times real time, on", address))
     # Slower than real time the host needs no other clock.
-    clock = "" if options.speed == 1 else f"IMUFIELD_CLOCK_SPEED={max(options.speed, 1):g} "
+    clock = "" if options.speed <= 1 else f" --clock-speed {options.speed:g}"
     # The right place matters: the scale of the accelerometer is as good as the gravity it is given, which is that of height 0.
     place = f"--latitude {emulation.site.latitude_deg:g} --height 0"
     # A protocol file of the user's own is no driver that another command knows by name.
@@ -188,7 +191,9 @@ def _announce(options: EmulateOptions, emulation: Emulation, emulator: EmulatorC
     if options.truth is not None:
         echo(beside("truth in", options.truth))
     echo("read it with:")
-    echo(f"  {clock}imufield capture --{kind} {shlex.quote(address)} {which} {told}{place}")
+    echo(f"  imufield capture --{kind} {shlex.quote(address)} {which} {told}{place}{clock}")
+    if rate_hz * options.speed > SAFE_RATE_HZ:
+        say(sentence("emulate.fast", rate_hz=rate_hz * options.speed, limit=SAFE_RATE_HZ), err=True)
     waits = "it begins when a program opens the port; " if options.waits_for_reader and kind == "port" else ""
     asks = "type poses, e.g. x+ or z+135 or roll 30; " if str(options.poses) == STANDARD_INPUT else ""
     echo(f"{waits}{asks}Ctrl-C ends it")

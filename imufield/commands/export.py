@@ -27,7 +27,10 @@ def run_export(options: ExportOptions) -> None:
     """
     if options.to is None:
         if options.as_json:
-            rows = [{"name": each.name, "title": each.title, "holds": each.holds} for each in TARGETS.values()]
+            rows = [
+                {"name": each.name, "title": each.title, "holds": each.holds, "asks": dict(each.asks)}
+                for each in TARGETS.values()
+            ]
             echo(json.dumps({"targets": rows}))
             return
         for each in TARGETS.values():

@@ -29,7 +29,7 @@ def run_plan(options: PlanOptions) -> None:
     CalibrationError
         If gravity is nowhere on Earth what was given.
     """
-    positions = scheme(options.positions or DEFAULT_SCHEME)
+    positions = scheme(DEFAULT_SCHEME if options.positions is None else options.positions)
     settings = GuideSettings(
         hold_s=options.hold_s,
         target_bias_ug=options.target_bias_ug,

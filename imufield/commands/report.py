@@ -13,6 +13,7 @@ import numpy as np
 
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session, open_or_newest
+from imufield.calibrate.model.observations import join_observations
 from imufield.commands.options.results import ReportOptions
 from imufield.commands.terminal.output import write_output
 from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, load
@@ -128,7 +129,10 @@ def _replay(
 ) -> tuple[Trace | None, Closure | None, list[Damage]]:
     """Return what only the recording tells."""
     trace, moves, rests = TraceCollector(parameters), MoveListener(), RestCollector(parameters)
-    chain = Chain(ReadingPlan(None), (trace.feed, moves.feed, rests.feed), judging=False)
+    # The rests between whole turns part moves, and the guide alone knows them.
+    turned = bool(session.record.guide.rotations)
+    plan = ReadingPlan.of(session) if turned else ReadingPlan(None)
+    chain = Chain(plan, (trace.feed, moves.feed, rests.feed), judging=turned)
     damage: list[Damage] = []
     replay_into(chain, session, damage)
     observations = rests.finish()
@@ -137,7 +141,9 @@ def _replay(
     closed = None
     # Positions that were given otherwise have no time, and no moves between them.
     if len(observations) and np.isfinite(observations.start_s).all():
-        closed = closure(observations, moves.between(observations), parameters, old, nominal=nominal)
+        between = chain.turn_rests()
+        stills = observations if between is None else join_observations(observations, between)
+        closed = closure(stills, moves.between(stills), parameters, old, nominal=nominal)
     return trace.finish(), closed, damage
 
 

@@ -54,7 +54,7 @@ def list_sessions(options: SessionsOptions) -> None:
 
 
 def _row(folder: Path, root: Path) -> Row:
-    """Return what is listed of a session: ``planned`` positions were asked for, the parameters come from ``positions``.
+    """Return what is listed of a session: ``planned`` positions were asked for, ``positions`` measured, or used where solved.
 
     ``leads_to`` is where a link leads that stands for a folder of elsewhere.
     """
@@ -69,6 +69,7 @@ def _row(folder: Path, root: Path) -> Row:
     record = session.record
     row |= {"created": record.created, "instrument": record.model, "serial_number": record.instrument.serial_number}
     row |= {"port": record.link.port, "kind": record.kind, "planned": _planned(session)}
+    row["positions"] = record.accepted
     row["state"] = "recording" if session.is_being_recorded else "finished" if record.finished else "unfinished"
     # Most have no parameters because nobody has solved them yet.
     path = folder / PARAMETER_FILE

@@ -178,8 +178,8 @@ class Accepted(Event, kind="accepted"):
     residual_m_s2: float | None = None
     """Of a fit to all positions so far; None until there are four."""
     forecast: dict[str, float] | None = None
-    """1 sigma of the parameters now: bias_ug, scale_ppm, misalignment_urad, quadratic_ug_per_g2; a group that the positions do
-    not show yet is left out."""
+    """1 sigma of the parameters now, with that of gravity and what is typical of the grade, as in the result: bias_ug,
+    scale_ppm, misalignment_urad, quadratic_ug_per_g2; a group that the positions do not show yet is left out."""
     leave_one_out_m_s2: float | None = None
     """Against a fit to all others; None likewise."""
     rank: int | None = None

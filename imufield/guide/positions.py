@@ -184,7 +184,10 @@ def read_positions(path: Path, origin: Origin = Origin.TYPED) -> tuple[tuple[Pos
         Naming file, line and key.
     """
     if not path.is_file():
-        raise UsageError(sentence("positions.no_scheme", path=str(path), schemes=SCHEMES))
+        # An empty name would lead to the present folder.
+        is_named = path != Path()
+        key = "positions.no_file" if is_named and path.exists() else "positions.no_scheme"
+        raise UsageError(sentence(key, path=str(path) if is_named else "", schemes=SCHEMES))
     try:
         text = decode_toml(read_small_file(path, origin), path.name, UsageError)
     except OSError as error:

@@ -126,9 +126,8 @@ class Chain:
             if self.plan.scheme is None:
                 self.finder = StillIntervalFinder(protocol.units, scale)
             else:
-                self.guide = Guide(
-                    scheme(self.plan.scheme, Origin.INSIDE), protocol.units, scale=scale, settings=self.plan.guide
-                )
+                settings = replace(self.plan.guide, grade=nominal.grade)
+                self.guide = Guide(scheme(self.plan.scheme, Origin.INSIDE), protocol.units, scale=scale, settings=settings)
         events = self._start_decoder(protocol)
         # Whoever stopped and goes on wanted the pause: to call it a lost link would alarm for nothing.
         return [

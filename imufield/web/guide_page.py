@@ -142,7 +142,7 @@ class GuidePage:
             self._forecasts[len(snapshot.accepted)] = [_number(forecast.get(name, math.nan)) for name in _FORECAST]
         positions: Json = {
             "accepted": {
-                name: {"residual_mg": _number(snapshot.residuals.get(name, math.nan) / MILLI_G_M_S2)}
+                name: {"leave_one_out_mg": _number(snapshot.leave_one_out_m_s2.get(name, math.nan) / MILLI_G_M_S2)}
                 for name in snapshot.accepted
             },
             "suspects": list(snapshot.suspects),

@@ -35,7 +35,7 @@ GOOD_FOR_S = 60.0
 FILE = "/file/"
 ID_BYTES = 16
 """Characters that begin each piece and say which upload it is of."""
-_LONGEST_NAME = 100
+_LONGEST_NAME = 100  # Bytes: with a number behind it, it fits into the 255 of a name.
 _UNUSUAL = re.compile(r"[^\w.()+ -]+")
 
 
@@ -67,17 +67,20 @@ class Uploads:
         Raises
         ------
         UsageError
-            If it is too large, or too many are under way.
+            If it is too large or no recording, or too many are under way.
         """
         if not isinstance(name, str) or not isinstance(size, int) or isinstance(size, bool) or not 0 < size <= LARGEST_UPLOAD:
             raise UsageError(sentence("transfers.too_large", limit_mb=LARGEST_UPLOAD >> 20))
+        # Among the sessions it would count as the parameters of an instrument.
+        if (plain := _plain(name)).lower().endswith(".toml"):
+            raise UsageError(sentence("transfers.no_recording", name=plain))
         with self._lock:
             self._forget_silent()
             if len(self._open) >= UPLOADS_AT_ONCE:
                 raise UsageError(sentence("transfers.too_many", limit=UPLOADS_AT_ONCE))
             identity = secrets.token_hex(ID_BYTES // 2)
             where = self._sessions.root / UPLOADS / (_new_name() if folder is None else _known(folder))
-            path = where / _plain(name)
+            path = where / plain
             with typed_write_errors(path):
                 # Before anything is made there.
                 if not self._sessions.holds(where):
@@ -147,7 +150,8 @@ class Uploads:
 def _plain(name: str) -> str:
     """Return a name of somebody's disk as one that is no hidden file, no option, and nothing that a shell would read."""
     last = re.split(r"[/\\]", name)[-1]
-    return _UNUSUAL.sub("_", last)[-_LONGEST_NAME:].lstrip(".- ") or "file"
+    kept = _UNUSUAL.sub("_", last).encode()[-_LONGEST_NAME:].decode(errors="ignore")
+    return kept.lstrip(".- ") or "file"
 
 
 def _new_name() -> str:

@@ -154,17 +154,20 @@ def test_resume(program: Program) -> None:
         assert (refused.returncode, refused.stdout) == (code, "")
         assert words in " ".join(refused.stderr.split())
 
+    # The list of sessions decodes nothing.
+    accepted = [event for event in events(newest(program)) if event["event"] == "accepted"]
+    assert newest(program).record.accepted == len(accepted) >= 2
     # Port, driver, baud rate, positions and site are those of the session.
     resumed = program.run("capture", "--resume", variables={"IMUFIELD_CLOCK_SPEED": "16"})
     assert resumed.returncode == 0, resumed.stderr
     assert "6 of 6 positions measured" in resumed.stdout
     assert "assumed" not in resumed.stderr
     session = newest(program)
-    assert session.finished
+    assert (session.finished, session.record.accepted) == (True, 6)
     assert session.metadata["site"]["gravity_m_s2"] == 9.81
     assert [path.name for path in session.parts] == ["part-001.mcap", "part-002.mcap"]
-    accepted = [event["position"] for event in events(session) if event["event"] == "accepted"]
-    assert sorted(map(str, accepted)) == FACES
+    taken = [event["position"] for event in events(session) if event["event"] == "accepted"]
+    assert sorted(map(str, taken)) == FACES
 
 
 def test_what_is_proposed_can_be_pasted(program: Program) -> None:

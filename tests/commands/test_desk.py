@@ -8,6 +8,7 @@ import os
 import re
 import shutil
 import signal
+import time
 import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -224,12 +225,29 @@ def test_devices(program: Program) -> None:
     assert max(map(len, shown.splitlines())) <= 80
 
 
+def test_emulate_says_that_it_is_fast_and_that_its_reader_has_left(program: Program) -> None:
+    process = program.start("emulate", "stim300", "--speed", 8, "--link", "imu")
+    assert process.stdout is not None
+    while "Ctrl-C" not in process.stdout.readline():
+        pass
+    with (program.folder / "imu").open("rb") as port:
+        assert port.read(1)
+        time.sleep(1.5)  # It looks for its reader twice a second.
+    time.sleep(1.5)
+    process.send_signal(signal.SIGINT)
+    told = " ".join(process.communicate(timeout=120)[1].split())
+    sentence = Sentences("imufield.commands")
+    assert sentence("emulate.fast", rate_hz=16000.0, limit=8000.0) in told
+    assert sentence("emulate.left") in told
+
+
 def test_emulate_says_where_and_how(program: Program) -> None:
     process = program.start("emulate", "stim300", "--speed", 4, "--link", "imu")
     assert process.stdout is not None
     lines = [process.stdout.readline() for _ in range(4)]
     assert "stim300 at 2000 Hz, 4 times real time, on imu" in lines[0]
-    assert "IMUFIELD_CLOCK_SPEED=4 imufield capture --port imu" in lines[2]
+    assert "imufield capture --port imu" in lines[2]
+    assert lines[2].endswith(" --clock-speed 4\n")
     assert lines[3] == "it begins when a program opens the port; Ctrl-C ends it\n"
     process.send_signal(signal.SIGINT)
     assert process.wait(120) == 130

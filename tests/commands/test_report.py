@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 
 import pytest
 
+from imufield.calibrate.model.uncertainty import rms
 from imufield.cli.run import run
 from imufield.commands.options.results import ReportOptions
 from imufield.commands.report import gather, run_report
+from imufield.deliver.parameters.file import load
 from imufield.errors import ParameterFileError, Reason
 from tests.refused import refused
 
@@ -55,6 +58,18 @@ def test_recording_tells_what_the_file_cannot(solved: Path) -> None:
     assert data.closure.after_deg.mean() < 0.3 * data.closure.before_deg.mean()
     assert [one.method for one in data.convergence] == ["bsas", "ide"]
     assert all(one.converged for one in data.convergence)
+
+
+def test_errors_of_moves_are_those_that_solve_states(solved: Path) -> None:
+    # What is left out, as what is taken again later, makes a long move, over which the Earth turns the unit by a degree.
+    names = [table["name"] for table in load(solved).document["position"]]
+    assert run(["solve", str(solved), "--latitude=45", *(f"--without={name}" for name in names[4:12])]) == 0
+    data, _ = gather(ReportOptions(session=solved))
+    assert data.closure is not None
+    (reason,) = (reason for reason in data.parameters.calibration.quality.reasons if "angle error" in reason)
+    stated_deg = [float(value) for value in re.findall(r"([\d.]+) deg RMS", reason)]
+    assert [rms(data.closure.before_deg), rms(data.closure.after_deg)] == pytest.approx(stated_deg, rel=0.02, abs=0.001)
+    assert data.closure.after_deg.max() < 5 * stated_deg[1]
 
 
 def test_parameters_alone_make_a_page_and_presets_a_column(solved: Path, tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ def folder(solved_session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         session = root / f"2026030{day}T101500Z-{name}"
         shutil.copytree(solved_session, session, ignore=shutil.ignore_patterns("*.mcap"))
         more = {"created": f"2026-03-0{day}T10:15:00Z", "instrument": {"driver": "stim300", "serial_number": f"N{day}"}}
-        Session.open(session).update(more | {"finished": name != "stopped"})
+        Session.open(session).update(more | {"finished": name != "stopped", "accepted": 7 if name == "stopped" else 24})
         if name in ("raw", "stopped"):
             (session / "parameters.toml").unlink()
     (root / "20260304T101500Z-broken" / "session.toml").write_text("format = ")
@@ -54,6 +54,7 @@ def test_the_newest_first_and_the_damaged_last(folder: Path, capsys: pytest.Capt
         ("finished", None, None),
         ("unfinished", None, None),
     ]
+    assert [row["positions"] for row in (raw, stopped)] == [24, 7]
     assert broken["state"] == "damaged"
     assert "20260304T101500Z-broken/session.toml" in broken["fault"]
     # What is not whole has no verdict.

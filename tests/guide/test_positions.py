@@ -1,3 +1,4 @@
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -136,3 +137,16 @@ def test_no_such_scheme() -> None:
     schemes = "paper24, paper36, corners24, all26, faces6"
     with refused(UsageError, Reason.USAGE, "'paper25'", schemes, key="positions.no_scheme"):
         scheme("paper25")
+
+
+@pytest.mark.parametrize("path", ["/dev/zero", "/dev/null", "/", "."])
+def test_a_folder_or_device_is_no_file_of_positions(path: str, tmp_path: Path) -> None:
+    with refused(UsageError, Reason.USAGE, key="positions.no_scheme" if path == "." else "positions.no_file"):
+        scheme(path)
+    with refused(UsageError, Reason.USAGE, str(tmp_path), key="positions.no_file"):
+        scheme(tmp_path)
+
+
+def test_an_empty_name_is_no_scheme() -> None:
+    with refused(UsageError, Reason.USAGE, "''", key="positions.no_scheme"):
+        scheme("")

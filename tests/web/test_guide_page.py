@@ -26,11 +26,9 @@ def wait_for_words(page: Page, place: str, words: str) -> None:
     page.locator(place, has_text=re.compile(words)).first.wait_for()
 
 
-def residuals(page: Page) -> dict[str, str]:
+def leave_one_out(page: Page) -> dict[str, str]:
     """Return the list of positions as a person reads it; which is the next one changes while it is read."""
-    return {
-        row.locator(".name").inner_text(): row.locator(".residual").inner_text() for row in page.locator("#positions li").all()
-    }
+    return {row.locator(".name").inner_text(): row.locator(".off").inner_text() for row in page.locator("#positions li").all()}
 
 
 def oldest(page: Page, count: int) -> list[str]:
@@ -82,8 +80,8 @@ def test_a_whole_session_from_the_page(program: Program, screens: Screens) -> No
     tap(page, "p")
     for each in (page, second, watching):
         wait_for_words(each, "#headline", "PAUSED")
-    found = residuals(page)
-    assert found == residuals(second) == residuals(watching)
+    found = leave_one_out(page)
+    assert found == leave_one_out(second) == leave_one_out(watching)
     assert sorted(found) == sorted(POSITIONS)
     assert all(found.values())
     assert oldest(page, 30) == oldest(second, 30)

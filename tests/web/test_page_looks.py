@@ -96,7 +96,7 @@ def findings(browser: Browser) -> Iterator[Findings]:
         server.end(ENDED)
     page.locator("#headline", has_text="FINISHED").wait_for()
     assert page.locator("#positions .next").count() == 0
-    assert not [shown for shown in page.locator("#positions .residual").all_inner_texts() if shown in ("+0.00", "\u22120.00")]
+    assert not [shown for shown in page.locator("#positions .off").all_inner_texts() if shown in ("+0.00", "\u22120.00")]
     find(page, "ended", found)
     yield found
     screens.close()

@@ -406,6 +406,14 @@ def test_a_foreign_token_gets_no_socket(served: Served, token: str) -> None:
     assert caught.value.response.status_code == 403
 
 
+def test_a_value_out_of_range_is_told_in_a_sentence_and_no_box(page: Page) -> None:
+    job = page.run("plan", noise_ug=-5)
+    assert page.heard(job, "code") == 2
+    said = [event["said"] for event in page.events if event["job"] == job and "said" in event]
+    assert "--noise-ug" in said[-1]
+    assert not re.search(r"[\u2500-\u257f]", "".join(said))
+
+
 # Files that come up
 
 
@@ -426,6 +434,12 @@ def test_a_file_comes_up_in_pieces_and_others_of_its_recording_beside_it(page: P
     assert Path(other["file"]).parent == Path(sent["file"]).parent
     # The same name again would be another file under it.
     assert "refused" in page.ask({"upload": "acc.csv", "size": 1, "folder": sent["folder"]})
+
+
+@pytest.mark.parametrize("name", ["session.toml", "parameters.TOML", "x/.toml.toml"])
+def test_what_would_pass_for_parameters_of_an_instrument_does_not_come_up(page: Page, root: Path, name: str) -> None:
+    assert "refused" in page.ask({"upload": name, "size": 4})
+    assert not (root / UPLOADS).exists()
 
 
 def test_nothing_is_made_where_a_link_leads_out(page: Page, root: Path, tmp_path: Path) -> None:
@@ -454,7 +468,7 @@ def test_what_came_meanwhile_under_its_name_stays(page: Page, root: Path) -> Non
     [
         ("../../etc/passwd", "passwd"), ("..\\..\\x.csv", "x.csv"), ("--output=x.csv", "output_x.csv"), ("", "file"),
         (".hidden", "hidden"), ("<b>x</b>.csv", "b_.csv"), ("a\x00\n\u202eb.csv", "a_b.csv"), ("ä $(x).csv", "ä _(x).csv"),
-        ("x" * 300 + ".csv", "x" * 96 + ".csv"), ("/", "file"),
+        ("x" * 300 + ".csv", "x" * 96 + ".csv"), ("/", "file"), ("測" * 200 + ".csv", "測" * 32 + ".csv"),
     ],
 )  # fmt: skip
 def test_a_name_of_a_file_leads_nowhere(page: Page, root: Path, name: str, kept: str) -> None:

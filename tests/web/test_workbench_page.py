@@ -148,6 +148,7 @@ def test_from_an_empty_folder_to_the_files(program: Program, screens: Screens, a
     wait_for(page, "#plan-says", "^6 positions with holds of 3 s")
     wait_for(page, "#commands code", "imufield plan --json --positions=faces6 --latitude=45 --height=0 --grade=navigation")
     page.get_by_role("button", name="Start the guide").click()
+    page.locator("#start:disabled + [role=status]").wait_for()
     # The guide has a page of its own, and leads back to where the session is.
     wait_for(page, "#headline", "TURN|HOLD|STAY|DONE|still")
     assert page.url.split(":")[2] != address.split(":")[2]
@@ -159,8 +160,16 @@ def test_from_an_empty_folder_to_the_files(program: Program, screens: Screens, a
     wait_for(page, "#verdict", "POOR")  # Six positions have six parameters: nothing is left to check them.
     parameters = load(program.folder / "imufield-sessions" / "first")
     assert len(parameters.document["position"]) == 6
+    quality = parameters.calibration.quality
+    assert page.locator("#result details li").count() == len(quality.reasons) - len(quality.warnings)
 
+    # What PX4 does not use the file without is asked for.
+    page.get_by_label("Program").select_option("px4")
+    page.get_by_label("CAL_ACC0_ID").fill("1310988")
+    page.get_by_role("button", name="Make the file").click()
+    wait_for(page, "#commands code", "export .*--to=px4 --set=accelerometer_id=1310988")
     page.get_by_label("Program").select_option("c")
+    assert not page.locator("#asked input").count()
     page.get_by_role("button", name="Make the file").click()
     with page.expect_download() as saved:
         page.get_by_role("button", name=re.compile(r"Save .*\.h$")).click()

@@ -25,6 +25,7 @@ VERSION = 1
 
 KEYS: Mapping[str, type] = {
     "version": int,
+    "accepted": int,
     "finished": bool,
     "notes": list,
     **dict.fromkeys(("format", "created", "software", "model", "name", "kind", "scheme"), str),
@@ -144,6 +145,8 @@ class SessionRecord:
     software: str = "not known"
     kind: str = ""
     scheme: str | None = None
+    accepted: int | None = None
+    """Positions measured so far, of a guided session."""
     instrument: InstrumentRecord = InstrumentRecord()
     link: LinkRecord = LinkRecord()
     protocol: ProtocolRecord = ProtocolRecord()
@@ -201,6 +204,7 @@ class SessionRecord:
             **texts,
             finished=content["finished"],
             scheme=content.get("scheme"),
+            accepted=content.get("accepted"),
             instrument=InstrumentRecord(**instrument),
             settings=settings,
             nominal=NominalRecord(raw_zero=raw_zero),

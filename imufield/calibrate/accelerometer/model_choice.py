@@ -172,7 +172,8 @@ def choose_model(
         sentences.append(sentence("model_choice.linear_as_shown"))
     if kept is not None:
         drift_mg = fitted.drift_span_m_s2 / MILLI_G_M_S2
-        sentences.append(sentence("model_choice.drift_kept", kind=kept.kind, drift_mg=drift_mg))
+        found = {"kind": kept.kind, "drift_mg": drift_mg, "p": gate.chance(gate.all), "limit": level}
+        sentences.append(sentence("model_choice.drift_kept", **found))
     return ChosenModel(
         fit=fitted,
         free=free if with_quadratic else tuple(k for k in free if k < _FIRST_QUADRATIC),

@@ -7,11 +7,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.calibrate.gyroscope.input import GyroscopeInput
+from imufield.calibrate.gyroscope.fit import JointFit, fit_jointly
+from imufield.calibrate.gyroscope.input import GyroscopeInput, make_data
 from imufield.calibrate.gyroscope.model_choice import SCALES, ChosenModel, Linearity
 from imufield.calibrate.gyroscope.move_integration import BIAS, INVERSE, PARAMETERS, SENSITIVITY
 from imufield.calibrate.gyroscope.observability import Observability
-from imufield.calibrate.gyroscope.residuals import GyroscopeData, evaluate
+from imufield.calibrate.gyroscope.residuals import Evaluation, GyroscopeData, evaluate
 from imufield.calibrate.gyroscope.static import GYROSCOPE_BIAS_NAMES, StaticData, StaticFit, latitude_words
 from imufield.calibrate.gyroscope.whole_turns import find_whole_turns
 from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS
@@ -154,14 +155,14 @@ def joint_result(solution: JointSolution) -> GyroscopeResult:
     known = np.array([name not in observability.hidden_names for name in GYROSCOPE_NAMES])
     known[12:] &= chosen.g_sensitive
     data, now, m = solution.data, fitted.evaluation, len(solution.given.moves)
-    before = evaluate(solution.start, data) if observability.known else None
+    before = _before(solution.given, data, fitted)
     turns = find_whole_turns(now, data, before)
     S = fitted.parts.total(fitted.scatter)
     blocks = np.array([S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] for k in range(m)]).reshape(m, 2, 2)
-    residual, up = now.residual[: 2 * m].reshape(m, 2), data.up[data.moves.after]
+    residual = now.residual[: 2 * m].reshape(m, 2)
     moves = MoveReport(
-        before_deg=np.full(m, np.nan) if before is None else np.degrees(before.angle_error_rad(up)),
-        after_deg=np.degrees(now.angle_error_rad(up)),
+        before_deg=_angles_deg(before, data),
+        after_deg=_angles_deg(now, data),
         sigma=np.sqrt(np.einsum("mi,mij,mj->m", residual, np.linalg.inv(blocks), residual)),
     )
     result = _result(solution, fitted.p[:PARAMETERS], own, known, path=_path(solution, turns))
@@ -251,6 +252,53 @@ def forward(x: FloatArray, rest_raw: FloatArray) -> tuple[FloatArray, FloatArray
         dG = dM @ H + M @ unit[SENSITIVITY].reshape(3, 3)
         J[:, k] = np.concatenate([dK, dE, dM @ b + M @ unit[BIAS], dG.ravel()])
     return np.asarray(values, dtype=np.float64), J
+
+
+def vector_of(parameters: GyroscopeParameters, rest_raw: FloatArray) -> FloatArray:
+    """Return the 21 numbers of a fit with the output at rest taken off, as ``forward`` takes them."""
+    A = np.linalg.inv(parameters.scale[:, None] * (np.eye(3) + parameters.misalignment_rad))
+    x = np.zeros(PARAMETERS)
+    x[INVERSE] = A.ravel()
+    x[BIAS] = A @ (parameters.bias - rest_raw)
+    x[SENSITIVITY] = (A @ parameters.g_sensitivity).ravel()
+    return x
+
+
+def parameters_before(given: GyroscopeInput) -> GyroscopeParameters | None:
+    """Return what was in force before; without a preset the driver's scale, or the unit, and the mean at rest for a bias.
+
+    None where nothing says the scale.
+    """
+    if given.preset is not None and np.isfinite(given.preset.scale).all():
+        return given.preset
+    inverse = given.preset_inverse()
+    if inverse is None:
+        return None
+    return GyroscopeParameters(1 / np.diag(inverse), np.zeros((3, 3)), given.rest_raw, np.zeros((3, 3)))
+
+
+def angle_errors_deg(given: GyroscopeInput, parameters: GyroscopeParameters) -> tuple[FloatArray, FloatArray]:
+    """Return how far each move, integrated with the parameters before and with these, ends from where gravity says.
+
+    The Earth's rate is found as a calibration finds it. Both of shape (m,); NaN where nothing says what was in force before.
+    """
+    data = make_data(given)
+    start = np.zeros(data.parameters)
+    start[:PARAMETERS] = vector_of(parameters, data.rest_raw)
+    fitted = fit_jointly(data, start, np.empty(0, dtype=np.int64))
+    before = _before(given, data, fitted)
+    return _angles_deg(before, data), _angles_deg(fitted.evaluation, data)
+
+
+def _before(given: GyroscopeInput, data: GyroscopeData, fitted: JointFit) -> Evaluation | None:
+    """Return the moves with the parameters before, under the Earth's rate that was found; None where nothing says them."""
+    old = parameters_before(given)
+    return None if old is None else evaluate(np.concatenate([vector_of(old, data.rest_raw), fitted.p[PARAMETERS:]]), data)
+
+
+def _angles_deg(evaluation: Evaluation | None, data: GyroscopeData) -> FloatArray:
+    after = data.moves.after
+    return np.full(len(after), np.nan) if evaluation is None else np.degrees(evaluation.angle_error_rad(data.up[after]))
 
 
 def as_parameters(vector: FloatArray) -> GyroscopeParameters:

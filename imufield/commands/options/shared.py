@@ -201,9 +201,8 @@ Scheduler = Annotated[str | None, option(help="Address of a Dask scheduler, e.g.
 ClockSpeed = Annotated[
     float,
     option(
-        help="Times real time the instrument runs: only for an emulated one.",
+        help="For an emulated instrument alone: the --speed at which it runs.",
         envvar="IMUFIELD_CLOCK_SPEED",
-        hidden=True,  # Of no use with real hardware, where it would only mislead.
         low=1,
         high=1000,
     ),

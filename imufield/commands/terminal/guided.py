@@ -139,7 +139,7 @@ def new_session(options: CaptureOptions, connected: Connected, site: SiteOptions
         preset = load(options.preset)
         preset.check_instrument(connected.identity.get("serial_number", ""))
         preset.check_unit("accelerometer", connected.protocol.units.accelerometer_rate_unit)
-    name = options.positions or DEFAULT_SCHEME
+    name = DEFAULT_SCHEME if options.positions is None else options.positions
     positions = None
     if name not in SCHEMES:
         try:
@@ -371,7 +371,14 @@ class CaptureLoop:
             if isinstance(event, Advice) and event.topic in (Topic.DRIFT, Topic.SCALE):
                 self._advice[event.topic] = event
         if events:
+            self._note_accepted()
             self.view.show(events)
+
+    def _note_accepted(self) -> None:
+        """Keep beside the recording how many positions are measured: a list of sessions decodes none."""
+        accepted = 0 if self.chain.guide is None else len(self.chain.guide.plan.accepted)
+        if accepted != (self.session.record.accepted or 0):
+            self.session.update(accepted=accepted)
 
     def _refresh(self, *, at_once: bool = False) -> None:
         # The time of a person is real: with an emulated instrument that runs fast all of it would go into pictures.
@@ -415,5 +422,5 @@ def _next_command(captured: Captured, clock: HostClock) -> str:
     if captured.can_be_solved:
         return f"imufield solve {folder}"
     # An emulated instrument that runs faster than real must be read as fast again.
-    speed = f"IMUFIELD_CLOCK_SPEED={clock.speed:g} " if isinstance(clock, ScaledClock) else ""
-    return f"{speed}imufield capture --resume --session {folder}"
+    speed = f" --clock-speed {clock.speed:g}" if isinstance(clock, ScaledClock) else ""
+    return f"imufield capture --resume --session {folder}{speed}"

@@ -80,6 +80,9 @@ def _at_positions(parameters: Parameters, target: Corrections) -> str:
     raw = np.array([row["mean_raw"] for row in parameters.document.get("position", []) if row["used"]])
     if not len(raw):
         return ""
+    positions, scale = parameters.calibration.positions, parameters.calibration.accelerometer.scale
+    # Residuals are those of the bias that is exported: a drift of it was fitted beside it.
+    raw = raw - scale * positions.bias_drift_m_s2[positions.used]
     g = parameters.calibration.gravity.gravity_m_s2
     # Rounded to a nano-g: what is left below of an exact model differs from machine to machine.
     ours, theirs = (

@@ -6,7 +6,7 @@ Nothing here imports NumPy: a list of targets is to appear at once.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 # Not "preset": a preset is not in the file.
@@ -23,6 +23,8 @@ class Target:
     """What of the model it can express, in words."""
     module: str
     """Module of this package whose ``export(job)`` writes it."""
+    asks: Mapping[str, str] = field(default_factory=dict)
+    """Options that nobody but its user knows and without which it does not use the file, each with what it is there."""
     over_temperature: bool = False
     """Whether it takes bias over temperature; all others get the values at one."""
 

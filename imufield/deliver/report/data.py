@@ -7,18 +7,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from imufield.calibrate.accelerometer.methods import problem_for, restart
-from imufield.calibrate.gyroscope.input import GyroscopeInput, make_data
-from imufield.calibrate.gyroscope.move_integration import BIAS, INVERSE, SENSITIVITY
+from imufield.calibrate.gyroscope.input import GyroscopeInput
 from imufield.calibrate.gyroscope.moves import Moves
-from imufield.calibrate.gyroscope.residuals import VERTICAL, evaluate
+from imufield.calibrate.gyroscope.report import angle_errors_deg
 from imufield.calibrate.model.observations import Observations
-from imufield.calibrate.model.result import AccelerometerParameters, Calibration, GyroscopeParameters
+from imufield.calibrate.model.result import AccelerometerParameters, Calibration, GyroscopeParameters, without_drift
 from imufield.calibrate.solvers.registry import load_solver
 from imufield.deliver.navigation.rest import IntervalMeans
-from imufield.deliver.parameters.apply import correction_matrix
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.schema import Document
-from imufield.earth import EARTH_RATE_RAD_S
 from imufield.errors import CalibrationError
 from imufield.progress import one_by_one
 from imufield.samples import FloatArray, Samples, SampleUnits, TemperatureHold
@@ -218,23 +215,13 @@ def closure(
     there = np.isfinite(observations.gyroscope_mean_raw).all()
     if calibration.gyroscope is None or not parameters.gyroscope_is_complete or not len(moves) or not there:
         return None
-    data = make_data(GyroscopeInput(observations=observations, moves=moves, calibration=calibration))
-    up, rest = data.up[moves.after], data.rest_raw
-    # Without a latitude the Earth's rate is left out: 15 deg/h over a move of seconds is below what is drawn.
-    vertical = EARTH_RATE_RAD_S * np.sin(np.radians(calibration.gravity.latitude_deg or 0.0))
-    before = preset if preset is not None and np.isfinite(preset.scale).all() else None
-    if before is None and nominal is not None:
-        # What a user has without any calibration: the driver's scale, and the mean at rest taken off.
-        before = GyroscopeParameters(np.full(3, nominal), np.zeros((3, 3)), rest, np.zeros((3, 3)))
-
-    def angles(gyroscope: GyroscopeParameters) -> FloatArray:
-        p = np.zeros(data.parameters)
-        inverse = correction_matrix(gyroscope.scale, gyroscope.misalignment_rad)
-        p[INVERSE] = inverse.ravel()
-        p[BIAS] = inverse @ (gyroscope.bias - rest)
-        p[SENSITIVITY] = (inverse @ gyroscope.g_sensitivity).ravel()
-        p[VERTICAL] = vertical
-        return np.asarray(np.degrees(evaluate(p, data).angle_error_rad(up)))
-
-    unknown = np.full(len(moves), np.nan)
-    return Closure(moves.start_s, unknown if before is None else angles(before), angles(calibration.gyroscope.parameters))
+    given = GyroscopeInput(
+        observations=without_drift(observations, calibration),
+        moves=moves,
+        calibration=calibration,
+        latitude_deg=calibration.gravity.latitude_deg,
+        preset=preset,
+        nominal_scale=nominal,
+        rests=len(observations) - int(calibration.positions.used.sum()),
+    )
+    return Closure(moves.start_s, *angle_errors_deg(given, calibration.gyroscope.parameters))

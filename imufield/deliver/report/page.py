@@ -20,6 +20,7 @@ from imufield.deliver.report.data import ReportData
 from imufield.deliver.report.gain import gain
 from imufield.deliver.report.positions import directions, position_cards
 from imufield.deliver.report.rows import VERDICT_WORDS, Row, parameter_rows
+from imufield.deliver.report.summary import sigma_words
 from imufield.deliver.report.together import HEADINGS, session_rows, together_rows
 from imufield.deliver.verification.result import duration_words
 from imufield.drawing.style import missing_package, plot_style
@@ -128,6 +129,7 @@ def _facts(data: ReportData) -> Document:
         "reasons": folded([*quality.reasons[:1], *quality.warnings, *data.notes]),
         "notes": folded(quality.details),
         "triads": {"accelerometer": quality.accelerometer_verdict, "gyroscope": quality.gyroscope_verdict},
+        "sigma": sigma_words(quality),
         "factor": f"{factor:.2f}" if math.isfinite(factor) else "",
         "gain": "" if gained is None else gained.words,
         "cells": _cells(rows, factor),

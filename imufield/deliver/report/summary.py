@@ -17,7 +17,8 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from imufield.calibrate.model.result import Calibration
+from imufield.calibrate.model.result import Calibration, Quality
+from imufield.calibrate.model.uncertainty import degrees_of_freedom
 from imufield.console import PlainTextConsole
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.numbers import (
@@ -33,7 +34,7 @@ from imufield.deliver.report.gain import gain
 from imufield.deliver.report.rows import VERDICT_WORDS, Quantity, quantities
 from imufield.earth import MICRO_G_M_S2, height_words
 from imufield.samples import AXES, FloatArray
-from imufield.sentences import Sentences, folded, printable
+from imufield.sentences import Sentence, Sentences, folded, printable
 
 sentence = Sentences(__package__)
 
@@ -163,10 +164,17 @@ def _facts(calibration: Calibration) -> Table:
         source = sentence("summary.normal", latitude_deg=gravity.latitude_deg, height=height_words(gravity))
     table.add_row("Gravity", f"{with_sigma(gravity.gravity_m_s2, gravity.sigma_m_s2)} m/s², {source}")
     table.add_row("Frame", f"gauge {calibration.gauge}: {_GAUGE_WORDS[calibration.gauge]}")
-    factor = quality.student_factor_95
-    key = "summary.sigma" if math.isfinite(factor) else "summary.sigma_of_holds"
-    table.add_row("Sigma", sentence(key, factor=factor, spare=quality.degrees_of_freedom))
+    table.add_row("Sigma", sigma_words(quality))
     return table
+
+
+def sigma_words(quality: Quality) -> Sentence:
+    """Say what ± is, and what makes a 95 % limit of it: what is known beforehand adds to the degrees of freedom."""
+    factor = quality.student_factor_95
+    if not math.isfinite(factor):
+        return sentence("summary.sigma_of_holds")
+    freedom = degrees_of_freedom(factor)
+    return sentence("summary.sigma" if math.isfinite(freedom) else "summary.sigma_normal", factor=factor, freedom=freedom)
 
 
 def _residuals(parameters: Parameters) -> Iterator[RenderableType]:

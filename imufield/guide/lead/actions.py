@@ -336,8 +336,17 @@ class GuideActions:
         replaces = plan.accept(index, observation)
         self.hold.learn(hold)
         adviser.fit_again(self.detector.scale)
-        fit, others = adviser.fit, adviser.compared.get(index)
-        self.speaker.say(accepted_event(now_s, observation, hold.scale, plan, replaces=replaces, fit=fit, others=others))
+        event = accepted_event(
+            now_s,
+            observation,
+            hold.scale,
+            plan,
+            replaces=replaces,
+            fit=adviser.fit,
+            forecast=adviser.forecast,
+            others=adviser.compared.get(index),
+        )
+        self.speaker.say(event)
         self._lingering = Lingering()
         self.hold.forget()
         self._moved_in_a_row = 0

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imufield.calibrate.accelerometer.drift import MOST_CONFUSION, order_confusion
-from imufield.calibrate.model.grades import Grade, grade_by_noise
+from imufield.calibrate.model.grades import DEFAULT_GRADE, find_grade
 from imufield.earth import MILLI_G_M_S2
 from imufield.guide.cross_checks.axes import GOOD_DEG, AxesCheck
 from imufield.guide.cross_checks.centre import LEAST_OFFSET_M_S2
@@ -118,11 +118,13 @@ class Adviser:
         self._plan = plan
         self._settings = settings
         self.fit: RunningFit | None = None
+        self.forecast: dict[str, float] | None = None  # 1 sigma of the parameters, as `solve` states it.
         self.compared: dict[int, Disagreement] = {}  # Each accepted position with the others.
         self.suspects: dict[int, Disagreement] = {}  # Positions that the fit to the others contradicts, the worst first.
         self._told: set[Topic] = set()
         self._revisited = False
-        self._grade: Grade | None = None  # By the noise, where there is a target.
+        # What `solve` will take for it.
+        self._grade = find_grade(settings.grade or DEFAULT_GRADE)
 
     @property
     def suspect_names(self) -> tuple[str, ...]:
@@ -133,6 +135,7 @@ class Adviser:
         """Fit everything measured so far, and choose the next position where another helps clearly more."""
         settings, plan = self._settings, self._plan
         self.fit = running_fit(list(plan.accepted.values()), scale, settings.gravity)
+        self.forecast = None if self.fit is None else self.fit.forecast(self._grade)
         self._compare(scale)
         plan.preferred = None
         pending = plan.pending()
@@ -172,7 +175,6 @@ class Adviser:
         noise = floor.white_noise(scale)
         if not self._settings.targets or not math.isfinite(noise):
             return None
-        self._grade = grade_by_noise("accelerometer", noise)
         return session_time(self._plan.scheme, self._settings, noise=noise, grade=self._grade)
 
     def advise(self, now_s: float) -> list[Advice]:
@@ -191,7 +193,7 @@ class Adviser:
         settings, count = self._settings, len(fit.names)
         if count < LINEAR:
             return
-        asked, forecast = settings.targets, fit.forecast(self._grade)
+        asked, forecast = settings.targets, self.forecast or {}
         if is_met(asked, forecast, count):
             kinds = {"bias_ug": _BIAS_MET, "scale_ppm": _SCALE_MET}
             known = [f"{key.split('_')[0]} {forecast[key]:.3g} {kinds[key].unit} (wanted {asked[key]:g})" for key in asked]

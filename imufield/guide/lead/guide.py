@@ -59,8 +59,8 @@ class Snapshot:
         Where up is in the body now, unit vector, None before the first sample or in free fall; and where it should be.
     forecast : dict or None
         1 sigma of the parameters now, see ``Accepted``; None until there are four positions.
-    residuals : dict
-        Of the measured positions by the fit to all of them, m/s^2; empty until there are four.
+    leave_one_out_m_s2 : dict of float
+        Of the measured positions; empty until there are four.
     signals : Signals or None
         The live feed; None before the first.
     marks : tuple of str
@@ -84,7 +84,7 @@ class Snapshot:
     target_direction: Vector | None
     in_hand: bool
     forecast: dict[str, float] | None
-    residuals: dict[str, float]
+    leave_one_out_m_s2: dict[str, float]
     signals: Signals | None
     marks: tuple[str, ...]
 
@@ -205,7 +205,7 @@ class Guide:
     def snapshot(self) -> Snapshot:
         """Return the state for a live view."""
         plan, hold, judgement, up = self.plan, self._actions.hold, self._actions.judgement, self._feed.up(self.detector.scale)
-        target, fit = plan.proposed() if self._actions.announced else None, self.adviser.fit
+        target = plan.proposed() if self._actions.announced else None
         rate_hz = temperature_degc = math.nan
         recent = self._feed.newest(_RECENT_CELLS)
         if recent is not None:
@@ -230,8 +230,8 @@ class Guide:
             direction=vector(up) if np.isfinite(up).all() else None,
             target_direction=None if target is None else vector(plan.position(target).direction),
             in_hand=self.detector.in_hand,
-            forecast=None if fit is None else fit.forecast(),
-            residuals={} if fit is None else dict(zip(fit.names, fit.residual_m_s2.tolist(), strict=True)),
+            forecast=self.adviser.forecast,
+            leave_one_out_m_s2={found.name: found.leave_one_out_m_s2 for found in self.adviser.compared.values()},
             signals=self._feed.signals(self.detector.scale),
             marks=tuple(self._marks_with_effect()),
         )

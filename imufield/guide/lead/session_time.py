@@ -36,8 +36,8 @@ BEGIN_S = 10.0
 _LENGTHS_S = np.geomspace(SHORTEST_S, LONGEST_S, 32)
 # Of what is wanted: noise and scatter of the session to come are known to a tenth.
 _WITH_MARGIN = 0.9
-# Of the scatter between positions: noise below it makes the result worse by 5 %, and a longer hold helps no more.
-_NOISE_THAT_HELPS = 1 / 3
+# Of the sigma with the longest holds: what is left is scatter between positions, gravity, or typical of the grade.
+_HARDLY_WORSE = 1.05
 # A position is proposed before its turn where its gain is larger by this factor: the order that drift cannot imitate is worth
 # more than a little gain.
 _CLEARLY_MORE = 1.5
@@ -115,10 +115,10 @@ class SessionTime:
             + (f" (wanted {self.wanted[name]:g})" if name in self.wanted else "")
             for name, unit in _UNITS.items()
         ]
-        sizes = {"positions": self.positions, "hold_s": self.hold_s, "minutes": self.minutes, "usual_s": self.usual_hold_s}
-        sizes["least"] = SHOWS_SCATTER
+        sizes = {"positions": self.positions, "hold_s": self.hold_s, "usual_s": self.usual_hold_s, "least": SHOWS_SCATTER}
+        sizes["minutes"] = max(self.minutes, 1.0)
         if not self.wanted:
-            reached = "session_time.free"
+            reached = "session_time.free" if self.forecast else "session_time.nothing"
         elif not self.is_met:
             reached = "session_time.few" if self.planned < SHOWS_SCATTER else "session_time.unmet"
         else:
@@ -135,7 +135,7 @@ class SessionTime:
         if self.gravity_ppm >= self.wanted.get("scale_ppm", math.inf):
             sizes = {"scale_ppm": self.wanted["scale_ppm"], "gravity_ppm": self.gravity_ppm}
             return sentence("session_time.gravity_remedy", source=self.gravity.source_words, **sizes)
-        if self.hold_s < self.helps_s:
+        if self.is_fixed and self.hold_s < self.helps_s:
             return sentence("session_time.fixed_remedy", helps_s=self.helps_s)
         return sentence("session_time.unmet_remedy")
 
@@ -147,8 +147,11 @@ def _known(forecast: dict[str, float], name: str, unit: str) -> str:
 
 def is_met(wanted: dict[str, float], forecast: dict[str, float], positions: int) -> bool:
     """Whether a forecast is as good as wanted and enough positions check it; where nothing is wanted it is not."""
-    is_enough = bool(wanted) and positions >= SHOWS_SCATTER
-    return is_enough and all(forecast.get(name, math.inf) <= value for name, value in wanted.items())
+    return bool(wanted) and positions >= SHOWS_SCATTER and _is_within(wanted, forecast)
+
+
+def _is_within(limits: dict[str, float], forecast: dict[str, float]) -> bool:
+    return all(forecast.get(name, math.inf) <= limit for name, limit in limits.items())
 
 
 def session_time(scheme: Scheme, settings: GuideSettings, *, noise: float, grade: Grade) -> SessionTime:
@@ -164,14 +167,21 @@ def session_time(scheme: Scheme, settings: GuideSettings, *, noise: float, grade
         Tells how much positions differ beyond that noise, and what no position shows.
     """
     usual_s = settings.hold_target.expected_s(noise)
-    averaged_s = (noise / (_NOISE_THAT_HELPS * grade.scatter_m_s2)) ** 2
-    helps_s = max(HoldTarget().expected_s(noise), min(averaged_s, LONGEST_S))
     steps = list(_steps(scheme, settings, noise=noise / math.sqrt(usual_s)))
+
+    def forecast(positions: int, hold_s: float) -> dict[str, float]:
+        fit = steps[positions - 1]
+        return {} if fit is None else fit.expecting(noise / math.sqrt(hold_s), grade.scatter_m_s2).forecast(grade)
+
+    best = forecast(len(scheme), LONGEST_S)
+    limits = {name: max(value, _HARDLY_WORSE * best.get(name, math.inf)) for name, value in settings.targets.items()}
+    free_s = HoldTarget().expected_s(noise)
+    longer_s = [free_s, *(hold_s for hold_s in _LENGTHS_S.tolist() if hold_s > free_s)]
+    helps_s = next((hold_s for hold_s in longer_s if _is_within(limits, forecast(len(scheme), hold_s))), LONGEST_S)
 
     def taking(positions: int, hold_s: float) -> SessionTime:
         # Whoever finishes early leaves out the first position, which is otherwise asked for again at the end.
         holds = positions + int(settings.revisit_first and positions == len(scheme))
-        fit = steps[positions - 1]
         return SessionTime(
             hold_s=hold_s,
             usual_hold_s=usual_s,
@@ -181,7 +191,7 @@ def session_time(scheme: Scheme, settings: GuideSettings, *, noise: float, grade
             positions=positions,
             planned=len(scheme),
             minutes=(BEGIN_S + holds * (hold_s + BETWEEN_S)) / 60,
-            forecast={} if fit is None else fit.expecting(noise / math.sqrt(hold_s), grade.scatter_m_s2).forecast(grade),
+            forecast=forecast(positions, hold_s),
             wanted=settings.targets,
             gravity=settings.gravity,
         )

@@ -31,6 +31,8 @@ class GuideSettings:
     earlier_scale_raw, earlier_scale_sigma : float
         Common scale of an earlier calibration of this instrument, raw rate per m/s^2, which a wrong gravity contradicts,
         and its relative 1 sigma.
+    grade : str
+        Class of the instrument; empty where its protocol does not say it.
     """
 
     hold_s: float | None = None
@@ -41,6 +43,7 @@ class GuideSettings:
     gravity: Gravity = choose_gravity()  # noqa: RUF009 - frozen, so one default may be shared
     earlier_scale_raw: float | None = None
     earlier_scale_sigma: float = 0.0
+    grade: str = ""
 
     @property
     def targets(self) -> dict[str, float]:

@@ -125,6 +125,7 @@ def accepted_event(
     *,
     replaces: bool,
     fit: RunningFit | None,
+    forecast: dict[str, float] | None,
     others: Disagreement | None,
 ) -> Accepted:
     """Return the event of an observation just taken; running fit and comparison with the others are None before the first."""
@@ -152,7 +153,7 @@ def accepted_event(
         event = replace(
             event,
             residual_m_s2=float(fit.residual_m_s2[row]),
-            forecast=fit.forecast(),
+            forecast=forecast,
             leave_one_out_m_s2=others.leave_one_out_m_s2,
             suspect=others.is_suspect,
             rank=fit.rank,

@@ -167,6 +167,11 @@ class EmulatorCore(ABC):
         return self._samples_made * self.source.interval_s
 
     @property
+    def is_read(self) -> bool:
+        """Whether a host is there."""
+        return self._port.has_reader()
+
+    @property
     def finished(self) -> bool:
         """Whether the thread has ended: after ``stop``, at the end of ``duration_s`` or by a failure."""
         return self._finished.is_set()

@@ -236,6 +236,7 @@ def emulate(
     options: Emulation,
     on_start: Callable[[EmulatorCore], None] | None = None,
     on_slow: Callable[[float], None] | None = None,
+    on_left: Callable[[], None] = lambda: None,
 ) -> EmulatorCore:
     """Run a virtual instrument until its time is over; Ctrl-C ends it too and is passed on.
 
@@ -246,6 +247,8 @@ def emulate(
         Called with the running emulator, which knows its address.
     on_slow : callable, optional
         Called once with the speed that is reached where it stays below the one asked for.
+    on_left : callable
+        Called each time a host has closed the port.
 
     Returns
     -------
@@ -255,8 +258,12 @@ def emulate(
     with make_emulator(options) as emulator:
         if on_start is not None:
             on_start(emulator)
+        was_read = False
         # A wait without limit would not let Ctrl-C through on every system.
         while not emulator.wait(0.5):
+            before, was_read = was_read, emulator.is_read
+            if before and not was_read:
+                on_left()
             if on_slow is not None and emulator.pace.reached is not None:
                 on_slow(emulator.pace.reached)
                 on_slow = None

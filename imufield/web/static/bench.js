@@ -210,4 +210,4 @@ export class Bench {
 
 /** The last sentence of a command that failed. @param {Job} job */
 export const complaint = (job) =>
-  (job.said[job.said.length - 1] ?? text("ended", { code: String(job.code) })).replace(/^imufield: /, "");
+  (job.said[job.said.length - 1] ?? text("ended", { code: String(job.code) })).replace(/^(imufield|Error): /, "");

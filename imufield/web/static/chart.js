@@ -1,31 +1,44 @@
 // Strips with a line each: the signals of the last half minute, and the accuracy with each position.
 
 import { colour, prepare } from "./canvas.js";
-import { text } from "./texts.js";
+import { signed, text } from "./texts.js";
 
 const AXES = "xyz";
 const UNITS = ["m/s²", "°/s", "°C"];
+const FORECAST_UNITS = ["µg", "ppm", "µrad"];
 const LEAST = [0.5, 2, 0.5]; // Of each unit: what is smaller is noise.
 const LABEL = 92;
 const EDGE = 10;
+const AXIS = 18; // Below all strips.
 
 /** @typedef {[number, number][]} Points share of the width and of the height */
 
 /**
  * @param {HTMLCanvasElement} canvas
- * @param {{name: string, value: string, ink: string, points: Points, dots?: boolean}[]} strips
+ * @param {{name: string, value: string, ink: string, points: Points, ends: [string, string], dots?: boolean}[]} strips
+ *   each with its lowest and highest value
+ * @param {[string, string]} across what begins and ends the axis below them
  */
-function drawStrips(canvas, strips) {
+function drawStrips(canvas, strips, across) {
   const { context, width, height } = prepare(canvas);
-  const strip = height / strips.length;
-  context.font = "13px system-ui, sans-serif";
+  const strip = (height - AXIS) / strips.length;
+  context.font = "11px system-ui, sans-serif";
   context.textBaseline = "middle";
-  strips.forEach(({ name, value, ink, points, dots }, row) => {
+  context.fillStyle = colour("faint");
+  context.fillText(across[0], LABEL, height - AXIS / 2);
+  context.textAlign = "right";
+  context.fillText(across[1], width, height - AXIS / 2);
+  context.textAlign = "left";
+  strips.forEach(({ name, value, ink, points, ends, dots }, row) => {
     const [top, middle] = [strip * row, strip * (row + 0.5)];
+    context.font = "13px system-ui, sans-serif";
     context.fillStyle = colour("faint");
     context.fillText(name, 0, middle - 8);
     context.fillStyle = colour("text");
     context.fillText(value, 0, middle + 8);
+    context.font = "11px system-ui, sans-serif";
+    context.fillStyle = colour("faint");
+    ends.forEach((words, k) => context.fillText(words, LABEL, top + strip * (k ? 0.12 : 0.88)));
     context.strokeStyle = colour("line");
     context.lineWidth = 1;
     context.beginPath();
@@ -56,6 +69,12 @@ function drawStrips(canvas, strips) {
 }
 
 /**
+ * Lowest and highest value of a strip in words.
+ * @param {number} low @param {number} high @param {(value: number) => string} words @returns {[string, string]}
+ */
+const endsOf = (low, high, words) => [words(low), words(high)];
+
+/**
  * @param {HTMLCanvasElement} canvas
  * @param {(number | null)[][]} blocks time, six values and the temperature, SI and °C
  * @param {number} spanS that is shown
@@ -78,13 +97,16 @@ export function drawTrace(canvas, blocks, spanS) {
         return /** @type {[number, number]} */ ([across, 0.5 + (value - (low + high) / 2) / half / 2]);
       });
       const last = values[values.length - 1] ?? NaN;
+      const digits = half < 5 ? 2 : 0;
       return {
+        ends: endsOf(-half, half, (side) => signed((low + high) / 2 + side, digits)),
         name: text(["acc", "gyro", "temperature"][unit], { axis: AXES[(k - 1) % 3] }),
         value: Number.isFinite(last) ? `${last.toFixed(2).replace(/^-0.00$/, "0.00").replace("-", "−")} ${UNITS[unit]}` : "–",
         ink: unit < 2 ? `signal-${AXES[(k - 1) % 3]}` : "text",
         points,
       };
     }),
+    [text("ago", { seconds: spanS }), text("now")],
   );
 }
 
@@ -105,7 +127,9 @@ export function drawForecast(canvas, forecasts, planned, words) {
       const points = forecasts
         .map((entry, index) => /** @type {[number, number]} */ ([Number(entry[0]) / planned, (logs[index] - low) / (high - low || 1)]))
         .filter(([, up]) => Number.isFinite(up));
-      return { name, value: words[k] ?? "–", ink: "next", points, dots: true };
+      const ends = endsOf(low, high, (log) => (known.length ? `${Number(Math.exp(log).toPrecision(2))} ${FORECAST_UNITS[k]}` : ""));
+      return { name, value: words[k] ?? "–", ink: "next", points, ends, dots: true };
     }),
+    [text("counted", { count: 0 }), text("counted", { count: planned })],
   );
 }

@@ -171,7 +171,7 @@ function showStillness() {
   write("cause", state.stillness ? pretty(state.stillness.words) : "");
 }
 
-/** @returns {{name: string, up: any, words: string, state: string, residual: number | null}[]} */
+/** @returns {{name: string, up: any, words: string, state: string, leaveOneOut: number | null}[]} */
 function positions() {
   return head.positions.map((/** @type {any} */ position) => {
     const { name } = position;
@@ -184,7 +184,7 @@ function positions() {
       ["suspect", map.suspects.includes(name)],
       ["accepted", accepted],
     ];
-    return { ...position, state: kinds.find(([, applies]) => applies)?.[0] ?? "open", residual: accepted?.residual_mg ?? null };
+    return { ...position, state: kinds.find(([, applies]) => applies)?.[0] ?? "open", leaveOneOut: accepted?.leave_one_out_mg ?? null };
   });
 }
 
@@ -192,15 +192,15 @@ function positions() {
 function showPositions(places) {
   const named = [...places].sort((a, b) => a.name.localeCompare(b.name, "en", { numeric: true }));
   const rows = named.map((position) => {
-    const size = Math.abs(position.residual ?? 0);
-    const residual = position.residual === null ? "" : signed(position.residual, size < 10 ? 2 : 1);
+    const size = Math.abs(position.leaveOneOut ?? 0);
+    const off = position.leaveOneOut === null ? "" : signed(position.leaveOneOut, size < 10 ? 2 : 1);
     return make(
       "li",
       { class: position.state, title: position.words },
       make("span", { class: "sign", "aria-hidden": "true" }, SIGNS[position.state]),
       make("span", { class: "name" }, position.name.replaceAll("-", "−")),
-      make("span", { class: "unseen" }, [text(position.state), residual && text("residual", { residual })].filter(Boolean).join(", ")),
-      make("span", { class: "residual", "aria-hidden": "true" }, residual),
+      make("span", { class: "unseen" }, [text(position.state), off && text("leaveOneOut", { off })].filter(Boolean).join(", ")),
+      make("span", { class: "off", "aria-hidden": "true" }, off),
     );
   });
   at("positions").replaceChildren(...rows);

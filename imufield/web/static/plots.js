@@ -1,7 +1,7 @@
 // Plots: a bar for each position, and the signals of a recording with its still intervals.
 
 import { draw, make } from "./make.js";
-import { text } from "./texts.js";
+import { text, withSigns } from "./texts.js";
 
 const WIDTH = 1000;
 const HEIGHT = 260;
@@ -43,14 +43,22 @@ export function readOverview(text) {
   return Object.fromEntries(names.map((name, k) => [name, rows.map((row) => (row[k] ? Number(row[k]) : NaN))]));
 }
 
+/** Round values between two, two to five of them. @param {number} low @param {number} high */
+function ticks(low, high) {
+  const power = 10 ** Math.floor(Math.log10((high - low) / 2 || 1));
+  const step = ([5, 2].find((times) => (high - low) / (times * power) >= 2) ?? 1) * power;
+  const first = Math.ceil(low / step);
+  return Array.from({ length: Math.floor(high / step) - first + 1 }, (_, k) => Number(((first + k) * step).toPrecision(6)));
+}
+
 /**
  * @param {Record<string, number[]>} columns
  * @param {any[]} holds
  * @param {Set<string>} without
  * @param {(name: string) => void} onChoose
- * @param {number} zoom how many times as wide as the page
+ * @param {{zoom: number, unit: string}} look how many times as wide as the page, and the unit of the accelerometer
  */
-export function drawSignals(columns, holds, without, onChoose, zoom) {
+export function drawSignals(columns, holds, without, onChoose, { zoom, unit }) {
   const time = columns.time_s;
   const values = AXES.flatMap((axis) => [...columns[`a${axis}_min`], ...columns[`a${axis}_max`]]).filter(Number.isFinite);
   if (!values.length) return make("p", {}, text("noSamples"));
@@ -98,9 +106,15 @@ export function drawSignals(columns, holds, without, onChoose, zoom) {
     const anchor = at === 0 ? "start" : at === 1 ? "end" : "middle";
     return draw("text", { x: wide * at, y: HEIGHT - 4, "text-anchor": anchor }, `${((last - first) * at).toFixed(0)} s`);
   });
+  const levels = ticks(low, high).flatMap((value) => [
+    draw("line", { class: "level", x1: 0, x2: wide, y1: y(value), y2: y(value) }),
+    // Where a part is shown, each has them in sight.
+    ...Array.from({ length: zoom }, (_, k) => draw("text", { x: WIDTH * k + 4, y: y(value) - 3 }, `${value} ${withSigns(unit)}`)),
+  ]);
   const drawn = draw(
     "svg",
     { viewBox: `0 0 ${wide} ${HEIGHT}`, class: "plot", role: "group", "aria-label": text("plot") },
+    levels,
     lines,
     stills,
     words,

@@ -3,7 +3,7 @@
 import { complaint } from "./bench.js";
 import { at, button, clean, filled, make, table } from "./make.js";
 import { barOf, drawSignals, readOverview } from "./plots.js";
-import { text, when } from "./texts.js";
+import { text, when, withSigns } from "./texts.js";
 
 const MICRO_G = 9.80665e-6;
 const FEWEST_CHECKED = 10; // Positions, for a result that is checked: see the pipeline of the program.
@@ -49,6 +49,9 @@ export class SessionView {
     this.wasUnderWay = false;
     at("report").addEventListener("submit", (/** @type {Event} */ event) => this.report(event));
     at("export").addEventListener("submit", (/** @type {Event} */ event) => this.export(event));
+    at("targets").addEventListener("change", () => this.showAsked());
+    /** @type {Map<string, Record<string, string>>} what each target asks for, and what it is called there */
+    this.asked = new Map();
   }
 
   /** @param {string} name */
@@ -85,6 +88,7 @@ export class SessionView {
       }
       if (this.row?.verdict && !at("targets").length) {
         const { targets } = await this.bench.found("targets");
+        this.asked = new Map(targets.map((/** @type {any} */ target) => [target.name, target.asks]));
         at("targets").append(
           ...targets.map((/** @type {any} */ target) =>
             make("option", { value: target.name }, `${target.name}: ${target.title} (holds ${target.holds})`),
@@ -241,6 +245,18 @@ export class SessionView {
               quality.warnings.map((/** @type {string} */ words) => make("li", {}, words)),
             )
           : null,
+        make(
+          "details",
+          { open: true },
+          make("summary", {}, text("reasons")),
+          make(
+            "ul",
+            {},
+            quality.reasons
+              .filter((/** @type {string} */ words) => !quality.warnings.includes(words))
+              .map((/** @type {string} */ words) => make("li", {}, withSigns(words))),
+          ),
+        ),
       ),
       make(
         "section",
@@ -261,7 +277,7 @@ export class SessionView {
           this.row?.kind === "capture" && (doubts.length || holds.length < this.row.planned)
             ? button(doubts.length ? text("retake", { names: doubts.join(", ") }) : text("more"), () => this.resume(doubts))
             : null,
-          button(text("signals"), () => void this.showSignals(holds)),
+          button(text("signals"), () => void this.showSignals(holds, found.accelerometer.raw_unit)),
         ),
         make("div", { id: "signals-of-session" }),
       ),
@@ -297,8 +313,8 @@ export class SessionView {
       }
   }
 
-  /** @param {any[]} holds */
-  async showSignals(holds) {
+  /** @param {any[]} holds @param {string} unit of the accelerometer */
+  async showSignals(holds, unit) {
     const place = at("signals-of-session");
     place.replaceChildren(make("p", { role: "status" }, text("reading")));
     try {
@@ -311,7 +327,7 @@ export class SessionView {
         // What is in the middle stays there.
         const middle = (frame.scrollLeft + frame.clientWidth / 2) / (frame.scrollWidth || 1);
         zoom = Math.max(1, Math.min(LARGEST_ZOOM, zoom * times));
-        frame.replaceChildren(drawSignals(columns, holds, this.without, (name) => this.keep(name, this.without.has(name)), zoom));
+        frame.replaceChildren(drawSignals(columns, holds, this.without, (name) => this.keep(name, this.without.has(name)), { zoom, unit }));
         frame.scrollLeft = middle * frame.scrollWidth - frame.clientWidth / 2;
       };
       place.replaceChildren(
@@ -384,13 +400,25 @@ export class SessionView {
     await this.made("report", { session: this.name, ...filled(at("report")) });
   }
 
+  /** Ask for what the chosen program needs beside the parameters. */
+  showAsked() {
+    at("asked").replaceChildren(
+      ...Object.entries(this.asked.get(at("targets").value) ?? {}).map(([name, value]) =>
+        make("label", {}, text("asked", { name, value }), make("input", { "data-asked": name, inputmode: "numeric", autocomplete: "off" })),
+      ),
+    );
+  }
+
   /** @param {Event} event */
   async export(event) {
     event.preventDefault();
-    const { to, settings } = filled(at("export"));
+    const { to, settings = "" } = filled(at("export"));
+    const asked = [.../** @type {NodeListOf<HTMLInputElement>} */ (at("asked").querySelectorAll("input"))]
+      .filter((field) => field.value.trim())
+      .map((field) => `${field.dataset.asked}=${field.value.trim()}`);
     // As the page names them, or as they are typed in a terminal.
-    const typed = settings ? { settings: settings.split(/(?:[\s,;]|--set\b=?)+/).filter(Boolean) } : {};
-    await this.made("export", { session: this.name, to, ...typed });
+    const typed = [...asked, ...settings.split(/(?:[\s,;]|--set\b=?)+/).filter(Boolean)];
+    await this.made("export", { session: this.name, to, ...(typed.length ? { settings: typed } : {}) });
   }
 
   /** Run a command that makes files, and show them, and what they lack. @param {string} action @param {any} values */

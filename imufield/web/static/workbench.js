@@ -76,6 +76,8 @@ async function look() {
   if (isLooking) return;
   isLooking = hasLooked = true;
   at("look").disabled = true;
+  // What was said of the port before may be over.
+  for (const id of ["says", "start-says"]) at(id).textContent = "";
   try {
     for (const [key, port] of ports) if (!port.values.isVirtual) ports.delete(key);
     showPorts();
@@ -240,6 +242,9 @@ at("start").addEventListener("click", async () => {
 async function begin(action, { isVirtual, ...asked }) {
   const says = at(action === "capture" ? "start-says" : "session-says");
   says.textContent = "";
+  const place = action === "capture" ? at("start").parentElement : at("steps");
+  const waits = make("span", { role: "status", class: "state" }, text("starting"));
+  place.append(waits);
   at("start").disabled = true;
   try {
     const number = await bench.start(action, { ...asked, ...(isVirtual ? await startVirtual() : {}) });
@@ -248,6 +253,7 @@ async function begin(action, { isVirtual, ...asked }) {
   } catch (error) {
     says.textContent = /** @type {Error} */ (error).message;
   }
+  waits.remove();
   at("start").disabled = false;
 }
 session.begin = begin;

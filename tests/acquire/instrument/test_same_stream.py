@@ -75,7 +75,7 @@ def paced(pace: float, *, burst_s: float = 0.0, status: int = 0, window_s: float
 
 
 def test_a_stream_that_is_faster_than_its_own_clock_and_lossy_is_told() -> None:
-    with refused(UsageError, Reason.USAGE, "port", "IMUFIELD_CLOCK_SPEED", key="same_stream.fast") as caught:
+    with refused(UsageError, Reason.USAGE, "port", "--clock-speed", key="same_stream.fast") as caught:
         paced(6.0)
     assert caught.value.message.values["pace"] == pytest.approx(4.0, rel=0.05)  # type: ignore[attr-defined]
     with refused(UsageError, Reason.USAGE, "port", key="same_stream.fast"):

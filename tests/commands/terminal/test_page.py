@@ -117,7 +117,7 @@ def test_a_program_is_told_the_address_and_pages_the_end(program: Program) -> No
         for each in (marking, watching):
             ended = read_until(each, lambda message: "ended" in message)["ended"]
             # What the terminal says at the end, as it can be pasted; too few for a result.
-            command = "IMUFIELD_CLOCK_SPEED=16 imufield capture --resume --session 'one session'"
+            command = "imufield capture --resume --session 'one session' --clock-speed 16"
             counts = {"accepted": 1, "planned": 6, "missing": 5}
             assert ended == {"outcome": "stopped", "reason": "", "command": command, **counts}
         assert process.wait(WAIT_S) == 0

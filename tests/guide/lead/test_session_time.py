@@ -105,6 +105,10 @@ def test_a_scale_below_what_gravity_leaves_open_is_out_of_reach() -> None:
     assert by_latitude.remedy.key == "session_time.gravity_remedy"
     assert by_latitude.forecast["scale_ppm"] > by_latitude.gravity_ppm == pytest.approx(51.0, rel=0.01)
     assert said(target_scale_ppm=50.0).is_met
+    # No hold is longer for it, nor for the bias beside it where that is met.
+    free = said(gravity=choose_gravity(latitude_deg=45.0))
+    both = said(target_scale_ppm=10.0, target_bias_ug=200.0, gravity=choose_gravity(latitude_deg=45.0))
+    assert (both.is_met, both.hold_s) == (False, free.hold_s)
     # Nor is a bias that gravity has no part in.
     assert said(target_bias_ug=150.0, gravity=choose_gravity()).is_met
 
@@ -139,9 +143,8 @@ def guided(target_bias_ug: float, seed: int) -> tuple[list[Event], float]:
     source = make_virtual_imu(
         Emulation(device="text", rate_hz=50.0, grade="tactical", seed=seed, directions=first, operator=habits)
     )
-    guide = Guide(
-        positions, source.imu.instrument.grade.units, settings=GuideSettings(target_bias_ug=target_bias_ug, gravity=MEASURED)
-    )
+    settings = GuideSettings(target_bias_ug=target_bias_ug, gravity=MEASURED, grade="tactical")
+    guide = Guide(positions, source.imu.instrument.grade.units, settings=settings)
     events: list[Event] = []
     while source.time_s < 3600 and not any(isinstance(event, Advice) and event.topic is Topic.TARGET_MET for event in events):
         new = guide.feed(source.next_block(25))

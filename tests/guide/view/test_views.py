@@ -120,7 +120,7 @@ def test_plain_lines_tell_progress_now_and_then(session: Any) -> None:
     [
         (1.0, "L E A V E   I T   S T I L L", "measuring the noise floor"),
         (3.35, "H O L D   S T I L L", "+z: +z up, standing on the -z face"),
-        (5.0, "G O O D   -   T U R N", "1 of 6 done"),
+        (5.0, "G O O D :   T U R N", "1 of 6 done"),
         (6.8, "T U R N", "moving"),
         (12.5, "N O T   T A K E N", "no open position here"),
     ],
@@ -423,7 +423,7 @@ def test_the_screen_is_ascii_where_the_terminal_is(session: Any) -> None:
 
 SNAPSHOT = """\
 ╭─ faces6: 1 of 6 done ──────────────────────╮╭─ positions ────────────────────╮
-│ G O O D   -   T U R N                      ││ [ ]+x [x]+z [ ]-y              │
+│ G O O D :   T U R N                        ││ [ ]+x [x]+z [ ]-y              │
 │ +y: +y up, standing on the -y face         ││ [>]+y [ ]-x [ ]-z              │
 │                                            ││ x done, > next, @ here         │
 │                                            ││ ? suspect, r retake, - skipped │
