@@ -192,9 +192,8 @@ def _judged(history: JudgedHistory) -> Iterator[Sentence]:
         yield sentence("changes.none", sessions=len(entries), limit_sigma=largest.limit_sigma, **told)
     for kind, found in judged.repeatability.items():
         key = "changes.daily" if found.sigma > 0 else "changes.daily_unseen"
-        yield sentence(
-            f"changes.{key}", kind=kind, sigma=found.sigma, low=found.low, high=found.high, unit=unit_of(f"{kind} x")
-        )
+        figures = {"sigma": found.sigma, "low": found.low, "high": found.high}
+        yield sentence(key, kind=kind, unit=unit_of(f"{kind} x"), **figures)
 
 
 def _share_of_limit(change: LargestChange) -> float:
@@ -214,13 +213,9 @@ def _forecast(history: JudgedHistory, kind: str, accuracy: float) -> Iterator[Se
         return
     days = {"low": found.low_days, "high": found.high_days, "middle": found.days, "span": found.span_days}
     on = history.entries[-1].time + timedelta(days=min(found.days, found.span_days))
-    key = (
-        "forecast_unseen"
-        if found.low_days >= found.span_days
-        else "forecast_late"
-        if found.days > found.span_days
-        else "forecast"
-    )
+    key = "changes.forecast"
+    if found.days > found.span_days:
+        key = "changes.forecast_unseen" if found.low_days >= found.span_days else "changes.forecast_late"
     yield sentence(key, day=f"{on.day} {on:%B %Y}", **days, **told)
 
 
