@@ -21,7 +21,8 @@ sentence = Sentences(__package__)
 FILE_NAME = "imufield.toml"
 KEYS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("port", "bus", "dbc", "mapping", "driver", "baud"), ("capture", "record")),
-    **dict.fromkeys(("positions", "hold_s", "target_bias_ug", "target_scale_ppm"), ("capture", "plan")),
+    **dict.fromkeys(("positions", "hold_s"), ("capture", "plan")),
+    **dict.fromkeys(("target_bias_ug", "target_scale_ppm"), ("capture", "plan", "history")),
     **dict.fromkeys(("gravity", "latitude", "height"), ("capture", "record", "solve", "plan")),
     "settings": ("capture", "record"),
     "instrument": (),

@@ -6,28 +6,23 @@ import json
 import math
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
+from imufield.calibrate.sessions.changes import LargestChange
 from imufield.commands.options.results import HistoryOptions
 from imufield.commands.terminal.output import echo, echo_path, say, say_each, write_output
+from imufield.deliver.changes import JudgedHistory, judge_history, sentences, to_csv
+from imufield.deliver.control_chart import plot_history
 from imufield.deliver.family import Change
-from imufield.deliver.history import (
-    History,
-    InstrumentHistory,
-    as_utc,
-    one_instrument,
-    plot_history,
-    read_history,
-    sentences,
-    to_csv,
-)
+from imufield.deliver.history import History, InstrumentHistory, as_utc, one_instrument, read_history
 from imufield.deliver.parameters.gauge_free import Number
+from imufield.deliver.parameters.joined import unit_of
 from imufield.deliver.parameters.numbers import WIDTH, hanging, to_ascii, with_sigma
 from imufield.errors import UsageError
 from imufield.files import refuse_overwriting, utf8_text
-from imufield.sentences import Sentences, counted, folded, printable
+from imufield.sentences import Sentence, Sentences, counted, folded, printable
 
 sentence = Sentences(__package__)
 
@@ -56,13 +51,14 @@ def run_history(options: HistoryOptions, now: datetime | None = None) -> History
         )
     if options.csv is not None:
         write_output(options.csv, utf8_text(to_csv(history)).encode(), as_json=options.as_json)
+    judged = {instrument: judge_history(instrument) for instrument in history.instruments}
     for path, instrument in plots.items():
-        write_output(path, plot_history(instrument), as_json=options.as_json)
+        write_output(path, plot_history(judged[instrument]), as_json=options.as_json)
     if options.as_json:
-        instruments = [_instrument(instrument, options, now) for instrument in history.instruments]
+        instruments = [_instrument(each, options, now) for each in judged.values()]
         echo(json.dumps({"folder": str(history.folder), "instruments": instruments, "faults": list(history.faults)}))
     else:
-        _print(history, options, now)
+        _print([*judged.values()], options, now)
     say_each(history.faults, err=True, indent=2, begin="left out: ")
     return history
 
@@ -100,29 +96,33 @@ def _print_nearest(history: History, options: HistoryOptions) -> None:
     say(f"{instrument.title}, {entry.verdict}, calibrated {when}{old}", err=True, indent=2)
 
 
-def _print(history: History, options: HistoryOptions, now: datetime) -> None:
-    for instrument in history.instruments:
-        count = len(instrument.entries)
-        echo(f"{instrument.title}: {count} calibration{'s' if count > 1 else ''}")
-        for entry in instrument.entries:
+def _print(histories: Sequence[JudgedHistory], options: HistoryOptions, now: datetime) -> None:
+    for history in histories:
+        entries = history.instrument.entries
+        echo(f"{history.instrument.title}: {len(entries)} calibration{'s' if len(entries) > 1 else ''}")
+        for entry in entries:
             path = printable(entry.path)
             line = f"  {entry.created[:10]}  {entry.verdict:<7} {path}"
             # A path that is broken in two cannot be copied.
             echo(line if len(line) <= WIDTH else f"{line.removesuffix(path).rstrip()}\n    {path}")
-        changes = {change.name: change for change in instrument.changes()}
+        changes = {change.name: change for change in history.changes()}
         # One calibration has nothing to compare, and its numbers are in its file.
-        numbers = instrument.entries[-1].numbers if changes else ()
+        numbers = entries[-1].numbers if changes else ()
         headings = [("parameter", "value ± sigma", "unit", "since the one before")] if numbers else []
         for line in _table(headings + [_cells(number, changes.get(number.name)) for number in numbers]):
             echo(line)
-        for line in folded(sentences(instrument, now, options.stale_days)):
+        for line in folded(_said(history, options, now)):
             echo(hanging("  - ", line))
-    alone = sum(len(instrument.entries) == 1 for instrument in history.instruments)
+    alone = sum(len(history.instrument.entries) == 1 for history in histories)
     if alone:
-        what = (
-            "It has" if len(history.instruments) == 1 else f"{counted(alone, 'instrument')} {'has' if alone == 1 else 'have'}"
-        )
+        what = "It has" if len(histories) == 1 else f"{counted(alone, 'instrument')} {'has' if alone == 1 else 'have'}"
         echo(hanging("", sentence("history.nothing_to_compare", what=what)))
+
+
+def _said(history: JudgedHistory, options: HistoryOptions, now: datetime) -> list[Sentence]:
+    wanted = {"bias": options.target_bias_ug and options.target_bias_ug / 1000, "scale": options.target_scale_ppm}
+    accuracies = {kind: accuracy for kind, accuracy in wanted.items() if accuracy is not None}
+    return list(sentences(history, now, options.stale_days, accuracies))
 
 
 def _cells(number: Number, change: Change | None) -> tuple[str, str, str, str]:
@@ -144,13 +144,22 @@ def _table(rows: list[tuple[str, str, str, str]]) -> Iterator[str]:
         yield line if shows_signs else to_ascii(line)
 
 
-def _instrument(instrument: InstrumentHistory, options: HistoryOptions, now: datetime) -> dict[str, object]:
+def _instrument(history: JudgedHistory, options: HistoryOptions, now: datetime) -> dict[str, object]:
+    instrument = history.instrument
     return {
         "instrument": instrument.instrument,
         "serial_number": instrument.serial_number,
         "age_days": instrument.age_days(now),
         "stale": instrument.age_days(now) > options.stale_days,
-        "sentences": list(sentences(instrument, now, options.stale_days)),
+        "sentences": _said(history, options, now),
+        "repeatability": {
+            kind: {"sigma": found.sigma, "low": found.low, "high": found.high, "unit": unit_of(f"{kind} x")}
+            for kind, found in history.repeatability.items()
+        },
+        "news": [
+            {"parameter": change.name, "since": _first_after(history, change), "in_sigma": change.in_sigma}
+            for change in history.judged.news
+        ],
         "calibrations": [
             {
                 "created": entry.created,
@@ -164,3 +173,8 @@ def _instrument(instrument: InstrumentHistory, options: HistoryOptions, now: dat
             for entry in instrument.entries
         ],
     }
+
+
+def _first_after(history: JudgedHistory, change: LargestChange) -> str | None:
+    """Return when the first calibration after a step was; None of a drift."""
+    return None if change.first_after is None else history.entries[change.first_after].created

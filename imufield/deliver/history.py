@@ -1,21 +1,14 @@
-"""Parameters of instruments over time, from a folder of parameter files: an index, changes in sigma, staleness.
+"""Parameters of instruments over time, from a folder of parameter files and an index of them.
 
 The index (``.imufield-history.json`` in the folder) holds what was read of each file and its size and time of change, so
-that a thousand files are read once. It can be deleted at any time.
-
-The gauge-free numbers are compared, because the same instrument has other parameters in another gauge, and all of them at once
-(``family``). Where both calibrations took the same gravity, its error is in both scales alike and does not count in their
-difference; a gravity that was only assumed says nothing of the place.
+that a thousand files are read once. It can be deleted at any time. What the history says: ``changes``.
 """
 
 from __future__ import annotations
 
-import csv
-import io
 import json
-import math
 import os
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields
 from datetime import UTC, datetime
@@ -23,16 +16,14 @@ from pathlib import Path
 
 import numpy as np
 
-from imufield.calibrate.model.grades import GRADES, grade_by_noise
-from imufield.deliver.family import Change, Shared, compare, family_of, typical_turn_on
+from imufield.deliver.family import Shared
 from imufield.deliver.parameters.file import Parameters, load_found
 from imufield.deliver.parameters.gauge_free import GaugeFree, Number
-from imufield.drawing.style import BLUE, INK, ORANGE, figure, legend_beside, plot_style, title, to_svg
 from imufield.errors import ImufieldError, ParameterFileError, Reason, UsageError
 from imufield.files import Origin, open_to_read, write_atomically
 from imufield.progress import one_by_one
 from imufield.samples import FloatArray
-from imufield.sentences import Sentence, Sentences
+from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
 
@@ -41,23 +32,7 @@ INDEX_VERSION = 9  # Of the index alone, which is made anew when it changes.
 _ROW_LIMIT_BYTES = 1 << 16  # Four times the row of a model with every term.
 _INDEX_LIMIT_BYTES = 1 << 28  # Of some 50,000 files.
 STALE_DAYS = 365.0  # The usual interval of calibration; --stale-days says another.
-_SESSIONS_FOR_A_MOVE = 3  # Fewer cannot tell a change from the scatter between two power-ons.
-CSV_COLUMNS = (
-    "instrument",
-    "serial_number",
-    "created",
-    "verdict",
-    "file",
-    "parameter",
-    "unit",
-    "value",
-    "sigma",
-    "change_sigma",
-    "remark",
-)
 _SAME_GRAVITY_M_S2 = 1e-7  # Rounding of the figures in a file: a larger difference is another value.
-# Shape and line style tell the curves apart on grey paper; nine of a kind at most (g-sensitivity).
-_MARKERS = "osD^v<>Px"
 # Of the fields that an index holds.
 _TYPES: dict[object, type | tuple[type, ...]] = {
     "str": str,
@@ -203,10 +178,6 @@ class InstrumentHistory:
         """Return the calibration closest in time, before or after; of several of one time the one that counts as newest."""
         return min(reversed(self.entries), key=lambda entry: abs((entry.time - at).total_seconds()))
 
-    def changes(self) -> tuple[Change, ...]:
-        """Return what has changed from the calibration before to the newest; nothing for a single calibration."""
-        return changes_between(*self.entries[-2:]) if len(self.entries) > 1 else ()
-
 
 @dataclass(frozen=True, slots=True)
 class History:
@@ -281,11 +252,6 @@ def read_history(folder: Path, serial_number: str | None = None) -> History:
         first = sentence("history.first_fault", fault=faults[0]) if faults else ""
         raise ParameterFileError(sentence(key, folder=str(folder), first_fault=first, **said), Reason.FOREIGN)
     return History(folder, _by_instrument(chosen), faults, read)
-
-
-def changes_between(old: Entry, new: Entry) -> tuple[Change, ...]:
-    """Return the change of every number that both have, in the same unit."""
-    return compare(old.gauge_free, new.gauge_free, new.shared_with(old))
 
 
 def _read_index(folder: Path, names: Collection[str]) -> dict[str, _Row]:
@@ -367,113 +333,3 @@ def _by_instrument(entries: list[Entry]) -> tuple[InstrumentHistory, ...]:
         groups.setdefault(key, {})[entry.session or entry.path] = entry
     ordered = [sorted(group.values(), key=lambda entry: (entry.created, entry.path)) for _, group in sorted(groups.items())]
     return tuple(InstrumentHistory(group[-1].instrument, group[-1].serial_number, tuple(group)) for group in ordered)
-
-
-def to_csv(history: History) -> str:
-    """Return one row per instrument, calibration and number, and one without a number for each file that was refused."""
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(CSV_COLUMNS)
-    for instrument in history.instruments:
-        for place, entry in enumerate(instrument.entries):
-            before = changes_between(instrument.entries[place - 1], entry) if place else ()
-            changes = {change.name: change.in_sigma for change in before}
-            for number in entry.numbers:
-                change = changes.get(number.name, math.nan)
-                # Every digit: with a table one computes on.
-                writer.writerow([
-                    instrument.instrument, instrument.serial_number, entry.created, entry.verdict, entry.path, number.name,
-                    number.unit, repr(number.value), repr(number.sigma), "" if math.isnan(change) else f"{change:.2f}",
-                    "edited by hand" if entry.edited else "",
-                ])  # fmt: skip
-    for fault in history.faults:
-        writer.writerow([*[""] * (len(CSV_COLUMNS) - 1), f"refused: {fault}"])
-    return buffer.getvalue()
-
-
-def sentences(instrument: InstrumentHistory, now: datetime, stale_days: float = STALE_DAYS) -> Iterator[Sentence]:
-    """Yield what there is to say: every number that moved, against the one before and the first, and a stale calibration."""
-    if not instrument.serial_number and len(instrument.entries) > 1:
-        yield sentence("history.no_serial")
-    edited = [entry.path for entry in instrument.entries if entry.edited]
-    if edited:
-        yield sentence("history.edited", paths=edited)
-    entries = list(instrument.entries)
-    if len(entries) >= 2 and entries[-2].time == entries[-1].time:
-        yield sentence("history.same_time", first=entries[-2].path, second=entries[-1].path)
-    # Against the one before and, where that is another, against the first.
-    for place in sorted({len(entries) - 2, 0}, reverse=True) if len(entries) >= 2 else ():
-        yield from _differences(entries[place], entries[-1], sessions=len(entries))
-    age_days = instrument.age_days(now)
-    if age_days > stale_days:
-        yield sentence("history.stale", age_days=age_days, limit_days=stale_days)
-
-
-def _differences(old: Entry, new: Entry, *, sessions: int) -> Iterator[Sentence]:
-    """Yield a sentence for each number that differs, or one that none does."""
-    family = family_of(old.gauge_free, new.gauge_free, new.shared_with(old))
-    since = _moment(old, new)
-    grade = GRADES.get(new.grade) or grade_by_noise("gyroscope", new.gyroscope_noise_rad_s_per_root_hz)
-    for change in family.beyond:
-        turn_on = typical_turn_on(grade, change.name)
-        said = {"name": change.name, "since": since, "difference": change.difference, "unit": change.unit}
-        key = "history.moved"
-        if sessions < _SESSIONS_FOR_A_MOVE and not family.exceeds(change, turn_on):
-            key = "history.differs_as_turn_on" if math.isfinite(turn_on) else "history.differs"
-        yield sentence(key, in_sigma=abs(change.in_sigma), turn_on=turn_on, **said)
-    if family.changes and not family.beyond:
-        largest = max(family.changes, key=lambda change: abs(change.in_sigma))
-        told = {"numbers": len(family.changes), "name": largest.name, "in_sigma": abs(largest.in_sigma)}
-        yield sentence("history.same", since=since, limit_sigma=family.limit_sigma, **told)
-
-
-def _moment(old: Entry, new: Entry) -> str:
-    """Return the day of the older one, with the time where both are of the same day."""
-    time = f", {old.time:%H:%M} UTC" if old.time.date() == new.time.date() else ""
-    return f"{old.time.day} {old.time:%B %Y}{time}"
-
-
-def plot_history(instrument: InstrumentHistory) -> bytes:
-    """Return an SVG file: what changed since the first calibration, with 1 sigma; a number that one alone has is left out.
-
-    Raises
-    ------
-    UsageError
-        If matplotlib is not installed.
-    """
-    known: dict[str, list[tuple[datetime, Number]]] = {}
-    for entry in instrument.entries:
-        for number in entry.numbers:
-            known.setdefault(number.name, []).append((entry.time, number))
-    names = [name for name, points in known.items() if len(points) >= min(2, len(instrument.entries))]
-    kinds = list(dict.fromkeys(name.rpartition(" ")[0] for name in names))
-    rows = max(len(kinds), 1)
-    with plot_style():
-        drawn = figure(1.7 * rows + 0.6)
-        panels = drawn.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
-        for axes, kind in zip(panels, kinds, strict=False):
-            shown = [name for name in names if name.rpartition(" ")[0] == kind]
-            is_scale, unit = "scale" in kind, ""
-            for name, marker, style, color in zip(shown, _MARKERS, ("-", "--", ":") * 3, (INK, BLUE, ORANGE) * 3, strict=False):
-                points = known[name]
-                first, unit = points[0][1].value, points[0][1].unit
-                # Scales differ by parts in a million of one another, whatever their unit.
-                size = 1e6 / abs(first) if is_scale else 1.0
-                axes.errorbar(
-                    np.array([time for time, _ in points]),
-                    np.array([number.value - first for _, number in points]) * size,
-                    yerr=np.array([number.sigma for _, number in points]) * size,
-                    fmt=marker + style,
-                    capsize=3,
-                    label=name.rpartition(" ")[2],
-                    markerfacecolor="white",
-                    color=color,
-                )
-            axes.set_ylabel(f"{kind}\n{'ppm' if is_scale else unit}")
-            legend_beside(axes)
-        since = sentence("history.change_since", title=instrument.title, day=instrument.entries[0].created[:10])
-        title(drawn, since)
-        panels[-1].tick_params(axis="x", rotation=30)
-        if not kinds:
-            panels[0].set_axis_off()
-        return to_svg(drawn, "history").encode("utf-8")

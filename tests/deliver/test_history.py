@@ -14,8 +14,10 @@ import pytest
 
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration
+from imufield.deliver.changes import judge_history, sentences, to_csv
+from imufield.deliver.control_chart import charts, plot_history
 from imufield.deliver.family import Shared
-from imufield.deliver.history import INDEX_FILE, find, one_instrument, plot_history, read_history, sentences, to_csv
+from imufield.deliver.history import INDEX_FILE, find, one_instrument, read_history
 from imufield.deliver.parameters.context import Context
 from imufield.deliver.parameters.file import write_parameters
 from imufield.deliver.parameters.gauge_free import gauge_free
@@ -54,9 +56,9 @@ def test_a_move_is_told_in_sigma_of_the_difference(tmp_path: Path, write) -> Non
     write("b", "2026-08-01", moved=-4.1 * np.sqrt(2), session="b" * 64)
     (instrument,) = read_history(tmp_path).instruments
     assert [entry.created[:10] for entry in instrument.entries] == ["2026-03-04", "2026-08-01"]
-    change = {one.name: one for one in instrument.changes()}["bias y"]
+    change = {one.name: one for one in judge_history(instrument).changes()}["bias y"]
     assert change.in_sigma == pytest.approx(-4.1, rel=1e-6)
-    (told,) = sentences(instrument, NOW)
+    (told,) = sentences(judge_history(instrument), NOW)
     assert "bias y" in told
     assert "4.1 sigma" in told
     assert "4 March 2026 (" in told
@@ -66,39 +68,47 @@ def test_two_sessions_cannot_tell_a_change_from_a_turn_on(tmp_path: Path, write)
     # 1 sigma is 0.011 mg; the noise of the gyroscope is that of a tactical instrument, which turns on to 0.75 mg.
     write("a", "2026-03-04", session="a" * 64)
     write("b", "2026-08-01", moved=50.0, session="b" * 64)
-    (told,) = sentences(read_history(tmp_path).instruments[0], NOW)
-    assert key_of(told) == "history.differs_as_turn_on"
+    (told,) = sentences(judge_history(read_history(tmp_path).instruments[0]), NOW)
+    assert key_of(told) == "changes.differs_as_turn_on"
     assert told.values["turn_on"] == 0.75
     write("b", "2026-08-01", moved=900.0, session="b" * 64)
-    (told,) = sentences(read_history(tmp_path).instruments[0], NOW)
-    assert key_of(told) == "history.moved"
+    (told,) = sentences(judge_history(read_history(tmp_path).instruments[0]), NOW)
+    assert key_of(told) == "changes.moved"
 
 
 def test_the_grade_of_the_file_goes_before_its_noise(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
     write("a", "2026-03-04", session="a" * 64)
     # 9 mg: more than tactical instruments turn on to, which this one is by its noise; not more than industrial ones do.
     write("b", "2026-08-01", moved=900.0, session="b" * 64, grade="industrial")
-    (told,) = sentences(read_history(tmp_path).instruments[0], NOW)
-    assert key_of(told) == "history.differs_as_turn_on"
+    (told,) = sentences(judge_history(read_history(tmp_path).instruments[0]), NOW)
+    assert key_of(told) == "changes.differs_as_turn_on"
     assert told.values["turn_on"] == pytest.approx(3.0)
     # One that nobody stated tells nothing of the instrument.
     write("b", "2026-08-01", moved=900.0, session="b" * 64, grade="mems", grade_source="assumed")
-    (told,) = sentences(read_history(tmp_path).instruments[0], NOW)
-    assert key_of(told) == "history.moved"
+    (told,) = sentences(judge_history(read_history(tmp_path).instruments[0]), NOW)
+    assert key_of(told) == "changes.moved"
 
 
-def test_three_sessions_may_say_moved(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
-    for name, date, moved in (("a", "2026-03-04", 0.0), ("b", "2026-05-01", 0.0), ("c", "2026-08-01", 50.0)):
+def test_a_step_is_told_with_the_days_it_lies_between(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    for name, date, moved in (("a", "2026-03-04", 0.0), ("b", "2026-05-01", 50.0), ("c", "2026-08-01", 50.0)):
         write(name, date, moved=moved, session=name * 64)
-    assert keys(sentences(read_history(tmp_path).instruments[0], NOW)) == ["history.moved"] * 2
+    history = judge_history(read_history(tmp_path).instruments[0])
+    step, *daily = sentences(history, NOW)
+    assert key_of(step) == "changes.step"
+    assert (step.values["before"], step.values["after"]) == ("4 March 2026", "1 May 2026")
+    assert set(keys(daily)) <= {"changes.daily", "changes.daily_unseen"}
+    # The step is news, and nothing that days do.
+    assert history.repeatability["bias"].sigma == 0.0
+    # The sigma of the difference has what days do in it, which is nothing here.
+    assert {change.name: change for change in history.changes()}["bias y"].in_sigma == pytest.approx(0.0, abs=1e-6)
 
 
 def test_where_nothing_differs_the_largest_is_told_with_its_limit(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
     write("a", "2026-03-04", session="a" * 64)
     # Beyond the 3 sigma of one number, not beyond those of all.
     write("b", "2026-08-01", moved=3.1 * np.sqrt(2), session="b" * 64)
-    (told,) = sentences(read_history(tmp_path).instruments[0], NOW)
-    assert key_of(told) == "history.same"
+    (told,) = sentences(judge_history(read_history(tmp_path).instruments[0]), NOW)
+    assert key_of(told) == "changes.same"
     assert told.values["name"] == "bias y"
     assert told.values["in_sigma"] == pytest.approx(3.1, rel=1e-5)
     assert told.values["limit_sigma"] > 3.1
@@ -118,28 +128,59 @@ def test_of_two_on_one_day_the_time_is_told(tmp_path: Path, write) -> None:  # t
     write("a", "2026-08-01", session="a" * 64)
     write("b", "2026-08-01T15:30:00Z", moved=9.0, session="b" * 64)
     (instrument,) = read_history(tmp_path).instruments
-    (told,) = sentences(instrument, NOW)
+    (told,) = sentences(judge_history(instrument), NOW)
     assert "1 August 2026, 10:00 UTC (" in told
 
 
-def test_slow_drift_is_told_against_the_first(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+def test_slow_drift_is_told_by_the_year(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    for k in range(6):
+        write(f"s{k}", f"2026-0{k + 1}-01", moved=4.0 * k, session=f"{k}" * 64)
+    history = judge_history(read_history(tmp_path).instruments[0])
+    drift, *_ = sentences(history, NOW)
+    assert key_of(drift) == "changes.drift"
+    first, last = (next(number for number in entry.numbers if number.name == "bias y") for entry in history.entries[::5])
+    assert drift.values["size"] == pytest.approx((last.value - first.value) * 365.25 / 151, rel=0.02)
+
+
+def test_what_days_do_is_no_news(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    # The last day is off by 20 sigma of its difference, and the days before by as much.
+    moves = np.random.default_rng(2).normal(0.0, 30.0, 6)
+    for k, moved in enumerate(moves):
+        write(f"s{k}", f"2026-0{k + 1}-01", moved=float(moved), session=f"{k}" * 64)
+    history = judge_history(read_history(tmp_path).instruments[0])
+    told = list(sentences(history, NOW))
+    assert keys(told)[:2] == ["changes.none", "changes.daily"]
+    number = next(number for number in history.entries[0].numbers if number.name == "bias y")
+    # One axis of three changes.
+    assert history.repeatability["bias"].sigma == pytest.approx(moves.std(ddof=1) * number.sigma / np.sqrt(3), rel=0.05)
+    change = {one.name: one for one in history.changes()}["bias y"]
+    assert change.sigma == pytest.approx(np.sqrt(2) * np.hypot(number.sigma, history.repeatability["bias"].sigma), rel=0.01)
+
+
+def test_a_chart_marks_what_is_news(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    for k, moved in enumerate((0.0, 1.0, -1.0, 60.0, 61.0)):
+        write(f"s{k}", f"2026-0{k + 1}-01", moved=moved, session=f"{k}" * 64)
+    drawn = {chart.name: chart for chart in charts(judge_history(read_history(tmp_path).instruments[0]))}
+    assert drawn["bias y"].is_news == (False, False, False, True, True)
+    assert not any(drawn["bias x"].is_news)
+    inside = np.abs(drawn["bias y"].values) < drawn["bias y"].half_width
+    assert inside.tolist() == [True, True, True, False, False]
+
+
+def test_when_to_calibrate_again(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
     for k in range(4):
-        write(f"s{k}", f"2026-0{k + 1}-01", moved=2.0 * k, session=f"{k}" * 64)
-    (instrument,) = read_history(tmp_path).instruments
-    assert any("1 January 2026" in one for one in sentences(instrument, NOW) if key_of(one) == "history.moved")
-
-
-def test_a_step_is_told_beside_the_way_since_the_first(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
-    for name, date, moved in (("a", "2026-03-04", 0.0), ("b", "2026-05-01", 15.0), ("c", "2026-08-01", 21.0)):
-        write(name, date, moved=moved, session=name * 64)
-    (instrument,) = read_history(tmp_path).instruments
-    step, way = sentences(instrument, NOW)
-    assert "bias y" in step
-    assert "4.2 sigma" in step
-    assert "1 May 2026" in step
-    assert "bias y" in way
-    assert "14.8 sigma" in way
-    assert "4 March 2026" in way
+        write(f"s{k}", f"2026-0{k + 1}-01", moved=0.0, session=f"{k}" * 64)
+    instrument = read_history(tmp_path).instruments[0]
+    assert keys(sentences(judge_history(instrument), NOW, wanted={"bias": 1.0}))[-1] == "changes.forecast_short"
+    for k in range(4, 8):
+        write(f"s{k}", f"2026-0{k + 1}-01", moved=5.0 * (k % 2), session=f"{k}" * 64)
+    history = judge_history(read_history(tmp_path).instruments[0])
+    sigma = max(number.sigma for number in history.entries[-1].numbers if number.name.startswith("bias"))
+    late, now = (list(sentences(history, NOW, wanted={"bias": size * sigma}))[-1] for size in (1e3, 1.1))
+    assert key_of(late) == "changes.forecast_unseen"
+    assert late.values["span"] == pytest.approx(212, abs=1)
+    assert key_of(now) == "changes.forecast_now"
+    assert now.values["now"] > 1.1 * sigma
 
 
 def test_of_two_at_one_moment_one_counts_everywhere_and_it_is_said(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
@@ -148,8 +189,8 @@ def test_of_two_at_one_moment_one_counts_everywhere_and_it_is_said(tmp_path: Pat
     (instrument,) = read_history(tmp_path).instruments
     assert instrument.entries[-1].path.startswith("b")
     assert instrument.nearest(NOW) is instrument.entries[-1]
-    first = next(iter(sentences(instrument, NOW)))
-    assert key_of(first) == "history.same_time"
+    first = next(iter(sentences(judge_history(instrument), NOW)))
+    assert key_of(first) == "changes.same_time"
     assert first.startswith("a/parameters.toml and b/parameters.toml")
 
 
@@ -171,11 +212,11 @@ def test_gravity_is_common_to_both_scales(calibration: Calibration, observations
 def test_an_old_calibration_is_called_old(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
     write("a", "2025-08-01")
     (instrument,) = read_history(tmp_path).instruments
-    said = next(iter(sentences(instrument, NOW)))
-    assert key_of(said) == "history.stale"
+    said = next(iter(sentences(judge_history(instrument), NOW)))
+    assert key_of(said) == "changes.stale"
     assert "396 days" in said
     assert "365" in said
-    assert not list(sentences(instrument, NOW, stale_days=400))
+    assert not list(sentences(judge_history(instrument), NOW, stale_days=400))
 
 
 def test_only_the_newest_solution_of_a_recording_counts(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
@@ -198,7 +239,7 @@ def test_unknown_serial_numbers_are_not_trusted(tmp_path: Path, write) -> None: 
     write("a", "2026-03-04", serial_number="", session="a" * 64)
     write("b", "2026-03-05", serial_number="", session="b" * 64)
     (instrument,) = read_history(tmp_path).instruments
-    assert key_of(next(iter(sentences(instrument, NOW)))) == "history.no_serial"
+    assert key_of(next(iter(sentences(judge_history(instrument), NOW)))) == "changes.no_serial"
 
 
 def test_files_are_read_once_and_again_after_a_change(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
@@ -299,9 +340,9 @@ def test_table_says_which_file_was_edited_and_which_refused(tmp_path: Path, writ
 def test_plot_is_a_drawing_of_every_kind(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
     write("a", "2026-03-04", session="a" * 64)
     write("b", "2026-08-01", session="b" * 64)
-    drawn = plot_history(read_history(tmp_path).instruments[0]).decode()
+    drawn = plot_history(judge_history(read_history(tmp_path).instruments[0])).decode()
     assert drawn.startswith("<svg")
-    assert all(f">{kind}<" in drawn for kind in ("bias", "scale", "angle"))
+    assert all(f">{name}<" in drawn for name in ("bias x, mg", "scale z, ppm", "angle yz, mrad"))
 
 
 def test_a_number_of_one_calibration_alone_is_not_drawn(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
@@ -309,13 +350,16 @@ def test_a_number_of_one_calibration_alone_is_not_drawn(tmp_path: Path, write) -
     write("b", "2026-08-01", session="b" * 64)
     (instrument,) = read_history(tmp_path).instruments
     first, second = instrument.entries
-    without = replace(first, numbers=tuple(number for number in first.numbers if not number.name.startswith("angle")))
-    drawn = plot_history(replace(instrument, entries=(without, second))).decode()
-    assert ">bias<" in drawn
-    assert ">angle<" not in drawn
-    assert "change since the first calibration, 2026-03-04" in drawn
-    nothing = tuple(replace(entry, numbers=()) for entry in instrument.entries)
-    assert plot_history(replace(instrument, entries=nothing)).decode().startswith("<svg")
+    kept = [k for k, number in enumerate(first.numbers) if not number.name.startswith("angle")]
+    parts = (getattr(first.gauge_free, part)[np.ix_(kept, kept)] for part in ("error", "scatter"))
+    error, scatter = (tuple(part[np.triu_indices(len(kept))].tolist()) for part in parts)
+    without = replace(first, numbers=tuple(first.numbers[k] for k in kept), error=error, scatter=scatter)
+    drawn = plot_history(judge_history(replace(instrument, entries=(without, second)))).decode()
+    assert ">bias x, mg<" in drawn
+    assert ">angle" not in drawn
+    assert "STIM300" in drawn
+    nothing = tuple(replace(entry, numbers=(), error=(), scatter=()) for entry in instrument.entries)
+    assert plot_history(judge_history(replace(instrument, entries=nothing))).decode().startswith("<svg")
 
 
 def test_the_calibration_closest_in_time_is_found(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]

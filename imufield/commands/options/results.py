@@ -22,6 +22,7 @@ from imufield.commands.options.shared import (
     unknown_site,
 )
 from imufield.files import DEFAULT_ROOT
+from imufield.limits import TARGET_RANGE
 from imufield.sentences import Sentences
 
 if TYPE_CHECKING:
@@ -306,7 +307,17 @@ class HistoryOptions:
     # A year, as calibrations are usually dated.
     stale_days: Annotated[float, option(help="Age at which a calibration is old.", low=0)] = 365.0
     csv: Annotated[Path | None, option(help="Write every number of every calibration to this file.")] = None
-    plot: Annotated[
-        Path | None, option(help="Plot the change of the parameters over time as SVG, one file per instrument.")
+    plot: Annotated[Path | None, option(help="Draw a control chart of every parameter as SVG, one file per instrument.")] = None
+    target_bias_ug: Annotated[
+        float | None,
+        option(
+            "--target-bias-ug",
+            help="Accuracy wanted for the biases, 1 sigma, micro-g: when to calibrate again.",
+            within=TARGET_RANGE,
+        ),
+    ] = None
+    target_scale_ppm: Annotated[
+        float | None,
+        option("--target-scale-ppm", help="The same for the scale factors, ppm.", within=TARGET_RANGE),
     ] = None
     as_json: AsJson = False

@@ -27,21 +27,22 @@ DAY_MG = 0.1
 DAY_PPM = 60.0
 """What three public sessions of one unit leave possible."""
 LENGTHS = (3, 5, 10)
-_GRADE = GRADES["tactical"]
+GRADE = GRADES["tactical"]
+"""Of the instruments."""
 _KNOWN = Gravity(gravity_m_s2=STANDARD_GRAVITY_M_S2, sigma_m_s2=1e-6, source="measured")
 _PPM = 1e-6
 
 
 def with_days(sessions: int, rng: np.random.Generator) -> dict[str, ArrayLike]:
     """Draw an instrument, calibrate it on some days, and hold the joint result against mean and another day."""
-    truth = draw_truth(_GRADE, rng)
+    truth = draw_truth(GRADE, rng)
     instrument = replace(truth, accelerometer=replace(truth.accelerometer, quadratic=np.zeros(3)))
-    found = [_calibrated(_on_another_day(instrument, rng), rng) for _ in range(sessions)]
+    found = [calibrated(on_another_day(instrument, rng), rng) for _ in range(sessions)]
     (_, reference), *_ = found
     numbers = [numbers_of(calibration, free, reference).own for calibration, free in found]
-    joint = adjust(numbers, prior_scales(_GRADE))
+    joint = adjust(numbers, prior_scales(GRADE))
     scales = np.array([number.value for number in reference.numbers if number.name.startswith("scale")])
-    mean, day = (_true(one.accelerometer, scales) for one in (instrument, _on_another_day(instrument, rng)))
+    mean, day = (_true(one.accelerometer, scales) for one in (instrument, on_another_day(instrument, rng)))
     return {
         **{f"{kind} interval": _holds(joint, kind, size) for kind, size in (("bias", DAY_MG), ("scale", DAY_PPM))},
         **{f"{kind} day": _inside(joint, kind, joint.daily[kind].day_sigma, day) for kind in ("bias", "scale")},
@@ -52,17 +53,19 @@ def with_days(sessions: int, rng: np.random.Generator) -> dict[str, ArrayLike]:
     }
 
 
-def _on_another_day(instrument: TrueInstrument, rng: np.random.Generator) -> TrueInstrument:
+def on_another_day(instrument: TrueInstrument, rng: np.random.Generator) -> TrueInstrument:
+    """Return the instrument as it is on a day drawn at random."""
     own = instrument.accelerometer
     bias = own.bias_m_s2 + DAY_MG * MILLI_G_M_S2 * rng.standard_normal(3)
     scale = own.scale * (1 + DAY_PPM * _PPM * rng.standard_normal(3))
     return replace(instrument, accelerometer=replace(own, bias_m_s2=bias, scale=scale))
 
 
-def _calibrated(instrument: TrueInstrument, rng: np.random.Generator) -> tuple[Calibration, GaugeFree]:
+def calibrated(instrument: TrueInstrument, rng: np.random.Generator) -> tuple[Calibration, GaugeFree]:
+    """Return the calibration of a session of 24 positions, and its gauge-free numbers."""
     session = MeanSession(instrument=instrument, gravity_m_s2=STANDARD_GRAVITY_M_S2, scatter_m_s2=PLACED_M_S2).observe(rng)
     observations = session.observations
-    calibration = calibrate_accelerometer(observations, _KNOWN, model="linear", grade=_GRADE.name)
+    calibration = calibrate_accelerometer(observations, _KNOWN, model="linear", grade=GRADE.name)
     sigma_raw = np.sqrt(np.diagonal(observations.covariance_raw, axis1=1, axis2=2))
     return calibration, gauge_free(calibration, observations.mean_raw, sigma_raw)
 

@@ -1,0 +1,243 @@
+"""What the history of an instrument says: changes against what it does from day to day, in words and as a table.
+
+Two calibrations are compared as a pair (``family``). From three on the scatter from day to day is known, and the whole history
+is tested at once (``calibrate.sessions.changes``).
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+
+import numpy as np
+
+from imufield.calibrate.model.grades import GRADES, grade_by_noise
+from imufield.calibrate.sessions.changes import FEWEST, MOST, DatedNumbers, Judged, LargestChange, day_to_day, judge
+from imufield.calibrate.sessions.forecast import Forecast, forecast
+from imufield.calibrate.sessions.joint import kind_of
+from imufield.calibrate.sessions.repeatability import Repeatability
+from imufield.deliver.family import Change, compare, family_of, typical_turn_on
+from imufield.deliver.history import STALE_DAYS, Entry, History, InstrumentHistory
+from imufield.deliver.parameters.gauge_free import Number
+from imufield.deliver.parameters.joined import unit_of
+from imufield.sentences import Sentence, Sentences
+
+sentence = Sentences(__package__)
+
+_SCALES = ("scale", "gyroscope scale")
+_PPM = 1e-6
+_DAYS_A_YEAR = 365.25
+CSV_COLUMNS = (
+    "instrument",
+    "serial_number",
+    "created",
+    "verdict",
+    "file",
+    "parameter",
+    "unit",
+    "value",
+    "sigma",
+    "change_sigma",
+    "remark",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class JudgedHistory:
+    """What the calibrations of an instrument say."""
+
+    instrument: InstrumentHistory
+    sessions: tuple[DatedNumbers, ...]
+    judged: Judged
+
+    @property
+    def entries(self) -> tuple[Entry, ...]:
+        """The calibrations that are judged, the oldest first."""
+        return self.instrument.entries[-MOST:]
+
+    @property
+    def repeatability(self) -> Mapping[str, Repeatability]:
+        """What each kind of numbers does from day to day, in its ``unit_of``; empty with fewer than three sessions."""
+        return self.judged.repeatability
+
+    def changes(self) -> tuple[Change, ...]:
+        """Return what has changed from the calibration before to the newest; nothing for a single calibration."""
+        daily = {kind: found.sigma for kind, found in self.repeatability.items()}
+        return _changes_between(self.entries[-2], self.entries[-1], daily) if len(self.entries) > 1 else ()
+
+
+def judge_history(instrument: InstrumentHistory) -> JudgedHistory:
+    """Hold the changes of an instrument against what it does from day to day."""
+    sessions = dated_numbers(instrument.entries)
+    return JudgedHistory(instrument, sessions, judge(sessions))
+
+
+def dated_numbers(entries: Sequence[Entry]) -> tuple[DatedNumbers, ...]:
+    """Return the numbers of calibrations for a test, in the units of ``unit_of``: scales against those of the newest."""
+    newest = {number.name: number for number in entries[-1].numbers}
+    return tuple(_dated(entry, newest) for entry in entries[-MOST:])
+
+
+def _dated(entry: Entry, newest: Mapping[str, Number]) -> DatedNumbers:
+    found = entry.gauge_free
+    # In another unit (another range, another output) it is another number.
+    rows = [k for k, number in enumerate(found.numbers) if newest.get(number.name, number).unit == number.unit]
+    numbers = [found.numbers[k] for k in rows]
+    scales = [newest.get(number.name, number).value if kind_of(number.name) in _SCALES else 0.0 for number in numbers]
+    sizes = np.array([1 / (_PPM * scale) if scale else 1.0 for scale in scales])
+    units = np.outer(sizes, sizes)
+    error, scatter = (part[np.ix_(rows, rows)] * units for part in (found.error, found.scatter))
+    is_known = entry.gravity_source != "assumed"
+    return DatedNumbers(
+        day=entry.time.timestamp() / 86400,
+        names=tuple(number.name for number in numbers),
+        values=np.array([(number.value - scale) * size for number, scale, size in zip(numbers, scales, sizes, strict=True)]),
+        covariance=scatter,
+        freedom=np.array([number.scatter_freedom for number in numbers]),
+        setup=entry.setup,
+        hidden=error - scatter,
+        # A gravity that was only assumed says nothing of the place.
+        site=f"{entry.gravity_m_s2:.6f}" if is_known else entry.path,
+        by_gravity=np.array([number.common for number in numbers]) * np.abs(sizes),
+    )
+
+
+def _changes_between(old: Entry, new: Entry, daily: Mapping[str, float]) -> tuple[Change, ...]:
+    """Return the change of every number that both have, in the same unit; its sigma has in it what days do."""
+    numbers = {number.name: number for number in new.numbers}
+    return tuple(
+        replace(change, sigma=math.hypot(change.sigma, math.sqrt(2) * _day_change(daily, numbers[change.name])))
+        for change in compare(old.gauge_free, new.gauge_free, new.shared_with(old))
+    )
+
+
+def _day_change(daily: Mapping[str, float], number: Number) -> float:
+    kind = kind_of(number.name)
+    return daily.get(kind, 0.0) * (_PPM * abs(number.value) if kind in _SCALES else 1.0)
+
+
+def to_csv(history: History) -> str:
+    """Return one row per instrument, calibration and number, and one without a number for each file that was refused."""
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(CSV_COLUMNS)
+    for instrument in history.instruments:
+        daily = day_to_day(dated_numbers(instrument.entries))
+        for place, entry in enumerate(instrument.entries):
+            before = _changes_between(instrument.entries[place - 1], entry, daily) if place else ()
+            changes = {change.name: change.in_sigma for change in before}
+            for number in entry.numbers:
+                change = changes.get(number.name, math.nan)
+                # Every digit: with a table one computes on.
+                writer.writerow([
+                    instrument.instrument, instrument.serial_number, entry.created, entry.verdict, entry.path, number.name,
+                    number.unit, repr(number.value), repr(number.sigma), "" if math.isnan(change) else f"{change:.2f}",
+                    "edited by hand" if entry.edited else "",
+                ])  # fmt: skip
+    for fault in history.faults:
+        writer.writerow([*[""] * (len(CSV_COLUMNS) - 1), f"refused: {fault}"])
+    return buffer.getvalue()
+
+
+def sentences(
+    history: JudgedHistory, now: datetime, stale_days: float = STALE_DAYS, wanted: Mapping[str, float] | None = None
+) -> Iterator[Sentence]:
+    """Yield what there is to say: every number that changed, what days do, when to calibrate again.
+
+    Parameters
+    ----------
+    history : JudgedHistory
+    now : datetime
+    stale_days : float
+        Age at which a calibration is old.
+    wanted : mapping, optional
+        By kind the accuracy wanted, 1 sigma, in its ``unit_of``.
+    """
+    instrument, entries = history.instrument, history.entries
+    if not instrument.serial_number and len(entries) > 1:
+        yield sentence("changes.no_serial")
+    edited = [entry.path for entry in entries if entry.edited]
+    if edited:
+        yield sentence("changes.edited", paths=edited)
+    if len(entries) >= 2 and entries[-2].time == entries[-1].time:
+        yield sentence("changes.same_time", first=entries[-2].path, second=entries[-1].path)
+    if len(entries) == FEWEST - 1:
+        yield from _differences(*entries)
+    yield from _judged(history)
+    for kind, accuracy in (wanted or {}).items():
+        yield from _forecast(history, kind, accuracy)
+    age_days = instrument.age_days(now)
+    if age_days > stale_days:
+        yield sentence("changes.stale", age_days=age_days, limit_days=stale_days)
+
+
+def _judged(history: JudgedHistory) -> Iterator[Sentence]:
+    """Yield a sentence for each number that is news, or one that none is, and what days do."""
+    judged, entries = history.judged, history.entries
+    for change in judged.news:
+        told = {"name": change.name, "unit": unit_of(change.name), "in_sigma": abs(change.in_sigma)}
+        if change.first_after is None:
+            yield sentence("changes.drift", size=change.size * _DAYS_A_YEAR, limit_sigma=change.limit_sigma, **told)
+        else:
+            before, after = entries[change.first_after - 1], entries[change.first_after]
+            days = {"before": _moment(before, after), "after": _moment(after, before)}
+            yield sentence("changes.step", size=change.size, limit_sigma=change.limit_sigma, **days, **told)
+    if judged.changes and not judged.news:
+        largest = max(judged.changes, key=_share_of_limit)
+        told = {"numbers": len(judged.changes), "name": largest.name, "in_sigma": abs(largest.in_sigma)}
+        yield sentence("changes.none", sessions=len(entries), limit_sigma=largest.limit_sigma, **told)
+    for kind, found in judged.repeatability.items():
+        key = "changes.daily" if found.sigma > 0 else "changes.daily_unseen"
+        figures = {"sigma": found.sigma, "low": found.low, "high": found.high}
+        yield sentence(key, kind=kind, unit=unit_of(f"{kind} x"), **figures)
+
+
+def _share_of_limit(change: LargestChange) -> float:
+    return abs(change.in_sigma) / change.limit_sigma
+
+
+def _forecast(history: JudgedHistory, kind: str, accuracy: float) -> Iterator[Sentence]:
+    """Yield when to calibrate again for an accuracy, or why nobody knows."""
+    stated = [number for number in history.entries[-1].numbers if kind_of(number.name) == kind]
+    sizes = [_PPM * abs(number.value) if kind in _SCALES else 1.0 for number in stated]
+    sigma = max((number.sigma / size for number, size in zip(stated, sizes, strict=True)), default=math.nan)
+    found = forecast(history.sessions, history.judged, kind, file_sigma=sigma, wanted=accuracy)
+    told = {"kind": kind, "wanted": accuracy, "unit": unit_of(f"{kind} x")}
+    if not isinstance(found, Forecast):
+        key = "changes.forecast_short" if found.why == "short" else "changes.forecast_now"
+        yield sentence(key, sessions=found.sessions, limit=found.limit, now=found.now, **told)
+        return
+    days = {"low": found.low_days, "high": found.high_days, "middle": found.days, "span": found.span_days}
+    on = history.entries[-1].time + timedelta(days=min(found.days, found.span_days))
+    key = "changes.forecast"
+    if found.days > found.span_days:
+        key = "changes.forecast_unseen" if found.low_days >= found.span_days else "changes.forecast_late"
+    yield sentence(key, day=f"{on.day} {on:%B %Y}", **days, **told)
+
+
+def _differences(old: Entry, new: Entry) -> Iterator[Sentence]:
+    """Yield a sentence for each number in which two calibrations differ, or one that there is none."""
+    family = family_of(old.gauge_free, new.gauge_free, new.shared_with(old))
+    since = _moment(old, new)
+    grade = GRADES.get(new.grade) or grade_by_noise("gyroscope", new.gyroscope_noise_rad_s_per_root_hz)
+    for change in family.beyond:
+        turn_on = typical_turn_on(grade, change.name)
+        said = {"name": change.name, "since": since, "difference": change.difference, "unit": change.unit}
+        key = "changes.moved"
+        if not family.exceeds(change, turn_on):
+            key = "changes.differs_as_turn_on" if math.isfinite(turn_on) else "changes.differs"
+        yield sentence(key, in_sigma=abs(change.in_sigma), turn_on=turn_on, **said)
+    if family.changes and not family.beyond:
+        largest = max(family.changes, key=lambda change: abs(change.in_sigma))
+        told = {"numbers": len(family.changes), "name": largest.name, "in_sigma": abs(largest.in_sigma)}
+        yield sentence("changes.same", since=since, limit_sigma=family.limit_sigma, **told)
+
+
+def _moment(one: Entry, other: Entry) -> str:
+    """Return the day of one, with the time where both are of the same day."""
+    time = f", {one.time:%H:%M} UTC" if one.time.date() == other.time.date() else ""
+    return f"{one.time.day} {one.time:%B %Y}{time}"
