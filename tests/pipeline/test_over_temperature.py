@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,16 +18,17 @@ from imufield.cli.run import run
 from imufield.deliver.parameters.context import Context, InstrumentFacts, SessionFacts
 from imufield.deliver.parameters.file import Parameters, load, write_document
 from imufield.earth import MILLI_G_M_S2, Gravity
-from imufield.errors import CalibrationError, ParameterFileError, Reason
+from imufield.errors import CalibrationError, ParameterFileError, Reason, RecordingError
 from imufield.guide.positions import scheme
 from imufield.pipeline.calibration import Measured, SolveSettings, calibrate
+from imufield.pipeline.solving import lost_by_replacing, solve_session
 from imufield.pipeline.temperature import RampMeans, read_ramp, with_temperature
 from imufield.samples import SampleUnits
 from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
 from imufield.simulate.truth.imu import ImuSettings
 from imufield.simulate.truth.operator import OperatorSettings
 from tests.refused import refused
-from tests.told import keys
+from tests.told import keys, told
 
 pytestmark = pytest.mark.numerical
 
@@ -153,7 +155,7 @@ def test_sessions_that_mean_something_else_are_refused(sessions: tuple[Parameter
         with_temperature(sessions[1], [*sessions[1:], cold], [])
     heated = [row | {"temperature_degc": 1000.0} for row in positions]
     hot = replace(sessions[0], document=sessions[0].document | {"position": heated})
-    with refused(CalibrationError, Reason.BAD_DATA, key="temperature.impossible"):
+    with refused(RecordingError, Reason.BAD_DATA, key="samples.impossible"):
         with_temperature(sessions[1], [*sessions[1:], hot], [])
 
 
@@ -180,12 +182,44 @@ def recorded(folder: Path, temperature_degc: float) -> Path:
     return import_table(folder, f"at{temperature_degc:g}", np.column_stack(columns))
 
 
-def test_solve_takes_sessions_and_ramps_as_they_come(tmp_path: Path) -> None:
+def warming_up(folder: Path) -> Path:
+    """Return an imported recording of one pose over 30 degC and back."""
     time_s = np.arange(0.0, 4000.0, 2.0)
     at_degc = 10 + 30 * (1 - np.abs(time_s / 2000 - 1))
     outputs = np.array([0.1, 0.2, 9.8, 0, 0, 0]) + np.outer(at_degc, [1e-3, 1e-3, 1e-3, 1e-5, 1e-5, 1e-5])
     noise = 1e-4 * np.random.default_rng(3).normal(size=(len(time_s), 6))
-    warm_up = import_table(tmp_path, "warm-up", np.column_stack([time_s, outputs + noise, at_degc]))
+    return import_table(folder, "warm-up", np.column_stack([time_s, outputs + noise, at_degc]))
+
+
+def test_a_ramp_alone_is_refused_as_what_it_is(tmp_path: Path) -> None:
+    with refused(CalibrationError, Reason.TOO_FEW, "--temperature warm-up", key="solving.one_pose"):
+        solve_session(Session.open(warming_up(tmp_path)), SolveSettings())
+
+
+def test_a_file_over_temperature_is_not_replaced_without_a_word(
+    sessions: tuple[Parameters, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    session = recorded(tmp_path, 25.0)
+    path, joint = session / "parameters.toml", with_temperature(sessions[1], sessions, [])
+    write_document(path, joint.document)
+    (lost,) = told(lost_by_replacing(path, sessions[1]), "solving.lost_temperature")
+    assert (lost.values["low"], lost.values["high"]) == (-18.0, 55.0)
+    assert not lost_by_replacing(path, joint)
+    capsys.readouterr()
+    # One session, as the workbench solves it, and several.
+    assert run(["solve", "--json", str(session)]) == 0
+    assert "--temperature 'at -18'" in json.loads(capsys.readouterr().out)["notes"][-1]
+    assert not load(path).temperature_models
+    write_document(path, joint.document)
+    capsys.readouterr()
+    assert run(["solve", "--json", str(session), str(recorded(tmp_path, 0.0))]) == 0
+    solved = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert "--temperature 'at -18'" in solved[0]["notes"][-1]
+    assert not solved[1]["notes"]
+
+
+def test_solve_takes_sessions_and_ramps_as_they_come(tmp_path: Path) -> None:
+    warm_up = warming_up(tmp_path)
     base, cold, output = recorded(tmp_path, 25.0), recorded(tmp_path, 0.0), tmp_path / "parameters.toml"
     assert run(["solve", str(base), "--temperature", str(cold), "--temperature", str(warm_up), "-o", str(output)]) == 0
     joint = load(output)

@@ -105,6 +105,11 @@ def turns(force: FloatArray) -> bool:
     return bool(np.any(_turn_rad(force) > _TURNED))
 
 
+def stays(force: FloatArray) -> bool:
+    """Return whether the specific force of windows, shape (n, 3), is that of one pose throughout, as a ramp must be."""
+    return not np.any(_turn_rad(force) > _MOVED)
+
+
 def _turn_rad(force: FloatArray) -> FloatArray:
     """Return the turn from each window to the next, shape (n - 1,); zeros for a triad that feels none."""
     size = np.linalg.norm(force, axis=1, keepdims=True)

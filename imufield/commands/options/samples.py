@@ -63,12 +63,17 @@ class DemoOptions:
     """Run the whole chain with no hardware: virtual IMU and operator, capture, solve.
 
     Example: imufield demo
+
+    Example: imufield demo --temperature
     """
 
     seed: Annotated[int, option(help="Seed of the simulated instrument and operator.", low=0, high=LARGEST_SEED)] = 2
     speed: Annotated[float, option(help="Speed relative to real time, e.g. 8 is eight times as fast.", low=1)] = (
         8.0  # What a small machine keeps up with.
     )
+    temperature: Annotated[
+        bool, option("--temperature", help="Three sessions at -10, 20 and 50 degC, joined, and what one alone would cost.")
+    ] = False
     plain: Plain = False
     root: Path = DEFAULT_ROOT
 
@@ -343,6 +348,13 @@ class EmulateOptions:
         option(help="Whole turns after the positions: rolled (edge over edge) or table (flat on the table)."),
     ] = None
     hold_s: Annotated[float, option(help="Seconds the virtual operator holds each position.", within=HOLD_RANGE_S)] = 14.0
+    temperature: Annotated[
+        str | None,
+        option(
+            help="Temperature of the instrument, degC, e.g. -10; or a ramp FROM:TO or FROM:TO:RATE, RATE in degC/min "
+            "(default: 1)."
+        ),
+    ] = None
     wait: Annotated[
         bool | None,
         option(
