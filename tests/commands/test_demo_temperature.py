@@ -45,7 +45,7 @@ def test_one_session_costs_milli_g_where_three_do_not(tmp_path: Path, capsys: py
         samples = source.next_block(int(source.operator.plan_all() / source.interval_s))
         table = np.column_stack([samples.time_s, samples.accelerometer, samples.gyroscope, samples.temperature_degc])
         path = tmp_path / f"{day}.csv"
-        head = "time_s,ax [g],ay [g],az [g],gx [deg/s],gy [deg/s],gz [deg/s],temperature_degc"
+        head = "time_s,ax,ay,az,gx,gy,gz,temperature_degc"
         np.savetxt(path, table, delimiter=",", header=head, comments="", fmt="%.9g")
         assert run(["import", str(path), "-o", str(tmp_path / str(day)), "--gravity", f"{emulation.site.gravity_m_s2:.8f}"]) == 0
         sessions.append(Session.open(tmp_path / str(day)))
