@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,10 +11,9 @@ import pytest
 from imufield.acquire.recording.session import Session
 from imufield.cli.run import run
 from imufield.commands import demo
-from imufield.errors import UsageError
 from imufield.commands.emulate import make_emulation
 from imufield.commands.options.samples import EmulateOptions
-from imufield.guide.positions import scheme
+from imufield.errors import UsageError
 from imufield.pipeline.calibration import SolveSettings
 from imufield.pipeline.solving import solve_session
 from imufield.pipeline.temperature import over_temperature
@@ -38,7 +38,7 @@ def emulated(temperature: str, day: int = 0) -> EmulateOptions:
 
 
 def test_one_session_costs_milli_g_where_three_do_not(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    sessions, truth = [], {}
+    sessions, truth = [], dict[str, Any]()
     for day, degc in enumerate(demo.TEMPERATURES_DEGC):
         emulation = make_emulation(emulated(str(degc), day))
         source = make_virtual_imu(emulation)
@@ -47,7 +47,9 @@ def test_one_session_costs_milli_g_where_three_do_not(tmp_path: Path, capsys: py
         path = tmp_path / f"{day}.csv"
         head = "time_s,ax,ay,az,gx,gy,gz,temperature_degc"
         np.savetxt(path, table, delimiter=",", header=head, comments="", fmt="%.9g")
-        assert run(["import", str(path), "-o", str(tmp_path / str(day)), "--gravity", f"{emulation.site.gravity_m_s2:.8f}"]) == 0
+        assert (
+            run(["import", str(path), "-o", str(tmp_path / str(day)), "--gravity", f"{emulation.site.gravity_m_s2:.8f}"]) == 0
+        )
         sessions.append(Session.open(tmp_path / str(day)))
         truth = truth_document(emulation, source)
     settings = SolveSettings(grade=demo.GRADE)
@@ -74,7 +76,9 @@ def test_a_ramp_goes_from_one_temperature_to_the_other_and_stays() -> None:
     np.testing.assert_array_equal(at_degc[round(30 * RATE_HZ) :], -20.0)
 
 
-@pytest.mark.parametrize("text", ["", "warm", "10:", "10:20:0", "10:20:-1", "10:20:30:40", "-101", "20:301", "nan", "10:20:inf"])
+@pytest.mark.parametrize(
+    "text", ["", "warm", "10:", "10:20:0", "10:20:-1", "10:20:30:40", "-101", "20:301", "nan", "10:20:inf"]
+)
 def test_a_temperature_that_is_none_is_refused(text: str) -> None:
     with refused(UsageError, None, repr(text), key="emulate.temperature"):
         make_emulation(emulated(text))

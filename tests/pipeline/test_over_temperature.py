@@ -14,9 +14,13 @@ from imufield.calibrate.model.models import accelerometer_at, predict
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeCalibration, GyroscopeParameters
 from imufield.calibrate.model.temperature import Polynomials, TriadTemperature
+from imufield.calibrate.model.uncertainty import student_factor
 from imufield.cli.run import run
 from imufield.deliver.parameters.context import Context, InstrumentFacts, SessionFacts
 from imufield.deliver.parameters.file import Parameters, load, write_document
+from imufield.deliver.report.data import ReportData
+from imufield.deliver.report.over_temperature import temperature_curves
+from imufield.deliver.report.page import render_report
 from imufield.earth import MILLI_G_M_S2, Gravity
 from imufield.errors import CalibrationError, ParameterFileError, Reason, RecordingError
 from imufield.guide.positions import scheme
@@ -119,6 +123,34 @@ def test_joint_parameters_hold_where_one_session_and_one_pose_do_not(sessions: t
     np.testing.assert_array_equal(joint.calibration.accelerometer.scale, base.calibration.accelerometer.scale)
     assert "temperature.found" not in keys(base.calibration.quality.reasons)
     assert [source.kind for source in joint.context.temperature_sources] == ["session"] * 3 + ["ramp"]
+
+
+def test_the_file_keeps_sessions_and_new_day_and_the_report_draws_them(
+    sessions: tuple[Parameters, ...], tmp_path: Path
+) -> None:
+    joint = with_temperature(sessions[1], sessions, [ramp()])
+    write_document(tmp_path / "parameters.toml", joint.document)
+    model, again = joint.temperature_models[0], load(tmp_path).temperature_models[0]
+    assert model.sessions is not None
+    assert model.new_day is not None
+    assert again.sessions is not None
+    assert again.new_day is not None
+    np.testing.assert_array_equal(again.sessions.bias, model.sessions.bias)
+    np.testing.assert_array_equal(again.new_day.bias_covariance, model.new_day.bias_covariance)
+    # What the sessions themselves found is what the truth says, and the curves go by there.
+    d_degc = model.sessions.temperature_degc - 20.0
+    np.testing.assert_allclose(model.sessions.bias, OVER_TEMPERATURE.bias.at(d_degc), atol=5 * NOISE_M_S2)
+    (curves,) = temperature_curves(joint)
+    row = int(np.argmin(np.abs(curves.temperature_degc - 55.0)))
+    there = joint.at(float(curves.temperature_degc[row])).calibration
+    sigma_mg = there.accelerometer_sigma.bias_m_s2 / MILLI_G_M_S2
+    np.testing.assert_allclose(curves.bias.half_95[row], student_factor(model.new_day.bias_freedom) * sigma_mg)
+    found = np.abs(there.accelerometer.bias_m_s2 - TRUTH.bias_m_s2 - OVER_TEMPERATURE.bias.at(np.array([35.0]))[0])
+    assert np.all(found < 5 * there.accelerometer_sigma.bias_m_s2)
+    assert np.all(np.linalg.eigvalsh(there.covariance) > -1e-15)
+    page = render_report(ReportData(parameters=joint))
+    assert "temperature-accelerometer-" in page
+    assert "temperature-accelerometer-" not in render_report(ReportData(parameters=sessions[1]))
 
 
 def test_one_pose_alone_is_never_good_and_sessions_keep_their_verdict(sessions: tuple[Parameters, ...]) -> None:

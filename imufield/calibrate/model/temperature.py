@@ -84,6 +84,18 @@ class NewDay:
         return _sigma_of_day(d_degc, self.scale, self.scale_covariance)
 
 
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class SessionChanges:
+    """What m sessions found of bias and scale themselves, less the session at the reference."""
+
+    temperature_degc: FloatArray
+    """Shape (m,)."""
+    bias: FloatArray
+    """m/s^2 or rad/s, shape (m, 3)."""
+    scale: FloatArray
+    """Relative, shape (m, 3); NaN where a session does not show it."""
+
+
 def _sigma_of_day(d_degc: FloatArray, day: FloatArray, covariance: FloatArray) -> FloatArray:
     V = np.column_stack([np.ones(len(d_degc)), powers(d_degc, covariance.shape[1] - 1)])
     variance: FloatArray = np.einsum("np,apq,nq->na", V, covariance, V)
@@ -107,6 +119,8 @@ class TriadTemperature:
     """False where one pose alone was seen: the drift of the scale, times its specific force, is in the bias."""
     new_day: NewDay | None = None
     """None where no sessions show how days differ: fewer than three, or none to spare."""
+    sessions: SessionChanges | None = None
+    """None where ramps alone were seen."""
 
     def degrees_above(self, temperature_degc: FloatArray) -> FloatArray:
         """Return d for temperatures of shape (n,): clamped into the range, and zero where the temperature is not known."""

@@ -27,7 +27,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.calibrate.model.temperature import HIGHEST_ORDER, NewDay, Polynomials, TriadTemperature, powers
+from imufield.calibrate.model.temperature import (
+    HIGHEST_ORDER,
+    NewDay,
+    Polynomials,
+    SessionChanges,
+    TriadTemperature,
+    powers,
+)
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
@@ -240,6 +247,7 @@ def fit_orders(evidence: Evidence, bias: int, scale: int) -> TemperatureFit:
         hysteresis=_hysteresis(evidence.ramps),
         scale_separated=evidence.separates_scale,
         new_day=None if evidence.points is None else _new_day(evidence.points, scatter, inverses, bias),
+        sessions=None if evidence.points is None else _changes(evidence.points),
     )
     gap_degc = float(np.abs(measured_degc - evidence.reference_degc).min())
     return TemperatureFit(temperature=temperature, blocks=distinct(measured_degc), factor=factor, gap_degc=gap_degc)
@@ -285,6 +293,14 @@ def _new_day(points: SessionPoints, scatter: _Scatter, inverses: Sequence[FloatA
         bias_freedom=float(scatter.freedom[_BIAS]),
         scale_freedom=float(scatter.freedom[_SCALE]),
     )
+
+
+def _changes(points: SessionPoints) -> SessionChanges | None:
+    row = points.reference
+    if row is None:
+        return None
+    bias, scale = points.bias - points.bias[row], points.scale - points.scale[row]
+    return SessionChanges(temperature_degc=points.temperature_degc, bias=bias, scale=scale)
 
 
 def _scale_of_share(coefficients: FloatArray, range_d_degc: FloatArray) -> FloatArray:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from imufield.calibrate.model.result import Calibration
-from imufield.calibrate.model.temperature import NewDay, Polynomials, TriadTemperature
+from imufield.calibrate.model.temperature import NewDay, Polynomials, SessionChanges, TriadTemperature
 from imufield.deliver.parameters.context import TemperatureSource
 from imufield.deliver.parameters.schema import Document
 from imufield.samples import FloatArray
@@ -47,8 +47,13 @@ def add_temperature(document: Document, calibration: Calibration, sources: tuple
 
 
 def _table(model: TriadTemperature, unit: str) -> Document:
-    day = model.new_day
-    of_day = {} if day is None else {"new_day": _day_table(day, unit)}
+    more = {} if model.new_day is None else {"new_day": _day_table(model.new_day, unit)}
+    if model.sessions is not None:
+        more["sessions"] = {
+            "temperature_degc": model.sessions.temperature_degc.tolist(),
+            f"bias_{unit}": model.sessions.bias.tolist(),
+            "scale": model.sessions.scale.tolist(),
+        }
     return {
         "reference_degc": float(model.reference_degc),
         "range_degc": [float(value) for value in model.range_degc],
@@ -58,7 +63,7 @@ def _table(model: TriadTemperature, unit: str) -> Document:
         "scale_separated": model.scale_separated,
         "bias_covariance": model.bias.covariance.tolist(),
         "scale_covariance": model.scale.covariance.tolist(),
-        **of_day,
+        **more,
     }
 
 
@@ -88,6 +93,15 @@ def temperature_of(document: Document, triad: str) -> TriadTemperature | None:
         hysteresis=np.array(table[f"hysteresis_{unit}"], dtype=np.float64),
         scale_separated=table["scale_separated"],
         new_day=_new_day(table["new_day"], unit) if "new_day" in table else None,
+        sessions=_sessions(table["sessions"], unit) if "sessions" in table else None,
+    )
+
+
+def _sessions(table: Document, unit: str) -> SessionChanges:
+    return SessionChanges(
+        temperature_degc=np.array(table["temperature_degc"], dtype=np.float64),
+        bias=np.array(table[f"bias_{unit}"], dtype=np.float64),
+        scale=np.array(table["scale"], dtype=np.float64),
     )
 
 
@@ -142,6 +156,9 @@ def temperature_contradictions(document: Document) -> Iterator[str]:
                     return
                 if not all(map(_is_covariance, blocks)):
                     yield sentence("temperature.covariance", where=where, quantity=quantity)
+        sessions = table.get("sessions", {})
+        if len({len(values) for values in sessions.values()}) > 1:
+            yield sentence("temperature.sessions", where=where)
         yield from _too_steep(document, triad)
 
 
