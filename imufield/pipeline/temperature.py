@@ -13,7 +13,7 @@ from imufield.calibrate.model.grades import DEFAULT_GRADE, find_grade
 from imufield.calibrate.model.temperature import TriadTemperature
 from imufield.calibrate.temperature.fit import Evidence, SessionPoints, TemperatureFit, fit_temperature, fit_warnings
 from imufield.calibrate.temperature.points import accelerometer_points, gyroscope_points
-from imufield.calibrate.temperature.ramp import RampWindows, cut_ramp, ramp_sentences, turns
+from imufield.calibrate.temperature.ramp import RampWindows, cut_ramp, in_one_pose, ramp_sentences, turns
 from imufield.calibrate.temperature.trap import gyroscope_sentence, trap_sentence
 from imufield.deliver.parameters.context import TemperatureSource
 from imufield.deliver.parameters.file import Parameters, from_document
@@ -23,12 +23,13 @@ from imufield.pipeline.calibration import SolveSettings
 from imufield.pipeline.chain import session_samples
 from imufield.pipeline.site import SiteOptions
 from imufield.pipeline.solving import session_sha256, solve_session
-from imufield.pipeline.windows import WindowMeans
+from imufield.pipeline.windows import RAMP, WindowMeans
 from imufield.samples import FloatArray, require_possible_degc
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
 
+_MOST_OF_IT = 0.5  # Of a recording that nobody was led through: a ramp is one pose for most of its time.
 _TRIADS = ("accelerometer", "gyroscope")
 
 
@@ -42,8 +43,8 @@ class RampMeans:
     temperature_degc: FloatArray
     accelerometer: FloatArray
     gyroscope: FloatArray
-    damage: tuple[str, ...] = ()
-    """What of the recording could not be read, in sentences."""
+    remarks: tuple[str, ...] = ()
+    """What of the recording could not be read, or is not used, in sentences."""
 
 
 def read_ramp(session: Session, base: Parameters) -> RampMeans:
@@ -63,6 +64,13 @@ def read_ramp(session: Session, base: Parameters) -> RampMeans:
         base.check_unit("accelerometer", samples.units.accelerometer_rate_unit)
         windows.feed(samples)
     means = windows.means()
+    remarks = [entry.what for entry in damage]
+    kept = in_one_pose(_felt(base, means[:, 2:5]))
+    share = (kept.stop - kept.start) / max(len(means), 1)
+    # A session of positions stays one; who was led through a ramp was told where it begins anew.
+    if 1.0 > share >= (0.0 if session.record.kind == RAMP else _MOST_OF_IT):
+        remarks.append(sentence("temperature.moved", name=session.name, kept=share))
+        means = means[kept]
     require_possible_degc(session.name, means[:, 1])
     return RampMeans(
         name=session.name,
@@ -71,7 +79,7 @@ def read_ramp(session: Session, base: Parameters) -> RampMeans:
         temperature_degc=means[:, 1],
         accelerometer=means[:, 2:5],
         gyroscope=means[:, 5:8],
-        damage=tuple(entry.what for entry in damage),
+        remarks=tuple(remarks),
     )
 
 
@@ -87,7 +95,8 @@ def over_temperature(
     others = replace(settings, without=(), model=base.calibration.model)
     for session in recorded:
         means = None if session.record.kind == "capture" else read_ramp(session, base)
-        if means is None or turns(_windows(base, "accelerometer", means).specific_force_m_s2):
+        is_turned = means is not None and session.record.kind != RAMP and turns(_felt(base, means.accelerometer))
+        if means is None or is_turned:
             sessions.append(solve_session(session, others, site))
         else:
             ramps.append(means)
@@ -127,7 +136,7 @@ def with_temperature(base: Parameters, sessions: Sequence[Parameters], ramps: Se
         cut = [cut_ramp(_windows(base, triad, means)) for means in shown]
         if triad == "accelerometer":
             for ramp, means in zip(cut, ramps, strict=True):
-                told += (*means.damage, *ramp_sentences(ramp, means.name))
+                told += (*means.remarks, *ramp_sentences(ramp, means.name))
         points = _points(base, triad, sessions) if sessions else None
         evidence = Evidence(reference_degc=reference_degc, points=points, ramps=[ramp.blocks for ramp in cut])
         if triad == "gyroscope" and evidence.highest_orders()[0] == 0:
@@ -189,12 +198,17 @@ def _points(base: Parameters, triad: str, sessions: Sequence[Parameters]) -> Ses
 
 def _windows(base: Parameters, triad: str, means: RampMeans) -> RampWindows:
     """Return a ramp's means over the scale at the reference."""
-    accelerometer = base.calibration.accelerometer
-    force = (means.accelerometer - accelerometer.raw_zero) / accelerometer.scale
-    output, felt = force, force - accelerometer.bias_m_s2
+    felt = _felt(base, means.accelerometer)
+    output = felt + base.calibration.accelerometer.bias_m_s2
     if triad == "gyroscope" and base.calibration.gyroscope is not None:
-        output, felt = means.gyroscope / base.calibration.gyroscope.parameters.scale, np.zeros_like(force)
+        output, felt = means.gyroscope / base.calibration.gyroscope.parameters.scale, np.zeros_like(felt)
     return RampWindows(time_s=means.time_s, temperature_degc=means.temperature_degc, output=output, specific_force_m_s2=felt)
+
+
+def _felt(base: Parameters, accelerometer: FloatArray) -> FloatArray:
+    """Return the specific force along the sensing axes for raw outputs, both of shape (n, 3)."""
+    parameters = base.calibration.accelerometer
+    return (accelerometer - parameters.raw_zero) / parameters.scale - parameters.bias_m_s2
 
 
 def _words(triad: str, found: TemperatureFit) -> str:

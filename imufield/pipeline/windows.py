@@ -6,10 +6,12 @@ import numpy as np
 
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
-from imufield.calibrate.temperature.ramp import stays
+from imufield.calibrate.temperature.ramp import moved_windows
 from imufield.pipeline.chain import session_samples
 from imufield.samples import FloatArray, Samples, TemperatureHold
 
+RAMP = "ramp"
+"""What a session recorded as a ramp says of its kind."""
 WINDOW_S = 10.0
 """Means of a ramp: at 2 degC/min the temperature moves by a third of a degree."""
 
@@ -31,6 +33,9 @@ class WindowMeans:
         for window in np.unique(number):
             self._sums[int(window)] = self._sums.get(int(window), np.zeros(9)) + rows[number == window].sum(axis=0)
 
+    def __len__(self) -> int:
+        return len(self._sums)
+
     def means(self) -> FloatArray:
         """Return time, temperature, accelerometer and gyroscope of every window, raw rates, shape (n, 8)."""
         sums = np.array([self._sums[window] for window in sorted(self._sums)]).reshape(-1, 9)
@@ -43,4 +48,4 @@ def is_one_pose(session: Session, raw_zero: FloatArray | float) -> bool:
     for samples in session_samples(session, damage):
         windows.feed(samples)
     force = windows.means()[:, 2:5] - raw_zero
-    return len(force) > 1 and stays(force)
+    return len(force) > 1 and not len(moved_windows(force))

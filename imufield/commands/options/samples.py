@@ -232,6 +232,8 @@ class RecordOptions:
 
     Example: imufield record --port /dev/ttyUSB0 --duration-s 3600
 
+    Example: imufield record --port /dev/ttyUSB0 --ramp
+
     Example: imufield record --bus socketcan:can0 --driver aceinna_can
     """
 
@@ -239,6 +241,9 @@ class RecordOptions:
     session: SessionFolder = None
     site: PlaceOptions = field(default_factory=unknown_site)
     duration_s: Annotated[float | None, option(help="Stop after this many seconds (default: until Ctrl-C).", low=0.1)] = None
+    ramp: Annotated[
+        bool, option("--ramp", help="Lead a ramp of temperature in one pose: how cold, how fast, how much is covered.")
+    ] = False
     as_json: AsJson = False
     clock_speed: ClockSpeed = 1.0
     root: Path = DEFAULT_ROOT

@@ -28,9 +28,7 @@ AT_DEGC = {3: (-10.0, 20.0, 50.0), 5: (-10.0, 5.0, 20.0, 35.0, 50.0)}
 """Sessions over 60 degC; the reference is the one at 20."""
 BENT = 0.5
 """Quadratic term 30 degC from the reference, in the straight line's."""
-_DAY_PPM_OF_SCALE = (
-    0.2  # Share of what a maker leaves in the scale: of the two figures of a grade the one that days are nearer to.
-)
+_DAY_PPM_OF_SCALE = 0.2  # Share of what a maker leaves in the scale: the days of no instrument differ by all of that.
 _REFERENCE_DEGC = 20.0
 _AWAY_DEGC = 30.0
 _KNOWN = Gravity(gravity_m_s2=STANDARD_GRAVITY_M_S2, sigma_m_s2=1e-6, source="measured")
