@@ -13,5 +13,7 @@ RATE_RANGE_HZ = (1e-3, 1e6)
 
 BAUD_RANGE = (50, 100_000_000)
 """Of a port, or bits/s of a bus: 50 is the lowest that serial ports know; the fastest adapters are below 50 Mbit/s."""
+TEMPERATURE_RANGE_DEGC = (-100.0, 300.0)
+"""Of an instrument that works: those for boreholes go to 225 degC."""
 PORT_RANGE = (1024, 65535)
 """TCP ports that a program may take without rights of its own."""

@@ -13,6 +13,12 @@ from enum import IntFlag
 import numpy as np
 from numpy.typing import NDArray
 
+from imufield.errors import Reason, RecordingError
+from imufield.limits import TEMPERATURE_RANGE_DEGC
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
+
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 UIntArray = NDArray[np.uint64]
@@ -168,6 +174,21 @@ def _as_rate(values: FloatArray, is_increment: bool, interval_s: float | None) -
     if interval_s is None:
         raise ValueError("increments need `interval_s` in SampleUnits")
     return values / interval_s
+
+
+def is_possible_degc(temperature_degc: FloatArray) -> NDArray[np.bool_]:
+    """Return which temperatures an instrument can have, of the shape given; one that is not known (NaN) counts as possible."""
+    low, high = TEMPERATURE_RANGE_DEGC
+    return np.asarray(~((temperature_degc < low) | (temperature_degc > high)))
+
+
+def require_possible_degc(name: str, temperature_degc: FloatArray) -> None:
+    """Raise ``RecordingError`` where a thermometer of the recording ``name`` shows what no instrument survives."""
+    wrong_degc = temperature_degc[~is_possible_degc(temperature_degc)]
+    if len(wrong_degc):
+        low, high = TEMPERATURE_RANGE_DEGC
+        impossible = sentence("samples.impossible", name=name, found=float(wrong_degc[0]), low=low, high=high)
+        raise RecordingError(impossible, Reason.BAD_DATA)
 
 
 class TemperatureHold:

@@ -34,7 +34,7 @@ BANNED_CALLS = {
 BANNED_OPTIONS = {"shell", "allow_pickle"}
 MAY_START_PROGRAMS = {
     "imufield/guide/view/sound.py",
-    "imufield/commands/demo.py",
+    "imufield/commands/terminal/emulated.py",
     "imufield/acquire/formats/can_logs.py",
     "imufield/acquire/formats/table_arrays.py",
     "imufield/web/jobs.py",

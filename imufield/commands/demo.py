@@ -1,52 +1,40 @@
-"""``imufield demo``: the whole chain with no hardware, held against the simulator's truth.
-
-The instrument is another process on a pseudo-terminal that runs ``speed`` times faster than real; it is read with a clock
-that does the same. Nothing else differs from a real session.
-"""
+"""``imufield demo``: the whole chain with no hardware, held against the simulator's truth."""
 
 from __future__ import annotations
 
 import json
-import queue
-import subprocess
-import sys
 import tempfile
-import threading
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from imufield.acquire.instrument.connect import connect
-from imufield.acquire.instrument.connected import ConnectOptions
-from imufield.acquire.link.host_clock import ScaledClock
 from imufield.calibrate.model.gauge import intrinsic
-from imufield.calibrate.model.models import to_vector
+from imufield.calibrate.model.models import predict, to_vector
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration
-from imufield.commands.options.samples import CaptureOptions, DemoOptions
-from imufield.commands.terminal.guided import Captured, guided_session, new_session
-from imufield.commands.terminal.output import before_recording, echo, say, say_assumed
-from imufield.deliver.parameters.file import PARAMETER_FILE, write_document
+from imufield.commands.options.samples import DemoOptions
+from imufield.commands.terminal.emulated import capture, emulator
+from imufield.commands.terminal.guided import Captured
+from imufield.commands.terminal.output import echo, say
+from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, write_document
 from imufield.deliver.report.summary import Outcome, print_summary
-from imufield.errors import LinkError, Reason, UsageError
+from imufield.earth import MILLI_G_M_S2
 from imufield.pipeline.calibration import SolveSettings
-from imufield.pipeline.site import SiteOptions
 from imufield.pipeline.solving import solve_session
+from imufield.pipeline.temperature import over_temperature
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 from imufield.simulate.truth.motion import Site
 
 sentence = Sentences(__package__)
 
-RATE_HZ = 500.0  # Below the 2000 Hz the instrument can, so that a small machine keeps up with eight times real time.
-HOLD_S = 5.0  # Shorter than a real session needs, so that the whole takes minutes.
-OPERATOR_HOLD_S = 8.5
-"""The guide trims both ends of a still stretch and needs some cells to be sure of it."""
 LIMIT_SIGMA = 4.0  # Of 12 parameters, one beyond it comes up in a thousand demonstrations.
-LONGEST_S = 1800.0
-"""Of sample time; the emulator ends then even if the demonstration was killed and cannot end it."""
+TEMPERATURES_DEGC = (20.0, -10.0, 50.0)
+"""Of the sessions of a demonstration over temperature: room, freezer, box; the first is the reference."""
+GRADE = "industrial"
+"""Of its instrument: better ones change too little over 60 degC to be seen in short holds."""
+POSES = 200
 
 INTRINSIC_NAMES = (
     *(f"scale {axis}" for axis in "xyz"),
@@ -57,7 +45,7 @@ INTRINSIC_NAMES = (
 
 
 def run_demo(options: DemoOptions) -> None:
-    """Capture and solve a simulated session, and compare it with the truth.
+    """Capture and solve a simulated session, or one at each of three temperatures, and compare with the truth.
 
     Raises
     ------
@@ -67,90 +55,111 @@ def run_demo(options: DemoOptions) -> None:
         If it does not keep the speed.
     """
     with tempfile.TemporaryDirectory(prefix="imufield-demo-") as folder:
-        truth_file = Path(folder) / "truth.json"
-        with _emulator(options.seed, options.speed, truth_file) as (port, check):
-            captured = _capture(port, options, check)
-        # After the emulator has ended, and before its folder goes.
-        truth: dict[str, Any] = json.loads(truth_file.read_text())
-    solved = solve_session(captured.session, SolveSettings())
+        if options.temperature:
+            _demonstrate_temperature(options, Path(folder))
+        else:
+            _demonstrate(options, Path(folder))
+
+
+def _demonstrate(options: DemoOptions, folder: Path) -> None:
+    captured, truth = _captured(options, folder)
+    solved = _write(solve_session(captured.session, SolveSettings()), captured)
+    _print_comparison(captured, _errors_in_sigma(solved.calibration, truth), truth["seed"])
+
+
+def _captured(options: DemoOptions, folder: Path, *more: str) -> tuple[Captured, dict[str, Any]]:
+    """Capture a session of an emulated instrument; return it with the truth."""
+    truth_file = folder / "truth.json"
+    with emulator(options, truth_file, *more) as (port, check):
+        captured = capture(port, options, check)
+    # After the emulator has ended, and before its folder goes.
+    truth: dict[str, Any] = json.loads(truth_file.read_text())
+    return captured, truth
+
+
+def _write(solved: Parameters, captured: Captured) -> Parameters:
+    """Write the parameter file into the session's folder, and print the summary."""
     path = captured.session.folder / PARAMETER_FILE
     kept = write_document(path, solved.document)
     site = Site()
     say(sentence("demo.site", latitude_deg=site.latitude_deg, gravity_m_s2=site.gravity_m_s2))
     print_summary(solved, Outcome(path, kept, captured.session.folder))
-    _print_comparison(captured, _errors_in_sigma(solved.calibration, truth), truth["seed"])
+    return solved
 
 
-def _capture(port: str, options: DemoOptions, check: Callable[[], None]) -> Captured:
-    """Capture as ``imufield capture`` does, at the place and with the clock of the simulation."""
-    site, clock = Site(), ScaledClock(options.speed)
-    capture = CaptureOptions(
-        connect=ConnectOptions(port=port, driver="stim300"),
-        hold_s=HOLD_S,
-        site=SiteOptions(gravity_m_s2=site.gravity_m_s2, latitude_deg=site.latitude_deg),
-        plain=options.plain,
-        root=options.root,
-    )
-    with before_recording():
-        connected = connect(capture.connect, clock, say_assumed)
-    with ExitStack() as stack:
-        stack.callback(connected.close)
-        session = new_session(capture, connected, capture.site)
-        stack.enter_context(session.lock())
-        return guided_session(session, connected, clock, capture, check=check)
+def _demonstrate_temperature(options: DemoOptions, folder: Path) -> None:
+    """Capture a session at each temperature, join them, and show what one of them alone would cost."""
+    captures, truth = [], dict[str, Any]()
+    for day, degc in enumerate(TEMPERATURES_DEGC):
+        say(sentence("demo.session", number=day + 1, sessions=len(TEMPERATURES_DEGC), temperature_degc=degc))
+        own = folder / str(day)
+        own.mkdir()
+        captured, truth = _captured(options, own, f"--temperature={degc}", f"--day={day}", f"--grade={GRADE}")
+        captures.append(captured)
+    settings = SolveSettings(grade=GRADE)
+    base = solve_session(captures[0].session, settings)
+    joint = _write(over_temperature(base, [captured.session for captured in captures[1:]], settings), captures[0])
+    _print_cost(base, joint, truth)
 
 
-@contextmanager
-def _emulator(seed: int, speed: float, truth: Path) -> Iterator[tuple[str, Callable[[], None]]]:
-    """Run ``imufield emulate`` in a process of its own; yield the port, and what raises where it is slow or has ended."""
-    command = [sys.executable, "-P", "-m", "imufield", "emulate", "stim300", "--json", "--wait", "--truth", str(truth)]
-    numbers = {"seed": seed, "speed": speed, "rate-hz": RATE_HZ, "hold-s": OPERATOR_HOLD_S, "duration-s": LONGEST_S}
-    command += [f"--{name}={value}" for name, value in numbers.items()]
-    # By a name of its own: the number of its terminal may be another's as soon as it has ended, and would be opened again.
-    command += ["--link", str(truth.with_name("instrument"))]
-    # What it says when it is ended is nobody's concern here; that it did not start is said below.
-    quiet = subprocess.DEVNULL
-    words: queue.SimpleQueue[str] = queue.SimpleQueue()
-
-    def listen(output: Iterable[str]) -> None:
-        for line in output:
-            words.put(line)
-        words.put("")
-
-    def check() -> None:
-        with suppress(queue.Empty):
-            line = words.get_nowait()
-            # Behind the start it has one thing to say, or it ends.
-            if not line:
-                raise LinkError(sentence("demo.ended"))
-            raise UsageError(sentence("demo.slow", **json.loads(line)))
-
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=quiet, text=True) as process:  # noqa: S603  (our own program)
-        # In a thread: a line may never come, and the guide must not wait for it.
-        listener = threading.Thread(target=listen, args=(process.stdout,), name="words of the emulator", daemon=True)
-        listener.start()
-        try:
-            line = words.get()
-            if not line:
-                raise LinkError(sentence("demo.no_emulator"), Reason.PORT_NOT_FOUND)
-            yield str(json.loads(line)["port"]), check
-        finally:
-            process.terminate()
-            listener.join()
+def _print_cost(base: Parameters, joint: Parameters, truth: dict[str, Any]) -> None:
+    """Print what is left of gravity in poses never measured."""
+    echo()
+    echo(f"Residual of gravity in {POSES} poses never measured, against the simulator's truth, mg RMS:")
+    echo("temperature    one session    over temperature    stated sigma")
+    passed = True
+    for degc in sorted(TEMPERATURES_DEGC):
+        alone, left, sigma = _left_mg(base, truth, degc), _left_mg(joint, truth, degc), _stated_mg(joint, degc)
+        passed &= left <= LIMIT_SIGMA * sigma and (degc == TEMPERATURES_DEGC[0] or left < alone)
+        echo(f"{degc:6.0f} degC {alone:14.3f} {left:19.3f} {sigma:15.3f}")
+    word = "as it should be" if passed else "NOT as it should be"
+    echo(f"{len(TEMPERATURES_DEGC)} sessions, seed {truth['seed']}: {word},")
+    within = "better than one session, and within" if passed else "NOT better than one session, or NOT within"
+    echo(f"{within} {LIMIT_SIGMA:g} sigma")
 
 
-def _errors_in_sigma(calibration: Calibration, truth: dict[str, Any]) -> FloatArray:
-    """Return the gauge-free errors in units of their stated sigma, shape (12,); NaN where nothing was fitted."""
+def _directions() -> FloatArray:
+    up = np.random.default_rng(0).standard_normal((POSES, 3))
+    return np.asarray(up / np.linalg.norm(up, axis=1)[:, None])
+
+
+def _left_mg(parameters: Parameters, truth: dict[str, Any], temperature_degc: float) -> float:
+    """Return the RMS of the corrected norm less gravity, for what the true instrument sends at a temperature."""
+    given, table, gravity_m_s2 = _true_accelerometer(truth), truth["accelerometer"], Site().gravity_m_s2
+    d_degc = temperature_degc - truth["reference_temperature_degc"]
+    raw = predict(given, gravity_m_s2 * _directions()) - given.raw_zero
+    raw = raw * (1 + d_degc * np.array(table["scale_per_degc"])) + given.raw_zero
+    raw += d_degc * given.scale * np.array(table["bias_m_s2_per_degc"])
+    force = parameters.apply_accelerometer(raw, temperature_degc=temperature_degc)
+    return float(np.sqrt(np.mean((np.linalg.norm(force, axis=1) - gravity_m_s2) ** 2))) / MILLI_G_M_S2
+
+
+def _stated_mg(parameters: Parameters, temperature_degc: float) -> float:
+    """Return what bias and scale as stated make of that, 1 sigma, RMS over the poses."""
+    there, squares = parameters.at(temperature_degc).calibration, _directions() ** 2
+    bias, scale = there.accelerometer_sigma.bias_m_s2, there.accelerometer_sigma.scale / there.accelerometer.scale
+    variance = squares @ bias**2 + squares**2 @ (Site().gravity_m_s2 * scale) ** 2
+    return float(np.sqrt(np.mean(variance))) / MILLI_G_M_S2
+
+
+def _true_accelerometer(truth: dict[str, Any]) -> AccelerometerParameters:
+    """Return the true parameters, of an instrument at the reference temperature of the simulator."""
     table = truth["accelerometer"]
-    given = AccelerometerParameters(
+    return AccelerometerParameters(
         scale=np.array(table["scale"]),
-        # With what the slow drift added on average.
-        bias_m_s2=np.array(table["bias_m_s2"]) + np.array(table["mean_drift_m_s2"]),
+        bias_m_s2=np.array(table["bias_m_s2"]),
         misalignment_rad=np.array(table["misalignment_rad"]),
         quadratic=np.array(table["quadratic"]),
         raw_zero=np.array(table["raw_zero"]),
         quadratic_axes=table["quadratic_axes"],
     )
+
+
+def _errors_in_sigma(calibration: Calibration, truth: dict[str, Any]) -> FloatArray:
+    """Return the gauge-free errors in units of their stated sigma, shape (12,); NaN where nothing was fitted."""
+    given = _true_accelerometer(truth)
+    # With what the slow drift added on average.
+    given = replace(given, bias_m_s2=given.bias_m_s2 + np.array(truth["accelerometer"]["mean_drift_m_s2"]))
     true, _ = intrinsic(to_vector(given))
     found = calibration.intrinsic
     values = np.concatenate([found.scale, found.bias_raw, found.angle_rad, found.quadratic])

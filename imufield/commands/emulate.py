@@ -22,6 +22,7 @@ from imufield.deliver.parameters.numbers import beside
 from imufield.errors import UsageError
 from imufield.files import read_small_file
 from imufield.guide.positions import named_direction, scheme
+from imufield.limits import TEMPERATURE_RANGE_DEGC
 from imufield.pipeline.calibration import one_of
 from imufield.pipeline.chain import REVISIT_FROM, ROTATIONS
 from imufield.progress import hidden
@@ -29,6 +30,7 @@ from imufield.sentences import Sentences
 from imufield.simulate.emulator.core import EmulatorCore, EmulatorSettings
 from imufield.simulate.emulator.emulate import TRUTH_FORMAT, Emulation, choose_wire, emulate
 from imufield.simulate.emulator.faults import CanFaults, Faults, WireFaults
+from imufield.simulate.truth.imu import ImuSettings
 from imufield.simulate.truth.operator import NO_POSITION, OperatorSettings, StillKind, Visit
 
 sentence = Sentences(__package__)
@@ -42,6 +44,10 @@ SAFE_RATE_HZ = 8000.0
 """Samples in a second of real time that a machine of two cores makes, sends and reads; beyond it is told before."""
 ROUNDS = 20
 """How often the operator goes through his positions: what a reader missed, or came too late for, comes up again."""
+
+
+RAMP_DEGC_PER_MIN = 1.0
+"""Half of what a ramp may do: an instrument in an insulating box warms about so fast."""
 
 
 def run_emulate(options: EmulateOptions) -> None:
@@ -96,6 +102,8 @@ def make_emulation(options: EmulateOptions) -> Emulation:
             begins_in_first_position=style == "placed",
             rotations=options.rotations,  # type: ignore[arg-type]  # checked above
         ),
+        imu=_temperature_course(options.temperature),
+        sends_temperature=options.temperature is not None,
         faults=parse_faults(options.faults or [], CanFaults if on_bus else Faults),
         run=EmulatorSettings(
             speed=options.speed, wait_for_reader=options.waits_for_reader, duration_s=options.duration_s, link=options.link
@@ -106,6 +114,30 @@ def make_emulation(options: EmulateOptions) -> Emulation:
         bus=options.bus,
         visits=_visits(options.poses) if options.poses else (),
     )
+
+
+def _temperature_course(text: str | None) -> ImuSettings:
+    """Read a temperature, or a ramp from one to another.
+
+    Raises
+    ------
+    UsageError
+        If it is neither, or goes where no instrument works.
+    """
+    if text is None:
+        return ImuSettings()
+    low, high = TEMPERATURE_RANGE_DEGC
+    parts = text.split(":")
+    try:
+        degc = [float(part) for part in parts[:2]]
+        degc_per_min = float(parts[2]) if len(parts) > 2 else RAMP_DEGC_PER_MIN
+    except ValueError:
+        degc, degc_per_min = [], math.nan
+    is_course = degc and len(parts) <= 3 and all(low <= value <= high for value in degc) and 0 < degc_per_min < math.inf
+    if not is_course:
+        raise UsageError(sentence("emulate.temperature", text=text, low=low, high=high))
+    slope_degc_s = math.copysign(degc_per_min / 60, degc[-1] - degc[0])
+    return ImuSettings(temperature_degc=degc[0], temperature_slope_degc_s=slope_degc_s, temperature_end_degc=degc[-1])
 
 
 def _visits(path: Path) -> Iterable[Visit]:

@@ -6,7 +6,7 @@ import json
 import math
 import shlex
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -35,7 +35,7 @@ from imufield.guide.lead.still_scales import find_scales
 from imufield.pipeline.chain import part_metadata
 from imufield.pipeline.still_units import settings_of_stills, with_units_of_stills
 from imufield.pipeline.table_samples import refuse_endless
-from imufield.samples import Samples
+from imufield.samples import Samples, require_possible_degc
 from imufield.sentences import Sentences, printable
 
 sentence = Sentences(__package__)
@@ -154,7 +154,8 @@ def _import_bytes(options: ImportOptions, protocol: Protocol) -> tuple[Session, 
     losses: list[str] = []
     decoder = Decoder(protocol)
     # Decoded before anything is made of them, so that nothing is put aside for files without a sample.
-    scales = find_scales(_samples(options, decoder, losses), protocol.nominal.raw_zero)
+    blocks = _with_possible_temperatures(_samples(options, decoder, losses), options.files)
+    scales = find_scales(blocks, protocol.nominal.raw_zero)
     counts = decoder.statistics
     if not counts.samples:
         foreign = "import_files.dump_without_samples" if protocol.can is None else "import_files.log_without_samples"
@@ -190,6 +191,12 @@ def _samples(options: ImportOptions, decoder: Decoder, losses: list[str]) -> Ite
     for chunk in _chunks(options, decoder.protocol, losses):
         yield decoder.feed(chunk.data, chunk.monotonic_s)
     yield decoder.flush()
+
+
+def _with_possible_temperatures(blocks: Iterable[Samples], files: list[Path]) -> Iterator[Samples]:
+    for samples in blocks:
+        require_possible_degc(", ".join(map(str, files)), samples.temperature_degc)
+        yield samples
 
 
 def _chunks(options: ImportOptions, protocol: Protocol, losses: list[str]) -> Iterator[Chunk]:

@@ -16,10 +16,12 @@ from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import Session, create_session
 from imufield.commands.options.samples import RecordOptions
 from imufield.commands.terminal.output import echo, host_clock, say, say_assumed
+from imufield.commands.terminal.ramp import RampLead
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import RecordingError
 from imufield.pipeline.chain import Chain, ReadingPlan, part_metadata
 from imufield.pipeline.intake import Intake
+from imufield.pipeline.windows import RAMP
 from imufield.progress import hidden
 from imufield.sentences import Sentences
 
@@ -44,19 +46,22 @@ def run_record(options: RecordOptions, clock: HostClock | None = None) -> Sessio
         # The recording has a line of its own.
         stack.enter_context(hidden())
         stack.callback(connected.close)
-        metadata = {**connected.session_tables(), "kind": "record", "site": options.site.record()}
+        kind = RAMP if options.ramp else "record"
+        metadata = {**connected.session_tables(), "kind": kind, "site": options.site.record()}
         session = create_session(options.session, options.root, connected.model, metadata)
         stack.enter_context(session.lock())
         of_part = part_metadata(connected.protocol, connected.session_tables())
         recorder = stack.enter_context(Recorder(session.add_part(), of_part, clock=clock))
         stream = SameStream(connected.link.name, patience_s(clock, 1.0))
-        chain = Chain(ReadingPlan(None), listeners=(stream.hear,), judging=False)
+        ramp = RampLead(connected.protocol.nominal.raw_zero, as_json=options.as_json) if options.ramp else None
+        listeners = (stream.hear,) if ramp is None else (stream.hear, ramp.feed)
+        chain = Chain(ReadingPlan(None), listeners=listeners, judging=False)
         chain.start_part(connected.protocol)
         stream.begin()
         intake = Intake(recorder=recorder, chain=chain, stream=stream)
         try:
             try:
-                _record(connected, intake, clock, options=options)
+                _record(connected, intake, clock, options=options, ramp=ramp)
             except KeyboardInterrupt:
                 # What was read before Ctrl-C still waits in the link.
                 intake.take_rest(connected.link.drain())
@@ -68,10 +73,12 @@ def run_record(options: RecordOptions, clock: HostClock | None = None) -> Sessio
             with suppress(RecordingError) if isinstance(sys.exception(), RecordingError) else nullcontext():
                 session.update(finished=True)
             _tell_end(session, chain, options.as_json)
+            if ramp is not None:
+                ramp.tell_end(session)
     return session
 
 
-def _record(connected: Connected, intake: Intake, clock: HostClock, *, options: RecordOptions) -> None:
+def _record(connected: Connected, intake: Intake, clock: HostClock, *, options: RecordOptions, ramp: RampLead | None) -> None:
     # What was heard while connecting is recorded, so its time is part of what was asked for.
     for heard in connected.chunks:
         intake.take(heard)
@@ -92,7 +99,10 @@ def _record(connected: Connected, intake: Intake, clock: HostClock, *, options: 
         now_s = clock.monotonic_s()
         if now_s - told_s >= TELL_EVERY_S:
             told_s = now_s
-            _tell_progress(combined(intake.chain.statistics), now_s - start_s, options.as_json)
+            if ramp is not None:
+                ramp.tell()
+            else:
+                _tell_progress(combined(intake.chain.statistics), now_s - start_s, options.as_json)
     if link.lost is not None:
         raise link.lost
 

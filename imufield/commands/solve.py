@@ -27,7 +27,7 @@ from imufield.deliver.report.summary import Outcome, print_summary
 from imufield.earth import MICRO_G_M_S2
 from imufield.errors import ImufieldError, UsageError
 from imufield.files import real_path, refuse_overwriting
-from imufield.pipeline.solving import better_gravity, solve_observations, solve_session
+from imufield.pipeline.solving import lost_by_replacing, solve_observations, solve_session
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences, printable
 
@@ -66,15 +66,15 @@ def run_solve(options: SolveOptions) -> int:
 
         solved = over_temperature(base, [Session.open(folder) for folder in options.temperature], settings, options.site)
     # Asked before the file that stands there is replaced.
-    better = better_gravity(path, solved.calibration.gravity)
+    lost = lost_by_replacing(path, solved)
     kept = write_document(path, solved.document, advice=sentence("solve.elsewhere"))
     if options.as_json:
-        echo(json.dumps(document_with_gain(solved)))
+        echo(json.dumps(document_with_gain(solved) | {"notes": lost}))
         tell_written(path, kept, as_json=True)
         return 0
     print_summary(solved, Outcome(path, kept, None if session is None else session.folder))
     said = base.calibration.quality.reasons
-    for note in (*better, *(reason for reason in solved.calibration.quality.reasons if reason not in said)):
+    for note in (*lost, *(reason for reason in solved.calibration.quality.reasons if reason not in said)):
         echo(hanging("", note))
     return 0
 
@@ -192,14 +192,14 @@ def _write(outcome: SessionOutcome) -> SessionOutcome:
     if outcome.found is None:
         return outcome
     path = outcome.session / PARAMETER_FILE
-    better = better_gravity(path, outcome.found.calibration.gravity)
+    lost = lost_by_replacing(path, outcome.found)
     try:
         kept = write_document(path, outcome.found.document)
     # One folder that cannot be written must not cost the others their files.
     except ImufieldError as error:
         return replace(outcome, exit_code=error.exit_code, error=str(error.message))
     moved = () if kept is None else (sentence("solve.kept", name=kept.name),)
-    return replace(outcome, written=path, kept=kept, notes=(*moved, *better))
+    return replace(outcome, written=path, kept=kept, notes=(*moved, *lost))
 
 
 def _print(outcomes: list[SessionOutcome]) -> None:
@@ -228,7 +228,7 @@ def _as_json(outcome: SessionOutcome) -> Document:
     if outcome.error or outcome.found is None:
         return {**shown, "error": outcome.error}
     files = {"file": str(outcome.written), "kept": None if outcome.kept is None else str(outcome.kept)}
-    return {**shown, **files, "parameters": json_ready(outcome.found.document)}
+    return {**shown, **files, "notes": outcome.notes, "parameters": json_ready(outcome.found.document)}
 
 
 def _figures(outcome: SessionOutcome) -> tuple[str, ...]:

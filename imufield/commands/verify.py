@@ -21,6 +21,7 @@ from imufield.deliver.navigation.check import SHORTEST_S, Apply, CheckSettings, 
 from imufield.deliver.parameters.apply import correct_accelerometer, correct_gyroscope
 from imufield.deliver.parameters.file import Corrected, json_ready, load
 from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S, to_ascii
+from imufield.deliver.samples.apply_session import TemperatureFlags
 from imufield.deliver.verification.left_out import LeftOutPositions, check_positions, contradiction, cross_validate
 from imufield.deliver.verification.result import (
     Verification,
@@ -132,8 +133,8 @@ def _verify(task: _Task) -> Verification:
     """Read the session once and do every check it allows; raises as ``run_verify``."""
     problems: list[ImufieldError] = []
     damage: list[Damage] = []
-    navigation = _Navigation(task, problems)
-    chain = Chain(ReadingPlan.of(task.session), (navigation.feed,))
+    navigation, flags = _Navigation(task, problems), TemperatureFlags(task.parameters)
+    chain = Chain(ReadingPlan.of(task.session), (flags.count, navigation.feed))
     replay_into(chain, task.session, damage)
     with naming_damage(task.session, damage):
         left_out = _left_out(task, chain, problems)
@@ -152,7 +153,7 @@ def _verify(task: _Task) -> Verification:
         left_out=left_out,
         navigation=navigated,
         requirements=judge(task.limits, left_out, navigated),
-        notes=(*filter(None, about_file), *chain.notes, *found, *read),
+        notes=(*filter(None, about_file), *chain.notes, *flags.notes(), *found, *read),
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import shlex
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -30,6 +31,7 @@ from imufield.pipeline.calibration import FEWEST_POSITIONS, Measured, MoveListen
 from imufield.pipeline.chain import Chain, ReadingPlan, SamplesListener, replay_into
 from imufield.pipeline.damage import naming_damage, without_end_under_way
 from imufield.pipeline.site import SiteOptions
+from imufield.pipeline.windows import is_one_pose
 from imufield.progress import task
 from imufield.sentences import Sentences, printable
 
@@ -84,7 +86,7 @@ def solve_session(
         damage = without_end_under_way(damage, session)
         chain.notes.append(sentence("solving.goes_on"))
     with naming_damage(session, damage), task("solving"):
-        usable = _unguided(chain) if chain.guide is None else _guided(chain, chain.guide, refusals)
+        usable = _unguided(chain, session) if chain.guide is None else _guided(chain, chain.guide, refusals)
         observations, axes, refused, saturated, sticking = usable
         if axes.error is not None:
             raise axes.error
@@ -161,16 +163,29 @@ def _guided(chain: Chain, guide: Guide, refusals: list[Rejected]) -> _Usable:
     return observations, axes, _missing_sentences(guide, refusals), saturated, guide.sticking()
 
 
-def _unguided(chain: Chain) -> _Usable:
-    """Return the still intervals of a session that nobody guided."""
-    found = chain.still_intervals()
-    _check_count(len(found.observations), [refusal for _, refusal in found.refused])
+def _unguided(chain: Chain, session: Session) -> _Usable:
+    """Return the still intervals of a session that nobody guided; raises ``CalibrationError`` where it is of one pose."""
+    try:
+        found = chain.still_intervals()
+        _check_count(len(found.observations), [refusal for _, refusal in found.refused])
+    except CalibrationError as error:
+        _refuse_one_pose(chain, session, error)
+        raise
+    if len(found.observations) < FEWEST_POSITIONS:
+        _refuse_one_pose(chain, session)
     clipped: list[tuple[float, str]] = []
     others: dict[RefusalCode, list[tuple[float, str]]] = {}
     for start_s, refusal in found.refused:
         (clipped if refusal.reason in _AT_LIMIT else others.setdefault(refusal.reason, [])).append((start_s, refusal.words))
     left_out = tuple(_left_out_sentence("solving.left_out", stills) for stills in others.values())
     return found.observations, found.axes, left_out, _saturation_sentence(clipped), found.sticking
+
+
+def _refuse_one_pose(chain: Chain, session: Session, error: CalibrationError | None = None) -> None:
+    """Say of a recording of one pose what it is good for: a person needs that more than why none of its stills counts."""
+    if chain.protocol is not None and is_one_pose(session, chain.raw_zero(chain.protocol)):
+        values = {"name": session.name, "limit": FEWEST_POSITIONS}
+        raise CalibrationError(sentence("solving.one_pose", **values), Reason.TOO_FEW) from error
 
 
 def _saturation_sentence(clipped: list[tuple[float, str]]) -> str:
@@ -234,12 +249,26 @@ def _loss_sentences(chain: Chain, damage: list[Damage], *, is_import: bool) -> t
     return tuple(sentences)
 
 
-def better_gravity(path: Path, now: Gravity) -> tuple[str, ...]:
-    """Return a sentence where the parameter file that stands at ``path`` knows gravity much better than it is known now."""
+def lost_by_replacing(path: Path, now: Parameters) -> tuple[str, ...]:
+    """Return a sentence for each thing that the parameter file at ``path`` knows and the one to be written there does not."""
     try:
-        before = load_found(path, Origin.INSIDE).calibration.gravity
+        before = load_found(path, Origin.INSIDE)
     except ImufieldError:
         return ()
+    return (*_better_gravity(before.calibration.gravity, now.calibration.gravity), *_lost_temperature(before, now))
+
+
+def _lost_temperature(before: Parameters, now: Parameters) -> tuple[str, ...]:
+    if now.temperature_models or not before.temperature_models:
+        return ()
+    sources = before.context.temperature_sources
+    others = [source.name for source in sources if source.sha256 != now.context.session.sha256]
+    low, high = before.temperature_models[0].range_degc
+    again = " ".join(f"--temperature {shlex.quote(name)}" for name in others)
+    return (sentence("solving.lost_temperature", low=low, high=high, again=again),)
+
+
+def _better_gravity(before: Gravity, now: Gravity) -> tuple[str, ...]:
     if not before.sigma_m_s2 * _BETTER_KNOWN < now.sigma_m_s2:
         return ()
     again = f"--gravity {before.gravity_m_s2:.8g}+-{before.sigma_m_s2:.2g}"

@@ -13,7 +13,7 @@ from imufield.calibrate.model.grades import DEFAULT_GRADE, find_grade
 from imufield.calibrate.model.temperature import TriadTemperature
 from imufield.calibrate.temperature.fit import Evidence, SessionPoints, TemperatureFit, fit_temperature, fit_warnings
 from imufield.calibrate.temperature.points import accelerometer_points, gyroscope_points
-from imufield.calibrate.temperature.ramp import RampWindows, cut_ramp, ramp_sentences, turns
+from imufield.calibrate.temperature.ramp import RampWindows, cut_ramp, in_one_pose, ramp_sentences, turns
 from imufield.calibrate.temperature.trap import gyroscope_sentence, trap_sentence
 from imufield.deliver.parameters.context import TemperatureSource
 from imufield.deliver.parameters.file import Parameters, from_document
@@ -23,15 +23,13 @@ from imufield.pipeline.calibration import SolveSettings
 from imufield.pipeline.chain import session_samples
 from imufield.pipeline.site import SiteOptions
 from imufield.pipeline.solving import session_sha256, solve_session
-from imufield.samples import FloatArray, Samples, TemperatureHold
+from imufield.pipeline.windows import RAMP, WindowMeans
+from imufield.samples import FloatArray, require_possible_degc
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
 
-WINDOW_S = 10.0
-"""Means of a ramp: at 2 degC/min the temperature moves by a third of a degree."""
-POSSIBLE_DEGC = (-100.0, 300.0)
-"""Of an instrument that works: those for boreholes go to 225."""
+_MOST_OF_IT = 0.5  # Of a recording that nobody was led through: a ramp is one pose for most of its time.
 _TRIADS = ("accelerometer", "gyroscope")
 
 
@@ -45,31 +43,8 @@ class RampMeans:
     temperature_degc: FloatArray
     accelerometer: FloatArray
     gyroscope: FloatArray
-    damage: tuple[str, ...] = ()
-    """What of the recording could not be read, in sentences."""
-
-
-class _Windows:
-    """Adds samples up by windows of time."""
-
-    def __init__(self) -> None:
-        self._sums: dict[int, FloatArray] = {}
-        self._temperature = TemperatureHold()
-
-    def feed(self, samples: Samples) -> None:
-        """Take the next block."""
-        at_degc = self._temperature.fill(samples).temperature_degc
-        rows = np.column_stack(
-            [samples.time_s, at_degc, samples.accelerometer_rate(), samples.gyroscope_rate(), np.ones(len(samples))]
-        )[samples.usable]
-        number = np.floor(rows[:, 0] / WINDOW_S).astype(int)
-        for window in np.unique(number):
-            self._sums[int(window)] = self._sums.get(int(window), np.zeros(9)) + rows[number == window].sum(axis=0)
-
-    def means(self) -> FloatArray:
-        """Return time, temperature, accelerometer and gyroscope of every window, shape (n, 8)."""
-        sums = np.array([self._sums[window] for window in sorted(self._sums)]).reshape(-1, 9)
-        return np.asarray(sums[:, :8] / sums[:, 8:])
+    remarks: tuple[str, ...] = ()
+    """What of the recording could not be read, or is not used, in sentences."""
 
 
 def read_ramp(session: Session, base: Parameters) -> RampMeans:
@@ -78,18 +53,25 @@ def read_ramp(session: Session, base: Parameters) -> RampMeans:
     Raises
     ------
     RecordingError
-        If it cannot be read.
+        If it cannot be read, or has a temperature that no instrument has.
     ParameterFileError
         If it is of another instrument than the parameters, or in other raw units.
     """
     base.check_instrument(session.serial_number)
     damage: list[Damage] = []
-    windows = _Windows()
+    windows = WindowMeans()
     for samples in session_samples(session, damage):
         base.check_unit("accelerometer", samples.units.accelerometer_rate_unit)
         windows.feed(samples)
     means = windows.means()
-    _require_possible(session.name, means[:, 1])
+    remarks = [entry.what for entry in damage]
+    kept = in_one_pose(_felt(base, means[:, 2:5]))
+    share = (kept.stop - kept.start) / max(len(means), 1)
+    # A session of positions stays one; who was led through a ramp was told where it begins anew.
+    if 1.0 > share >= (0.0 if session.record.kind == RAMP else _MOST_OF_IT):
+        remarks.append(sentence("temperature.moved", name=session.name, kept=share))
+        means = means[kept]
+    require_possible_degc(session.name, means[:, 1])
     return RampMeans(
         name=session.name,
         sha256=session_sha256(session),
@@ -97,7 +79,7 @@ def read_ramp(session: Session, base: Parameters) -> RampMeans:
         temperature_degc=means[:, 1],
         accelerometer=means[:, 2:5],
         gyroscope=means[:, 5:8],
-        damage=tuple(entry.what for entry in damage),
+        remarks=tuple(remarks),
     )
 
 
@@ -109,11 +91,13 @@ def over_temperature(
     What was captured with a guide is a session; of other recordings one whose pose stays the same is a ramp.
     """
     ramps, sessions = [], [base]
+    # Positions that are left out are those of the first session; the model is chosen once, or a term would be in some only.
+    others = replace(settings, without=(), model=base.calibration.model)
     for session in recorded:
         means = None if session.record.kind == "capture" else read_ramp(session, base)
-        if means is None or turns(_windows(base, "accelerometer", means).specific_force_m_s2):
-            # Positions that are left out are those of the first session.
-            sessions.append(solve_session(session, replace(settings, without=()), site))
+        is_turned = means is not None and session.record.kind != RAMP and turns(_felt(base, means.accelerometer))
+        if means is None or is_turned:
+            sessions.append(solve_session(session, others, site))
         else:
             ramps.append(means)
     return with_temperature(base, sessions if len(sessions) > 1 else [], ramps)
@@ -135,6 +119,8 @@ def with_temperature(base: Parameters, sessions: Sequence[Parameters], ramps: Se
     ------
     CalibrationError
         If a session has no temperature, its parameters stand in another frame or unit, or there are too few temperatures.
+    RecordingError
+        If a session has a temperature that no instrument has.
     ParameterFileError
         If a session is of another instrument.
     """
@@ -150,7 +136,7 @@ def with_temperature(base: Parameters, sessions: Sequence[Parameters], ramps: Se
         cut = [cut_ramp(_windows(base, triad, means)) for means in shown]
         if triad == "accelerometer":
             for ramp, means in zip(cut, ramps, strict=True):
-                told += (*means.damage, *ramp_sentences(ramp, means.name))
+                told += (*means.remarks, *ramp_sentences(ramp, means.name))
         points = _points(base, triad, sessions) if sessions else None
         evidence = Evidence(reference_degc=reference_degc, points=points, ramps=[ramp.blocks for ramp in cut])
         if triad == "gyroscope" and evidence.highest_orders()[0] == 0:
@@ -190,42 +176,39 @@ def _temperature(parameters: Parameters) -> float:
     if not np.isfinite(mean):
         none = sentence("temperature.none", name=parameters.context.session.name)
         raise CalibrationError(none, Reason.NOT_FINITE)
-    _require_possible(parameters.context.session.name, np.array([mean]))
+    require_possible_degc(parameters.context.session.name, np.array([mean]))
     return mean
-
-
-def _require_possible(name: str, temperature_degc: FloatArray) -> None:
-    """Raise ``CalibrationError`` where a thermometer shows what no instrument survives."""
-    low, high = POSSIBLE_DEGC
-    wrong = temperature_degc[(temperature_degc < low) | (temperature_degc > high)]
-    if len(wrong):
-        values = {"name": name, "found": float(wrong[0]), "low": low, "high": high}
-        raise CalibrationError(sentence("temperature.impossible", **values), Reason.BAD_DATA)
 
 
 def _points(base: Parameters, triad: str, sessions: Sequence[Parameters]) -> SessionPoints:
     """Return what the sessions found of a triad."""
     at_degc = [_temperature(session) for session in sessions]
+    of_base = next((number for number, session in enumerate(sessions) if session is base), None)
     calibrations = [session.calibration for session in sessions]
     gyroscope = base.calibration.gyroscope
     if triad == "accelerometer" or gyroscope is None:
-        return accelerometer_points(base.calibration.accelerometer, calibrations, at_degc)
+        return accelerometer_points(base.calibration.accelerometer, calibrations, at_degc, of_base)
     theirs = [calibration.gyroscope for calibration in calibrations if calibration.gyroscope is not None]
     if len(theirs) < len(sessions):
         lacking = next(session for session in sessions if session.calibration.gyroscope is None)
         none = sentence("temperature.no_gyroscope", name=lacking.context.session.name)
         raise CalibrationError(none, Reason.UNOBSERVABLE)
-    return gyroscope_points(gyroscope.parameters, theirs, at_degc)
+    return gyroscope_points(gyroscope.parameters, theirs, at_degc, of_base)
 
 
 def _windows(base: Parameters, triad: str, means: RampMeans) -> RampWindows:
     """Return a ramp's means over the scale at the reference."""
-    accelerometer = base.calibration.accelerometer
-    force = (means.accelerometer - accelerometer.raw_zero) / accelerometer.scale
-    output, felt = force, force - accelerometer.bias_m_s2
+    felt = _felt(base, means.accelerometer)
+    output = felt + base.calibration.accelerometer.bias_m_s2
     if triad == "gyroscope" and base.calibration.gyroscope is not None:
-        output, felt = means.gyroscope / base.calibration.gyroscope.parameters.scale, np.zeros_like(force)
+        output, felt = means.gyroscope / base.calibration.gyroscope.parameters.scale, np.zeros_like(felt)
     return RampWindows(time_s=means.time_s, temperature_degc=means.temperature_degc, output=output, specific_force_m_s2=felt)
+
+
+def _felt(base: Parameters, accelerometer: FloatArray) -> FloatArray:
+    """Return the specific force along the sensing axes for raw outputs, both of shape (n, 3)."""
+    parameters = base.calibration.accelerometer
+    return (accelerometer - parameters.raw_zero) / parameters.scale - parameters.bias_m_s2
 
 
 def _words(triad: str, found: TemperatureFit) -> str:

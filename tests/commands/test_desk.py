@@ -23,6 +23,7 @@ from imufield.acquire.recording.session import Session
 from imufield.commands import demo
 from imufield.commands.emulate import make_emulation
 from imufield.commands.options.samples import DemoOptions, EmulateOptions
+from imufield.commands.terminal import emulated
 from imufield.errors import LinkError
 from imufield.guide.positions import scheme
 from imufield.pipeline.chain import Chain, ReadingPlan, replay_into, session_samples
@@ -314,13 +315,13 @@ def test_a_demo_that_is_faster_than_the_machine_says_so(program: Program) -> Non
 
 def test_a_demo_whose_instrument_ends_does_not_wait_for_it(program: Program, monkeypatch: pytest.MonkeyPatch) -> None:
     # At no more than real time: a busy machine would be told that it is too slow.
-    monkeypatch.setattr(demo, "LONGEST_S", 8.0)
-    with refused(LinkError, key="demo.ended"):
+    monkeypatch.setattr(emulated, "LONGEST_S", 8.0)
+    with refused(LinkError, key="emulated.ended"):
         demo.run_demo(DemoOptions(speed=1.0, plain=True, root=program.folder))
 
 
 def test_the_instrument_of_a_demo_has_a_name_that_goes_with_it(tmp_path: Path) -> None:
-    with demo._emulator(1, 8.0, tmp_path / "truth.json") as (port, _):
+    with emulated.emulator(DemoOptions(), tmp_path / "truth.json") as (port, _):
         assert Path(port).is_symlink()
     # The number of its terminal is another's by then.
     assert not Path(port).is_symlink()

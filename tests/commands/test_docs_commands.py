@@ -24,6 +24,7 @@ ELSEWHERE = {
     "imufield capture --resume": "tests/commands/test_capture.py resumes",
     "imufield capture --port /dev/ttyUSB0 --baud 115200 --protocol my_imu.toml": "tests/test_docs_protocols.py decodes it",
     "imufield capture --port /dev/ttyUSB0 --driver text": "tests/commands/test_capture.py reads lines of numbers",
+    "--ramp": "tests/commands/test_record.py leads a ramp",
     "--together": "tests/commands/test_solve_together.py solves sessions together",
     "--bus": "tests/commands/test_can.py has the buses",
     "imufield replay my-session --to-pty": "tests/commands/test_desk.py and test_can.py read such a port",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -15,9 +16,14 @@ from imufield.acquire.recording.session import Session
 from imufield.commands import record as module
 from imufield.commands.options.samples import RecordOptions
 from imufield.commands.record import run_record
-from imufield.errors import LinkError, Reason
+from imufield.errors import LinkError, Reason, UsageError
 from imufield.pipeline.chain import session_samples
+from imufield.pipeline.windows import RAMP
 from imufield.samples import Status, concatenate
+from imufield.sentences import Sentences
+from tests.refused import refused
+
+sentence = Sentences("imufield.commands.terminal")
 
 
 def chunk(number: int) -> Chunk:
@@ -146,3 +152,65 @@ def test_a_plug_that_stays_out_is_an_error_at_the_end(tmp_path: Path, monkeypatc
     with pytest.raises(LinkError, match="line is gone"):
         record_loose(Loose(0.0, back_s=1e9), tmp_path / "here", monkeypatch)
     assert len(concatenate(list(session_samples(Session.open(tmp_path / "here"), [])))) == pytest.approx(20, abs=2)
+
+
+def line(number: int, temperature: str) -> Chunk:
+    """Return a line of an instrument that prints one a second."""
+    return Chunk(f"{number:.1f},0.01,0.02,9.8{temperature}\n".encode(), number, round(1e9 * number))
+
+
+@dataclass
+class Warming(Simulated):
+    """A host with an instrument that warms by 1.5 degC/min from -10 to 10 degC, or sends no temperature."""
+
+    is_told: bool = True
+
+    def read(self) -> Chunk | None:
+        self.now_s += 1.0
+        degc = min(-10 + 1.5 * self.now_s / 60, 10.0)
+        return line(round(self.now_s), f",{degc:.2f}" if self.is_told else "")
+
+
+def record_ramp(host: Warming, folder: Path, monkeypatch: pytest.MonkeyPatch, *, as_json: bool = False) -> None:
+    columns = "time,ax,ay,az,temperature" if host.is_told else "time,ax,ay,az"
+    connected = Connected(
+        link=host,  # type: ignore[arg-type]
+        protocol=load_protocol("text", {"columns": columns, "rate_hz": 1}),
+        driver="text",
+        model="text",
+        baud=9600,
+        chunks=[],
+        identity={},
+        wire="serial",
+        instrument=None,
+        rate_hz=None,
+        rate_before_hz=None,
+    )
+    monkeypatch.setattr(module, "connect", lambda *_: connected)
+    options = RecordOptions(connect=ConnectOptions(), session=folder, duration_s=1500.0, ramp=True, as_json=as_json)
+    run_record(options, host)
+
+
+def test_a_ramp_is_led_and_ends_with_what_comes_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record_ramp(Warming(0.0), tmp_path / "my ramp", monkeypatch)
+    said = capsys.readouterr().out
+    recorded = sentence("ramp.recorded", low=-9.9, high=10.0)
+    assert recorded in said
+    assert f"imufield solve SESSION --temperature '{tmp_path}/my ramp'" in said
+    assert Session.open(tmp_path / "my ramp").record.kind == RAMP
+    record_ramp(Warming(0.0), tmp_path / "json", monkeypatch, as_json=True)
+    events = [json.loads(text) for text in capsys.readouterr().out.splitlines()]
+    ramps = [event for event in events if event["event"] == "ramp"]
+    assert len(ramps) >= 149
+    assert sum(len(event["words"]) for event in ramps) == 3
+    assert ramps[60]["degc_per_min"] == pytest.approx(1.5, abs=0.02)
+    assert ramps[-1]["is_even"]
+
+
+def test_a_ramp_without_temperature_is_refused_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    host = Warming(0.0, is_told=False)
+    with refused(UsageError, Reason.NOT_FINITE, key="ramp.no_temperature"):
+        record_ramp(host, tmp_path / "cold", monkeypatch)
+    assert host.now_s < 60

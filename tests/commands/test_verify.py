@@ -19,18 +19,21 @@ from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import Session
 from imufield.calibrate.model.gauge import intrinsic, make_intrinsic
 from imufield.calibrate.model.models import to_vector
+from imufield.calibrate.model.temperature import Polynomials, TriadTemperature, unchanging
 from imufield.cli.run import run
 from imufield.commands.options.results import VerifyOptions
 from imufield.commands.verify import run_verify
 from imufield.deliver.parameters.file import from_document, load
+from imufield.deliver.parameters.temperature import add_temperature
 from imufield.deliver.parameters.write import content_sha256, to_toml, write_document
 from imufield.earth import EARTH_RATE_RAD_S
-from imufield.errors import ParameterFileError, Reason, VerificationError
+from imufield.errors import ParameterFileError, Reason, RecordingError, VerificationError
 from imufield.pipeline.chain import part_metadata
 from imufield.pipeline.site import SiteOptions
 from imufield.samples import FloatArray, Samples
 from tests.commands.told import fails, missing
 from tests.refused import refused
+from tests.told import told
 
 GRAVITY_M_S2 = 9.80665
 LATITUDE_DEG = 48.0
@@ -48,7 +51,9 @@ def short(short_solved: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(short_solved, tmp_path / "short"))
 
 
-def rest_session(folder: Path, duration_s: float = 500.0, unit: str = "m/s^2", **metadata: Any) -> Session:
+def rest_session(
+    folder: Path, duration_s: float = 500.0, unit: str = "m/s^2", temperature_degc: float = np.nan, **metadata: Any
+) -> Session:
     """Record an instrument at rest, level, heading east of north, with the noise of a good one."""
     rate_hz, rng = 20.0, np.random.default_rng(1)
     n = round(duration_s * rate_hz)
@@ -58,7 +63,7 @@ def rest_session(folder: Path, duration_s: float = 500.0, unit: str = "m/s^2", *
     rows[:, 0] = np.arange(n) / rate_hz
     rows[:, 1:4] = [0.001, 0.002, GRAVITY_M_S2] + 1e-4 * rng.standard_normal((n, 3))
     rows[:, 4:7] = [0.8 * north, 0.6 * north, up] + 1e-6 * rng.standard_normal((n, 3))
-    rows[:, 7] = np.nan
+    rows[:, 7] = temperature_degc
     protocol = load_protocol("rows_f64", {"accelerometer_unit": unit, "gyroscope_unit": "rad/s", "rate_hz": rate_hz})
     content: dict[str, Any] = {
         "kind": "import",
@@ -206,6 +211,32 @@ def test_what_the_file_says_of_itself_goes_into_the_verdict(
     arguments = ["verify", str(poor), str(short), "-o", str(tmp_path / "found.json"), "--require", "residual-ug=5000"]
     assert run(arguments) == 7
     assert "POOR" in capsys.readouterr().out
+
+
+def test_samples_that_the_calibrated_temperatures_do_not_cover_are_counted(short: Path, tmp_path: Path) -> None:
+    parameters = load(short / "parameters.toml")
+    over = TriadTemperature(
+        reference_degc=20.0,
+        range_degc=(0.0, 40.0),
+        bias=Polynomials(np.full((1, 3), 1e-4), np.zeros((3, 1, 1))),
+        scale=unchanging(),
+        hysteresis=np.full(3, np.nan),
+        scale_separated=True,
+    )
+    document = add_temperature(parameters.document, replace(parameters.calibration, accelerometer_temperature=over), ())
+    document.pop("integrity")
+    (tmp_path / "over.toml").write_text(to_toml(document))
+    found = run_verify(VerifyOptions(parameters=tmp_path / "over.toml", session=short, output=tmp_path / "found.json"))
+    # Its instrument sends no temperature.
+    (note,) = told(found.notes, "apply_session.unknown")
+    assert note.values["samples"] > 1000
+    hot = rest_session(tmp_path / "hot", 60.0, temperature_degc=70.0)
+    found = run_verify(VerifyOptions(parameters=tmp_path / "over.toml", session=hot.folder, output=tmp_path / "found.json"))
+    (note,) = told(found.notes, "apply_session.outside")
+    assert note.values["samples"] == 1200
+    broken = rest_session(tmp_path / "broken", 60.0, temperature_degc=5000.0)
+    with refused(RecordingError, Reason.BAD_DATA, key="samples.impossible"):
+        run_verify(VerifyOptions(parameters=tmp_path / "over.toml", session=broken.folder))
 
 
 def test_options_that_would_change_nothing_are_refused(short: Path, tmp_path: Path) -> None:

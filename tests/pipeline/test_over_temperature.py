@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,20 +14,25 @@ from imufield.calibrate.model.models import accelerometer_at, predict
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeCalibration, GyroscopeParameters
 from imufield.calibrate.model.temperature import Polynomials, TriadTemperature
+from imufield.calibrate.model.uncertainty import student_factor
 from imufield.cli.run import run
 from imufield.deliver.parameters.context import Context, InstrumentFacts, SessionFacts
 from imufield.deliver.parameters.file import Parameters, load, write_document
+from imufield.deliver.report.data import ReportData
+from imufield.deliver.report.over_temperature import temperature_curves
+from imufield.deliver.report.page import render_report
 from imufield.earth import MILLI_G_M_S2, Gravity
-from imufield.errors import CalibrationError, ParameterFileError, Reason
+from imufield.errors import CalibrationError, ParameterFileError, Reason, RecordingError
 from imufield.guide.positions import scheme
 from imufield.pipeline.calibration import Measured, SolveSettings, calibrate
+from imufield.pipeline.solving import lost_by_replacing, solve_session
 from imufield.pipeline.temperature import RampMeans, read_ramp, with_temperature
 from imufield.samples import SampleUnits
 from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
 from imufield.simulate.truth.imu import ImuSettings
 from imufield.simulate.truth.operator import OperatorSettings
 from tests.refused import refused
-from tests.told import keys
+from tests.told import keys, told
 
 pytestmark = pytest.mark.numerical
 
@@ -119,6 +125,34 @@ def test_joint_parameters_hold_where_one_session_and_one_pose_do_not(sessions: t
     assert [source.kind for source in joint.context.temperature_sources] == ["session"] * 3 + ["ramp"]
 
 
+def test_the_file_keeps_sessions_and_new_day_and_the_report_draws_them(
+    sessions: tuple[Parameters, ...], tmp_path: Path
+) -> None:
+    joint = with_temperature(sessions[1], sessions, [ramp()])
+    write_document(tmp_path / "parameters.toml", joint.document)
+    model, again = joint.temperature_models[0], load(tmp_path).temperature_models[0]
+    assert model.sessions is not None
+    assert model.new_day is not None
+    assert again.sessions is not None
+    assert again.new_day is not None
+    np.testing.assert_array_equal(again.sessions.bias, model.sessions.bias)
+    np.testing.assert_array_equal(again.new_day.bias_covariance, model.new_day.bias_covariance)
+    # What the sessions themselves found is what the truth says, and the curves go by there.
+    d_degc = model.sessions.temperature_degc - 20.0
+    np.testing.assert_allclose(model.sessions.bias, OVER_TEMPERATURE.bias.at(d_degc), atol=5 * NOISE_M_S2)
+    (curves,) = temperature_curves(joint)
+    row = int(np.argmin(np.abs(curves.temperature_degc - 55.0)))
+    there = joint.at(float(curves.temperature_degc[row])).calibration
+    sigma_mg = there.accelerometer_sigma.bias_m_s2 / MILLI_G_M_S2
+    np.testing.assert_allclose(curves.bias.half_95[row], student_factor(model.new_day.bias_freedom) * sigma_mg)
+    found = np.abs(there.accelerometer.bias_m_s2 - TRUTH.bias_m_s2 - OVER_TEMPERATURE.bias.at(np.array([35.0]))[0])
+    assert np.all(found < 5 * there.accelerometer_sigma.bias_m_s2)
+    assert np.all(np.linalg.eigvalsh(there.covariance) > -1e-15)
+    page = render_report(ReportData(parameters=joint))
+    assert "temperature-accelerometer-" in page
+    assert "temperature-accelerometer-" not in render_report(ReportData(parameters=sessions[1]))
+
+
 def test_one_pose_alone_is_never_good_and_sessions_keep_their_verdict(sessions: tuple[Parameters, ...]) -> None:
     base = sessions[1]
     assert base.calibration.quality.verdict == "good"
@@ -153,7 +187,7 @@ def test_sessions_that_mean_something_else_are_refused(sessions: tuple[Parameter
         with_temperature(sessions[1], [*sessions[1:], cold], [])
     heated = [row | {"temperature_degc": 1000.0} for row in positions]
     hot = replace(sessions[0], document=sessions[0].document | {"position": heated})
-    with refused(CalibrationError, Reason.BAD_DATA, key="temperature.impossible"):
+    with refused(RecordingError, Reason.BAD_DATA, key="samples.impossible"):
         with_temperature(sessions[1], [*sessions[1:], hot], [])
 
 
@@ -180,12 +214,44 @@ def recorded(folder: Path, temperature_degc: float) -> Path:
     return import_table(folder, f"at{temperature_degc:g}", np.column_stack(columns))
 
 
-def test_solve_takes_sessions_and_ramps_as_they_come(tmp_path: Path) -> None:
+def warming_up(folder: Path) -> Path:
+    """Return an imported recording of one pose over 30 degC and back."""
     time_s = np.arange(0.0, 4000.0, 2.0)
     at_degc = 10 + 30 * (1 - np.abs(time_s / 2000 - 1))
     outputs = np.array([0.1, 0.2, 9.8, 0, 0, 0]) + np.outer(at_degc, [1e-3, 1e-3, 1e-3, 1e-5, 1e-5, 1e-5])
     noise = 1e-4 * np.random.default_rng(3).normal(size=(len(time_s), 6))
-    warm_up = import_table(tmp_path, "warm-up", np.column_stack([time_s, outputs + noise, at_degc]))
+    return import_table(folder, "warm-up", np.column_stack([time_s, outputs + noise, at_degc]))
+
+
+def test_a_ramp_alone_is_refused_as_what_it_is(tmp_path: Path) -> None:
+    with refused(CalibrationError, Reason.TOO_FEW, "--temperature warm-up", key="solving.one_pose"):
+        solve_session(Session.open(warming_up(tmp_path)), SolveSettings())
+
+
+def test_a_file_over_temperature_is_not_replaced_without_a_word(
+    sessions: tuple[Parameters, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    session = recorded(tmp_path, 25.0)
+    path, joint = session / "parameters.toml", with_temperature(sessions[1], sessions, [])
+    write_document(path, joint.document)
+    (lost,) = told(lost_by_replacing(path, sessions[1]), "solving.lost_temperature")
+    assert (lost.values["low"], lost.values["high"]) == (-18.0, 55.0)
+    assert not lost_by_replacing(path, joint)
+    capsys.readouterr()
+    # One session, as the workbench solves it, and several.
+    assert run(["solve", "--json", str(session)]) == 0
+    assert "--temperature 'at -18'" in json.loads(capsys.readouterr().out)["notes"][-1]
+    assert not load(path).temperature_models
+    write_document(path, joint.document)
+    capsys.readouterr()
+    assert run(["solve", "--json", str(session), str(recorded(tmp_path, 0.0))]) == 0
+    solved = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert "--temperature 'at -18'" in solved[0]["notes"][-1]
+    assert not solved[1]["notes"]
+
+
+def test_solve_takes_sessions_and_ramps_as_they_come(tmp_path: Path) -> None:
+    warm_up = warming_up(tmp_path)
     base, cold, output = recorded(tmp_path, 25.0), recorded(tmp_path, 0.0), tmp_path / "parameters.toml"
     assert run(["solve", str(base), "--temperature", str(cold), "--temperature", str(warm_up), "-o", str(output)]) == 0
     joint = load(output)

@@ -23,7 +23,8 @@ from imufield.acquire.formats.table_columns import (
 )
 from imufield.acquire.formats.table_text import TextTable, open_table
 from imufield.errors import Reason, RecordingError
-from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, FloatArray, Status
+from imufield.limits import TEMPERATURE_RANGE_DEGC
+from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, FloatArray, Status, is_possible_degc
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -84,6 +85,7 @@ def file_of(source: Source, meaning: Meaning, values: FloatArray, first_row: int
     # A column without a number may be left out; half a triad may not.
     _check_whole_triads(path, fields, kept)
     _check_whole_numbers(source, kept, first_row)
+    _check_temperatures(source, kept, first_row)
     for name, column in kept.items():
         if name not in (TEMPERATURE, COUNTER, STATUS):
             _check_finite(source, name, column, kept.get(STATUS), first_row=first_row)
@@ -138,6 +140,15 @@ def _check_whole_numbers(source: Source, kept: Fields, first_row: int) -> None:
             row = int(np.argmin(is_sound))
             limits = {"low": low, "high": high}
             raise _fault("table_file.no_whole_number", source, first_row + row, value=column[row], name=name, **limits)
+
+
+def _check_temperatures(source: Source, kept: Fields, first_row: int) -> None:
+    """Refuse what no thermometer of an instrument shows, e.g. the -999 that stands for "none" in tables of others."""
+    is_possible = is_possible_degc(kept.get(TEMPERATURE, np.empty(0)))
+    if not is_possible.all():
+        row = int(np.argmin(is_possible))
+        low, high = TEMPERATURE_RANGE_DEGC
+        raise _fault("table_file.impossible", source, first_row + row, found=kept[TEMPERATURE][row], low=low, high=high)
 
 
 def _check_no_step_back(source: Source, time: FloatArray | None, first_row: int, *, is_guess: bool) -> None:

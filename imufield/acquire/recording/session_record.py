@@ -31,7 +31,7 @@ KEYS: Mapping[str, type] = {
     **dict.fromkeys(("format", "created", "software", "model", "name", "kind", "scheme"), str),
     **dict.fromkeys(("instrument", "link", "protocol", "settings", "units", "nominal", "guide", "site", "import"), dict),
 }
-"""What ``session.toml`` may hold: ``kind`` is "capture", "record" or "import"; tables are filled by those who use them."""
+"""What ``session.toml`` may hold: ``kind`` is "capture", "record", "ramp" or "import"; who uses a table fills it."""
 
 Table = dict[str, Any]  # Of a TOML document, whose values have every type that TOML knows.
 

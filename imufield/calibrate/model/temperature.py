@@ -57,6 +57,52 @@ def unchanging() -> Polynomials:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class NewDay:
+    """What bias and scale at a temperature are known to on a day that was not measured, as sessions on several days show it.
+
+    The parameters at the reference are those of one session, which differs from the days of all by u. What is stated for
+    another day is off by u and the errors of the coefficients, which share sessions, and by what that day differs.
+    """
+
+    bias: FloatArray
+    """From day to day, 1 sigma, m/s^2 or rad/s, shape (3,)."""
+    scale: FloatArray
+    """The same, relative; NaN where the sessions do not show it."""
+    bias_covariance: FloatArray
+    """Of u and the coefficients of B, each axis, shape (3, order + 1, order + 1)."""
+    scale_covariance: FloatArray
+    bias_freedom: float
+    """Degrees of freedom of the scatter that all this comes from."""
+    scale_freedom: float
+
+    def bias_sigma_at(self, d_degc: FloatArray) -> FloatArray:
+        """Return 1 sigma of the bias for shape (n,) of degrees above the reference, shape (n, 3)."""
+        return _sigma_of_day(d_degc, self.bias, self.bias_covariance)
+
+    def scale_sigma_at(self, d_degc: FloatArray) -> FloatArray:
+        """Return 1 sigma of the scale, relative, for shape (n,) of degrees above the reference, shape (n, 3)."""
+        return _sigma_of_day(d_degc, self.scale, self.scale_covariance)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class SessionChanges:
+    """What m sessions found of bias and scale themselves, less the session at the reference."""
+
+    temperature_degc: FloatArray
+    """Shape (m,)."""
+    bias: FloatArray
+    """m/s^2 or rad/s, shape (m, 3)."""
+    scale: FloatArray
+    """Relative, shape (m, 3); NaN where a session does not show it."""
+
+
+def _sigma_of_day(d_degc: FloatArray, day: FloatArray, covariance: FloatArray) -> FloatArray:
+    V = np.column_stack([np.ones(len(d_degc)), powers(d_degc, covariance.shape[1] - 1)])
+    variance: FloatArray = np.einsum("np,apq,nq->na", V, covariance, V)
+    return np.sqrt(np.maximum(variance, 0.0) + day**2)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class TriadTemperature:
     """Bias and scale of a triad over temperature."""
 
@@ -71,6 +117,10 @@ class TriadTemperature:
     """1 sigma of the bias by the way to a temperature: half the difference of the branches, shape (3,); NaN: not known."""
     scale_separated: bool
     """False where one pose alone was seen: the drift of the scale, times its specific force, is in the bias."""
+    new_day: NewDay | None = None
+    """None where no sessions show how days differ: fewer than three, or none to spare."""
+    sessions: SessionChanges | None = None
+    """None where ramps alone were seen."""
 
     def degrees_above(self, temperature_degc: FloatArray) -> FloatArray:
         """Return d for temperatures of shape (n,): clamped into the range, and zero where the temperature is not known."""
@@ -85,6 +135,21 @@ class TriadTemperature:
     def bias_sigma_at(self, temperature_degc: FloatArray) -> FloatArray:
         """Return 1 sigma of the change of the bias from the reference, hysteresis included, shape (n, 3)."""
         return np.hypot(self.bias.sigma_at(self.degrees_above(temperature_degc)), np.nan_to_num(self.hysteresis))
+
+    def sigma_there(
+        self, temperature_degc: float, bias_sigma: FloatArray, scale_sigma: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return 1 sigma of bias and scale (relative) at a temperature for those at the reference, all of shape (3,).
+
+        It is that of a day that was not measured, where sessions show how days differ; else that of the reference's own day.
+        """
+        at_degc = np.array([temperature_degc])
+        d_degc = self.degrees_above(at_degc)
+        if self.new_day is None:
+            return np.hypot(bias_sigma, self.bias_sigma_at(at_degc)[0]), np.hypot(scale_sigma, self.scale.sigma_at(d_degc)[0])
+        of_day = np.hypot(self.new_day.bias_sigma_at(d_degc)[0], np.nan_to_num(self.hysteresis))
+        # Never below what the session at the reference states: its gravity is as uncertain on all days.
+        return np.fmax(bias_sigma, of_day), np.fmax(scale_sigma, self.new_day.scale_sigma_at(d_degc)[0])
 
     def to_reference(
         self, raw: FloatArray, temperature_degc: FloatArray, *, scale: FloatArray, raw_zero: FloatArray | float = 0.0

@@ -25,8 +25,16 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from imufield.calibrate.model.temperature import HIGHEST_ORDER, Polynomials, TriadTemperature, powers
+from imufield.calibrate.model.temperature import (
+    HIGHEST_ORDER,
+    NewDay,
+    Polynomials,
+    SessionChanges,
+    TriadTemperature,
+    powers,
+)
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
@@ -40,6 +48,7 @@ WIDEST_GAP_DEGC = 5.0
 """Between the reference and what was measured: beyond, what joins the two is a guess."""
 MOST_SCATTER = 4.0
 """Factor on the sigmas given; days that differ as the sessions' own sigma make 2 of it."""
+_FEWEST_FREEDOM = 0.5  # Of one kind of rows: with fewer the others fit them, and they show no scatter.
 _OTHER_POSE_M_S2 = 0.5 * STANDARD_GRAVITY_M_S2  # Along each axis: below, bias and scale share what the ramps see.
 
 
@@ -55,6 +64,8 @@ class SessionPoints:
     """Relative to the scale at the reference, less 1, shape (m, 3); NaN where a session does not show it."""
     covariance: FloatArray
     """Of bias and scale of each axis, shape (m, 3, 2, 2)."""
+    reference: int | None = None
+    """Which of them is the session whose numbers hold at the reference; None where it is none of these."""
 
     def __len__(self) -> int:
         return len(self.temperature_degc)
@@ -79,11 +90,25 @@ class RampBlocks:
         return len(self.temperature_degc)
 
 
+_BIAS, _SCALE, _RAMP = range(3)
+
+
 class _System(NamedTuple):
     """Whitened equations of one axis: rows by unknowns, and what they must give."""
 
     matrix: FloatArray
     values: FloatArray
+    kind: NDArray[np.intp]
+    """Of each row: bias or scale of a session, or a ramp."""
+
+
+class _Scatter(NamedTuple):
+    """Scatter of bias and scale of sessions, and of ramps, about the polynomials."""
+
+    factor: FloatArray
+    """On the sigma given, 1 at least, shape (3,)."""
+    freedom: FloatArray
+    """Degrees of freedom, shape (3,)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -181,7 +206,7 @@ def _chosen_orders(evidence: Evidence, most_bias: int, most_scale: int) -> tuple
         for scale in range(most_scale + 1):
             # Constants come last, and every model has them.
             kept = np.r_[0:bias, most_bias : most_bias + scale, most_bias + most_scale : full[0].matrix.shape[1]]
-            misfit = sum(_misfit(_System(system.matrix[:, kept], system.values)) for system in full)
+            misfit = sum(_misfit(system._replace(matrix=system.matrix[:, kept])) for system in full)
             beyond = misfit if misfit <= rows else rows * (1 + math.log(misfit / rows))
             criteria[bias, scale] = beyond + 3 * (bias + scale) * math.log(rows)
     return min(criteria, key=lambda orders: criteria[orders])
@@ -200,10 +225,13 @@ def fit_orders(evidence: Evidence, bias: int, scale: int) -> TemperatureFit:
     span = _span(evidence)
     unit = np.concatenate([span ** -np.arange(1.0, order + 1) for order in (bias, scale)])
     coefficients, covariances = np.zeros((bias + scale, 3)), np.zeros((3, bias + scale, bias + scale))
+    scatter, inverses = _scatter(systems), []
     for axis, system in enumerate(systems):
-        inverse = np.linalg.pinv(system.matrix)[: bias + scale]
-        coefficients[:, axis] = inverse @ system.values * unit
-        covariances[axis] = factor**2 * inverse @ inverse.T * np.outer(unit, unit)
+        inverse = np.linalg.pinv(system.matrix)[: bias + scale] * unit[:, None]
+        coefficients[:, axis] = inverse @ system.values
+        # Days that differ, and blocks of a ramp that do, have errors of their own sizes.
+        inverses.append(inverse * scatter.factor[system.kind])
+        covariances[axis] = inverses[-1] @ inverses[-1].T
     measured_degc = evidence.temperature_degc
     range_degc = (
         min(float(measured_degc.min()), evidence.reference_degc),
@@ -218,9 +246,61 @@ def fit_orders(evidence: Evidence, bias: int, scale: int) -> TemperatureFit:
         ),
         hysteresis=_hysteresis(evidence.ramps),
         scale_separated=evidence.separates_scale,
+        new_day=None if evidence.points is None else _new_day(evidence.points, scatter, inverses, bias),
+        sessions=None if evidence.points is None else _changes(evidence.points),
     )
     gap_degc = float(np.abs(measured_degc - evidence.reference_degc).min())
     return TemperatureFit(temperature=temperature, blocks=distinct(measured_degc), factor=factor, gap_degc=gap_degc)
+
+
+def _scatter(systems: Sequence[_System]) -> _Scatter:
+    """Return how far the rows of each kind are from the fit."""
+    squares, freedom = np.zeros(3), np.zeros(3)
+    for matrix, values, kind in systems:
+        hat = matrix @ np.linalg.pinv(matrix)
+        squares += np.bincount(kind, (values - hat @ values) ** 2, minlength=3)
+        freedom += np.bincount(kind, 1 - np.diagonal(hat), minlength=3)
+    shown = freedom >= _FEWEST_FREEDOM
+    factor = np.sqrt(np.maximum(squares, freedom) / np.where(shown, freedom, 1.0))
+    return _Scatter(np.where(shown, factor, 1.0), np.where(shown, freedom, 0.0))
+
+
+def _new_day(points: SessionPoints, scatter: _Scatter, inverses: Sequence[FloatArray], bias: int) -> NewDay | None:
+    """Return how bias and scale of a day that was not measured differ, by inverses whose rows are the coefficients."""
+    if not scatter.freedom[_BIAS]:
+        return None
+    order = len(inverses[0])
+    days, covariances = np.full((2, 3), np.nan), np.zeros((2, 3, order + 1, order + 1))
+    row = points.reference or 0
+    for axis, inverse in enumerate(inverses):
+        shown = np.isfinite(points.scale[:, axis])
+        # Rows of sessions come first: one of each bias, one of each scale that is shown.
+        place = row + int(shown[:row].sum())
+        for quantity in (_BIAS, _SCALE) if shown[row] and scatter.freedom[_SCALE] else (_BIAS,):
+            own, factor = points.covariance[row, axis, quantity, quantity], scatter.factor[quantity]
+            days[quantity, axis] = math.sqrt(own * (factor**2 - 1))
+            covariances[quantity, axis, 0, 0] = own * factor**2
+            covariances[quantity, axis, 1:, 1:] = inverse @ inverse.T
+            if points.reference is not None:
+                shared = inverse[:, place + quantity] * math.sqrt(own) * factor
+                covariances[quantity, axis, 0, 1:] = covariances[quantity, axis, 1:, 0] = shared
+    of_bias, of_scale = np.arange(bias + 1), np.r_[0, bias + 1 : order + 1]
+    return NewDay(
+        bias=days[_BIAS],
+        scale=days[_SCALE],
+        bias_covariance=covariances[_BIAS][:, of_bias[:, None], of_bias],
+        scale_covariance=covariances[_SCALE][:, of_scale[:, None], of_scale],
+        bias_freedom=float(scatter.freedom[_BIAS]),
+        scale_freedom=float(scatter.freedom[_SCALE]),
+    )
+
+
+def _changes(points: SessionPoints) -> SessionChanges | None:
+    row = points.reference
+    if row is None:
+        return None
+    bias, scale = points.bias - points.bias[row], points.scale - points.scale[row]
+    return SessionChanges(temperature_degc=points.temperature_degc, bias=bias, scale=scale)
 
 
 def _scale_of_share(coefficients: FloatArray, range_d_degc: FloatArray) -> FloatArray:
@@ -240,7 +320,7 @@ def _system(evidence: Evidence, bias: int, scale: int, axis: int) -> _System:
     """Return the equations of one axis; the unknowns are B and q in powers of d over the span, then the constants."""
     points, ramps, span = evidence.points, evidence.ramps, _span(evidence)
     constants = 2 * (points is not None) + len(ramps)
-    matrices, values = [], []
+    matrices, values, kinds = [], [], list[NDArray[np.intp]]()
     if points is not None:
         d = (points.temperature_degc - evidence.reference_degc) / span
         for row in range(len(points)):
@@ -254,6 +334,7 @@ def _system(evidence: Evidence, bias: int, scale: int, axis: int) -> _System:
             white = np.linalg.inv(np.linalg.cholesky(points.covariance[row, axis][np.ix_(shown, shown)]))
             matrices.append(white @ pair[shown])
             values.append(white @ found[shown])
+            kinds.append(np.flatnonzero(shown))
     for number, ramp in enumerate(ramps):
         d = (ramp.temperature_degc - evidence.reference_degc) / span
         block = np.zeros((len(ramp), bias + scale + constants))
@@ -262,7 +343,8 @@ def _system(evidence: Evidence, bias: int, scale: int, axis: int) -> _System:
         block[:, constants + bias + scale - len(ramps) + number] = 1.0
         matrices.append(block / ramp.sigma[:, axis, None])
         values.append(ramp.output[:, axis] / ramp.sigma[:, axis])
-    return _System(np.vstack(matrices), np.concatenate(values))
+        kinds.append(np.full(len(ramp), _RAMP))
+    return _System(np.vstack(matrices), np.concatenate(values), np.concatenate(kinds))
 
 
 def _hysteresis(ramps: Sequence[RampBlocks]) -> FloatArray:

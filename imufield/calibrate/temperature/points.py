@@ -21,22 +21,32 @@ _Point = tuple[FloatArray, FloatArray, FloatArray]
 
 
 def accelerometer_points(
-    reference: AccelerometerParameters, sessions: Sequence[Calibration], temperature_degc: Sequence[float]
+    reference: AccelerometerParameters,
+    sessions: Sequence[Calibration],
+    temperature_degc: Sequence[float],
+    of_reference: int | None = None,
 ) -> SessionPoints:
-    """Return bias and scale of sessions at temperatures, one each; all in the gauge of the reference."""
-    return _points([_accelerometer(reference, session) for session in sessions], temperature_degc)
+    """Return bias and scale of sessions at temperatures, one each; all in the gauge of the reference.
+
+    ``of_reference`` is the number of the session that the reference comes from.
+    """
+    return _points([_accelerometer(reference, session) for session in sessions], temperature_degc, of_reference)
 
 
 def gyroscope_points(
-    reference: GyroscopeParameters, sessions: Sequence[GyroscopeCalibration], temperature_degc: Sequence[float]
+    reference: GyroscopeParameters,
+    sessions: Sequence[GyroscopeCalibration],
+    temperature_degc: Sequence[float],
+    of_reference: int | None = None,
 ) -> SessionPoints:
-    """Return bias as a rate and scale of sessions at temperatures, one each; all in the frame of the reference."""
-    return _points([_gyroscope(reference, session) for session in sessions], temperature_degc)
+    """Return the same of gyroscopes, the bias as a rate; all in the frame of the reference."""
+    return _points([_gyroscope(reference, session) for session in sessions], temperature_degc, of_reference)
 
 
-def _points(points: Sequence[_Point], temperature_degc: Sequence[float]) -> SessionPoints:
+def _points(points: Sequence[_Point], temperature_degc: Sequence[float], reference: int | None) -> SessionPoints:
     bias, scale, covariance = (np.array(values) for values in zip(*points, strict=True))
-    return SessionPoints(temperature_degc=np.array(temperature_degc), bias=bias, scale=scale, covariance=covariance)
+    at_degc = np.array(temperature_degc)
+    return SessionPoints(temperature_degc=at_degc, bias=bias, scale=scale, covariance=covariance, reference=reference)
 
 
 def _accelerometer(reference: AccelerometerParameters, session: Calibration) -> _Point:

@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imufield.calibrate.model.temperature import HIGHEST_ORDER
 from imufield.calibrate.temperature.fit import SAME_TEMPERATURE_DEGC, RampBlocks
@@ -24,9 +25,10 @@ FASTEST_DEGC_PER_MIN = 2.0
 """Above, sensor and thermometer differ, and a branch depends on the rate (ArduPilot's forum: 90 s over 80 degC was useless)."""
 LEAST_SPAN_DEGC = 10.0
 """ArduPilot's limit: below, the drift of the bias with time is as large as that with temperature."""
+RATE_OVER_S = 60.0
+"""The step of a thermometer, 0.1 degC, over a minute stays far below the limit of the rate."""
 _MOST_BLOCKS = 40  # Over the span, each branch for itself: 20 show the order, more do not make it better.
 _FEWEST_WINDOWS = 20
-_RATE_OVER_S = 60.0  # The step of a thermometer, 0.1 degC, over a minute stays far below the limit of the rate.
 _TREND_OVER = 1 / 60  # Of the whole ramp: several steps of a coarse thermometer.
 _SAME_READING_DEGC = 1e-6
 _MOST_ALIKE = 0.5  # Of the windows read as the one before: then the steps of the thermometer are what changes.
@@ -80,12 +82,12 @@ def cut_ramp(windows: RampWindows) -> Ramp:
     time_s, read_degc, output = (a[known] for a in (windows.time_s, windows.temperature_degc, windows.output))
     force = windows.specific_force_m_s2[known]
     _require_one_pose(time_s, force)
-    long_s = max(_RATE_OVER_S, _TREND_OVER * float(np.ptp(time_s)))
+    long_s = max(RATE_OVER_S, _TREND_OVER * float(np.ptp(time_s)))
     even_degc, trend = _smoothed(time_s, read_degc, long_s)
     direction = np.where(np.abs(trend) * long_s < _STANDS * span, 0.0, np.sign(trend))
     # The steps of a coarse thermometer are no changes; a fine one follows turns that a straight line would cut.
     is_coarse = np.mean(np.abs(np.diff(read_degc)) < _SAME_READING_DEGC) > _MOST_ALIKE
-    degc, rate = (even_degc, trend) if is_coarse else (read_degc, _smoothed(time_s, read_degc, _RATE_OVER_S)[1])
+    degc, rate = (even_degc, trend) if is_coarse else (read_degc, _smoothed(time_s, read_degc, RATE_OVER_S)[1])
     lag_s = _lag(degc, rate, direction, output)
     blocks = _blocks(degc + lag_s * rate, direction, output, force.mean(axis=0))
     return Ramp(blocks=blocks, fastest_degc_per_min=60 * float(np.abs(rate).max()), lag_s=lag_s)
@@ -103,6 +105,18 @@ def _require_one_pose(time_s: FloatArray, force: FloatArray) -> None:
 def turns(force: FloatArray) -> bool:
     """Return whether the specific force of windows, shape (n, 3), is that of more than one pose."""
     return bool(np.any(_turn_rad(force) > _TURNED))
+
+
+def moved_windows(force: FloatArray) -> NDArray[np.intp]:
+    """Return behind which of the windows, shape (n, 3), the instrument is not as it was, as a ramp must be."""
+    return np.flatnonzero(_turn_rad(force) > _MOVED)
+
+
+def in_one_pose(force: FloatArray) -> slice:
+    """Return the longest run of windows, shape (n, 3), without a move: setting up and taking away are none of a ramp."""
+    edges = np.concatenate([[0], moved_windows(force) + 1, [len(force)]])
+    longest = int(np.argmax(np.diff(edges)))
+    return slice(int(edges[longest]), int(edges[longest + 1]))
 
 
 def _turn_rad(force: FloatArray) -> FloatArray:

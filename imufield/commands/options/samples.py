@@ -63,12 +63,17 @@ class DemoOptions:
     """The options of ``demo``.
 
     Example: imufield demo
+
+    Example: imufield demo --temperature
     """
 
     seed: Annotated[int, option(help="Seed of the simulated instrument and operator.", low=0, high=LARGEST_SEED)] = 2
     speed: Annotated[float, option(help="Speed relative to real time, e.g. 8 is eight times as fast.", low=1)] = (
         8.0  # What a small machine keeps up with.
     )
+    temperature: Annotated[
+        bool, option("--temperature", help="Three sessions at -10, 20 and 50 degC, joined, and what one alone would cost.")
+    ] = False
     plain: Plain = False
     root: Path = DEFAULT_ROOT
 
@@ -227,6 +232,8 @@ class RecordOptions:
 
     Example: imufield record --port /dev/ttyUSB0 --duration-s 3600
 
+    Example: imufield record --port /dev/ttyUSB0 --ramp
+
     Example: imufield record --bus socketcan:can0 --driver aceinna_can
     """
 
@@ -234,6 +241,9 @@ class RecordOptions:
     session: SessionFolder = None
     site: PlaceOptions = field(default_factory=unknown_site)
     duration_s: Annotated[float | None, option(help="Stop after this many seconds (default: until Ctrl-C).", low=0.1)] = None
+    ramp: Annotated[
+        bool, option("--ramp", help="Lead a ramp of temperature in one pose: how cold, how fast, how much is covered.")
+    ] = False
     as_json: AsJson = False
     clock_speed: ClockSpeed = 1.0
     root: Path = DEFAULT_ROOT
@@ -343,6 +353,13 @@ class EmulateOptions:
         option(help="Whole turns after the positions: rolled (edge over edge) or table (flat on the table)."),
     ] = None
     hold_s: Annotated[float, option(help="Seconds the virtual operator holds each position.", within=HOLD_RANGE_S)] = 14.0
+    temperature: Annotated[
+        str | None,
+        option(
+            help="Temperature of the instrument, degC, e.g. -10; or a ramp FROM:TO or FROM:TO:RATE, RATE in degC/min "
+            "(default: 1)."
+        ),
+    ] = None
     wait: Annotated[
         bool | None,
         option(

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, NamedTuple, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.calibrate.model.models import accelerometer_at, gyroscope_at
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration, GyroscopeParameters
 from imufield.calibrate.model.temperature import TriadTemperature
+from imufield.calibrate.temperature.there import calibration_at
 from imufield.deliver.parameters.apply import at_reference, correct_accelerometer, correct_both, correct_gyroscope
 from imufield.deliver.parameters.context import Context, InstrumentFacts, Noise, SessionFacts
 from imufield.deliver.parameters.document import calibration_from_document, context_from_document, to_document
@@ -223,18 +223,15 @@ class Parameters:
         return replace(observations, mean_raw=force, gyroscope_mean_raw=rate)
 
     def at(self, temperature_degc: float) -> Parameters:
-        """Return the parameters that hold at one temperature, for programs that know none; sigma is that at the reference.
+        """Return the parameters that hold at one temperature, for programs that know none.
 
-        The document stays that of the file, without positions: their outputs belong to the temperature they were measured at.
+        Sigma of bias and scale is that of a day that was not measured where sessions show how days differ, else that of the
+        reference and of the change from there; the covariance has the same on its diagonal. The document stays that of the
+        file, without positions: their outputs belong to the temperature they were measured at.
         """
         if not self.temperature_models:
             return self
-        calibration, gyroscope = self.calibration, self.calibration.gyroscope
-        accelerometer = accelerometer_at(calibration.accelerometer, calibration.accelerometer_temperature, temperature_degc)
-        if gyroscope is not None:
-            there = gyroscope_at(gyroscope.parameters, gyroscope.temperature, temperature_degc)
-            gyroscope = replace(gyroscope, parameters=there, temperature=None)
-        calibration = replace(calibration, accelerometer=accelerometer, gyroscope=gyroscope, accelerometer_temperature=None)
+        calibration = calibration_at(self.calibration, temperature_degc)
         session = replace(self.context.session, temperature_degc=(temperature_degc, temperature_degc))
         context = replace(self.context, session=session, temperature_sources=())
         return replace(self, calibration=calibration, context=context, document=self.document | {"position": []})

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from imufield.calibrate.model.result import Calibration
-from imufield.calibrate.model.temperature import Polynomials, TriadTemperature
+from imufield.calibrate.model.temperature import NewDay, Polynomials, SessionChanges, TriadTemperature
 from imufield.deliver.parameters.context import TemperatureSource
 from imufield.deliver.parameters.schema import Document
 from imufield.samples import FloatArray
@@ -47,6 +47,13 @@ def add_temperature(document: Document, calibration: Calibration, sources: tuple
 
 
 def _table(model: TriadTemperature, unit: str) -> Document:
+    more = {} if model.new_day is None else {"new_day": _day_table(model.new_day, unit)}
+    if model.sessions is not None:
+        more["sessions"] = {
+            "temperature_degc": model.sessions.temperature_degc.tolist(),
+            f"bias_{unit}": model.sessions.bias.tolist(),
+            "scale": model.sessions.scale.tolist(),
+        }
     return {
         "reference_degc": float(model.reference_degc),
         "range_degc": [float(value) for value in model.range_degc],
@@ -56,6 +63,18 @@ def _table(model: TriadTemperature, unit: str) -> Document:
         "scale_separated": model.scale_separated,
         "bias_covariance": model.bias.covariance.tolist(),
         "scale_covariance": model.scale.covariance.tolist(),
+        **more,
+    }
+
+
+def _day_table(day: NewDay, unit: str) -> Document:
+    return {
+        f"bias_{unit}": day.bias.tolist(),
+        "scale": day.scale.tolist(),
+        "bias_covariance": day.bias_covariance.tolist(),
+        "scale_covariance": day.scale_covariance.tolist(),
+        "bias_degrees_of_freedom": day.bias_freedom,
+        "scale_degrees_of_freedom": day.scale_freedom,
     }
 
 
@@ -73,6 +92,27 @@ def temperature_of(document: Document, triad: str) -> TriadTemperature | None:
         scale=_polynomials(table["scale"], table["scale_covariance"]),
         hysteresis=np.array(table[f"hysteresis_{unit}"], dtype=np.float64),
         scale_separated=table["scale_separated"],
+        new_day=_new_day(table["new_day"], unit) if "new_day" in table else None,
+        sessions=_sessions(table["sessions"], unit) if "sessions" in table else None,
+    )
+
+
+def _sessions(table: Document, unit: str) -> SessionChanges:
+    return SessionChanges(
+        temperature_degc=np.array(table["temperature_degc"], dtype=np.float64),
+        bias=np.array(table[f"bias_{unit}"], dtype=np.float64),
+        scale=np.array(table["scale"], dtype=np.float64),
+    )
+
+
+def _new_day(table: Document, unit: str) -> NewDay:
+    return NewDay(
+        bias=np.array(table[f"bias_{unit}"], dtype=np.float64),
+        scale=np.array(table["scale"], dtype=np.float64),
+        bias_covariance=np.array(table["bias_covariance"], dtype=np.float64),
+        scale_covariance=np.array(table["scale_covariance"], dtype=np.float64),
+        bias_freedom=float(table["bias_degrees_of_freedom"]),
+        scale_freedom=float(table["scale_degrees_of_freedom"]),
     )
 
 
@@ -99,7 +139,7 @@ def temperature_contradictions(document: Document) -> Iterator[str]:
     if new and document["version"] < VERSION_WITH_TEMPERATURE:
         yield sentence("temperature.version", key=new[0], version=document["version"])
     for triad, table in tables.items():
-        where, orders = f"{triad}.temperature", {}
+        where = f"{triad}.temperature"
         low, high = table["range_degc"]
         if high - low < _LEAST_RANGE_DEGC:
             yield sentence("temperature.range", where=where, low=low, high=high, limit=_LEAST_RANGE_DEGC)
@@ -107,13 +147,18 @@ def temperature_contradictions(document: Document) -> Iterator[str]:
         if not low <= table["reference_degc"] <= high:
             yield sentence("temperature.reference", where=where, reference=table["reference_degc"], low=low, high=high)
         for quantity, key in (("bias", f"bias_{BIAS_UNITS[triad]}"), ("scale", "scale")):
-            orders[quantity] = len(table[key])
-            blocks = table[f"{quantity}_covariance"]
-            if any(len(part) != orders[quantity] for block in blocks for part in (block, *block)):
-                yield sentence("temperature.size", where=where, quantity=quantity, order=orders[quantity])
-                return
-            if not all(map(_is_covariance, blocks)):
-                yield sentence("temperature.covariance", where=where, quantity=quantity)
+            order = len(table[key])
+            # Of a new day the first row is that of the session at the reference.
+            for part, size in ((table, order), *((table[name], order + 1) for name in ("new_day",) if name in table)):
+                blocks = part[f"{quantity}_covariance"]
+                if any(len(row) != size for block in blocks for row in (block, *block)):
+                    yield sentence("temperature.size", where=where, quantity=quantity, order=order)
+                    return
+                if not all(map(_is_covariance, blocks)):
+                    yield sentence("temperature.covariance", where=where, quantity=quantity)
+        sessions = table.get("sessions", {})
+        if len({len(values) for values in sessions.values()}) > 1:
+            yield sentence("temperature.sessions", where=where)
         yield from _too_steep(document, triad)
 
 

@@ -18,6 +18,7 @@ from imufield.deliver.report import plots
 from imufield.deliver.report.correlations import correlations
 from imufield.deliver.report.data import ReportData
 from imufield.deliver.report.gain import gain
+from imufield.deliver.report.over_temperature import temperature_curves
 from imufield.deliver.report.positions import directions, position_cards
 from imufield.deliver.report.rows import VERDICT_WORDS, Row, parameter_rows
 from imufield.deliver.report.summary import sigma_words
@@ -306,6 +307,12 @@ def _figures(data: ReportData) -> Iterator[Figure]:
         yield Figure("Convergence", plots.convergence(data.convergence), caption, "Cost over iterations", is_detail=True)
     if data.closure is not None and len(data.closure.after_deg):
         yield Figure("Gyroscope closure", plots.closure(data.closure), sentence("page.closure"), "Angle error of each move")
+    for curves in temperature_curves(data.parameters):
+        caption = sentence(
+            "page.temperature_day" if curves.is_of_new_day else "page.temperature", reference=curves.reference_degc
+        )
+        name = f"{curves.triad.capitalize()} over temperature"
+        yield Figure(name, plots.over_temperature(curves), caption, "Bias and scale over temperature")
     found = correlations(data.parameters.calibration)
     if len(found.names) > 1:
         pairs = found.strongest(_STRONGEST_SHOWN)

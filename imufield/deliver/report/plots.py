@@ -12,10 +12,11 @@ from imufield.deliver.parameters.schema import Document
 from imufield.deliver.report.correlations import Correlations
 from imufield.deliver.report.data import Closure, Convergence, Trace
 from imufield.deliver.report.gain import Gain
+from imufield.deliver.report.over_temperature import TemperatureCurves
 from imufield.deliver.report.positions import short_name
 from imufield.drawing.style import BLUE, GREY, INK, ORANGE, figure, plain_ticks, to_svg
 from imufield.earth import MILLI_G_M_S2
-from imufield.samples import FloatArray
+from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentences
 
 if TYPE_CHECKING:
@@ -231,6 +232,24 @@ def closure(moves: Closure) -> str:
     axes.set(ylim=(0, None), xlabel="minutes, start of the move", ylabel="angle error, °")
     axes.legend(loc="upper left", bbox_to_anchor=(0, 1.2), ncols=2)
     return to_svg(drawn, "closure")
+
+
+def over_temperature(curves: TemperatureCurves) -> str:
+    """Draw how bias and scale of a triad change with temperature, what sessions found, and where a new day will be."""
+    drawn = figure(2.6)
+    panels = drawn.subplots(1, 2)
+    for axes, quantity in zip(panels, (curves.bias, curves.scale), strict=True):
+        for axis, (name, style, mark, color) in enumerate(zip(AXES, ("-", "--", ":"), "os^", (INK, BLUE, ORANGE), strict=True)):
+            change, half = quantity.change[:, axis], quantity.half_95[:, axis]
+            axes.fill_between(curves.temperature_degc, change - half, change + half, color=color, alpha=0.12, linewidth=0)
+            axes.plot(curves.temperature_degc, change, style, color=color, label=name)
+            axes.plot(
+                curves.sessions_degc, quantity.sessions[:, axis], mark, color=color, markerfacecolor="white", markersize=5
+            )
+        axes.axvline(curves.reference_degc, color=GREY, linewidth=0.8)
+        axes.set(xlabel="temperature, °C", ylabel=quantity.label)
+    panels[0].legend(loc="upper left", bbox_to_anchor=(0, 1.18), ncols=3)
+    return to_svg(drawn, f"temperature-{curves.triad}")
 
 
 def correlations(pairs: Correlations) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.samples.export_data import export_csv
-from imufield.samples import Samples, SampleUnits, Status, TemperatureHold
+from imufield.samples import Samples, SampleUnits, Status, TemperatureHold, require_possible_degc
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -26,25 +26,38 @@ class TemperatureFlags:
 
     def __init__(self, parameters: Parameters) -> None:
         self._parameters = parameters
+        self._temperature = TemperatureHold()
         self._outside = self._unknown = 0
 
     def flag(self, block: Samples) -> Samples:
-        """Return a block, its temperatures filled in, with its flags."""
+        """Return the next block, its temperatures filled in, with its flags.
+
+        Raises
+        ------
+        RecordingError
+            If a temperature that the parameters are to be corrected by is none that an instrument has.
+        """
+        if not self._parameters.temperature_models:
+            return block
+        require_possible_degc("the recording", block.temperature_degc)
+        block = self._temperature.fill(block)
         flags = self._parameters.temperature_status(block)
         self._outside += int(np.count_nonzero(flags & np.uint32(Status.TEMPERATURE_OUTSIDE)))
         self._unknown += int(np.count_nonzero(flags & np.uint32(Status.TEMPERATURE_UNKNOWN)))
         return replace(block, status=block.status | flags)
+
+    def count(self, block: Samples) -> None:
+        """Take the next block where no flag is wanted, but ``notes``; raises as ``flag``."""
+        self.flag(block)
 
     def notes(self) -> tuple[str, ...]:
         """Return a sentence for each flag that was set."""
         models, said = self._parameters.temperature_models, []
         if self._outside:
             low, high = max(model.range_degc[0] for model in models), min(model.range_degc[1] for model in models)
-            flag = Status.TEMPERATURE_OUTSIDE.value
-            said.append(sentence("apply_session.outside", samples=self._outside, low=low, high=high, flag=flag))
+            said.append(sentence("apply_session.outside", samples=self._outside, low=low, high=high))
         if self._unknown:
-            values = {"reference": models[0].reference_degc, "flag": Status.TEMPERATURE_UNKNOWN.value}
-            said.append(sentence("apply_session.unknown", samples=self._unknown, **values))
+            said.append(sentence("apply_session.unknown", samples=self._unknown, reference=models[0].reference_degc))
         return tuple(said)
 
 
@@ -92,8 +105,7 @@ def apply_session(
 
 def corrected_blocks(parameters: Parameters, blocks: Iterable[Samples], flags: TemperatureFlags) -> Iterator[Samples]:
     """Yield blocks in SI, with the temperatures that were recorded, for raw blocks; raises as ``Parameters.apply``."""
-    temperature = TemperatureHold()
     for block in blocks:
-        filled = flags.flag(temperature.fill(block))
-        _, force, rate = parameters.apply(filled)
-        yield replace(block, accelerometer=force, gyroscope=rate, status=filled.status, units=SampleUnits())
+        flagged = flags.flag(block)
+        _, force, rate = parameters.apply(flagged)
+        yield replace(block, accelerometer=force, gyroscope=rate, status=flagged.status, units=SampleUnits())

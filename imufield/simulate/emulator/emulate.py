@@ -35,7 +35,7 @@ from imufield.simulate.instruments.text import TextDevice
 from imufield.simulate.instruments.vectornav import VectorNavInstrument
 from imufield.simulate.instruments.witmotion import WitMotionInstrument
 from imufield.simulate.instruments.xsens import XsensInstrument
-from imufield.simulate.truth.grades import draw_truth, find_grade
+from imufield.simulate.truth.grades import REFERENCE_TEMPERATURE_DEGC, draw_truth, find_grade
 from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.motion import Site
 from imufield.simulate.truth.operator import Operator, OperatorSettings, StillInterval, TrueMove, Visit
@@ -88,6 +88,8 @@ class Emulation:
     """The rate in it is not used."""
     faults: WireFaults = field(default_factory=Faults)
     run: EmulatorSettings = field(default_factory=EmulatorSettings)
+    sends_temperature: bool = False
+    """Of a STIM300 whose format is chosen here; others do as their form says."""
     stim300: Stim300Format | None = None
     """None: accelerometer, inclinometer, CR LF and the smallest range that holds the grade's."""
     truth: Path | None = None
@@ -297,8 +299,17 @@ def truth_document(options: Emulation, source: VirtualImu) -> dict[str, object]:
             "raw_unit": units.accelerometer,
             **_plain(instrument.accelerometer),
             "mean_drift_m_s2": drift[:3],
+            "bias_m_s2_per_degc": instrument.accelerometer_bias_per_degc.tolist(),
+            "scale_per_degc": instrument.accelerometer_scale_per_degc.tolist(),
         },
-        "gyroscope": {"raw_unit": units.gyroscope, **_plain(instrument.gyroscope), "mean_drift_rad_s": drift[3:]},
+        "gyroscope": {
+            "raw_unit": units.gyroscope,
+            **_plain(instrument.gyroscope),
+            "mean_drift_rad_s": drift[3:],
+            "bias_rad_s_per_degc": instrument.gyroscope_bias_per_degc.tolist(),
+            "scale_per_degc": instrument.gyroscope_scale_per_degc.tolist(),
+        },
+        "reference_temperature_degc": REFERENCE_TEMPERATURE_DEGC,
         "still": [_timed(still, imu) for still in operator.stills],
         "move": [_timed(move, imu) for move in operator.moves],
     }
@@ -364,5 +375,6 @@ def make_device(options: Emulation, wire: WireChoice) -> Device:
     # The smallest range that holds the grade's: a step of the wire is as fine as the instrument allows.
     grade_g = round(find_grade(options.grade).accelerometer.range_si / STANDARD_GRAVITY_M_S2, 6)
     range_g = min(range_g for range_g in ACCELEROMETER_BITS if range_g >= grade_g)
-    settings = replace(Stim300Format(rate_hz=rate_hz, accelerometer_range_g=range_g), **chosen)
+    usual = Stim300Format(rate_hz=rate_hz, accelerometer_range_g=range_g, temperature=options.sends_temperature)
+    settings = replace(usual, **chosen)
     return Stim300Device(settings, identity)

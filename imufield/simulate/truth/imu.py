@@ -47,6 +47,8 @@ class ImuSettings:
     temperature_degc: float = REFERENCE_TEMPERATURE_DEGC
     """Temperature of the instrument when warm."""
     temperature_slope_degc_s: float = 0.0
+    temperature_end_degc: float | None = None
+    """Where a slope ends; None: it does not."""
     loss_probability: float = 0.0
     """Chance of each sample to be lost on its way."""
 
@@ -141,6 +143,9 @@ class Imu:
         self._next += n
         time_s = index / settings.rate_hz
         temperature = settings.temperature_degc + settings.temperature_slope_degc_s * time_s
+        if settings.temperature_end_degc is not None:
+            low_degc, high_degc = sorted((settings.temperature_degc, settings.temperature_end_degc))
+            temperature = np.clip(temperature, low_degc, high_degc)
         if settings.warm_up:
             temperature = temperature - grade.warm_up_degc * np.exp(-time_s / grade.warm_up_s)
         warm_degc = temperature - REFERENCE_TEMPERATURE_DEGC

@@ -213,7 +213,10 @@ export class SessionView {
         ...filled(at("solve-place")),
         ...(without.length ? { without } : {}),
       });
-      if (job.code !== 0 && name === this.name) throw new Error(complaint(job));
+      if (name !== this.name) return;
+      if (job.code !== 0) throw new Error(complaint(job));
+      // What the file before knew and this one does not.
+      at("session-says").textContent = (job.found[0]?.notes ?? []).join(" ");
     } catch (error) {
       this.refuse(error);
     }

@@ -470,6 +470,18 @@ def test_a_row_that_lacks_a_triad_decides_no_unit(tmp_path: Path, row: int, stat
     assert table.status[row] == int(status)
 
 
+@pytest.mark.parametrize("found", [-999.0, -100.5, 300.5, 5000.0])
+def test_a_temperature_that_no_instrument_has_is_named(tmp_path: Path, found: float) -> None:
+    path = tmp_path / "warm.csv"
+    rows = [f"{0.01 * k:.2f},0.1,0.2,9.8,{found if k == 7 else 20.0}" for k in range(20)]
+    path.write_text("\n".join(["time_s,ax,ay,az,temperature_degc", *rows]))
+    with refused(RecordingError, Reason.BAD_DATA, f"{found:g} degC", key="table_file.impossible") as caught:
+        read_tables([path])
+    assert caught.value.values["line"] == 9
+    # Without that column the rest is as good as ever.
+    assert np.isnan(read_tables([path], columns="time,ax,ay,az,-").rows[:, 7]).all()
+
+
 @pytest.mark.parametrize("text", ["inf", "-inf", "1e300", "0.5"])
 def test_a_counter_that_is_no_whole_number_is_named(tmp_path: Path, text: str) -> None:
     with refused(RecordingError, Reason.BAD_DATA, f"{float(text):g}", "counter") as caught:

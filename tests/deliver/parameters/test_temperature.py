@@ -12,7 +12,7 @@ import pytest
 from imufield.calibrate.model.models import accelerometer_at, predict
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration
-from imufield.calibrate.model.temperature import Polynomials, TriadTemperature
+from imufield.calibrate.model.temperature import NewDay, Polynomials, TriadTemperature
 from imufield.deliver.parameters.context import Context, TemperatureSource
 from imufield.deliver.parameters.file import (
     Parameters,
@@ -45,6 +45,14 @@ def over_temperature(order: int, unit: float) -> TriadTemperature:
         scale=Polynomials(1e-5 * rng.normal(size=(1, 3)), roots_of_scale**2),
         hysteresis=np.array([1e-3, 2e-3, np.nan]) * unit,
         scale_separated=True,
+        new_day=NewDay(
+            bias=np.full(3, 0.1 * unit),
+            scale=np.array([1e-5, 2e-5, np.nan]),
+            bias_covariance=np.array([np.diag([1.0, *size.ravel()]) ** 2 * unit**2] * 3),
+            scale_covariance=np.zeros((3, 2, 2)),
+            bias_freedom=6.0,
+            scale_freedom=3.0,
+        ),
     )
 
 

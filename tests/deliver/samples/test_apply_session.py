@@ -14,7 +14,7 @@ from imufield.calibrate.model.temperature import Polynomials, TriadTemperature, 
 from imufield.deliver.parameters.context import Context
 from imufield.deliver.parameters.file import Parameters, from_document, to_document
 from imufield.deliver.samples.apply_session import TemperatureFlags, apply_session
-from imufield.errors import ParameterFileError, Reason
+from imufield.errors import ParameterFileError, Reason, RecordingError
 from imufield.samples import Samples, SampleUnits, Status, make_samples
 from tests.refused import refused
 
@@ -96,7 +96,8 @@ def test_memory_does_not_grow_with_the_recording(loaded: Parameters, tmp_path: P
     assert peaks[1] < 1.2 * peaks[0]
 
 
-def test_samples_beyond_the_calibrated_temperatures_are_flagged_and_counted(loaded: Parameters, tmp_path: Path) -> None:
+def over_temperature(loaded: Parameters) -> Parameters:
+    """Return parameters that hold from 0 to 40 degC."""
     model = TriadTemperature(
         reference_degc=20.0,
         range_degc=(0.0, 40.0),
@@ -105,7 +106,23 @@ def test_samples_beyond_the_calibrated_temperatures_are_flagged_and_counted(load
         hysteresis=np.full(3, np.nan),
         scale_separated=True,
     )
-    warm = replace(loaded, calibration=replace(loaded.calibration, accelerometer_temperature=model))
+    return replace(loaded, calibration=replace(loaded.calibration, accelerometer_temperature=model))
+
+
+@pytest.mark.parametrize("found", [-400.0, -100.1, 300.1, 5000.0, np.inf])
+def test_a_temperature_that_no_instrument_has_is_refused(found: float, loaded: Parameters, tmp_path: Path) -> None:
+    at_degc = np.full(ROWS, 20.0)
+    at_degc[3] = found
+    blocks = [replace(block(0), temperature_degc=at_degc)]
+    with refused(RecordingError, Reason.BAD_DATA, f"{found:g} degC", key="samples.impossible"):
+        apply_session(over_temperature(loaded), blocks, tmp_path / "corrected.csv")
+    assert not list(tmp_path.iterdir())
+    # Parameters of one temperature take none of it.
+    apply_session(loaded, blocks, tmp_path / "corrected.csv")
+
+
+def test_samples_beyond_the_calibrated_temperatures_are_flagged_and_counted(loaded: Parameters, tmp_path: Path) -> None:
+    warm = over_temperature(loaded)
     at_degc = np.full(ROWS, np.nan)
     at_degc[10], at_degc[500] = 30.0, 50.0
     blocks = [replace(block(0), temperature_degc=at_degc), block(1)]

@@ -1,0 +1,90 @@
+"""Bias and scale over temperature as curves for the report, in units for people."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from imufield.calibrate.model.temperature import TriadTemperature
+from imufield.calibrate.model.uncertainty import NORMAL_FACTOR_95, student_factor
+from imufield.deliver.parameters.file import Parameters
+from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S
+from imufield.earth import MILLI_G_M_S2
+from imufield.samples import FloatArray
+
+_STEPS = 81  # Over the range: a polynomial of order 5 bends four times.
+_PPM = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class QuantityCurves:
+    """How a quantity changes from the reference, at n temperatures and in m sessions."""
+
+    label: str
+    change: FloatArray
+    """Shape (n, 3)."""
+    half_95: FloatArray
+    """Half of the 95 % interval, shape (n, 3); NaN where it is not known."""
+    sessions: FloatArray
+    """Shape (m, 3)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class TemperatureCurves:
+    """Both quantities of a triad."""
+
+    triad: str
+    temperature_degc: FloatArray
+    """Shape (n,)."""
+    sessions_degc: FloatArray
+    """Shape (m,)."""
+    reference_degc: float
+    is_of_new_day: bool
+    """Whether the intervals are those of a day that was not measured."""
+    bias: QuantityCurves
+    scale: QuantityCurves
+
+
+def temperature_curves(parameters: Parameters) -> Iterator[TemperatureCurves]:
+    """Yield the curves of each triad of which something is known over temperature."""
+    calibration = parameters.calibration
+    own, gyroscope = calibration.accelerometer_sigma, calibration.gyroscope
+    if (model := calibration.accelerometer_temperature) is not None:
+        sigma = own.bias_m_s2, own.scale / np.abs(calibration.accelerometer.scale)
+        yield _curves("accelerometer", model, *sigma, unit=("mg", MILLI_G_M_S2))
+    if gyroscope is not None and (model := gyroscope.temperature) is not None:
+        K = np.abs(gyroscope.parameters.scale)
+        yield _curves("gyroscope", model, gyroscope.sigma.bias / K, gyroscope.sigma.scale / K, unit=("°/h", DEG_PER_HOUR_RAD_S))
+
+
+def _curves(
+    triad: str, model: TriadTemperature, bias_sigma: FloatArray, scale_sigma: FloatArray, *, unit: tuple[str, float]
+) -> TemperatureCurves:
+    at_degc, day, sessions = np.linspace(*model.range_degc, _STEPS), model.new_day, model.sessions
+    d_degc = model.degrees_above(at_degc)
+    sigmas = [model.sigma_there(float(degc), bias_sigma, scale_sigma) for degc in at_degc]
+    bias, scale = (np.array(of_each) for of_each in zip(*sigmas, strict=True))
+    name, size = unit
+    factors = [NORMAL_FACTOR_95] * 2 if day is None else [student_factor(day.bias_freedom), student_factor(day.scale_freedom)]
+    none = np.empty((0, 3))
+    return TemperatureCurves(
+        triad=triad,
+        temperature_degc=at_degc,
+        sessions_degc=np.empty(0) if sessions is None else sessions.temperature_degc,
+        reference_degc=model.reference_degc,
+        is_of_new_day=day is not None,
+        bias=QuantityCurves(
+            label=f"bias, {name}",
+            change=model.bias.at(d_degc) / size,
+            half_95=factors[0] * bias / size,
+            sessions=none if sessions is None else sessions.bias / size,
+        ),
+        scale=QuantityCurves(
+            label="scale, ppm",
+            change=model.scale.at(d_degc) / _PPM,
+            half_95=factors[1] * scale / _PPM,
+            sessions=none if sessions is None else sessions.scale / _PPM,
+        ),
+    )

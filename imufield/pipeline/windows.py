@@ -1,0 +1,51 @@
+"""Means of a recording over windows of some seconds: what a ramp of temperature is cut from, and what shows that it is one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imufield.acquire.recording.reader import Damage
+from imufield.acquire.recording.session import Session
+from imufield.calibrate.temperature.ramp import moved_windows
+from imufield.pipeline.chain import session_samples
+from imufield.samples import FloatArray, Samples, TemperatureHold
+
+RAMP = "ramp"
+"""What a session recorded as a ramp says of its kind."""
+WINDOW_S = 10.0
+"""Means of a ramp: at 2 degC/min the temperature moves by a third of a degree."""
+
+
+class WindowMeans:
+    """Adds samples up by windows of time."""
+
+    def __init__(self) -> None:
+        self._sums: dict[int, FloatArray] = {}
+        self._temperature = TemperatureHold()
+
+    def feed(self, samples: Samples) -> None:
+        """Take the next block."""
+        at_degc = self._temperature.fill(samples).temperature_degc
+        rows = np.column_stack(
+            [samples.time_s, at_degc, samples.accelerometer_rate(), samples.gyroscope_rate(), np.ones(len(samples))]
+        )[samples.usable]
+        number = np.floor(rows[:, 0] / WINDOW_S).astype(int)
+        for window in np.unique(number):
+            self._sums[int(window)] = self._sums.get(int(window), np.zeros(9)) + rows[number == window].sum(axis=0)
+
+    def __len__(self) -> int:
+        return len(self._sums)
+
+    def means(self) -> FloatArray:
+        """Return time, temperature, accelerometer and gyroscope of every window, raw rates, shape (n, 8)."""
+        sums = np.array([self._sums[window] for window in sorted(self._sums)]).reshape(-1, 9)
+        return np.asarray(sums[:, :8] / sums[:, 8:])
+
+
+def is_one_pose(session: Session, raw_zero: FloatArray | float) -> bool:
+    """Tell whether an instrument stayed as it was from the first to the last window of a recording."""
+    windows, damage = WindowMeans(), list[Damage]()
+    for samples in session_samples(session, damage):
+        windows.feed(samples)
+    force = windows.means()[:, 2:5] - raw_zero
+    return len(force) > 1 and not len(moved_windows(force))

@@ -1,0 +1,114 @@
+"""Sessions at several temperatures: how often the stated 95 % of bias and scale hold on a new day, at one never measured."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
+from imufield.calibrate.model.grades import GRADES, Grade
+from imufield.calibrate.model.models import accelerometer_at
+from imufield.calibrate.model.result import AccelerometerParameters, Calibration
+from imufield.calibrate.model.temperature import Polynomials, TriadTemperature
+from imufield.calibrate.model.uncertainty import student_factor
+from imufield.calibrate.temperature.fit import Evidence, fit_temperature
+from imufield.calibrate.temperature.points import accelerometer_points
+from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity
+from imufield.samples import FloatArray
+from imufield.simulate.truth.grades import draw_truth, perfect_instrument
+from imufield.study.answers.means import MeanSession
+from imufield.study.answers.tables import Rows, Study, Table
+
+BIAS_PER_DEGC = 0.15 * MILLI_G_M_S2
+SCALE_PER_DEGC = 60e-6
+AT_DEGC = {3: (-10.0, 20.0, 50.0), 5: (-10.0, 5.0, 20.0, 35.0, 50.0)}
+"""Sessions over 60 degC; the reference is the one at 20."""
+BENT = 0.5
+"""Quadratic term 30 degC from the reference, in the straight line's."""
+_DAY_PPM_OF_SCALE = 0.2  # Share of what a maker leaves in the scale: the days of no instrument differ by all of that.
+_REFERENCE_DEGC = 20.0
+_AWAY_DEGC = 30.0
+_KNOWN = Gravity(gravity_m_s2=STANDARD_GRAVITY_M_S2, sigma_m_s2=1e-6, source="measured")
+
+
+def covered(sessions: int, order: int, grade: Grade, rng: np.random.Generator) -> dict[str, ArrayLike]:
+    """Calibrate an instrument on days at several temperatures, and hold what is stated for another against that day."""
+    drawn = draw_truth(grade, rng).accelerometer
+    truth = AccelerometerParameters(
+        scale=drawn.scale, bias_m_s2=drawn.bias_m_s2, misalignment_rad=np.tril(drawn.misalignment_rad)
+    )
+    over = _drawn(order, rng)
+    at_degc = AT_DEGC[sessions]
+    found = [_solved(_of_day(truth, over, degc, grade, rng=rng), grade, rng) for degc in at_degc]
+    reference = at_degc.index(_REFERENCE_DEGC)
+    base = found[reference]
+    points = accelerometer_points(base.accelerometer, found, at_degc, reference)
+    model = fit_temperature(Evidence(reference_degc=_REFERENCE_DEGC, points=points)).temperature
+    new_degc = float(rng.uniform(at_degc[0], at_degc[-1]))
+    stated, day = accelerometer_at(base.accelerometer, model, new_degc), _of_day(truth, over, new_degc, grade, rng=rng)
+    own = base.accelerometer_sigma
+    bias_sigma, scale_sigma = model.sigma_there(new_degc, own.bias_m_s2, own.scale / base.accelerometer.scale)
+    if model.new_day is None:
+        raise ValueError("three sessions at three temperatures show how days differ")
+    bias_off, scale_off = stated.bias_m_s2 - day.bias_m_s2, stated.scale / day.scale - 1
+    return {
+        "bias": _inside(bias_off, bias_sigma, model.new_day.bias_freedom),
+        "scale": _inside(scale_off, scale_sigma, model.new_day.scale_freedom),
+        "bias_mg": bias_off / MILLI_G_M_S2,
+        "scale_ppm": 1e6 * scale_off,
+        "order": model.bias.order == order,
+    }
+
+
+def _inside(off: FloatArray, sigma: FloatArray, freedom: float) -> NDArray[np.bool_]:
+    return np.asarray(np.abs(off) <= student_factor(freedom) * sigma)
+
+
+def _drawn(order: int, rng: np.random.Generator) -> TriadTemperature:
+    """Return coefficients of a cheap chip."""
+    bent = np.array([[1.0], [BENT / _AWAY_DEGC]])[:order]
+    return TriadTemperature(
+        reference_degc=_REFERENCE_DEGC,
+        range_degc=(AT_DEGC[5][0], AT_DEGC[5][-1]),
+        bias=Polynomials(BIAS_PER_DEGC * bent * rng.standard_normal((order, 3)), np.zeros((3, order, order))),
+        scale=Polynomials(SCALE_PER_DEGC * bent * rng.standard_normal((order, 3)), np.zeros((3, order, order))),
+        hysteresis=np.full(3, np.nan),
+        scale_separated=True,
+    )
+
+
+def _of_day(
+    truth: AccelerometerParameters, over: TriadTemperature, degc: float, grade: Grade, *, rng: np.random.Generator
+) -> AccelerometerParameters:
+    """Return the true parameters of one day at a temperature."""
+    there, triad = accelerometer_at(truth, over, degc), grade.accelerometer
+    factor = 1 + 1e-6 * _DAY_PPM_OF_SCALE * triad.scale_ppm * rng.standard_normal(3)
+    return replace(there, scale=there.scale * factor, bias_m_s2=there.bias_m_s2 + triad.turn_on * rng.standard_normal(3))
+
+
+def _solved(truth: AccelerometerParameters, grade: Grade, rng: np.random.Generator) -> Calibration:
+    instrument = replace(perfect_instrument(grade), accelerometer=truth)
+    session = MeanSession(instrument=instrument, gravity_m_s2=_KNOWN.gravity_m_s2).observe(rng)
+    return calibrate_accelerometer(session.observations, _KNOWN, model="linear", grade=grade.name)
+
+
+def _rms(off: FloatArray) -> float:
+    return float(np.sqrt(np.mean(off**2)))
+
+
+_WAYS = {"five sessions, quadratic": (5, 2), "three sessions, linear": (3, 1)}
+_ROWS: Rows = {
+    f"{way}, {name}": partial(covered, *numbers, grade) for way, numbers in _WAYS.items() for name, grade in GRADES.items()
+}
+temperatures = Study(
+    Table(
+        label="instruments",
+        campaign="answers-new-day",
+        rows=_ROWS,
+        runs=(200, 2),
+        statistics={"bias_mg": _rms, "scale_ppm": _rms},
+    )
+)
