@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 
 from imufield.acquire.recording.session import Session
+from imufield.calibrate.model.budget import combined_sigma
 from imufield.cli.run import run
 from imufield.commands.options.results import HistoryOptions, SolveOptions, VerifyOptions
 from imufield.commands.solve import run_solve
 from imufield.commands.verify import run_verify
 from imufield.deliver.history import read_history
 from imufield.deliver.parameters.file import Parameters, load
+from imufield.deliver.report.budget import not_in_budget
 from imufield.errors import CalibrationError, ParameterFileError, Reason, UsageError
 from imufield.pipeline.chain import session_samples
 from imufield.pipeline.same_recording import RecordingMarks
@@ -97,6 +99,13 @@ def test_parameters_of_a_new_day_are_the_instrument_s(days: Days) -> None:
     bias = together.repeatability[0]
     assert np.all(np.array(bias.day_sigma) > bias.mean_sigma)
     assert np.all(calibration.accelerometer_sigma.bias_m_s2 >= 0.99 * np.array(bias.day_sigma))
+
+
+def test_the_budget_of_a_new_day_is_its_covariance(days: Days) -> None:
+    calibration = days.parameters.calibration
+    assert combined_sigma(calibration.budget) ** 2 == pytest.approx(np.diag(calibration.covariance), rel=1e-9, abs=1e-24)
+    assert [share.name for share in calibration.budget] == ["sessions", "gravity", "day_to_day", "no_session_shows"]
+    assert [told.key for told in not_in_budget(days.parameters)] == ["budget.no_temperature"]
 
 
 def test_a_history_holds_the_sessions_and_not_what_was_made_of_them(days: Days, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from imufield.acquire.recording.session import Session
+from imufield.calibrate.model.budget import combined_sigma
 from imufield.calibrate.model.models import accelerometer_at, predict
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeCalibration, GyroscopeParameters
@@ -16,6 +17,7 @@ from imufield.calibrate.model.temperature import Polynomials, TriadTemperature
 from imufield.cli.run import run
 from imufield.deliver.parameters.context import Context, InstrumentFacts, SessionFacts
 from imufield.deliver.parameters.file import Parameters, load, write_document
+from imufield.deliver.report.budget import not_in_budget
 from imufield.earth import MILLI_G_M_S2, Gravity
 from imufield.errors import CalibrationError, ParameterFileError, Reason
 from imufield.guide.positions import scheme
@@ -117,6 +119,14 @@ def test_joint_parameters_hold_where_one_session_and_one_pose_do_not(sessions: t
     np.testing.assert_array_equal(joint.calibration.accelerometer.scale, base.calibration.accelerometer.scale)
     assert "temperature.found" not in keys(base.calibration.quality.reasons)
     assert [source.kind for source in joint.context.temperature_sources] == ["session"] * 3 + ["ramp"]
+
+
+def test_the_budget_stays_that_of_the_reference(sessions: tuple[Parameters, ...]) -> None:
+    joined = with_temperature(sessions[1], (sessions[0], sessions[2]), [ramp()])
+    variances = np.diag(joined.calibration.covariance)
+    assert combined_sigma(joined.calibration.budget) ** 2 == pytest.approx(variances, rel=1e-9, abs=1e-24)
+    assert [told.key for told in not_in_budget(joined)] == ["budget.no_repeatability", "budget.over_temperature"]
+    assert [told.key for told in not_in_budget(sessions[1])] == ["budget.no_repeatability", "budget.no_temperature"]
 
 
 def test_one_pose_alone_is_never_good_and_sessions_keep_their_verdict(sessions: tuple[Parameters, ...]) -> None:
