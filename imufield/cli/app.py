@@ -88,6 +88,7 @@ _COMMANDS: dict[str, tuple[tuple[str, type, str], ...]] = {
     ),
     "Prove and compare": (
         ("verify", results.VerifyOptions, "verify.run_verify"),
+        ("certificate", results.CertificateOptions, "certificate.run_certificate"),
         ("history", results.HistoryOptions, "history.run_history"),
         ("noise", results.NoiseOptions, "noise.run_noise"),
     ),

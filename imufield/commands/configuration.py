@@ -23,6 +23,8 @@ KEYS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("port", "bus", "dbc", "mapping", "driver", "baud"), ("capture", "record")),
     **dict.fromkeys(("positions", "hold_s", "target_bias_ug", "target_scale_ppm"), ("capture", "plan")),
     **dict.fromkeys(("gravity", "latitude", "height"), ("capture", "record", "solve", "plan")),
+    **dict.fromkeys(("laboratory", "customer"), ("certificate",)),
+    "operator": ("certificate", "report"),
     "settings": ("capture", "record"),
     "instrument": (),
 }

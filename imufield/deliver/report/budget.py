@@ -26,6 +26,8 @@ sentence = Sentences(__package__)
 
 COVERAGE = 0.95
 """Probability of the interval that the expanded uncertainty is half of."""
+LEAST_SHOWN = 1e-3
+"""Of the combined uncertainty: a smaller share changes no digit of it."""
 _TIME_BASE = "time_base"
 _FIXED = 1e-12  # rad: rounding of an angle that the gauge fixes.
 _TITLES = {
@@ -125,9 +127,11 @@ class Group:
 
     @property
     def shares(self) -> tuple[Share, ...]:
-        """Those that contribute to any of them."""
-        entries = [entry for parameter in self.parameters for entry in parameter.entries if entry.sigma != 0]
-        return tuple({entry.share.name: entry.share for entry in entries}.values())
+        """Those that matter for any of them."""
+        entries = ((entry, parameter.sigma) for parameter in self.parameters for entry in parameter.entries)
+        return tuple(
+            {entry.share.name: entry.share for entry, sigma in entries if not entry.sigma < LEAST_SHOWN * sigma}.values()
+        )
 
 
 def budget_of(parameters: Parameters) -> tuple[Group, ...]:
@@ -176,7 +180,7 @@ def _time_base(calibration: Calibration, clock: ClockFacts | None) -> Iterator[S
     scale = dict(zip((f"gyroscope.scale.{axis}" for axis in AXES), calibration.gyroscope.parameters.scale, strict=True))
     sigma = np.array([abs(scale.get(name, 0.0)) * clock.sigma for name in calibration.covariance_names])
     if np.any(sigma > 0):
-        yield Share(name=_TIME_BASE, kind="B", input_sigma=clock.sigma, input_unit="1", sigma=sigma)
+        yield Share(name=_TIME_BASE, kind="B", input_sigma=clock.sigma, input_unit="s/s", sigma=sigma)
 
 
 def _value(calibration: Calibration, name: str) -> float:
@@ -225,16 +229,34 @@ def share_words(share: Share) -> str:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class BudgetRow:
+    """A share as text."""
+
+    words: str
+    kind: str
+    freedom: str
+    source: str
+    """Input quantity with its unit; empty where it is no single one."""
+    cells: tuple[tuple[str, str], ...]
+    """Contribution and sensitivity of each parameter."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class BudgetTable:
     """A group as text, for a page."""
 
     title: str
     unit: str
     places: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    """Of each share: words, type, degrees of freedom, input, then contribution and sensitivity of each parameter."""
+    rows: tuple[BudgetRow, ...]
     sums: tuple[tuple[str, ...], ...]
-    """Name, then the text of each parameter."""
+    """Name, then the text of each parameter: combined uncertainty, degrees of freedom, k, U, value."""
+
+    @property
+    def results(self) -> tuple[tuple[str, ...], ...]:
+        """Place, value, U, k and effective degrees of freedom of each parameter."""
+        _, freedom, factor, expanded, value = (texts for _, *texts in self.sums)
+        return tuple(zip(self.places, value, expanded, factor, freedom, strict=True))
 
 
 def budget_tables(parameters: Parameters) -> tuple[BudgetTable, ...]:
@@ -246,12 +268,17 @@ def _table(group: Group, calibration: Calibration) -> BudgetTable:
     unit, sizes = _shown(group, calibration)
     rows = []
     for share in group.shares:
-        cells = []
-        for parameter, size in zip(group.parameters, sizes, strict=True):
-            entry = next(entry for entry in parameter.entries if entry.share is share)
-            cells += [short(entry.sigma / abs(size)), short(entry.sensitivity / abs(size))]
-        source = f"{short(share.input_sigma)} {share.input_unit}" if share.input_sigma > 0 else ""
-        rows.append((share_words(share), share.kind, freedom_words(share.degrees_of_freedom), source, *cells))
+        entries = (next(entry for entry in parameter.entries if entry.share is share) for parameter in group.parameters)
+        found = [(entry.sigma / abs(size), entry.sensitivity / abs(size)) for entry, size in zip(entries, sizes, strict=True)]
+        rows.append(
+            BudgetRow(
+                words=share_words(share),
+                kind=share.kind,
+                freedom=freedom_words(share.degrees_of_freedom),
+                source=f"{short(share.input_sigma)} {share.input_unit}" if share.input_sigma > 0 else "",
+                cells=tuple((short(contribution), short(sensitivity)) for contribution, sensitivity in found),
+            )
+        )
     pairs = [*zip(group.parameters, sizes, strict=True)]
     sums = (
         ("Combined standard uncertainty", *(short(parameter.sigma / abs(size)) for parameter, size in pairs)),
@@ -317,4 +344,4 @@ def short(value: float) -> str:
     if value == 0:
         return "0"
     places = decimals(abs(value))
-    return f"{value:.1e}" if places > 6 or abs(value) >= 1e5 else f"{round(value, places):.{max(places, 0)}f}"
+    return f"{value:.1e}" if places > 6 or abs(value) >= 1e7 else f"{round(value, places):.{max(places, 0)}f}"
