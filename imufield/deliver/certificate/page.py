@@ -25,7 +25,7 @@ def render_certificate(certificate: Certificate, label: str) -> str:
     values = {
         "title": f"{certificate.instrument} {certificate.serial_number}",
         "number": certificate.number,
-        "claim": sentence("certificate.in_house").capitalize(),
+        "claim": sentence("certificate.in_house"),
         "identity": [*_identity(certificate)],
         "budget": budget_tables(certificate.parameters),
         "equation": calibration.equation,

@@ -269,14 +269,17 @@ def _table(group: Group, calibration: Calibration) -> BudgetTable:
     rows = []
     for share in group.shares:
         entries = (next(entry for entry in parameter.entries if entry.share is share) for parameter in group.parameters)
-        found = [(entry.sigma / abs(size), entry.sensitivity / abs(size)) for entry, size in zip(entries, sizes, strict=True)]
+        cells = (
+            (_fixed(entry.sigma / abs(size), parameter.sigma / abs(size)), short(entry.sensitivity / abs(size)))
+            for entry, parameter, size in zip(entries, group.parameters, sizes, strict=True)
+        )
         rows.append(
             BudgetRow(
                 words=share_words(share),
                 kind=share.kind,
                 freedom=freedom_words(share.degrees_of_freedom),
-                source=f"{short(share.input_sigma)} {share.input_unit}" if share.input_sigma > 0 else "",
-                cells=tuple((short(contribution), short(sensitivity)) for contribution, sensitivity in found),
+                source=_source_words(share),
+                cells=tuple(cells),
             )
         )
     pairs = [*zip(group.parameters, sizes, strict=True)]
@@ -330,6 +333,18 @@ def _value_words(parameter: ParameterBudget, size: float, nominal: float | None)
 def _raw_unit(calibration: Calibration, triad: str) -> str:
     gyroscope = calibration.gyroscope
     return gyroscope.raw_unit if triad == "gyroscope" and gyroscope is not None else calibration.accelerometer_raw_unit
+
+
+def _source_words(share: Share) -> str:
+    if not share.input_sigma > 0:
+        return ""
+    return f"{short(share.input_sigma)} {share.input_unit.replace('^2', '²')}"
+
+
+def _fixed(contribution: float, combined: float) -> str:
+    """Return a contribution with one decimal more than the sum."""
+    places = max(decimals(combined) + 1, 0)
+    return f"{contribution:.{places}f}" if math.isfinite(contribution) else ""
 
 
 def freedom_words(freedom: float) -> str:
