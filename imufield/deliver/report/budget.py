@@ -40,6 +40,7 @@ _TITLES = {
     "gyroscope.misalignment_rad": "Gyroscope misalignment",
     "gyroscope.g_sensitivity": "Gyroscope g-sensitivity",
 }
+_INPUT_UNITS = {"accelerometer": "m/s²", "gyroscope": "rad/s"}
 _SHARES = {
     "within_hold": "Noise within a hold",
     "between_holds": "Scatter between holds",
@@ -288,7 +289,7 @@ def _table(group: Group, calibration: Calibration) -> BudgetTable:
         ("Effective degrees of freedom", *(freedom_words(parameter.degrees_of_freedom) for parameter, _ in pairs)),
         ("Coverage factor k, 95 %", *(f"{parameter.coverage_factor:.2f}" for parameter, _ in pairs)),
         ("Expanded uncertainty U", *(short(parameter.expanded / abs(size)) for parameter, size in pairs)),
-        ("Value", *(_value_words(parameter, size, _nominal(group, calibration)) for parameter, size in pairs)),
+        ("Value", *(_value_words(parameter, size, group, calibration) for parameter, size in pairs)),
     )
     places = tuple(parameter.place for parameter in group.parameters)
     return BudgetTable(title=group.title, unit=unit, places=places, rows=tuple(rows), sums=sums)
@@ -315,18 +316,21 @@ def _shown(group: Group, calibration: Calibration) -> tuple[str, Sequence[float]
     return units[kind][0], (K[rows] * units[kind][1]).tolist()
 
 
-def _nominal(group: Group, calibration: Calibration) -> float | None:
-    """Return what is taken off a value: of a scale that of a perfect instrument; None where only the maker knows it."""
+def _value_words(parameter: ParameterBudget, size: float, group: Group, calibration: Calibration) -> str:
     triad, _, kind = group.key.partition(".")
-    return nominal_scale(_raw_unit(calibration, triad)) if kind == "scale" else 0.0
+    if kind != "scale":
+        return _rounded(parameter.value / size, abs(parameter.expanded / size))
+    raw_unit = _raw_unit(calibration, triad)
+    nominal = nominal_scale(raw_unit)
+    if nominal is not None:
+        return _rounded((parameter.value / nominal - 1) * 1e6, abs(parameter.expanded / size))
+    # Only the maker knows how far it is off: the scale itself, in its own unit.
+    places = max(decimals(abs(parameter.expanded)), 0)
+    return f"{parameter.value:.{places}f} {raw_unit} per {_INPUT_UNITS[triad]}"
 
 
-def _value_words(parameter: ParameterBudget, size: float, nominal: float | None) -> str:
-    if nominal is None:
-        return f"{parameter.value:.8g}"
-    places = decimals(abs(parameter.expanded / size))
-    # A scale's error is relative to the nominal one.
-    value = (parameter.value - nominal) / (nominal * 1e-6 if nominal else size)
+def _rounded(value: float, uncertainty: float) -> str:
+    places = decimals(uncertainty)
     return f"{round(value, places) + 0.0:+.{max(places, 0)}f}"
 
 

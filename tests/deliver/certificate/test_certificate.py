@@ -213,6 +213,14 @@ def test_tables_name_each_share(solved: Parameters) -> None:
         assert len(table.results) == len(group.parameters)
 
 
+def test_a_scale_that_only_the_maker_knows_has_its_own_unit(calibration: Calibration, observations: Observations) -> None:
+    counts = replace(calibration, accelerometer_raw_unit="count")
+    by_title = {table.title: table for table in budget_tables(parameters_of(counts, observations))}
+    assert by_title["Accelerometer scale"].results[0][1].endswith(" count per m/s²")
+    by_title = {table.title: table for table in budget_tables(parameters_of(calibration, observations))}
+    assert by_title["Accelerometer scale"].results[0][1] == "+120"  # of 1.000123456789, U = 110 ppm
+
+
 def test_shares_survive_the_file_and_add_up(solved: Parameters, observations: Observations) -> None:
     calibration = solved.calibration
     sigma = np.sqrt(np.diag(calibration.covariance))
