@@ -64,6 +64,7 @@ ROOMS = (
     ("deliver/samples",),
     ("deliver/verification",),
     ("deliver/report",),
+    ("deliver/certificate",),
     ("deliver",),
     ("",),
     ("simulate/truth",),

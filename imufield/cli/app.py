@@ -74,6 +74,10 @@ def _root(
     context.default_map = default_map()
 
 
+boxes = True
+"""Whether an error stands in a box, for a person at a terminal; else its sentence is the last line."""
+
+
 def make_app(wanted: Collection[str] = NAMES) -> typer.Typer:
     """Return the command line with these commands; making one takes a millisecond, and its options must be imported."""
     made = typer.Typer(
@@ -83,7 +87,7 @@ def make_app(wanted: Collection[str] = NAMES) -> typer.Typer:
         no_args_is_help=True,
         context_settings={"help_option_names": ["--help", "-h"]},
         pretty_exceptions_enable=False,
-        rich_markup_mode="rich",
+        rich_markup_mode="rich" if boxes else None,
     )
     made.callback()(_root)
     for panel, commands in COMMANDS.items():

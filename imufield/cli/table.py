@@ -16,6 +16,7 @@ COMMANDS: dict[str, dict[str, tuple[str, str, str]]] = {
     },
     "Prove and compare": {
         "verify": ("results.VerifyOptions", "verify.run_verify", "commands.verify"),
+        "certificate": ("results.CertificateOptions", "certificate.run_certificate", "commands.certificate"),
         "history": ("results.HistoryOptions", "history.run_history", "commands.history"),
         "noise": ("results.NoiseOptions", "noise.run_noise", "commands.noise"),
     },

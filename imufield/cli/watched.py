@@ -36,11 +36,9 @@ def _end_with(starter: int) -> None:
 
 
 if __name__ == "__main__":
-    from imufield.cli import main
-    from imufield.cli.app import app
+    from imufield.cli import app, main
 
-    # A box is for a person at a terminal: here the last line of an error is its sentence.
-    app.rich_markup_mode = None
+    app.boxes = False
     # For this thread alone: a question to a person must find nobody, and what is started here must not hold it.
     held = os.dup(0)
     with Path(os.devnull).open() as nobody:

@@ -24,6 +24,8 @@ KEYS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("positions", "hold_s"), ("capture", "plan")),
     **dict.fromkeys(("target_bias_ug", "target_scale_ppm"), ("capture", "plan", "history")),
     **dict.fromkeys(("gravity", "latitude", "height"), ("capture", "record", "solve", "plan")),
+    **dict.fromkeys(("laboratory", "customer"), ("certificate",)),
+    "operator": ("certificate", "report"),
     "settings": ("capture", "record"),
     "instrument": (),
 }

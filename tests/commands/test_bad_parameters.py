@@ -107,6 +107,7 @@ COMMANDS = {
     "report": "report {session} --parameters {bad} -o {old}",
     "report with a preset": "report {session} --preset {bad} -o {old}",
     "solve with a preset": "solve {session} --preset {bad} -o {old}",
+    "certificate": "certificate {bad}",
     "export px4": "export {bad} --to px4 -o {old}",
     "export c": "export {bad} --to c -o {old}",
 }

@@ -143,6 +143,7 @@ def test_a_session_of_hostile_names(show: Show, hostile_session: Path) -> None:
     stored = (hostile_session / "parameters.toml").read_text()
     assert not _CONTROL.findall(stored.replace("\n", ""))
     show("report", FILE_NAME)
+    show("certificate", FILE_NAME)
     for page in hostile_session.glob("*.html"):
         assert not _CONTROL.findall(page.read_text().replace("\n", ""))
     show("history", FILE_NAME)

@@ -238,6 +238,7 @@ def test_names_that_are_no_utf8(session: Path, program: Program) -> None:
         ("export-data", folder, "-o", f"{NOT_UTF8}.csv"),
         ("import", f"{NOT_UTF8}.csv", "-o", "again"),
         ("report", folder),
+        ("certificate", folder, "--operator", NOT_UTF8),
         ("history", session.parent, "--csv", "table.csv"),
     ):
         done = program.run(*arguments)

@@ -11,12 +11,15 @@ import numpy as np
 import pytest
 
 from imufield.acquire.recording.session import Session
+from imufield.calibrate.model.budget import combined_sigma
 from imufield.cli.run import run
-from imufield.commands.options.results import HistoryOptions, SolveOptions, VerifyOptions
+from imufield.commands.certificate import run_certificate
+from imufield.commands.options.results import CertificateOptions, HistoryOptions, SolveOptions, VerifyOptions
 from imufield.commands.solve import run_solve
 from imufield.commands.verify import run_verify
 from imufield.deliver.history import read_history
 from imufield.deliver.parameters.file import Parameters, load
+from imufield.deliver.report.budget import not_in_budget
 from imufield.errors import CalibrationError, ParameterFileError, Reason, UsageError
 from imufield.pipeline.chain import session_samples
 from imufield.pipeline.same_recording import RecordingMarks
@@ -97,6 +100,28 @@ def test_parameters_of_a_new_day_are_the_instrument_s(days: Days) -> None:
     bias = together.repeatability[0]
     assert np.all(np.array(bias.day_sigma) > bias.mean_sigma)
     assert np.all(calibration.accelerometer_sigma.bias_m_s2 >= 0.99 * np.array(bias.day_sigma))
+
+
+def test_the_budget_of_a_new_day_is_its_covariance(days: Days) -> None:
+    calibration = days.parameters.calibration
+    assert combined_sigma(calibration.budget) ** 2 == pytest.approx(np.diag(calibration.covariance), rel=1e-9, abs=1e-24)
+    assert [share.name for share in calibration.budget] == ["sessions", "gravity", "day_to_day", "no_session_shows"]
+    assert [told.key for told in not_in_budget(days.parameters)] == ["budget.no_temperature"]
+
+
+def test_a_certificate_states_the_repeatability_and_every_session(days: Days, tmp_path: Path) -> None:
+    run_certificate(CertificateOptions(source=days.file, output=tmp_path))
+    document = json.loads((tmp_path / "certificate.json").read_text(encoding="utf-8"))
+    bias = next(parameter for parameter in document["budget"] if parameter["name"] == "accelerometer.bias_m_s2.x")
+    shares = {share["name"]: share["contribution"] for share in bias["share"]}
+    together = days.parameters.context.together
+    assert together is not None
+    kind = next(kind for kind in together.repeatability if kind.kind == "accelerometer.bias_m_s2")
+    # What a new day is less sure than the mean; along the sensing axis, which the body axis is near.
+    by_days = np.sqrt(kind.day_sigma[0] ** 2 - kind.mean_sigma[0] ** 2)
+    assert shares["day_to_day"] == pytest.approx(by_days, rel=1e-3)
+    assert bias["coverage_factor"] == pytest.approx(1.96, abs=1e-3)
+    assert [name for name, _ in document["traceability"]].count("Session") == 3
 
 
 def test_a_history_holds_the_sessions_and_not_what_was_made_of_them(days: Days, tmp_path: Path) -> None:

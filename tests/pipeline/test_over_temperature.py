@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from imufield.acquire.recording.session import Session
+from imufield.calibrate.model.budget import combined_sigma
 from imufield.calibrate.model.models import accelerometer_at, predict
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeCalibration, GyroscopeParameters
@@ -18,6 +19,7 @@ from imufield.calibrate.model.uncertainty import student_factor
 from imufield.cli.run import run
 from imufield.deliver.parameters.context import Context, InstrumentFacts, SessionFacts
 from imufield.deliver.parameters.file import Parameters, load, write_document
+from imufield.deliver.report.budget import not_in_budget
 from imufield.deliver.report.data import ReportData
 from imufield.deliver.report.over_temperature import temperature_curves
 from imufield.deliver.report.page import render_report
@@ -151,6 +153,14 @@ def test_the_file_keeps_sessions_and_new_day_and_the_report_draws_them(
     page = render_report(ReportData(parameters=joint))
     assert "temperature-accelerometer-" in page
     assert "temperature-accelerometer-" not in render_report(ReportData(parameters=sessions[1]))
+
+
+def test_the_budget_stays_that_of_the_reference(sessions: tuple[Parameters, ...]) -> None:
+    joined = with_temperature(sessions[1], (sessions[0], sessions[2]), [ramp()])
+    variances = np.diag(joined.calibration.covariance)
+    assert combined_sigma(joined.calibration.budget) ** 2 == pytest.approx(variances, rel=1e-9, abs=1e-24)
+    assert [told.key for told in not_in_budget(joined)] == ["budget.no_repeatability", "budget.over_temperature"]
+    assert [told.key for told in not_in_budget(sessions[1])] == ["budget.no_repeatability", "budget.no_temperature"]
 
 
 def test_one_pose_alone_is_never_good_and_sessions_keep_their_verdict(sessions: tuple[Parameters, ...]) -> None:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from imufield.calibrate.accelerometer.fit import Fit, FitData, fit, summarise
 from imufield.calibrate.accelerometer.model_choice import ChosenModel, choose_model, find_origin, left_out_terms
 from imufield.calibrate.accelerometer.quality import Evidence, common_scale_ratio, judge, refuse_saturation
+from imufield.calibrate.accelerometer.shares import fit_shares, gravity_share, hidden_shares
 from imufield.calibrate.accelerometer.start import (
     FEWEST_FOR_MISALIGNMENT,
     FEWEST_FOR_QUADRATIC,
@@ -23,6 +24,7 @@ from imufield.calibrate.accelerometer.start import (
     find_signs,
 )
 from imufield.calibrate.accelerometer.unshown import Unshown, higher_sigma, unshown
+from imufield.calibrate.model.budget import Share, picked
 from imufield.calibrate.model.gauge import change_gauge, intrinsic, make_intrinsic
 from imufield.calibrate.model.grades import Grade, find_grade
 from imufield.calibrate.model.higher import HigherTerms, higher_scale
@@ -129,9 +131,8 @@ def calibrate_accelerometer(  # noqa: PLR0913 (the settings of `solve`, by keywo
     UsageError
         If the gauge is "preset" and there is no preset.
     """
-    zero = np.full(3, 0.0 if raw_zero is None else raw_zero, dtype=np.float64)
-    if raw_zero is None and preset is not None:
-        zero = preset.raw_zero
+    usual_zero = 0.0 if preset is None else preset.raw_zero
+    zero = np.full(3, usual_zero if raw_zero is None else raw_zero, dtype=np.float64)
     typical = None if grade is None else find_grade(grade)
     data = _checked_data(observations, gravity, zero, quadratic_axes, loss=loss, typical=typical)
     before = None if preset is None else _checked_preset(preset)
@@ -176,6 +177,7 @@ def calibrate_accelerometer(  # noqa: PLR0913 (the settings of `solve`, by keywo
         intrinsic=_intrinsic(fitted.vector, data, known),
         covariance_names=tuple(name for name, kept in zip((*ACCELEROMETER_NAMES, GRAVITY_NAME), keep, strict=True) if kept),
         covariance=known.covariance[np.ix_(keep, keep)],
+        budget=picked(_shares(known, hidden, int(is_open[:3].sum())), np.flatnonzero(keep).tolist()),
         gravity=gravity,
         positions=PositionResult(
             residual_m_s2=fitted.residual_m_s2,
@@ -289,6 +291,9 @@ class _Uncertainty:
     singles: tuple[SinglePosition, ...]
     factors: FloatArray
     """By which coordinates were raised."""
+    shares: tuple[Share, ...]
+    """Of the fit, in the uncertainty of the parameters."""
+    gravity: Share
 
 
 def _uncertainty(
@@ -323,4 +328,12 @@ def _uncertainty(
         spread=spread,
         singles=singles,
         factors=factors,
+        shares=tuple(fit_shares(fitted, data, chosen.choice, factors, parameters)),
+        gravity=gravity_share(t, gravity.sigma_m_s2),
     )
+
+
+def _shares(known: _Uncertainty, hidden: Unshown, open_misalignments: int) -> tuple[Share, ...]:
+    """Return the shares of the 15 parameters and gravity, to which it alone contributes."""
+    of_parameters = [*known.shares, *hidden_shares(hidden, open_misalignments, known.shares[0].degrees_of_freedom)]
+    return (*(replace(share, sigma=np.append(share.sigma, 0.0)) for share in of_parameters), known.gravity)

@@ -32,7 +32,14 @@ from imufield.calibrate.gyroscope.report import (
     static_norm_result,
 )
 from imufield.calibrate.gyroscope.residuals import VERTICAL
-from imufield.calibrate.gyroscope.static import StaticData, fit_static, latitude_words, sees_earth, static_bias
+from imufield.calibrate.gyroscope.static import (
+    StaticData,
+    fit_static,
+    latitude_words,
+    sees_earth,
+    static_bias,
+    unknown_earth_rate,
+)
 from imufield.calibrate.gyroscope.whole_turns import find_stops, misses_and_limits
 from imufield.calibrate.model.grades import find_grade
 from imufield.errors import CalibrationError, Reason
@@ -135,4 +142,5 @@ def _static(given: GyroscopeInput) -> GyroscopeResult:
         up=given.force_m_s2,
         latitude_deg=given.latitude_deg,
     )
-    return static_bias_result(gyroscope, given.moves.dropped)
+    earth_rate = np.abs(np.nan_to_num(gyroscope.parameters.scale)) * unknown_earth_rate(given.force_m_s2, given.latitude_deg)
+    return static_bias_result(gyroscope, given.moves.dropped, stills=len(observations), earth_rate=earth_rate)

@@ -22,6 +22,7 @@ References
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -29,10 +30,12 @@ import numpy as np
 
 from imufield.calibrate.gyroscope.move_integration import INVERSE, SENSITIVITY
 from imufield.calibrate.gyroscope.residuals import Evaluation, ForceErrors, GyroscopeData
+from imufield.calibrate.model.budget import Share
 from imufield.calibrate.model.models import norm_derivatives, recover_vectors, to_vector
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, GRAVITY_NAME, AccelerometerParameters, Calibration
 from imufield.calibrate.model.rotation import skew
+from imufield.calibrate.model.uncertainty import degrees_of_freedom, rms
 from imufield.samples import FloatArray
 
 # Relative step for the derivative of the specific force by the accelerometer's parameters; it is nearly linear in them.
@@ -88,6 +91,8 @@ def force_errors(observations: Observations, calibration: Calibration, rests: in
         gain=gain,
         rest=beyond + by_gravity,
         with_gravity=with_gravity,
+        by_gravity=by_gravity,
+        freedom=degrees_of_freedom(calibration.quality.student_factor_95),
     )
 
 
@@ -99,11 +104,29 @@ class Scatter(NamedTuple):
     turn_rad: float
 
 
+SCATTER_SHARES = ("gyroscope_between_holds", "gyroscope_wander", "gyroscope_turns")
+"""Names of the shares of the three."""
+
+
+_RESIDUALS = "gyroscope"
+# Told by the scatter of few residuals; all others come from thousands of samples, from elsewhere, or from the accelerometer.
+_TOLD = (*SCATTER_SHARES, "g_sensitivity_not_fitted")
+_FROM_ELSEWHERE = ("gravity", "stops", "turntable", "earth_rate", "rate_nonlinearity")
+_INPUT_UNITS = {
+    "gyroscope_within_hold": "rad/s",
+    "gyroscope_moving": "rad",
+    "gyroscope_between_holds": "rad/s",
+    "gyroscope_wander": "rad/s/sqrt(s)",
+    "gyroscope_turns": "rad",
+}
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Covariances:
     """Parts of S, in the order of ``Evaluation.residual``."""
 
-    fixed: FloatArray
+    known: dict[str, FloatArray]
+    """What is known beforehand, by the name of the share."""
     drift: FloatArray
     wander: FloatArray
     turn: FloatArray
@@ -112,11 +135,16 @@ class Covariances:
 
     def total(self, scatter: Scatter) -> FloatArray:
         """Return S."""
-        S: FloatArray = self.fixed.copy()
+        S: FloatArray = np.sum([*self.known.values()], axis=0)
         for size, part in zip(scatter, (self.drift, self.wander, self.turn), strict=True):
             if size > 0:
                 S += size**2 * part
         return S
+
+    def shares(self, scatter: Scatter) -> dict[str, FloatArray]:
+        """Return the terms of S by their names."""
+        told = (self.drift, self.wander, self.turn)
+        return self.known | {name: size**2 * V for name, size, V in zip(SCATTER_SHARES, scatter, told, strict=True)}
 
 
 def covariances(evaluation: Evaluation, x: FloatArray, data: GyroscopeData) -> Covariances:
@@ -142,28 +170,68 @@ def covariances(evaluation: Evaluation, x: FloatArray, data: GyroscopeData) -> C
     by_parameters = np.einsum("rsi,sip->rp", by_force, errors.by_parameters)
     by_raw = np.einsum("rsi,sij->rsj", by_force, errors.by_noise) + np.einsum("rp,spj->rsj", by_parameters, errors.gain)
     noisy = np.einsum("rsi,sij->rsj", by_raw, errors.noise).reshape(rows, -1)
-    fixed = noisy @ by_raw.reshape(rows, -1).T + by_parameters @ errors.rest @ by_parameters.T
+    rest = by_parameters @ (errors.rest - errors.by_gravity) @ by_parameters.T
+    known = {name: np.zeros((rows, rows)) for name in ("gyroscope_within_hold", "gyroscope_moving", "stops", "turntable")}
+    known["accelerometer"] = noisy @ by_raw.reshape(rows, -1).T + rest
+    known["gravity"] = by_parameters @ errors.by_gravity @ by_parameters.T
     from_means = noisy @ np.swapaxes(errors.gain, 1, 2).reshape(-1, 15)
     from_rest = by_parameters @ np.column_stack([errors.rest, errors.with_gravity])
     with_accelerometer = from_rest + np.pad(from_means, ((0, 0), (0, 1)))
-    _add_blocks(fixed, to_tangent @ evaluation.turns.spread @ np.swapaxes(to_tangent, 1, 2), 0)
-    _add_blocks(fixed, A @ data.rate_covariance @ A.T, 2 * m)
+    moving = known["gyroscope_moving"]
+    _add_blocks(moving, to_tangent @ evaluation.turns.spread @ np.swapaxes(to_tangent, 1, 2), 0)
+    within = known["gyroscope_within_hold"]
+    _add_blocks(within, A @ data.rate_covariance @ A.T, 2 * m)
     for row, k, sigma in zip(stops, data.stops, data.stop_sigma_rad, strict=True):
         # A stop shares the noise of its move.
         to_stop = -data.up[data.moves.after[k]]
         shared = to_tangent[k] @ evaluation.turns.spread[k] @ to_stop
-        fixed[row, row] += to_stop @ evaluation.turns.spread[k] @ to_stop + sigma**2
-        fixed[row, 2 * k : 2 * k + 2] += shared
-        fixed[2 * k : 2 * k + 2, row] += shared
+        moving[row, row] += to_stop @ evaluation.turns.spread[k] @ to_stop
+        known["stops"][row, row] = sigma**2
+        moving[row, 2 * k : 2 * k + 2] += shared
+        moving[2 * k : 2 * k + 2, row] += shared
         for still in (data.moves.before[k], data.moves.after[k]):
             drift[row, 3 * still : 3 * still + 3] += to_stop @ evaluation.turns.duration[k] / 2
     table = data.table
-    _add_blocks(fixed, A @ table.covariance_raw @ A.T + table.rate_covariance, rows - 3 * len(table))
+    _add_blocks(within, A @ table.covariance_raw @ A.T, rows - 3 * len(table))
+    _add_blocks(known["turntable"], table.rate_covariance, rows - 3 * len(table))
     turn = np.zeros((rows, rows))
     turning = [*range(2 * m), *stops]
     turn[turning, turning] = 1.0
     walk = drift @ np.kron(random_walk(data.time_s), np.eye(3)) @ drift.T
-    return Covariances(fixed=fixed, drift=drift @ drift.T, wander=walk, turn=turn, with_accelerometer=with_accelerometer)
+    return Covariances(known=known, drift=drift @ drift.T, wander=walk, turn=turn, with_accelerometer=with_accelerometer)
+
+
+def gyroscope_share(name: str, sigma: FloatArray, *, stills: int, accelerometer_freedom: float, input_sigma: float) -> Share:
+    """Return a share of the gyroscope's uncertainty.
+
+    Parameters
+    ----------
+    name : str
+    sigma : ndarray, shape (n,)
+        Contribution to each of n parameters.
+    stills : int
+        A bias hangs on the scatter between them, and everything else on their biases: one less is the degrees of freedom.
+    accelerometer_freedom : float
+        Degrees of freedom of the accelerometer's covariance.
+    input_sigma : float
+        NaN where there is no single input quantity.
+    """
+    is_told = name in _TOLD
+    return Share(
+        name=name,
+        kind="B" if name in _FROM_ELSEWHERE else "A",
+        residuals=_RESIDUALS if is_told else "",
+        degrees_of_freedom=stills - 1 if is_told else accelerometer_freedom if name == "accelerometer" else math.inf,
+        input_sigma=input_sigma,
+        input_unit=_INPUT_UNITS.get(name, ""),
+        sigma=sigma,
+    )
+
+
+def input_sigmas(parts: Covariances, scatter: Scatter) -> dict[str, float]:
+    """Return the standard uncertainty of the input quantity of each share that has a single one."""
+    own = {name: np.sqrt(np.diag(parts.known[name])) for name in _INPUT_UNITS if name in parts.known}
+    return {name: rms(sigma[sigma > 0]) for name, sigma in own.items()} | dict(zip(SCATTER_SHARES, scatter, strict=True))
 
 
 def random_walk(time_s: FloatArray) -> FloatArray:

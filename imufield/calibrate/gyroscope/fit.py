@@ -50,6 +50,13 @@ class JointFit:
     heading_fitted: bool
 
     @property
+    def shares(self) -> dict[str, FloatArray]:
+        """What ``covariance`` is the sum of, by name, of the same shape."""
+        told = {name: self.gain @ part @ self.gain.T for name, part in self.parts.shares(self.scatter).items()}
+        # What the residuals do not move: that of the prior rows, which is of the Earth's rate.
+        return told | {"earth_rate": self.covariance - np.sum([*told.values()], axis=0)}
+
+    @property
     def degrees_of_freedom(self) -> int:
         """Residuals less parameters of the instrument."""
         return int(len(self.evaluation.residual) - np.count_nonzero(self.free < PARAMETERS))

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from imufield.calibrate.gyroscope.covariance import gyroscope_share, input_sigmas
 from imufield.calibrate.gyroscope.fit import JointFit, fit_jointly
 from imufield.calibrate.gyroscope.input import GyroscopeInput, make_data
 from imufield.calibrate.gyroscope.model_choice import SCALES, ChosenModel, Linearity
@@ -15,6 +18,7 @@ from imufield.calibrate.gyroscope.observability import Observability
 from imufield.calibrate.gyroscope.residuals import Evaluation, GyroscopeData, evaluate
 from imufield.calibrate.gyroscope.static import GYROSCOPE_BIAS_NAMES, StaticData, StaticFit, latitude_words
 from imufield.calibrate.gyroscope.whole_turns import find_whole_turns
+from imufield.calibrate.model.budget import Share, joined_shares, picked, root_of
 from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS
 from imufield.calibrate.model.result import (
     ACCELEROMETER_NAMES,
@@ -23,7 +27,7 @@ from imufield.calibrate.model.result import (
     GyroscopeCalibration,
     GyroscopeParameters,
 )
-from imufield.calibrate.model.uncertainty import bounded_cross_covariance, rms
+from imufield.calibrate.model.uncertainty import bounded_cross_covariance, degrees_of_freedom, rms
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentence, Sentences
 
@@ -85,6 +89,8 @@ class GyroscopeResult:
     """Sentences: every warning, and what the result rests on."""
     cautions: tuple[str, ...] = ()
     """Sentences that make the verdict on the whole no better than usable."""
+    budget: tuple[Share, ...] = ()
+    """What the diagonal of ``covariance`` is the sum of."""
     basis: JointSolution | StaticSolution | None = None
     """What it was fitted to, for other methods; None for a static bias."""
 
@@ -105,11 +111,13 @@ class GyroscopeResult:
         covariance[np.ix_(outer, outer)] = theirs
         covariance[a : a + n, outer], covariance[np.ix_(outer, range(a, a + n))] = cross, cross.T
         quality = replace(calibration.quality, reasons=(*calibration.quality.reasons, *self.reasons))
+        budget = picked(calibration.budget, [*accelerometer, *gravity])
         return replace(
             calibration,
             gyroscope=self.calibration,
             covariance_names=names,
             covariance=covariance,
+            budget=joined_shares(budget, outer, self.budget, range(a, a + n)) if budget else (),
             quality=quality.lowered("usable", *self.cautions) if self.cautions else quality,
             unobservable=(*calibration.unobservable, *self.unobservable),
         )
@@ -142,13 +150,15 @@ def joint_result(solution: JointSolution) -> GyroscopeResult:
     chosen, fitted, observability = solution.chosen, solution.chosen.fit, solution.observability
     linearity = solution.linearity
     # The covariance of the fit in all 21 parameters; what a rejected g-sensitivity or one scale for all rates hides adds more.
-    own = np.zeros((PARAMETERS, PARAMETERS))
     places = np.flatnonzero(fitted.free < PARAMETERS)
     columns = fitted.free[places]
-    # Parameters that were not fitted have no variance of their own.
-    own[np.ix_(columns, columns)] = fitted.covariance[np.ix_(places, places)]
-    for root in (chosen.hidden_change[:PARAMETERS, None], linearity.hidden_root[:PARAMETERS]):
-        own += root @ root.T
+    own = {}
+    for name, part in fitted.shares.items():
+        # Parameters that were not fitted have no variance of their own.
+        own[name] = np.zeros((PARAMETERS, PARAMETERS))
+        own[name][np.ix_(columns, columns)] = part[np.ix_(places, places)]
+    hidden = {"g_sensitivity_not_fitted": chosen.hidden_change[:, None], "rate_nonlinearity": linearity.hidden_root}
+    own |= {name: root[:PARAMETERS] @ root[:PARAMETERS].T for name, root in hidden.items()}
     # An error of the accelerometer moves the residuals, and the fit follows with -gain.
     with_accelerometer = np.zeros((PARAMETERS, 16))
     with_accelerometer[columns] = -fitted.gain[places] @ fitted.parts.with_accelerometer
@@ -179,13 +189,21 @@ def joint_result(solution: JointSolution) -> GyroscopeResult:
     )
 
 
-def static_bias_result(gyroscope: GyroscopeCalibration, sentences: tuple[str, ...]) -> GyroscopeResult:
-    """Return the result of a path that sees the bias alone."""
+def static_bias_result(
+    gyroscope: GyroscopeCalibration, sentences: tuple[str, ...], *, stills: int, earth_rate: FloatArray
+) -> GyroscopeResult:
+    """Return the result of a path that sees the bias alone; ``earth_rate`` is what its 1 sigma holds of the Earth's rate."""
+    scatter = np.sqrt(np.maximum(gyroscope.sigma.bias**2 - earth_rate**2, 0.0))
+    parts = {"gyroscope_between_holds": scatter, "earth_rate": earth_rate}
     return GyroscopeResult(
         calibration=gyroscope,
         names=GYROSCOPE_BIAS_NAMES,
         covariance=np.diag(gyroscope.sigma.bias**2),
         with_accelerometer=np.zeros((len(GYROSCOPE_BIAS_NAMES), 16)),
+        budget=tuple(
+            gyroscope_share(name, sigma, stills=stills, accelerometer_freedom=math.inf, input_sigma=math.nan)
+            for name, sigma in parts.items()
+        ),
         unobservable=GYROSCOPE_NAMES[:9],
         reasons=sentences,
     )
@@ -194,8 +212,7 @@ def static_bias_result(gyroscope: GyroscopeCalibration, sentences: tuple[str, ..
 def static_norm_result(solution: StaticSolution) -> GyroscopeResult:
     """Return the result of the static norm path."""
     given, fitted = solution.given, solution.fitted
-    own = np.zeros((PARAMETERS, PARAMETERS))
-    own[:12, :12] = fitted.covariance
+    own = {name: np.pad(part, (0, PARAMETERS - len(part))) for name, part in fitted.shares.items()}
     everything = given.static_free == "all"
     known = np.array([name in GYROSCOPE_BIAS_NAMES or (everything and k < 9) for k, name in enumerate(GYROSCOPE_NAMES)])
     path = sentence("report.norm_all" if everything else "report.norm_bias", stills=len(given.observations))
@@ -209,11 +226,12 @@ def static_norm_result(solution: StaticSolution) -> GyroscopeResult:
 
 
 def _result(
-    solution: JointSolution | StaticSolution, x: FloatArray, own: FloatArray, known: NDArray[np.bool_], *, path: str
+    solution: JointSolution | StaticSolution, x: FloatArray, own: dict[str, FloatArray], known: NDArray[np.bool_], *, path: str
 ) -> GyroscopeResult:
-    """Return what holds for every fit: the parameters at ``x``, of covariance ``own``, with the sigma of the known ones."""
+    """Return what holds for every fit: the parameters at ``x`` with shares ``own``, and the sigma of the known ones."""
     values, J = forward(x, solution.given.rest_raw)
-    covariance = J @ own @ J.T
+    shares = {name: J @ part @ J.T for name, part in own.items()}
+    covariance = np.sum([*shares.values()], axis=0)
     sigma = np.where(known, np.sqrt(np.diag(covariance)), np.nan)
     unit = solution.given.observations.units.gyroscope_rate_unit
     return GyroscopeResult(
@@ -221,10 +239,26 @@ def _result(
         names=tuple(name for name, kept in zip(GYROSCOPE_NAMES, known, strict=True) if kept),
         covariance=covariance[np.ix_(known, known)],
         with_accelerometer=np.zeros((int(known.sum()), 16)),
+        budget=picked(_shares(solution, shares), np.flatnonzero(known).tolist()),
         unobservable=(),
         reasons=(),
         basis=solution,
     )
+
+
+def _shares(solution: JointSolution | StaticSolution, parts: dict[str, FloatArray]) -> Iterator[Share]:
+    given, data = solution.given, solution.data
+    if isinstance(solution, JointSolution):
+        fitted = solution.chosen.fit
+        inputs = input_sigmas(fitted.parts, fitted.scatter)
+    else:
+        inputs = {}
+    stills = len(data.up)
+    freedom = degrees_of_freedom(given.calibration.quality.student_factor_95)
+    for name, part in parts.items():
+        known = inputs.get(name, math.nan)
+        sigma = root_of(np.diag(part))
+        yield gyroscope_share(name, sigma, stills=stills, accelerometer_freedom=freedom, input_sigma=known)
 
 
 def _unsettled(how: str, latitude_deg: float | None) -> Sentence:

@@ -54,6 +54,10 @@ class ForceErrors:
         Covariance of the parameters that does not come from those means (gravity, doubt about the model).
     with_gravity : ndarray, shape (15,)
         Covariance of the parameters with gravity.
+    by_gravity : ndarray, shape (15, 15)
+        The part of ``rest`` that comes from gravity.
+    freedom : float
+        Degrees of freedom of the covariance of the parameters.
     """
 
     by_noise: FloatArray
@@ -62,6 +66,8 @@ class ForceErrors:
     gain: FloatArray
     rest: FloatArray
     with_gravity: FloatArray
+    by_gravity: FloatArray
+    freedom: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

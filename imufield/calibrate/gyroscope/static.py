@@ -82,7 +82,6 @@ def static_bias(
     if up is None:
         up = observations.direction
     earth_known = np.zeros_like(up)
-    earth_variance = np.full(3, EARTH_RATE_RAD_S**2 / 3)
     if latitude_deg is None:
         key = "static.bias_no_latitude"
     elif not np.isfinite(up).all():
@@ -90,16 +89,13 @@ def static_bias(
     else:
         key = "static.bias"
         unit = up / np.linalg.norm(up, axis=1)[:, None]
-        latitude = math.radians(latitude_deg)
-        earth_known = EARTH_RATE_RAD_S * math.sin(latitude) * unit
-        # The horizontal part at an unknown heading, mean over positions.
-        earth_variance = (EARTH_RATE_RAD_S * math.cos(latitude)) ** 2 * np.mean((1 - unit**2) / 2, axis=0)
+        earth_known = EARTH_RATE_RAD_S * math.sin(math.radians(latitude_deg)) * unit
     if scale is None:
         key = "static.bias_no_scale"
     gain = np.nan_to_num(K)
     values = observations.gyroscope_mean_raw - gain * (earth_known @ (np.eye(3) + misalignment).T)
     # The scatter between positions contains g-sensitivity and drift.
-    sigma = np.sqrt(values.var(axis=0, ddof=1) / m + gain**2 * earth_variance)
+    sigma = np.sqrt(values.var(axis=0, ddof=1) / m + (gain * unknown_earth_rate(up, latitude_deg)) ** 2)
     not_estimated = np.full((3, 3), np.nan)
     return GyroscopeCalibration(
         GyroscopeParameters(K, misalignment, values.mean(axis=0), np.zeros((3, 3))),
@@ -107,6 +103,15 @@ def static_bias(
         sentence(key, positions=m),
         observations.units.gyroscope_rate_unit,
     )
+
+
+def unknown_earth_rate(up: FloatArray, latitude_deg: float | None) -> FloatArray:
+    """Return 1 sigma of what is not known of the mean of the Earth's rate over m stills, rad/s, shape (3,)."""
+    if latitude_deg is None or not np.isfinite(up).all():
+        return np.full(3, EARTH_RATE_RAD_S / math.sqrt(3))
+    unit = up / np.linalg.norm(up, axis=1)[:, None]
+    # The horizontal part at an unknown heading.
+    return np.asarray(EARTH_RATE_RAD_S * math.cos(math.radians(latitude_deg)) * np.sqrt(np.mean((1 - unit**2) / 2, axis=0)))
 
 
 StaticFree = Literal["bias", "all"]
@@ -151,6 +156,8 @@ class StaticFit:
     x: FloatArray
     covariance: FloatArray
     """Shape (12, 12), zero where not fitted."""
+    shares: dict[str, FloatArray]
+    """What it is the sum of, by name, of the same shape."""
     scatter: Scatter
     vertical_rad_s: float
     vertical_sigma_rad_s: float
@@ -196,16 +203,21 @@ def fit_static(data: StaticData, A: FloatArray, latitude_deg: float, free: Stati
     # The horizontal part averages out over headings, near enough to start from.
     bias = (data.rate_raw @ A.T - vertical_rad_s * data.up).mean(axis=0)
     start = np.concatenate([A.ravel(), bias, [vertical_rad_s]])
-    p, covariance, scatter, converged = _fit(data, start, columns)
+    p, covariance, scatter, converged, shares = _fit(data, start, columns)
     # Once more with the latitude left free.
     free_p, free_covariance, *_ = _fit(data, p, [*columns, 12])
-    full = np.zeros((12, 12))
-    full[np.ix_(columns, columns)] = covariance
+
+    def in_all(part: FloatArray) -> FloatArray:
+        full = np.zeros((12, 12))
+        full[np.ix_(columns, columns)] = part
+        return full
+
     return StaticFit(
         start=start,
         columns=columns,
         x=p[:12],
-        covariance=full,
+        covariance=in_all(covariance),
+        shares={name: in_all(part) for name, part in shares.items()},
         scatter=scatter,
         vertical_rad_s=float(free_p[12]),
         vertical_sigma_rad_s=math.sqrt(free_covariance[-1, -1]),
@@ -213,7 +225,9 @@ def fit_static(data: StaticData, A: FloatArray, latitude_deg: float, free: Stati
     )
 
 
-def _fit(data: StaticData, start: FloatArray, columns: list[int]) -> tuple[FloatArray, FloatArray, Scatter, bool]:
+def _fit(
+    data: StaticData, start: FloatArray, columns: list[int]
+) -> tuple[FloatArray, FloatArray, Scatter, bool, dict[str, FloatArray]]:
     p, scatter = start.copy(), Scatter(0.3 * EARTH_RATE_RAD_S, 0.0, 0.0)
     left = _ITERATIONS
     while True:
@@ -230,7 +244,9 @@ def _fit(data: StaticData, start: FloatArray, columns: list[int]) -> tuple[Float
         left -= 1
         if converged or not left:
             covariance = np.asarray(np.linalg.inv(information) / np.outer(size, size), dtype=np.float64)
-            return p, covariance, scatter, converged
+            gain = covariance @ J.T @ inverse
+            shares = {name: gain @ part @ gain.T for name, part in parts.shares(before).items()}
+            return p, covariance, scatter, converged, shares
 
 
 def linearise_static(p: FloatArray, data: StaticData) -> tuple[FloatArray, FloatArray, Covariances]:
@@ -248,11 +264,14 @@ def linearise_static(p: FloatArray, data: StaticData) -> tuple[FloatArray, Float
     jacobian[:, 1, 12] = -1.0
     # Norm and invariant share the noise of their still: B C B^T, block by block.
     spread, noise = _in_blocks(B), _in_blocks(A @ data.covariance_raw @ A.T)
-    fixed = spread @ noise @ spread.T
-    fixed += np.eye(2 * s) * (_AT_POLE * EARTH_RATE_RAD_S) ** 2
+    at_pole = np.eye(2 * s) * (_AT_POLE * EARTH_RATE_RAD_S) ** 2
     wander = spread @ np.kron(random_walk(data.time_s), np.eye(3)) @ spread.T
     parts = Covariances(
-        fixed=fixed, drift=spread @ spread.T, wander=wander, turn=np.zeros_like(fixed), with_accelerometer=np.zeros((2 * s, 16))
+        known={"gyroscope_within_hold": spread @ noise @ spread.T, "earth_rate": at_pole},
+        drift=spread @ spread.T,
+        wander=wander,
+        turn=np.zeros_like(at_pole),
+        with_accelerometer=np.zeros((2 * s, 16)),
     )
     return residual.ravel(), jacobian.reshape(2 * s, 13), parts
 

@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from imufield.calibrate.model.budget import Share
 from imufield.calibrate.model.higher import HigherTerms
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.temperature import TriadTemperature
@@ -197,6 +198,8 @@ class Calibration:
     """Names of parameters left at the preset because these positions cannot show them."""
     accelerometer_temperature: TriadTemperature | None = None
     """None where the parameters are known at one temperature only."""
+    budget: tuple[Share, ...] = ()
+    """What the diagonal of ``covariance`` is the sum of, in the order of ``covariance_names``; empty in files of before."""
 
     @property
     def model(self) -> ModelChoice:

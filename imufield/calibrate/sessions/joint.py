@@ -95,6 +95,8 @@ class Joint:
     values: FloatArray
     covariance: FloatArray
     """Of a new day, shape (n, n), gravity's error included."""
+    shares: Mapping[str, FloatArray]
+    """What it is the sum of, by name, each of shape (n, n)."""
     with_gravity: Mapping[str, FloatArray]
     """By site, covariance of the errors of the numbers and of the gravity taken, in its sigmas, shape (n,)."""
     gravity_variance: Mapping[str, float]
@@ -140,6 +142,10 @@ def adjust(sessions: Sequence[SessionNumbers], prior_scales: Mapping[str, float]
     adjusted = _adjust(sessions, names, variances)
     n = len(names)
     values, covariance = adjusted.values[:n], adjusted.covariance[:n, :n].copy()
+    of_site = [k for k, (kind, _) in enumerate(adjusted.columns) if kind == "site"]
+    with_sites = adjusted.covariance[:n, of_site]
+    by_gravity = with_sites @ np.linalg.solve(adjusted.covariance[np.ix_(of_site, of_site)], with_sites.T)
+    day = np.zeros((n, n))
     daily = {}
     for kind, of_kind in found.items():
         rows = [k for k, name in enumerate(names) if kind_of(name) == kind]
@@ -152,6 +158,8 @@ def adjust(sessions: Sequence[SessionNumbers], prior_scales: Mapping[str, float]
         size = np.ones(n)
         size[rows] = mean_sigma / own
         covariance *= np.outer(size, size)
+        by_gravity *= np.outer(size, size)
+        day[rows, rows] = day_sigma**2 - covariance[rows, rows]
         covariance[rows, rows] = day_sigma**2
         daily[kind] = Daily(
             repeatability=repeatability(of_kind),
@@ -165,6 +173,7 @@ def adjust(sessions: Sequence[SessionNumbers], prior_scales: Mapping[str, float]
         names=names,
         values=values,
         covariance=covariance,
+        shares={"sessions": covariance - day - by_gravity, "gravity": by_gravity, "day_to_day": day},
         # gamma is how far the gravity taken is off the true one; the unknown numbers go the other way than their errors.
         with_gravity={site: -adjusted.covariance[:n, k] for site, k in sites.items()},
         gravity_variance={site: float(adjusted.covariance[k, k]) for site, k in sites.items()},

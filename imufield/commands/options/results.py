@@ -295,6 +295,27 @@ class ReportOptions:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class CertificateOptions:
+    """The options of ``certificate``.
+
+    Example: imufield certificate my-session --laboratory "Our laboratory" --operator "J. Doe" --due-months 12
+    """
+
+    source: Annotated[
+        Path | None,
+        session_argument(metavar="[SESSION]", help="Session folder, or parameter file (default: the newest session)."),
+    ] = None
+    laboratory: Annotated[str, option(help="Who calibrates.")] = ""
+    customer: Annotated[str, option(help="For whom.")] = ""
+    operator: Annotated[str, option(help="Person who calibrated.")] = ""
+    due_months: Annotated[int | None, option(help="Months until the next calibration.", low=1, high=1200)] = None
+    output: Annotated[Path | None, option("-o", "--output", help="Folder to write to (default: that of the parameters).")] = (
+        None
+    )
+    pdf: Annotated[bool, option("--pdf", help="Write a PDF, too, also inside the XML (takes some seconds).")] = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class HistoryOptions:
     """The options of ``history``.
 

@@ -6,6 +6,7 @@ person can say "edited". A scale changed beside the intrinsic scale that follows
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 from imufield.acquire.protocol.units import nominal_scale
 from imufield.calibrate.accelerometer.accelerometer import EQUATIONS, HIGHER_EQUATIONS
 from imufield.calibrate.accelerometer.quality import poor_sentences
+from imufield.calibrate.model.budget import combined_sigma
 from imufield.calibrate.model.gauge import constraint_jacobian, intrinsic, make_intrinsic
 from imufield.calibrate.model.models import to_vector
 from imufield.calibrate.model.result import GRAVITY_NAME, Calibration, GyroscopeCalibration
@@ -34,6 +36,7 @@ UNITS = {
 _ROUNDING = 1e-9  # Relative: a covariance that was computed and printed is symmetric to a few units of the last digit.
 _TYPED = 1e-6  # What a person types with seven digits is exact enough: it is below every uncertainty.
 _FLATTEST = 1e-3  # Determinant of axes so close to one plane that they measure no third direction.
+_FIXED = 1e-24  # Of a variance: rounding of what the gauge fixes, 1e-12 rad.
 _ROUNDED = 1e-4  # Of a variance: what the propagation through a joint fit and the printing leave may lie this far below zero.
 # Factor by which an instrument's scale is off the nominal one of its unit at most: far more than any, less than g is m/s^2.
 _NEAR = 3.0
@@ -49,6 +52,7 @@ def contradiction(document: Document, *, is_edited: bool = False) -> str:
 
 def _contradictions(document: Document, *, is_edited: bool) -> Iterator[str]:
     yield from _shape(document)
+    yield from _budget_shape(document)
     yield from temperature_contradictions(document)
     # From what is typed most often to what only a program gets wrong: the first sentence is the one a person reads.
     calibration, table = calibration_from_document(document), document["accelerometer"]
@@ -69,6 +73,7 @@ def _contradictions(document: Document, *, is_edited: bool) -> Iterator[str]:
         yield from _positions(calibration, document)
         yield from _verdict(calibration)
         yield from _sigma(calibration, document)
+        yield from _budget(calibration)
 
 
 def _shape(document: Document) -> Iterator[str]:
@@ -99,6 +104,13 @@ def _shape(document: Document) -> Iterator[str]:
             yield sentence("consistency.diagonal", triad=triad)
         if abs(np.linalg.det(np.eye(3) + misalignment)) < _FLATTEST:
             yield sentence("consistency.one_plane", triad=triad)
+
+
+def _budget_shape(document: Document) -> Iterator[str]:
+    names = len(document["covariance"]["names"])
+    for share in document.get("budget", {}).get("share", ()):
+        if len(share["sigma"]) != names:
+            yield sentence("consistency.budget_size", share=share["name"], found=len(share["sigma"]), names=names)
 
 
 def _units(document: Document) -> Iterator[str]:
@@ -205,3 +217,13 @@ def _sigma(calibration: Calibration, document: Document) -> Iterator[str]:
             yield sentence("consistency.covariance_name", name=name)
         elif abs(stated - value) > _TYPED * max(value, stated):
             yield sentence("consistency.sigma", name=name, follows=value, stated=stated)
+
+
+def _budget(calibration: Calibration) -> Iterator[str]:
+    """Yield where the shares do not add up to the covariance."""
+    if not calibration.budget:
+        return
+    variance = combined_sigma(calibration.budget) ** 2
+    for name, follows, stated in zip(calibration.covariance_names, np.diagonal(calibration.covariance), variance, strict=True):
+        if abs(stated - follows) > _TYPED * follows + _FIXED:
+            yield sentence("consistency.budget", name=name, sum=math.sqrt(stated), sigma=math.sqrt(follows))

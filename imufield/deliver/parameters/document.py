@@ -10,6 +10,7 @@ from dataclasses import asdict, fields
 
 import numpy as np
 
+from imufield.calibrate.model.budget import Share
 from imufield.calibrate.model.higher import HigherTerms
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import (
@@ -127,7 +128,35 @@ def to_document(calibration: Calibration, observations: Observations, context: C
     }
     document["position"] = _positions(calibration.positions, observations)
     document["covariance"] = {"names": list(calibration.covariance_names), "matrix": calibration.covariance.tolist()}
+    if calibration.budget:
+        document["budget"] = {"share": [_share_table(share) for share in calibration.budget]}
     return add_temperature(document, calibration, context.temperature_sources)
+
+
+def _share_table(share: Share) -> Document:
+    """Return the table of a share; a key is absent where there is nothing to say."""
+    freedom = {"degrees_of_freedom": float(share.degrees_of_freedom)}
+    source = {"input_sigma": float(share.input_sigma), "input_unit": share.input_unit}
+    return {
+        "name": share.name,
+        "type": share.kind,
+        **({"residuals": share.residuals} if share.residuals else {}),
+        **(freedom if math.isfinite(share.degrees_of_freedom) else {}),
+        **(source if math.isfinite(share.input_sigma) else {}),
+        "sigma": share.sigma.tolist(),
+    }
+
+
+def _share(table: Document) -> Share:
+    return Share(
+        name=table["name"],
+        kind=table["type"],
+        residuals=table.get("residuals", ""),
+        degrees_of_freedom=float(table.get("degrees_of_freedom", math.inf)),
+        input_sigma=float(table.get("input_sigma", math.nan)),
+        input_unit=table.get("input_unit", ""),
+        sigma=_array(table["sigma"]),
+    )
 
 
 def _context_tables(context: Context) -> Document:
@@ -271,6 +300,7 @@ def calibration_from_document(document: Document) -> Calibration:
         ),
         unobservable=tuple(quality["unobservable"]),
         accelerometer_temperature=temperature_of(document, "accelerometer"),
+        budget=tuple(_share(table) for table in document.get("budget", {}).get("share", ())),
     )
 
 

@@ -7,12 +7,13 @@ no part of what another session draws anew, so it stays out of the adjustment an
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imufield.calibrate.accelerometer.quality import USABLE_BIAS_SIGMA_M_S2
+from imufield.calibrate.model.budget import Kind, Share, picked, root_of
 from imufield.calibrate.model.gauge import intrinsic, make_intrinsic
 from imufield.calibrate.model.grades import Grade
 from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS, PARAMETERS, from_vector
@@ -176,7 +177,7 @@ def joined_parameters(
     base = joined.parameters[joined.base].calibration
     quality = _quality(joined, joint, warnings, notes)
     shared = _shared(joined.shared, joint.names)
-    calibration = _calibration(base, joint, joint.covariance + shared, reference)
+    calibration = _calibration(base, joint, shared, reference)
     context = _context(joined, joint, dict(zip(joint.names, np.diag(shared).tolist(), strict=True)))
     return from_document(to_document(replace(calibration, quality=quality), _no_observations(), context))
 
@@ -194,7 +195,7 @@ def _shared(tables: Sequence[Mapping[tuple[str, str], float]], names: tuple[str,
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 
-def _calibration(base: Calibration, joint: Joint, covariance: FloatArray, reference: GaugeFree) -> Calibration:
+def _calibration(base: Calibration, joint: Joint, shared: FloatArray, reference: GaugeFree) -> Calibration:
     values = si_values(base)
     before = {number.name: number.value for number in reference.numbers}
     places = [NAMES.index(name) for name in joint.names]
@@ -206,7 +207,7 @@ def _calibration(base: Calibration, joint: Joint, covariance: FloatArray, refere
     gravity, site = base.gravity, f"{base.gravity.gravity_m_s2:.6f}"
     sigma_m_s2 = gravity.sigma_m_s2 * math.sqrt(joint.gravity_variance[site])
     with_gravity = J @ joint.with_gravity[site] * gravity.sigma_m_s2
-    full = np.block([[J @ covariance @ J.T, with_gravity[:, None]], [with_gravity, np.array([sigma_m_s2**2])]])
+    full = np.block([[J @ (joint.covariance + shared) @ J.T, with_gravity[:, None]], [with_gravity, np.array([sigma_m_s2**2])]])
     names = (*PARAMETER_NAMES[: len(vector)], GRAVITY_NAME)
     known = np.array([name not in FIXED_NAMES and variance > 0 for name, variance in zip(names, np.diag(full), strict=True)])
     sigma = np.where(known, np.sqrt(np.maximum(np.diag(full), 0.0)), np.nan)
@@ -223,6 +224,7 @@ def _calibration(base: Calibration, joint: Joint, covariance: FloatArray, refere
         intrinsic=make_intrinsic(numbers, np.where((np.arange(12) < 9) | quadratic, spread, np.nan)),
         covariance_names=tuple(name for name, is_known in zip(names, known, strict=True) if is_known),
         covariance=full[np.ix_(known, known)],
+        budget=picked(_shares(joint, shared, J, sigma_m_s2), np.flatnonzero(known).tolist()),
         gravity=replace(gravity, sigma_m_s2=sigma_m_s2),
         positions=_NO_POSITIONS,
         solver=SolverSummary(
@@ -231,6 +233,21 @@ def _calibration(base: Calibration, joint: Joint, covariance: FloatArray, refere
         quadratic_fitted=quadratic,
         gyroscope=_gyroscope(base.gyroscope, vector[PARAMETERS:], sigma[PARAMETERS:-1]),
     )
+
+
+def _shares(joint: Joint, shared: FloatArray, J: FloatArray, gravity_sigma_m_s2: float) -> Iterator[Share]:
+    """Yield the shares of the uncertainty of a new day; what is estimated is so by limits for infinitely many sessions."""
+    kinds: dict[str, Kind] = {"sessions": "A", "gravity": "B", "day_to_day": "A", "no_session_shows": "B"}
+    parts = {**joint.shares, "no_session_shows": shared}
+    for name, kind in kinds.items():
+        is_gravity = name == "gravity"
+        yield Share(
+            name=name,
+            kind=kind,
+            input_sigma=gravity_sigma_m_s2 if is_gravity else math.nan,
+            input_unit="m/s^2" if is_gravity else "",
+            sigma=np.append(root_of(np.diag(J @ parts[name] @ J.T)), gravity_sigma_m_s2 * is_gravity),
+        )
 
 
 def _off_diagonal(values: FloatArray) -> FloatArray:

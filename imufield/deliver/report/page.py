@@ -15,6 +15,7 @@ from imufield.deliver.parameters.numbers import acceleration_unit, with_sigma
 from imufield.deliver.parameters.schema import Document
 from imufield.deliver.parameters.write import content_sha256
 from imufield.deliver.report import plots
+from imufield.deliver.report.budget import budget_tables, not_in_budget
 from imufield.deliver.report.correlations import correlations
 from imufield.deliver.report.data import ReportData
 from imufield.deliver.report.gain import gain
@@ -59,15 +60,17 @@ def render_report(data: ReportData) -> str:
     with plot_style():
         figures = list(_figures(data))
     shown = {
+        "budget": budget_tables(data.parameters),
+        "budget_notes": not_in_budget(data.parameters),
         "figures": [each for each in figures if not each.is_detail],
         "details": [each for each in figures if each.is_detail],
     }
-    return _render("report.html", _facts(data) | shown)
+    return render("report.html", _facts(data) | shown)
 
 
 def render_record(data: ReportData) -> str:
     """Return the calibration record, one sheet of A4; raises as ``render_report``."""
-    return _render("record.html", _facts(data))
+    return render("record.html", _facts(data))
 
 
 def to_pdf(page: str) -> bytes:
@@ -90,14 +93,15 @@ def load_weasyprint() -> ModuleType:
         raise missing_package("weasyprint", "pdf") from error
 
 
-def _render(template: str, values: Document) -> str:
+def render(template: str, values: Document, package: str = "imufield.deliver.report") -> str:
+    """Return a template of a package, which may include those of the report, filled in; raises as ``render_report``."""
     try:
         import jinja2
     except ImportError as error:
         raise missing_package("jinja2") from error
     # A name misspelt in a template is an error, and no empty cell; an instrument's name is text, no HTML, and in one order.
     environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("imufield.deliver.report"),
+        loader=jinja2.ChoiceLoader([jinja2.PackageLoader(name) for name in (package, "imufield.deliver.report")]),
         autoescape=True,
         finalize=_shown,
         undefined=jinja2.StrictUndefined,

@@ -15,10 +15,18 @@ from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
 from imufield.calibrate.gyroscope.covariance import Covariances, Scatter
 from imufield.calibrate.gyroscope.input import GyroscopeInput, make_data
 from imufield.calibrate.gyroscope.move_integration import rough_inverse
-from imufield.calibrate.gyroscope.report import GYROSCOPE_NAMES, GyroscopeResult, MoveReport, forward, little_gained
+from imufield.calibrate.gyroscope.report import (
+    GYROSCOPE_NAMES,
+    GyroscopeResult,
+    JointSolution,
+    MoveReport,
+    forward,
+    little_gained,
+)
 from imufield.calibrate.gyroscope.residuals import evaluate
 from imufield.calibrate.gyroscope.turntable import TurntableRun
 from imufield.calibrate.gyroscope.whole_turns import Stop
+from imufield.calibrate.model.budget import combined_sigma
 from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, GRAVITY_NAME, GyroscopeParameters
 from imufield.earth import Gravity
@@ -89,6 +97,18 @@ def test_one_joint_covariance(session: Session, result: GyroscopeResult) -> None
     columns = [k for k, name in enumerate(names) if name.startswith("gyroscope.misalignment")]
     assert np.abs(joined.covariance[np.ix_(rows, columns)]).max() > 0
     assert [one.values["moves"] for one in told(joined.quality.reasons, "report.angle_errors")] == [24]
+
+
+def test_the_shares_are_the_covariance_and_the_earth_s_is_that_of_its_prior(session: Session, result: GyroscopeResult) -> None:
+    for found in (result, calibrate_gyroscope(replace(session.given, latitude_deg=None), "basic")):
+        joined = found.join(session.calibration)
+        assert combined_sigma(joined.budget) ** 2 == pytest.approx(np.diag(joined.covariance), rel=1e-9, abs=1e-24)
+        assert isinstance(found.basis, JointSolution)
+        fitted = found.basis.chosen.fit
+        prior = fit.make_prior(found.basis.data, heading=fitted.heading_fitted).rows(fitted.p, fitted.free)[1]
+        by_prior = fitted.covariance @ prior.T @ prior @ fitted.covariance
+        size = np.sqrt(np.diag(fitted.covariance))
+        assert fitted.shares["earth_rate"] / np.outer(size, size) == pytest.approx(by_prior / np.outer(size, size), abs=1e-6)
 
 
 def test_a_joint_covariance_is_one_whatever_raised_the_parts(session: Session, result: GyroscopeResult) -> None:

@@ -14,6 +14,7 @@ from imufield.calibrate.gyroscope.input import GyroscopeInput
 from imufield.calibrate.gyroscope.moves import cut_moves, no_slots
 from imufield.calibrate.gyroscope.report import static_bias_result
 from imufield.calibrate.gyroscope.static import static_bias
+from imufield.calibrate.model.budget import combined_sigma
 from imufield.earth import EARTH_RATE_RAD_S, Gravity
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
@@ -90,10 +91,11 @@ def test_bias_joins_the_covariance_before_gravity() -> None:
         campaign(random_parameters(rng), rng), Gravity(gravity_m_s2=GRAVITY, sigma_m_s2=1e-4, source="typed")
     )
     gyroscope = static_bias(observe(paper24(), gyroscope=still_gyroscope(rng, 45.0, noise=1.0)), SCALE)
-    result = static_bias_result(gyroscope, ())
+    result = static_bias_result(gyroscope, (), stills=24, earth_rate=np.full(3, 0.1 * gyroscope.sigma.bias.min()))
     joined = result.join(calibration)
     assert joined.covariance_names[-4:] == ("gyroscope.bias.x", "gyroscope.bias.y", "gyroscope.bias.z", "gravity_m_s2")
     assert np.diag(joined.covariance)[-4:-1] == pytest.approx(gyroscope.sigma.bias**2)
     assert joined.covariance[0, -1] == calibration.covariance[0, -1]
     assert joined.gyroscope is gyroscope
     assert result.join(joined).covariance_names == joined.covariance_names
+    assert combined_sigma(joined.budget) ** 2 == pytest.approx(np.diag(joined.covariance), rel=1e-9, abs=0)

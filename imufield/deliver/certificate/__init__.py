@@ -1,0 +1,1 @@
+"""The calibration certificate: as a page, as JSON, as a digital calibration certificate, with a label."""

@@ -1,0 +1,224 @@
+"""What a certificate states: who, what, when, under which conditions, how uncertain, and what it goes back to."""
+
+from __future__ import annotations
+
+import math
+import os
+from calendar import monthrange
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, date, datetime
+
+import numpy as np
+
+from imufield.calibrate.noise.noise_texts import check_source_date
+from imufield.deliver.parameters.context import JoinedSession
+from imufield.deliver.parameters.file import Parameters
+from imufield.deliver.parameters.numbers import with_sigma
+from imufield.deliver.parameters.schema import Document
+from imufield.deliver.parameters.write import content_sha256
+from imufield.deliver.report.budget import COVERAGE, Group, ParameterBudget, budget_of, not_in_budget, share_words
+from imufield.earth import STANDARD_GRAVITY_M_S2, height_words
+from imufield.sentences import Sentences, printable
+from imufield.version import __version__
+
+sentence = Sentences(__package__)
+
+FORMAT = "imufield-certificate"
+VERSION = 1
+UNKNOWN = "not known"
+_SHORT_HASH = 12  # Hexadecimal digits that a person compares on a label.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Parties:
+    """Who is concerned; empty where nobody says."""
+
+    laboratory: str = ""
+    customer: str = ""
+    operator: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Certificate:
+    """A certificate of the parameters in one file."""
+
+    parameters: Parameters
+    parties: Parties
+    protocol: str = ""
+    """Name and hash of how the recording was read; empty where it is not at hand."""
+    issued: str
+    """ISO 8601."""
+    due_months: int | None = None
+
+    @property
+    def sha256(self) -> str:
+        """Of the content of the parameter file."""
+        return content_sha256(self.parameters.document)
+
+    @property
+    def short_sha256(self) -> str:
+        """Its first digits."""
+        return self.sha256[:_SHORT_HASH]
+
+    @property
+    def number(self) -> str:
+        """Of the certificate: one for each content of a parameter file."""
+        return f"imufield-{self.sha256[:16]}"
+
+    @property
+    def serial_number(self) -> str:
+        """Printable, and said where it is not known."""
+        return printable(self.parameters.context.instrument.serial_number) or UNKNOWN
+
+    @property
+    def instrument(self) -> str:
+        """Model, or what else is known of its kind."""
+        instrument = self.parameters.context.instrument
+        return printable(instrument.model or instrument.driver) or UNKNOWN
+
+    @property
+    def calibrated(self) -> str:
+        """Day of the recording, ISO 8601; that of the solution where nobody knows."""
+        return self.parameters.context.measured[:10]
+
+    @property
+    def due(self) -> str:
+        """Day of the next calibration, ISO 8601; empty where no interval is given, or a file has a day that is none."""
+        return "" if self.due_months is None else _months_later(self.calibrated, self.due_months)
+
+    @property
+    def groups(self) -> tuple[Group, ...]:
+        """The budget of each parameter."""
+        return budget_of(self.parameters)
+
+
+def issue_date() -> str:
+    """Return today, or the day of SOURCE_DATE_EPOCH, UTC; raises UsageError where that is no date."""
+    check_source_date()
+    told = os.environ.get("SOURCE_DATE_EPOCH")
+    moment = datetime.fromtimestamp(int(told), UTC) if told else datetime.now(UTC)
+    return moment.date().isoformat()
+
+
+def _months_later(text: str, months: int) -> str:
+    try:
+        day = date.fromisoformat(text)
+        years, month = divmod(day.month - 1 + months, 12)
+        year = day.year + years
+        # The last of a month has no namesake in a shorter one.
+        return date(year, month + 1, min(day.day, monthrange(year, month + 1)[1])).isoformat()
+    except ValueError:
+        return ""
+
+
+def statements(certificate: Certificate) -> tuple[str, ...]:
+    """Return what the certificate claims, and what it does not."""
+    quality = certificate.parameters.calibration.quality
+    told = [sentence("certificate.in_house"), sentence("certificate.coverage")]
+    told.append(sentence("certificate.verdict", verdict=quality.verdict))
+    if certificate.parameters.edited:
+        told.append(sentence("certificate.edited"))
+    return (*told, *not_in_budget(certificate.parameters))
+
+
+def conditions(certificate: Certificate) -> Iterator[tuple[str, str]]:
+    """Yield under which conditions it was calibrated, and the range in which it holds."""
+    parameters = certificate.parameters
+    gravity, session = parameters.calibration.gravity, parameters.context.session
+    low, high = session.temperature_degc
+    yield "Temperature", f"{low:.1f} to {high:.1f} °C" if math.isfinite(low + high) else UNKNOWN
+    yield "Gravity", f"{with_sigma(gravity.gravity_m_s2, gravity.sigma_m_s2)} m/s², {gravity.source_words}"
+    place = UNKNOWN if gravity.latitude_deg is None else f"latitude {gravity.latitude_deg:g}°, {height_words(gravity)}"
+    yield "Place", place
+    yield "Positions", str(len(parameters.document["position"]) or sum(each.positions for each in _sessions(parameters)))
+    yield "Valid: acceleration", f"up to ±{gravity.gravity_m_s2 / STANDARD_GRAVITY_M_S2:.3f} g: what was seen at rest"
+    gyroscope = parameters.calibration.gyroscope
+    if gyroscope is not None and np.isfinite(gyroscope.range_rad_s).all():
+        rates = ", ".join(f"{rate:.0f}" for rate in np.degrees(gyroscope.range_rad_s))
+        yield "Valid: rate", f"up to ±{rates} °/s about x, y, z"
+    yield "Valid: temperature", _valid_temperature(parameters)
+
+
+def _sessions(parameters: Parameters) -> tuple[JoinedSession, ...]:
+    return () if parameters.context.together is None else parameters.context.together.session
+
+
+def _valid_temperature(parameters: Parameters) -> str:
+    models = parameters.temperature_models
+    if not models:
+        return "at that of the calibration"
+    low, high = max(model.range_degc[0] for model in models), min(model.range_degc[1] for model in models)
+    return f"{low:g} to {high:g} °C, with the terms over temperature in the parameter file"
+
+
+def traceability(certificate: Certificate) -> Iterator[tuple[str, str]]:
+    """Yield what the numbers go back to."""
+    context = certificate.parameters.context
+    yield "Parameters", f"content SHA-256 {certificate.sha256}"
+    if context.session.sha256:
+        yield "Recording", f"{printable(context.session.name)}, SHA-256 {context.session.sha256}"
+    for session in _sessions(certificate.parameters):
+        yield "Session", f"{printable(session.name)}, SHA-256 {session.sha256}"
+    yield "Protocol", certificate.protocol or UNKNOWN
+    yield "Solved by", printable(context.software)
+    yield "Certificate by", f"imufield {__version__}"
+
+
+def to_json(certificate: Certificate) -> Document:
+    """Return the certificate as plain values; what is not known is null."""
+    instrument, parties = certificate.parameters.context.instrument, certificate.parties
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "number": certificate.number,
+        "accredited": False,
+        "issued": certificate.issued,
+        "calibrated": certificate.calibrated,
+        "due": certificate.due,
+        "laboratory": parties.laboratory,
+        "customer": parties.customer,
+        "operator": parties.operator,
+        "instrument": {
+            "model": instrument.model,
+            "driver": instrument.driver,
+            "serial_number": instrument.serial_number,
+            "firmware": instrument.firmware,
+        },
+        "statements": [*statements(certificate)],
+        "conditions": dict(conditions(certificate)),
+        "traceability": [[name, value] for name, value in traceability(certificate)],
+        "coverage_probability": COVERAGE,
+        "units": "those of the parameter file, raw units of accelerometer and gyroscope",
+        "budget": [_parameter_json(parameter) for group in certificate.groups for parameter in group.parameters],
+    }
+
+
+def _parameter_json(parameter: ParameterBudget) -> Document:
+    return {
+        "name": parameter.name,
+        "value": parameter.value,
+        "standard_uncertainty": _finite(parameter.sigma),
+        "degrees_of_freedom": _finite(parameter.degrees_of_freedom),
+        "coverage_factor": _finite(parameter.coverage_factor),
+        "expanded_uncertainty": _finite(parameter.expanded),
+        "share": [
+            {
+                "name": entry.share.name,
+                "words": share_words(entry.share),
+                "type": entry.share.kind,
+                "degrees_of_freedom": _finite(entry.share.degrees_of_freedom),
+                "residuals": entry.share.residuals,
+                "input_uncertainty": _finite(entry.share.input_sigma),
+                "input_unit": entry.share.input_unit,
+                "sensitivity": _finite(entry.sensitivity),
+                "contribution": _finite(entry.sigma),
+            }
+            for entry in parameter.entries
+            if entry.sigma != 0
+        ],
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

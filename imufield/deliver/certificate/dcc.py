@@ -1,0 +1,206 @@
+r"""The certificate as a digital calibration certificate (DCC), XML in the namespaces of PTB [1]_.
+
+Its structure is that of schema version 3.2.0 as documented: administrative data, one measurement result with a list of
+quantities for each kind of parameter, and the certificate as PDF. The schema's files are not part of this program, so nothing
+is validated against them, and a statement inside says so.
+
+Values are in SI, coherent units in the notation of siunitx. Counts and pulses are numbers, unit ``\one``.
+
+References
+----------
+.. [1] Physikalisch-Technische Bundesanstalt, https://ptb.de/dcc and https://ptb.de/si (D-SI).
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from xml.etree import ElementTree as ET
+
+from imufield.deliver.certificate.certificate import UNKNOWN, Certificate, conditions, statements, traceability
+from imufield.deliver.report.budget import COVERAGE, Group
+from imufield.earth import STANDARD_GRAVITY_M_S2
+from imufield.files import utf8_text
+from imufield.sentences import Sentences, printable
+from imufield.version import __version__
+
+sentence = Sentences(__package__)
+
+DCC = "https://ptb.de/dcc"
+SI = "https://ptb.de/si"
+SCHEMA_VERSION = "3.2.0"
+_NO_COUNTRY = "ZZ"  # ISO 3166-1: a code that stands for no country; the country of the parties is not asked for.
+_LANGUAGE = "en"
+# What XML 1.0 can hold no character of, beside what ``printable`` shows: two code points that are none.
+_NO_XML = re.compile("[\ufffe\uffff]")
+# Of a raw unit: its exponents of SI units, and its size.
+_RAW: dict[str, tuple[Mapping[str, int], float]] = {
+    "m/s^2": ({"metre": 1, "second": -2}, 1.0),
+    "g": ({"metre": 1, "second": -2}, STANDARD_GRAVITY_M_S2),
+    "rad/s": ({"radian": 1, "second": -1}, 1.0),
+    "count": ({}, 1.0),
+    "pulse": ({}, 1.0),
+    "count/s": ({"second": -1}, 1.0),
+    "pulse/s": ({"second": -1}, 1.0),
+}
+_FORCE, _RATE, _ANGLE = {"metre": 1, "second": -2}, {"radian": 1, "second": -1}, {"radian": 1}
+_FIXED = {"bias_m_s2": _FORCE, "misalignment_rad": _ANGLE}
+# By what the raw unit of each other kind is divided.
+_DIVISORS: dict[str, tuple[Mapping[str, int], ...]] = {
+    "accelerometer.scale": (_FORCE,),
+    "accelerometer.quadratic": (_FORCE, _FORCE),
+    "gyroscope.bias": (),
+    "gyroscope.scale": (_RATE,),
+    "gyroscope.g_sensitivity": (_FORCE,),
+}
+
+
+def to_xml(certificate: Certificate, pdf: bytes | None = None) -> bytes:
+    """Return the certificate as XML, UTF-8, with the PDF inside where there is one."""
+    ET.register_namespace("dcc", DCC)
+    ET.register_namespace("si", SI)
+    root = ET.Element(f"{{{DCC}}}digitalCalibrationCertificate", schemaVersion=SCHEMA_VERSION)
+    root.append(_administrative_data(certificate))
+    root.append(_dcc("measurementResults", _measurement_result(certificate)))
+    if pdf is not None:
+        parts = {
+            "fileName": "certificate.pdf",
+            "mimeType": "application/pdf",
+            "dataBase64": base64.b64encode(pdf).decode("ascii"),
+        }
+        root.append(_dcc("document", *(_text(name, value) for name, value in parts.items())))
+    ET.indent(root)
+    text = ET.tostring(root, encoding="unicode")
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'.encode()
+
+
+def _dcc(name: str, *children: ET.Element, **attributes: str) -> ET.Element:
+    element = ET.Element(f"{{{DCC}}}{name}", attributes)
+    element.extend(children)
+    return element
+
+
+def _text(name: str, value: str, namespace: str = DCC) -> ET.Element:
+    element = ET.Element(f"{{{namespace}}}{name}")
+    element.text = _NO_XML.sub("\ufffd", printable(utf8_text(value)))
+    return element
+
+
+def _named(name: str, value: str) -> ET.Element:
+    """Return an element that holds a text in the language of the certificate."""
+    return _dcc(name, _content(value))
+
+
+def _administrative_data(certificate: Certificate) -> ET.Element:
+    parties = certificate.parties
+    software = _dcc("software", _named("name", "imufield"), _text("release", __version__))
+    core = {
+        "countryCodeISO3166_1": _NO_COUNTRY,
+        "usedLangCodeISO639_1": _LANGUAGE,
+        "mandatoryLangCodeISO639_1": _LANGUAGE,
+        "uniqueIdentifier": certificate.number,
+        "beginPerformanceDate": certificate.calibrated,
+        "endPerformanceDate": certificate.calibrated,
+        "performanceLocation": "other",
+        "issueDate": certificate.issued,
+    }
+    person = _dcc("person", _named("name", parties.operator or UNKNOWN))
+    told = [*statements(certificate), sentence("certificate.not_validated")]
+    if certificate.due:
+        told.append(sentence("certificate.due", due=certificate.due))
+    return _dcc(
+        "administrativeData",
+        _dcc("dccSoftware", software),
+        _dcc("coreData", *(_text(name, value) for name, value in core.items())),
+        _dcc("items", _item(certificate)),
+        _dcc("calibrationLaboratory", _contact("contact", parties.laboratory)),
+        _dcc("respPersons", _dcc("respPerson", person, _text("mainSigner", "true"))),
+        _contact("customer", parties.customer),
+        _dcc("statements", *(_dcc("statement", _named("declaration", text)) for text in told)),
+    )
+
+
+def _item(certificate: Certificate) -> ET.Element:
+    serial = _identification("manufacturer", certificate.serial_number, "Serial number")
+    named = (_named("name", "Inertial measurement unit"), _text("model", certificate.instrument))
+    return _dcc("item", *named, _dcc("identifications", serial))
+
+
+def _identification(issuer: str, value: str, name: str) -> ET.Element:
+    return _dcc("identification", _text("issuer", issuer), _text("value", value), _named("name", name))
+
+
+def _contact(kind: str, name: str) -> ET.Element:
+    return _dcc(kind, _named("name", name or UNKNOWN), _dcc("location", _text("countryCode", _NO_COUNTRY)))
+
+
+def _measurement_result(certificate: Certificate) -> ET.Element:
+    calibration = certificate.parameters.calibration
+    units = {"accelerometer": calibration.accelerometer_raw_unit}
+    if calibration.gyroscope is not None:
+        units["gyroscope"] = calibration.gyroscope.raw_unit
+    method = _dcc("usedMethod", _named("name", sentence("certificate.method")), _named("description", calibration.equation))
+    equipment = [
+        _dcc("measuringEquipment", _named("name", name), _dcc("identifications", _identification("other", value, name)))
+        for name, value in traceability(certificate)
+    ]
+    influences = [
+        _dcc("influenceCondition", _named("name", name), _dcc("data", _dcc("text", _content(value))))
+        for name, value in conditions(certificate)
+    ]
+    return _dcc(
+        "measurementResult",
+        _named("name", f"Calibration of {certificate.instrument}, serial number {certificate.serial_number}"),
+        _dcc("usedMethods", method),
+        _dcc("measuringEquipments", *equipment),
+        _dcc("influenceConditions", *influences),
+        _dcc("results", *(_result(group, units) for group in certificate.groups)),
+    )
+
+
+def _content(value: str) -> ET.Element:
+    content = _text("content", value)
+    content.set("lang", _LANGUAGE)
+    return content
+
+
+def _result(group: Group, raw_units: Mapping[str, str]) -> ET.Element:
+    """Return the values of one kind of parameters with their expanded uncertainty."""
+    unit, size = unit_of(group.key, raw_units[group.key.partition(".")[0]])
+    places = " ".join(parameter.place for parameter in group.parameters)
+    numbers = ET.Element(f"{{{SI}}}realListXMLList")
+    numbers.append(_list("valueXMLList", (parameter.value * size for parameter in group.parameters)))
+    numbers.append(_text("unitXMLList", unit, SI))
+    # Without a degree of freedom nothing says how sure a number is.
+    if all(math.isfinite(parameter.expanded) for parameter in group.parameters):
+        uncertainty = ET.SubElement(numbers, f"{{{SI}}}expandedUncXMLList")
+        uncertainty.append(_list("uncertaintyXMLList", (parameter.expanded * size for parameter in group.parameters)))
+        uncertainty.append(_list("coverageFactorXMLList", (parameter.coverage_factor for parameter in group.parameters)))
+        uncertainty.append(_text("coverageProbabilityXMLList", str(COVERAGE), SI))
+    quantity = _dcc("quantity", _named("name", f"{group.title}: {places}"), numbers, refType="basic_measuredValue")
+    return _dcc("result", _named("name", group.title), _dcc("data", _dcc("list", quantity)))
+
+
+def _list(name: str, values: Iterable[float]) -> ET.Element:
+    return _text(name, " ".join(repr(float(value)) for value in values), SI)
+
+
+def unit_of(key: str, raw_unit: str) -> tuple[str, float]:
+    """Return the SI unit of a kind of parameters, and the size of the parameter file's unit in it."""
+    kind = key.partition(".")[2]
+    if kind in _FIXED:
+        return unit_words(_FIXED[kind]), 1.0
+    exponents, size = _RAW[raw_unit]
+    left = Counter(exponents)
+    for divisor in _DIVISORS[key]:
+        left.subtract(divisor)
+    return unit_words(left), size
+
+
+def unit_words(exponents: Mapping[str, int]) -> str:
+    r"""Return a product of powers in the notation of siunitx: ``\metre\second\tothe{-2}``."""
+    powers = {name: power for name, power in exponents.items() if power}
+    return "".join(rf"\{name}" if power == 1 else rf"\{name}\tothe{{{power}}}" for name, power in powers.items()) or r"\one"

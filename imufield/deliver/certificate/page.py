@@ -1,0 +1,53 @@
+"""The certificate as a page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from imufield.deliver.certificate.certificate import UNKNOWN, Certificate, conditions, statements, traceability
+from imufield.deliver.parameters.document import GYROSCOPE_EQUATION
+from imufield.deliver.report.budget import budget_tables
+from imufield.deliver.report.page import render
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
+
+
+def render_certificate(certificate: Certificate, label: str) -> str:
+    """Return the page as one self-contained HTML text, without a label where it is empty.
+
+    Raises
+    ------
+    UsageError
+        If jinja2 is not installed.
+    """
+    calibration = certificate.parameters.calibration
+    values = {
+        "title": f"{certificate.instrument} {certificate.serial_number}",
+        "number": certificate.number,
+        "claim": sentence("certificate.in_house"),
+        "identity": [*_identity(certificate)],
+        "budget": budget_tables(certificate.parameters),
+        "equation": calibration.equation,
+        "gyroscope_equation": "" if calibration.gyroscope is None else GYROSCOPE_EQUATION,
+        "gauge": calibration.gauge,
+        "conditions": [*conditions(certificate)],
+        "statements": statements(certificate)[1:],
+        "traceability": [*traceability(certificate)],
+        "label": label,
+        "operator": certificate.parties.operator,
+    }
+    return render("certificate.html", values, __package__)
+
+
+def _identity(certificate: Certificate) -> Iterator[tuple[str, str]]:
+    parties = certificate.parties
+    yield "Instrument", certificate.instrument
+    yield "Serial number", certificate.serial_number
+    firmware = certificate.parameters.context.instrument.firmware
+    yield from (("Firmware", firmware),) if firmware else ()
+    yield "Laboratory", parties.laboratory or UNKNOWN
+    yield "Customer", parties.customer or UNKNOWN
+    yield "Calibrated", certificate.calibrated
+    yield "Issued", certificate.issued
+    yield from (("Due", certificate.due),) if certificate.due else ()

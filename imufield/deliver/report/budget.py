@@ -1,0 +1,366 @@
+"""The uncertainty budget of a calibration: of each parameter its shares, their sum, and the factor to 95 %.
+
+A file of before has no shares. Gravity's is in the covariance all the same; the rest stands as one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imufield.acquire.protocol.units import nominal_scale
+from imufield.calibrate.model.budget import Share, combined_sigma, effective_freedom
+from imufield.calibrate.model.result import GRAVITY_NAME, Calibration
+from imufield.calibrate.model.uncertainty import degrees_of_freedom, student_factor, without_gravity
+from imufield.deliver.parameters.context import ClockFacts
+from imufield.deliver.parameters.file import Parameters
+from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S, decimals
+from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2
+from imufield.samples import AXES
+from imufield.sentences import Sentence, Sentences
+
+sentence = Sentences(__package__)
+
+COVERAGE = 0.95
+"""Probability of the interval that the expanded uncertainty is half of."""
+LEAST_SHOWN = 1e-3
+"""Of the combined uncertainty: a smaller share changes no digit of it."""
+_TIME_BASE = "time_base"
+_FIXED = 1e-12  # rad: rounding of an angle that the gauge fixes.
+_TITLES = {
+    "accelerometer.bias_m_s2": "Accelerometer bias",
+    "accelerometer.scale": "Accelerometer scale",
+    "accelerometer.misalignment_rad": "Accelerometer misalignment",
+    "accelerometer.quadratic": "Accelerometer quadratic term",
+    "gyroscope.bias": "Gyroscope bias",
+    "gyroscope.scale": "Gyroscope scale",
+    "gyroscope.misalignment_rad": "Gyroscope misalignment",
+    "gyroscope.g_sensitivity": "Gyroscope g-sensitivity",
+}
+_INPUT_UNITS = {"accelerometer": "m/s²", "gyroscope": "rad/s"}
+_SHARES = {
+    "within_hold": "Noise within a hold",
+    "between_holds": "Scatter between holds",
+    "drift": "Drift of the bias, fitted",
+    "higher_terms": "Cubic and cross terms, fitted",
+    "model_choice": "Choice of the model: hidden quadratic term and drift",
+    "nonlinearity": "Nonlinearity and asymmetry, typical of the grade",
+    "misalignment_not_shown": "Misalignment not shown, typical of the grade",
+    "quadratic_not_shown": "Quadratic term not shown, typical of the grade",
+    "gravity": "Gravity",
+    "accelerometer": "Accelerometer: its noise, scatter and calibration",
+    "gyroscope_within_hold": "Gyroscope noise within a hold",
+    "gyroscope_moving": "Gyroscope noise while turning",
+    "gyroscope_between_holds": "Gyroscope scatter between holds",
+    "gyroscope_wander": "Gyroscope bias, wandering",
+    "gyroscope_turns": "Scatter between turns",
+    "stops": "Mechanical stop",
+    "turntable": "Rate of the turntable",
+    "earth_rate": "Earth's rate, heading or latitude unknown",
+    "g_sensitivity_not_fitted": "g-sensitivity that was not fitted",
+    "rate_nonlinearity": "Scale over rate, typical of the grade",
+    "time_base": "Time base: the clock against true seconds",
+    "sessions": "The sessions, solved together",
+    "day_to_day": "Repeatability from day to day",
+    "no_session_shows": "Terms that no session shows, typical of the grade",
+    "not_recorded_apart": "All others, not recorded apart",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """What one share contributes to one parameter."""
+
+    share: Share
+    sigma: float
+    """In the unit of the parameter."""
+
+    @property
+    def sensitivity(self) -> float:
+        """Size of d parameter / d input; NaN where the share has no single input quantity."""
+        return self.sigma / self.share.input_sigma if self.share.input_sigma > 0 else math.nan
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ParameterBudget:
+    """The budget of one parameter, in the unit of the parameter file."""
+
+    name: str
+    """As in the covariance, "accelerometer.scale.x"."""
+    value: float
+    entries: tuple[Entry, ...]
+    sigma: float
+    """Combined standard uncertainty."""
+    degrees_of_freedom: float
+    """Effective; infinite where nothing of it is estimated from few residuals."""
+
+    @property
+    def place(self) -> str:
+        """Axis, or row and column."""
+        return self.name.rpartition(".")[2]
+
+    @property
+    def coverage_factor(self) -> float:
+        """From the combined to the expanded uncertainty, by Student's distribution; NaN without degrees of freedom."""
+        return student_factor(self.degrees_of_freedom, chance=1 - COVERAGE)
+
+    @property
+    def expanded(self) -> float:
+        """Half of the 95 % interval."""
+        return self.coverage_factor * self.sigma
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Group:
+    """Parameters of one kind."""
+
+    key: str
+    """As in the parameter file, "accelerometer.scale"."""
+    parameters: tuple[ParameterBudget, ...]
+
+    @property
+    def title(self) -> str:
+        """For people."""
+        return _TITLES[self.key]
+
+    @property
+    def shares(self) -> tuple[Share, ...]:
+        """Those that matter for any of them."""
+        entries = ((entry, parameter.sigma) for parameter in self.parameters for entry in parameter.entries)
+        return tuple(
+            {entry.share.name: entry.share for entry, sigma in entries if not entry.sigma < LEAST_SHOWN * sigma}.values()
+        )
+
+
+def budget_of(parameters: Parameters) -> tuple[Group, ...]:
+    """Return the budget of each parameter that was estimated, in groups."""
+    calibration = parameters.calibration
+    names = calibration.covariance_names
+    shares = [*(calibration.budget or _not_apart(calibration)), *_time_base(calibration, parameters.context.clock)]
+    combined, freedom = combined_sigma(shares), effective_freedom(shares)
+    groups: dict[str, list[ParameterBudget]] = {}
+    for row, name in enumerate(names):
+        if name == GRAVITY_NAME or combined[row] <= _FIXED:
+            continue
+        entries = tuple(Entry(share, float(share.sigma[row])) for share in shares)
+        groups.setdefault(name.rpartition(".")[0], []).append(
+            ParameterBudget(
+                name=name,
+                value=_value(calibration, name),
+                entries=entries,
+                sigma=float(combined[row]),
+                degrees_of_freedom=float(freedom[row]),
+            )
+        )
+    return tuple(Group(key=key, parameters=tuple(groups[key])) for key in _TITLES if key in groups)
+
+
+def _not_apart(calibration: Calibration) -> Iterator[Share]:
+    """Yield the shares of a file that has none: what gravity is in the covariance, and the rest."""
+    names, C = calibration.covariance_names, calibration.covariance
+    rest = without_gravity(names, C)
+    freedom = degrees_of_freedom(calibration.quality.student_factor_95)
+    by_gravity = np.sqrt(np.maximum(np.diag(C - rest), 0.0))
+    sigma_m_s2 = calibration.gravity.sigma_m_s2
+    yield Share(name="gravity", kind="B", input_sigma=sigma_m_s2, input_unit="m/s^2", sigma=by_gravity)
+    yield Share(
+        name="not_recorded_apart",
+        kind="A",
+        degrees_of_freedom=freedom,
+        sigma=np.sqrt(np.maximum(np.diag(rest), 0.0)),
+    )
+
+
+def _time_base(calibration: Calibration, clock: ClockFacts | None) -> Iterator[Share]:
+    """Yield the share of the clock: the scale of the gyroscope holds for its period, and is stated here in true seconds."""
+    if clock is None or calibration.gyroscope is None:
+        return
+    scale = dict(zip((f"gyroscope.scale.{axis}" for axis in AXES), calibration.gyroscope.parameters.scale, strict=True))
+    sigma = np.array([abs(scale.get(name, 0.0)) * clock.sigma for name in calibration.covariance_names])
+    if np.any(sigma > 0):
+        yield Share(name=_TIME_BASE, kind="B", input_sigma=clock.sigma, input_unit="s/s", sigma=sigma)
+
+
+def _value(calibration: Calibration, name: str) -> float:
+    triad, key, place = name.split(".")
+    gyroscope = calibration.gyroscope
+    source = gyroscope.parameters if triad == "gyroscope" and gyroscope is not None else calibration.accelerometer
+    return float(getattr(source, key)[tuple(AXES.index(axis) for axis in place)])
+
+
+def not_in_budget(parameters: Parameters) -> tuple[Sentence, ...]:
+    """Return what the budget has no share of, and what it takes to have one."""
+    calibration, context = parameters.calibration, parameters.context
+    told = []
+    if not calibration.budget:
+        told.append(sentence("budget.not_apart"))
+    if context.together is None:
+        told.append(sentence("budget.no_repeatability"))
+    if not parameters.temperature_models:
+        told.append(sentence("budget.no_temperature"))
+    else:
+        told += [*_over_temperature(calibration)]
+    return tuple(told)
+
+
+def _over_temperature(calibration: Calibration) -> Iterator[Sentence]:
+    """Yield what the uncertainty of the terms over temperature adds at the worst temperature of their range."""
+    gyroscope = None if calibration.gyroscope is None else calibration.gyroscope.temperature
+    triads = (
+        ("accelerometer", calibration.accelerometer_temperature, "mg", MILLI_G_M_S2),
+        ("gyroscope", gyroscope, "°/h", DEG_PER_HOUR_RAD_S),
+    )
+    for triad, model, unit, size in triads:
+        if model is None:
+            continue
+        low, high = model.range_degc
+        at_degc = np.linspace(low, high, 50)
+        bias = float(np.max(model.bias_sigma_at(at_degc))) / size
+        scale_ppm = 1e6 * float(np.max(model.scale.sigma_at(model.degrees_above(at_degc))))
+        figures = {"low": low, "high": high, "bias": bias, "unit": unit, "scale_ppm": scale_ppm}
+        yield sentence("budget.over_temperature", triad=triad, reference=model.reference_degc, **figures)
+
+
+def share_words(share: Share) -> str:
+    """Return a share in words; its key where a file has one of somebody else."""
+    return _SHARES.get(share.name, share.name)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BudgetRow:
+    """A share as text."""
+
+    words: str
+    kind: str
+    freedom: str
+    source: str
+    """Input quantity with its unit; empty where it is no single one."""
+    cells: tuple[tuple[str, str], ...]
+    """Contribution and sensitivity of each parameter."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BudgetTable:
+    """A group as text, for a page."""
+
+    title: str
+    unit: str
+    places: tuple[str, ...]
+    rows: tuple[BudgetRow, ...]
+    sums: tuple[tuple[str, ...], ...]
+    """Name, then the text of each parameter: combined uncertainty, degrees of freedom, k, U, value."""
+
+    @property
+    def results(self) -> tuple[tuple[str, ...], ...]:
+        """Place, value, U, k and effective degrees of freedom of each parameter."""
+        _, freedom, factor, expanded, value = (texts for _, *texts in self.sums)
+        return tuple(zip(self.places, value, expanded, factor, freedom, strict=True))
+
+
+def budget_tables(parameters: Parameters) -> tuple[BudgetTable, ...]:
+    """Return the budget as tables for people, in units of the trade."""
+    return tuple(_table(group, parameters.calibration) for group in budget_of(parameters))
+
+
+def _table(group: Group, calibration: Calibration) -> BudgetTable:
+    unit, sizes = _shown(group, calibration)
+    rows = []
+    for share in group.shares:
+        entries = (next(entry for entry in parameter.entries if entry.share is share) for parameter in group.parameters)
+        cells = (
+            (_fixed(entry.sigma / abs(size), parameter.sigma / abs(size)), short(entry.sensitivity / abs(size)))
+            for entry, parameter, size in zip(entries, group.parameters, sizes, strict=True)
+        )
+        rows.append(
+            BudgetRow(
+                words=share_words(share),
+                kind=share.kind,
+                freedom=freedom_words(share.degrees_of_freedom),
+                source=_source_words(share),
+                cells=tuple(cells),
+            )
+        )
+    pairs = [*zip(group.parameters, sizes, strict=True)]
+    sums = (
+        ("Combined standard uncertainty", *(short(parameter.sigma / abs(size)) for parameter, size in pairs)),
+        ("Effective degrees of freedom", *(freedom_words(parameter.degrees_of_freedom) for parameter, _ in pairs)),
+        ("Coverage factor k, 95 %", *(f"{parameter.coverage_factor:.2f}" for parameter, _ in pairs)),
+        ("Expanded uncertainty U", *(short(parameter.expanded / abs(size)) for parameter, size in pairs)),
+        ("Value", *(_value_words(parameter, size, group, calibration) for parameter, size in pairs)),
+    )
+    places = tuple(parameter.place for parameter in group.parameters)
+    return BudgetTable(title=group.title, unit=unit, places=places, rows=tuple(rows), sums=sums)
+
+
+def _shown(group: Group, calibration: Calibration) -> tuple[str, Sequence[float]]:
+    """Return the unit of the trade, and its size for each parameter in that of the file, signs of scales left to them."""
+    triad, _, kind = group.key.partition(".")
+    rows = [AXES.index(parameter.place[0]) for parameter in group.parameters]
+    gyroscope = calibration.gyroscope
+    K = gyroscope.parameters.scale if triad == "gyroscope" and gyroscope is not None else calibration.accelerometer.scale
+    fixed = {"misalignment_rad": ("mrad", 1e-3), "bias_m_s2": ("mg", MILLI_G_M_S2)}
+    if kind in fixed:
+        return fixed[kind][0], [fixed[kind][1]] * len(rows)
+    if not np.isfinite(K).all():
+        return _raw_unit(calibration, triad), [1.0] * len(rows)
+    # In the raw unit: a millionth of the scale, and of an acceleration, a rate, or a term at 1 g.
+    units = {
+        "scale": ("ppm", 1e-6),
+        "quadratic": ("µg/g²", 1e-6 / STANDARD_GRAVITY_M_S2),
+        "bias": ("°/h", DEG_PER_HOUR_RAD_S),
+        "g_sensitivity": ("°/h/g", DEG_PER_HOUR_RAD_S / STANDARD_GRAVITY_M_S2),
+    }
+    return units[kind][0], (K[rows] * units[kind][1]).tolist()
+
+
+def _value_words(parameter: ParameterBudget, size: float, group: Group, calibration: Calibration) -> str:
+    triad, _, kind = group.key.partition(".")
+    if kind != "scale":
+        return _rounded(parameter.value / size, abs(parameter.expanded / size))
+    raw_unit = _raw_unit(calibration, triad)
+    nominal = nominal_scale(raw_unit)
+    if nominal is not None:
+        return _rounded((parameter.value / nominal - 1) * 1e6, abs(parameter.expanded / size))
+    # Only the maker knows how far it is off: the scale itself, in its own unit.
+    places = max(decimals(abs(parameter.expanded)), 0)
+    return f"{parameter.value:.{places}f} {raw_unit} per {_INPUT_UNITS[triad]}"
+
+
+def _rounded(value: float, uncertainty: float) -> str:
+    places = decimals(uncertainty)
+    return f"{round(value, places) + 0.0:+.{max(places, 0)}f}"
+
+
+def _raw_unit(calibration: Calibration, triad: str) -> str:
+    gyroscope = calibration.gyroscope
+    return gyroscope.raw_unit if triad == "gyroscope" and gyroscope is not None else calibration.accelerometer_raw_unit
+
+
+def _source_words(share: Share) -> str:
+    if not share.input_sigma > 0:
+        return ""
+    return f"{short(share.input_sigma)} {share.input_unit.replace('^2', '²')}"
+
+
+def _fixed(contribution: float, combined: float) -> str:
+    """Return a contribution with one decimal more than the sum."""
+    places = max(decimals(combined) + 1, 0)
+    return f"{contribution:.{places}f}" if math.isfinite(contribution) else ""
+
+
+def freedom_words(freedom: float) -> str:
+    """Return degrees of freedom, those that are as good as infinite as such."""
+    return "∞" if not freedom < 1e4 else f"{freedom:.0f}"
+
+
+def short(value: float) -> str:
+    """Return two digits; nothing of what is not known, or nothing."""
+    if not math.isfinite(value):
+        return ""
+    if value == 0:
+        return "0"
+    places = decimals(abs(value))
+    return f"{value:.1e}" if places > 6 or abs(value) >= 1e7 else f"{round(value, places):.{max(places, 0)}f}"

@@ -1,0 +1,88 @@
+"""``imufield certificate`` of a solved session."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from imufield.cli.run import run
+from imufield.commands.certificate import run_certificate
+from imufield.commands.options.results import CertificateOptions
+from imufield.deliver.parameters.file import load
+from imufield.deliver.report.budget import budget_of
+from imufield.errors import ParameterFileError, Reason
+from tests.refused import refused
+
+DAY = "1764000000"  # 2025-11-24
+
+
+def test_files_are_written_beside_the_parameters(solved_session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", DAY)
+    folder = Path(shutil.copytree(solved_session, tmp_path / "solved"))
+    (tmp_path / "imufield.toml").write_text('laboratory = "Our laboratory"\noperator = "A. Person"\n')
+    monkeypatch.chdir(tmp_path)
+    assert run(["certificate", "solved", "--due-months", "6", "--pdf"]) == 0
+    written = {name: (folder / name).read_bytes() for name in sorted(path.name for path in folder.glob("certificate.*"))}
+    assert list(written) == ["certificate.html", "certificate.json", "certificate.pdf", "certificate.xml"]
+    document = json.loads(written["certificate.json"])
+    assert (document["issued"], document["laboratory"], document["operator"]) == ("2025-11-24", "Our laboratory", "A. Person")
+    assert written["certificate.pdf"].startswith(b"%PDF")
+    assert b"dataBase64" in written["certificate.xml"]
+    traced = dict(document["traceability"])
+    assert "stim300, SHA-256 " in traced["Protocol"]
+    assert load(folder).context.session.sha256 in traced["Recording"]
+    page = written["certificate.html"].decode()
+    assert "Our laboratory" in page
+    assert (folder / "label.svg").read_text(encoding="utf-8").strip() in page
+    # Nothing in a second one is from the hour it was made.
+    run_certificate(
+        CertificateOptions(source=folder, output=folder, due_months=6, laboratory="Our laboratory", operator="A. Person")
+    )
+    assert (folder / "certificate.html").read_bytes() == written["certificate.html"]
+    assert (folder / "certificate.json").read_bytes() == written["certificate.json"]
+
+
+def test_the_budget_of_a_session_is_in_file_and_report(solved_session: Path, tmp_path: Path) -> None:
+    parameters = load(solved_session)
+    for group in budget_of(parameters):
+        for parameter in group.parameters:
+            triad, key, place = parameter.name.split(".")
+            table = parameters.document[triad]["uncertainty"]
+            stated = table["scale_absolute" if parameter.name.startswith("gyroscope.scale") else key]
+            for axis in place:
+                stated = stated["xyz".index(axis)]
+            assert parameter.sigma == pytest.approx(stated, rel=1e-9)
+    pages = ["-o", str(tmp_path / "page.html"), "--record", str(tmp_path / "record.html")]
+    assert run(["report", "--parameters", str(solved_session / "parameters.toml"), *pages]) == 0
+    assert "<summary>Uncertainty budget</summary>" in (tmp_path / "page.html").read_text(encoding="utf-8")
+
+
+def test_a_file_alone_has_a_certificate_without_the_protocol(solved_session: Path, tmp_path: Path) -> None:
+    file = Path(shutil.copy(solved_session / "parameters.toml", tmp_path / "mine.toml"))
+    paths = run_certificate(CertificateOptions(source=file))
+    assert {path.parent for path in paths} == {tmp_path}
+    document = json.loads((tmp_path / "certificate.json").read_text(encoding="utf-8"))
+    assert dict(document["traceability"])["Protocol"] == "not known"
+
+
+def test_parameters_of_another_recording_are_refused(solved_session: Path, short_solved: Path, tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(short_solved, tmp_path / "other"))
+    shutil.copy(solved_session / "parameters.toml", folder)
+    with refused(ParameterFileError, Reason.FOREIGN, key="certificate.other_recording"):
+        run_certificate(CertificateOptions(source=folder))
+    # Named by itself it is a file that somebody put there.
+    run_certificate(CertificateOptions(source=folder / "parameters.toml", output=tmp_path))
+
+
+def test_without_its_package_there_is_no_label_and_it_is_said(
+    solved_session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[Any]
+) -> None:
+    monkeypatch.setitem(sys.modules, "segno", None)
+    paths = run_certificate(CertificateOptions(source=solved_session, output=tmp_path))
+    assert {path.name for path in paths} == {"certificate.html", "certificate.json", "certificate.xml"}
+    assert "segno" in capsys.readouterr().err
