@@ -97,5 +97,5 @@ def test_every_default_and_variable_is_described() -> None:
     described = {key: commands for keys, commands in found for key in re.findall(r"`(\w+)`", keys)}
     assert described == {key: set(commands) for key, commands in KEYS.items()}
     source = "".join(path.read_text(encoding="utf-8") for path in (PROJECT / "imufield").rglob("*.py"))
-    variables = {name for name in re.findall(r"IMUFIELD_\w+", source) if name != "IMUFIELD_"}
+    variables = {name for name in re.findall(r"\bIMUFIELD_\w+", source) if name != "IMUFIELD_"}
     assert {name for _, cell, _ in rows for name in re.findall(r"IMUFIELD_\w+", cell)} == variables
