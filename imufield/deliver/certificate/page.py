@@ -37,7 +37,7 @@ def render_certificate(certificate: Certificate, label: str) -> str:
         "label": label,
         "operator": certificate.parties.operator,
     }
-    return render("certificate.html", values, __package__)
+    return render("certificate.html", values, "imufield.deliver.certificate")
 
 
 def _identity(certificate: Certificate) -> Iterator[tuple[str, str]]:
