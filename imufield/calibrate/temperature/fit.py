@@ -308,8 +308,9 @@ def _scale_of_share(coefficients: FloatArray, range_d_degc: FloatArray) -> Float
     order = len(coefficients)
     V = powers(np.linspace(range_d_degc[0], range_d_degc[1], 10 * HIGHEST_ORDER), order)
     share = V @ coefficients
-    found: FloatArray = np.linalg.lstsq(V, share / (1 - share), rcond=None)[0] if order else coefficients
-    return found
+    if not order:
+        return coefficients
+    return np.asarray(np.linalg.lstsq(V, share / (1 - share), rcond=None)[0], dtype=np.float64)
 
 
 def _span(evidence: Evidence) -> float:
