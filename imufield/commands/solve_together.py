@@ -17,6 +17,7 @@ from imufield.deliver.parameters.numbers import WIDTH, to_ascii
 from imufield.deliver.report.together import HEADINGS, together_rows
 from imufield.errors import UsageError
 from imufield.files import DEFAULT_ROOT, refuse_overwriting
+from imufield.pipeline.solving import lost_by_replacing
 from imufield.pipeline.together import sessions_of, solve_together
 from imufield.sentences import Sentences
 
@@ -38,11 +39,13 @@ def run_solve_together(options: SolveOptions) -> int:
     parts = [part for session in sessions for part in session.parts]
     refuse_overwriting(path, parts, advice=sentence("solve.elsewhere"))
     parameters = solve_together(sessions, options.settings(), options.site)
+    lost = lost_by_replacing(path, parameters)
     kept = write_document(path, parameters.document, advice=sentence("solve.elsewhere"))
     if options.as_json:
-        echo(json.dumps(json_ready(parameters.document)))
+        echo(json.dumps(json_ready(parameters.document) | {"notes": lost}))
     else:
         _print(parameters)
+        say_each(lost, indent=4, begin="  - ")
     tell_written(path, kept, as_json=options.as_json)
     return 0
 
@@ -51,7 +54,11 @@ def _sessions(options: SolveOptions) -> list[Session]:
     folders, serial_number = options.sessions or [], options.serial_number
     if not options.together:
         raise UsageError(sentence("solve_together.serial_alone", serial_number=serial_number))
-    refused = {"--observations": options.observations is not None, "--scheduler": options.scheduler is not None}
+    refused = {
+        "--observations": options.observations is not None,
+        "--scheduler": options.scheduler is not None,
+        "--temperature": bool(options.temperature),
+    }
     for option, is_given in refused.items():
         if is_given:
             raise UsageError(sentence("solve_together.option", option=option))

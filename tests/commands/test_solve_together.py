@@ -201,6 +201,7 @@ def test_sessions_are_found_by_serial_number(days: Days) -> None:
         ({"together": True}, "solve_together.none"),
         ({"together": True, "observations": Path("means.csv")}, "solve_together.option"),
         ({"together": True, "scheduler": "tcp://127.0.0.1:1"}, "solve_together.option"),
+        ({"together": True, "temperature": [Path("cold")]}, "solve_together.option"),
     ],
 )
 def test_options_that_say_nothing_together_are_refused(options: dict[str, object], key: str) -> None:

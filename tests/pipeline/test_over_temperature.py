@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -58,7 +59,9 @@ OVER_TEMPERATURE = TriadTemperature(
 UP = np.array([[0.55, -0.6, 0.58]])
 
 
-def solved(temperature_degc: float, *, gauge: str = "lower", serial_number: str = "A1") -> Parameters:
+def solved(
+    temperature_degc: float, *, gauge: str = "lower", serial_number: str = "A1", gravity: Gravity = GRAVITY
+) -> Parameters:
     rng, up = np.random.default_rng(int(temperature_degc) + 50), scheme("paper24").directions()
     m = len(up)
     output = predict(accelerometer_at(TRUTH, OVER_TEMPERATURE, temperature_degc), GRAVITY.gravity_m_s2 * up)
@@ -79,7 +82,7 @@ def solved(temperature_degc: float, *, gauge: str = "lower", serial_number: str 
         session=SessionFacts(f"at {temperature_degc:g}", 64 * "b", 100.0, (temperature_degc, temperature_degc)),
     )
     settings = SolveSettings(model="linear", gauge=gauge, grade="industrial")  # type: ignore[arg-type]
-    return calibrate(Measured(observations=observations, gravity=GRAVITY, context=context), settings)
+    return calibrate(Measured(observations=observations, gravity=gravity, context=context), settings)
 
 
 @pytest.fixture(scope="module")
@@ -152,7 +155,25 @@ def test_the_file_keeps_sessions_and_new_day_and_the_report_draws_them(
     assert np.all(np.linalg.eigvalsh(there.covariance) > -1e-15)
     page = render_report(ReportData(parameters=joint))
     assert "temperature-accelerometer-" in page
-    assert "temperature-accelerometer-" not in render_report(ReportData(parameters=sessions[1]))
+    assert not [*temperature_curves(sessions[1])]
+
+
+def test_neither_gauge_nor_an_assumed_gravity_changes_what_is_found(sessions: tuple[Parameters, ...]) -> None:
+    in_lower = with_temperature(sessions[1], sessions, []).temperature_models[0]
+    uppers = [solved(degc, gauge="upper") for degc in (-18.0, 20.0, 55.0)]
+    in_upper = with_temperature(uppers[1], uppers, []).temperature_models[0]
+    for quantity in ("bias", "scale"):
+        lower, upper = getattr(in_lower, quantity).coefficients, getattr(in_upper, quantity).coefficients
+        np.testing.assert_allclose(upper, lower, rtol=1e-3, atol=1e-3 * np.abs(lower).max())
+    # 1800 ppm of scale that no one knows are those of the place: they are the same at all temperatures.
+    unknown = Gravity(gravity_m_s2=9.81, sigma_m_s2=0.018, source="assumed")
+    assumed = [solved(degc, gravity=unknown) for degc in (-18.0, 20.0, 55.0)]
+    assert np.all(assumed[1].calibration.accelerometer_sigma.scale > 1e-3)
+    found = with_temperature(assumed[1], assumed, [])
+    np.testing.assert_allclose(found.temperature_models[0].scale.covariance, in_lower.scale.covariance, rtol=0.05)
+    # But of the scale itself they are the uncertainty, there as well.
+    there = found.at(55.0).calibration
+    assert np.all(there.accelerometer_sigma.scale > 1e-3)
 
 
 def test_the_budget_stays_that_of_the_reference(sessions: tuple[Parameters, ...]) -> None:
@@ -224,6 +245,13 @@ def recorded(folder: Path, temperature_degc: float) -> Path:
     return import_table(folder, f"at{temperature_degc:g}", np.column_stack(columns))
 
 
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]:
+    """Return a session at 25 degC, one at 0 degC, and a ramp; copy what is solved."""
+    folder = tmp_path_factory.mktemp("recorded")
+    return recorded(folder, 25.0), recorded(folder, 0.0), warming_up(folder)
+
+
 def warming_up(folder: Path) -> Path:
     """Return an imported recording of one pose over 30 degC and back."""
     time_s = np.arange(0.0, 4000.0, 2.0)
@@ -233,15 +261,15 @@ def warming_up(folder: Path) -> Path:
     return import_table(folder, "warm-up", np.column_stack([time_s, outputs + noise, at_degc]))
 
 
-def test_a_ramp_alone_is_refused_as_what_it_is(tmp_path: Path) -> None:
+def test_a_ramp_alone_is_refused_as_what_it_is(folders: tuple[Path, Path, Path]) -> None:
     with refused(CalibrationError, Reason.TOO_FEW, "--temperature warm-up", key="solving.one_pose"):
-        solve_session(Session.open(warming_up(tmp_path)), SolveSettings())
+        solve_session(Session.open(folders[2]), SolveSettings())
 
 
 def test_a_file_over_temperature_is_not_replaced_without_a_word(
-    sessions: tuple[Parameters, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    sessions: tuple[Parameters, ...], folders: tuple[Path, Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    session = recorded(tmp_path, 25.0)
+    session = shutil.copytree(folders[0], tmp_path / "at25")
     path, joint = session / "parameters.toml", with_temperature(sessions[1], sessions, [])
     write_document(path, joint.document)
     (lost,) = told(lost_by_replacing(path, sessions[1]), "solving.lost_temperature")
@@ -254,15 +282,14 @@ def test_a_file_over_temperature_is_not_replaced_without_a_word(
     assert not load(path).temperature_models
     write_document(path, joint.document)
     capsys.readouterr()
-    assert run(["solve", "--json", str(session), str(recorded(tmp_path, 0.0))]) == 0
+    assert run(["solve", "--json", "--workers", "1", str(session), str(shutil.copytree(folders[1], tmp_path / "at0"))]) == 0
     solved = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert "--temperature 'at -18'" in solved[0]["notes"][-1]
     assert not solved[1]["notes"]
 
 
-def test_solve_takes_sessions_and_ramps_as_they_come(tmp_path: Path) -> None:
-    warm_up = warming_up(tmp_path)
-    base, cold, output = recorded(tmp_path, 25.0), recorded(tmp_path, 0.0), tmp_path / "parameters.toml"
+def test_solve_takes_sessions_and_ramps_as_they_come(folders: tuple[Path, Path, Path], tmp_path: Path) -> None:
+    (base, cold, warm_up), output = folders, tmp_path / "parameters.toml"
     assert run(["solve", str(base), "--temperature", str(cold), "--temperature", str(warm_up), "-o", str(output)]) == 0
     joint = load(output)
     assert [source.kind for source in joint.context.temperature_sources] == ["session", "session", "ramp"]
