@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -187,8 +188,16 @@ def test_solve_takes_sessions_and_ramps_as_they_come(tmp_path: Path) -> None:
     noise = 1e-4 * np.random.default_rng(3).normal(size=(len(time_s), 6))
     warm_up = import_table(tmp_path, "warm-up", np.column_stack([time_s, outputs + noise, at_degc]))
     base, cold, output = recorded(tmp_path, 25.0), recorded(tmp_path, 0.0), tmp_path / "parameters.toml"
-    assert run(["solve", str(base), "--temperature", str(cold), "--temperature", str(warm_up), "-o", str(output)]) == 0
+    # Each of them twice, under another name.
+    copies = [shutil.copytree(session, tmp_path / f"{session.name}-copy") for session in (base, cold, warm_up)]
+    given = [word for session in (cold, warm_up, *copies) for word in ("--temperature", str(session))]
+    assert run(["solve", str(base), *given, "-o", str(output)]) == 0
     joint = load(output)
+    reasons = joint.calibration.quality.reasons
+    assert all(
+        any(f"{copy.name} " in reason and session.name in reason for reason in reasons)
+        for session, copy in zip((base, cold, warm_up), copies, strict=True)
+    )
     assert [source.kind for source in joint.context.temperature_sources] == ["session", "session", "ramp"]
     accelerometer, gyroscope = joint.temperature_models
     assert accelerometer.scale_separated
