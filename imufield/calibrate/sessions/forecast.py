@@ -5,13 +5,14 @@ drifted since, with the mean square
 
     v(d) = f^2 + 2 s^2 + q d + (r d)^2
 
-f is the sigma in the file, s the repeatability, q a random walk a day (drift without a direction), and r a rate where the test
-of the history found a drift. The accuracy A is reached at the d with ``v(d) = A^2``. A step is part of the walk here: what has
-happened may happen again.
+f is the sigma in the file, s the repeatability, q a random walk a day (drift without a direction), and r the rate of the fastest
+axis. The accuracy A is reached at the d with ``v(d) = A^2``. A walk and a drift that goes on are hard to tell apart: the forecast
+has r where the test of the history found a drift and r = 0 elsewhere, and the interval holds those of both. A step is part of the
+walk here: what has happened may happen again.
 
 s, q and r are averaged over with the restricted likelihood of the contrasts of all sessions, u ~ N(x r, L^T (s^2 + q W + C) L)
-with W the earlier of two days, and priors flat in s, the root of q, and r: the quantiles of d are the forecast and its 95 %
-interval. Beyond the length of the history nothing is forecast: nobody has seen what then begins.
+with W the earlier of two days, and priors flat in s, the root of q, and r: the quantiles of d are forecast and 95 % interval.
+Beyond the length of the history nothing is forecast: nobody has seen what then begins.
 """
 
 from __future__ import annotations
@@ -80,20 +81,30 @@ def forecast(
     known = 0 if test is None else len(test.sessions)
     if test is None or known < FEWEST_WITHOUT_PRIOR or not np.ptp(test.day) > 0:
         return NoForecast("short", known)
-    drifts = [change for change in judged.news if change.name in test.names and change.first_after is None]
-    drifts.sort(key=lambda change: -abs(change.size))
-    likely = _likely(test, test.with_news(drifts)[:, len(test.names) :])
-    now = math.sqrt(file_sigma**2 + 2 * float(np.sum(likely.weight * likely.s)) ** 2)
-    rng = np.random.default_rng(0)
-    rows = rng.choice(len(likely.s), _DRAWS, p=likely.weight)
-    rate = likely.rate[rows] + likely.rate_sigma[rows] * rng.standard_normal(_DRAWS)
-    q, room = likely.q[rows], np.maximum(wanted**2 - file_sigma**2 - 2 * likely.s[rows] ** 2, 0.0)
-    # The positive root of (r d)^2 + q d = room, in the form that holds for r = 0 too.
-    days = 2 * room / (q + np.sqrt(q**2 + 4 * rate**2 * room))
-    low, middle, high = np.quantile(days, _QUANTILES).tolist()
+    a = len(test.names)
+    steady = np.kron((test.day - test.day.mean())[:, None], np.eye(a))
+    walk, drift = (_likely(test, lines) for lines in (steady[:, :0], steady))
+    now = math.sqrt(file_sigma**2 + 2 * float(np.sum(walk.weight * walk.s)) ** 2)
+    ends = [_days(likely, file_sigma, wanted) for likely in (walk, drift)]
+    is_drifting = any(change.name in test.names and change.first_after is None for change in judged.news)
+    middle = ends[is_drifting][1]
     if now > wanted or middle == 0:
         return NoForecast("now", known, now)
+    low, high = min(end[0] for end in ends), max(end[2] for end in ends)
     return Forecast(days=middle, low_days=low, high_days=high, span_days=float(np.ptp(test.day)), now=now)
+
+
+def _days(likely: _Likely, file_sigma: float, wanted: float) -> list[float]:
+    """Return the quantiles of the days until the accuracy is reached."""
+    rng = np.random.default_rng(0)
+    rows = rng.choice(len(likely.s), _DRAWS, p=likely.weight)
+    noise = rng.standard_normal((_DRAWS, likely.rate.shape[1]))
+    rates = likely.rate[rows] + np.einsum("dij,dj->di", likely.rate_root[rows], noise)
+    fastest = np.max(np.abs(rates), axis=1, initial=0.0)
+    q, room = likely.q[rows], np.maximum(wanted**2 - file_sigma**2 - 2 * likely.s[rows] ** 2, 0.0)
+    # The positive root of (r d)^2 + q d = room, in the form that holds for r = 0 too.
+    days = 2 * room / (q + np.sqrt(q**2 + 4 * fastest**2 * room))
+    return [float(quantile) for quantile in np.quantile(days, _QUANTILES)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,8 +115,9 @@ class _Likely:
     s: FloatArray
     q: FloatArray
     rate: FloatArray
-    """Of the fastest drift, zero where there is none."""
-    rate_sigma: FloatArray
+    """Of k drifts, shape (g, k)."""
+    rate_root: FloatArray
+    """Root of their covariance, shape (g, k, k)."""
 
 
 def _likely(test: KindTest, lines: FloatArray) -> _Likely:
@@ -118,17 +130,17 @@ def _likely(test: KindTest, lines: FloatArray) -> _Likely:
     size = math.sqrt(float(np.mean(u**2 + np.diag(own))))
     steps = np.logspace(*_DECADES, _GRID)
     s, root_q = (part.ravel() for part in np.meshgrid(size * steps, size / math.sqrt(float(since[-1])) * steps))
-    log_weight, rate, rate_sigma = (np.zeros(len(s)) for _ in range(3))
-    for k, (one, other) in enumerate(zip(s, root_q, strict=True)):
+    k = x.shape[1]
+    log_weight, rate, rate_root = np.zeros(len(s)), np.zeros((len(s), k)), np.zeros((len(s), k, k))
+    for j, (one, other) in enumerate(zip(s, root_q, strict=True)):
         root = np.linalg.cholesky(own + one**2 * np.eye(len(u)) + other**2 * walk)
         white = np.linalg.solve(root, np.column_stack([x, u]))
         Q, R = np.linalg.qr(white[:, :-1])
         rest = white[:, -1] - Q @ (Q.T @ white[:, -1])
-        log_weight[k] = -np.sum(np.log(np.diag(root))) - np.sum(np.log(np.abs(np.diag(R)))) - 0.5 * np.sum(rest**2)
-        if len(R):
-            inverse = np.linalg.inv(R)
-            rate[k], rate_sigma[k] = inverse[0] @ Q.T @ white[:, -1], np.linalg.norm(inverse[0])
+        log_weight[j] = -np.sum(np.log(np.diag(root))) - np.sum(np.log(np.abs(np.diag(R)))) - 0.5 * np.sum(rest**2)
+        rate_root[j] = np.linalg.inv(R)
+        rate[j] = rate_root[j] @ Q.T @ white[:, -1]
     # Grids of logarithms.
     log_weight += np.log(s) + np.log(root_q)
     weight = np.exp(log_weight - log_weight.max())
-    return _Likely(weight / weight.sum(), s, root_q**2, rate, rate_sigma)
+    return _Likely(weight / weight.sum(), s, root_q**2, rate, rate_root)
