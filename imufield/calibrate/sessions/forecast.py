@@ -5,14 +5,14 @@ drifted since, with the mean square
 
     v(d) = f^2 + 2 s^2 + q d + (r d)^2
 
-f is the sigma in the file, s the repeatability, q a random walk a day (drift without a direction), and r the rate of the fastest
-axis. The accuracy A is reached at the d with ``v(d) = A^2``. A walk and a drift that goes on are hard to tell apart: the forecast
-has r where the test of the history found a drift and r = 0 elsewhere, and the interval holds those of both. A step is part of the
-walk here: what has happened may happen again.
+f is the sigma in the file, s the repeatability, q a random walk a day (drift without a direction), and r the rate of the
+fastest axis. The accuracy A is reached at the d with ``v(d) = A^2``. A walk and a drift that goes on are hard to tell apart:
+the forecast has r where the test of the history found a drift and r = 0 elsewhere, and the interval holds those of both. A
+step is part of the walk here: what has happened may happen again.
 
-s, q and r are averaged over with the restricted likelihood of the contrasts of all sessions, u ~ N(x r, L^T (s^2 + q W + C) L)
-with W the earlier of two days, and priors flat in s, the root of q, and r: the quantiles of d are forecast and 95 % interval.
-Beyond the length of the history nothing is forecast: nobody has seen what then begins.
+s, q and r are averaged over with the restricted likelihood of the contrasts of all sessions, u ~ N(x r, L^T (s^2 + q W + C)
+L) with W the earlier of two days, and priors flat in s, the root of q, and r: the quantiles of d are forecast and 95 %
+interval. Beyond the length of the history nothing is forecast: nobody has seen what then begins.
 """
 
 from __future__ import annotations
