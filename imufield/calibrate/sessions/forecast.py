@@ -78,7 +78,7 @@ def forecast(
         1 sigma, in the unit of the numbers as ``file_sigma``.
     """
     test = KindTest.of(sessions, kind)
-    known = 0 if test is None else len(test.sessions)
+    known = len(sessions if test is None else test.sessions)
     if test is None or known < FEWEST_WITHOUT_PRIOR or not np.ptp(test.day) > 0:
         return NoForecast("short", known)
     a = len(test.names)
