@@ -21,8 +21,9 @@ from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, write_d
 from imufield.deliver.report.summary import Outcome, print_summary
 from imufield.earth import MILLI_G_M_S2
 from imufield.pipeline.calibration import SolveSettings
+from imufield.pipeline.same_recording import RecordingMarks
 from imufield.pipeline.solving import solve_session
-from imufield.pipeline.temperature import over_temperature
+from imufield.pipeline.temperature import MarkedSession, over_temperature
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 from imufield.simulate.truth.motion import Site
@@ -98,7 +99,10 @@ def _demonstrate_temperature(options: DemoOptions, folder: Path) -> None:
         captures.append(captured)
     settings = SolveSettings(grade=GRADE)
     base = solve_session(captures[0].session, settings)
-    joint = _write(over_temperature(base, [captured.session for captured in captures[1:]], settings), captures[0])
+    joint = _write(
+        over_temperature(MarkedSession(base, RecordingMarks()), [captured.session for captured in captures[1:]], settings),
+        captures[0],
+    )
     _print_cost(base, joint, truth)
 
 

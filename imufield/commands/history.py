@@ -107,7 +107,7 @@ def _print(histories: Sequence[JudgedHistory], options: HistoryOptions, now: dat
             echo(line if len(line) <= WIDTH else f"{line.removesuffix(path).rstrip()}\n    {path}")
         changes = {change.name: change for change in history.changes()}
         # One calibration has nothing to compare, and its numbers are in its file.
-        numbers = entries[-1].numbers if changes else ()
+        numbers = history.entries[-1].numbers if changes else ()
         headings = [("parameter", "value ± sigma", "unit", "since the one before")] if numbers else []
         for line in _table(headings + [_cells(number, changes.get(number.name)) for number in numbers]):
             echo(line)

@@ -27,6 +27,7 @@ from imufield.deliver.report.summary import Outcome, print_summary
 from imufield.earth import MICRO_G_M_S2
 from imufield.errors import ImufieldError, UsageError
 from imufield.files import real_path, refuse_overwriting
+from imufield.pipeline.same_recording import RecordingMarks
 from imufield.pipeline.solving import lost_by_replacing, solve_observations, solve_session
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences, printable
@@ -47,7 +48,7 @@ def run_solve(options: SolveOptions) -> int:
         return run_solve_together(options)
     if options.scheduler is not None or len(sessions) > 1:
         return run_solve_many(sessions, options)
-    settings = options.settings()
+    settings, marks = options.settings(), RecordingMarks()
     if options.observations is not None:
         if sessions:
             raise UsageError(sentence("solve.session_and_observations"))
@@ -59,12 +60,13 @@ def run_solve(options: SolveOptions) -> int:
         session = Session.open(sessions[0]) if sessions else Session.newest()
         path = options.output or session.folder / PARAMETER_FILE
         refuse_overwriting(path, session.parts, advice=sentence("solve.elsewhere"))
-        solved = solve_session(session, settings, options.site)
+        solved = solve_session(session, settings, options.site, (marks.feed,) if options.temperature else ())
     base = solved
     if options.temperature:
-        from imufield.pipeline.temperature import over_temperature
+        from imufield.pipeline.temperature import MarkedSession, over_temperature
 
-        solved = over_temperature(base, [Session.open(folder) for folder in options.temperature], settings, options.site)
+        recorded = [Session.open(folder) for folder in options.temperature]
+        solved = over_temperature(MarkedSession(base, marks), recorded, settings, options.site)
     # Asked before the file that stands there is replaced.
     lost = lost_by_replacing(path, solved)
     kept = write_document(path, solved.document, advice=sentence("solve.elsewhere"))

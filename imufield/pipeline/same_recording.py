@@ -7,10 +7,16 @@ begins and whatever it lacks; outputs of another day have noise of their own, an
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Protocol, TypeVar
+
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from imufield.samples import Samples, UIntArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 _RUN = 16  # Rows: six outputs of at least one bit of noise make 96 bits.
 _ONE_IN = np.uint64(128)  # A minute at 100 Hz has some 50 marks.
@@ -40,6 +46,36 @@ class RecordingMarks:
     def same_as(self, other: RecordingMarks) -> bool:
         """Whether both streams hold the same recording, or parts of it."""
         return len(self._marks & other._marks) >= _SHARED
+
+
+class Marked(Protocol):
+    """A recording that was read."""
+
+    @property
+    def name(self) -> str:
+        """What people call it."""
+        raise NotImplementedError
+
+    @property
+    def marks(self) -> RecordingMarks:
+        """Of its samples."""
+        raise NotImplementedError
+
+
+AnyMarked = TypeVar("AnyMarked", bound=Marked)
+
+
+def without_copies(given: Sequence[AnyMarked]) -> tuple[list[AnyMarked], list[str]]:
+    """Return the recordings of their own, and a sentence for each copy of one that comes before it."""
+    kept: list[AnyMarked] = []
+    said: list[str] = []
+    for each in given:
+        whole = next((other for other in kept if each.marks.same_as(other.marks)), None)
+        if whole is None:
+            kept.append(each)
+        else:
+            said.append(sentence("same_recording.copy", copy=each.name, whole=whole.name))
+    return kept, said
 
 
 def _mixed(values: UIntArray) -> UIntArray:

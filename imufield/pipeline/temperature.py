@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from imufield.deliver.parameters.temperature import add_temperature
 from imufield.errors import CalibrationError, Reason
 from imufield.pipeline.calibration import SolveSettings
 from imufield.pipeline.chain import session_samples
+from imufield.pipeline.same_recording import RecordingMarks, without_copies
 from imufield.pipeline.site import SiteOptions
 from imufield.pipeline.solving import session_sha256, solve_session
 from imufield.pipeline.windows import RAMP, WindowMeans
@@ -45,6 +46,7 @@ class RampMeans:
     gyroscope: FloatArray
     remarks: tuple[str, ...] = ()
     """What of the recording could not be read, or is not used, in sentences."""
+    marks: RecordingMarks = field(default_factory=RecordingMarks)
 
 
 def read_ramp(session: Session, base: Parameters) -> RampMeans:
@@ -59,10 +61,11 @@ def read_ramp(session: Session, base: Parameters) -> RampMeans:
     """
     base.check_instrument(session.serial_number)
     damage: list[Damage] = []
-    windows = WindowMeans()
+    windows, marks = WindowMeans(), RecordingMarks()
     for samples in session_samples(session, damage):
         base.check_unit("accelerometer", samples.units.accelerometer_rate_unit)
         windows.feed(samples)
+        marks.feed(samples)
     means = windows.means()
     remarks = [entry.what for entry in damage]
     kept = in_one_pose(_felt(base, means[:, 2:5]))
@@ -80,30 +83,51 @@ def read_ramp(session: Session, base: Parameters) -> RampMeans:
         accelerometer=means[:, 2:5],
         gyroscope=means[:, 5:8],
         remarks=tuple(remarks),
+        marks=marks,
     )
 
 
+@dataclass(frozen=True, slots=True)
+class MarkedSession:
+    """A solved session with the marks of its recording."""
+
+    parameters: Parameters
+    marks: RecordingMarks
+
+    @property
+    def name(self) -> str:
+        """That of the session."""
+        return self.parameters.context.session.name
+
+
 def over_temperature(
-    base: Parameters, recorded: Sequence[Session], settings: SolveSettings, site: SiteOptions | None = None
+    base: MarkedSession, recorded: Sequence[Session], settings: SolveSettings, site: SiteOptions | None = None
 ) -> Parameters:
     """Return solved parameters over temperature, from sessions at other temperatures and ramps; raises as what it calls.
 
-    What was captured with a guide is a session; of other recordings one whose pose stays the same is a ramp.
+    What was captured with a guide is a session; of other recordings one whose pose stays the same is a ramp. Of copies of a
+    recording one counts.
     """
-    ramps, sessions = [], [base]
+    found: list[MarkedSession | RampMeans] = [base]
     # Positions that are left out are those of the first session; the model is chosen once, or a term would be in some only.
-    others = replace(settings, without=(), model=base.calibration.model)
+    others = replace(settings, without=(), model=base.parameters.calibration.model)
     for session in recorded:
-        means = None if session.record.kind == "capture" else read_ramp(session, base)
-        is_turned = means is not None and session.record.kind != RAMP and turns(_felt(base, means.accelerometer))
+        means = None if session.record.kind == "capture" else read_ramp(session, base.parameters)
+        is_turned = means is not None and session.record.kind != RAMP and turns(_felt(base.parameters, means.accelerometer))
         if means is None or is_turned:
-            sessions.append(solve_session(session, others, site))
+            marks = RecordingMarks()
+            found.append(MarkedSession(solve_session(session, others, site, (marks.feed,)), marks))
         else:
-            ramps.append(means)
-    return with_temperature(base, sessions if len(sessions) > 1 else [], ramps)
+            found.append(means)
+    kept, copies = without_copies(found)
+    ramps = [each for each in kept if isinstance(each, RampMeans)]
+    sessions = [each.parameters for each in kept if isinstance(each, MarkedSession)]
+    return with_temperature(base.parameters, sessions if len(sessions) > 1 else [], ramps, copies)
 
 
-def with_temperature(base: Parameters, sessions: Sequence[Parameters], ramps: Sequence[RampMeans]) -> Parameters:
+def with_temperature(
+    base: Parameters, sessions: Sequence[Parameters], ramps: Sequence[RampMeans], notes: Sequence[str] = ()
+) -> Parameters:
     """Return parameters that hold over temperature.
 
     Parameters
@@ -114,6 +138,8 @@ def with_temperature(base: Parameters, sessions: Sequence[Parameters], ramps: Se
         Solved sessions at several temperatures, ``base`` among them if it is one of them.
     ramps : sequence of RampMeans
         In one pose each.
+    notes : sequence of str
+        What else there is to say.
 
     Raises
     ------
@@ -128,7 +154,7 @@ def with_temperature(base: Parameters, sessions: Sequence[Parameters], ramps: Se
         _require_comparable(base, other)
     reference_degc, grade = _temperature(base), find_grade(base.context.instrument.grade or DEFAULT_GRADE)
     models: dict[str, TriadTemperature] = {}
-    told: list[str] = []
+    told = [*notes]
     warnings: dict[str, list[str]] = {triad: [] for triad in _TRIADS}
     for triad in _TRIADS if base.gyroscope_is_complete else _TRIADS[:1]:
         # A ramp without gyroscope is still good for the accelerometer.

@@ -7,7 +7,7 @@ of the body frame changes, so sessions may come from any gauge; scales count as 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from imufield.deliver.parameters.joined import JoinedFrom, joined_parameters, nu
 from imufield.errors import CalibrationError, ImufieldError, Reason, UsageError
 from imufield.pipeline.calibration import SolveSettings
 from imufield.pipeline.chain import session_protocol
-from imufield.pipeline.same_recording import RecordingMarks
+from imufield.pipeline.same_recording import RecordingMarks, without_copies
 from imufield.pipeline.site import SiteOptions
 from imufield.pipeline.solving import solve_session
 from imufield.progress import one_by_one
@@ -35,8 +35,17 @@ _OF_RECORDINGS = ("solving", "chain", "damage", "reader", "part_file", "mcap_for
 
 
 @dataclass(frozen=True, slots=True)
-class _Solved:
-    """One session."""
+class SolveJob:
+    """One session to be solved."""
+
+    session: Session
+    settings: SolveSettings
+    site: SiteOptions | None
+
+
+@dataclass(frozen=True, slots=True)
+class SolvedSession:
+    """One session that was."""
 
     session: Session
     parameters: Parameters
@@ -45,7 +54,27 @@ class _Solved:
 
     @property
     def name(self) -> str:
+        """That of the session."""
         return self.session.name
+
+
+SolveAll = Callable[[Sequence[SolveJob]], Sequence[SolvedSession | ImufieldError]]
+"""Does jobs, in their order: ``one_after_another``, or on several processes."""
+
+
+def solve_job(job: SolveJob) -> SolvedSession | ImufieldError:
+    """Solve one session; what refuses it is a result, so that of several the first is told, whichever ended first."""
+    marks = RecordingMarks()
+    try:
+        parameters = solve_session(job.session, job.settings, job.site, (marks.feed,))
+        return SolvedSession(job.session, parameters, parameters.gauge_free(), marks)
+    except ImufieldError as error:
+        return error
+
+
+def one_after_another(jobs: Sequence[SolveJob]) -> list[SolvedSession | ImufieldError]:
+    """Do the jobs here."""
+    return [solve_job(job) for job in one_by_one("solving", jobs)]
 
 
 def sessions_of(serial_number: str, root: Path) -> list[Session]:
@@ -73,6 +102,7 @@ def solve_together(
     sessions: Sequence[Session],
     settings: SolveSettings,
     site: SiteOptions | None = None,
+    solve_all: SolveAll = one_after_another,
 ) -> Parameters:
     """Solve sessions of one instrument together.
 
@@ -83,6 +113,8 @@ def solve_together(
         How each is solved.
     site : SiteOptions, optional
         What was typed of the place of all of them; by default each has its own.
+    solve_all : callable
+        What solves each of them.
 
     Raises
     ------
@@ -101,11 +133,14 @@ def solve_together(
     # In order of time where all have one; else as they were named.
     if all(session.record.recorded for session in sessions):
         sessions = sorted(sessions, key=lambda session: session.record.recorded)
-    solved, copies = _without_copies([_solve(session, settings, site) for session in one_by_one("solving", sessions)])
+    every = _solved([SolveJob(session, settings, site) for session in sessions], solve_all)
+    # Of copies the most complete counts.
+    kept, copies = without_copies(sorted(every, key=lambda each: -len(each.parameters.document["position"])))
+    solved = sorted(kept, key=every.index)
     _require_two(len(solved))
     for other in solved[1:]:
         _check_scales(solved[0], other)
-    solved = list(_with_one_model(solved, settings, site))
+    solved = _with_one_model(solved, settings, site, solve_all)
     # The one with the most numbers, of several the newest, states what no adjustment changes.
     base = max(reversed(solved), key=lambda each: len(each.numbers.numbers))
     gathered = [numbers_of(each.parameters.calibration, each.numbers, base.numbers) for each in solved]
@@ -126,7 +161,7 @@ def solve_together(
     )
 
 
-def _hash(solved: _Solved) -> str:
+def _hash(solved: SolvedSession) -> str:
     return solved.parameters.context.session.sha256
 
 
@@ -152,23 +187,14 @@ def _check_instruments(sessions: Sequence[Session]) -> None:
             raise CalibrationError(sentence("together.instruments", names=names, serial_numbers=serial_numbers), Reason.FOREIGN)
 
 
-def _solve(session: Session, settings: SolveSettings, site: SiteOptions | None) -> _Solved:
-    marks = RecordingMarks()
-    parameters = solve_session(session, settings, site, (marks.feed,))
-    return _Solved(session, parameters, parameters.gauge_free(), marks)
-
-
-def _without_copies(solved: list[_Solved]) -> tuple[list[_Solved], list[str]]:
-    """Return the sessions of recordings of their own, and a sentence for each other one; of copies the most complete counts."""
-    kept: list[_Solved] = []
-    said: list[str] = []
-    for each in sorted(solved, key=lambda each: -len(each.parameters.document["position"])):
-        whole = next((other for other in kept if each.marks.same_as(other.marks)), None)
-        if whole is None:
-            kept.append(each)
-        else:
-            said.append(sentence("together.copy", copy=each.name, whole=whole.name))
-    return sorted(kept, key=solved.index), said
+def _solved(jobs: Sequence[SolveJob], solve_all: SolveAll) -> list[SolvedSession]:
+    """Return the sessions solved; raises as ``solve_session``."""
+    solved = []
+    for found in solve_all(jobs):
+        if isinstance(found, ImufieldError):
+            raise found
+        solved.append(found)
+    return solved
 
 
 def _check_protocols(first: Session, other: Session) -> None:
@@ -191,7 +217,7 @@ def _check_protocols(first: Session, other: Session) -> None:
         raise CalibrationError(sentence("together.axes", names=names), Reason.UNITS)
 
 
-def _check_scales(first: _Solved, other: _Solved) -> None:
+def _check_scales(first: SolvedSession, other: SolvedSession) -> None:
     """Refuse sessions whose range or signs changed without a word; raises CalibrationError."""
     before = {number.name: number.value for number in first.numbers.numbers}
     for number in other.numbers.numbers:
@@ -201,26 +227,30 @@ def _check_scales(first: _Solved, other: _Solved) -> None:
             raise CalibrationError(sentence("together.scale", **told), Reason.UNITS)
 
 
-def _with_one_model(solved: list[_Solved], settings: SolveSettings, site: SiteOptions | None) -> Iterator[_Solved]:
-    """Yield the sessions with every term that one of them shows: a term left out of some would pose as a change."""
+def _with_one_model(
+    solved: list[SolvedSession], settings: SolveSettings, site: SiteOptions | None, solve_all: SolveAll
+) -> list[SolvedSession]:
+    """Return the sessions with every term that one of them shows: a term left out of some would pose as a change."""
     is_quadratic = any(each.parameters.calibration.quadratic_fitted for each in solved)
     is_sensitive = any(_is_sensitive(each.numbers) for each in solved)
-    for each in solved:
-        lacks_quadratic = is_quadratic and not each.parameters.calibration.quadratic_fitted
-        lacks_sensitivity = is_sensitive and not _is_sensitive(each.numbers)
-        if not (lacks_quadratic or lacks_sensitivity):
-            yield each
-            continue
-        model = "quadratic" if is_quadratic else settings.model
-        gyroscope_model = "g-sensitive" if is_sensitive else settings.gyroscope_model
-        yield _solve(each.session, replace(settings, model=model, gyroscope_model=gyroscope_model), site)
+    model = "quadratic" if is_quadratic else settings.model
+    gyroscope_model = "g-sensitive" if is_sensitive else settings.gyroscope_model
+    whole = replace(settings, model=model, gyroscope_model=gyroscope_model)
+    lacking = [
+        k
+        for k, each in enumerate(solved)
+        if (is_quadratic and not each.parameters.calibration.quadratic_fitted)
+        or (is_sensitive and not _is_sensitive(each.numbers))
+    ]
+    again = _solved([SolveJob(solved[k].session, whole, site) for k in lacking], solve_all) if lacking else []
+    return [dict(zip(lacking, again, strict=True)).get(k, each) for k, each in enumerate(solved)]
 
 
 def _is_sensitive(numbers: GaugeFree) -> bool:
     return any(number.name.startswith("g-sensitivity") for number in numbers.numbers)
 
 
-def _warnings(solved: Sequence[_Solved], joint: Joint) -> Iterator[str]:
+def _warnings(solved: Sequence[SolvedSession], joint: Joint) -> Iterator[str]:
     """Yield what keeps the verdict from being good: of the sessions themselves, and between them."""
     for each in solved:
         for warning in each.parameters.calibration.quality.warnings:
@@ -231,7 +261,7 @@ def _warnings(solved: Sequence[_Solved], joint: Joint) -> Iterator[str]:
         yield sentence("together.differs")
 
 
-def _notes(solved: Sequence[_Solved], joint: Joint, numbers: Sequence[SessionNumbers], grade: str) -> Iterator[str]:
+def _notes(solved: Sequence[SolvedSession], joint: Joint, numbers: Sequence[SessionNumbers], grade: str) -> Iterator[str]:
     """Yield what belongs to the result and lowers no verdict."""
     for each in solved:
         for reason in each.parameters.calibration.quality.reasons:

@@ -48,6 +48,19 @@ def test_json_is_one_document(folder: Path, capsys: pytest.CaptureFixture[str]) 
     assert set(instrument["calibrations"][0]["parameters"]["bias x"]) == {"value", "sigma", "unit"}
 
 
+def test_an_accuracy_is_taken_from_the_settings(
+    folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "imufield.toml").write_text("target_bias_ug = 500\n")
+    assert run(["history", str(folder), "--target-scale-ppm", "200", "--json"]) == 0
+    (instrument,) = json.loads(capsys.readouterr().out)["instruments"]
+    # One calibration is too few, of both.
+    assert [sum(kind in told for told in instrument["sentences"]) for kind in ("bias", "scale")] == [1, 1]
+    assert instrument["repeatability"] == {}
+    assert instrument["news"] == []
+
+
 def test_damaged_file_is_told_and_left_out(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     good = folder / "one" / "parameters.toml"
     (folder / "cut.toml").write_text(good.read_text()[:2000])

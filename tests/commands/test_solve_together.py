@@ -52,7 +52,22 @@ def days(tmp_path_factory: pytest.TempPathFactory) -> Days:
         # The last block with it, some ten positions.
         part = sessions[2] / "part-001.mcap"
         part.write_bytes(part.read_bytes()[: part.stat().st_size * 9 // 10])
-        assert run(["solve", *map(str, sessions), "--together", "--model", "linear", "-o", str(folder / "joint.toml")]) == 0
+        assert (
+            run(
+                [
+                    "solve",
+                    *map(str, sessions),
+                    "--together",
+                    "--model",
+                    "linear",
+                    "--workers",
+                    "1",
+                    "-o",
+                    str(folder / "joint.toml"),
+                ]
+            )
+            == 0
+        )
 
     root = made_once(tmp_path_factory, "together", make)
     return Days([root / f"day{day}" for day in range(3)], root / "joint.toml", load(root / "joint.toml"))
@@ -159,7 +174,7 @@ def test_a_copy_is_no_further_day(days: Days, tmp_path: Path, capsys: pytest.Cap
     with (copy / "part-001.mcap").open("ab") as part:
         part.write(bytes(100))
     sessions = [*days.folders[:2], copy]
-    assert run_solve(SolveOptions(sessions=sessions, together=True, model="linear", output=file, as_json=True)) == 0
+    assert run_solve(SolveOptions(sessions=sessions, together=True, model="linear", output=file, workers=2, as_json=True)) == 0
     printed = json.loads(capsys.readouterr().out)
     assert {session["name"] for session in printed["together"]["session"]} == {"day0", "day1"}
     assert any("copy" in reason and "day0" in reason for reason in printed["quality"]["reasons"])

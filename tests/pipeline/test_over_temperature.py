@@ -290,8 +290,16 @@ def test_a_file_over_temperature_is_not_replaced_without_a_word(
 
 def test_solve_takes_sessions_and_ramps_as_they_come(folders: tuple[Path, Path, Path], tmp_path: Path) -> None:
     (base, cold, warm_up), output = folders, tmp_path / "parameters.toml"
-    assert run(["solve", str(base), "--temperature", str(cold), "--temperature", str(warm_up), "-o", str(output)]) == 0
+    # Each of them twice, under another name.
+    copies = [shutil.copytree(session, tmp_path / f"{session.name}-copy") for session in (base, cold, warm_up)]
+    given = [word for session in (cold, warm_up, *copies) for word in ("--temperature", str(session))]
+    assert run(["solve", str(base), *given, "-o", str(output)]) == 0
     joint = load(output)
+    reasons = joint.calibration.quality.reasons
+    assert all(
+        any(f"{copy.name} " in reason and session.name in reason for reason in reasons)
+        for session, copy in zip((base, cold, warm_up), copies, strict=True)
+    )
     assert [source.kind for source in joint.context.temperature_sources] == ["session", "session", "ramp"]
     accelerometer, gyroscope = joint.temperature_models
     assert accelerometer.scale_separated

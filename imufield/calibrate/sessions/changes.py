@@ -259,7 +259,7 @@ class KindTest:
                 B, to_beta,
                 np.sum(K**2, axis=1), np.einsum("hik,hij,hjk->kh", K_blocks, self.own, K_blocks),
                 np.einsum("km,mn,kn->k", K, self.groups, K),
-                np.sum(rest**2), np.einsum("hin,hij,hjn->h", rest_blocks, self.own, rest_blocks),
+                np.asarray(np.sum(rest**2)), np.einsum("hin,hij,hjn->h", rest_blocks, self.own, rest_blocks),
                 np.einsum("mj,mn,nj->", rest, self.groups, rest),
             ))  # fmt: skip
         B, *others = (np.array(part) for part in zip(*parts, strict=True))

@@ -26,6 +26,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,7 +35,7 @@ from imufield.calibrate.gyroscope.report import GYROSCOPE_NAMES
 from imufield.calibrate.model.gauge import change_gauge, intrinsic, turn_gyroscope
 from imufield.calibrate.model.models import QUADRATIC, to_vector
 from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS
-from imufield.calibrate.model.result import ACCELEROMETER_NAMES, Calibration, GyroscopeParameters
+from imufield.calibrate.model.result import ACCELEROMETER_NAMES, GRAVITY_NAME, Calibration, GyroscopeParameters
 from imufield.calibrate.model.uncertainty import degrees_of_freedom, without_gravity
 from imufield.calibrate.solvers.costs import NormProblem
 from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S
@@ -243,24 +244,43 @@ def _numbers(
 def _jacobian(calibration: Calibration) -> FloatArray:
     """Return d values / d parameters of the covariance, by central differences."""
     names, C = calibration.covariance_names, calibration.covariance
+    # A parameter of the gyroscope turns no axis of the accelerometer, and gravity is none of the values.
+    frame = _accelerometer_frame(calibration)
     J = np.zeros((len(si_values(calibration)), len(names)))
     for column, size in enumerate(_STEP_SIGMA * np.sqrt(np.maximum(np.diag(C), 0.0))):
-        if size > 0:
-            ends = [si_values(calibration, names[column], sign * size) for sign in (1.0, -1.0)]
+        name = names[column]
+        if size > 0 and name != GRAVITY_NAME:
+            known = None if name in ACCELEROMETER_NAMES else frame
+            ends = [si_values(calibration, name, sign * size, known) for sign in (1.0, -1.0)]
             J[:, column] = (ends[0] - ends[1]) / (2 * size)
     return J
 
 
-def si_values(calibration: Calibration, name: str = "", offset: float = 0.0) -> FloatArray:
-    """Return the values of ``NAMES`` in SI with one parameter changed, those of the accelerometer alone without a gyroscope.
+class _Frame(NamedTuple):
+    """What the accelerometer says of the values."""
 
-    The quadratic term and the bias of the accelerometer are divided by its scale, those of the gyroscope by its own.
-    """
+    own: FloatArray
+    """Its own, shape (12,)."""
+    rotation: FloatArray
+    """Into the lower gauge, shape (3, 3)."""
+
+
+def _accelerometer_frame(calibration: Calibration, name: str = "", offset: float = 0.0) -> _Frame:
     vector = to_vector(calibration.accelerometer)
     if name in ACCELEROMETER_NAMES:
         vector[ACCELEROMETER_NAMES.index(name)] += offset
     scale, bias, angle, quadratic = intrinsic(vector, calibration.accelerometer.quadratic_axes)[0].reshape(4, 3)
     own = np.concatenate([scale, bias / scale, angle, quadratic / scale])
+    return _Frame(own, np.eye(3) if calibration.gyroscope is None else change_gauge(vector, "lower").rotation)
+
+
+def si_values(calibration: Calibration, name: str = "", offset: float = 0.0, frame: _Frame | None = None) -> FloatArray:
+    """Return the values of ``NAMES`` in SI with one parameter changed, those of the accelerometer alone without a gyroscope.
+
+    The quadratic term and the bias of the accelerometer are divided by its scale, those of the gyroscope by its own. ``frame``
+    is what the accelerometer says, where it is known.
+    """
+    own, rotation = frame or _accelerometer_frame(calibration, name, offset)
     if calibration.gyroscope is None:
         return own
     # Copies: the calibration itself stays as it was measured.
@@ -270,7 +290,7 @@ def si_values(calibration: Calibration, name: str = "", offset: float = 0.0) -> 
     if triad == "gyroscope":
         key, _, place = rest.partition(".")
         fields[key][tuple(AXES.index(axis) for axis in place)] += offset
-    turned = turn_gyroscope(GyroscopeParameters(**fields), change_gauge(vector, "lower").rotation)
+    turned = turn_gyroscope(GyroscopeParameters(**fields), rotation)
     K, off_diagonal = turned.scale, ~np.eye(3, dtype=np.bool_)
     sensitivity = (turned.g_sensitivity / K[:, None]).ravel()
     return np.concatenate([own, turned.bias / K, K, turned.misalignment_rad[off_diagonal], sensitivity])

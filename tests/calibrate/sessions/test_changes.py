@@ -133,7 +133,7 @@ def test_a_forecast_follows_a_random_walk() -> None:
 def test_without_enough_sessions_nothing_is_forecast() -> None:
     sessions = history(drawn(np.random.default_rng(9), 4))
     assert forecast(sessions, judge(sessions), "bias", file_sigma=0.1, wanted=5.0) == NoForecast("short", 4)
-    assert forecast(sessions, judge(sessions), "scale", file_sigma=0.1, wanted=5.0) == NoForecast("short", 0)
+    assert forecast(sessions, judge(sessions), "scale", file_sigma=0.1, wanted=5.0) == NoForecast("short", 4)
 
 
 def test_an_accuracy_below_what_days_do_is_never_reached() -> None:
