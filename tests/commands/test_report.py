@@ -75,15 +75,16 @@ def test_errors_of_moves_are_those_that_solve_states(solved: Path) -> None:
     assert data.closure.after_deg.max() < 5 * stated_deg[1]
 
 
-def test_the_guide_forecasts_what_the_result_states(whole_session: Path, solved_session: Path) -> None:
+def test_the_guide_forecasts_no_less_than_the_result_states(whole_session: Path, solved_session: Path) -> None:
     session = Session.open(whole_session)
     chain = Chain(ReadingPlan.of(session))
     replay_into(chain, session, [])
     assert chain.guide is not None
     forecast, stated = chain.guide.snapshot().forecast, load(solved_session).calibration.accelerometer_sigma
     assert forecast is not None
-    assert forecast["bias_ug"] == pytest.approx(stated.bias_m_s2.max() / MICRO_G_M_S2, rel=0.3)
-    assert forecast["misalignment_urad"] == pytest.approx(1e6 * stated.misalignment_rad.max(), rel=0.3)
+    # Quadratic terms count as open while measuring; the result has chosen a model without them.
+    assert 0.9 < forecast["bias_ug"] / (stated.bias_m_s2.max() / MICRO_G_M_S2) < 2.0
+    assert 0.7 < forecast["misalignment_urad"] / (1e6 * stated.misalignment_rad.max()) < 2.0
 
 
 def test_parameters_alone_make_a_page_and_presets_a_column(solved: Path, tmp_path: Path) -> None:
