@@ -8,12 +8,15 @@ from pathlib import Path
 
 import pytest
 
+from imufield.acquire.recording.session import Session
 from imufield.calibrate.model.uncertainty import rms
 from imufield.cli.run import run
 from imufield.commands.options.results import ReportOptions
 from imufield.commands.report import gather, run_report
 from imufield.deliver.parameters.file import load
+from imufield.earth import MICRO_G_M_S2
 from imufield.errors import ParameterFileError, Reason
+from imufield.pipeline.chain import Chain, ReadingPlan, replay_into
 from tests.refused import refused
 
 MIB = 2**20
@@ -70,6 +73,18 @@ def test_errors_of_moves_are_those_that_solve_states(solved: Path) -> None:
     stated_deg = [float(value) for value in re.findall(r"([\d.]+) deg RMS", reason)]
     assert [rms(data.closure.before_deg), rms(data.closure.after_deg)] == pytest.approx(stated_deg, rel=0.02, abs=0.001)
     assert data.closure.after_deg.max() < 5 * stated_deg[1]
+
+
+def test_the_guide_forecasts_no_less_than_the_result_states(whole_session: Path, solved_session: Path) -> None:
+    session = Session.open(whole_session)
+    chain = Chain(ReadingPlan.of(session))
+    replay_into(chain, session, [])
+    assert chain.guide is not None
+    forecast, stated = chain.guide.snapshot().forecast, load(solved_session).calibration.accelerometer_sigma
+    assert forecast is not None
+    # Quadratic terms count as open while measuring; the result has chosen a model without them.
+    assert 0.9 < forecast["bias_ug"] / (stated.bias_m_s2.max() / MICRO_G_M_S2) < 2.0
+    assert 0.7 < forecast["misalignment_urad"] / (1e6 * stated.misalignment_rad.max()) < 2.0
 
 
 def test_parameters_alone_make_a_page_and_presets_a_column(solved: Path, tmp_path: Path) -> None:

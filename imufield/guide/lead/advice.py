@@ -118,7 +118,7 @@ class Adviser:
         self._plan = plan
         self._settings = settings
         self.fit: RunningFit | None = None
-        self.forecast: dict[str, float] | None = None  # 1 sigma of the parameters, as `solve` states it.
+        self.forecast: dict[str, float] | None = None  # 1 sigma of the parameters.
         self.compared: dict[int, Disagreement] = {}  # Each accepted position with the others.
         self.suspects: dict[int, Disagreement] = {}  # Positions that the fit to the others contradicts, the worst first.
         self._told: set[Topic] = set()

@@ -169,6 +169,12 @@ def test_the_picture_for_a_phone_stands_in_place_of_the_guide_until_one_looks(pr
         pytest.skip("this machine is in no network")
     capture = program.capture(program.show("+x"), "--web-lan", "auto", "--latitude", 48, "--quiet")
     terminal = Terminal(program, *capture, size=(100, 50))
+
+    def is_paused(message: dict[str, Any]) -> bool:
+        # A terminal that nobody reads is soon full, and holds up the guide.
+        terminal.read(0.0)
+        return bool(message.get("state", {}).get("state") == "paused")
+
     try:
         place = terminal.expect("scan the code")
         url = re.findall(r"http://\S+#token=\S+", terminal.text)[0]
@@ -177,7 +183,7 @@ def test_the_picture_for_a_phone_stands_in_place_of_the_guide_until_one_looks(pr
             terminal.expect("stillness", after=place)
             # A mark is no key that leads from the picture to the guide.
             page.send("p")
-            read_until(page, lambda message: message.get("state", {}).get("state") == "paused")
+            read_until(page, is_paused)
         terminal.type("q")
         assert terminal.wait() == 0
     finally:
