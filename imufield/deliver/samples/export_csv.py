@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import IO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imufield.samples import NO_COUNTER, SAMPLE_COLUMNS, FloatArray, Samples
 
@@ -18,6 +19,7 @@ _WORTH_ARROW = 1 << 15  # Rows that take Python as long as importing pyarrow.
 # Between these both write a number that is not whole without an exponent.
 _PLAIN_FROM, _PLAIN_BELOW = 1e-4, 1e10
 
+Numbers = NDArray[np.float64 | np.int64 | np.uint32]
 Write = Callable[[Samples, IO[bytes]], object]
 
 
@@ -71,19 +73,36 @@ def arrow_writer() -> Write | None:
         return None
     options = csv.WriteOptions(include_header=False, batch_size=_ROWS_AT_ONCE, quoting_style="none")
 
+    # Arrays are made of their buffers: pa.array and pa.scalar import pandas where it is installed, 50 MB and half a second.
+    def numbers(kind: pa.DataType, values: Numbers, known: NDArray[np.bool_]) -> pa.Array:
+        return pa.Array.from_buffers(kind, len(values), [bits(known), pa.py_buffer(np.ascontiguousarray(values))])
+
+    def bits(flags: NDArray[np.bool_]) -> pa.Buffer:
+        return pa.py_buffer(np.packbits(flags, bitorder="little"))
+
+    def flags_of(flags: NDArray[np.bool_]) -> pa.Array:
+        return pa.Array.from_buffers(pa.bool_(), len(flags), [None, bits(flags)])
+
+    def strings(texts: list[str]) -> pa.Array:
+        ends = pa.py_buffer(np.cumsum([0, *map(len, texts)], dtype=np.int32))
+        return pa.Array.from_buffers(pa.string(), len(texts), [None, ends, pa.py_buffer("".join(texts).encode())])
+
+    point, nothing = strings([".0", ""])
+
     def text(values: FloatArray) -> pa.Array:
-        missing, size = np.isnan(values), np.abs(values)
-        texts = pc.cast(pa.array(values, mask=missing), pa.string())
+        known, size = ~np.isnan(values), np.abs(values)
+        texts = pc.cast(numbers(pa.float64(), values, known), pa.string())
         is_plain = (size >= _PLAIN_FROM) & (size < _PLAIN_BELOW)
         is_whole = (values == np.rint(values)) & (size < _PLAIN_BELOW)
         if is_whole.any():
-            texts = pc.if_else(pa.array(is_whole), pc.binary_join_element_wise(texts, ".0", ""), texts)
-        others = ~(is_plain | is_whole | missing)
-        return pc.replace_with_mask(texts, pa.array(others), pa.array(float_texts(values[others]), pa.string()))
+            texts = pc.if_else(flags_of(is_whole), pc.binary_join_element_wise(texts, point, nothing), texts)
+        others = known & ~is_plain & ~is_whole
+        return pc.replace_with_mask(texts, flags_of(others), strings(float_texts(values[others])))
 
     def write(samples: Samples, file: IO[bytes]) -> None:
-        counter = pa.array(samples.counter, mask=samples.counter == NO_COUNTER)
-        columns = [*map(text, _floats_of(samples)), counter, pa.array(samples.status)]
-        csv.write_csv(pa.table(columns, names=SAMPLE_COLUMNS), file, options)
+        counter = numbers(pa.int64(), samples.counter, samples.counter != NO_COUNTER)
+        status = numbers(pa.uint32(), samples.status, np.ones(len(samples), dtype=np.bool_))
+        columns = [*map(text, _floats_of(samples)), counter, status]
+        csv.write_csv(pa.Table.from_arrays(columns, names=SAMPLE_COLUMNS), file, options)
 
     return write

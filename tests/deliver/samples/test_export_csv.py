@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import subprocess
 import sys
 from pathlib import Path
 
@@ -63,6 +64,18 @@ def test_many_numbers_of_one_size(exponent: int) -> None:
     digits = rng.integers(1, 10 ** rng.integers(1, 17, 3000)) / 10.0 ** rng.integers(0, 17, 3000)
     by_arrow, by_python = texts(of_numbers(digits * 10.0**exponent))
     assert by_arrow == by_python
+
+
+def test_pandas_is_not_loaded() -> None:
+    code = """
+import io, sys
+import numpy as np
+from imufield.deliver.samples.export_csv import arrow_writer
+from imufield.samples import SampleUnits, make_samples
+arrow_writer()(make_samples(np.array([0.5, 1.0, 1e-9]), np.ones((3, 3)), units=SampleUnits()), io.BytesIO())
+print("pandas" in sys.modules)
+"""
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "False\n"
 
 
 def test_a_long_file_is_the_same_without_pyarrow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
