@@ -95,9 +95,10 @@ def arrow_writer() -> Write | None:
         is_plain = (size >= _PLAIN_FROM) & (size < _PLAIN_BELOW)
         is_whole = (values == np.rint(values)) & (size < _PLAIN_BELOW)
         if is_whole.any():
-            texts = pc.if_else(flags_of(is_whole), pc.binary_join_element_wise(texts, point, nothing), texts)
+            longer = pc.call_function("binary_join_element_wise", [texts, point, nothing])
+            texts = pc.call_function("if_else", [flags_of(is_whole), longer, texts])
         others = known & ~is_plain & ~is_whole
-        return pc.replace_with_mask(texts, flags_of(others), strings(float_texts(values[others])))
+        return pc.call_function("replace_with_mask", [texts, flags_of(others), strings(float_texts(values[others]))])
 
     def write(samples: Samples, file: IO[bytes]) -> None:
         counter = numbers(pa.int64(), samples.counter, samples.counter != NO_COUNTER)
