@@ -75,8 +75,9 @@ print(json.dumps({"samples": samples, "lost": lost, "cpu": cpu / (last - began)}
 """
 _RECEIVE = """
 import can, contextlib, json, resource, sys, time
-from imufield.acquire.link.can import open_bus, parse_bus
-bus = open_bus(parse_bus(sys.argv[1]))
+from imufield.acquire.link.can import parse_bus
+address = parse_bus(sys.argv[1])
+bus = can.Bus(address.channel, address.interface, ignore_config=True, **address.options)
 print("ready", flush=True)
 frames, last, began = 0, time.monotonic(), None
 while time.monotonic() - last < 2.0 or began is None:

@@ -11,17 +11,15 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from imufield.acquire.protocol.protocol import Protocol
+from imufield.deliver.samples.export_csv import float_texts, write_csv
 from imufield.deliver.samples.export_ros2 import write_ros2
 from imufield.deliver.samples.export_tables import write_hdf5, write_parquet
 from imufield.deliver.samples.overview import overview
 from imufield.errors import RecordingError
 from imufield.files import make_beside, typed_write_errors, usual_mode
-from imufield.samples import NO_COUNTER, SAMPLE_COLUMNS, FloatArray, Samples, concatenate
+from imufield.samples import FloatArray, Samples, concatenate
 
-_ROWS_AT_ONCE = 8192  # Text made at a time: about 1 MB, however large the blocks are.
 _ROWS_IN_A_BLOCK = 1 << 16  # 5 MB: a good size for the pieces of a Parquet file.
 
 
@@ -108,53 +106,18 @@ def export_csv(blocks: Iterable[Samples], path: str | Path) -> int:
     return export_samples(blocks, path, "csv")
 
 
-def _write_csv(blocks: Iterable[Samples], path: Path, facts: Mapping[str, str]) -> int:  # noqa: ARG001  (CSV has no place for them)
-    """Write header and rows; return the number of rows."""
-    rows = 0
-    with path.open("w", encoding="ascii", newline="") as file:
-        file.write(",".join(SAMPLE_COLUMNS) + "\n")
-        for block in blocks:
-            for start in range(0, len(block), _ROWS_AT_ONCE):
-                file.write(_lines(block[start : start + _ROWS_AT_ONCE]))
-            rows += len(block)
-    return rows
-
-
 def _write_overview(blocks: Iterable[Samples], path: Path, facts: Mapping[str, str]) -> int:  # noqa: ARG001  (the same)
     columns, samples = overview(blocks)
-    rows = zip(*(_floats(column) for column in columns.values()), strict=True)
+    rows = zip(*(float_texts(column) for column in columns.values()), strict=True)
     path.write_text("".join(",".join(row) + "\n" for row in (columns, *rows)), encoding="ascii", newline="")
     return samples
 
 
 _LACKING = "messages of ROS hold no temperature, counter, losses or status"
 FORMATS = {
-    "csv": Format("csv", "text, one line for each sample", _write_csv),
+    "csv": Format("csv", "text, one line for each sample", write_csv),
     "parquet": Format("parquet", "Parquet (extra `parquet`)", write_parquet),
     "hdf5": Format("h5", "HDF5, one dataset for each column (extra `hdf5`)", write_hdf5),
     "ros2": Format("mcap", "sensor_msgs/msg/Imu for ROS 2, Foxglove, PlotJuggler", write_ros2, _LACKING),
     "overview": Format("overview.csv", "text, least, mean and largest values of blocks, for plots of hours", _write_overview),
 }
-
-
-def _lines(samples: Samples) -> str:
-    columns = [
-        _floats(samples.time_s),
-        *(_floats(samples.accelerometer[:, axis]) for axis in range(3)),
-        *(_floats(samples.gyroscope[:, axis]) for axis in range(3)),
-        _floats(samples.temperature_degc),
-        ["" if value == NO_COUNTER else str(value) for value in samples.counter.tolist()],
-        list(map(str, samples.status.tolist())),
-    ]
-    return "\n".join(map(",".join, zip(*columns, strict=True))) + "\n"
-
-
-def _floats(values: FloatArray) -> list[str]:
-    """Return the shortest text that reads back as the same number; empty for NaN."""
-    missing = np.isnan(values)
-    if missing.all():
-        return [""] * len(values)
-    texts = list(map(repr, values.tolist()))
-    for row in np.flatnonzero(missing):
-        texts[row] = ""
-    return texts

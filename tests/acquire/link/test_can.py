@@ -158,6 +158,24 @@ def test_a_garbled_line_is_borne(slcan: SlcanDevice) -> None:
     link.close()
 
 
+@pytest.mark.parametrize("cut", range(1, 12))
+def test_lines_come_in_pieces(slcan: SlcanDevice, cut: int) -> None:
+    link = open_can_link(f"slcan:{slcan.port.address}?sleep_after_open=0")
+    slcan.receive()
+    # An answer, a refusal and a line without a meaning between frames.
+    stream = b"t12320102\rz\r\aT08F02D801AA\rF00\rt0010\r"
+    slcan.port.write(stream[:cut])
+    first = link.read()
+    slcan.port.write(stream[cut:])
+    frames = [*unpack_frames(first.data if first else b""), *read_all(link, 3 if first is None else 2)]
+    assert [(frame.can_id, frame.data) for frame in frames] == [
+        (0x123, b"\x01\x02"),
+        (0x08F02D80 | EXTENDED, b"\xaa"),
+        (1, b""),
+    ]
+    link.close()
+
+
 def test_error_frames_are_kept_and_bus_off_ends_the_link(channel: str) -> None:
     link = open_can_link(f"virtual:{channel}")
     with can.Bus(channel, "virtual") as bus:
