@@ -21,7 +21,6 @@ from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, write_d
 from imufield.deliver.report.summary import Outcome, print_summary
 from imufield.earth import MILLI_G_M_S2
 from imufield.pipeline.calibration import SolveSettings
-from imufield.pipeline.same_recording import RecordingMarks
 from imufield.pipeline.solving import solve_session
 from imufield.pipeline.temperature import MarkedSession, over_temperature
 from imufield.samples import FloatArray
@@ -100,7 +99,7 @@ def _demonstrate_temperature(options: DemoOptions, folder: Path) -> None:
     settings = SolveSettings(grade=GRADE)
     base = solve_session(captures[0].session, settings)
     joint = _write(
-        over_temperature(MarkedSession(base, RecordingMarks()), [captured.session for captured in captures[1:]], settings),
+        over_temperature(MarkedSession(base), [captured.session for captured in captures[1:]], settings),
         captures[0],
     )
     _print_cost(base, joint, truth)

@@ -92,7 +92,7 @@ class MarkedSession:
     """A solved session with the marks of its recording."""
 
     parameters: Parameters
-    marks: RecordingMarks
+    marks: RecordingMarks = field(default_factory=RecordingMarks)
 
     @property
     def name(self) -> str:

@@ -16,7 +16,7 @@ from imufield.commands.options.samples import EmulateOptions
 from imufield.errors import UsageError
 from imufield.pipeline.calibration import SolveSettings
 from imufield.pipeline.solving import solve_session
-from imufield.pipeline.temperature import over_temperature
+from imufield.pipeline.temperature import MarkedSession, over_temperature
 from imufield.simulate.emulator.emulate import make_virtual_imu, truth_document
 from tests.refused import refused
 
@@ -54,7 +54,7 @@ def test_one_session_costs_milli_g_where_three_do_not(tmp_path: Path, capsys: py
         truth = truth_document(emulation, source)
     settings = SolveSettings(grade=demo.GRADE)
     base = solve_session(sessions[0], settings)
-    joint = over_temperature(base, sessions[1:], settings)
+    joint = over_temperature(MarkedSession(base), sessions[1:], settings)
     for degc in (-10.0, 50.0):
         left, sigma = demo._left_mg(joint, truth, degc), demo._stated_mg(joint, degc)
         assert left < demo._left_mg(base, truth, degc) / 10
