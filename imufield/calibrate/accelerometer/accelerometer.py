@@ -14,6 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.calibrate.accelerometer.fit import Fit, FitData, fit, summarise
+from imufield.calibrate.accelerometer.leave_one_out import (
+    Influence,
+    SinglePosition,
+    influence,
+    single_position_factors,
+    single_positions,
+)
 from imufield.calibrate.accelerometer.model_choice import ChosenModel, choose_model, find_origin, left_out_terms
 from imufield.calibrate.accelerometer.quality import Evidence, common_scale_ratio, judge, refuse_saturation
 from imufield.calibrate.accelerometer.shares import fit_shares, gravity_share, hidden_shares
@@ -28,13 +35,6 @@ from imufield.calibrate.model.budget import Share, picked
 from imufield.calibrate.model.gauge import change_gauge, intrinsic, make_intrinsic
 from imufield.calibrate.model.grades import Grade, find_grade
 from imufield.calibrate.model.higher import HigherTerms, higher_scale
-from imufield.calibrate.model.leave_one_out import (
-    Influence,
-    SinglePosition,
-    influence,
-    single_position_factors,
-    single_positions,
-)
 from imufield.calibrate.model.models import (
     PARAMETERS,
     SCALE,

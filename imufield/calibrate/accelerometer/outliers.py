@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imufield.calibrate.accelerometer.fit import Fit
-from imufield.calibrate.model.leave_one_out import NOT_LEFT_OUT
+from imufield.calibrate.accelerometer.leave_one_out import NOT_LEFT_OUT
 from imufield.calibrate.model.uncertainty import student_factor
 from imufield.samples import FloatArray
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from imufield.calibrate.accelerometer.drift import MOST_CONFUSION
 from imufield.calibrate.accelerometer.fit import Fit, FitData
+from imufield.calibrate.accelerometer.leave_one_out import Influence, SinglePosition
 from imufield.calibrate.accelerometer.model_choice import HIGHER_LEVEL, ChosenModel
 from imufield.calibrate.accelerometer.outliers import Outlier, find_outliers
-from imufield.calibrate.model.leave_one_out import Influence, SinglePosition
 from imufield.calibrate.model.models import BIAS, SCALE
 from imufield.calibrate.model.observability import Observability
 from imufield.calibrate.model.observations import Observations

@@ -111,8 +111,7 @@ def _administrative_data(certificate: Certificate) -> ET.Element:
     told = [*statements(certificate), sentence("certificate.not_validated")]
     if certificate.due:
         told.append(sentence("certificate.due", due=certificate.due))
-    return _dcc(
-        "administrativeData",
+    children = [
         _dcc("dccSoftware", software),
         _dcc("coreData", *(_text(name, value) for name, value in core.items())),
         _dcc("items", _item(certificate)),
@@ -120,7 +119,8 @@ def _administrative_data(certificate: Certificate) -> ET.Element:
         _dcc("respPersons", _dcc("respPerson", person, _text("mainSigner", "true"))),
         _contact("customer", parties.customer),
         _dcc("statements", *(_dcc("statement", _named("declaration", text)) for text in told)),
-    )
+    ]
+    return _dcc("administrativeData", *children)
 
 
 def _item(certificate: Certificate) -> ET.Element:
@@ -151,14 +151,14 @@ def _measurement_result(certificate: Certificate) -> ET.Element:
         _dcc("influenceCondition", _named("name", name), _dcc("data", _dcc("text", _content(value))))
         for name, value in conditions(certificate)
     ]
-    return _dcc(
-        "measurementResult",
+    children = [
         _named("name", f"Calibration of {certificate.instrument}, serial number {certificate.serial_number}"),
         _dcc("usedMethods", method),
         _dcc("measuringEquipments", *equipment),
         _dcc("influenceConditions", *influences),
         _dcc("results", *(_result(group, units) for group in certificate.groups)),
-    )
+    ]
+    return _dcc("measurementResult", *children)
 
 
 def _content(value: str) -> ET.Element:
