@@ -42,6 +42,7 @@ ELSEWHERE = {
     "imufield emulate my_logger.toml": "tests/commands/test_emulate_own.py emulates and captures it",
     "imufield capture --port /tmp/imu --protocol my_logger.toml": "tests/commands/test_emulate_own.py emulates and captures it",
     "imufield emulate my_imu --link": "tests/commands/test_emulate_own.py emulates and captures it",
+    "imufield capture --port /tmp/imu --clock-speed": "tests/commands/test_capture.py captures at this speed",
     "imufield capture --port /tmp/imu --driver my_imu": "tests/commands/test_emulate_own.py emulates and captures it",
 }
 """Beginnings of lines, or options, and where they are run."""
