@@ -183,7 +183,7 @@ def test_record_from_multicast_then_solve(program: Program, emulate: Emulate, mu
         assert process.poll() is None
         time.sleep(0.05)
     protocol = load_driver("xsens_can").load_protocol()
-    emulator = emulate(protocol, multicast, "faces6", still_s=10.0, speed=DATAGRAM_SPEED, run={"duration_s": 70.0})
+    emulator = emulate(protocol, multicast, "faces6", still_s=30.0, speed=DATAGRAM_SPEED, run={"duration_s": 90.0})
     assert emulator.wait(900)
     process.send_signal(signal.SIGINT)
     output, error = process.communicate(timeout=900)

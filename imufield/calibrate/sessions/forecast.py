@@ -84,14 +84,21 @@ def forecast(
     a = len(test.names)
     steady = np.kron((test.day - test.day.mean())[:, None], np.eye(a))
     walk, drift = (_likely(test, lines) for lines in (steady[:, :0], steady))
-    now = math.sqrt(file_sigma**2 + 2 * float(np.sum(walk.weight * walk.s)) ** 2)
-    ends = [_days(likely, file_sigma, wanted) for likely in (walk, drift)]
     is_drifting = any(change.name in test.names and change.first_after is None for change in judged.news)
-    middle = ends[is_drifting][1]
-    if now > wanted or middle == 0:
+    foreseen = drift if is_drifting else walk
+    now = math.sqrt(file_sigma**2 + 2 * _median(foreseen.s, foreseen.weight) ** 2)
+    if now >= wanted:
         return NoForecast("now", known, now)
+    ends = [_days(likely, file_sigma, wanted) for likely in (walk, drift)]
+    middle = _days(foreseen, file_sigma, wanted)[1]
     low, high = min(end[0] for end in ends), max(end[2] for end in ends)
     return Forecast(days=middle, low_days=low, high_days=high, span_days=float(np.ptp(test.day)), now=now)
+
+
+def _median(values: FloatArray, weight: FloatArray) -> float:
+    """Return the value that half of the weight is below."""
+    order = np.argsort(values)
+    return float(values[order][np.searchsorted(np.cumsum(weight[order]), 0.5)])
 
 
 def _days(likely: _Likely, file_sigma: float, wanted: float) -> list[float]:

@@ -153,6 +153,7 @@ def numbers_of(calibration: Calibration, found: GaugeFree, reference: GaugeFree)
         values=values,
         covariance=scatter,
         by_gravity=np.array(by_gravity),
+        # Assumed gravity counts as one place: its error does not average out, and what places differ by widens repeatability.
         site=f"{gravity.gravity_m_s2:.6f}",
         freedom=calibration.quality.degrees_of_freedom,
     )
