@@ -31,7 +31,7 @@ from imufield.pipeline.calibration import FEWEST_POSITIONS, Measured, MoveListen
 from imufield.pipeline.chain import Chain, ReadingPlan, SamplesListener, replay_into
 from imufield.pipeline.damage import naming_damage, without_end_under_way
 from imufield.pipeline.site import SiteOptions
-from imufield.pipeline.windows import is_one_pose
+from imufield.pipeline.windows import is_ramp
 from imufield.progress import task
 from imufield.sentences import Sentences, printable
 
@@ -169,10 +169,10 @@ def _unguided(chain: Chain, session: Session) -> _Usable:
         found = chain.still_intervals()
         _check_count(len(found.observations), [refusal for _, refusal in found.refused])
     except CalibrationError as error:
-        _refuse_one_pose(chain, session, error)
+        _refuse_ramp(chain, session, error)
         raise
     if len(found.observations) < FEWEST_POSITIONS:
-        _refuse_one_pose(chain, session)
+        _refuse_ramp(chain, session)
     clipped: list[tuple[float, str]] = []
     others: dict[RefusalCode, list[tuple[float, str]]] = {}
     for start_s, refusal in found.refused:
@@ -181,9 +181,9 @@ def _unguided(chain: Chain, session: Session) -> _Usable:
     return found.observations, found.axes, left_out, _saturation_sentence(clipped), found.sticking
 
 
-def _refuse_one_pose(chain: Chain, session: Session, error: CalibrationError | None = None) -> None:
-    """Say of a recording of one pose what it is good for: a person needs that more than why none of its stills counts."""
-    if chain.protocol is not None and is_one_pose(session, chain.raw_zero(chain.protocol)):
+def _refuse_ramp(chain: Chain, session: Session, error: CalibrationError | None = None) -> None:
+    """Say of a ramp of temperature what it is good for: a person needs that more than why none of its stills counts."""
+    if chain.protocol is not None and is_ramp(session, chain.raw_zero(chain.protocol)):
         values = {"name": session.name, "limit": FEWEST_POSITIONS}
         raise CalibrationError(sentence("solving.one_pose", **values), Reason.TOO_FEW) from error
 

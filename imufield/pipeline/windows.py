@@ -6,6 +6,7 @@ import numpy as np
 
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
+from imufield.calibrate.temperature.fit import SAME_TEMPERATURE_DEGC
 from imufield.calibrate.temperature.ramp import moved_windows
 from imufield.pipeline.chain import session_samples
 from imufield.samples import FloatArray, Samples, TemperatureHold
@@ -42,10 +43,12 @@ class WindowMeans:
         return np.asarray(sums[:, :8] / sums[:, 8:])
 
 
-def is_one_pose(session: Session, raw_zero: FloatArray | float) -> bool:
-    """Tell whether an instrument stayed as it was from the first to the last window of a recording."""
+def is_ramp(session: Session, raw_zero: FloatArray | float) -> bool:
+    """Tell whether a recording is of one pose from the first to the last window, and its temperature changes."""
     windows, damage = WindowMeans(), list[Damage]()
     for samples in session_samples(session, damage):
         windows.feed(samples)
-    force = windows.means()[:, 2:5] - raw_zero
-    return len(force) > 1 and not len(moved_windows(force))
+    means = windows.means()
+    if len(means) <= 1 or not np.ptp(means[:, 1]) >= SAME_TEMPERATURE_DEGC:
+        return False
+    return not len(moved_windows(means[:, 2:5] - raw_zero))

@@ -177,13 +177,15 @@ def is_listening(multicast: str) -> bool:
 
 
 def test_record_from_multicast_then_solve(program: Program, emulate: Emulate, multicast: str) -> None:
-    process = program.start("record", "--bus", multicast, "--clock-speed", DATAGRAM_SPEED, "--json")
+    # With the rate, time is that of the counter, and not that at which a busy machine hands datagrams on.
+    options = ("--clock-speed", DATAGRAM_SPEED, "--set", "rate_hz=100", "--json")
+    process = program.start("record", "--bus", multicast, *options)
     # The positions are shown to a program that listens, however late it starts, and until the last one.
     while sys.platform == "linux" and not is_listening(multicast):
         assert process.poll() is None
         time.sleep(0.05)
     protocol = load_driver("xsens_can").load_protocol()
-    emulator = emulate(protocol, multicast, "faces6", still_s=30.0, speed=DATAGRAM_SPEED, run={"duration_s": 90.0})
+    emulator = emulate(protocol, multicast, "faces6", still_s=10.0, speed=DATAGRAM_SPEED, run={"duration_s": 70.0})
     assert emulator.wait(900)
     process.send_signal(signal.SIGINT)
     output, error = process.communicate(timeout=900)
