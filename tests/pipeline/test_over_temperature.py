@@ -201,8 +201,8 @@ def test_ramps_without_gyroscope_leave_it_at_one_temperature(sessions: tuple[Par
     calibration = sessions[1].calibration
     rates = GyroscopeParameters(np.ones(3), np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3)))
     base = replace(sessions[1], calibration=replace(calibration, gyroscope=GyroscopeCalibration(rates, rates, "made up")))
-    told = with_temperature(base, [], [ramp()]).calibration.quality.reasons
-    assert "temperature.gyroscope_unknown" in keys(told)
+    reasons = with_temperature(base, [], [ramp()]).calibration.quality.reasons
+    assert "temperature.gyroscope_unknown" in keys(reasons)
 
 
 def test_sessions_that_mean_something_else_are_refused(sessions: tuple[Parameters, ...]) -> None:
@@ -222,8 +222,7 @@ def test_sessions_that_mean_something_else_are_refused(sessions: tuple[Parameter
         with_temperature(sessions[1], [*sessions[1:], hot], [])
 
 
-def import_table(folder: Path, name: str, table: np.ndarray) -> Path:
-    head = "time_s,ax,ay,az,gx,gy,gz,temperature_degc"
+def import_table(folder: Path, name: str, table: np.ndarray, head: str = "time_s,ax,ay,az,gx,gy,gz,temperature_degc") -> Path:
     np.savetxt(folder / f"{name}.csv", table, delimiter=",", header=head, comments="", fmt="%.9g")
     assert run(["import", str(folder / f"{name}.csv"), "-o", str(folder / name), "--latitude", "48", "--height", "500"]) == 0
     return folder / name
@@ -311,3 +310,29 @@ def test_solve_takes_sessions_and_ramps_as_they_come(folders: tuple[Path, Path, 
     assert 399 <= len(means.time_s) <= 401
     np.testing.assert_allclose(means.accelerometer[:, 0], 0.1 + 1e-3 * means.temperature_degc, atol=3e-4)
     assert run(["solve", str(base), str(cold), "--temperature", str(warm_up)]) == 2
+
+
+def test_a_ramp_without_accelerometer_shows_the_gyroscope(
+    sessions: tuple[Parameters, ...], folders: tuple[Path, Path, Path], tmp_path: Path
+) -> None:
+    base, _, warm_up = folders
+    table = np.loadtxt(warm_up.parent / "warm-up.csv", delimiter=",", skiprows=1)[:, [0, 4, 5, 6, 7]]
+    # Of another day: its noise is its own. It only rises.
+    table[:, 1:4] += 1e-4 * np.random.default_rng(9).normal(size=(len(table), 3))
+    folder = import_table(tmp_path, "rates", table[: len(table) // 2], "time_s,gx,gy,gz,temperature_degc")
+    output = tmp_path / "parameters.toml"
+    assert run(["solve", str(base), "--temperature", str(warm_up), "--temperature", str(folder), "-o", str(output)]) == 0
+    joint = load(output)
+    assert [source.name for source in joint.context.temperature_sources] == ["warm-up", "rates"]
+    change = joint.temperature_models[1].bias.at(np.array([10.0])) - joint.temperature_models[1].bias.at(np.array([0.0]))
+    np.testing.assert_allclose(change, 1e-4, atol=5e-5)
+    rates = replace(read_ramp(Session.open(folder), joint), remarks=("cut short",))
+    assert np.isnan(rates.accelerometer).all()
+    reasons = with_temperature(joint, [], [read_ramp(Session.open(warm_up), joint), rates]).calibration.quality.reasons
+    assert "cut short" in reasons
+    assert [words.values["name"] for words in told(reasons, "ramp.one_way")] == ["rates"]
+    # Alone it does not show the accelerometer, and an instrument without gyroscope has no use for it.
+    with refused(CalibrationError, Reason.TOO_FEW, key="fit.too_few"):
+        with_temperature(joint, [], [rates])
+    with refused(CalibrationError, Reason.NOT_FINITE, "rates", key="temperature.no_output"):
+        with_temperature(sessions[1], sessions, [rates])

@@ -182,7 +182,8 @@ def fit_temperature(evidence: Evidence) -> TemperatureFit:
     blocks = distinct(temperature_degc)
     most_bias, most_scale = evidence.highest_orders()
     if most_bias == 0:
-        raise CalibrationError(sentence("fit.too_few", blocks=blocks, span=float(np.ptp(temperature_degc))), Reason.TOO_FEW)
+        span = float(np.ptp(temperature_degc)) if blocks else 0.0
+        raise CalibrationError(sentence("fit.too_few", blocks=blocks, span=span), Reason.TOO_FEW)
     return fit_orders(evidence, *_chosen_orders(evidence, most_bias, most_scale))
 
 
