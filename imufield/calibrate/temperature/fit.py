@@ -277,13 +277,16 @@ def _new_day(points: SessionPoints, scatter: _Scatter, inverses: Sequence[FloatA
         shown = np.isfinite(points.scale[:, axis])
         # Rows of sessions come first: one of each bias, one of each scale that is shown.
         place = row + int(shown[:row].sum())
-        for quantity in (_BIAS, _SCALE) if shown[row] and scatter.freedom[_SCALE] else (_BIAS,):
-            own, factor = points.covariance[row, axis, quantity, quantity], scatter.factor[quantity]
-            days[quantity, axis] = math.sqrt(own * (factor**2 - 1))
-            covariances[quantity, axis, 0, 0] = own * factor**2
+        kinds = np.array([_BIAS, _SCALE] if shown[row] else [_BIAS])
+        # Whitened rows scatter, each kind by its factor; a scale that is correlated with the bias scatters with both.
+        own = np.linalg.cholesky(points.covariance[row, axis][np.ix_(kinds, kinds)])
+        root = own * scatter.factor[kinds]
+        for quantity in kinds if scatter.freedom[_SCALE] else (_BIAS,):
+            days[quantity, axis] = np.linalg.norm(own[quantity] * np.sqrt(scatter.factor[kinds] ** 2 - 1))
+            covariances[quantity, axis, 0, 0] = root[quantity] @ root[quantity]
             covariances[quantity, axis, 1:, 1:] = inverse @ inverse.T
             if points.reference is not None:
-                shared = inverse[:, place + quantity] * math.sqrt(own) * factor
+                shared = inverse[:, place : place + len(kinds)] @ root[quantity]
                 covariances[quantity, axis, 0, 1:] = covariances[quantity, axis, 1:, 0] = shared
     of_bias, of_scale = np.arange(bias + 1), np.r_[0, bias + 1 : order + 1]
     return NewDay(
