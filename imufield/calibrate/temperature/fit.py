@@ -353,7 +353,7 @@ def _system(evidence: Evidence, bias: int, scale: int, axis: int) -> _System:
 
 def _hysteresis(ramps: Sequence[RampBlocks]) -> FloatArray:
     """Return half the difference between the branches, RMS over the temperatures that both have, shape (3,)."""
-    halves = []
+    halves, noise = [], []
     for ramp in ramps:
         rising, falling = ramp.direction > 0, ramp.direction < 0
         if rising.sum() < 2 or falling.sum() < 2:
@@ -363,7 +363,13 @@ def _hysteresis(ramps: Sequence[RampBlocks]) -> FloatArray:
         common = (x_up >= x_down[0]) & (x_up <= x_down[-1])
         if not common.any():
             continue
-        y_up, y_down = ramp.output[rising][up][common], ramp.output[falling][down]
-        y_there = np.column_stack([np.interp(x_up[common], x_down, column) for column in y_down.T])
-        halves.append((y_up - y_there) / 2)
-    return np.sqrt(np.mean(np.vstack(halves) ** 2, axis=0)) if halves else np.full(3, np.nan)
+        # Rows interpolate the falling branch; their squares its variances.
+        there = np.column_stack([np.interp(x_up[common], x_down, unit) for unit in np.eye(len(x_down))])
+        halves.append((ramp.output[rising][up][common] - there @ ramp.output[falling][down]) / 2)
+        variances = ramp.sigma[rising][up][common] ** 2 + there**2 @ ramp.sigma[falling][down] ** 2
+        noise.append(variances / 4)
+    if not halves:
+        return np.full(3, np.nan)
+    # Blocks' own noise is no difference of the branches.
+    variance: FloatArray = np.mean(np.vstack(halves) ** 2 - np.vstack(noise), axis=0)
+    return np.sqrt(np.maximum(variance, 0.0))
