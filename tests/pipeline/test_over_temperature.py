@@ -180,8 +180,23 @@ def test_the_budget_stays_that_of_the_reference(sessions: tuple[Parameters, ...]
     joined = with_temperature(sessions[1], (sessions[0], sessions[2]), [ramp()])
     variances = np.diag(joined.calibration.covariance)
     assert combined_sigma(joined.calibration.budget) ** 2 == pytest.approx(variances, rel=1e-9, abs=1e-24)
-    assert [told.key for told in not_in_budget(joined)] == ["budget.no_repeatability", "budget.over_temperature"]
-    assert [told.key for told in not_in_budget(sessions[1])] == ["budget.no_repeatability", "budget.no_temperature"]
+    assert keys(not_in_budget(joined)) == [
+        "budget.no_repeatability",
+        "budget.over_temperature_days",
+        "budget.over_temperature",
+    ]
+    assert keys(not_in_budget(sessions[1])) == ["budget.no_repeatability", "budget.no_temperature"]
+
+
+def test_the_budget_states_what_parameters_at_the_worst_temperature_do(sessions: tuple[Parameters, ...]) -> None:
+    joint = with_temperature(sessions[1], sessions, [ramp()])
+    bias, scale = told(not_in_budget(joint), "budget.over_temperature_days")
+    assert (bias.values["unit"], scale.values["unit"]) == ("mg", "ppm")
+    for degc in np.linspace(*joint.temperature_range_degc, 9):
+        there = joint.at(degc).calibration
+        relative = there.accelerometer_sigma.scale / there.accelerometer.scale
+        assert float(bias.values["sigma"]) >= there.accelerometer_sigma.bias_m_s2.max() / MILLI_G_M_S2 * (1 - 1e-3)
+        assert float(scale.values["sigma"]) >= 1e6 * relative.max() * (1 - 1e-3)
 
 
 def test_one_pose_alone_is_never_good_and_sessions_keep_their_verdict(sessions: tuple[Parameters, ...]) -> None:
