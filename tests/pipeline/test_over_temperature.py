@@ -199,6 +199,17 @@ def test_the_budget_states_what_parameters_at_the_worst_temperature_do(sessions:
         assert float(scale.values["sigma"]) >= 1e6 * relative.max() * (1 - 1e-3)
 
 
+def test_a_scale_whose_days_are_not_shown_has_the_sigma_of_its_change(sessions: tuple[Parameters, ...]) -> None:
+    joined = with_temperature(sessions[1], (sessions[0], sessions[2]), [ramp()])
+    (model,) = joined.temperature_models
+    assert model.new_day is not None
+    assert np.isnan(model.new_day.scale).all()
+    own, there = joined.calibration, joined.at(55.0).calibration
+    changed = model.scale.sigma_at(np.array([35.0]))[0]
+    relative = there.accelerometer_sigma.scale / there.accelerometer.scale
+    np.testing.assert_allclose(relative, np.hypot(own.accelerometer_sigma.scale / own.accelerometer.scale, changed))
+
+
 def test_one_pose_alone_is_never_good_and_sessions_keep_their_verdict(sessions: tuple[Parameters, ...]) -> None:
     base = sessions[1]
     assert base.calibration.quality.verdict == "good"
