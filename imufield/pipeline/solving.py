@@ -263,7 +263,7 @@ def _lost_temperature(before: Parameters, now: Parameters) -> tuple[str, ...]:
         return ()
     sources = before.context.temperature_sources
     others = [source.name for source in sources if source.sha256 != now.context.session.sha256]
-    low, high = before.temperature_models[0].range_degc
+    low, high = before.temperature_range_degc
     again = " ".join(f"--temperature {shlex.quote(name)}" for name in others)
     return (sentence("solving.lost_temperature", low=low, high=high, again=again),)
 

@@ -144,7 +144,8 @@ def with_temperature(
     Raises
     ------
     CalibrationError
-        If a session has no temperature, its parameters stand in another frame or unit, or there are too few temperatures.
+        If a session has no temperature, its parameters stand in another frame or unit, a ramp has no output of a triad that
+        the base has, or there are too few temperatures.
     RecordingError
         If a session has a temperature that no instrument has.
     ParameterFileError
@@ -154,15 +155,19 @@ def with_temperature(
         _require_comparable(base, other)
     reference_degc, grade = _temperature(base), find_grade(base.context.instrument.grade or DEFAULT_GRADE)
     models: dict[str, TriadTemperature] = {}
-    told = [*notes]
+    told = [*notes, *(remark for means in ramps for remark in means.remarks)]
+    described = set[RampMeans]()
     warnings: dict[str, list[str]] = {triad: [] for triad in _TRIADS}
-    for triad in _TRIADS if base.gyroscope_is_complete else _TRIADS[:1]:
-        # A ramp without gyroscope is still good for the accelerometer.
-        shown = [means for means in ramps if np.isfinite(getattr(means, triad)).any()]
+    triads = _TRIADS if base.gyroscope_is_complete else _TRIADS[:1]
+    for means in ramps:
+        _require_output(means, triads)
+    for triad in triads:
+        # A ramp without one triad is still good for the other.
+        shown = [means for means in ramps if _shows(means, triad)]
         cut = [cut_ramp(_windows(base, triad, means)) for means in shown]
-        if triad == "accelerometer":
-            for ramp, means in zip(cut, ramps, strict=True):
-                told += (*means.remarks, *ramp_sentences(ramp, means.name))
+        for ramp, means in zip(cut, shown, strict=True):
+            told += ramp_sentences(ramp, means.name) if means not in described else ()
+        described.update(shown)
         points = _points(base, triad, sessions) if sessions else None
         evidence = Evidence(reference_degc=reference_degc, points=points, ramps=[ramp.blocks for ramp in cut])
         if triad == "gyroscope" and evidence.highest_orders()[0] == 0:
@@ -177,6 +182,16 @@ def with_temperature(
         else:
             told += filter(None, [gyroscope_sentence(found.temperature, grade, scale_shown=evidence.highest_orders()[1] > 0)])
     return _joined(base, models, sources=_sources(sessions, ramps), told=told, warnings=warnings)
+
+
+def _shows(means: RampMeans, triad: str) -> bool:
+    return bool(np.isfinite(getattr(means, triad)).any())
+
+
+def _require_output(means: RampMeans, triads: Sequence[str]) -> None:
+    """Raise where a ramp has nothing of these triads."""
+    if not any(_shows(means, triad) for triad in triads):
+        raise CalibrationError(sentence("temperature.no_output", name=means.name, triads=triads), Reason.NOT_FINITE)
 
 
 def _require_comparable(base: Parameters, other: Parameters) -> None:

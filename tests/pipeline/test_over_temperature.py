@@ -180,8 +180,34 @@ def test_the_budget_stays_that_of_the_reference(sessions: tuple[Parameters, ...]
     joined = with_temperature(sessions[1], (sessions[0], sessions[2]), [ramp()])
     variances = np.diag(joined.calibration.covariance)
     assert combined_sigma(joined.calibration.budget) ** 2 == pytest.approx(variances, rel=1e-9, abs=1e-24)
-    assert [told.key for told in not_in_budget(joined)] == ["budget.no_repeatability", "budget.over_temperature"]
-    assert [told.key for told in not_in_budget(sessions[1])] == ["budget.no_repeatability", "budget.no_temperature"]
+    assert keys(not_in_budget(joined)) == [
+        "budget.no_repeatability",
+        "budget.over_temperature_days",
+        "budget.over_temperature",
+    ]
+    assert keys(not_in_budget(sessions[1])) == ["budget.no_repeatability", "budget.no_temperature"]
+
+
+def test_the_budget_states_what_parameters_at_the_worst_temperature_do(sessions: tuple[Parameters, ...]) -> None:
+    joint = with_temperature(sessions[1], sessions, [ramp()])
+    bias, scale = told(not_in_budget(joint), "budget.over_temperature_days")
+    assert (bias.values["unit"], scale.values["unit"]) == ("mg", "ppm")
+    for degc in np.linspace(*joint.temperature_range_degc, 9):
+        there = joint.at(degc).calibration
+        relative = there.accelerometer_sigma.scale / there.accelerometer.scale
+        assert float(bias.values["sigma"]) >= there.accelerometer_sigma.bias_m_s2.max() / MILLI_G_M_S2 * (1 - 1e-3)
+        assert float(scale.values["sigma"]) >= 1e6 * relative.max() * (1 - 1e-3)
+
+
+def test_a_scale_whose_days_are_not_shown_has_the_sigma_of_its_change(sessions: tuple[Parameters, ...]) -> None:
+    joined = with_temperature(sessions[1], (sessions[0], sessions[2]), [ramp()])
+    (model,) = joined.temperature_models
+    assert model.new_day is not None
+    assert np.isnan(model.new_day.scale).all()
+    own, there = joined.calibration, joined.at(55.0).calibration
+    changed = model.scale.sigma_at(np.array([35.0]))[0]
+    relative = there.accelerometer_sigma.scale / there.accelerometer.scale
+    np.testing.assert_allclose(relative, np.hypot(own.accelerometer_sigma.scale / own.accelerometer.scale, changed))
 
 
 def test_one_pose_alone_is_never_good_and_sessions_keep_their_verdict(sessions: tuple[Parameters, ...]) -> None:
@@ -201,8 +227,8 @@ def test_ramps_without_gyroscope_leave_it_at_one_temperature(sessions: tuple[Par
     calibration = sessions[1].calibration
     rates = GyroscopeParameters(np.ones(3), np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3)))
     base = replace(sessions[1], calibration=replace(calibration, gyroscope=GyroscopeCalibration(rates, rates, "made up")))
-    told = with_temperature(base, [], [ramp()]).calibration.quality.reasons
-    assert "temperature.gyroscope_unknown" in keys(told)
+    reasons = with_temperature(base, [], [ramp()]).calibration.quality.reasons
+    assert "temperature.gyroscope_unknown" in keys(reasons)
 
 
 def test_sessions_that_mean_something_else_are_refused(sessions: tuple[Parameters, ...]) -> None:
@@ -222,8 +248,7 @@ def test_sessions_that_mean_something_else_are_refused(sessions: tuple[Parameter
         with_temperature(sessions[1], [*sessions[1:], hot], [])
 
 
-def import_table(folder: Path, name: str, table: np.ndarray) -> Path:
-    head = "time_s,ax,ay,az,gx,gy,gz,temperature_degc"
+def import_table(folder: Path, name: str, table: np.ndarray, head: str = "time_s,ax,ay,az,gx,gy,gz,temperature_degc") -> Path:
     np.savetxt(folder / f"{name}.csv", table, delimiter=",", header=head, comments="", fmt="%.9g")
     assert run(["import", str(folder / f"{name}.csv"), "-o", str(folder / name), "--latitude", "48", "--height", "500"]) == 0
     return folder / name
@@ -311,3 +336,29 @@ def test_solve_takes_sessions_and_ramps_as_they_come(folders: tuple[Path, Path, 
     assert 399 <= len(means.time_s) <= 401
     np.testing.assert_allclose(means.accelerometer[:, 0], 0.1 + 1e-3 * means.temperature_degc, atol=3e-4)
     assert run(["solve", str(base), str(cold), "--temperature", str(warm_up)]) == 2
+
+
+def test_a_ramp_without_accelerometer_shows_the_gyroscope(
+    sessions: tuple[Parameters, ...], folders: tuple[Path, Path, Path], tmp_path: Path
+) -> None:
+    base, _, warm_up = folders
+    table = np.loadtxt(warm_up.parent / "warm-up.csv", delimiter=",", skiprows=1)[:, [0, 4, 5, 6, 7]]
+    # Of another day: its noise is its own. It only rises.
+    table[:, 1:4] += 1e-4 * np.random.default_rng(9).normal(size=(len(table), 3))
+    folder = import_table(tmp_path, "rates", table[: len(table) // 2], "time_s,gx,gy,gz,temperature_degc")
+    output = tmp_path / "parameters.toml"
+    assert run(["solve", str(base), "--temperature", str(warm_up), "--temperature", str(folder), "-o", str(output)]) == 0
+    joint = load(output)
+    assert [source.name for source in joint.context.temperature_sources] == ["warm-up", "rates"]
+    change = joint.temperature_models[1].bias.at(np.array([10.0])) - joint.temperature_models[1].bias.at(np.array([0.0]))
+    np.testing.assert_allclose(change, 1e-4, atol=5e-5)
+    rates = replace(read_ramp(Session.open(folder), joint), remarks=("cut short",))
+    assert np.isnan(rates.accelerometer).all()
+    reasons = with_temperature(joint, [], [read_ramp(Session.open(warm_up), joint), rates]).calibration.quality.reasons
+    assert "cut short" in reasons
+    assert [words.values["name"] for words in told(reasons, "ramp.one_way")] == ["rates"]
+    # Alone it does not show the accelerometer, and an instrument without gyroscope has no use for it.
+    with refused(CalibrationError, Reason.TOO_FEW, key="fit.too_few"):
+        with_temperature(joint, [], [rates])
+    with refused(CalibrationError, Reason.NOT_FINITE, "rates", key="temperature.no_output"):
+        with_temperature(sessions[1], sessions, [rates])

@@ -145,11 +145,15 @@ class TriadTemperature:
         """
         at_degc = np.array([temperature_degc])
         d_degc = self.degrees_above(at_degc)
+        scale_of_own_day = np.hypot(scale_sigma, self.scale.sigma_at(d_degc)[0])
         if self.new_day is None:
-            return np.hypot(bias_sigma, self.bias_sigma_at(at_degc)[0]), np.hypot(scale_sigma, self.scale.sigma_at(d_degc)[0])
+            return np.hypot(bias_sigma, self.bias_sigma_at(at_degc)[0]), scale_of_own_day
         of_day = np.hypot(self.new_day.bias_sigma_at(d_degc)[0], np.nan_to_num(self.hysteresis))
         # Never below what the session at the reference states: its gravity is as uncertain on all days.
-        return np.fmax(bias_sigma, of_day), np.fmax(scale_sigma, self.new_day.scale_sigma_at(d_degc)[0])
+        scale_of_day = self.new_day.scale_sigma_at(d_degc)[0]
+        # Sessions may show how the bias differs from day to day, and not the scale.
+        scale = np.where(np.isnan(scale_of_day), scale_of_own_day, np.fmax(scale_sigma, scale_of_day))
+        return np.fmax(bias_sigma, of_day), scale
 
     def to_reference(
         self, raw: FloatArray, temperature_degc: FloatArray, *, scale: FloatArray, raw_zero: FloatArray | float = 0.0

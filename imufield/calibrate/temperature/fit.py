@@ -182,7 +182,8 @@ def fit_temperature(evidence: Evidence) -> TemperatureFit:
     blocks = distinct(temperature_degc)
     most_bias, most_scale = evidence.highest_orders()
     if most_bias == 0:
-        raise CalibrationError(sentence("fit.too_few", blocks=blocks, span=float(np.ptp(temperature_degc))), Reason.TOO_FEW)
+        span = float(np.ptp(temperature_degc)) if blocks else 0.0
+        raise CalibrationError(sentence("fit.too_few", blocks=blocks, span=span), Reason.TOO_FEW)
     return fit_orders(evidence, *_chosen_orders(evidence, most_bias, most_scale))
 
 
@@ -276,13 +277,16 @@ def _new_day(points: SessionPoints, scatter: _Scatter, inverses: Sequence[FloatA
         shown = np.isfinite(points.scale[:, axis])
         # Rows of sessions come first: one of each bias, one of each scale that is shown.
         place = row + int(shown[:row].sum())
-        for quantity in (_BIAS, _SCALE) if shown[row] and scatter.freedom[_SCALE] else (_BIAS,):
-            own, factor = points.covariance[row, axis, quantity, quantity], scatter.factor[quantity]
-            days[quantity, axis] = math.sqrt(own * (factor**2 - 1))
-            covariances[quantity, axis, 0, 0] = own * factor**2
+        kinds = np.array([_BIAS, _SCALE] if shown[row] else [_BIAS])
+        # Whitened rows scatter, each kind by its factor; a scale that is correlated with the bias scatters with both.
+        own = np.linalg.cholesky(points.covariance[row, axis][np.ix_(kinds, kinds)])
+        root = own * scatter.factor[kinds]
+        for quantity in kinds if scatter.freedom[_SCALE] else (_BIAS,):
+            days[quantity, axis] = np.linalg.norm(own[quantity] * np.sqrt(scatter.factor[kinds] ** 2 - 1))
+            covariances[quantity, axis, 0, 0] = root[quantity] @ root[quantity]
             covariances[quantity, axis, 1:, 1:] = inverse @ inverse.T
             if points.reference is not None:
-                shared = inverse[:, place + quantity] * math.sqrt(own) * factor
+                shared = inverse[:, place : place + len(kinds)] @ root[quantity]
                 covariances[quantity, axis, 0, 1:] = covariances[quantity, axis, 1:, 0] = shared
     of_bias, of_scale = np.arange(bias + 1), np.r_[0, bias + 1 : order + 1]
     return NewDay(
@@ -349,7 +353,7 @@ def _system(evidence: Evidence, bias: int, scale: int, axis: int) -> _System:
 
 def _hysteresis(ramps: Sequence[RampBlocks]) -> FloatArray:
     """Return half the difference between the branches, RMS over the temperatures that both have, shape (3,)."""
-    halves = []
+    halves, noise = [], []
     for ramp in ramps:
         rising, falling = ramp.direction > 0, ramp.direction < 0
         if rising.sum() < 2 or falling.sum() < 2:
@@ -359,7 +363,13 @@ def _hysteresis(ramps: Sequence[RampBlocks]) -> FloatArray:
         common = (x_up >= x_down[0]) & (x_up <= x_down[-1])
         if not common.any():
             continue
-        y_up, y_down = ramp.output[rising][up][common], ramp.output[falling][down]
-        y_there = np.column_stack([np.interp(x_up[common], x_down, column) for column in y_down.T])
-        halves.append((y_up - y_there) / 2)
-    return np.sqrt(np.mean(np.vstack(halves) ** 2, axis=0)) if halves else np.full(3, np.nan)
+        # Rows interpolate the falling branch; their squares its variances.
+        there = np.column_stack([np.interp(x_up[common], x_down, unit) for unit in np.eye(len(x_down))])
+        halves.append((ramp.output[rising][up][common] - there @ ramp.output[falling][down]) / 2)
+        variances = ramp.sigma[rising][up][common] ** 2 + there**2 @ ramp.sigma[falling][down] ** 2
+        noise.append(variances / 4)
+    if not halves:
+        return np.full(3, np.nan)
+    # Blocks' own noise is no difference of the branches.
+    variance: FloatArray = np.mean(np.vstack(halves) ** 2 - np.vstack(noise), axis=0)
+    return np.sqrt(np.maximum(variance, 0.0))

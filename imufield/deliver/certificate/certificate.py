@@ -145,10 +145,9 @@ def _sessions(parameters: Parameters) -> tuple[JoinedSession, ...]:
 
 
 def _valid_temperature(parameters: Parameters) -> str:
-    models = parameters.temperature_models
-    if not models:
+    if not parameters.temperature_models:
         return "at that of the calibration"
-    low, high = max(model.range_degc[0] for model in models), min(model.range_degc[1] for model in models)
+    low, high = parameters.temperature_range_degc
     return f"{low:g} to {high:g} °C, with the terms over temperature in the parameter file"
 
 

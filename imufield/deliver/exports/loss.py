@@ -109,7 +109,7 @@ def at_one_temperature(
     if target.over_temperature or not models:
         return parameters, ()
     chosen_degc = models[0].reference_degc if temperature_degc is None else temperature_degc
-    low, high = max(model.range_degc[0] for model in models), min(model.range_degc[1] for model in models)
+    low, high = parameters.temperature_range_degc
     # Not by a comparison that nan passes.
     if not low <= chosen_degc <= high:
         raise UsageError(sentence("loss.outside", value=chosen_degc, low=low, high=high))

@@ -45,10 +45,9 @@ class ThermalOffsets:
 
     def __init__(self, job: Job) -> None:
         self._job = job
-        models = job.parameters.temperature_models
-        self.reference_degc = models[0].reference_degc
+        self.reference_degc = job.parameters.temperature_models[0].reference_degc
         # Where both triads are known: the reference, that of one session, lies inside.
-        self.range_degc = max(m.range_degc[0] for m in models), min(m.range_degc[1] for m in models)
+        self.range_degc = job.parameters.temperature_range_degc
         self.temperature_degc = np.linspace(*self.range_degc, _STEPS)
         offsets = [self._offsets(degc) for degc in (self.reference_degc, *self.temperature_degc)]
         self.coefficients = {

@@ -5,6 +5,7 @@ The format is docs/parameter-file.md; ``parameters.schema.json`` beside this fil
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, overload
@@ -200,6 +201,12 @@ class Parameters:
         gyroscope = self.calibration.gyroscope
         both = (self.calibration.accelerometer_temperature, None if gyroscope is None else gyroscope.temperature)
         return tuple(model for model in both if model is not None)
+
+    @property
+    def temperature_range_degc(self) -> tuple[float, float]:
+        """Lowest and highest temperature at which every triad is known over temperature; NaN where none is."""
+        ranges = [model.range_degc for model in self.temperature_models] or [(math.nan, math.nan)]
+        return max(low for low, _ in ranges), min(high for _, high in ranges)
 
     def temperature_status(self, raw: Samples | FloatArray) -> NDArray[np.uint32]:
         """Return ``Status`` flags: which temperatures are not known, and which lie outside those measured, shape (n,).

@@ -14,7 +14,9 @@ import numpy as np
 from imufield.acquire.protocol.units import nominal_scale
 from imufield.calibrate.model.budget import Share, combined_sigma, effective_freedom
 from imufield.calibrate.model.result import GRAVITY_NAME, Calibration
+from imufield.calibrate.model.temperature import TriadTemperature
 from imufield.calibrate.model.uncertainty import degrees_of_freedom, student_factor, without_gravity
+from imufield.calibrate.temperature.there import calibration_at
 from imufield.deliver.parameters.context import ClockFacts
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S, decimals
@@ -29,6 +31,7 @@ COVERAGE = 0.95
 LEAST_SHOWN = 1e-3
 """Of the combined uncertainty: a smaller share changes no digit of it."""
 _TIME_BASE = "time_base"
+_STEPS = 50  # Over the range of temperature: a polynomial of order 5 bends four times.
 _FIXED = 1e-12  # rad: rounding of an angle that the gauge fixes.
 _TITLES = {
     "accelerometer.bias_m_s2": "Accelerometer bias",
@@ -207,21 +210,29 @@ def not_in_budget(parameters: Parameters) -> tuple[Sentence, ...]:
 
 
 def _over_temperature(calibration: Calibration) -> Iterator[Sentence]:
-    """Yield what the uncertainty of the terms over temperature adds at the worst temperature of their range."""
-    gyroscope = None if calibration.gyroscope is None else calibration.gyroscope.temperature
-    triads = (
-        ("accelerometer", calibration.accelerometer_temperature, "mg", MILLI_G_M_S2),
-        ("gyroscope", gyroscope, "°/h", DEG_PER_HOUR_RAD_S),
-    )
-    for triad, model, unit, size in triads:
-        if model is None:
-            continue
-        low, high = model.range_degc
-        at_degc = np.linspace(low, high, 50)
-        bias = float(np.max(model.bias_sigma_at(at_degc))) / size
-        scale_ppm = 1e6 * float(np.max(model.scale.sigma_at(model.degrees_above(at_degc))))
-        figures = {"low": low, "high": high, "bias": bias, "unit": unit, "scale_ppm": scale_ppm}
-        yield sentence("budget.over_temperature", triad=triad, reference=model.reference_degc, **figures)
+    """Yield 1 sigma of bias and scale, as they are stated at the worst temperature of their range."""
+    gyroscope = calibration.gyroscope
+    if (model := calibration.accelerometer_temperature) is not None:
+        theres = [calibration_at(calibration, degc) for degc in np.linspace(*model.range_degc, _STEPS)]
+        bias = max(np.max(there.accelerometer_sigma.bias_m_s2) for there in theres)
+        scale = max(np.max(there.accelerometer_sigma.scale / np.abs(there.accelerometer.scale)) for there in theres)
+        yield from _worst("accelerometer", model, (("bias", bias / MILLI_G_M_S2, "mg"), ("scale", scale * 1e6, "ppm")))
+    if gyroscope is not None and (model := gyroscope.temperature) is not None:
+        at_degc = np.linspace(*model.range_degc, _STEPS)
+        known = [there for degc in at_degc if (there := calibration_at(calibration, degc).gyroscope) is not None]
+        bias = max(np.max(there.sigma.bias / np.abs(there.parameters.scale)) for there in known)
+        scale = max(np.fmax.reduce(there.sigma.scale / np.abs(there.parameters.scale)) for there in known)
+        yield from _worst("gyroscope", model, (("bias", bias / DEG_PER_HOUR_RAD_S, "°/h"), ("scale", scale * 1e6, "ppm")))
+
+
+def _worst(triad: str, model: TriadTemperature, sigmas: Sequence[tuple[str, float, str]]) -> Iterator[Sentence]:
+    """Yield a sentence for each quantity, its sigma and unit; none for a scale that no turn has shown."""
+    low, high = model.range_degc
+    for quantity, sigma, unit in sigmas:
+        of_days = model.new_day is not None and np.isfinite(getattr(model.new_day, quantity)).any()
+        key = "budget.over_temperature_days" if of_days else "budget.over_temperature"
+        if np.isfinite(sigma):
+            yield sentence(key, triad=triad, low=low, high=high, quantity=quantity, sigma=sigma, unit=unit)
 
 
 def share_words(share: Share) -> str:

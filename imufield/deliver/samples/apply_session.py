@@ -54,7 +54,7 @@ class TemperatureFlags:
         """Return a sentence for each flag that was set."""
         models, said = self._parameters.temperature_models, []
         if self._outside:
-            low, high = max(model.range_degc[0] for model in models), min(model.range_degc[1] for model in models)
+            low, high = self._parameters.temperature_range_degc
             said.append(sentence("apply_session.outside", samples=self._outside, low=low, high=high))
         if self._unknown:
             said.append(sentence("apply_session.unknown", samples=self._unknown, reference=models[0].reference_degc))

@@ -118,6 +118,17 @@ def test_hysteresis_is_half_the_difference_of_the_branches() -> None:
     assert np.all(found.bias_sigma_at(ENDS) > 1.9e-3)
 
 
+def test_the_noise_of_blocks_is_no_hysteresis() -> None:
+    rng, sigma = np.random.default_rng(11), 1e-3
+    ramps = [ramp(rng, sigma) for _ in range(20)]
+    found = fit_temperature(Evidence(reference_degc=20.0, ramps=ramps)).temperature
+    # Half of the difference of two blocks has 0.71 sigma.
+    assert np.all(found.hysteresis < 0.3 * sigma)
+    ramps = [ramp(rng, sigma, hysteresis=sigma) for _ in range(20)]
+    found = fit_temperature(Evidence(reference_degc=20.0, ramps=ramps)).temperature
+    np.testing.assert_allclose(found.hysteresis, sigma, rtol=0.1)
+
+
 def test_scatter_beyond_the_stated_sigma_widens_the_uncertainty() -> None:
     rng = np.random.default_rng(6)
     honest = fit_temperature(Evidence(reference_degc=20.0, ramps=[ramp(rng, 1e-3)]))

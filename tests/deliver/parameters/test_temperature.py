@@ -24,8 +24,10 @@ from imufield.deliver.parameters.file import (
     write_parameters,
 )
 from imufield.errors import ParameterFileError, Reason
+from imufield.pipeline.solving import lost_by_replacing
 from imufield.samples import SampleUnits, Status, TemperatureHold, make_samples
 from tests.refused import refused
+from tests.told import told
 
 SOURCES = (
     TemperatureSource("cold", "session", 64 * "a", (-19.0, -17.5)),
@@ -78,6 +80,23 @@ def test_a_file_with_temperature_is_version_2_and_comes_back_digit_by_digit(
     again = to_document(loaded.calibration, observations, loaded.context)
     assert json_ready(again) == json_ready(to_document(*with_temperature[:1], observations, with_temperature[1]))
     assert loaded.context.temperature_sources == SOURCES
+
+
+def test_the_range_is_that_of_both_triads(
+    with_temperature: tuple[Calibration, Context], observations: Observations, tmp_path: Path
+) -> None:
+    calibration, context = with_temperature
+    gyroscope, path = calibration.gyroscope, tmp_path / "parameters.toml"
+    assert gyroscope is not None
+    assert gyroscope.temperature is not None
+    narrow = replace(gyroscope, temperature=replace(gyroscope.temperature, range_degc=(-5.0, 70.0)))
+    write_parameters(path, replace(calibration, gyroscope=narrow), observations, context)
+    both = load(path)
+    assert both.temperature_range_degc == (-5.0, 55.0)
+    assert np.isnan(both.at(30.0).temperature_range_degc).all()
+    # What solving again loses is the same range, and not that of the first triad.
+    (lost,) = told(lost_by_replacing(path, both.at(30.0)), "solving.lost_temperature")
+    assert (lost.values["low"], lost.values["high"]) == (-5.0, 55.0)
 
 
 def test_without_temperature_it_is_version_1_as_before(
