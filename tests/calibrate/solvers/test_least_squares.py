@@ -93,13 +93,13 @@ def test_outside_the_model_is_a_status() -> None:
 
 @dataclass
 class Misshapen(Line):
-    def residuals(self, z: FloatArray) -> FloatArray:
-        return super().residuals(z) + np.zeros(len(self.x) + 1)
+    def jacobian(self, z: FloatArray) -> FloatArray:
+        return super().jacobian(z)[1:]
 
 
-def test_residuals_of_a_wrong_shape_are_a_defect() -> None:
-    # Not a number that the model refuses: the caller's mistake is not told as one of the data.
-    with pytest.raises(ValueError, match="shape"):
+def test_a_jacobian_of_a_wrong_shape_is_a_defect() -> None:
+    # A mistake of the program is not told as one of the data.
+    with pytest.raises(ValueError, match="mismatch"):
         solve_least_squares(Misshapen(np.arange(3.0), np.zeros(3)))
 
 
