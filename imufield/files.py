@@ -18,6 +18,7 @@ import tempfile
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
 from enum import Enum
 from io import BufferedReader
 from itertools import chain, count
@@ -25,7 +26,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from imufield.errors import ImufieldError, ParameterFileError, Reason, UsageError
-from imufield.sentences import Sentences
+from imufield.sentences import Sentences, shortened
 
 sentence = Sentences(__package__)
 
@@ -211,6 +212,23 @@ def read_small_file(path: str | Path, origin: Origin = Origin.TYPED) -> bytes:
 def utf8_text(name: object) -> str:
     """Return a name for a text that is written: bytes of it that are no UTF-8 become U+FFFD."""
     return _NO_UTF8.sub("\ufffd", str(name))
+
+
+def source_date() -> datetime | None:
+    """Return the date, UTC, that SOURCE_DATE_EPOCH gives to files, None without it.
+
+    Raises
+    ------
+    UsageError
+        If it is none.
+    """
+    date = os.environ.get("SOURCE_DATE_EPOCH")
+    if not date:
+        return None
+    # Of 11 digits, in the year 5138, is the last that every system makes a date of.
+    if not re.fullmatch("[0-9]{1,11}", date):
+        raise UsageError(sentence("files.source_date", date=shortened(date)))
+    return datetime.fromtimestamp(int(date), UTC)
 
 
 def sync_folder(folder: Path) -> None:

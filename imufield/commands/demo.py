@@ -20,6 +20,7 @@ from imufield.commands.terminal.output import echo, say
 from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, write_document
 from imufield.deliver.report.summary import Outcome, print_summary
 from imufield.earth import MILLI_G_M_S2
+from imufield.errors import VerificationError
 from imufield.pipeline.calibration import SolveSettings
 from imufield.pipeline.solving import solve_session
 from imufield.pipeline.temperature import MarkedSession, over_temperature
@@ -44,8 +45,13 @@ INTRINSIC_NAMES = (
 )
 
 
-def run_demo(options: DemoOptions) -> None:
+def run_demo(options: DemoOptions) -> int:
     """Capture and solve a simulated session, or one at each of three temperatures, and compare with the truth.
+
+    Returns
+    -------
+    int
+        Exit code: that of a verification that failed where the truth is missed.
 
     Raises
     ------
@@ -55,16 +61,14 @@ def run_demo(options: DemoOptions) -> None:
         If it does not keep the speed.
     """
     with tempfile.TemporaryDirectory(prefix="imufield-demo-") as folder:
-        if options.temperature:
-            _demonstrate_temperature(options, Path(folder))
-        else:
-            _demonstrate(options, Path(folder))
+        demonstrate = _demonstrate_temperature if options.temperature else _demonstrate
+        return 0 if demonstrate(options, Path(folder)) else VerificationError.exit_code
 
 
-def _demonstrate(options: DemoOptions, folder: Path) -> None:
+def _demonstrate(options: DemoOptions, folder: Path) -> bool:
     captured, truth = _captured(options, folder)
     solved = _write(solve_session(captured.session, SolveSettings()), captured)
-    _print_comparison(captured, _errors_in_sigma(solved.calibration, truth), truth["seed"])
+    return _print_comparison(captured, _errors_in_sigma(solved.calibration, truth), truth["seed"])
 
 
 def _captured(options: DemoOptions, folder: Path, *more: str) -> tuple[Captured, dict[str, Any]]:
@@ -87,7 +91,7 @@ def _write(solved: Parameters, captured: Captured) -> Parameters:
     return solved
 
 
-def _demonstrate_temperature(options: DemoOptions, folder: Path) -> None:
+def _demonstrate_temperature(options: DemoOptions, folder: Path) -> bool:
     """Capture a session at each temperature, join them, and show what one of them alone would cost."""
     captures, truth = [], dict[str, Any]()
     for day, degc in enumerate(TEMPERATURES_DEGC):
@@ -102,11 +106,11 @@ def _demonstrate_temperature(options: DemoOptions, folder: Path) -> None:
         over_temperature(MarkedSession(base), [captured.session for captured in captures[1:]], settings),
         captures[0],
     )
-    _print_cost(base, joint, truth)
+    return _print_cost(base, joint, truth)
 
 
-def _print_cost(base: Parameters, joint: Parameters, truth: dict[str, Any]) -> None:
-    """Print what is left of gravity in poses never measured."""
+def _print_cost(base: Parameters, joint: Parameters, truth: dict[str, Any]) -> bool:
+    """Print what is left of gravity in poses never measured; return whether it is as it should be."""
     echo()
     echo(f"Residual of gravity in {POSES} poses never measured, against the simulator's truth, mg RMS:")
     echo("temperature    one session    over temperature    stated sigma")
@@ -119,6 +123,7 @@ def _print_cost(base: Parameters, joint: Parameters, truth: dict[str, Any]) -> N
     echo(f"{len(TEMPERATURES_DEGC)} sessions, seed {truth['seed']}: {word},")
     within = "better than one session, and within" if passed else "NOT better than one session, or NOT within"
     echo(f"{within} {LIMIT_SIGMA:g} sigma")
+    return passed
 
 
 def _directions() -> FloatArray:
@@ -172,7 +177,8 @@ def _errors_in_sigma(calibration: Calibration, truth: dict[str, Any]) -> FloatAr
         return np.where(sigma > 0, (values - true) / sigma, np.nan)
 
 
-def _print_comparison(captured: Captured, errors_in_sigma: FloatArray, seed: int) -> None:
+def _print_comparison(captured: Captured, errors_in_sigma: FloatArray, seed: int) -> bool:
+    """Print the errors; return whether they are as they should be."""
     echo()
     echo("Against the simulator's truth, in units of the stated sigma:")
     cells = [
@@ -187,3 +193,4 @@ def _print_comparison(captured: Captured, errors_in_sigma: FloatArray, seed: int
     word = "as it should be" if passed else "NOT as it should be"
     echo(f"{captured.accepted} of {captured.planned} positions, seed {seed}: {word},")
     echo(f"{within} {LIMIT_SIGMA:g} sigma of the simulator's truth: largest {largest:.1f}")
+    return passed

@@ -12,13 +12,13 @@ from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session, open_or_newest
 from imufield.calibrate.noise.noise import NoiseResult, measure_noise
 from imufield.calibrate.noise.noise_fit import NoiseFigure
-from imufield.calibrate.noise.noise_texts import NoiseFormat, check_source_date, draw_plot, noise_text
+from imufield.calibrate.noise.noise_texts import NoiseFormat, draw_plot, noise_text
 from imufield.commands.options.results import NoiseOptions
 from imufield.commands.terminal.output import echo, say, say_each, tell_written, write_output
 from imufield.deliver.parameters.document import noise_table
 from imufield.deliver.parameters.file import Noise, Parameters, load, write_document
 from imufield.errors import Reason, UsageError
-from imufield.files import refuse_overwriting
+from imufield.files import refuse_overwriting, source_date
 from imufield.pipeline.calibration import one_of
 from imufield.pipeline.chain import session_protocol, session_samples
 from imufield.pipeline.damage import naming_damage
@@ -47,7 +47,7 @@ def run_noise(options: NoiseOptions) -> None:
     """
     form: NoiseFormat = one_of("to", options.to, get_args(NoiseFormat))
     # Before allantools: what it imports ends at such a date.
-    check_source_date()
+    source_date()
     parameters = None if options.parameters is None else load(options.parameters)
     session = open_or_newest(options.session)
     scales = _scales(session, parameters)

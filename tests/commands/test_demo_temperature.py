@@ -12,8 +12,8 @@ from imufield.acquire.recording.session import Session
 from imufield.cli.run import run
 from imufield.commands import demo
 from imufield.commands.emulate import make_emulation
-from imufield.commands.options.samples import EmulateOptions
-from imufield.errors import UsageError
+from imufield.commands.options.samples import DemoOptions, EmulateOptions
+from imufield.errors import UsageError, VerificationError
 from imufield.pipeline.calibration import SolveSettings
 from imufield.pipeline.solving import solve_session
 from imufield.pipeline.temperature import MarkedSession, over_temperature
@@ -37,7 +37,7 @@ def emulated(temperature: str, day: int = 0) -> EmulateOptions:
     )
 
 
-def test_one_session_costs_milli_g_where_three_do_not(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_session_costs_milli_g_where_three_do_not(tmp_path: Path) -> None:
     sessions, truth = [], dict[str, Any]()
     for day, degc in enumerate(demo.TEMPERATURES_DEGC):
         emulation = make_emulation(emulated(str(degc), day))
@@ -59,13 +59,20 @@ def test_one_session_costs_milli_g_where_three_do_not(tmp_path: Path, capsys: py
         left, sigma = demo._left_mg(joint, truth, degc), demo._stated_mg(joint, degc)
         assert left < demo._left_mg(base, truth, degc) / 10
         assert sigma / 10 < left < demo.LIMIT_SIGMA * sigma
-    capsys.readouterr()
-    demo._print_cost(base, joint, truth)
-    assert "NOT" not in capsys.readouterr().out
+    assert demo._print_cost(base, joint, truth)
     # The same numbers with the temperature drift of another instrument do not pass.
     other = {**truth["accelerometer"], "bias_m_s2_per_degc": [0.0, 0.0, 0.0]}
-    demo._print_cost(base, joint, {**truth, "accelerometer": other})
-    assert "NOT" in capsys.readouterr().out
+    assert not demo._print_cost(base, joint, {**truth, "accelerometer": other})
+
+
+@pytest.mark.parametrize(
+    ("options", "work"), [(DemoOptions(), "_demonstrate"), (DemoOptions(temperature=True), "_demonstrate_temperature")]
+)
+def test_a_demonstration_that_fails_has_an_exit_code(options: DemoOptions, work: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    # The whole of it takes minutes; what it returns is tried above.
+    for passed, code in ((True, 0), (False, VerificationError.exit_code)):
+        monkeypatch.setattr(demo, work, lambda *_, passed=passed: passed)
+        assert demo.run_demo(options) == code
 
 
 def test_a_ramp_goes_from_one_temperature_to_the_other_and_stays() -> None:

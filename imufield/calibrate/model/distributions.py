@@ -12,6 +12,7 @@ References
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable
 from functools import cache
 from statistics import NormalDist
@@ -19,7 +20,8 @@ from statistics import NormalDist
 _MANY = 1000  # Degrees of freedom from which the terms of [2] left out are below 1e-11.
 _TERMS = 1000  # Of the continued fraction; it takes some root of the larger argument.
 _SMALLEST = 1e-300
-_EXACT = 1e-16
+# Nearer to one than a product that swings by an ulp or two; what is left out is of the size of rounding.
+_EXACT = 4 * sys.float_info.epsilon
 
 
 def student_quantile(freedom: float, p: float) -> float:

@@ -7,7 +7,6 @@ upper 95 % limit, and a comment says so; zero would make a filter trust a consta
 from __future__ import annotations
 
 import io
-import os
 import re
 from typing import TYPE_CHECKING, Literal
 
@@ -18,7 +17,8 @@ from imufield.calibrate.noise.noise_fit import NoiseFigure
 from imufield.drawing.style import figure, legend_beside, plain_ticks, plot_style, title
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import CalibrationError, Reason, UsageError
-from imufield.sentences import Sentences, shortened
+from imufield.files import source_date
+from imufield.sentences import Sentences
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -95,14 +95,6 @@ def _shown(figure: NoiseFigure) -> str:
     return f"< {figure.high:.2g}" if np.isfinite(figure.high) else "not known"
 
 
-def check_source_date() -> None:
-    """Raise ``UsageError`` if the environment gives a date for files that is none."""
-    date = os.environ.get("SOURCE_DATE_EPOCH")
-    # Of 11 digits, in the year 5138, is the last that every system makes a date of.
-    if date and not re.fullmatch("[0-9]{1,11}", date):
-        raise UsageError(sentence("noise_texts.source_date", date=shortened(date)))
-
-
 def draw_plot(result: NoiseResult, kind: str) -> bytes:
     """Return a picture of the Allan deviation of all axes, with 95 % limits and the model.
 
@@ -118,7 +110,7 @@ def draw_plot(result: NoiseResult, kind: str) -> bytes:
         If matplotlib is not installed, or does not write such files, or takes their date from an environment variable that is
         none.
     """
-    check_source_date()
+    source_date()
     triads = [triad for triad in ("accelerometer", "gyroscope") if result.triad(triad)]
     with plot_style():
         drawn = figure(2.6 * len(triads) + 0.5)

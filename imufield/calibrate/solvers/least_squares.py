@@ -9,6 +9,7 @@ here is wherever the residuals are least.
 References
 ----------
 .. [1] J. J. More, "The Levenberg-Marquardt algorithm: implementation and theory", Lecture Notes in Mathematics 630 (1978).
+.. [2] H. B. Nielsen, "Damping parameter in Marquardt's method", IMM-REP-1999-05, Technical University of Denmark (1999).
 """
 
 from __future__ import annotations
@@ -29,10 +30,13 @@ Loss = Literal["linear", "soft_l1", "huber", "cauchy"]
 
 # Relative change of cost and coordinates at which it stops: a few ulp above what double precision can resolve.
 _TOLERANCE = 1e-14
-# Of the gain foretold: a step is taken above the first, the next is damped more below the second, less above the third.
-_LEAST_GAIN, _POOR, _GOOD = 1e-4, 0.25, 0.75
-# In squares of the lengths of the columns, which are one: where there was no damping, and how it grows and falls.
-_FIRST_DAMPING, _MORE, _LESS = 1e-6, 4.0, 3.0
+_LEAST_GAIN = 1e-4  # Share of the gain foretold above which a step is taken, as in ``lmder``.
+_POOR = 0.25  # Share below which the next step is damped more, as in ``lmder``.
+_GOOD = 0.75  # Share above which the next step is damped less, as in ``lmder``.
+# Where there was none: it shortens a step only along singular values below a thousandth of a column, whose length is one.
+_FIRST_DAMPING = 1e-6
+_MORE = 4.0  # Shortens to a quarter what is damped already, within the tenth to half by which ``lmder`` shortens.
+_LESS = 3.0  # As in [2]_; no power of it is one of ``_MORE``, so that no damping is tried twice.
 # By the status of ``scipy.optimize.least_squares``, whose own words are about the names of its settings.
 _ENDINGS = {
     0: "least_squares.evaluation_limit",
@@ -77,54 +81,68 @@ def solve_least_squares(
     check_start(problem)
     left_domain = sentence("least_squares.left_domain")
     failed = SolverResult(x=problem.start, cost=np.inf, status=SolverStatus.FAILED, message=left_domain, evaluations=0)
-    # SciPy where the loss is robust, or residuals are fewer than coordinates.
-    is_plain = loss == "linear" and len(problem.residuals(problem.start)) >= len(problem.start)
     try:
-        end = _marquardt(problem, max_evaluations) if is_plain else _trust_region(problem, loss, max_evaluations)
-    except (ValueError, np.linalg.LinAlgError) as error:
+        end = _end(problem, loss, max_evaluations)
+    except np.linalg.LinAlgError as error:
         # A candidate outside the model's domain has NaN residuals; scipy and LAPACK refuse those.
         return replace(failed, message=sentence("least_squares.refused_values", cause=error))
-    cost = float(np.sum(problem.residuals(end.x) ** 2))
-    if not np.isfinite(cost):
+    if not np.isfinite(end.cost):
         return replace(failed, evaluations=end.evaluations)
     if callback is not None:
-        callback(end.evaluations, end.x, cost)
+        callback(end.evaluations, end.x, end.cost)
     return SolverResult(
         x=end.x,
-        cost=cost,
+        cost=end.cost,
         status=SolverStatus(min(end.status, SolverStatus.CONVERGED)),  # Convergence is told by 1 to 4.
         message=sentence(_ENDINGS[end.status]) if end.status in _ENDINGS else end.message,
         evaluations=end.evaluations,
-        history=np.array([cost]),
+        history=np.array([end.cost]),
     )
 
 
 class _End(NamedTuple):
     x: FloatArray
+    cost: float  # Chi squared.
     status: int  # As in scipy.optimize, see ``_ENDINGS``.
     evaluations: int
     message: str = ""
 
 
+def _end(problem: Problem, loss: Loss, most: int) -> _End:
+    """Minimise by SciPy where the loss is robust, or residuals are fewer than coordinates."""
+    if loss != "linear":
+        return _trust_region(problem, loss, most)
+    residual = problem.residuals(problem.start)
+    if len(residual) >= len(problem.start):
+        return _marquardt(problem, residual, most)
+    end = _trust_region(problem, loss, most)
+    return end._replace(evaluations=end.evaluations + 1)
+
+
 def _trust_region(problem: Problem, loss: Loss, most: int) -> _End:
     import scipy.optimize  # here, because it takes longer to load than the fit to run
 
-    fit = scipy.optimize.least_squares(
-        problem.residuals,
-        problem.start,
-        jac=problem.jacobian,
-        loss=loss,
-        ftol=_TOLERANCE,
-        xtol=_TOLERANCE,
-        gtol=_TOLERANCE,
-        max_nfev=most,
-    )
-    return _End(fit.x, int(fit.status), int(fit.nfev) + int(fit.njev or 0), str(fit.message))
+    try:
+        fit = scipy.optimize.least_squares(
+            problem.residuals,
+            problem.start,
+            jac=problem.jacobian,
+            loss=loss,
+            ftol=_TOLERANCE,
+            xtol=_TOLERANCE,
+            gtol=_TOLERANCE,
+            max_nfev=most,
+        )
+    except ValueError as error:
+        raise np.linalg.LinAlgError(str(error)) from error
+    cost = float(np.sum(np.asarray(fit.fun) ** 2))
+    return _End(fit.x, cost, int(fit.status), int(fit.nfev) + int(fit.njev or 0), str(fit.message))
 
 
-def _marquardt(problem: Problem, most: int) -> _End:
+def _marquardt(problem: Problem, residual: FloatArray, most: int) -> _End:
+    """Minimise from the start, whose residuals are given."""
     x = problem.start
-    residual, jacobian = problem.residuals(x), problem.jacobian(x)
+    jacobian = problem.jacobian(x)
     size, damping, evaluations = np.zeros(len(x)), 0.0, 2
     while True:
         norms = np.linalg.norm(jacobian, axis=0)
@@ -134,11 +152,12 @@ def _marquardt(problem: Problem, most: int) -> _End:
         cost = float(residual @ residual)
         slope = np.abs(jacobian.T @ residual)
         if np.all(slope <= _TOLERANCE * norms * np.sqrt(cost)):
-            return _End(x, 1, evaluations)
+            return _End(x, cost, 1, evaluations)
+        directions = _directions(residual, jacobian / unit)
         while True:
             if evaluations >= most:
-                return _End(x, 0, evaluations)
-            step, foretold = _damped_step(residual, jacobian / unit, damping)
+                return _End(x, cost, 0, evaluations)
+            step, foretold = _damped_step(directions, cost, damping)
             trial = x + step / unit
             residual_there = problem.residuals(trial)
             evaluations += 1
@@ -154,19 +173,30 @@ def _marquardt(problem: Problem, most: int) -> _End:
             if is_better:
                 x, residual = trial, residual_there
             if has_settled or stands:
-                return _End(x, 1 + has_settled + 2 * stands, evaluations)
+                return _End(x, float(residual @ residual), 1 + has_settled + 2 * stands, evaluations)
             if is_better:
                 break
         jacobian = problem.jacobian(x)
         evaluations += 1
 
 
-def _damped_step(residual: FloatArray, jacobian: FloatArray, damping: float) -> tuple[FloatArray, float]:
-    """Return the step in units of the columns, and the share of the cost by which it should fall."""
+class _Directions(NamedTuple):
+    """The singular values of a Jacobian that are not lost in rounding, k of them, and the residuals along them."""
+
+    sigma: FloatArray  # Shape (k,).
+    v: FloatArray  # Shape (k, n).
+    along: FloatArray  # Shape (k,).
+
+
+def _directions(residual: FloatArray, jacobian: FloatArray) -> _Directions:
     u, sigma, v = np.linalg.svd(jacobian, full_matrices=False)
     known = sigma > sigma[0] * len(residual) * np.finfo(float).eps
-    along = (u.T @ residual)[known]
-    s = sigma[known]
-    step = -v[known].T @ (s * along / (s**2 + damping))
+    return _Directions(sigma[known], v[known], (u.T @ residual)[known])
+
+
+def _damped_step(directions: _Directions, cost: float, damping: float) -> tuple[FloatArray, float]:
+    """Return the step in units of the columns, and the share of the cost by which it should fall."""
+    s, v, along = directions
+    step = -v.T @ (s * along / (s**2 + damping))
     left = along * damping / (s**2 + damping)
-    return step, float((along @ along - left @ left) / (residual @ residual))
+    return step, float((along @ along - left @ left) / cost)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from calendar import monthrange
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,7 +10,6 @@ from datetime import UTC, date, datetime
 
 import numpy as np
 
-from imufield.calibrate.noise.noise_texts import check_source_date
 from imufield.deliver.parameters.context import JoinedSession
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.numbers import with_sigma
@@ -19,6 +17,7 @@ from imufield.deliver.parameters.schema import Document
 from imufield.deliver.parameters.write import content_sha256
 from imufield.deliver.report.budget import COVERAGE, Group, ParameterBudget, budget_of, not_in_budget, share_words
 from imufield.earth import STANDARD_GRAVITY_M_S2, height_words
+from imufield.files import source_date
 from imufield.sentences import Sentences, printable
 from imufield.version import __version__
 
@@ -95,10 +94,7 @@ class Certificate:
 
 def issue_date() -> str:
     """Return today, or the day of SOURCE_DATE_EPOCH, UTC; raises UsageError where that is no date."""
-    check_source_date()
-    told = os.environ.get("SOURCE_DATE_EPOCH")
-    moment = datetime.fromtimestamp(int(told), UTC) if told else datetime.now(UTC)
-    return moment.date().isoformat()
+    return (source_date() or datetime.now(UTC)).date().isoformat()
 
 
 def _months_later(text: str, months: int) -> str:

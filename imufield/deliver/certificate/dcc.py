@@ -46,7 +46,10 @@ _RAW: dict[str, tuple[Mapping[str, int], float]] = {
     "count/s": ({"second": -1}, 1.0),
     "pulse/s": ({"second": -1}, 1.0),
 }
-_FORCE, _RATE, _ANGLE = {"metre": 1, "second": -2}, {"radian": 1, "second": -1}, {"radian": 1}
+# Of a quantity: its exponents of SI units.
+_FORCE = {"metre": 1, "second": -2}  # Specific force, m/s^2.
+_RATE = {"radian": 1, "second": -1}  # Rate of turn, rad/s.
+_ANGLE = {"radian": 1}
 _FIXED = {"bias_m_s2": _FORCE, "misalignment_rad": _ANGLE}
 # By what the raw unit of each other kind is divided.
 _DIVISORS: dict[str, tuple[Mapping[str, int], ...]] = {

@@ -16,8 +16,8 @@ from imufield.samples import NO_COUNTER, SAMPLE_COLUMNS, FloatArray, Samples
 
 _ROWS_AT_ONCE = 8192  # Text made at a time: about 1 MB, however large the blocks are.
 _WORTH_ARROW = 1 << 15  # Rows that take Python as long as importing pyarrow.
-# Between these both write a number that is not whole without an exponent.
-_PLAIN_FROM, _PLAIN_BELOW = 1e-4, 1e10
+_PLAIN_FROM = 1e-4  # Least size that ``repr`` writes without an exponent; pyarrow does from 1e-6.
+_PLAIN_BELOW = 1e10  # Size from which pyarrow writes an exponent; ``repr`` does from 1e16.
 
 Numbers = NDArray[np.float64 | np.int64 | np.uint32]
 Write = Callable[[Samples, IO[bytes]], object]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +16,7 @@ import pytest
 from imufield.acquire.instrument.can_map import open_can
 from imufield.acquire.link.can import RECEIVE_BUFFER_BYTES, CanLink, open_can_link, parse_bus
 from imufield.acquire.link.host_clock import ScaledClock
+from imufield.acquire.link.slcan import LINE_LIMIT_BYTES, SlcanBus
 from imufield.acquire.protocol.can_frame import ADAPTER_TIME, ERROR, EXTENDED, FD, Frame, pack_frame
 from imufield.acquire.protocol.can_frames import unpack_frames
 from imufield.errors import LinkError, ProtocolError, Reason, UsageError
@@ -155,6 +157,34 @@ def test_a_garbled_line_is_borne(slcan: SlcanDevice) -> None:
     slcan.send([Frame(2, b"b")])
     assert [frame.can_id for frame in read_all(link, 2)] == [1, 2]
     assert link.faults == 1
+    link.close()
+
+
+@pytest.mark.parametrize("at_once", [1, 64])
+def test_a_stream_without_line_ends_is_neither_waited_for_nor_kept(slcan: SlcanDevice, at_once: int) -> None:
+    link = open_can_link(f"slcan:{slcan.port.address}?sleep_after_open=0")
+    slcan.receive()
+    bus = link._bus
+    assert isinstance(bus, SlcanBus)
+    enough = threading.Event()
+
+    def babble() -> None:
+        end_s = time.monotonic() + 10
+        while time.monotonic() < end_s and not enough.wait(2e-4):
+            slcan.port.write(b"U" * at_once)
+
+    stream = threading.Thread(target=babble)
+    stream.start()
+    try:
+        assert link.read() is None
+        assert stream.is_alive()
+        assert len(bus._buffer) <= LINE_LIMIT_BYTES
+    finally:
+        enough.set()
+        stream.join()
+    slcan.port.write(b"\r")
+    slcan.send([Frame(1, b"a"), Frame(2, b"b")])
+    assert [frame.can_id for frame in read_all(link, 2)] == [1, 2]
     link.close()
 
 

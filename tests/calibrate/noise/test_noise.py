@@ -234,7 +234,7 @@ def test_texts_hold_what_filters_read(tmp_path: Path, monkeypatch: pytest.Monkey
     assert caught.value.values["kind"] == "exe"
     for date in ("99999999999999999999", "9" * 5000, "-1", "x"):
         monkeypatch.setenv("SOURCE_DATE_EPOCH", date)
-        with refused(UsageError, Reason.USAGE, "SOURCE_DATE_EPOCH", key="noise_texts.source_date"):
+        with refused(UsageError, Reason.USAGE, "SOURCE_DATE_EPOCH", key="files.source_date"):
             draw_plot(result, "pdf")
 
 

@@ -9,7 +9,7 @@ import pytest
 import scipy.optimize
 
 from imufield.calibrate.solvers.base import Solver, SolverStatus
-from imufield.calibrate.solvers.least_squares import solve_least_squares
+from imufield.calibrate.solvers.least_squares import Loss, solve_least_squares
 from imufield.samples import FloatArray
 from tests.told import key_of
 
@@ -92,6 +92,18 @@ def test_outside_the_model_is_a_status() -> None:
 
 
 @dataclass
+class Misshapen(Line):
+    def jacobian(self, z: FloatArray) -> FloatArray:
+        return super().jacobian(z)[1:]
+
+
+def test_a_jacobian_of_a_wrong_shape_is_a_defect() -> None:
+    # A mistake of the program is not told as one of the data.
+    with pytest.raises(ValueError, match="mismatch"):
+        solve_least_squares(Misshapen(np.arange(3.0), np.zeros(3)))
+
+
+@dataclass
 class Valley(Line):
     """Rosenbrock's valley, from a start outside of it, with residuals left over at the end."""
 
@@ -110,3 +122,38 @@ def test_a_curved_problem_ends_where_that_of_scipy_does(start: tuple[float, floa
     assert ours.converged
     # In units of sigma, as the residuals are.
     assert np.linalg.norm(valley.jacobian(theirs.x) @ (ours.x - theirs.x)) < 1e-6
+
+
+@dataclass
+class Counted(Valley):
+    calls: int = 0
+
+    def residuals(self, z: FloatArray) -> FloatArray:
+        self.calls += 1
+        return super().residuals(z)
+
+    def jacobian(self, z: FloatArray) -> FloatArray:
+        self.calls += 1
+        return super().jacobian(z)
+
+
+@pytest.mark.parametrize("loss", ["linear", "soft_l1"])
+def test_every_evaluation_is_counted(loss: Loss) -> None:
+    valley = Counted(np.empty(0), np.empty(0), np.array([-1.2, 1.0]))
+    assert solve_least_squares(valley, loss=loss).evaluations == valley.calls
+
+
+def test_a_jacobian_is_decomposed_once_however_many_dampings_are_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    decomposed: list[bytes] = []
+    svd = np.linalg.svd
+
+    def noting(matrix: FloatArray, *, full_matrices: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
+        decomposed.append(matrix.tobytes())
+        return svd(matrix, full_matrices=full_matrices)
+
+    monkeypatch.setattr(np.linalg, "svd", noting)
+    valley = Valley(np.empty(0), np.empty(0), np.array([-1.2, 1.0]))
+    result = solve_least_squares(valley)
+    # Beside the first of both: a residual for each damping, a Jacobian for each that was taken.
+    assert len(decomposed) < result.evaluations / 2
+    assert len(set(decomposed)) == len(decomposed)

@@ -176,7 +176,7 @@ def test_the_day_of_issue_is_the_one_that_the_environment_says(monkeypatch: pyte
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1764000000")
     assert issue_date() == "2025-11-24"
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "yesterday")
-    with refused(UsageError, Reason.USAGE, key="noise_texts.source_date"):
+    with refused(UsageError, Reason.USAGE, key="files.source_date"):
         issue_date()
 
 
