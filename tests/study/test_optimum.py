@@ -51,7 +51,8 @@ def test_the_optimum_of_squares_is_flat_where_it_is_free() -> None:
     problem = ide_problem(np.random.default_rng(0))
     cost, x = squares_optimum(problem)
     gradient = problem.jacobian(x).T @ problem.residuals(x)
-    assert np.abs(gradient * (problem.upper - problem.lower)).max() < 1e-6 * cost
+    # Across all of its bounds no parameter lowers the cost by more than this share.
+    assert np.abs(gradient * (problem.upper - problem.lower)).max() < 1e-5 * cost
 
 
 def test_the_optimum_of_squares_keeps_to_the_bounds() -> None:
