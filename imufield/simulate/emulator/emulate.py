@@ -369,7 +369,7 @@ def make_device(options: Emulation, wire: WireChoice) -> Device:
         return TextDevice(columns, str(wire.protocol.settings["prefix"].value))
     if rate_hz not in _STIM300_RATES_HZ:
         raise UsageError(sentence("emulate.rate", rate_hz=rate_hz, rates_hz=_STIM300_RATES_HZ))
-    identity = Stim300Identity.of_seed(options.seed)
+    identity = Stim300Identity.of_seed(options.seed, options.grade)
     if options.stim300 is not None:
         return Stim300Device(replace(options.stim300, rate_hz=rate_hz), identity)
     # The smallest range that holds the grade's: a step of the wire is as fine as the instrument allows.
