@@ -48,6 +48,8 @@ def run_plan(options: PlanOptions) -> None:
     is_known = options.noise_ug is not None or options.grade is not None
     gravity = {"gravity_ppm": time.gravity_ppm, "source": time.gravity.source_words}
     assumed = sentence("plan.known" if is_known else "plan.assumed", grade=grade.name, **gravity, **sizes)
+    if time.gravity.source == "assumed":
+        assumed = f"{assumed} {sentence('plan.no_place')}"
     remedy = time.remedy if time.wanted and not time.is_met else ""
     if options.as_json:
         facts = {**asdict(time), **sizes, "grade": grade.name, "is_met": time.is_met}
