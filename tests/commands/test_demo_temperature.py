@@ -54,7 +54,7 @@ def test_one_session_costs_milli_g_where_three_do_not(tmp_path: Path, capsys: py
             run(["import", str(path), "-o", str(tmp_path / str(day)), "--gravity", f"{emulation.site.gravity_m_s2:.8f}"]) == 0
         )
         sessions.append(Session.open(tmp_path / str(day)))
-        truth = truth_document(emulation, source)
+        truth.update(truth_document(emulation, source))
     settings = SolveSettings(grade=demo.GRADE)
     base = solve_session(sessions[0], settings)
     joint = over_temperature(MarkedSession(base), sessions[1:], settings)
