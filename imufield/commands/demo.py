@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import shlex
 import tempfile
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +26,7 @@ from imufield.errors import VerificationError
 from imufield.pipeline.calibration import SolveSettings
 from imufield.pipeline.solving import solve_session
 from imufield.pipeline.temperature import MarkedSession, over_temperature
-from imufield.samples import FloatArray
+from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentences
 from imufield.simulate.truth.motion import Site
 
@@ -106,7 +108,10 @@ def _demonstrate_temperature(options: DemoOptions, folder: Path) -> bool:
         over_temperature(MarkedSession(base), [captured.session for captured in captures[1:]], settings),
         captures[0],
     )
-    return _print_cost(base, joint, truth)
+    passed = _print_cost(base, joint, truth)
+    _print_slopes(joint)
+    _print_commands([captured.session.folder for captured in captures])
+    return passed
 
 
 def _print_cost(base: Parameters, joint: Parameters, truth: dict[str, Any]) -> bool:
@@ -124,6 +129,31 @@ def _print_cost(base: Parameters, joint: Parameters, truth: dict[str, Any]) -> b
     within = "better than one session, and within" if passed else "NOT better than one session, or NOT within"
     echo(f"{within} {LIMIT_SIGMA:g} sigma")
     return passed
+
+
+def _print_slopes(joint: Parameters) -> None:
+    """Print what a degree changes, on average over the range measured."""
+    found = joint.calibration.accelerometer_temperature
+    if found is None:
+        return
+    ends_degc = np.array(found.range_degc)
+    d_degc = found.degrees_above(ends_degc)
+    bias, scale = (np.diff(each.at(d_degc), axis=0)[0] / np.ptp(d_degc) for each in (found.bias, found.scale))
+    echo()
+    echo(f"Accelerometer from {ends_degc[0]:.0f} to {ends_degc[1]:.0f} degC, on average:")
+    echo(f"{'':<14}" + "".join(f"{axis:>10}" for axis in AXES))
+    echo("bias, mg/degC " + "".join(f"{value / MILLI_G_M_S2:>+10.4f}" for value in bias))
+    echo("scale, ppm/degC" + "".join(f"{1e6 * value:>+10.2f}" for value in scale).removeprefix(" "))
+
+
+def _print_commands(folders: Sequence[Path]) -> None:
+    """Print what does the same, from the first folder, at the reference, and the others."""
+    room, *others = (shlex.quote(str(folder)) for folder in folders)
+    echo()
+    echo("The same as commands:")
+    echo(f"  imufield solve {room} --grade {GRADE} \\")
+    echo(" \\\n".join(f"    --temperature {other}" for other in others))
+    echo(f"  imufield report {room}")
 
 
 def _directions() -> FloatArray:

@@ -28,7 +28,7 @@ from imufield.pipeline.chain import REVISIT_FROM, ROTATIONS
 from imufield.progress import hidden
 from imufield.sentences import Sentences
 from imufield.simulate.emulator.core import EmulatorCore, EmulatorSettings
-from imufield.simulate.emulator.emulate import TRUTH_FORMAT, Emulation, choose_wire, emulate
+from imufield.simulate.emulator.emulate import STIM300_RATES_HZ, TRUTH_FORMAT, Emulation, choose_wire, emulate
 from imufield.simulate.emulator.faults import CanFaults, Faults, WireFaults
 from imufield.simulate.truth.imu import ImuSettings
 from imufield.simulate.truth.operator import NO_POSITION, OperatorSettings, StillKind, Visit
@@ -202,6 +202,15 @@ def _tell_slow(options: EmulateOptions, reached: float) -> None:
         say(sentence("emulate.slow", speed=options.speed, reached=reached), err=True)
 
 
+def _slower(options: EmulateOptions, rate_hz: float) -> str:
+    """Return the options that keep within ``SAFE_RATE_HZ``: the speed, or the fastest rate that the instrument has."""
+    # Rounded down: what is given must be within the limit.
+    words = [f"--speed {math.floor(100 * SAFE_RATE_HZ / rate_hz) / 100:g}"]
+    rates_hz = STIM300_RATES_HZ if options.driver == "stim300" else ()
+    words += [f"--rate-hz {max(slow):g}"] if (slow := [r for r in rates_hz if r * options.speed <= SAFE_RATE_HZ]) else []
+    return " or ".join(words)
+
+
 def _announce(options: EmulateOptions, emulation: Emulation, emulator: EmulatorCore) -> None:
     wire = choose_wire(emulation)
     rate_hz = wire.rate_hz
@@ -225,7 +234,8 @@ def _announce(options: EmulateOptions, emulation: Emulation, emulator: EmulatorC
     echo("read it with:")
     echo(f"  imufield capture --{kind} {shlex.quote(address)} {which} {told}{place}{clock}")
     if rate_hz * options.speed > SAFE_RATE_HZ:
-        say(sentence("emulate.fast", rate_hz=rate_hz * options.speed, limit=SAFE_RATE_HZ), err=True)
+        remedies = _slower(options, rate_hz)
+        say(sentence("emulate.fast", rate_hz=rate_hz * options.speed, limit=SAFE_RATE_HZ, remedies=remedies), err=True)
     waits = "it begins when a program opens the port; " if options.waits_for_reader and kind == "port" else ""
     asks = "type poses, e.g. x+ or z+135 or roll 30; " if str(options.poses) == STANDARD_INPUT else ""
     echo(f"{waits}{asks}Ctrl-C ends it")

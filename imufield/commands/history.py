@@ -13,7 +13,7 @@ from pathlib import Path
 from imufield.calibrate.sessions.changes import LargestChange
 from imufield.commands.options.results import HistoryOptions
 from imufield.commands.terminal.output import echo, echo_path, say, say_each, write_output
-from imufield.deliver.changes import JudgedHistory, judge_history, sentences, to_csv
+from imufield.deliver.changes import JudgedHistory, judge_history, sentences, shown_as, to_csv
 from imufield.deliver.control_chart import plot_history
 from imufield.deliver.family import Change
 from imufield.deliver.history import History, InstrumentHistory, as_utc, one_instrument, read_history
@@ -25,8 +25,6 @@ from imufield.files import refuse_overwriting, utf8_text
 from imufield.sentences import Sentence, Sentences, counted, folded, printable
 
 sentence = Sentences(__package__)
-
-_NO_UNIT = ("m/s^2 per m/s^2", "rad/s per rad/s")  # Units of a scale that is 1 but for its error.
 
 
 def run_history(options: HistoryOptions, now: datetime | None = None) -> History:
@@ -128,10 +126,9 @@ def _said(history: JudgedHistory, options: HistoryOptions, now: datetime) -> lis
 def _cells(number: Number, change: Change | None) -> tuple[str, str, str, str]:
     # Adding zero takes the sign off a change that rounds to nothing.
     moved = "" if change is None or math.isnan(change.in_sigma) else f"{round(change.in_sigma, 1) + 0.0:+.1f} sigma"
-    name, value, sigma, unit = number.name, number.value, number.sigma, number.unit
-    if unit in _NO_UNIT:
-        name, value, sigma, unit = name.replace("scale", "scale error"), (value - 1) * 1e6, sigma * 1e6, "ppm"
-    return name, with_sigma(value, sigma, sign=True), unit, moved
+    name, unit, size = shown_as(number.name, number.unit)
+    value = number.value if unit == number.unit else number.value - 1
+    return name, with_sigma(value / size, number.sigma / size, sign=True), unit, moved
 
 
 def _table(rows: list[tuple[str, str, str, str]]) -> Iterator[str]:

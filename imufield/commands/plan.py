@@ -48,12 +48,13 @@ def run_plan(options: PlanOptions) -> None:
     is_known = options.noise_ug is not None or options.grade is not None
     gravity = {"gravity_ppm": time.gravity_ppm, "source": time.gravity.source_words}
     assumed = sentence("plan.known" if is_known else "plan.assumed", grade=grade.name, **gravity, **sizes)
+    place = f" {sentence('plan.no_place')}" if time.gravity.source == "assumed" else ""
     remedy = time.remedy if time.wanted and not time.is_met else ""
     if options.as_json:
         facts = {**asdict(time), **sizes, "grade": grade.name, "is_met": time.is_met}
-        echo(json.dumps({**facts, "words": time.words, "remedy": remedy, "assumed": assumed}))
+        echo(json.dumps({**facts, "words": time.words, "remedy": remedy, "assumed": assumed + place}))
     else:
         say(time.words)
         if remedy:
             say(remedy)
-        say(assumed)
+        say(assumed + place)

@@ -16,6 +16,7 @@ from imufield.commands.options.results import SolveOptions
 from imufield.commands.terminal.output import echo, say, say_each, tell_written
 from imufield.console import PlainTextConsole
 from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, json_ready, write_document
+from imufield.deliver.parameters.joined import shown_unit
 from imufield.deliver.parameters.numbers import WIDTH, to_ascii
 from imufield.deliver.report.together import HEADINGS, together_rows
 from imufield.errors import ImufieldError, UsageError
@@ -96,5 +97,19 @@ def _print(parameters: Parameters) -> None:
     for row in together_rows(parameters):
         table.add_row(*(to_ascii(cell) if console.options.ascii_only else cell for cell in row))
     console.print(table)
+    together = parameters.context.together
+    # From FEWEST_WITHOUT_PRIOR sessions on they say themselves how days differ.
+    if together is not None and together.prior_grade:
+        bias = next(each for each in together.repeatability if each.kind == "accelerometer.bias_m_s2")
+        unit, size = shown_unit(bias.kind)
+        say(
+            sentence(
+                "solve_together.few",
+                grade=together.prior_grade,
+                sessions=len(together.session),
+                high=bias.high / size,
+                unit=unit,
+            )
+        )
     say(f"Verdict: {quality.verdict.upper()}")
     say_each((*quality.warnings, *quality.details), indent=4, begin="  - ")

@@ -30,6 +30,13 @@ sentence = Sentences(__package__)
 
 _SCALES = ("scale", "gyroscope scale")
 _PPM = 1e-6
+_NO_UNIT = ("m/s^2 per m/s^2", "rad/s per rad/s")  # Units of a scale that is 1 but for its error.
+_MANY = 4  # Up to three of one kind are told one by one.
+_OF_MANY = {
+    "changes.moved": "changes.moved_many",
+    "changes.differs": "changes.differs_many",
+    "changes.differs_as_turn_on": "changes.differs_as_turn_on_many",
+}
 _DAYS_A_YEAR = 365.25
 CSV_COLUMNS = (
     "instrument",
@@ -68,6 +75,11 @@ class JudgedHistory:
         """Return what has changed from the calibration before to the newest; nothing for a single calibration."""
         daily = {kind: found.sigma for kind, found in self.repeatability.items()}
         return _changes_between(self.entries[-2], self.entries[-1], daily) if len(self.entries) > 1 else ()
+
+
+def shown_as(name: str, unit: str) -> tuple[str, str, float]:
+    """Return name and unit of a number for people, and the size of that unit: a scale without one is its error in ppm."""
+    return (name.replace("scale", "scale error"), "ppm", _PPM) if unit in _NO_UNIT else (name, unit, 1.0)
 
 
 def judge_history(instrument: InstrumentHistory) -> JudgedHistory:
@@ -178,8 +190,9 @@ def sentences(
 def _judged(history: JudgedHistory) -> Iterator[Sentence]:
     """Yield a sentence for each number that is news, or one that none is, and what days do."""
     judged, entries = history.judged, history.entries
+    names = {number.name: shown_as(number.name, number.unit)[0] for number in entries[-1].numbers}
     for change in judged.news:
-        told = {"name": change.name, "unit": unit_of(change.name), "in_sigma": abs(change.in_sigma)}
+        told = {"name": names[change.name], "unit": unit_of(change.name), "in_sigma": abs(change.in_sigma)}
         if change.first_after is None:
             yield sentence("changes.drift", size=change.size * _DAYS_A_YEAR, limit_sigma=change.limit_sigma, **told)
         else:
@@ -188,7 +201,7 @@ def _judged(history: JudgedHistory) -> Iterator[Sentence]:
             yield sentence("changes.step", size=change.size, limit_sigma=change.limit_sigma, **days, **told)
     if judged.changes and not judged.news:
         largest = max(judged.changes, key=_share_of_limit)
-        told = {"numbers": len(judged.changes), "name": largest.name, "in_sigma": abs(largest.in_sigma)}
+        told = {"numbers": len(judged.changes), "name": names[largest.name], "in_sigma": abs(largest.in_sigma)}
         yield sentence("changes.none", sessions=len(entries), limit_sigma=largest.limit_sigma, **told)
     for kind, found in judged.repeatability.items():
         key = "changes.daily" if found.sigma > 0 else "changes.daily_unseen"
@@ -220,21 +233,33 @@ def _forecast(history: JudgedHistory, kind: str, accuracy: float) -> Iterator[Se
 
 
 def _differences(old: Entry, new: Entry) -> Iterator[Sentence]:
-    """Yield a sentence for each number in which two calibrations differ, or one that there is none."""
+    """Yield what differs between two calibrations, many of one kind in one sentence, or one that nothing does."""
     family = family_of(old.gauge_free, new.gauge_free, new.shared_with(old))
     since = _moment(old, new)
     grade = GRADES.get(new.grade) or grade_by_noise("gyroscope", new.gyroscope_noise_rad_s_per_root_hz)
+    kinds: dict[str, list[Change]] = {}
     for change in family.beyond:
         turn_on = typical_turn_on(grade, change.name)
-        said = {"name": change.name, "since": since, "difference": change.difference, "unit": change.unit}
         key = "changes.moved"
         if not family.exceeds(change, turn_on):
             key = "changes.differs_as_turn_on" if math.isfinite(turn_on) else "changes.differs"
-        yield sentence(key, in_sigma=abs(change.in_sigma), turn_on=turn_on, **said)
+        kinds.setdefault(key, []).append(change)
+    for key, alike in kinds.items():
+        is_many = len(alike) >= _MANY
+        for change in [max(alike, key=_in_sigma)] if is_many else alike:
+            name, unit, size = shown_as(change.name, change.unit)
+            said = {"name": name, "since": since, "difference": change.difference / size, "unit": unit}
+            said |= {"in_sigma": _in_sigma(change), "turn_on": typical_turn_on(grade, change.name), "numbers": len(alike)}
+            yield sentence(_OF_MANY[key] if is_many else key, **said)
     if family.changes and not family.beyond:
-        largest = max(family.changes, key=lambda change: abs(change.in_sigma))
-        told = {"numbers": len(family.changes), "name": largest.name, "in_sigma": abs(largest.in_sigma)}
+        largest = max(family.changes, key=_in_sigma)
+        name, _, _ = shown_as(largest.name, largest.unit)
+        told = {"numbers": len(family.changes), "name": name, "in_sigma": _in_sigma(largest)}
         yield sentence("changes.same", since=since, limit_sigma=family.limit_sigma, **told)
+
+
+def _in_sigma(change: Change) -> float:
+    return abs(change.in_sigma)
 
 
 def _moment(one: Entry, other: Entry) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,8 @@ from imufield.cli.run import run
 from imufield.commands import demo
 from imufield.commands.emulate import make_emulation
 from imufield.commands.options.samples import DemoOptions, EmulateOptions
+from imufield.deliver.parameters.file import load
+from imufield.earth import MILLI_G_M_S2
 from imufield.errors import UsageError, VerificationError
 from imufield.pipeline.calibration import SolveSettings
 from imufield.pipeline.solving import solve_session
@@ -51,7 +54,7 @@ def test_one_session_costs_milli_g_where_three_do_not(tmp_path: Path) -> None:
             run(["import", str(path), "-o", str(tmp_path / str(day)), "--gravity", f"{emulation.site.gravity_m_s2:.8f}"]) == 0
         )
         sessions.append(Session.open(tmp_path / str(day)))
-        truth = truth_document(emulation, source)
+        truth.update(truth_document(emulation, source))
     settings = SolveSettings(grade=demo.GRADE)
     base = solve_session(sessions[0], settings)
     joint = over_temperature(MarkedSession(base), sessions[1:], settings)
@@ -60,6 +63,23 @@ def test_one_session_costs_milli_g_where_three_do_not(tmp_path: Path) -> None:
         assert left < demo._left_mg(base, truth, degc) / 10
         assert sigma / 10 < left < demo.LIMIT_SIGMA * sigma
     assert demo._print_cost(base, joint, truth)
+    capsys.readouterr()
+    demo._print_slopes(joint)
+    rows = [line.replace(",", " ").split() for line in capsys.readouterr().out.splitlines() if "/degC" in line]
+    found = {row[0]: np.array(row[2:], dtype=float) for row in rows}
+    drawn = truth["accelerometer"]
+    np.testing.assert_allclose(found["bias"], np.array(drawn["bias_m_s2_per_degc"]) / MILLI_G_M_S2, atol=0.01)
+    np.testing.assert_allclose(found["scale"], 1e6 * np.array(drawn["scale_per_degc"]), atol=10.0)
+    # What is printed as commands is what the program takes, and finds the same.
+    demo._print_commands([session.folder for session in sessions])
+    commands = capsys.readouterr().out.partition(":\n")[2].replace("\\\n", " ").splitlines()
+    assert [run(shlex.split(command)[1:]) for command in commands] == [0, 0]
+    again = load(sessions[0].folder / "parameters.toml").calibration.accelerometer_temperature
+    known = joint.calibration.accelerometer_temperature
+    assert again is not None
+    assert known is not None
+    np.testing.assert_allclose(again.bias.coefficients, known.bias.coefficients, rtol=1e-6, atol=1e-12)
+    capsys.readouterr()
     # The same numbers with the temperature drift of another instrument do not pass.
     other = {**truth["accelerometer"], "bias_m_s2_per_degc": [0.0, 0.0, 0.0]}
     assert not demo._print_cost(base, joint, {**truth, "accelerometer": other})

@@ -238,7 +238,7 @@ def test_emulate_says_that_it_is_fast_and_that_its_reader_has_left(program: Prog
     process.send_signal(signal.SIGINT)
     told = " ".join(process.communicate(timeout=120)[1].split())
     sentence = Sentences("imufield.commands")
-    assert sentence("emulate.fast", rate_hz=16000.0, limit=8000.0) in told
+    assert sentence("emulate.fast", rate_hz=16000.0, limit=8000.0, remedies="--speed 4 or --rate-hz 1000") in told
     assert sentence("emulate.left") in told
 
 

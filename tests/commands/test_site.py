@@ -64,6 +64,7 @@ def test_a_plan_promises_no_scale_better_than_gravity(capsys: pytest.CaptureFixt
     assert told["forecast"]["scale_ppm"] > ppm
     assert told["is_met"] is (ppm < 45)
     assert bool(told["remedy"]) is not told["is_met"]
+    assert ("--latitude" in told["assumed"]) is (not place)
     assert told["is_met"] or not missing(told["remedy"], f"{ppm:.3g} ppm"[:4], "--gravity", "45")
 
 

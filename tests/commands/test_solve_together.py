@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ import pytest
 from imufield.acquire.recording.session import Session
 from imufield.calibrate.model.budget import combined_sigma
 from imufield.cli.run import run
+from imufield.commands import solve_together
 from imufield.commands.certificate import run_certificate
 from imufield.commands.options.results import CertificateOptions, HistoryOptions, SolveOptions, VerifyOptions
 from imufield.commands.solve import run_solve
@@ -20,6 +21,7 @@ from imufield.commands.verify import run_verify
 from imufield.deliver.history import read_history
 from imufield.deliver.parameters.file import Parameters, load
 from imufield.deliver.report.budget import not_in_budget
+from imufield.earth import MILLI_G_M_S2
 from imufield.errors import CalibrationError, ParameterFileError, Reason, UsageError
 from imufield.pipeline.chain import session_samples
 from imufield.pipeline.same_recording import RecordingMarks
@@ -179,6 +181,20 @@ def test_a_copy_is_no_further_day(days: Days, tmp_path: Path, capsys: pytest.Cap
     assert {session["name"] for session in printed["together"]["session"]} == {"day0", "day1"}
     assert any("copy" in reason and "day0" in reason for reason in printed["quality"]["reasons"])
     assert printed["quality"]["verdict"] == load(file).calibration.quality.verdict
+
+
+def test_few_sessions_say_why_a_new_day_is_less_known_than_one(days: Days, capsys: pytest.CaptureFixture[str]) -> None:
+    context = days.parameters.context
+    assert context.together is not None
+    bias = next(each for each in context.together.repeatability if each.kind == "accelerometer.bias_m_s2")
+    high_mg = f"{bias.high / MILLI_G_M_S2:.2g} mg"
+    # Where the sessions are enough to say how days differ, nothing else is counted.
+    enough = replace(context, together=replace(context.together, prior_grade=""))
+    told = []
+    for each in (days.parameters, replace(days.parameters, context=enough)):
+        solve_together._print(each)
+        told.append(high_mg in " ".join(capsys.readouterr().out.split()))
+    assert told == [True, False]
 
 
 def test_one_session_is_too_few(days: Days, tmp_path: Path) -> None:

@@ -17,11 +17,12 @@ from imufield.calibrate.model.result import Calibration
 from imufield.deliver.changes import judge_history, sentences, to_csv
 from imufield.deliver.control_chart import charts, plot_history
 from imufield.deliver.family import Shared
-from imufield.deliver.history import INDEX_FILE, find, one_instrument, read_history
+from imufield.deliver.history import INDEX_FILE, InstrumentHistory, find, one_instrument, read_history
 from imufield.deliver.parameters.context import Context
 from imufield.deliver.parameters.file import write_parameters
 from imufield.deliver.parameters.gauge_free import gauge_free
 from imufield.errors import ParameterFileError, Reason
+from imufield.sentences import Sentence
 from tests.refused import refused
 from tests.told import key_of, keys
 
@@ -74,6 +75,36 @@ def test_two_sessions_cannot_tell_a_change_from_a_turn_on(tmp_path: Path, write)
     write("b", "2026-08-01", moved=900.0, session="b" * 64)
     (told,) = sentences(judge_history(read_history(tmp_path).instruments[0]), NOW)
     assert key_of(told) == "changes.moved"
+
+
+def test_many_differences_of_one_kind_are_one_sentence_of_the_worst(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2026-03-04", session="a" * 64)
+    write("b", "2026-08-01", session="b" * 64)
+    old, new = read_history(tmp_path).instruments[0].entries
+    # Scales x, y, z by 500, 600, 700 ppm and one angle: days change them, and no turn-on bias.
+    moved = {"scale x": 5e-4, "scale y": 6e-4, "scale z": 7e-4, "angle xy": 0.1, "bias y": 0.5}
+
+    def told(*names: str) -> list[Sentence]:
+        numbers = tuple(
+            replace(number, value=number.value + (moved[number.name] if number.name in names else 0.0))
+            for number in new.numbers
+        )
+        history = InstrumentHistory("stim300", "N1", (old, replace(new, numbers=numbers)))
+        return list(sentences(judge_history(history), NOW))
+
+    scales = told("scale x", "scale y", "scale z")
+    assert keys(scales) == ["changes.differs"] * 3
+    assert [each.values["name"] for each in scales] == [f"scale error {axis}" for axis in "xyz"]
+    assert [each.values["difference"] for each in scales] == pytest.approx([500.0, 600.0, 700.0])
+    assert {each.values["unit"] for each in scales} == {"ppm"}
+    bias, many = told(*moved)
+    assert (many.key, many.values["numbers"]) == ("changes.differs_many", 4)
+    assert (bias.key, bias.values["name"]) == ("changes.differs_as_turn_on", "bias y")
+    one_by_one = [each for name in moved for each in told(name)]
+    worst = max(
+        (each for each in one_by_one if each.key == "changes.differs"), key=lambda each: float(str(each.values["in_sigma"]))
+    )
+    assert many.values["name"] == worst.values["name"]
 
 
 def test_the_grade_of_the_file_goes_before_its_noise(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]

@@ -7,7 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imufield.calibrate.temperature.ramp import FASTEST_DEGC_PER_MIN, LEAST_SPAN_DEGC, RATE_OVER_S, moved_windows
+from imufield.calibrate.temperature.ramp import (
+    FASTEST_DEGC_PER_MIN,
+    LEAST_SPAN_DEGC,
+    RATE_OVER_S,
+    TOO_FAST_DEGC_PER_MIN,
+    moved_windows,
+)
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 
@@ -42,7 +48,7 @@ class RampProgress:
     @property
     def is_too_fast(self) -> bool:
         """Whether sensor and thermometer differ by now."""
-        return abs(self.degc_per_min) > FASTEST_DEGC_PER_MIN
+        return abs(self.degc_per_min) > TOO_FAST_DEGC_PER_MIN
 
     @property
     def is_enough(self) -> bool:
@@ -83,6 +89,7 @@ class RampSpeaker:
     def __init__(self) -> None:
         self._last: RampProgress | None = None
         self._covered_degc = 0.0  # Told of so far.
+        self._was_fast = False  # Since it was within the limit last.
 
     def news(self, now: RampProgress) -> list[str]:
         """Return what is new, in sentences."""
@@ -93,8 +100,9 @@ class RampSpeaker:
         if math.isfinite(now.moved_s) and now.moved_s != before.moved_s:
             self._covered_degc = 0.0
             said.append(sentence("progress.moved", time_s=now.moved_s))
-        if now.is_too_fast and not before.is_too_fast:
+        if now.is_too_fast and not self._was_fast:
             said.append(sentence("progress.fast", rate=abs(now.degc_per_min), limit=FASTEST_DEGC_PER_MIN))
+        self._was_fast = now.is_too_fast or (self._was_fast and abs(now.degc_per_min) > FASTEST_DEGC_PER_MIN)
         if now.span_degc >= self._covered_degc + TOLD_EVERY_DEGC:
             self._covered_degc = TOLD_EVERY_DEGC * math.floor(now.span_degc / TOLD_EVERY_DEGC)
             said.append(sentence("progress.covered", low=now.low_degc, high=now.high_degc, span=now.span_degc))

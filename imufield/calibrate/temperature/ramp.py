@@ -23,6 +23,8 @@ sentence = Sentences(__package__)
 
 FASTEST_DEGC_PER_MIN = 2.0
 """Above, sensor and thermometer differ, and a branch depends on the rate (ArduPilot's forum: 90 s over 80 degC was useless)."""
+TOO_FAST_DEGC_PER_MIN = 1.1 * FASTEST_DEGC_PER_MIN
+"""Told from here on: a ramp at the limit itself is estimated above it half of the time."""
 LEAST_SPAN_DEGC = 10.0
 """ArduPilot's limit: below, the drift of the bias with time is as large as that with temperature."""
 RATE_OVER_S = 60.0
@@ -196,7 +198,7 @@ def _blocks(temperature_degc: FloatArray, direction: FloatArray, output: FloatAr
 def ramp_sentences(ramp: Ramp, name: str) -> tuple[str, ...]:
     """Return what a person must know of a ramp: too fast, or a thermometer that lags."""
     told = []
-    if ramp.fastest_degc_per_min > FASTEST_DEGC_PER_MIN:
+    if ramp.fastest_degc_per_min > TOO_FAST_DEGC_PER_MIN:
         limits = {"rate": ramp.fastest_degc_per_min, "limit": FASTEST_DEGC_PER_MIN}
         told.append(sentence("ramp.fast", name=name, **limits))
     if ramp.lag_s:

@@ -10,8 +10,8 @@ Longer holds need fewer positions. Of all lengths of a hold the one is taken wit
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,7 +21,8 @@ from imufield.earth import Gravity
 from imufield.guide.cross_checks.running_fit import FEWEST, SHOWS_SCATTER, RunningFit, running_fit
 from imufield.guide.hold.hold_time import LONGEST_S, SHORTEST_S, HoldTarget
 from imufield.guide.lead.settings import GuideSettings
-from imufield.guide.positions import Scheme
+from imufield.guide.positions import SCHEMES, Scheme
+from imufield.guide.positions import scheme as shipped
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import FloatArray
 from imufield.sentences import Sentence, Sentences
@@ -42,6 +43,8 @@ _HARDLY_WORSE = 1.05
 # more than a little gain.
 _CLEARLY_MORE = 1.5
 _ALIKE = 1e-6  # Gains of mirrored positions differ by rounding.
+# Of the figure that is furthest from what is wanted: other positions that hardly help are not worth another session.
+_CLEARLY_BETTER = 0.9
 _UNITS = {"bias_ug": "ug", "scale_ppm": "ppm"}
 
 
@@ -78,6 +81,10 @@ class SessionTime:
         Of these groups; empty without a target.
     gravity : Gravity
         Whose uncertainty is in the forecast.
+    scheme : str
+        Name of the positions.
+    better : SessionTime, optional
+        With other shipped positions, where these miss the target and others meet it or come clearly nearer.
     """
 
     hold_s: float
@@ -91,6 +98,8 @@ class SessionTime:
     forecast: dict[str, float]
     wanted: dict[str, float]
     gravity: Gravity
+    scheme: str
+    better: SessionTime | None = None
 
     @property
     def is_met(self) -> bool:
@@ -110,11 +119,7 @@ class SessionTime:
     @property
     def words(self) -> Sentence:
         """The whole in a sentence."""
-        known = [
-            f"{name.partition('_')[0]} {_known(self.forecast, name, unit)}"
-            + (f" (wanted {self.wanted[name]:g})" if name in self.wanted else "")
-            for name, unit in _UNITS.items()
-        ]
+        known = self.figures(_UNITS)
         sizes = {"positions": self.positions, "hold_s": self.hold_s, "usual_s": self.usual_hold_s, "least": SHOWS_SCATTER}
         sizes["minutes"] = max(self.minutes, 1.0)
         if not self.wanted:
@@ -124,6 +129,19 @@ class SessionTime:
         else:
             reached = "session_time.met_shorter" if self.hold_s < self.usual_hold_s else "session_time.met"
         return sentence(reached, known=known, **sizes)
+
+    def figures(self, names: Iterable[str]) -> list[str]:
+        """Return what is expected of each, and wanted, in words."""
+        return [
+            f"{name.partition('_')[0]} {_known(self.forecast, name, _UNITS[name])}"
+            + (f" (wanted {self.wanted[name]:g})" if name in self.wanted else "")
+            for name in names
+        ]
+
+    @property
+    def furthest(self) -> float:
+        """The largest forecast as a share of what is wanted."""
+        return max((self.forecast.get(name, math.inf) / limit for name, limit in self.wanted.items()), default=0.0)
 
     @property
     def remedy(self) -> Sentence:
@@ -137,7 +155,12 @@ class SessionTime:
             return sentence("session_time.gravity_remedy", source=self.gravity.source_words, **sizes)
         if self.is_fixed and self.hold_s < self.helps_s:
             return sentence("session_time.fixed_remedy", helps_s=self.helps_s)
-        return sentence("session_time.unmet_remedy")
+        best = self.better or self
+        missed = best.figures(name for name, limit in self.wanted.items() if not _is_within({name: limit}, best.forecast))
+        if self.better is None:
+            return sentence("session_time.out_of_reach_remedy", missed=missed)
+        key = "session_time.positions_remedy" if best.is_met else "session_time.unmet_remedy"
+        return sentence(key, scheme=best.scheme, missed=missed, minutes=best.minutes)
 
 
 def _known(forecast: dict[str, float], name: str, unit: str) -> str:
@@ -166,6 +189,20 @@ def session_time(scheme: Scheme, settings: GuideSettings, *, noise: float, grade
     grade : Grade
         Tells how much positions differ beyond that noise, and what no position shows.
     """
+    found = _session_time(scheme, settings, noise=noise, grade=grade)
+    # Other positions are no remedy where gravity or short holds are what misses the target.
+    if found.remedy.key != "session_time.out_of_reach_remedy":
+        return found
+    names = [name for name in SCHEMES if name != scheme.name and len(shipped(name)) >= SHOWS_SCATTER]
+    others = [_session_time(shipped(name), settings, noise=noise, grade=grade) for name in names]
+    if meeting := [other for other in others if other.is_met]:
+        return replace(found, better=min(meeting, key=lambda other: other.minutes))
+    nearest = min(others, key=lambda other: other.furthest)
+    return replace(found, better=nearest) if nearest.furthest <= _CLEARLY_BETTER * found.furthest else found
+
+
+def _session_time(scheme: Scheme, settings: GuideSettings, *, noise: float, grade: Grade) -> SessionTime:
+    """Return the same of these positions alone."""
     usual_s = settings.hold_target.expected_s(noise)
     steps = list(_steps(scheme, settings, noise=noise / math.sqrt(usual_s)))
 
@@ -194,6 +231,7 @@ def session_time(scheme: Scheme, settings: GuideSettings, *, noise: float, grade
             forecast=forecast(positions, hold_s),
             wanted=settings.targets,
             gravity=settings.gravity,
+            scheme=scheme.name,
         )
 
     if settings.targets:

@@ -62,7 +62,7 @@ SCRIPTS: Mapping[str, Callable[[float, WireForm], ScriptedInstrument]] = {
 """What instruments answer, by driver; a STIM300 does so by its device class, the others take no commands."""
 DEFAULT_BUS = "slcan"
 _OWN_FORM = WireForm("", 0.0, {}, ())
-_STIM300_RATES_HZ = (125.0, 250.0, 500.0, 1000.0, 2000.0)
+STIM300_RATES_HZ = (125.0, 250.0, 500.0, 1000.0, 2000.0)
 # Settings of the protocol that an instrument with a device class of its own takes.
 _EMULATED_SETTINGS = {
     "text": ("columns", "prefix"),
@@ -367,9 +367,9 @@ def make_device(options: Emulation, wire: WireChoice) -> Device:
     if device == "text":
         columns = [name.strip() for name in str(wire.protocol.settings["columns"].value).split(",")]
         return TextDevice(columns, str(wire.protocol.settings["prefix"].value))
-    if rate_hz not in _STIM300_RATES_HZ:
-        raise UsageError(sentence("emulate.rate", rate_hz=rate_hz, rates_hz=_STIM300_RATES_HZ))
-    identity = Stim300Identity.of_seed(options.seed)
+    if rate_hz not in STIM300_RATES_HZ:
+        raise UsageError(sentence("emulate.rate", rate_hz=rate_hz, rates_hz=STIM300_RATES_HZ))
+    identity = Stim300Identity.of_seed(options.seed, options.grade)
     if options.stim300 is not None:
         return Stim300Device(replace(options.stim300, rate_hz=rate_hz), identity)
     # The smallest range that holds the grade's: a step of the wire is as fine as the instrument allows.

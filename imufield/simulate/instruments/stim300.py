@@ -14,6 +14,7 @@ from typing import Self
 import numpy as np
 from crccheck.crc import Crc8Smbus
 
+from imufield.calibrate.model.grades import GRADES
 from imufield.samples import Samples, Status
 from imufield.simulate.instruments.device import Answer, Device, Frames
 from imufield.simulate.wire.stim300 import Stim300Encoder, Stim300Format, close_datagrams
@@ -27,6 +28,7 @@ _RATE_CODES = {125: 0, 250: 1, 500: 2, 1000: 3, 2000: 4}
 _BAUD_CODES = {374400: 0, 460800: 1, 921600: 2, 1843200: 3}
 _RANGE_CODES = {10: 0, 2: 2, 5: 3, 30: 4, 80: 6}
 _OUTPUT_CODES = {"rate": 0, "increment": 1, "average": 2}
+_UNITS_A_GRADE = 10**12  # Far more than anyone emulates: the serial numbers of two grades do not meet.
 _UTILITY_ERROR = 1
 _UTILITY_VALUE_ERROR = 5
 
@@ -44,9 +46,11 @@ class Stim300Identity:
     firmware_revision: int = 31
 
     @classmethod
-    def of_seed(cls, seed: int) -> Self:
-        """Return who the instrument of this seed is: another seed is another unit; 1 has the serial number above."""
-        number = (int(cls().serial_number) + seed - 1) % 10**14
+    def of_seed(cls, seed: int, grade: str = "tactical") -> Self:
+        """Return who the instrument of this seed and grade is; 1 of the tactical grade has the serial number above."""
+        places = [*GRADES]
+        of_grade = _UNITS_A_GRADE * (places.index(grade) - places.index("tactical"))
+        number = (int(cls().serial_number) + of_grade + seed - 1) % 10**14
         return cls(serial_number=f"{number:014d}")
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from imufield.calibrate.temperature.progress import RampProgress, RampSpeaker, ramp_progress
-from imufield.calibrate.temperature.ramp import in_one_pose
+from imufield.calibrate.temperature.ramp import FASTEST_DEGC_PER_MIN, in_one_pose
 from imufield.samples import FloatArray
 from tests.told import keys
 
@@ -69,3 +70,15 @@ def test_without_a_temperature_nothing_is_known() -> None:
     assert isinstance(first, RampProgress)
     assert math.isnan(first.degc_per_min)
     assert [first.is_even, first.is_too_fast, first.is_enough] == [False] * 3
+
+
+def test_too_fast_is_told_beyond_the_limit_and_again_only_after_it_was_good() -> None:
+    speaker = RampSpeaker()
+    now = ramp_progress(TIME_S, AT_DEGC, pose())
+    assert now is not None
+    speaker.news(now)
+    # At the limit an estimate is above it half of the time; and one that goes up and down about the margin is told once.
+    rates = [2.0, 2.02, -2.05, 2.5, 2.1, 2.5, 1.9, 2.3]
+    told_at = [rate for rate in rates if "progress.fast" in keys(speaker.news(replace(now, degc_per_min=rate)))]
+    assert told_at == [2.5, 2.3]
+    assert min(map(abs, told_at)) > FASTEST_DEGC_PER_MIN

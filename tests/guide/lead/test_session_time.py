@@ -89,6 +89,17 @@ def test_longer_holds_are_the_remedy_where_they_help() -> None:
     assert short.remedy.key == "session_time.fixed_remedy"
     assert free.hold_s == short.helps_s
     assert free.forecast["bias_ug"] < 0.8 * short.forecast["bias_ug"]
+    # The best figure of all positions that are shipped: nothing is recommended that says the same again.
+    better = free.better
+    assert better is not None
+    assert better.forecast["bias_ug"] <= 0.9 * free.forecast["bias_ug"]
+    again = said(positions=better.scheme, target_bias_ug=20.0)
+    assert (again.remedy.key, again.better) == ("session_time.out_of_reach_remedy", None)
+    assert again.forecast == better.forecast
+    # Other positions that reach it are named, those that take least time.
+    reached = said(target_bias_ug=70.0)
+    assert reached.remedy.key == "session_time.positions_remedy"
+    assert said(positions=str(reached.remedy.values["scheme"]), target_bias_ug=70.0).is_met
     for at_its_best in (free, said(target_bias_ug=20.0, hold_s=40.0)):
         assert at_its_best.remedy.key == "session_time.unmet_remedy"
 

@@ -15,6 +15,7 @@ import pytest
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.protocol.toml import spell
 from imufield.acquire.registry import load_driver
+from imufield.calibrate.model.grades import GRADES
 from imufield.commands.options.shared import LARGEST_SEED
 from imufield.errors import ParameterFileError, Reason, UsageError
 from imufield.samples import Samples, concatenate
@@ -171,9 +172,9 @@ def test_faults_of_another_day_are_others() -> None:
     assert damaged(0) == damaged(0) != damaged(1)
 
 
-def test_the_serial_number_follows_the_seed_and_not_the_day() -> None:
-    def serial_number(seed: int, day: int = 0) -> str:
-        device = make_device(options := Emulation(seed=seed, day=day), choose_wire(options))
+def test_the_serial_number_follows_seed_and_grade_and_not_the_day() -> None:
+    def serial_number(seed: int, day: int = 0, grade: str = "tactical") -> str:
+        device = make_device(options := Emulation(seed=seed, day=day, grade=grade), choose_wire(options))
         assert isinstance(device, Stim300Device)
         return device.identity.serial_number
 
@@ -181,3 +182,5 @@ def test_the_serial_number_follows_the_seed_and_not_the_day() -> None:
     assert serial_number(2) == serial_number(2, day=5) != serial_number(1)
     assert len({serial_number(seed) for seed in (0, 1, 2, 3, LARGEST_SEED)}) == 5
     assert {len(serial_number(seed)) for seed in (0, 1, LARGEST_SEED)} == {14}
+    # Another grade of the same seed has other parameters, so it is another unit.
+    assert len({serial_number(seed, grade=grade) for seed in (1, 2) for grade in GRADES}) == 2 * len(GRADES)
