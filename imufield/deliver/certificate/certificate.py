@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from calendar import monthrange
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from imufield.deliver.parameters.schema import Document
 from imufield.deliver.parameters.write import content_sha256
 from imufield.deliver.report.budget import COVERAGE, Group, ParameterBudget, budget_of, not_in_budget, share_words
 from imufield.earth import STANDARD_GRAVITY_M_S2, height_words
+from imufield.files import utf8_text
 from imufield.sentences import Sentences, printable
 from imufield.version import __version__
 
@@ -28,6 +30,8 @@ FORMAT = "imufield-certificate"
 VERSION = 1
 UNKNOWN = "not known"
 _SHORT_HASH = 12  # Hexadecimal digits that a person compares on a label.
+# What XML 1.0 can hold no character of, beside what ``printable`` shows: two code points that are none.
+_NO_XML = re.compile("[\ufffe\uffff]")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,6 +95,11 @@ class Certificate:
     def groups(self) -> tuple[Group, ...]:
         """The budget of each parameter."""
         return budget_of(self.parameters)
+
+
+def xml_text(text: str) -> str:
+    """Return a text of somebody else in characters that XML 1.0 can hold."""
+    return _NO_XML.sub("\ufffd", printable(utf8_text(text)))
 
 
 def issue_date() -> str:

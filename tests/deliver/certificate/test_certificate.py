@@ -142,6 +142,13 @@ def test_texts_of_somebody_else_are_texts(calibration: Calibration, observations
     json.loads(json.dumps(to_json(certificate), allow_nan=False))
 
 
+@pytest.mark.parametrize("serial_number", ["\ufffe1\uffff", 10_000 * "7", 10_000 * "\U0001f600"])
+def test_a_label_holds_any_serial_number(calibration: Calibration, observations: Observations, serial_number: str) -> None:
+    certificate = certified(parameters_of(calibration, observations, serial_number=serial_number), 12)
+    assert len(parsed(label_svg(certificate)).findall(".//{*}text")) == 5
+    assert certificate.short_sha256 in label_text(certificate)
+
+
 def test_the_code_of_the_label_is_the_text_s(solved: Parameters) -> None:
     import segno
 
@@ -245,6 +252,10 @@ def test_shares_survive_the_file_and_add_up(solved: Parameters, observations: Ob
     np.testing.assert_array_equal(again[0].sigma, shares[0].sigma)
     assert key_of(contradiction(document)) != "consistency.budget"
     document["budget"]["share"][0]["sigma"][0] *= 1.1
+    # Also where a person says "edited": what follows from a value must be changed with it.
+    for is_edited in (False, True):
+        assert key_of(contradiction(document, is_edited=is_edited)) == "consistency.budget"
+    document["budget"]["share"][0]["sigma"][0] = math.nan
     assert key_of(contradiction(document)) == "consistency.budget"
     document["budget"]["share"][0]["sigma"].pop()
     assert key_of(contradiction(document)) == "consistency.budget_size"
