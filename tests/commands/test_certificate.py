@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import sys
+from html import unescape
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from imufield.cli.run import run
 from imufield.commands.certificate import run_certificate
 from imufield.commands.options.results import CertificateOptions
 from imufield.deliver.parameters.file import load
-from imufield.deliver.report.budget import budget_of
+from imufield.deliver.report.budget import budget_of, budget_tables, scale_words
 from imufield.errors import ParameterFileError, Reason
 from tests.refused import refused
 
@@ -57,9 +58,21 @@ def test_the_budget_of_a_session_is_in_file_and_report(solved_session: Path, tmp
             for axis in place:
                 stated = stated["xyz".index(axis)]
             assert parameter.sigma == pytest.approx(stated, rel=1e-9)
+    (gyroscope,) = [group for group in budget_of(parameters) if group.key == "gyroscope.scale"]
+    by_clock = [parameter.sigma_by_clock for parameter in gyroscope.parameters]
+    assert by_clock == pytest.approx(parameters.document["gyroscope"]["uncertainty"]["scale"], rel=1e-6)
+    # Report, record and budget name both.
+    figures = scale_words(parameters)
+    assert figures is not None
     pages = ["-o", str(tmp_path / "page.html"), "--record", str(tmp_path / "record.html")]
     assert run(["report", "--parameters", str(solved_session / "parameters.toml"), *pages]) == 0
-    assert "<summary>Uncertainty budget</summary>" in (tmp_path / "page.html").read_text(encoding="utf-8")
+    texts = [unescape((tmp_path / name).read_text(encoding="utf-8")) for name in ("page.html", "record.html")]
+    assert "<summary>Uncertainty budget</summary>" in texts[0]
+    assert all(figures in text for text in texts)
+    (table,) = [table for table in budget_tables(parameters) if table.title == "Gyroscope scale"]
+    own, true = table.sums[:2]
+    assert max(own[1:], key=float) == figures.values["by_clock"]
+    assert max(true[1:], key=float) == figures.values["true"]
 
 
 @pytest.mark.parametrize("name", ["laboratory", "customer", "operator"])

@@ -18,7 +18,15 @@ from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.numbers import with_sigma
 from imufield.deliver.parameters.schema import Document
 from imufield.deliver.parameters.write import content_sha256
-from imufield.deliver.report.budget import COVERAGE, Group, ParameterBudget, budget_of, not_in_budget, share_words
+from imufield.deliver.report.budget import (
+    COVERAGE,
+    Group,
+    ParameterBudget,
+    budget_of,
+    not_in_budget,
+    scale_words,
+    share_words,
+)
 from imufield.earth import STANDARD_GRAVITY_M_S2, height_words
 from imufield.files import utf8_text
 from imufield.sentences import Sentences, printable
@@ -126,6 +134,8 @@ def statements(certificate: Certificate) -> tuple[str, ...]:
     quality = certificate.parameters.calibration.quality
     told = [sentence("certificate.in_house"), sentence("certificate.coverage")]
     told.append(sentence("certificate.verdict", verdict=quality.verdict))
+    if scale_words(certificate.parameters):
+        told.append(sentence("certificate.true_seconds"))
     if certificate.parameters.edited:
         told.append(sentence("certificate.edited"))
     return (*told, *not_in_budget(certificate.parameters))

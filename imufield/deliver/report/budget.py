@@ -29,6 +29,7 @@ COVERAGE = 0.95
 LEAST_SHOWN = 1e-3
 """Of the combined uncertainty: a smaller share changes no digit of it."""
 _TIME_BASE = "time_base"
+_BY_CLOCK, _IN_TRUE_SECONDS = "for the clock of the samples", "for true seconds"
 _FIXED = 1e-12  # rad: rounding of an angle that the gauge fixes.
 _TITLES = {
     "accelerometer.bias_m_s2": "Accelerometer bias",
@@ -101,6 +102,11 @@ class ParameterBudget:
     def place(self) -> str:
         """Axis, or row and column."""
         return self.name.rpartition(".")[2]
+
+    @property
+    def sigma_by_clock(self) -> float:
+        """Combined standard uncertainty for the clock of the samples: without the share of the time base."""
+        return math.hypot(*(entry.sigma for entry in self.entries if entry.share.name != _TIME_BASE))
 
     @property
     def coverage_factor(self) -> float:
@@ -191,6 +197,18 @@ def _value(calibration: Calibration, name: str) -> float:
     return float(getattr(source, key)[tuple(AXES.index(axis) for axis in place)])
 
 
+def scale_words(parameters: Parameters) -> Sentence | None:
+    """Return both uncertainties of the gyroscope's scale, on the worst axis; None where they are one."""
+    scales = [each for group in budget_of(parameters) if group.key == "gyroscope.scale" for each in group.parameters]
+    if all(_TIME_BASE not in {entry.share.name for entry in each.entries} for each in scales):
+        return None
+    by_clock, true = (
+        1e6 * max(sigma / abs(each.value) for each, sigma in zip(scales, sigmas, strict=True))
+        for sigmas in ([each.sigma_by_clock for each in scales], [each.sigma for each in scales])
+    )
+    return sentence("budget.two_clocks", by_clock=short(by_clock), true=short(true))
+
+
 def not_in_budget(parameters: Parameters) -> tuple[Sentence, ...]:
     """Return what the budget has no share of, and what it takes to have one."""
     calibration, context = parameters.calibration, parameters.context
@@ -251,12 +269,12 @@ class BudgetTable:
     places: tuple[str, ...]
     rows: tuple[BudgetRow, ...]
     sums: tuple[tuple[str, ...], ...]
-    """Name, then the text of each parameter: combined uncertainty, degrees of freedom, k, U, value."""
+    """Name, then the text of each parameter: combined uncertainties, degrees of freedom, k, U, value."""
 
     @property
     def results(self) -> tuple[tuple[str, ...], ...]:
         """Place, value, U, k and effective degrees of freedom of each parameter."""
-        _, freedom, factor, expanded, value = (texts for _, *texts in self.sums)
+        *_, freedom, factor, expanded, value = (texts for _, *texts in self.sums)
         return tuple(zip(self.places, value, expanded, factor, freedom, strict=True))
 
 
@@ -284,8 +302,13 @@ def _table(group: Group, calibration: Calibration) -> BudgetTable:
             )
         )
     pairs = [*zip(group.parameters, sizes, strict=True)]
+    combined, both = "Combined standard uncertainty", []
+    if any(share.name == _TIME_BASE for share in group.shares):
+        both = [(f"{combined}, {_BY_CLOCK}", *(short(parameter.sigma_by_clock / abs(size)) for parameter, size in pairs))]
+        combined = f"{combined}, {_IN_TRUE_SECONDS}"
     sums = (
-        ("Combined standard uncertainty", *(short(parameter.sigma / abs(size)) for parameter, size in pairs)),
+        *both,
+        (combined, *(short(parameter.sigma / abs(size)) for parameter, size in pairs)),
         ("Effective degrees of freedom", *(freedom_words(parameter.degrees_of_freedom) for parameter, _ in pairs)),
         ("Coverage factor k, 95 %", *(f"{parameter.coverage_factor:.2f}" for parameter, _ in pairs)),
         ("Expanded uncertainty U", *(short(parameter.expanded / abs(size)) for parameter, size in pairs)),
