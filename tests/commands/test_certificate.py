@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import sys
 from html import unescape
@@ -34,7 +35,7 @@ def test_files_are_written_beside_the_parameters(solved_session: Path, tmp_path:
     assert (document["issued"], document["laboratory"], document["operator"]) == ("2025-11-24", "Our laboratory", "A. Person")
     assert written["certificate.pdf"].startswith(b"%PDF")
     assert b"dataBase64" in written["certificate.xml"]
-    traced = dict(document["traceability"])
+    traced = dict(document["identification"])
     assert "stim300, SHA-256 " in traced["Protocol"]
     assert load(folder).context.session.sha256 in traced["Recording"]
     page = written["certificate.html"].decode()
@@ -69,7 +70,12 @@ def test_the_budget_of_a_session_is_in_file_and_report(solved_session: Path, tmp
     texts = [unescape((tmp_path / name).read_text(encoding="utf-8")) for name in ("page.html", "record.html")]
     assert "<summary>Uncertainty budget</summary>" in texts[0]
     assert all(figures in text for text in texts)
-    (table,) = [table for table in budget_tables(parameters) if table.title == "Gyroscope scale"]
+    # Three entries of a matrix at a time: six are wider than the page.
+    tables, printed = budget_tables(parameters), re.findall(r"<th>u\(source\)</th>((?:<th>\w+</th>)+)", texts[0])
+    assert max(row.count("<th>") for row in printed) == 3
+    assert sum(row.count("<th>") for row in printed) == sum(len(table.places) for table in tables)
+    assert any(len(table.places) == 6 for table in tables)
+    (table,) = [table for table in tables if table.title == "Gyroscope scale"]
     own, true = table.sums[:2]
     assert max(own[1:], key=float) == figures.values["by_clock"]
     assert max(true[1:], key=float) == figures.values["true"]
@@ -91,7 +97,7 @@ def test_a_file_alone_has_a_certificate_without_the_protocol(solved_session: Pat
     paths = run_certificate(CertificateOptions(source=file))
     assert {path.parent for path in paths} == {tmp_path}
     document = json.loads((tmp_path / "certificate.json").read_text(encoding="utf-8"))
-    assert dict(document["traceability"])["Protocol"] == "not known"
+    assert dict(document["identification"])["Protocol"] == "not known"
 
 
 def test_parameters_of_another_recording_are_refused(solved_session: Path, short_solved: Path, tmp_path: Path) -> None:

@@ -19,7 +19,15 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from xml.etree import ElementTree as ET
 
-from imufield.deliver.certificate.certificate import UNKNOWN, Certificate, conditions, statements, traceability, xml_text
+from imufield.deliver.certificate.certificate import (
+    UNKNOWN,
+    Certificate,
+    conditions,
+    identification,
+    references,
+    statements,
+    xml_text,
+)
 from imufield.deliver.report.budget import COVERAGE, Group
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.sentences import Sentences
@@ -141,7 +149,7 @@ def _measurement_result(certificate: Certificate) -> ET.Element:
     method = _dcc("usedMethod", _named("name", sentence("certificate.method")), _named("description", calibration.equation))
     equipment = [
         _dcc("measuringEquipment", _named("name", name), _dcc("identifications", _identification("other", value, name)))
-        for name, value in traceability(certificate)
+        for name, value in (*references(certificate), *identification(certificate))
     ]
     influences = [
         _dcc("influenceCondition", _named("name", name), _dcc("data", _dcc("text", _content(value))))

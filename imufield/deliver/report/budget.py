@@ -17,7 +17,7 @@ from imufield.calibrate.model.result import GRAVITY_NAME, Calibration
 from imufield.calibrate.model.uncertainty import degrees_of_freedom, student_factor, without_gravity
 from imufield.deliver.parameters.context import ClockFacts
 from imufield.deliver.parameters.file import Parameters
-from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S, decimals
+from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S, acceleration_unit, decimals
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2
 from imufield.samples import AXES
 from imufield.sentences import Sentence, Sentences
@@ -44,7 +44,7 @@ _TITLES = {
 _INPUT_UNITS = {"accelerometer": "m/s²", "gyroscope": "rad/s"}
 _SHARES = {
     "within_hold": "Noise within a hold",
-    "between_holds": "Scatter between holds",
+    "between_holds": "Scatter between positions",
     "drift": "Drift of the bias, fitted",
     "higher_terms": "Cubic and cross terms, fitted",
     "model_choice": "Choice of the model: hidden quadratic term and drift",
@@ -55,7 +55,7 @@ _SHARES = {
     "accelerometer": "Accelerometer: its noise, scatter and calibration",
     "gyroscope_within_hold": "Gyroscope noise within a hold",
     "gyroscope_moving": "Gyroscope noise while turning",
-    "gyroscope_between_holds": "Gyroscope scatter between holds",
+    "gyroscope_between_holds": "Gyroscope scatter between positions",
     "gyroscope_wander": "Gyroscope bias, wandering",
     "gyroscope_turns": "Scatter between turns",
     "stops": "Mechanical stop",
@@ -256,6 +256,8 @@ class BudgetRow:
     freedom: str
     source: str
     """Input quantity with its unit; empty where it is no single one."""
+    sensitivity_unit: str
+    """Of the sensitivities; empty where there are none."""
     cells: tuple[tuple[str, str], ...]
     """Contribution and sensitivity of each parameter."""
 
@@ -287,9 +289,12 @@ def _table(group: Group, calibration: Calibration) -> BudgetTable:
     unit, sizes = _shown(group, calibration)
     rows = []
     for share in group.shares:
+        input_unit, input_size = _input_unit(share, calibration)
+        # Contributions are milli-g and parts of them: per micro-g a sensitivity would be all zeros.
+        per, per_size = ("mg", MILLI_G_M_S2) if input_unit == "µg" else (input_unit, input_size)
         entries = (next(entry for entry in parameter.entries if entry.share is share) for parameter in group.parameters)
         cells = (
-            (_fixed(entry.sigma / abs(size), parameter.sigma / abs(size)), short(entry.sensitivity / abs(size)))
+            (_fixed(entry.sigma / abs(size), parameter.sigma / abs(size)), short(entry.sensitivity * per_size / abs(size)))
             for entry, parameter, size in zip(entries, group.parameters, sizes, strict=True)
         )
         rows.append(
@@ -297,7 +302,8 @@ def _table(group: Group, calibration: Calibration) -> BudgetTable:
                 words=share_words(share),
                 kind=share.kind,
                 freedom=freedom_words(share.degrees_of_freedom),
-                source=_source_words(share),
+                source=f"{_input_words(share.input_sigma / input_size)} {input_unit}" if share.input_sigma > 0 else "",
+                sensitivity_unit=f"{unit} per {per}" if share.input_sigma > 0 else "",
                 cells=tuple(cells),
             )
         )
@@ -362,10 +368,18 @@ def _raw_unit(calibration: Calibration, triad: str) -> str:
     return gyroscope.raw_unit if triad == "gyroscope" and gyroscope is not None else calibration.accelerometer_raw_unit
 
 
-def _source_words(share: Share) -> str:
-    if not share.input_sigma > 0:
-        return ""
-    return f"{short(share.input_sigma)} {share.input_unit.replace('^2', '²')}"
+def _input_unit(share: Share, calibration: Calibration) -> tuple[str, float]:
+    """Return the unit in which the input quantity is shown, that of the residuals where it is one, and its size."""
+    if share.input_unit == "m/s^2":
+        return acceleration_unit(calibration.quality.residual_max_m_s2)
+    # The clock as everywhere: in ppm of true seconds.
+    return ("ppm", 1e-6) if share.input_unit == "s/s" else (share.input_unit.replace("^2", "²"), 1.0)
+
+
+def _input_words(value: float) -> str:
+    if value < 1:
+        return short(value)
+    return f"{value:.0f}" if value >= 100 else f"{value:.3g}"
 
 
 def _fixed(contribution: float, combined: float) -> str:

@@ -149,6 +149,32 @@ def test_a_label_holds_any_serial_number(calibration: Calibration, observations:
     assert certificate.short_sha256 in label_text(certificate)
 
 
+def test_a_page_names_the_reference_once_and_nobody_unknown(calibration: Calibration, observations: Observations) -> None:
+    known = parameters_of(calibration, observations)
+    session = replace(known.context.session, temperature_degc=(math.nan, math.nan))
+    unknown = replace(known, context=replace(known.context, session=session))
+    for parameters, rows in ((known, 2), (unknown, 1)):
+        certificate = certified(parameters)
+        document = to_json(certificate)
+        assert [name for name, _ in document["reference"]] == ["Gravity", "Time base"]
+        assert document["reference"][1][1].endswith("1 sigma 50 ppm of true seconds")
+        assert "Gravity" not in document["conditions"]
+        assert sum("emperature" in name for name in document["conditions"]) == rows
+        page = render_certificate(certificate, "")
+        assert "<dt>Customer</dt>" not in page
+        assert "Approved by" in page
+        assert calibration.equation in page
+    assert "<dt>Customer</dt><dd>Who asked</dd>" in render_certificate(certified(known, customer="Who asked"), "")
+
+
+def test_a_sensitivity_has_a_unit_where_its_source_is_one_quantity(solved: Parameters) -> None:
+    for table in budget_tables(solved):
+        for row in table.rows:
+            assert bool(row.sensitivity_unit) is bool(row.source) is any(sensitivity for _, sensitivity in row.cells)
+            unit = row.source.partition(" ")[2].replace("µg", "mg")
+            assert row.sensitivity_unit == (f"{table.unit} per {unit}" if unit else "")
+
+
 def test_the_code_of_the_label_is_the_text_s(solved: Parameters) -> None:
     import segno
 
