@@ -36,6 +36,7 @@ _TABLES = {
     "mapping": '"accelerometer.x" = "AccLong"',
     "instrument": 'stl = "housing.stl"',
 }
+_TEXTS = ("laboratory", "customer", "operator")
 
 
 def default_map() -> dict[str, dict[str, object]]:
@@ -97,6 +98,8 @@ def _contents() -> Iterator[tuple[Path, dict[str, object]]]:
             if key not in KEYS:
                 unknown = sentence("configuration.unknown_key", path=str(path), unknown=key, known=[*KEYS])
                 raise UsageError(unknown, Reason.UNKNOWN_KEY, key=key)
+            if key in _TEXTS and not isinstance(value, str):
+                raise UsageError(sentence("configuration.no_text", path=str(path), name=key, value=value))
             if key in _TABLES and not isinstance(value, dict):
                 raise UsageError(sentence("configuration.no_table", name=key, file=FILE_NAME, example=_TABLES[key]))
         yield path, dict(sorted(content.items()))

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import sys
+from html import unescape
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +16,7 @@ from imufield.cli.run import run
 from imufield.commands.certificate import run_certificate
 from imufield.commands.options.results import CertificateOptions
 from imufield.deliver.parameters.file import load
-from imufield.deliver.report.budget import budget_of
+from imufield.deliver.report.budget import budget_of, budget_tables, scale_words
 from imufield.errors import ParameterFileError, Reason
 from tests.refused import refused
 
@@ -33,7 +35,7 @@ def test_files_are_written_beside_the_parameters(solved_session: Path, tmp_path:
     assert (document["issued"], document["laboratory"], document["operator"]) == ("2025-11-24", "Our laboratory", "A. Person")
     assert written["certificate.pdf"].startswith(b"%PDF")
     assert b"dataBase64" in written["certificate.xml"]
-    traced = dict(document["traceability"])
+    traced = dict(document["identification"])
     assert "stim300, SHA-256 " in traced["Protocol"]
     assert load(folder).context.session.sha256 in traced["Recording"]
     page = written["certificate.html"].decode()
@@ -57,9 +59,37 @@ def test_the_budget_of_a_session_is_in_file_and_report(solved_session: Path, tmp
             for axis in place:
                 stated = stated["xyz".index(axis)]
             assert parameter.sigma == pytest.approx(stated, rel=1e-9)
+    (gyroscope,) = [group for group in budget_of(parameters) if group.key == "gyroscope.scale"]
+    by_clock = [parameter.sigma_by_clock for parameter in gyroscope.parameters]
+    assert by_clock == pytest.approx(parameters.document["gyroscope"]["uncertainty"]["scale"], rel=1e-6)
+    # Report, record and budget name both.
+    figures = scale_words(parameters)
+    assert figures is not None
     pages = ["-o", str(tmp_path / "page.html"), "--record", str(tmp_path / "record.html")]
     assert run(["report", "--parameters", str(solved_session / "parameters.toml"), *pages]) == 0
-    assert "<summary>Uncertainty budget</summary>" in (tmp_path / "page.html").read_text(encoding="utf-8")
+    texts = [unescape((tmp_path / name).read_text(encoding="utf-8")) for name in ("page.html", "record.html")]
+    assert "<summary>Uncertainty budget</summary>" in texts[0]
+    assert all(figures in text for text in texts)
+    # Three entries of a matrix at a time: six are wider than the page.
+    tables, printed = budget_tables(parameters), re.findall(r"<th>u\(source\)</th>((?:<th>\w+</th>)+)", texts[0])
+    assert max(row.count("<th>") for row in printed) == 3
+    assert sum(row.count("<th>") for row in printed) == sum(len(table.places) for table in tables)
+    assert any(len(table.places) == 6 for table in tables)
+    (table,) = [table for table in tables if table.title == "Gyroscope scale"]
+    own, true = table.sums[:2]
+    assert max(own[1:], key=float) == figures.values["by_clock"]
+    assert max(true[1:], key=float) == figures.values["true"]
+
+
+@pytest.mark.parametrize("name", ["laboratory", "customer", "operator"])
+@pytest.mark.parametrize("value", ["[1]", "{a = 1}", "true"])
+def test_a_name_that_is_no_text_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str, value: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("imufield.toml").write_text(f"{name} = {value}\n")
+    assert run(["certificate", "solved"]) == 2
+    assert name in capsys.readouterr().err
 
 
 def test_a_file_alone_has_a_certificate_without_the_protocol(solved_session: Path, tmp_path: Path) -> None:
@@ -67,7 +97,7 @@ def test_a_file_alone_has_a_certificate_without_the_protocol(solved_session: Pat
     paths = run_certificate(CertificateOptions(source=file))
     assert {path.parent for path in paths} == {tmp_path}
     document = json.loads((tmp_path / "certificate.json").read_text(encoding="utf-8"))
-    assert dict(document["traceability"])["Protocol"] == "not known"
+    assert dict(document["identification"])["Protocol"] == "not known"
 
 
 def test_parameters_of_another_recording_are_refused(solved_session: Path, short_solved: Path, tmp_path: Path) -> None:

@@ -138,7 +138,7 @@ def test_a_certificate_states_the_repeatability_and_every_session(days: Days, tm
     by_days = np.sqrt(kind.day_sigma[0] ** 2 - kind.mean_sigma[0] ** 2)
     assert shares["day_to_day"] == pytest.approx(by_days, rel=1e-3)
     assert bias["coverage_factor"] == pytest.approx(1.96, abs=1e-3)
-    assert [name for name, _ in document["traceability"]].count("Session") == 3
+    assert [name for name, _ in document["identification"]].count("Session") == 3
 
 
 def test_a_history_holds_the_sessions_and_not_what_was_made_of_them(days: Days, tmp_path: Path) -> None:

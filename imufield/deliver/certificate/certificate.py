@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from calendar import monthrange
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,9 +16,17 @@ from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.numbers import with_sigma
 from imufield.deliver.parameters.schema import Document
 from imufield.deliver.parameters.write import content_sha256
-from imufield.deliver.report.budget import COVERAGE, Group, ParameterBudget, budget_of, not_in_budget, share_words
+from imufield.deliver.report.budget import (
+    COVERAGE,
+    Group,
+    ParameterBudget,
+    budget_of,
+    not_in_budget,
+    scale_words,
+    share_words,
+)
 from imufield.earth import STANDARD_GRAVITY_M_S2, height_words
-from imufield.files import source_date
+from imufield.files import source_date, utf8_text
 from imufield.sentences import Sentences, printable
 from imufield.version import __version__
 
@@ -27,6 +36,13 @@ FORMAT = "imufield-certificate"
 VERSION = 1
 UNKNOWN = "not known"
 _SHORT_HASH = 12  # Hexadecimal digits that a person compares on a label.
+_CLOCKS = {
+    "host": "clock of the computer",
+    "compared": "clock of the instrument, compared with that of the computer",
+    "unchecked": "stated rate, which no clock checked",
+}
+# What XML 1.0 can hold no character of, beside what ``printable`` shows: two code points that are none.
+_NO_XML = re.compile("[\ufffe\uffff]")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,6 +108,11 @@ class Certificate:
         return budget_of(self.parameters)
 
 
+def xml_text(text: str) -> str:
+    """Return a text of somebody else in characters that XML 1.0 can hold."""
+    return _NO_XML.sub("\ufffd", printable(utf8_text(text)))
+
+
 def issue_date() -> str:
     """Return today, or the day of SOURCE_DATE_EPOCH, UTC; raises UsageError where that is no date."""
     return (source_date() or datetime.now(UTC)).date().isoformat()
@@ -113,6 +134,8 @@ def statements(certificate: Certificate) -> tuple[str, ...]:
     quality = certificate.parameters.calibration.quality
     told = [sentence("certificate.in_house"), sentence("certificate.coverage")]
     told.append(sentence("certificate.verdict", verdict=quality.verdict))
+    if scale_words(certificate.parameters):
+        told.append(sentence("certificate.true_seconds"))
     if certificate.parameters.edited:
         told.append(sentence("certificate.edited"))
     return (*told, *not_in_budget(certificate.parameters))
@@ -123,17 +146,16 @@ def conditions(certificate: Certificate) -> Iterator[tuple[str, str]]:
     parameters = certificate.parameters
     gravity, session = parameters.calibration.gravity, parameters.context.session
     low, high = session.temperature_degc
-    yield "Temperature", f"{low:.1f} to {high:.1f} °C" if math.isfinite(low + high) else UNKNOWN
-    yield "Gravity", f"{with_sigma(gravity.gravity_m_s2, gravity.sigma_m_s2)} m/s², {gravity.source_words}"
-    place = UNKNOWN if gravity.latitude_deg is None else f"latitude {gravity.latitude_deg:g}°, {height_words(gravity)}"
-    yield "Place", place
+    is_known = math.isfinite(low + high)
+    yield "Temperature", f"{low:.1f} to {high:.1f} °C" if is_known else "not stated: temperature unknown"
     yield "Positions", str(len(parameters.document["position"]) or sum(each.positions for each in _sessions(parameters)))
     yield "Valid: acceleration", f"up to ±{gravity.gravity_m_s2 / STANDARD_GRAVITY_M_S2:.3f} g: what was seen at rest"
     gyroscope = parameters.calibration.gyroscope
     if gyroscope is not None and np.isfinite(gyroscope.range_rad_s).all():
         rates = ", ".join(f"{rate:.0f}" for rate in np.degrees(gyroscope.range_rad_s))
         yield "Valid: rate", f"up to ±{rates} °/s about x, y, z"
-    yield "Valid: temperature", _valid_temperature(parameters)
+    if is_known or parameters.temperature_models:
+        yield "Valid: temperature", _valid_temperature(parameters)
 
 
 def _sessions(parameters: Parameters) -> tuple[JoinedSession, ...]:
@@ -147,8 +169,17 @@ def _valid_temperature(parameters: Parameters) -> str:
     return f"{low:g} to {high:g} °C, with the terms over temperature in the parameter file"
 
 
-def traceability(certificate: Certificate) -> Iterator[tuple[str, str]]:
-    """Yield what the numbers go back to."""
+def references(certificate: Certificate) -> Iterator[tuple[str, str]]:
+    """Yield the standards that the numbers go back to."""
+    gravity, clock = certificate.parameters.calibration.gravity, certificate.parameters.context.clock
+    place = "" if gravity.latitude_deg is None else f", latitude {gravity.latitude_deg:g}°, {height_words(gravity)}"
+    yield "Gravity", f"{with_sigma(gravity.gravity_m_s2, gravity.sigma_m_s2)} m/s², {gravity.source_words}{place}"
+    if clock is not None:
+        yield "Time base", f"{_CLOCKS[clock.source]}, 1 sigma {1e6 * clock.sigma:.0f} ppm of true seconds"
+
+
+def identification(certificate: Certificate) -> Iterator[tuple[str, str]]:
+    """Yield which data and programs the numbers are of."""
     context = certificate.parameters.context
     yield "Parameters", f"content SHA-256 {certificate.sha256}"
     if context.session.sha256:
@@ -182,7 +213,8 @@ def to_json(certificate: Certificate) -> Document:
         },
         "statements": [*statements(certificate)],
         "conditions": dict(conditions(certificate)),
-        "traceability": [[name, value] for name, value in traceability(certificate)],
+        "reference": [[name, value] for name, value in references(certificate)],
+        "identification": [[name, value] for name, value in identification(certificate)],
         "coverage_probability": COVERAGE,
         "units": "those of the parameter file, raw units of accelerometer and gyroscope",
         "budget": [_parameter_json(parameter) for group in certificate.groups for parameter in group.parameters],

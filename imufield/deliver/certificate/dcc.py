@@ -15,16 +15,22 @@ from __future__ import annotations
 
 import base64
 import math
-import re
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from xml.etree import ElementTree as ET
 
-from imufield.deliver.certificate.certificate import UNKNOWN, Certificate, conditions, statements, traceability
+from imufield.deliver.certificate.certificate import (
+    UNKNOWN,
+    Certificate,
+    conditions,
+    identification,
+    references,
+    statements,
+    xml_text,
+)
 from imufield.deliver.report.budget import COVERAGE, Group
 from imufield.earth import STANDARD_GRAVITY_M_S2
-from imufield.files import utf8_text
-from imufield.sentences import Sentences, printable
+from imufield.sentences import Sentences
 from imufield.version import __version__
 
 sentence = Sentences(__package__)
@@ -34,8 +40,6 @@ SI = "https://ptb.de/si"
 SCHEMA_VERSION = "3.2.0"
 _NO_COUNTRY = "ZZ"  # ISO 3166-1: a code that stands for no country; the country of the parties is not asked for.
 _LANGUAGE = "en"
-# What XML 1.0 can hold no character of, beside what ``printable`` shows: two code points that are none.
-_NO_XML = re.compile("[\ufffe\uffff]")
 # Of a raw unit: its exponents of SI units, and its size.
 _RAW: dict[str, tuple[Mapping[str, int], float]] = {
     "m/s^2": ({"metre": 1, "second": -2}, 1.0),
@@ -88,7 +92,7 @@ def _dcc(name: str, *children: ET.Element, **attributes: str) -> ET.Element:
 
 def _text(name: str, value: str, namespace: str = DCC) -> ET.Element:
     element = ET.Element(f"{{{namespace}}}{name}")
-    element.text = _NO_XML.sub("\ufffd", printable(utf8_text(value)))
+    element.text = xml_text(value)
     return element
 
 
@@ -148,7 +152,7 @@ def _measurement_result(certificate: Certificate) -> ET.Element:
     method = _dcc("usedMethod", _named("name", sentence("certificate.method")), _named("description", calibration.equation))
     equipment = [
         _dcc("measuringEquipment", _named("name", name), _dcc("identifications", _identification("other", value, name)))
-        for name, value in traceability(certificate)
+        for name, value in (*references(certificate), *identification(certificate))
     ]
     influences = [
         _dcc("influenceCondition", _named("name", name), _dcc("data", _dcc("text", _content(value))))

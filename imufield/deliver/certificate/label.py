@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from itertools import groupby
 from xml.sax.saxutils import escape
 
-from imufield.deliver.certificate.certificate import Certificate
+from imufield.deliver.certificate.certificate import Certificate, xml_text
 from imufield.drawing.style import missing_package
 from imufield.sentences import shortened
 
@@ -20,7 +20,7 @@ _LETTER = 0.62  # Width of a letter over the size of its font, on the average; b
 def label_text(certificate: Certificate) -> str:
     """Return what the code says."""
     parts = {
-        "serial": certificate.serial_number,
+        "serial": shortened(certificate.serial_number),
         "calibrated": certificate.calibrated,
         "due": certificate.due,
         "sha256": certificate.short_sha256,
@@ -66,7 +66,7 @@ def label_svg(certificate: Certificate) -> str:
     for text, size, weight in lines:
         if text:
             y += size * 1.45
-            shown = shortened(text)
+            shown = xml_text(shortened(text))
             # A long one is set smaller, so that it ends on the label.
             fitting = min(size, (_WIDTH_MM - _TEXT_X_MM - 1) / (_LETTER * len(shown)))
             style = f'font-size="{fitting:.2f}" font-weight="{weight}"'

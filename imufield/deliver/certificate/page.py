@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from imufield.deliver.certificate.certificate import UNKNOWN, Certificate, conditions, statements, traceability
+from imufield.deliver.certificate.certificate import UNKNOWN, Certificate, conditions, identification, references, statements
 from imufield.deliver.parameters.document import GYROSCOPE_EQUATION
 from imufield.deliver.report.budget import budget_tables
 from imufield.deliver.report.page import render
@@ -33,7 +33,11 @@ def render_certificate(certificate: Certificate, label: str) -> str:
         "gauge": calibration.gauge,
         "conditions": [*conditions(certificate)],
         "statements": statements(certificate)[1:],
-        "traceability": [*traceability(certificate)],
+        "method": sentence("certificate.method"),
+        "symbols": sentence("certificate.symbols"),
+        "gyroscope_path": "" if calibration.gyroscope is None else calibration.gyroscope.path,
+        "references": [*references(certificate)],
+        "identification": [*identification(certificate)],
         "label": label,
         "operator": certificate.parties.operator,
     }
@@ -47,7 +51,7 @@ def _identity(certificate: Certificate) -> Iterator[tuple[str, str]]:
     firmware = certificate.parameters.context.instrument.firmware
     yield from (("Firmware", firmware),) if firmware else ()
     yield "Laboratory", parties.laboratory or UNKNOWN
-    yield "Customer", parties.customer or UNKNOWN
+    yield from (("Customer", parties.customer),) if parties.customer else ()
     yield "Calibrated", certificate.calibrated
     yield "Issued", certificate.issued
     yield from (("Due", certificate.due),) if certificate.due else ()

@@ -73,7 +73,7 @@ def _contradictions(document: Document, *, is_edited: bool) -> Iterator[str]:
         yield from _positions(calibration, document)
         yield from _verdict(calibration)
         yield from _sigma(calibration, document)
-        yield from _budget(calibration)
+    yield from _budget(calibration)
 
 
 def _shape(document: Document) -> Iterator[str]:
@@ -225,5 +225,6 @@ def _budget(calibration: Calibration) -> Iterator[str]:
         return
     variance = combined_sigma(calibration.budget) ** 2
     for name, follows, stated in zip(calibration.covariance_names, np.diagonal(calibration.covariance), variance, strict=True):
-        if abs(stated - follows) > _TYPED * follows + _FIXED:
+        # A share that is not known leaves a known sum without one.
+        if math.isfinite(follows) and not abs(stated - follows) <= _TYPED * follows + _FIXED:
             yield sentence("consistency.budget", name=name, sum=math.sqrt(stated), sigma=math.sqrt(follows))

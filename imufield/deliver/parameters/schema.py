@@ -24,7 +24,7 @@ Document = dict[str, Any]
 """A table of a parameter file, a document of JSON, or the schema of one."""
 
 KEYWORDS = frozenset(
-    {"$ref", "type", "const", "enum", "pattern", "minimum", "exclusiveMinimum", "maximum", "description"}
+    {"$ref", "type", "const", "enum", "pattern", "minimum", "exclusiveMinimum", "maximum", "anyOf", "description"}
     | {"properties", "required", "additionalProperties", "items", "minItems", "maxItems"}
 )
 """What ``first_fault`` understands."""
@@ -132,6 +132,7 @@ _VALUE_CHECKS: dict[str, tuple[str, Callable[[object, Any], bool]]] = {
     "minimum": ("schema.minimum", lambda value, limit: not _is_number(value) or value >= limit),
     "maximum": ("schema.maximum", lambda value, limit: not _is_number(value) or value <= limit),
     "exclusiveMinimum": ("schema.above", lambda value, limit: not _is_number(value) or value > limit),
+    "anyOf": ("schema.between", lambda value, rules: any(_value_fault(value, rule, "") is None for rule in rules)),
 }
 
 

@@ -19,7 +19,7 @@ from imufield.calibrate.model.uncertainty import degrees_of_freedom, student_fac
 from imufield.calibrate.temperature.there import calibration_at
 from imufield.deliver.parameters.context import ClockFacts
 from imufield.deliver.parameters.file import Parameters
-from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S, decimals
+from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S, acceleration_unit, decimals
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2
 from imufield.samples import AXES
 from imufield.sentences import Sentence, Sentences
@@ -32,6 +32,8 @@ LEAST_SHOWN = 1e-3
 """Of the combined uncertainty: a smaller share changes no digit of it."""
 _TIME_BASE = "time_base"
 _STEPS = 50  # Over the range of temperature: a polynomial of order 5 bends four times.
+_BY_CLOCK = "for the clock of the samples"
+_IN_TRUE_SECONDS = "for true seconds"
 _FIXED = 1e-12  # rad: rounding of an angle that the gauge fixes.
 _TITLES = {
     "accelerometer.bias_m_s2": "Accelerometer bias",
@@ -46,7 +48,7 @@ _TITLES = {
 _INPUT_UNITS = {"accelerometer": "m/s²", "gyroscope": "rad/s"}
 _SHARES = {
     "within_hold": "Noise within a hold",
-    "between_holds": "Scatter between holds",
+    "between_holds": "Scatter between positions",
     "drift": "Drift of the bias, fitted",
     "higher_terms": "Cubic and cross terms, fitted",
     "model_choice": "Choice of the model: hidden quadratic term and drift",
@@ -57,7 +59,7 @@ _SHARES = {
     "accelerometer": "Accelerometer: its noise, scatter and calibration",
     "gyroscope_within_hold": "Gyroscope noise within a hold",
     "gyroscope_moving": "Gyroscope noise while turning",
-    "gyroscope_between_holds": "Gyroscope scatter between holds",
+    "gyroscope_between_holds": "Gyroscope scatter between positions",
     "gyroscope_wander": "Gyroscope bias, wandering",
     "gyroscope_turns": "Scatter between turns",
     "stops": "Mechanical stop",
@@ -104,6 +106,11 @@ class ParameterBudget:
     def place(self) -> str:
         """Axis, or row and column."""
         return self.name.rpartition(".")[2]
+
+    @property
+    def sigma_by_clock(self) -> float:
+        """Combined standard uncertainty for the clock of the samples: without the share of the time base."""
+        return math.hypot(*(entry.sigma for entry in self.entries if entry.share.name != _TIME_BASE))
 
     @property
     def coverage_factor(self) -> float:
@@ -194,6 +201,18 @@ def _value(calibration: Calibration, name: str) -> float:
     return float(getattr(source, key)[tuple(AXES.index(axis) for axis in place)])
 
 
+def scale_words(parameters: Parameters) -> Sentence | None:
+    """Return both uncertainties of the gyroscope's scale, on the worst axis; None where they are one."""
+    scales = [each for group in budget_of(parameters) if group.key == "gyroscope.scale" for each in group.parameters]
+    if all(_TIME_BASE not in {entry.share.name for entry in each.entries} for each in scales):
+        return None
+    by_clock, true = (
+        1e6 * max(sigma / abs(each.value) for each, sigma in zip(scales, sigmas, strict=True))
+        for sigmas in ([each.sigma_by_clock for each in scales], [each.sigma for each in scales])
+    )
+    return sentence("budget.two_clocks", by_clock=short(by_clock), true=short(true))
+
+
 def not_in_budget(parameters: Parameters) -> tuple[Sentence, ...]:
     """Return what the budget has no share of, and what it takes to have one."""
     calibration, context = parameters.calibration, parameters.context
@@ -249,6 +268,8 @@ class BudgetRow:
     freedom: str
     source: str
     """Input quantity with its unit; empty where it is no single one."""
+    sensitivity_unit: str
+    """Of the sensitivities; empty where there are none."""
     cells: tuple[tuple[str, str], ...]
     """Contribution and sensitivity of each parameter."""
 
@@ -262,12 +283,12 @@ class BudgetTable:
     places: tuple[str, ...]
     rows: tuple[BudgetRow, ...]
     sums: tuple[tuple[str, ...], ...]
-    """Name, then the text of each parameter: combined uncertainty, degrees of freedom, k, U, value."""
+    """Name, then the text of each parameter: combined uncertainties, degrees of freedom, k, U, value."""
 
     @property
     def results(self) -> tuple[tuple[str, ...], ...]:
         """Place, value, U, k and effective degrees of freedom of each parameter."""
-        _, freedom, factor, expanded, value = (texts for _, *texts in self.sums)
+        *_, freedom, factor, expanded, value = (texts for _, *texts in self.sums)
         return tuple(zip(self.places, value, expanded, factor, freedom, strict=True))
 
 
@@ -280,9 +301,12 @@ def _table(group: Group, calibration: Calibration) -> BudgetTable:
     unit, sizes = _shown(group, calibration)
     rows = []
     for share in group.shares:
+        input_unit, input_size = _input_unit(share, calibration)
+        # Contributions are milli-g and parts of them: per micro-g a sensitivity would be all zeros.
+        per, per_size = ("mg", MILLI_G_M_S2) if input_unit == "µg" else (input_unit, input_size)
         entries = (next(entry for entry in parameter.entries if entry.share is share) for parameter in group.parameters)
         cells = (
-            (_fixed(entry.sigma / abs(size), parameter.sigma / abs(size)), short(entry.sensitivity / abs(size)))
+            (_fixed(entry.sigma / abs(size), parameter.sigma / abs(size)), short(entry.sensitivity * per_size / abs(size)))
             for entry, parameter, size in zip(entries, group.parameters, sizes, strict=True)
         )
         rows.append(
@@ -290,13 +314,19 @@ def _table(group: Group, calibration: Calibration) -> BudgetTable:
                 words=share_words(share),
                 kind=share.kind,
                 freedom=freedom_words(share.degrees_of_freedom),
-                source=_source_words(share),
+                source=f"{_input_words(share.input_sigma / input_size)} {input_unit}" if share.input_sigma > 0 else "",
+                sensitivity_unit=f"{unit} per {per}" if share.input_sigma > 0 else "",
                 cells=tuple(cells),
             )
         )
     pairs = [*zip(group.parameters, sizes, strict=True)]
+    combined, both = "Combined standard uncertainty", []
+    if any(share.name == _TIME_BASE for share in group.shares):
+        both = [(f"{combined}, {_BY_CLOCK}", *(short(parameter.sigma_by_clock / abs(size)) for parameter, size in pairs))]
+        combined = f"{combined}, {_IN_TRUE_SECONDS}"
     sums = (
-        ("Combined standard uncertainty", *(short(parameter.sigma / abs(size)) for parameter, size in pairs)),
+        *both,
+        (combined, *(short(parameter.sigma / abs(size)) for parameter, size in pairs)),
         ("Effective degrees of freedom", *(freedom_words(parameter.degrees_of_freedom) for parameter, _ in pairs)),
         ("Coverage factor k, 95 %", *(f"{parameter.coverage_factor:.2f}" for parameter, _ in pairs)),
         ("Expanded uncertainty U", *(short(parameter.expanded / abs(size)) for parameter, size in pairs)),
@@ -350,10 +380,18 @@ def _raw_unit(calibration: Calibration, triad: str) -> str:
     return gyroscope.raw_unit if triad == "gyroscope" and gyroscope is not None else calibration.accelerometer_raw_unit
 
 
-def _source_words(share: Share) -> str:
-    if not share.input_sigma > 0:
-        return ""
-    return f"{short(share.input_sigma)} {share.input_unit.replace('^2', '²')}"
+def _input_unit(share: Share, calibration: Calibration) -> tuple[str, float]:
+    """Return the unit in which the input quantity is shown, that of the residuals where it is one, and its size."""
+    if share.input_unit == "m/s^2":
+        return acceleration_unit(calibration.quality.residual_max_m_s2)
+    # The clock as everywhere: in ppm of true seconds.
+    return ("ppm", 1e-6) if share.input_unit == "s/s" else (share.input_unit.replace("^2", "²"), 1.0)
+
+
+def _input_words(value: float) -> str:
+    if value < 1:
+        return short(value)
+    return f"{value:.0f}" if value >= 100 else f"{value:.3g}"
 
 
 def _fixed(contribution: float, combined: float) -> str:

@@ -15,7 +15,7 @@ from imufield.deliver.parameters.numbers import acceleration_unit, with_sigma
 from imufield.deliver.parameters.schema import Document
 from imufield.deliver.parameters.write import content_sha256
 from imufield.deliver.report import plots
-from imufield.deliver.report.budget import budget_tables, not_in_budget
+from imufield.deliver.report.budget import budget_tables, not_in_budget, scale_words
 from imufield.deliver.report.correlations import correlations
 from imufield.deliver.report.data import ReportData
 from imufield.deliver.report.gain import gain
@@ -135,6 +135,7 @@ def _facts(data: ReportData) -> Document:
         "notes": folded(quality.details),
         "triads": {"accelerometer": quality.accelerometer_verdict, "gyroscope": quality.gyroscope_verdict},
         "sigma": sigma_words(quality),
+        "two_clocks": scale_words(parameters),
         "factor": f"{factor:.2f}" if math.isfinite(factor) else "",
         "gain": "" if gained is None else gained.words,
         "cells": _cells(rows, factor),

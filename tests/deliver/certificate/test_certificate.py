@@ -142,6 +142,39 @@ def test_texts_of_somebody_else_are_texts(calibration: Calibration, observations
     json.loads(json.dumps(to_json(certificate), allow_nan=False))
 
 
+@pytest.mark.parametrize("serial_number", ["\ufffe1\uffff", 10_000 * "7", 10_000 * "\U0001f600"])
+def test_a_label_holds_any_serial_number(calibration: Calibration, observations: Observations, serial_number: str) -> None:
+    certificate = certified(parameters_of(calibration, observations, serial_number=serial_number), 12)
+    assert len(parsed(label_svg(certificate)).findall(".//{*}text")) == 5
+    assert certificate.short_sha256 in label_text(certificate)
+
+
+def test_a_page_names_the_reference_once_and_nobody_unknown(calibration: Calibration, observations: Observations) -> None:
+    known = parameters_of(calibration, observations)
+    session = replace(known.context.session, temperature_degc=(math.nan, math.nan))
+    unknown = replace(known, context=replace(known.context, session=session))
+    for parameters, rows in ((known, 2), (unknown, 1)):
+        certificate = certified(parameters)
+        document = to_json(certificate)
+        assert [name for name, _ in document["reference"]] == ["Gravity", "Time base"]
+        assert document["reference"][1][1].endswith("1 sigma 50 ppm of true seconds")
+        assert "Gravity" not in document["conditions"]
+        assert sum("emperature" in name for name in document["conditions"]) == rows
+        page = render_certificate(certificate, "")
+        assert "<dt>Customer</dt>" not in page
+        assert "Approved by" in page
+        assert calibration.equation in page
+    assert "<dt>Customer</dt><dd>Who asked</dd>" in render_certificate(certified(known, customer="Who asked"), "")
+
+
+def test_a_sensitivity_has_a_unit_where_its_source_is_one_quantity(solved: Parameters) -> None:
+    for table in budget_tables(solved):
+        for row in table.rows:
+            assert bool(row.sensitivity_unit) is bool(row.source) is any(sensitivity for _, sensitivity in row.cells)
+            unit = row.source.partition(" ")[2].replace("µg", "mg")
+            assert row.sensitivity_unit == (f"{table.unit} per {unit}" if unit else "")
+
+
 def test_the_code_of_the_label_is_the_text_s(solved: Parameters) -> None:
     import segno
 
@@ -245,6 +278,10 @@ def test_shares_survive_the_file_and_add_up(solved: Parameters, observations: Ob
     np.testing.assert_array_equal(again[0].sigma, shares[0].sigma)
     assert key_of(contradiction(document)) != "consistency.budget"
     document["budget"]["share"][0]["sigma"][0] *= 1.1
+    # Also where a person says "edited": what follows from a value must be changed with it.
+    for is_edited in (False, True):
+        assert key_of(contradiction(document, is_edited=is_edited)) == "consistency.budget"
+    document["budget"]["share"][0]["sigma"][0] = math.nan
     assert key_of(contradiction(document)) == "consistency.budget"
     document["budget"]["share"][0]["sigma"].pop()
     assert key_of(contradiction(document)) == "consistency.budget_size"

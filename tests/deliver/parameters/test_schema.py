@@ -105,3 +105,12 @@ def test_says_what_is_wrong(
     assert fault.what.startswith(fault.key)
     assert all(fact in fault.what for fact in facts), fault
     assert fault.reason is reason
+
+
+@pytest.mark.parametrize(("freedom", "key"), [(0, ""), (1e-3, ""), (5e-324, "schema.between"), (9e-4, "schema.between")])
+def test_degrees_of_freedom_are_none_or_some(document: dict[str, Any], freedom: float, key: str) -> None:
+    sigma = [0.0] * len(document["covariance"]["names"])
+    document["budget"] = {"share": [{"name": "gravity", "type": "B", "degrees_of_freedom": freedom, "sigma": sigma}]}
+    fault = first_fault(document)
+    assert (key_of(fault.what) if fault else "") == key
+    assert jsonschema.Draft202012Validator(parameter_schema()).is_valid(json_ready(document)) is (not key)

@@ -130,6 +130,11 @@ def edited(parameters: Parameters, path: Path, old: str, new: str) -> Path:
         ("range_degc = [-20.0, 55.0]", "range_degc = [55.0, -20.0]", "accelerometer.temperature.range_degc"),
         ("range_degc = [-20.0, 55.0]", "range_degc = [32.1, 32.2]", "accelerometer.temperature.range_degc"),
         ("scale_separated = true", "scale_separated = true\nhidden = 1", "accelerometer.temperature.hidden"),
+        (
+            "scale_separated = true",
+            "scale_separated = true\nsessions = {temperature_degc = [], bias_m_s2 = [], scale = []}",
+            "accelerometer.temperature.sessions.temperature_degc",
+        ),
     ],
 )
 def test_what_contradicts_itself_is_refused(loaded: Parameters, tmp_path: Path, old: str, new: str, fact: str) -> None:
