@@ -40,7 +40,7 @@ def emulated(temperature: str, day: int = 0) -> EmulateOptions:
     )
 
 
-def test_one_session_costs_milli_g_where_three_do_not(tmp_path: Path) -> None:
+def test_one_session_costs_milli_g_where_three_do_not(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sessions, truth = [], dict[str, Any]()
     for day, degc in enumerate(demo.TEMPERATURES_DEGC):
         emulation = make_emulation(emulated(str(degc), day))
