@@ -310,10 +310,10 @@ def test_demo(program: Program) -> None:
 
 
 def test_a_demo_that_is_faster_than_the_machine_says_so(program: Program) -> None:
-    # The fastest there is: no machine keeps up with it.
+    # The fastest there is: the emulator falls behind (2), or the capture, and then the emulator ends before it (3).
     ended = program.run("demo", "--plain", "--speed", 1000)
-    assert ended.returncode == 2, ended.stdout + ended.stderr
-    assert not missing(ended.stderr, "--speed 1000", "times real time", "smaller")
+    assert ended.returncode in {2, 3}, ended.stdout + ended.stderr
+    assert not missing(ended.stderr, "--speed", "smaller")
 
 
 def test_a_demo_whose_instrument_ends_does_not_wait_for_it(program: Program, monkeypatch: pytest.MonkeyPatch) -> None:
