@@ -54,12 +54,12 @@ class Marked(Protocol):
     @property
     def name(self) -> str:
         """What people call it."""
-        raise NotImplementedError
+        ...
 
     @property
     def marks(self) -> RecordingMarks:
         """Of its samples."""
-        raise NotImplementedError
+        ...
 
 
 AnyMarked = TypeVar("AnyMarked", bound=Marked)

@@ -114,11 +114,11 @@ class Loose(Simulated):
         return self.now_s >= self.back_s
 
 
-def record_loose(host: Loose, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    protocol = load_protocol("text", {"columns": "time,ax,ay,az", "rate_hz": 10})
+def connect_to(host: Simulated, columns: str, rate_hz: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the command find a host that sends lines with these columns."""
     connected = Connected(
         link=host,  # type: ignore[arg-type]
-        protocol=protocol,
+        protocol=load_protocol("text", {"columns": columns, "rate_hz": rate_hz}),
         driver="text",
         model="text",
         baud=9600,
@@ -130,6 +130,10 @@ def record_loose(host: Loose, folder: Path, monkeypatch: pytest.MonkeyPatch) -> 
         rate_before_hz=None,
     )
     monkeypatch.setattr(module, "connect", lambda *_: connected)
+
+
+def record_loose(host: Loose, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    connect_to(host, "time,ax,ay,az", 10, monkeypatch)
     run_record(RecordOptions(connect=ConnectOptions(), session=folder, duration_s=10.0), host)
 
 
@@ -173,20 +177,7 @@ class Warming(Simulated):
 
 def record_ramp(host: Warming, folder: Path, monkeypatch: pytest.MonkeyPatch, *, as_json: bool = False) -> None:
     columns = "time,ax,ay,az,temperature" if host.is_told else "time,ax,ay,az"
-    connected = Connected(
-        link=host,  # type: ignore[arg-type]
-        protocol=load_protocol("text", {"columns": columns, "rate_hz": 1}),
-        driver="text",
-        model="text",
-        baud=9600,
-        chunks=[],
-        identity={},
-        wire="serial",
-        instrument=None,
-        rate_hz=None,
-        rate_before_hz=None,
-    )
-    monkeypatch.setattr(module, "connect", lambda *_: connected)
+    connect_to(host, columns, 1, monkeypatch)
     options = RecordOptions(connect=ConnectOptions(), session=folder, duration_s=1500.0, ramp=True, as_json=as_json)
     run_record(options, host)
 

@@ -22,8 +22,8 @@ import pytest
 
 pytest.importorskip("websockets", reason="the workbench needs websockets")
 
-from websockets.exceptions import ConnectionClosed, InvalidStatus
-from websockets.sync.client import ClientConnection, connect
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
 from websockets.typing import Origin, Subprotocol
 
 from imufield.acquire.recording.reader import Damage, read_session
@@ -31,73 +31,14 @@ from imufield.acquire.recording.session import Session
 from imufield.errors import EXIT_INTERRUPTED, UsageError
 from imufield.progress import ERASE
 from imufield.sentences import Sentence
-from imufield.web import jobs, transfers
+from imufield.web import jobs
 from imufield.web.access import PROTOCOL
 from imufield.web.actions import ACTIONS, LONGEST_TEXT, UPLOADS, VIRTUAL, Sessions, command_line
-from imufield.web.workbench import LARGEST_PIECE, Workbench
+from imufield.web.workbench import Workbench
 from tests.web.served import WAIT_S, Served, next_state, send_until_cut_off
+from tests.web.workbench_page import Page, page, root, served
 
-
-class Page:
-    """A page of the workbench: asks, and follows what becomes of it."""
-
-    def __init__(self, line: ClientConnection) -> None:
-        self.line = line
-        self.events: list[dict[str, Any]] = []
-
-    def next(self) -> dict[str, Any]:
-        message: dict[str, Any] = json.loads(self.line.recv(timeout=WAIT_S))
-        self.events += message.get("log", [])
-        return message
-
-    def ask(self, message: dict[str, Any] | str | bytes) -> dict[str, Any]:
-        self.line.send(json.dumps({"id": 7, **message}) if isinstance(message, dict) else message)
-        while True:
-            answer = self.next()
-            if "answer" in answer or "refused" in answer:
-                return answer
-
-    def run(self, action: str, **values: Any) -> int:
-        return int(self.ask({"run": action, "values": values})["answer"]["job"])
-
-    def heard(self, job: int, name: str) -> Any:
-        """Return what a command says of a kind, first of all what is known already."""
-        while True:
-            for event in self.events:
-                if event["job"] == job and name in event:
-                    return event[name]
-            self.next()
-
-
-@pytest.fixture
-def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Return a folder of sessions with one that holds a file, below the present folder."""
-    monkeypatch.chdir(tmp_path)
-    root = Path("sessions")
-    (root / "one").mkdir(parents=True)
-    (root / "one" / "parameters.toml").write_text("of one")
-    (tmp_path / "secret").write_text("not yours")
-    (root / "led-out").symlink_to(tmp_path)
-    (root / "round").symlink_to("round")
-    (root / "one" / "led-out").symlink_to(tmp_path / "secret")
-    return root
-
-
-@pytest.fixture
-def served(root: Path) -> Iterator[Served]:
-    bench = Workbench(root)
-    served = Served(bench.board, bench.take, bench.service)
-    with served.server:
-        bench.refresh()
-        yield served
-        bench.close()
-
-
-@pytest.fixture
-def page(served: Served) -> Iterator[Page]:
-    with served.open() as line:
-        yield Page(line)
-
+__all__ = ["page", "root", "served"]
 
 # What a page may ask for
 
@@ -412,139 +353,6 @@ def test_a_value_out_of_range_is_told_in_a_sentence_and_no_box(page: Page) -> No
     said = [event["said"] for event in page.events if event["job"] == job and "said" in event]
     assert "--noise-ug" in said[-1]
     assert not re.search(r"[\u2500-\u257f]", "".join(said))
-
-
-# Files that come up
-
-
-def send_up(page: Page, name: str, content: bytes, **more: Any) -> dict[str, Any]:
-    begun = page.ask({"upload": name, "size": len(content), **more})["answer"]
-    pieces = [content[start : start + 1000] for start in range(0, len(content), 1000)]
-    answers = [page.ask(begun["upload"].encode() + piece)["answer"] for piece in pieces]
-    assert [answer["left"] for answer in answers] == [max(0, len(content) - 1000 * (k + 1)) for k in range(len(pieces))]
-    return {**begun, **answers[-1]}
-
-
-def test_a_file_comes_up_in_pieces_and_others_of_its_recording_beside_it(page: Page, root: Path) -> None:
-    content = os.urandom(2500)
-    sent = send_up(page, "acc.csv", content)
-    assert (root / sent["file"]).read_bytes() == content
-    assert (root / sent["file"]).parent == root / UPLOADS / sent["folder"]
-    other = send_up(page, "gyro.csv", b"1,2,3\n", folder=sent["folder"])
-    assert Path(other["file"]).parent == Path(sent["file"]).parent
-    # The same name again would be another file under it.
-    assert "refused" in page.ask({"upload": "acc.csv", "size": 1, "folder": sent["folder"]})
-
-
-@pytest.mark.parametrize("name", ["session.toml", "parameters.TOML", "x/.toml.toml"])
-def test_what_would_pass_for_parameters_of_an_instrument_does_not_come_up(page: Page, root: Path, name: str) -> None:
-    assert "refused" in page.ask({"upload": name, "size": 4})
-    assert not (root / UPLOADS).exists()
-
-
-def test_nothing_is_made_where_a_link_leads_out(page: Page, root: Path, tmp_path: Path) -> None:
-    (root / UPLOADS).symlink_to(tmp_path / "elsewhere")
-    assert "refused" in page.ask({"upload": "acc.csv", "size": 4})
-    assert not (tmp_path / "elsewhere").exists()
-
-
-def test_what_came_meanwhile_under_its_name_stays(page: Page, root: Path) -> None:
-    begun = page.ask({"upload": "acc.csv", "size": 4})["answer"]
-    theirs = root / UPLOADS / begun["folder"] / "acc.csv"
-    theirs.write_text("theirs")
-    mask = os.umask(0o027)
-    try:
-        sent = page.ask(begun["upload"].encode() + b"ours")["answer"]
-    finally:
-        os.umask(mask)
-    assert (theirs.read_text(), (root / sent["file"]).read_text()) == ("theirs", "ours")
-    # As any other file that this person makes, and not for the owner alone.
-    assert (root / sent["file"]).stat().st_mode & 0o777 == 0o640
-    assert len([*theirs.parent.iterdir()]) == 2
-
-
-@pytest.mark.parametrize(
-    ("name", "kept"),
-    [
-        ("../../etc/passwd", "passwd"), ("..\\..\\x.csv", "x.csv"), ("--output=x.csv", "output_x.csv"), ("", "file"),
-        (".hidden", "hidden"), ("<b>x</b>.csv", "b_.csv"), ("a\x00\n\u202eb.csv", "a_b.csv"), ("ä $(x).csv", "ä _(x).csv"),
-        ("x" * 300 + ".csv", "x" * 96 + ".csv"), ("/", "file"), ("測" * 200 + ".csv", "測" * 32 + ".csv"),
-    ],
-)  # fmt: skip
-def test_a_name_of_a_file_leads_nowhere(page: Page, root: Path, name: str, kept: str) -> None:
-    sent = send_up(page, name, b"x")
-    found = root / sent["file"]
-    assert found.parent.parent == root / UPLOADS
-    assert found.name.lstrip("_") == kept
-
-
-def test_more_than_was_said_is_refused_and_leaves_nothing(page: Page, root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    begun = page.ask({"upload": "x.csv", "size": 3})["answer"]
-    # It has its name when it is whole, and nobody else gets that name.
-    assert not (root / UPLOADS / begun["folder"] / "x.csv").exists()
-    assert "refused" in page.ask({"upload": "x.csv", "size": 3, "folder": begun["folder"]})
-    assert "refused" in page.ask(begun["upload"].encode() + b"four")
-    assert [*(root / UPLOADS).iterdir()] == []
-    assert "refused" in page.ask(begun["upload"].encode() + b"one")
-    monkeypatch.setattr(transfers, "LARGEST_UPLOAD", 1000)
-    assert "refused" in page.ask({"upload": "x.csv", "size": 1001})
-    for _ in range(transfers.UPLOADS_AT_ONCE):
-        page.ask({"upload": "x.csv", "size": 3})
-    assert "refused" in page.ask({"upload": "x.csv", "size": 3})
-    # Those of a page that went away make room.
-    monkeypatch.setattr(transfers, "GOOD_FOR_S", 0.0)
-    assert "answer" in page.ask({"upload": "x.csv", "size": 3})
-
-
-def test_a_giant_piece_closes_its_page_only(served: Served, page: Page) -> None:
-    with served.open() as giant:
-        giant.send(b"x" * (LARGEST_PIECE + 1))
-        with pytest.raises(ConnectionClosed):
-            next(None for _ in range(1000) if giant.recv(timeout=WAIT_S) is None)
-    assert "address" in page.ask({"file": "one/parameters.toml"})["answer"]
-
-
-# Files that go down
-
-
-def test_an_address_is_good_once_and_for_a_minute(served: Served, page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
-    address = page.ask({"file": "one/parameters.toml"})["answer"]["address"]
-    assert len(address.removeprefix("/file/")) == 22
-    answer = served.get(address)
-    assert (answer.status, answer.read()) == (200, b"of one")
-    assert answer.getheader("Content-Disposition") == "attachment; filename*=UTF-8''parameters.toml"
-    assert answer.getheader("Content-Type") == "application/octet-stream"
-    assert answer.getheader("X-Content-Type-Options") == "nosniff"
-    assert "default-src 'none'" in answer.getheader("Content-Security-Policy", "")
-    assert served.get(address).status == 404
-    assert served.get("/file/").status == served.get("/file/../one/parameters.toml").status == 404
-    late = page.ask({"file": "one/parameters.toml"})["answer"]["address"]
-    monkeypatch.setattr(transfers, "GOOD_FOR_S", 0.0)
-    assert served.get(late).status == 404
-
-
-def test_what_became_a_link_since_is_not_given_away(served: Served, page: Page, root: Path) -> None:
-    address = page.ask({"file": "one/parameters.toml"})["answer"]["address"]
-    (root / "one" / "parameters.toml").unlink()
-    (root / "one" / "parameters.toml").symlink_to(root.resolve().parent / "secret")
-    assert served.get(address).status == 404
-
-
-def test_names_with_markup_and_a_file_that_is_too_large(
-    served: Served, page: Page, root: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (root / '<img src=x onerror="alert(1)">.html').write_text("<script>")
-    answer = served.get(page.ask({"file": '<img src=x onerror="alert(1)">.html'})["answer"]["address"])
-    assert "<" not in answer.getheader("Content-Disposition", "")
-    assert answer.getheader("Content-Type") == "application/octet-stream"
-    monkeypatch.setattr(transfers, "LARGEST_DOWNLOAD", 3)
-    assert "refused" in page.ask({"file": "one/parameters.toml"})
-
-
-def test_only_the_newest_addresses_are_kept(served: Served, page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(transfers, "ADDRESSES_AT_ONCE", 2)
-    addresses = [page.ask({"file": "one/parameters.toml"})["answer"]["address"] for _ in range(3)]
-    assert [served.get(address).status for address in addresses] == [404, 200, 200]
 
 
 # The command
