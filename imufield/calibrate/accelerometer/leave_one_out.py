@@ -22,9 +22,9 @@ CARRYING_SHARE = 0.35
 they reach 0.76 and 0.33, in a real hand-held session that shows one direction once 0.88 and 0.42."""
 PAIR_LEVERAGE = 0.97
 """Part of an error that two positions may share which the fit follows: no residual shows it then."""
-PAIR_SHARE = 0.7
-"""Two positions that give this share of a parameter's variance carry it: two edges of paper24 at right angles to one axis give
-0.52 of an angle, and where the two others are left out 0.82."""
+PAIR_SHARE = 0.5
+"""Two positions that give this share of a parameter's variance carry it: of a plane of paper24 two edges give 0.82 of an angle
+where the two others are left out; two faces 0.65 of a quadratic term likewise."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -135,7 +135,14 @@ def slow_and_fast(context: StudyContext) -> Findings:
     found = context.campaign_of_each("answers-rates", run_rates, [*KINDS.values()], runs)
     rows = {name: _figures(of_kind) for name, of_kind in zip(KINDS, found, strict=True)}
     sizes = {"asymmetry_ppm": ASYMMETRY_PPM, "nonlinearity_ppm": NONLINEARITY_PPM, "at_deg_s": AT_DEG_S}
-    return Findings(values={"rows": rows, "runs": runs} | sizes, tables=(keyed_table("shares", "session", rows),))
+    of_typical = {f"{grade}_sigmas": _typical_sigmas(grade) for grade in ("industrial", "mems")}
+    return Findings(values={"rows": rows, "runs": runs} | sizes | of_typical, tables=(keyed_table("shares", "session", rows),))
+
+
+def _typical_sigmas(grade: str) -> float:
+    """Return the nonlinearity in sigmas of what is typical of a grade."""
+    typical = typical_rate_terms(np.full(3, np.radians(AT_DEG_S)), GRADES[grade])
+    return 1e-6 * NONLINEARITY_PPM / float(typical[3])
 
 
 def _figures(runs: list[RatesRun]) -> dict[str, float]:

@@ -194,3 +194,15 @@ def test_an_order_that_confounds_costs_a_clean_session_its_good_once_in_a_hundre
     lost = [quality for quality in named if quality.verdict != "good"]
     assert len(lost) <= 3 < len(named)
     assert all(told(quality.warnings, "quality.confounded") for quality in lost)
+
+
+def test_a_drift_that_leaves_four_positions_is_not_good() -> None:
+    observations, _ = Session(directions=proposed("paper24"), quadratic_ug=1000.0, warm_up_ug=500.0).take(
+        np.random.default_rng(1)
+    )
+    whole, fewer = (
+        calibrate_accelerometer(each, EXACT) for each in (observations, observations[~np.isin(np.arange(24), (5, 17))])
+    )
+    assert (whole.quality.verdict, whole.quality.degrees_of_freedom) == ("good", 6)
+    assert (fewer.quality.verdict, fewer.quality.degrees_of_freedom) == ("usable", 4)
+    assert told(fewer.quality.warnings, "quality.few_to_spare")
