@@ -289,7 +289,11 @@ def test_a_table_becomes_a_session_and_what_was_assumed_is_said(program: Program
 
 
 def test_demo(program: Program) -> None:
-    ended = program.run("demo", "--plain", "--speed", 8)
+    for speed in (8, 4, 2, 1):
+        ended = program.run("demo", "--plain", "--speed", speed)
+        # What is too fast for a busy machine says so; the numbers below are the same at any speed.
+        if ended.returncode == 0 or "--speed" not in ended.stderr:
+            break
     assert ended.returncode == 0, ended.stdout + ended.stderr
     site = Site()
     assert says(ended.stdout, "commands", "demo.site", latitude_deg=site.latitude_deg, gravity_m_s2=site.gravity_m_s2)
