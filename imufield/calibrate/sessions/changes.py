@@ -380,6 +380,8 @@ def _drawn_groups(test: KindTest, draws: int, rng: np.random.Generator) -> Float
 
 def _root(covariance: FloatArray) -> FloatArray:
     """Return the symmetric root: another sign of an eigenvector would be other draws."""
-    own = np.sqrt(np.maximum(np.diag(covariance), np.finfo(np.float64).tiny))
-    values, vectors = np.linalg.eigh(covariance / np.outer(own, own))
+    own = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    # A difference of two covariances may be negative: such a number has no variance, and hangs together with no other.
+    inverse = np.divide(1.0, own, out=np.zeros_like(own), where=own > 0)
+    values, vectors = np.linalg.eigh(covariance * np.outer(inverse, inverse))
     return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T * own)
