@@ -252,7 +252,7 @@ def _known(forecast: dict[str, float] | None) -> list[Text]:
     if not forecast:
         return [_dim("screen.not_known")]
     words = {name.partition("_")[0]: known_words(forecast, name).replace(NOT_TOLD, "unknown") for name in KNOWN_UNITS}
-    return [Text(sentence(key, **words), no_wrap=True) for key in ("screen.known_bias", "screen.known_scale")]
+    return [Text(sentence(key, **words), no_wrap=True) for key in ("screen.known_scale", "screen.known_bias")]
 
 
 def _map(snapshot: Snapshot, scheme: Scheme) -> RenderableType:

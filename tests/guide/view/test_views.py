@@ -224,10 +224,14 @@ def test_the_panel_says_what_is_not_known_yet(session: Any) -> None:
     guide = list(session(9.0))[-1][1]
     for forecast, told in (
         ({}, ("accuracy: not known yet",)),
-        ({"scale_ppm": 26000.0}, ("1 sigma so far: bias unknown", "scale 2.6 %, angle unknown")),
+        ({"scale_ppm": 26000.0}, ("1 sigma now: scale 2.6 %", "bias unknown, angle unknown")),
         (
             {"bias_ug": 25800.0, "scale_ppm": 9990.0, "misalignment_urad": 25800.0},
-            ("1 sigma so far: bias 25.8 mg", "scale 0.999 %, angle 25.8 mrad"),
+            ("1 sigma now: scale 0.999 %", "bias 25.8 mg, angle 25.8 mrad"),
+        ),
+        (
+            {"bias_ug": 103.4, "scale_ppm": 43.12, "misalignment_urad": 47.31},
+            ("1 sigma now: scale 43.1 ppm", "bias 103 ug, angle 47.3 urad"),
         ),
     ):
         console = Console(width=WIDTH, height=HEIGHT, record=True, file=open_nothing())
