@@ -403,7 +403,7 @@ def test_a_changed_sample_rate_is_told(make_path: Any) -> None:
     _, events = feed(samples[thinned], hold_s=20.0)
     told = [event for event in of(events, Rejected) if event.reason is RefusalCode.RATE]
     assert len(told) == 1
-    assert "-20 %" in told[0].words
+    assert values_of(told[0].words)["percent"] == pytest.approx(-20)
 
 
 def test_finish_ends_a_session_with_turns_left(make_path: Any) -> None:
