@@ -14,9 +14,10 @@ from pathlib import Path
 from imufield.acquire.recording.session import SETTINGS_FILE, Session
 from imufield.calibrate.model.grades import find_grade
 from imufield.calibrate.sessions.joint import FEWEST, FEWEST_WITHOUT_PRIOR, Joint, SessionNumbers, adjust
+from imufield.calibrate.sessions.kinds import kind_of
 from imufield.deliver.parameters.file import Parameters
-from imufield.deliver.parameters.gauge_free import GaugeFree
-from imufield.deliver.parameters.joined import JoinedFrom, joined_parameters, numbers_of, prior_scales, unit_of
+from imufield.deliver.parameters.gauge_free import GaugeFree, unit_of
+from imufield.deliver.parameters.joined import JoinedFrom, joined_parameters, numbers_of, prior_scales
 from imufield.errors import CalibrationError, ImufieldError, Reason, UsageError
 from imufield.pipeline.calibration import SolveSettings
 from imufield.pipeline.chain import session_protocol
@@ -221,7 +222,7 @@ def _check_scales(first: SolvedSession, other: SolvedSession) -> None:
     """Refuse sessions whose range or signs changed without a word; raises CalibrationError."""
     before = {number.name: number.value for number in first.numbers.numbers}
     for number in other.numbers.numbers:
-        change = number.value / before.get(number.name, number.value) - 1 if "scale" in number.name else 0.0
+        change = number.value / before.get(number.name, number.value) - 1 if number.is_scale else 0.0
         if abs(change) > _LARGEST_CHANGE:
             told = {"names": [first.name, other.name], "number": number.name, "change": change, "limit": _LARGEST_CHANGE}
             raise CalibrationError(sentence("together.scale", **told), Reason.UNITS)
@@ -247,7 +248,7 @@ def _with_one_model(
 
 
 def _is_sensitive(numbers: GaugeFree) -> bool:
-    return any(number.name.startswith("g-sensitivity") for number in numbers.numbers)
+    return any(kind_of(number.name) == "g-sensitivity" for number in numbers.numbers)
 
 
 def _warnings(solved: Sequence[SolvedSession], joint: Joint) -> Iterator[str]:
