@@ -25,14 +25,12 @@ from imufield.pipeline.same_recording import RecordingMarks, without_copies
 from imufield.pipeline.site import SiteOptions
 from imufield.pipeline.solving import solve_session
 from imufield.progress import one_by_one
-from imufield.sentences import Sentence, Sentences
+from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
 
 _LARGEST_CHANGE = 0.05  # Of a scale, ten times what the worst instruments do; another range is a factor of two.
 _FREE_SETTINGS = ("rate_hz",)  # Of a protocol: what changes no value.
-# Rooms whose sentences about a session are about its recording: what is missing or damaged.
-_OF_RECORDINGS = ("solving", "chain", "damage", "reader", "part_file", "mcap_format", "session", "session_record")
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,9 +263,8 @@ def _warnings(solved: Sequence[SolvedSession], joint: Joint) -> Iterator[str]:
 def _notes(solved: Sequence[SolvedSession], joint: Joint, numbers: Sequence[SessionNumbers], grade: str) -> Iterator[str]:
     """Yield what belongs to the result and lowers no verdict."""
     for each in solved:
-        for reason in each.parameters.calibration.quality.reasons:
-            if isinstance(reason, Sentence) and reason.key.partition(".")[0] in _OF_RECORDINGS:
-                yield sentence("together.of_session", session=each.name, reason=reason)
+        for reason in each.parameters.of_recording:
+            yield sentence("together.of_session", session=each.name, reason=reason)
     unnamed = [each.name for each in solved if not each.session.serial_number]
     if unnamed:
         yield sentence("together.no_serial", names=unnamed)
