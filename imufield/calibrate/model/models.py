@@ -252,11 +252,9 @@ def predict_gyroscope(parameters: GyroscopeParameters, rate: FloatArray, a: Floa
 
 
 def accelerometer_at(
-    parameters: AccelerometerParameters, temperature: TriadTemperature | None, temperature_degc: float
+    parameters: AccelerometerParameters, temperature: TriadTemperature, temperature_degc: float
 ) -> AccelerometerParameters:
     """Return the parameters that hold at a temperature."""
-    if temperature is None:
-        return parameters
     factor, bias = temperature.change_at(temperature_degc)
     return replace(
         parameters,
@@ -267,11 +265,9 @@ def accelerometer_at(
 
 
 def gyroscope_at(
-    parameters: GyroscopeParameters, temperature: TriadTemperature | None, temperature_degc: float
+    parameters: GyroscopeParameters, temperature: TriadTemperature, temperature_degc: float
 ) -> GyroscopeParameters:
     """Return the parameters that hold at a temperature."""
-    if temperature is None:
-        return parameters
     factor, bias = temperature.change_at(temperature_degc)
     return replace(
         parameters,
