@@ -17,8 +17,7 @@ from imufield.deliver.changes import JudgedHistory, judge_history, sentences, sh
 from imufield.deliver.control_chart import plot_history
 from imufield.deliver.family import Change
 from imufield.deliver.history import History, InstrumentHistory, as_utc, one_instrument, read_history
-from imufield.deliver.parameters.gauge_free import Number
-from imufield.deliver.parameters.joined import unit_of
+from imufield.deliver.parameters.gauge_free import Number, unit_of
 from imufield.deliver.parameters.numbers import WIDTH, hanging, to_ascii, with_sigma
 from imufield.errors import UsageError
 from imufield.files import refuse_overwriting, utf8_text
