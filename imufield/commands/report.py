@@ -41,7 +41,6 @@ sentence = Sentences(__package__)
 
 REPORT_FILE = "report.html"
 RECORD_FILE = "calibration-record.html"
-_FEWEST_FOR_METHODS = 9  # Positions; the methods of the papers need more than parameters.
 
 
 def run_report(options: ReportOptions) -> tuple[Path, ...]:
@@ -88,17 +87,15 @@ def gather(options: ReportOptions) -> tuple[ReportData, Path]:
     preset = None if options.preset is None else load(options.preset)
     _check_belongs(parameters, session, preset)
     traced, closed, notes = (None, None, ()) if session is None else _read(session, parameters, preset)
-    seed = parameters.calibration.solver.seed or 0
     before = None if preset is None else preset.calibration.accelerometer
     results, sha256 = verification_path(path), content_sha256(parameters.document)
     left_out = verification_note(results, sha256)
-    many = len(parameters.document["position"]) >= _FEWEST_FOR_METHODS
     data = ReportData(
         parameters=parameters,
         preset=preset,
         trace=traced,
         closure=closed,
-        convergence=convergence(observations_of(parameters), parameters.calibration, before, seed) if many else (),
+        convergence=convergence(observations_of(parameters), parameters.calibration, before),
         verification=read_verification(results, sha256),
         provenance=tuple(_provenance(path, parameters, session)),
         operator=options.operator,

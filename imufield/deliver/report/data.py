@@ -17,11 +17,11 @@ from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.schema import Document
 from imufield.deliver.report.trace import Trace
 from imufield.errors import CalibrationError
-from imufield.progress import one_by_one
+from imufield.progress import task
 from imufield.samples import FloatArray, SampleUnits
 
 SHOWN_METHODS = ("bsas", "ide")
-"""Methods that tell their convergence; least squares is there after one step."""
+"""Methods whose convergence is shown where they found the result."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,23 +100,28 @@ def observations_of(parameters: Parameters) -> Observations:
 
 
 def convergence(
-    observations: Observations, calibration: Calibration, preset: AccelerometerParameters | None, seed: int
+    observations: Observations, calibration: Calibration, preset: AccelerometerParameters | None
 ) -> tuple[Convergence, ...]:
-    """Solve again with the methods of the papers, from a start of their own, and return how they got there."""
-    runs = []
-    for method in one_by_one("solving with every method", SHOWN_METHODS):
-        # A start of their own: from the result itself there would be no way to show.
-        try:
-            again = restart(observations, calibration, preset)
-        except CalibrationError:
-            return ()
+    """Solve again with the method of a paper that found the result, from a start of its own, and return how it got there.
+
+    Nothing for other methods: least squares is there after one step, and a picture of what was not run shows nothing.
+    """
+    method, seed = calibration.solver.method, calibration.solver.seed or 0
+    if method not in SHOWN_METHODS:
+        return ()
+    # A start of its own: from the result itself there would be no way to show.
+    try:
+        again = restart(observations, calibration, preset)
+    except CalibrationError:
+        return ()
+    with task(f"solving with {method}"):
         result = load_solver(method)(problem_for(again, method), rng=np.random.default_rng(seed))
-        history = result.history
-        # To a cost of zero, of a simulation without noise, there is no ratio.
-        if len(history) and history[-1] > 0:
-            excess = history / history[-1] - 1
-            runs.append(Convergence(method=method, excess=excess, evaluations=result.evaluations, converged=result.converged))
-    return tuple(runs)
+    history = result.history
+    # To a cost of zero, of a simulation without noise, there is no ratio.
+    if not len(history) or not history[-1] > 0:
+        return ()
+    excess = history / history[-1] - 1
+    return (Convergence(method=method, excess=excess, evaluations=result.evaluations, converged=result.converged),)
 
 
 def closure(
