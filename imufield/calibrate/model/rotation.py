@@ -21,6 +21,8 @@ from imufield.samples import FloatArray, IntArray
 
 # Element by element below, not as products of small matrices: NumPy's loops over three numbers cost more than the numbers.
 _CYCLES = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
+_MANY = 4096  # Turns from which they are multiplied in blocks: below, few long passes are faster.
+_BLOCK = 16
 _SMALL_RAD = 1e-3  # Below this the series of ``Jr`` is exact to the last bit that matters (1e-13).
 
 
@@ -141,15 +143,35 @@ def running_turns(quaternion: FloatArray, first: IntArray) -> FloatArray:
     Returns
     -------
     ndarray, shape (k, 4)
-        Running products, by doubling: log2(longest chain) vectorised passes instead of one step an interval.
+        Running products, in vectorised passes instead of one step an interval.
     """
     length = np.diff(np.append(first, len(quaternion)))
-    place = np.arange(len(quaternion)) - np.repeat(first, length)
-    running, step = quaternion.copy(), 1
-    longest = int(length.max(initial=0))
-    while step < longest:
-        later = np.flatnonzero(place >= step)
-        running[later] = multiply(running[later - step], running[later])
-        step *= 2  # each pass doubles how far every product reaches
+    running = _running(quaternion.copy(), length)
     running /= np.linalg.norm(running, axis=-1, keepdims=True)
     return running
+
+
+def _running(running: FloatArray, length: IntArray) -> FloatArray:
+    """Return running products of chains of these lengths, shape (k, 4); what is given is changed."""
+    first = np.cumsum(length) - length
+    place = np.arange(len(running)) - np.repeat(first, length)
+    if len(running) < _MANY:
+        step = 1
+        while step < length.max(initial=0):
+            later = np.flatnonzero(place >= step)
+            running[later] = multiply(running[later - step], running[later])
+            step *= 2  # each pass doubles how far every product reaches
+        return running
+    # Many passes over much cost more than memory gives: blocks of a chain, all at once, and then the chains of their products.
+    blocks = -(-length // _BLOCK)
+    first_block = np.cumsum(blocks) - blocks
+    row, at = place % _BLOCK, np.repeat(first_block, length) + place // _BLOCK
+    # Filled up with turns about nothing. Numbers of one component stand together, which makes long loops of it.
+    products = np.moveaxis(np.zeros((4, _BLOCK, blocks.sum())), 0, -1)
+    products[..., 0] = 1.0
+    products[row, at] = running
+    for step in range(1, _BLOCK):
+        products[step] = multiply(products[step - 1], products[step])
+    before = np.roll(_running(products[-1].copy(), blocks), 1, axis=0)
+    before[first_block[length > 0]] = (1.0, 0.0, 0.0, 0.0)
+    return multiply(before[at], products[row, at])
