@@ -101,18 +101,14 @@ class HostBaseline:
 
     def _renew(self) -> None:
         """Work out what the full buckets tell: the newest is still filling, its minimum may be late."""
-        span_s = self._hull[-1][0] - self._hull[0][0] if len(self._hull) > 1 else 0.0
-        self.slope = self._slope_at_middle() if span_s and self._buckets[-1][0] - self._hull[0][0] >= _SLOPE_AFTER_S else None
-        slope = self.slope or 0.0
-        level = [offset - slope * arrival_s for arrival_s, offset in list(self._buckets)[:-1]]
+        hull = self._hull
+        self.slope = None
+        if len(hull) > 1 and self._buckets[-1][0] - hull[0][0] >= _SLOPE_AFTER_S:
+            right = bisect_left(hull, ((hull[0][0] + hull[-1][0]) / 2,))
+            self.slope = max(-_LARGEST_SLOPE, min(_LARGEST_SLOPE, _slope(hull[right - 1], hull[right])))
+        level = [offset - (self.slope or 0.0) * arrival_s for arrival_s, offset in list(self._buckets)[:-1]]
         self.spread_s = max(level) - min(level) if len(self._buckets) >= _LEAST_BUCKETS else math.inf
-        self.slope_sigma = self.spread_s / span_s if span_s else math.inf
-
-    def _slope_at_middle(self) -> float:
-        middle_s = (self._hull[0][0] + self._hull[-1][0]) / 2
-        right = bisect_left(self._hull, (middle_s,))
-        slope = _slope(self._hull[right - 1], self._hull[right])
-        return max(-_LARGEST_SLOPE, min(_LARGEST_SLOPE, slope))
+        self.slope_sigma = self.spread_s / (hull[-1][0] - hull[0][0]) if len(hull) > 1 else math.inf
 
     def offset_at(self, arrival_s: float) -> float | None:
         """Return the lowest offset to expect at ``arrival_s``; None before anything arrived."""

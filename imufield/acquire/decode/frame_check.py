@@ -283,7 +283,7 @@ class FrameCheck:
         """Return the shape of the first of several frames of one length, ``NO_SHAPE`` where its parts do not add up."""
         family = self._family(form, rows)
         for number in self._families.get(family, ())[-1:]:
-            if _has(rows[0], self._shapes[number]):
+            if _have(rows[:1], self._shapes[number])[0]:
                 return number
         return int(self._match(form, family, rows[:1])[0])
 
@@ -321,7 +321,8 @@ class FrameCheck:
             families = ((first | form.keys(buffer, starts[mine])) << _LENGTH_BITS) | lengths[mine]
             for family in distinct(families):
                 group = mine[families == family]
-                found[group] = self._match(form, family, rows_at(buffer, starts[group], family & _LENGTH_MASK))
+                known = () if form.form.has_structure else self._families.get(family, ())
+                found[group] = known or self._match(form, family, rows_at(buffer, starts[group], family & _LENGTH_MASK))
         return found
 
     def _by_form(self, buffer: Bytes, starts: Positions) -> Iterator[tuple[FormCheck, Positions]]:
@@ -399,11 +400,6 @@ def spaced_rows(buffer: Bytes, at: int, step: int, shape: tuple[int, int]) -> Ro
     """Return a view of frames of one length that stand ``step`` bytes apart from ``at`` on."""
     # Bounds are checked, and it takes a tenth of the time of ``as_strided``.
     return np.ndarray(shape, np.uint8, buffer, at, (step, 1))
-
-
-def _has(row: Bytes, shape: Shape) -> bool:
-    """Whether one frame has the bytes of a shape."""
-    return every(row[: len(shape.mask)] & shape.mask == shape.values)
 
 
 def _have(rows: Rows, shape: Shape) -> NDArray[np.bool_]:
