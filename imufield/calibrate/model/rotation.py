@@ -15,6 +15,8 @@ References
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from imufield.samples import FloatArray, IntArray
@@ -111,6 +113,22 @@ def from_matrix(rotation: FloatArray) -> FloatArray:
 def rotation_matrix(rotation_rad: FloatArray) -> FloatArray:
     """Return rotation matrices of rotation vectors, shape (..., 3) -> (..., 3, 3)."""
     return matrix(exponential(rotation_rad))
+
+
+def one_rotation_matrix(rotation_rad: FloatArray) -> FloatArray:
+    """Return the same of one rotation vector, by Rodrigues: where each turn waits for the one before, arrays cost more."""
+    x, y, z = rotation_rad.tolist()
+    angle = math.sqrt(x * x + y * y + z * z)
+    half = math.sin(angle / 2) / angle if angle > 0 else 0.5
+    # I + s [r] + 2 h^2 [r]^2 with h = sin(t/2) / t and s = sin(t) / t
+    s, c = 2 * half * math.cos(angle / 2), 2 * half * half
+    return np.array(
+        [
+            [1 - c * (y * y + z * z), c * x * y - s * z, c * x * z + s * y],
+            [c * x * y + s * z, 1 - c * (x * x + z * z), c * y * z - s * x],
+            [c * x * z - s * y, c * y * z + s * x, 1 - c * (x * x + y * y)],
+        ]
+    )
 
 
 def right_jacobian(rotation_rad: FloatArray) -> FloatArray:

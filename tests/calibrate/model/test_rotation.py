@@ -13,6 +13,7 @@ from imufield.calibrate.model.rotation import (
     logarithm,
     matrix,
     multiply,
+    one_rotation_matrix,
     right_jacobian,
     rotation_matrix,
     running_turns,
@@ -71,3 +72,9 @@ def test_running_turns_of_chains_of_any_length(longest: int) -> None:
         for k in range(start, start + length):
             product = multiply(product, turns[k])
             assert running[k] == pytest.approx(product, abs=1e-12)
+
+
+def test_one_rotation_matrix_is_that_of_its_quaternion() -> None:
+    for size in (0.0, 1e-9, 0.3, 3.0):
+        vector = size * np.array([2.0, -1.0, 2.0]) / 3
+        np.testing.assert_allclose(one_rotation_matrix(vector), rotation_matrix(vector), atol=1e-15)
