@@ -25,6 +25,16 @@ def test_curves_differ_in_line_as_well_as_in_colour() -> None:
         assert line.get_linestyle() != other.get_linestyle()
 
 
+def test_a_long_title_goes_on_in_a_second_line() -> None:
+    with plot_style():
+        drawn = figure(2.0)
+        drawn.subplots()
+        title(drawn, "nine words of ten letters " * 5)
+        text = to_svg(drawn, "drawn")
+    # Ends on the page, whatever the letters are.
+    assert text.count(">nine words") == 2
+
+
 def test_only_colours_of_the_palette_are_drawn() -> None:
     with plot_style():
         drawn = figure(2.0)
