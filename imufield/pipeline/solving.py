@@ -7,7 +7,7 @@ import math
 import shlex
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -44,9 +44,18 @@ _AT_LIMIT = (RefusalCode.SATURATED, RefusalCode.STUCK)
 _SPOIL_DATA = (RefusalCode.SATURATED, RefusalCode.FROZEN, RefusalCode.INVALID, RefusalCode.SAMPLE_LOSS)
 
 
-# What a session holds to be calibrated from, its axes, sentences about what was refused and why, the one about what was left
-# out because an axis was clipped, empty where none was, and those about codes that stick.
-_Usable = tuple[Observations, AxesCheck, tuple[str, ...], str, tuple[str, ...]]
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Usable:
+    """What a session holds to be calibrated from, with sentences about it."""
+
+    observations: Observations
+    axes: AxesCheck
+    refused: tuple[str, ...]
+    """What, and why."""
+    saturated: str
+    """What was left out because an axis was clipped; empty where nothing was."""
+    sticking: tuple[str, ...]
+    """Codes that stick."""
 
 
 def solve_session(
@@ -87,18 +96,17 @@ def solve_session(
         chain.notes.append(sentence("solving.goes_on"))
     with naming_damage(session, damage), task("solving"):
         usable = _unguided(chain, session) if chain.guide is None else _guided(chain, chain.guide, refusals)
-        observations, axes, refused, saturated, sticking = usable
-        if axes.error is not None:
-            raise axes.error
+        if usable.axes.error is not None:
+            raise usable.axes.error
         is_import = session.record.kind == "import"
         lost = _loss_sentences(chain, damage, is_import=is_import)
+        of_recording = (*filter(None, (usable.saturated,)), *usable.refused, *chain.notes, *lost)
         # Axes are compared by the gyroscope's turns: where there is none, of few of them nobody need be told.
-        compared = axes.words if np.isfinite(observations.gyroscope_mean_raw).any() else ""
-        reasons = (*filter(None, (compared, saturated)), *refused, *chain.notes, *lost)
+        compared = usable.axes.words if np.isfinite(usable.observations.gyroscope_mean_raw).any() else ""
         best = best_rate(chain.statistics)
         true_rate_hz = math.nan if best is None else best.rate_hz or math.nan
         rests = chain.turn_rests()
-        observations, left_out = leave_out(observations, settings.without)
+        observations, left_out = leave_out(usable.observations, settings.without)
         between = moves.between(observations, rests)
         protocol = chain.protocol
         measured = Measured(
@@ -116,16 +124,16 @@ def solve_session(
             raw_zero=None if protocol is None else chain.raw_zero(protocol),
             gyroscope_scale=None if protocol is None else protocol.nominal.gyroscope_scale,
             grade="" if protocol is None else protocol.nominal.grade,
-            reasons=reasons,
-            doubts=sticking,
+            reasons=(*filter(None, (compared,)), *of_recording),
+            doubts=usable.sticking,
         )
         try:
-            return calibrate(measured, settings)
+            return replace(calibrate(measured, settings), of_recording=of_recording)
         except CalibrationError as error:
-            if not saturated:
+            if not usable.saturated:
                 raise
             # Clipped outputs are the cause where what is left cannot be calibrated from.
-            why = sentence("solving.rest", saturated=saturated.removesuffix("."), error=error.message)
+            why = sentence("solving.rest", saturated=usable.saturated.removesuffix("."), error=error.message)
             raise CalibrationError(why, Reason.SATURATED, **error.values) from error
 
 
@@ -159,8 +167,13 @@ def _guided(chain: Chain, guide: Guide, refusals: list[Rejected]) -> _Usable:
     clipped = [
         event for event in refusals if event.reason in _AT_LIMIT and missing and (event.position or missing[0]) in missing
     ]
-    saturated = _saturation_sentence([(event.time_s, event.words) for event in clipped])
-    return observations, axes, _missing_sentences(guide, refusals), saturated, guide.sticking()
+    return _Usable(
+        observations=observations,
+        axes=axes,
+        refused=_missing_sentences(guide, refusals),
+        saturated=_saturation_sentence([(event.time_s, event.words) for event in clipped]),
+        sticking=guide.sticking(),
+    )
 
 
 def _unguided(chain: Chain, session: Session) -> _Usable:
@@ -177,8 +190,13 @@ def _unguided(chain: Chain, session: Session) -> _Usable:
     others: dict[RefusalCode, list[tuple[float, str]]] = {}
     for start_s, refusal in found.refused:
         (clipped if refusal.reason in _AT_LIMIT else others.setdefault(refusal.reason, [])).append((start_s, refusal.words))
-    left_out = tuple(_left_out_sentence("solving.left_out", stills) for stills in others.values())
-    return found.observations, found.axes, left_out, _saturation_sentence(clipped), found.sticking
+    return _Usable(
+        observations=found.observations,
+        axes=found.axes,
+        refused=tuple(_left_out_sentence("solving.left_out", stills) for stills in others.values()),
+        saturated=_saturation_sentence(clipped),
+        sticking=found.sticking,
+    )
 
 
 def _refuse_ramp(chain: Chain, session: Session, error: CalibrationError | None = None) -> None:
