@@ -108,6 +108,8 @@ def _print(histories: Sequence[JudgedHistory], options: HistoryOptions, now: dat
         headings = [("parameter", "value ± sigma", "unit", "since the one before")] if numbers else []
         for line in _table(headings + [_cells(number, changes.get(number.name)) for number in numbers]):
             echo(line)
+        if any(number.name.startswith("angle") for number in numbers):
+            echo(hanging("    ", sentence("history.angles")))
         for line in folded(_said(history, options, now)):
             echo(hanging("  - ", line))
     alone = sum(len(history.instrument.entries) == 1 for history in histories)

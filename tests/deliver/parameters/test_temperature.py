@@ -9,7 +9,7 @@ import jsonschema
 import numpy as np
 import pytest
 
-from imufield.calibrate.model.models import accelerometer_at, predict
+from imufield.calibrate.model.models import at_temperature, predict
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration
 from imufield.calibrate.model.temperature import NewDay, Polynomials, TriadTemperature
@@ -159,7 +159,7 @@ def test_apply_undoes_what_the_temperature_did(loaded: Parameters) -> None:
     at_degc = np.array([-30.0, -20.0, 10.0, 32.15, 70.0])
     raw = np.vstack(
         [
-            predict(accelerometer_at(calibration.accelerometer, calibration.accelerometer_temperature, degc), row)
+            predict(at_temperature(calibration.accelerometer, calibration.accelerometer_temperature, degc), row)
             for degc, row in zip(at_degc, force, strict=True)
         ]
     )
