@@ -19,7 +19,7 @@ from imufield.deliver.report.together import HEADINGS, together_rows
 from imufield.errors import UsageError
 from imufield.files import DEFAULT_ROOT, refuse_overwriting
 from imufield.pipeline.solving import lost_by_replacing
-from imufield.pipeline.together import sessions_of, solve_together
+from imufield.pipeline.together import refuse_of_single, sessions_of, solve_together
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -55,14 +55,13 @@ def _sessions(options: SolveOptions) -> list[Session]:
     folders, serial_number = options.sessions or [], options.serial_number
     if not options.together:
         raise UsageError(sentence("solve_together.serial_alone", serial_number=serial_number))
-    refused = {
-        "--observations": options.observations is not None,
-        "--scheduler": options.scheduler is not None,
-        "--temperature": bool(options.temperature),
-    }
-    for option, is_given in refused.items():
-        if is_given:
-            raise UsageError(sentence("solve_together.option", option=option))
+    refuse_of_single(
+        {
+            "--observations": options.observations is not None,
+            "--scheduler": options.scheduler is not None,
+            "--temperature": bool(options.temperature),
+        }
+    )
     if serial_number is not None:
         if folders:
             raise UsageError(sentence("solve_together.both", serial_number=serial_number))

@@ -7,7 +7,7 @@ of the body frame changes, so sessions may come from any gauge; scales count as 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -120,7 +120,13 @@ def solve_together(
     ImufieldError
         As ``solve_session``.
     """
-    _refuse_settings(settings)
+    refuse_of_single(
+        {
+            "--preset": settings.preset is not None,
+            "--model extended": settings.model == "extended",
+            "--gauge": settings.gauge not in (None, "lower"),
+        }
+    )
     _require_two(len(sessions))
     _check_instruments(sessions)
     for session in sessions[1:]:
@@ -160,10 +166,9 @@ def _hash(solved: SolvedSession) -> str:
     return solved.parameters.context.session.sha256
 
 
-def _refuse_settings(settings: SolveSettings) -> None:
-    refused = {"--preset": settings.preset is not None, "--model extended": settings.model == "extended"}
-    refused["--gauge"] = settings.gauge not in (None, "lower")
-    for option, is_given in refused.items():
+def refuse_of_single(options: Mapping[str, bool]) -> None:
+    """Raise ``UsageError`` where an option of single sessions is given."""
+    for option, is_given in options.items():
         if is_given:
             raise UsageError(sentence("together.option", option=option))
 

@@ -230,9 +230,9 @@ def test_sessions_are_found_by_serial_number(days: Days) -> None:
         ({"serial_number": SERIAL}, "solve_together.serial_alone"),
         ({"together": True, "serial_number": SERIAL, "sessions": [Path("a")]}, "solve_together.both"),
         ({"together": True}, "solve_together.none"),
-        ({"together": True, "observations": Path("means.csv")}, "solve_together.option"),
-        ({"together": True, "scheduler": "tcp://127.0.0.1:1"}, "solve_together.option"),
-        ({"together": True, "temperature": [Path("cold")]}, "solve_together.option"),
+        ({"together": True, "observations": Path("means.csv")}, "together.option"),
+        ({"together": True, "scheduler": "tcp://127.0.0.1:1"}, "together.option"),
+        ({"together": True, "temperature": [Path("cold")]}, "together.option"),
     ],
 )
 def test_options_that_say_nothing_together_are_refused(options: dict[str, object], key: str) -> None:

@@ -254,10 +254,8 @@ def predict_gyroscope(parameters: GyroscopeParameters, rate: FloatArray, a: Floa
     return output if a is None else output + a @ parameters.g_sensitivity.T
 
 
-def at_temperature(parameters: _Triad, temperature: TriadTemperature | None, temperature_degc: float) -> _Triad:
+def at_temperature(parameters: _Triad, temperature: TriadTemperature, temperature_degc: float) -> _Triad:
     """Return the parameters of a triad that hold at a temperature."""
-    if temperature is None:
-        return parameters
     factor, bias = temperature.change_at(temperature_degc)
     scale = parameters.scale * factor
     if isinstance(parameters, AccelerometerParameters):

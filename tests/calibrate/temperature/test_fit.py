@@ -192,8 +192,6 @@ def test_raw_output_at_a_temperature_becomes_that_of_the_reference() -> None:
         back = model.to_reference(turned, at, scale=gyroscope.scale)
         np.testing.assert_allclose(back, predict_gyroscope(gyroscope, rate, force), atol=1e-12)
     np.testing.assert_array_equal(model.is_outside(np.array([-21.0, 0.0, 61.0, np.nan])), [True, False, True, False])
-    assert at_temperature(accelerometer, None, 50.0) is accelerometer
-    assert at_temperature(gyroscope, None, 50.0) is gyroscope
     assert unchanging().at(np.zeros(2)).tolist() == [[0.0] * 3] * 2
 
 
