@@ -142,9 +142,7 @@ class CellBuilder:
 
 def measure_cells(samples: Samples, slot: IntArray) -> Cells:
     """Return the statistics of each run of equal slots; ``slot`` has shape (n,), n at least 1."""
-    begins = np.ones(len(slot), dtype=np.bool_)
-    np.not_equal(slot[1:], slot[:-1], out=begins[1:])
-    starts = begins.nonzero()[0]
+    starts = np.append(0, (slot[1:] != slot[:-1]).nonzero()[0] + 1)
     count = np.append(starts[1:], len(slot)) - starts
     # Filled in place: joining two transposed arrays takes three times as long.
     values = np.empty((6, len(slot)))
@@ -184,10 +182,6 @@ def measure_cells(samples: Samples, slot: IntArray) -> Cells:
     at_low, at_high = (
         np.add.reduceat(values[:3] == np.repeat(end[:3], count, axis=1), starts, axis=1, dtype=np.int64) for end in (low, high)
     )
-    warmth, known, there = samples.temperature_degc, count, np.isfinite(samples.temperature_degc)
-    if not every(there):
-        warmth, known = np.where(there, warmth, 0.0), np.add.reduceat(there, starts, dtype=np.int64)
-    warmth = np.add.reduceat(warmth, starts)
     return Cells(
         slot=slot[starts],
         start_s=samples.time_s[starts],
@@ -205,5 +199,13 @@ def measure_cells(samples: Samples, slot: IntArray) -> Cells:
         high=np.ascontiguousarray(high.T),
         at_low=np.ascontiguousarray(at_low.T),
         at_high=np.ascontiguousarray(at_high.T),
-        temperature_degc=np.where(known > 0, warmth / np.maximum(known, 1), np.nan),
+        temperature_degc=_means_of_known(samples.temperature_degc, starts, count),
     )
+
+
+def _means_of_known(values: FloatArray, starts: IntArray, count: IntArray) -> FloatArray:
+    """Return the mean of the finite values of each cell, NaN where there is none. Shape (m,)."""
+    known = np.isfinite(values)
+    if not every(known):
+        values, count = np.where(known, values, 0.0), np.add.reduceat(known, starts, dtype=np.int64)
+    return np.where(count > 0, np.add.reduceat(values, starts) / np.maximum(count, 1), np.nan)
