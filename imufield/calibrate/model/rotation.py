@@ -42,12 +42,14 @@ def skew(vector: FloatArray) -> FloatArray:
 
 def multiply(left: FloatArray, right: FloatArray) -> FloatArray:
     """Return the quaternion product, shape (..., 4)."""
-    (lw, *lv), (rw, *rv) = (np.moveaxis(factor, -1, 0) for factor in (left, right))
-    product = np.empty(np.broadcast_shapes(left.shape, right.shape))
-    product[..., 0] = lw * rw - (lv[0] * rv[0] + lv[1] * rv[1] + lv[2] * rv[2])
-    for i, j, k in _CYCLES:
-        product[..., 1 + i] = lw * rv[i] + rw * lv[i] + (lv[j] * rv[k] - lv[k] * rv[j])
-    return product
+    return np.stack(_product(np.moveaxis(left, -1, 0), np.moveaxis(right, -1, 0)), axis=-1)
+
+
+def _product(left: FloatArray, right: FloatArray) -> list[FloatArray]:
+    """Return the same by components, shape (4, ...)."""
+    (lw, *lv), (rw, *rv) = left, right
+    vector = (lw * rv[i] + rw * lv[i] + (lv[j] * rv[k] - lv[k] * rv[j]) for i, j, k in _CYCLES)
+    return [lw * rw - (lv[0] * rv[0] + lv[1] * rv[1] + lv[2] * rv[2]), *vector]
 
 
 def exponential(rotation_rad: FloatArray) -> FloatArray:
@@ -162,12 +164,13 @@ def running_turns(quaternion: FloatArray, first: IntArray) -> FloatArray:
         Running products, by doubling: log2(longest chain) vectorised passes instead of one step an interval.
     """
     length = np.diff(np.append(first, len(quaternion)))
-    place = np.arange(len(quaternion)) - np.repeat(first, length)
-    running, step = quaternion.copy(), 1
+    place, chain = np.arange(len(quaternion)) - np.repeat(first, length), np.repeat(np.arange(len(first)), length)
     longest = int(length.max(initial=0))
+    # Component by component and interval by interval: each pass is one of contiguous arrays; what follows a chain is zero.
+    running, step = np.zeros((4, longest, len(first))), 1
+    running[:, place, chain] = quaternion.T
     while step < longest:
-        later = np.flatnonzero(place >= step)
-        running[later] = multiply(running[later - step], running[later])
+        running[:, step:] = _product(running[:, :-step], running[:, step:])
         step *= 2  # each pass doubles how far every product reaches
-    running /= np.linalg.norm(running, axis=-1, keepdims=True)
-    return running
+    found = running[:, place, chain].T
+    return np.asarray(found / np.linalg.norm(found, axis=-1, keepdims=True))
