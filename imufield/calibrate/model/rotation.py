@@ -23,6 +23,8 @@ from imufield.samples import FloatArray, IntArray
 
 # Element by element below, not as products of small matrices: NumPy's loops over three numbers cost more than the numbers.
 _CYCLES = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
+_MANY = 4096  # Turns from which they are multiplied in blocks: below, few long passes are faster.
+_BLOCK = 16
 _SMALL_RAD = 1e-3  # Below this the series of ``Jr`` is exact to the last bit that matters (1e-13).
 
 
@@ -42,14 +44,12 @@ def skew(vector: FloatArray) -> FloatArray:
 
 def multiply(left: FloatArray, right: FloatArray) -> FloatArray:
     """Return the quaternion product, shape (..., 4)."""
-    return np.stack(_product(np.moveaxis(left, -1, 0), np.moveaxis(right, -1, 0)), axis=-1)
-
-
-def _product(left: FloatArray, right: FloatArray) -> list[FloatArray]:
-    """Return the same by components, shape (4, ...)."""
-    (lw, *lv), (rw, *rv) = left, right
-    vector = (lw * rv[i] + rw * lv[i] + (lv[j] * rv[k] - lv[k] * rv[j]) for i, j, k in _CYCLES)
-    return [lw * rw - (lv[0] * rv[0] + lv[1] * rv[1] + lv[2] * rv[2]), *vector]
+    (lw, *lv), (rw, *rv) = (np.moveaxis(factor, -1, 0) for factor in (left, right))
+    product = np.empty(np.broadcast_shapes(left.shape, right.shape))
+    product[..., 0] = lw * rw - (lv[0] * rv[0] + lv[1] * rv[1] + lv[2] * rv[2])
+    for i, j, k in _CYCLES:
+        product[..., 1 + i] = lw * rv[i] + rw * lv[i] + (lv[j] * rv[k] - lv[k] * rv[j])
+    return product
 
 
 def exponential(rotation_rad: FloatArray) -> FloatArray:
@@ -161,16 +161,35 @@ def running_turns(quaternion: FloatArray, first: IntArray) -> FloatArray:
     Returns
     -------
     ndarray, shape (k, 4)
-        Running products, by doubling: log2(longest chain) vectorised passes instead of one step an interval.
+        Running products, in vectorised passes instead of one step an interval.
     """
     length = np.diff(np.append(first, len(quaternion)))
-    place, chain = np.arange(len(quaternion)) - np.repeat(first, length), np.repeat(np.arange(len(first)), length)
-    longest = int(length.max(initial=0))
-    # Component by component and interval by interval: each pass is one of contiguous arrays; what follows a chain is zero.
-    running, step = np.zeros((4, longest, len(first))), 1
-    running[:, place, chain] = quaternion.T
-    while step < longest:
-        running[:, step:] = _product(running[:, :-step], running[:, step:])
-        step *= 2  # each pass doubles how far every product reaches
-    found = running[:, place, chain].T
-    return np.asarray(found / np.linalg.norm(found, axis=-1, keepdims=True))
+    running = _running(quaternion.copy(), length)
+    running /= np.linalg.norm(running, axis=-1, keepdims=True)
+    return running
+
+
+def _running(running: FloatArray, length: IntArray) -> FloatArray:
+    """Return running products of chains of these lengths, shape (k, 4); what is given is changed."""
+    first = np.cumsum(length) - length
+    place = np.arange(len(running)) - np.repeat(first, length)
+    if len(running) < _MANY:
+        step = 1
+        while step < length.max(initial=0):
+            later = np.flatnonzero(place >= step)
+            running[later] = multiply(running[later - step], running[later])
+            step *= 2  # each pass doubles how far every product reaches
+        return running
+    # Many passes over much cost more than memory gives: blocks of a chain, all at once, and then the chains of their products.
+    blocks = -(-length // _BLOCK)
+    first_block = np.cumsum(blocks) - blocks
+    row, at = place % _BLOCK, np.repeat(first_block, length) + place // _BLOCK
+    # Filled up with turns about nothing. Numbers of one component stand together, which makes long loops of it.
+    products = np.moveaxis(np.zeros((4, _BLOCK, blocks.sum())), 0, -1)
+    products[..., 0] = 1.0
+    products[row, at] = running
+    for step in range(1, _BLOCK):
+        products[step] = multiply(products[step - 1], products[step])
+    before = np.roll(_running(products[-1].copy(), blocks), 1, axis=0)
+    before[first_block[length > 0]] = (1.0, 0.0, 0.0, 0.0)
+    return multiply(before[at], products[row, at])

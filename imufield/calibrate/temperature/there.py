@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from imufield.calibrate.model.models import accelerometer_at, gyroscope_at
+from imufield.calibrate.model.models import at_temperature
 from imufield.calibrate.model.result import Calibration, GyroscopeCalibration
 from imufield.calibrate.model.temperature import TriadTemperature
 from imufield.samples import AXES, FloatArray
@@ -20,14 +20,14 @@ def calibration_at(calibration: Calibration, temperature_degc: float) -> Calibra
     covariance = calibration.covariance.copy()
     if model is not None:
         bias, scale = model.sigma_there(temperature_degc, sigma.bias_m_s2, sigma.scale / np.abs(there.scale))
-        there = accelerometer_at(there, model, temperature_degc)
+        there = at_temperature(there, model, temperature_degc)
         sigma = replace(sigma, bias_m_s2=bias, scale=scale * np.abs(there.scale))
         raised |= {"accelerometer.bias_m_s2": sigma.bias_m_s2, "accelerometer.scale": sigma.scale}
         names = ("accelerometer.bias_m_s2", "accelerometer.scale")
         _correlate(calibration, covariance, names, model, model.covariance_there(temperature_degc) * there.scale)
     if gyroscope is not None and gyroscope.temperature is not None:
         of_gyroscope = gyroscope.temperature
-        gyroscope = _gyroscope_there(gyroscope, temperature_degc)
+        gyroscope = _gyroscope_there(gyroscope, of_gyroscope, temperature_degc)
         between = of_gyroscope.covariance_there(temperature_degc) * gyroscope.parameters.scale**2
         _correlate(calibration, covariance, ("gyroscope.bias", "gyroscope.scale"), of_gyroscope, between)
         raised |= {"gyroscope.bias": gyroscope.sigma.bias, "gyroscope.scale": gyroscope.sigma.scale}
@@ -41,12 +41,10 @@ def calibration_at(calibration: Calibration, temperature_degc: float) -> Calibra
     )
 
 
-def _gyroscope_there(gyroscope: GyroscopeCalibration, temperature_degc: float) -> GyroscopeCalibration:
-    model, K = gyroscope.temperature, np.abs(gyroscope.parameters.scale)
-    if model is None:
-        return gyroscope
+def _gyroscope_there(gyroscope: GyroscopeCalibration, model: TriadTemperature, temperature_degc: float) -> GyroscopeCalibration:
+    K = np.abs(gyroscope.parameters.scale)
     bias, scale = model.sigma_there(temperature_degc, gyroscope.sigma.bias / K, gyroscope.sigma.scale / K)
-    there = gyroscope_at(gyroscope.parameters, model, temperature_degc)
+    there = at_temperature(gyroscope.parameters, model, temperature_degc)
     size = np.abs(there.scale)
     # A scale that no turn has shown has no sigma at any temperature.
     scale = np.where(np.isfinite(gyroscope.sigma.scale), scale, gyroscope.sigma.scale)

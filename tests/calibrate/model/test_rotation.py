@@ -61,8 +61,9 @@ def test_right_jacobian_is_the_derivative() -> None:
     assert change == pytest.approx((right_jacobian(VECTORS) @ step[:, :, None])[:, :, 0], abs=1e-14)
 
 
-def test_running_turns_of_chains_of_any_length() -> None:
-    lengths = [1, 2, 5, 37]
+@pytest.mark.parametrize("longest", [37, 6000])  # In passes, and in blocks.
+def test_running_turns_of_chains_of_any_length(longest: int) -> None:
+    lengths = [1, 2, 16, 5, 17, longest]
     turns = exponential(RNG.standard_normal((sum(lengths), 3)))
     first = (np.cumsum(lengths) - lengths).astype(np.int64)
     running = running_turns(turns, first)
@@ -70,7 +71,7 @@ def test_running_turns_of_chains_of_any_length() -> None:
         product = np.array([1.0, 0, 0, 0])
         for k in range(start, start + length):
             product = multiply(product, turns[k])
-            assert running[k] == pytest.approx(product, abs=1e-13)
+            assert running[k] == pytest.approx(product, abs=1e-12)
 
 
 def test_one_rotation_matrix_is_that_of_its_quaternion() -> None:
