@@ -71,6 +71,8 @@ class NewDay:
     bias_covariance: FloatArray
     """Of u and the coefficients of B, each axis, shape (3, order + 1, order + 1)."""
     scale_covariance: FloatArray
+    bias_scale_covariance: FloatArray
+    """Between the two, shape (3, order of B + 1, order of k + 1)."""
     bias_freedom: float
     """Degrees of freedom of the scatter that all this comes from."""
     scale_freedom: float
@@ -121,6 +123,8 @@ class TriadTemperature:
     """None where no sessions show how days differ: fewer than three, or none to spare."""
     sessions: SessionChanges | None = None
     """None where ramps alone were seen."""
+    bias_scale_covariance: FloatArray | None = None
+    """Of the coefficients of B and k, each axis, shape (3, order of B, order of k); None where it is not known."""
 
     def degrees_above(self, temperature_degc: FloatArray) -> FloatArray:
         """Return d for temperatures of shape (n,): clamped into the range, and zero where the temperature is not known."""
@@ -154,6 +158,21 @@ class TriadTemperature:
         # Sessions may show how the bias differs from day to day, and not the scale.
         scale = np.where(np.isnan(scale_of_day), scale_of_own_day, np.fmax(scale_sigma, scale_of_day))
         return np.fmax(bias_sigma, of_day), scale
+
+    def covariance_there(self, temperature_degc: float) -> FloatArray:
+        """Return the covariance of bias and scale (relative) at a temperature, for what ``sigma_there`` is of, shape (3,).
+
+        What the reference's own day has of it comes to that, where sessions do not show how days differ.
+        """
+        d_degc = self.degrees_above(np.array([temperature_degc]))
+        if self.new_day is not None and np.isfinite(self.new_day.scale).all():
+            between, one = self.new_day.bias_scale_covariance, np.ones(1)
+        elif self.bias_scale_covariance is not None:
+            between, one = self.bias_scale_covariance, np.empty(0)
+        else:
+            return np.zeros(3)
+        V, W = (np.concatenate([one, powers(d_degc, size - len(one))[0]]) for size in between.shape[1:])
+        return np.asarray(np.einsum("p,apq,q->a", V, between, W))
 
     def to_reference(
         self, raw: FloatArray, temperature_degc: FloatArray, *, scale: FloatArray, raw_zero: FloatArray | float = 0.0

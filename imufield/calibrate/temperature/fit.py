@@ -250,6 +250,7 @@ def fit_orders(evidence: Evidence, bias: int, scale: int) -> TemperatureFit:
         scale_separated=evidence.separates_scale,
         new_day=None,
         sessions=None if evidence.points is None else _changes(evidence.points),
+        bias_scale_covariance=_block(covariance, of_bias[1:], of_scale[1:]),
     )
     if scatter.freedom[BIAS] >= _FEWEST_FREEDOM:
         is_shown = scatter.freedom[SCALE] >= _FEWEST_FREEDOM
@@ -265,6 +266,7 @@ def fit_orders(evidence: Evidence, bias: int, scale: int) -> TemperatureFit:
             scale=np.full(3, days[SCALE] if is_shown else np.nan),
             bias_covariance=_block(covariance, of_bias, of_bias),
             scale_covariance=_block(covariance, of_scale, of_scale) * is_shown,
+            bias_scale_covariance=_block(covariance, of_bias, of_scale) * is_shown,
             bias_freedom=freedom[BIAS],
             scale_freedom=freedom[SCALE] if is_shown else 0.0,
         )

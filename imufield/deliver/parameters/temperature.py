@@ -54,6 +54,8 @@ def _table(model: TriadTemperature, unit: str) -> Document:
             f"bias_{unit}": model.sessions.bias.tolist(),
             "scale": model.sessions.scale.tolist(),
         }
+    if model.bias_scale_covariance is not None:
+        more["bias_scale_covariance"] = model.bias_scale_covariance.tolist()
     return {
         "reference_degc": float(model.reference_degc),
         "range_degc": [float(value) for value in model.range_degc],
@@ -73,6 +75,7 @@ def _day_table(day: NewDay, unit: str) -> Document:
         "scale": day.scale.tolist(),
         "bias_covariance": day.bias_covariance.tolist(),
         "scale_covariance": day.scale_covariance.tolist(),
+        "bias_scale_covariance": day.bias_scale_covariance.tolist(),
         "bias_degrees_of_freedom": day.bias_freedom,
         "scale_degrees_of_freedom": day.scale_freedom,
     }
@@ -94,7 +97,14 @@ def temperature_of(document: Document, triad: str) -> TriadTemperature | None:
         scale_separated=table["scale_separated"],
         new_day=_new_day(table["new_day"], unit) if "new_day" in table else None,
         sessions=_sessions(table["sessions"], unit) if "sessions" in table else None,
+        bias_scale_covariance=_between(table) if "bias_scale_covariance" in table else None,
     )
+
+
+def _between(table: Document) -> FloatArray:
+    """Return the covariances between bias and scale; files of earlier programs have none, and count as without."""
+    orders = [len(table[f"{quantity}_covariance"][0]) for quantity in ("bias", "scale")]
+    return np.array(table.get("bias_scale_covariance", np.zeros((3, *orders))), dtype=np.float64).reshape(3, *orders)
 
 
 def _sessions(table: Document, unit: str) -> SessionChanges:
@@ -111,6 +121,7 @@ def _new_day(table: Document, unit: str) -> NewDay:
         scale=np.array(table["scale"], dtype=np.float64),
         bias_covariance=np.array(table["bias_covariance"], dtype=np.float64),
         scale_covariance=np.array(table["scale_covariance"], dtype=np.float64),
+        bias_scale_covariance=_between(table),
         bias_freedom=float(table["bias_degrees_of_freedom"]),
         scale_freedom=float(table["scale_degrees_of_freedom"]),
     )
@@ -156,10 +167,28 @@ def temperature_contradictions(document: Document) -> Iterator[str]:
                     return
                 if not all(map(_is_covariance, blocks)):
                     yield sentence("temperature.covariance", where=where, quantity=quantity)
+        yield from _wrong_between(table, where)
+        yield from _wrong_between(table.get("new_day", {}), where)
         sessions = table.get("sessions", {})
         if len({len(values) for values in sessions.values()}) > 1:
             yield sentence("temperature.sessions", where=where)
         yield from _too_steep(document, triad)
+
+
+def _wrong_between(part: Document, where: str) -> Iterator[str]:
+    """Yield what the covariances between bias and scale contradict: their size, or sigmas that are too small for them."""
+    if "bias_scale_covariance" not in part:
+        return
+    blocks = zip(part["bias_covariance"], part["scale_covariance"], part["bias_scale_covariance"], strict=True)
+    for of_bias, of_scale, between in blocks:
+        if len(between) != len(of_bias) or any(len(row) != len(of_scale) for row in between):
+            yield sentence("temperature.size", where=where, quantity="bias_scale", order=len(of_bias))
+            return
+        turned = [[row[k] for row in between] for k in range(len(of_scale))]
+        rows = [[*own, *other] for own, other in zip((*of_bias, *turned), (*between, *of_scale), strict=True)]
+        if not _is_covariance(rows):
+            yield sentence("temperature.covariance", where=where, quantity="bias_scale")
+            return
 
 
 def _is_covariance(block: list[list[float]]) -> bool:

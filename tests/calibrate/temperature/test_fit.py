@@ -11,7 +11,15 @@ from imufield.calibrate.model.grades import GRADES
 from imufield.calibrate.model.models import at_temperature, predict, predict_gyroscope
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters
 from imufield.calibrate.model.temperature import Polynomials, TriadTemperature, unchanging
-from imufield.calibrate.temperature.fit import Evidence, RampBlocks, SessionPoints, distinct, fit_temperature, fit_warnings
+from imufield.calibrate.temperature.fit import (
+    Evidence,
+    RampBlocks,
+    SessionPoints,
+    distinct,
+    fit_orders,
+    fit_temperature,
+    fit_warnings,
+)
 from imufield.calibrate.temperature.trap import gyroscope_sentence, trap_sentence
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2
 from imufield.errors import CalibrationError, Reason
@@ -78,6 +86,24 @@ def test_sessions_and_a_ramp_separate_bias_from_scale() -> None:
     assert np.abs((found.scale.at(d) - scale) / found.scale.sigma_at(d)).max() < 3.5
     assert found.scale.sigma_at(d).max() < 60e-6
     np.testing.assert_array_equal(found.bias.at(np.zeros(1)), 0.0)
+
+
+def test_the_covariance_of_bias_and_scale_gives_the_sigma_of_every_pose() -> None:
+    """A ramp knows what the output does in its own pose far better than bias and scale by themselves."""
+    rng, off, stated, apart = np.random.default_rng(13), [], [], []
+    for _ in range(60):
+        points = sessions([-18.0, 20.0, 58.0], rng, SIGMA)
+        found = fit_orders(Evidence(reference_degc=20.0, points=points, ramps=[ramp(rng, 1e-4)]), 2, 1).temperature
+        bias, scale = true_change(ENDS[1:])
+        d = found.degrees_above(ENDS[1:])
+        of_force = POSE + OFFSET
+        off.append(found.bias.at(d)[0] + of_force * found.scale.at(d)[0] - (bias + of_force * scale)[0])
+        without = found.bias.sigma_at(d)[0] ** 2 + (of_force * found.scale.sigma_at(d)[0]) ** 2
+        stated.append(np.sqrt(without + 2 * of_force * replace(found, new_day=None).covariance_there(ENDS[1])))
+        apart.append(np.sqrt(without))
+    # About their mean: a scale of 0.3 % leaves 10 ppm beyond a polynomial of its order.
+    assert 0.8 < np.sqrt(np.mean(np.var(off, axis=0) / np.mean(np.square(stated), axis=0))) < 1.25
+    assert np.median(np.array(stated) / apart) < 0.5
 
 
 def test_two_sessions_need_the_ramp() -> None:

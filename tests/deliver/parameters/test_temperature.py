@@ -52,10 +52,12 @@ def over_temperature(order: int, unit: float) -> TriadTemperature:
             bias=np.full(3, 0.1 * unit),
             scale=np.array([1e-5, 2e-5, np.nan]),
             bias_covariance=np.array([np.diag([1.0, *size.ravel()]) ** 2 * unit**2] * 3),
-            scale_covariance=np.zeros((3, 2, 2)),
+            scale_covariance=np.array([np.diag([1e-5, 1e-6]) ** 2] * 3),
+            bias_scale_covariance=np.array([0.5 * unit * 1e-5 * np.eye(order + 1, 2) * [1.0, 0.0]] * 3),
             bias_freedom=6.0,
             scale_freedom=3.0,
         ),
+        bias_scale_covariance=1e-3 * roots[:, :, :1] * roots_of_scale,
     )
 
 
@@ -142,6 +144,8 @@ def test_what_contradicts_itself_is_refused(tmp_path: Path, old: str, new: str, 
         ({"scale_covariance": [[[-1.0]], [[0.0]], [[0.0]]]}, "scale_covariance"),
         ({"scale_covariance": [[[1.0]], [[1.0, 0.0]], [[1.0]]]}, "scale_covariance"),
         ({"scale": [[0.02, 0.0, 0.0]]}, "scale"),
+        ({"bias_scale_covariance": [[[0.0]], [[0.0]], [[0.0]]]}, "bias_scale_covariance"),
+        ({"bias_scale_covariance": [[[1.0]] * 5] * 3}, "bias_scale_covariance"),
     ],
 )
 def test_numbers_that_cannot_be_are_refused(loaded: Parameters, tmp_path: Path, values: dict[str, object], fact: str) -> None:
@@ -151,6 +155,21 @@ def test_numbers_that_cannot_be_are_refused(loaded: Parameters, tmp_path: Path, 
     path.write_text(to_toml({key: value for key, value in document.items() if key != "integrity"}), encoding="utf-8")
     with refused(ParameterFileError, Reason.DAMAGED, "accelerometer.temperature", fact):
         load(path)
+
+
+def test_an_older_file_has_no_covariance_between_bias_and_scale(loaded: Parameters, tmp_path: Path) -> None:
+    document = {key: value for key, value in loaded.document.items() if key != "integrity"}
+    for triad in ("accelerometer", "gyroscope"):
+        table = dict(document[triad]["temperature"])
+        table["new_day"] = {key: value for key, value in table["new_day"].items() if key != "bias_scale_covariance"}
+        del table["bias_scale_covariance"]
+        document[triad] = document[triad] | {"temperature": table}
+    path = tmp_path / "older.toml"
+    path.write_text(to_toml(document), encoding="utf-8")
+    for model in load(path).temperature_models:
+        assert model.bias_scale_covariance is None
+        assert model.new_day is not None
+        assert not model.new_day.bias_scale_covariance.any()
 
 
 def test_apply_undoes_what_the_temperature_did(loaded: Parameters) -> None:
