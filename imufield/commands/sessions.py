@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from imufield.acquire.recording.session import SETTINGS_FILE, Session
+from imufield.calibrate.model.result import VERDICTS
 from imufield.commands.options.samples import SessionsOptions
 from imufield.commands.terminal.output import echo, say
 from imufield.deliver.parameters.file import PARAMETER_FILE
@@ -85,7 +86,7 @@ def _solved(path: Path) -> Row:
     except (OSError, ParameterFileError):
         return cut
     verdict, positions = tables.get("quality", {}).get("verdict"), tables.get("session", {}).get("positions")
-    is_whole = verdict in ("good", "usable", "poor") and isinstance(positions, int) and "integrity" in tables
+    is_whole = verdict in VERDICTS and isinstance(positions, int) and "integrity" in tables
     return {"verdict": verdict, "positions": positions} if is_whole else cut
 
 

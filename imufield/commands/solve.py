@@ -20,7 +20,7 @@ from imufield.commands.options.results import SolveOptions
 from imufield.commands.terminal.output import echo, say, tell_written
 from imufield.console import PlainTextConsole
 from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, json_ready, write_document
-from imufield.deliver.parameters.numbers import hanging
+from imufield.deliver.parameters.numbers import WIDTH, hanging
 from imufield.deliver.parameters.schema import Document
 from imufield.deliver.report.gain import document_with_gain
 from imufield.deliver.report.summary import Outcome, print_summary
@@ -35,7 +35,6 @@ from imufield.sentences import Sentences, printable
 sentence = Sentences(__package__)
 
 FAILED = "failed"
-WIDTH = 80  # Of the table where there is no terminal: what a log or a mail shows unbroken.
 
 
 def run_solve(options: SolveOptions) -> int:

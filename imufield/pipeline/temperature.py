@@ -166,17 +166,18 @@ def with_temperature(
         described.update(shown)
         points = _points(base, triad, sessions) if sessions else None
         evidence = Evidence(reference_degc=reference_degc, points=points, ramps=[ramp.blocks for ramp in cut])
-        if triad == "gyroscope" and evidence.highest_orders()[0] == 0:
+        highest = evidence.highest_orders()
+        if triad == "gyroscope" and highest.bias == 0:
             told.append(sentence("temperature.gyroscope_unknown"))
             continue
         found = fit_temperature(evidence)
         models[triad] = found.temperature
         told.append(_words(triad, found))
         warnings[triad] += fit_warnings(found, triad)
-        if triad == "accelerometer":
-            warnings[triad] += filter(None, [trap_sentence(found.temperature, grade)])
-        else:
-            told += filter(None, [gyroscope_sentence(found.temperature, grade, scale_shown=evidence.highest_orders()[1] > 0)])
+        if triad == "accelerometer" and not found.temperature.scale_separated:
+            warnings[triad].append(trap_sentence(found.temperature, grade))
+        if triad == "gyroscope" and highest.scale == 0:
+            told.append(gyroscope_sentence(found.temperature, grade))
     return _joined(base, models, sources=_sources(sessions, ramps), told=told, warnings=warnings)
 
 

@@ -248,11 +248,9 @@ def _result(
 
 def _shares(solution: JointSolution | StaticSolution, parts: dict[str, FloatArray]) -> Iterator[Share]:
     given, data = solution.given, solution.data
+    inputs: dict[str, float] = {}
     if isinstance(solution, JointSolution):
-        fitted = solution.chosen.fit
-        inputs = input_sigmas(fitted.parts, fitted.scatter)
-    else:
-        inputs = {}
+        inputs = input_sigmas(solution.chosen.fit.parts, solution.chosen.fit.scatter)
     stills = len(data.up)
     freedom = degrees_of_freedom(given.calibration.quality.student_factor_95)
     for name, part in parts.items():

@@ -31,13 +31,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from imufield.calibrate.gyroscope.covariance import Covariances, Scatter, next_scatter, random_walk
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import GyroscopeCalibration, GyroscopeParameters
+from imufield.calibrate.model.uncertainty import block_diagonal
 from imufield.earth import EARTH_RATE_RAD_S
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentence, Sentences
@@ -203,9 +204,8 @@ def fit_static(data: StaticData, A: FloatArray, latitude_deg: float, free: Stati
     # The horizontal part averages out over headings, near enough to start from.
     bias = (data.rate_raw @ A.T - vertical_rad_s * data.up).mean(axis=0)
     start = np.concatenate([A.ravel(), bias, [vertical_rad_s]])
-    p, covariance, scatter, converged, shares = _fit(data, start, columns)
-    # Once more with the latitude left free.
-    free_p, free_covariance, *_ = _fit(data, p, [*columns, 12])
+    fitted = _fit(data, start, columns)
+    latitude_free = _fit(data, fitted.p, [*columns, 12])
 
     def in_all(part: FloatArray) -> FloatArray:
         full = np.zeros((12, 12))
@@ -215,19 +215,30 @@ def fit_static(data: StaticData, A: FloatArray, latitude_deg: float, free: Stati
     return StaticFit(
         start=start,
         columns=columns,
-        x=p[:12],
-        covariance=in_all(covariance),
-        shares={name: in_all(part) for name, part in shares.items()},
-        scatter=scatter,
-        vertical_rad_s=float(free_p[12]),
-        vertical_sigma_rad_s=math.sqrt(free_covariance[-1, -1]),
-        converged=converged,
+        x=fitted.p[:12],
+        covariance=in_all(fitted.covariance),
+        shares={name: in_all(part) for name, part in fitted.shares.items()},
+        scatter=fitted.scatter,
+        vertical_rad_s=float(latitude_free.p[12]),
+        vertical_sigma_rad_s=math.sqrt(latitude_free.covariance[-1, -1]),
+        converged=fitted.converged,
     )
 
 
-def _fit(
-    data: StaticData, start: FloatArray, columns: list[int]
-) -> tuple[FloatArray, FloatArray, Scatter, bool, dict[str, FloatArray]]:
+class _Fitted(NamedTuple):
+    """The end of a fit of k of the 13 numbers A, b and v."""
+
+    p: FloatArray
+    """All 13."""
+    covariance: FloatArray
+    """Of the k, shape (k, k)."""
+    shares: dict[str, FloatArray]
+    """What it is the sum of, by name."""
+    scatter: Scatter
+    converged: bool
+
+
+def _fit(data: StaticData, start: FloatArray, columns: list[int]) -> _Fitted:
     p, scatter = start.copy(), Scatter(0.3 * EARTH_RATE_RAD_S, 0.0, 0.0)
     left = _ITERATIONS
     while True:
@@ -246,7 +257,7 @@ def _fit(
             covariance = np.asarray(np.linalg.inv(information) / np.outer(size, size), dtype=np.float64)
             gain = covariance @ J.T @ inverse
             shares = {name: gain @ part @ gain.T for name, part in parts.shares(before).items()}
-            return p, covariance, scatter, converged, shares
+            return _Fitted(p=p, covariance=covariance, shares=shares, scatter=scatter, converged=converged)
 
 
 def linearise_static(p: FloatArray, data: StaticData) -> tuple[FloatArray, FloatArray, Covariances]:
@@ -263,7 +274,7 @@ def linearise_static(p: FloatArray, data: StaticData) -> tuple[FloatArray, Float
     jacobian[:, :, 9:12] = -B
     jacobian[:, 1, 12] = -1.0
     # Norm and invariant share the noise of their still: B C B^T, block by block.
-    spread, noise = _in_blocks(B), _in_blocks(A @ data.covariance_raw @ A.T)
+    spread, noise = block_diagonal(B), block_diagonal(A @ data.covariance_raw @ A.T)
     at_pole = np.eye(2 * s) * (_AT_POLE * EARTH_RATE_RAD_S) ** 2
     wander = spread @ np.kron(random_walk(data.time_s), np.eye(3)) @ spread.T
     parts = Covariances(
@@ -274,11 +285,3 @@ def linearise_static(p: FloatArray, data: StaticData) -> tuple[FloatArray, Float
         with_accelerometer=np.zeros((2 * s, 16)),
     )
     return residual.ravel(), jacobian.reshape(2 * s, 13), parts
-
-
-def _in_blocks(blocks: FloatArray) -> FloatArray:
-    """Return a matrix with these on its diagonal, shape (s, n, m) -> (s n, s m)."""
-    s, n, m = blocks.shape
-    whole = np.zeros((s, n, s, m))
-    whole[range(s), :, range(s)] = blocks
-    return whole.reshape(s * n, s * m)

@@ -29,6 +29,8 @@ ACCELEROMETER_NAMES = (
 ``misalignment_rad.xy`` is row x, column y of T - I.
 """
 GRAVITY_NAME = "gravity_m_s2"
+VERDICTS = ("good", "usable", "poor")
+"""From the best to the worst."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -145,7 +147,7 @@ class Quality:
     parameters_fitted: int
     condition: float
     verdict: str
-    """"good", "usable" or "poor"."""
+    """Of ``VERDICTS``."""
     reasons: tuple[str, ...]
     """Sentences: what the verdict rests on, then what lowered it, then every other one."""
     warnings: tuple[str, ...] = ()
@@ -169,7 +171,7 @@ class Quality:
 
     def lowered(self, verdict: str, *why: str) -> Quality:
         """Return the same with a verdict no better than ``verdict``, and the sentences that say why."""
-        worst = max(self.verdict, verdict, key=("good", "usable", "poor").index)
+        worst = max(self.verdict, verdict, key=VERDICTS.index)
         reasons = (*self.reasons[:1], *why, *self.reasons[1:])
         return replace(self, verdict=worst, reasons=reasons, warnings=(*why, *self.warnings))
 

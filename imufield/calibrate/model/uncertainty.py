@@ -213,3 +213,11 @@ def _whitening(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
     there[:, known] = (vectors / root).T / size[known]
     back[known] = size[known][:, None] * vectors * root
     return there, back
+
+
+def block_diagonal(blocks: FloatArray) -> FloatArray:
+    """Return a matrix with these on its diagonal, shape (s, n, m) -> (s n, s m)."""
+    s, n, m = blocks.shape
+    whole = np.zeros((s, n, s, m))
+    whole[range(s), :, range(s)] = blocks
+    return whole.reshape(s * n, s * m)

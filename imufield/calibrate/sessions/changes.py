@@ -30,6 +30,7 @@ from functools import cached_property
 
 import numpy as np
 
+from imufield.calibrate.model.uncertainty import block_diagonal
 from imufield.calibrate.sessions.draws import FAMILY_CHANCE, symmetric_root, variance_share
 from imufield.calibrate.sessions.kinds import DAILY, kind_of, of_gyroscope
 from imufield.calibrate.sessions.repeatability import Repeatability, contrasts, reml_variance, repeatability
@@ -135,7 +136,7 @@ def _kinds(sessions: Sequence[DatedNumbers]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(kind_of(name) for name in sessions[-1].names)) if sessions else ()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Shapes:
     """Columns that a change adds, c of them on a axes, with all that a test of them needs."""
 
@@ -159,7 +160,7 @@ class _Shapes:
     rest_by_groups: FloatArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class KindTest:
     """The test of one kind on a axes in h sessions, m = a h values."""
 
@@ -214,7 +215,7 @@ class KindTest:
     @cached_property
     def covariance(self) -> FloatArray:
         """C, shape (m, m)."""
-        return self.groups + _blocks(self.own)
+        return self.groups + block_diagonal(self.own)
 
     @cached_property
     def variance(self) -> float:
@@ -227,7 +228,7 @@ class KindTest:
         basis = np.linalg.qr(self.axes, mode="complete")[0][:, self.axes.shape[1] :]
         # Weights from one session's few residuals would favour the sessions whose sigma is too small by chance.
         share = (_PRIOR_FREEDOM / (_PRIOR_FREEDOM + self.freedom))[:, None, None]
-        own = _blocks((1 - share) * self.own + share * self.own.mean(axis=0))
+        own = block_diagonal((1 - share) * self.own + share * self.own.mean(axis=0))
         V = self.variance * np.eye(len(self.y)) + self.groups + own
         values, vectors = np.linalg.eigh(basis.T @ V @ basis)
         return np.asarray(basis @ vectors / np.sqrt(values))
@@ -247,23 +248,29 @@ class KindTest:
         if h >= FEWEST and np.ptp(self.day) > 0:
             shapes.append((None, self.day - self.day.mean()))
         W, weights, blocks = self.whitening, self.weights, (h, a, -1)
-        parts: list[tuple[FloatArray, ...]] = []
+        parts: list[dict[str, FloatArray]] = []
         for _, f in shapes:
             B, R = np.linalg.qr(W.T @ np.kron(f[:, None], np.eye(a)))
             to_beta = np.linalg.inv(R)
             K = to_beta @ B.T @ W.T
             rest = (W - W @ B @ B.T) * np.sqrt(weights)
             K_blocks, rest_blocks = K.T.reshape(blocks), rest.reshape(blocks)
-            parts.append((
-                B, to_beta,
-                np.sum(K**2, axis=1), np.einsum("hik,hij,hjk->kh", K_blocks, self.own, K_blocks),
-                np.einsum("km,mn,kn->k", K, self.groups, K),
-                np.asarray(np.sum(rest**2)), np.einsum("hin,hij,hjn->h", rest_blocks, self.own, rest_blocks),
-                np.einsum("mj,mn,nj->", rest, self.groups, rest),
-            ))  # fmt: skip
-        B, *others = (np.array(part) for part in zip(*parts, strict=True))
-        names, values = zip(*shapes, strict=True)
-        return _Shapes(names, np.array(values), np.moveaxis(B, 0, 1), *others)
+            parts.append(
+                {
+                    "columns": f,
+                    "B": B,
+                    "to_beta": to_beta,
+                    "by_day": np.sum(K**2, axis=1),
+                    "by_session": np.einsum("hik,hij,hjk->kh", K_blocks, self.own, K_blocks),
+                    "by_groups": np.einsum("km,mn,kn->k", K, self.groups, K),
+                    "rest_by_day": np.asarray(np.sum(rest**2)),
+                    "rest_by_session": np.einsum("hin,hij,hjn->h", rest_blocks, self.own, rest_blocks),
+                    "rest_by_groups": np.einsum("mj,mn,nj->", rest, self.groups, rest),
+                }
+            )
+        stacked = {name: np.array([part[name] for part in parts]) for name in parts[0]}
+        stacked["B"] = np.moveaxis(stacked["B"], 0, 1)
+        return _Shapes(first_after=tuple(first for first, _ in shapes), **stacked)
 
     def statistics(self, y: FloatArray, own_share: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return beta and its sigma, shapes (d, c, a).
@@ -314,14 +321,6 @@ class KindTest:
                 f = self.shapes.columns[places.index(change.first_after)]
                 columns.append(np.kron(f, np.eye(len(self.names))[self.names.index(change.name)])[:, None])
         return np.hstack(columns)
-
-
-def _blocks(own: FloatArray) -> FloatArray:
-    """Return blocks, shape (h, a, a), on a diagonal, shape (h a, h a)."""
-    h, a, _ = own.shape
-    whole = np.zeros((h, a, h, a))
-    whole[range(h), :, range(h), :] = own
-    return whole.reshape(h * a, h * a)
 
 
 def _group_covariance(sessions: Sequence[DatedNumbers], rows: Sequence[Sequence[int]]) -> FloatArray:

@@ -90,7 +90,7 @@ def forecast(
     if now >= wanted:
         return NoForecast("now", known, now)
     ends = [_days(likely, file_sigma, wanted) for likely in (walk, drift)]
-    middle = _days(foreseen, file_sigma, wanted)[1]
+    middle = ends[is_drifting][1]
     low, high = min(end[0] for end in ends), max(end[2] for end in ends)
     return Forecast(days=middle, low_days=low, high_days=high, span_days=float(np.ptp(test.day)), now=now)
 

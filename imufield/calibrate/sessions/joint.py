@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -109,10 +110,17 @@ class Joint:
     """Whether what the sessions share contradicts their errors."""
 
 
+class _Unknown(NamedTuple):
+    what: Literal["theta", "day", "site"]
+    name: str
+    """Of the number, or of the site."""
+    session: int | None = None
+    """Which has a number of its own."""
+
+
 @dataclass(frozen=True, slots=True)
 class _Adjusted:
-    columns: tuple[tuple[str, str], ...]
-    """Of each unknown: kind "theta" with its name, "site" with its name, or "i" of a session with its name."""
+    columns: tuple[_Unknown, ...]
     values: FloatArray
     covariance: FloatArray
     weighted_square: float
@@ -136,7 +144,8 @@ def adjust(sessions: Sequence[SessionNumbers], prior_scales: Mapping[str, float]
     adjusted = _adjust(sessions, names, variances)
     n = len(names)
     values, covariance = adjusted.values[:n], adjusted.covariance[:n, :n].copy()
-    of_site = [k for k, (kind, _) in enumerate(adjusted.columns) if kind == "site"]
+    sites = {column.name: k for k, column in enumerate(adjusted.columns) if column.what == "site"}
+    of_site = [*sites.values()]
     with_sites = adjusted.covariance[:n, of_site]
     by_gravity = with_sites @ np.linalg.solve(adjusted.covariance[np.ix_(of_site, of_site)], with_sites.T)
     day = np.zeros((n, n))
@@ -162,7 +171,6 @@ def adjust(sessions: Sequence[SessionNumbers], prior_scales: Mapping[str, float]
             day_sigma=day_sigma,
             prior_scale=prior_scale,
         )
-    sites = {name: k for k, (kind, name) in enumerate(adjusted.columns) if kind == "site"}
     return Joint(
         names=names,
         values=values,
@@ -200,9 +208,9 @@ def _contrasts_of(
     sessions: Sequence[SessionNumbers], names: tuple[str, ...], variances: Mapping[str, float], kind: str
 ) -> Contrasts:
     adjusted = _adjust(sessions, names, variances, free=kind)
-    rows = [k for k, (of, _) in enumerate(adjusted.columns) if of.isdigit()]
+    rows = [k for k, column in enumerate(adjusted.columns) if column.what == "day"]
     places = [name for name in names if kind_of(name) == kind]
-    axes = np.array([[adjusted.columns[k][1] == place for place in places] for k in rows], dtype=np.float64)
+    axes = np.array([[adjusted.columns[k].name == place for place in places] for k in rows], dtype=np.float64)
     return contrasts(adjusted.values[rows], axes, adjusted.covariance[np.ix_(rows, rows)])
 
 
@@ -210,19 +218,19 @@ def _adjust(
     sessions: Sequence[SessionNumbers], names: tuple[str, ...], variances: Mapping[str, float], free: str = ""
 ) -> _Adjusted:
     """Adjust once with known variances; the kind ``free`` has an unknown for each session and axis."""
-    columns = [("theta", name) for name in names if kind_of(name) != free]
-    columns += [(str(i), name) for i, each in enumerate(sessions) for name in each.names if kind_of(name) == free]
-    columns += [("site", site) for site in dict.fromkeys(session.site for session in sessions)]
+    columns = [_Unknown("theta", name) for name in names if kind_of(name) != free]
+    columns += [_Unknown("day", name, i) for i, each in enumerate(sessions) for name in each.names if kind_of(name) == free]
+    columns += [_Unknown("site", site) for site in dict.fromkeys(session.site for session in sessions)]
     place = {column: k for k, column in enumerate(columns)}
     # Gravity's error in its sigmas is zero with a sigma of one.
-    normal = np.diag([float(kind == "site") for kind, _ in columns])
+    normal = np.diag([float(column.what == "site") for column in columns])
     right, square = np.zeros(len(columns)), 0.0
     for i, session in enumerate(sessions):
         n = len(session.names)
         X = np.zeros((n, len(columns)))
-        unknowns = [(str(i) if kind_of(name) == free else "theta", name) for name in session.names]
+        unknowns = [_Unknown("day", name, i) if kind_of(name) == free else _Unknown("theta", name) for name in session.names]
         X[range(n), [place[unknown] for unknown in unknowns]] = 1.0
-        X[:, place["site", session.site]] = session.by_gravity
+        X[:, place[_Unknown("site", session.site)]] = session.by_gravity
         day = np.diag([variances.get(kind_of(name), 0.0) for name in session.names])
         weighted = np.linalg.solve(session.covariance + day, np.column_stack([X, session.values]))
         normal += X.T @ weighted[:, :-1]

@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,6 +117,13 @@ class TemperatureFit:
     """From the reference to the nearest temperature that was measured: there the polynomials only join the two."""
 
 
+class Orders(NamedTuple):
+    """Highest powers of temperature."""
+
+    bias: int
+    scale: int
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Evidence:
     """All that is known of a triad over temperature."""
@@ -130,7 +138,7 @@ class Evidence:
         points = () if self.points is None else (self.points.temperature_degc,)
         return np.concatenate([np.empty(0), *points, *(ramp.temperature_degc for ramp in self.ramps)])
 
-    def highest_orders(self) -> tuple[int, int]:
+    def highest_orders(self) -> Orders:
         """Return the highest order of bias and of scale that these temperatures and poses can show."""
         bias = min(HIGHEST_ORDER, _most(distinct(self.temperature_degc)))
         scale = 0
@@ -140,12 +148,12 @@ class Evidence:
             scale = _most(seen + self._ramps_feel)
         if len(self.ramps) > 1 and np.all(np.ptp([ramp.specific_force_m_s2 for ramp in self.ramps], axis=0) > _OTHER_POSE_M_S2):
             scale = max(scale, bias)
-        return max(bias, 0), min(max(scale, 0), HIGHEST_ORDER)
+        return Orders(max(bias, 0), min(max(scale, 0), HIGHEST_ORDER))
 
     @property
     def separates_scale(self) -> bool:
         """Whether no drift of the scale can pose as one of the bias: it does in ramps, by the specific force of their pose."""
-        return not self._ramps_feel or self.highest_orders()[1] > 0
+        return not self._ramps_feel or self.highest_orders().scale > 0
 
     @property
     def _ramps_feel(self) -> bool:
@@ -177,11 +185,10 @@ def fit_temperature(evidence: Evidence) -> TemperatureFit:
     """
     temperature_degc = evidence.temperature_degc
     blocks = distinct(temperature_degc)
-    most_bias, most_scale = evidence.highest_orders()
-    if most_bias == 0:
+    if evidence.highest_orders().bias == 0:
         span = float(np.ptp(temperature_degc)) if blocks else 0.0
         raise CalibrationError(sentence("fit.too_few", blocks=blocks, span=span), Reason.TOO_FEW)
-    return fit_orders(evidence, *_chosen_orders(evidence, most_bias, most_scale))
+    return fit_orders(evidence, *_chosen_orders(evidence))
 
 
 def fit_warnings(found: TemperatureFit, triad: str) -> tuple[str, ...]:
@@ -195,21 +202,22 @@ def fit_warnings(found: TemperatureFit, triad: str) -> tuple[str, ...]:
     return tuple(told)
 
 
-def _chosen_orders(evidence: Evidence, most_bias: int, most_scale: int) -> tuple[int, int]:
-    """Return the orders of bias and scale with the lowest information criterion."""
+def _chosen_orders(evidence: Evidence) -> Orders:
+    """Return the orders with the lowest information criterion."""
+    most_bias, most_scale = evidence.highest_orders()
     full = [_equations(evidence, most_bias, most_scale, axis) for axis in range(3)]
     variances = scatter_of(full).variances
     white = [whitened(each, variances) for each in full]
     rows = sum(len(each.values) for each in white)
-    criteria = {}
+    criteria: dict[Orders, float] = {}
     for bias in range(most_bias + 1):
         for scale in range(most_scale + 1):
             # Constants come last, and every model has them.
             kept = np.r_[0:bias, most_bias : most_bias + scale, most_bias + most_scale : full[0].matrix.shape[1]]
             misfit = sum(_square(each._replace(matrix=each.matrix[:, kept]).residual()) for each in white)
             beyond = misfit if misfit <= rows else rows * (1 + math.log(misfit / rows))
-            criteria[bias, scale] = beyond + 3 * (bias + scale) * math.log(rows)
-    return min(criteria, key=lambda orders: criteria[orders])
+            criteria[Orders(bias, scale)] = beyond + 3 * (bias + scale) * math.log(rows)
+    return min(criteria, key=criteria.__getitem__)
 
 
 def _square(values: FloatArray) -> float:
@@ -383,12 +391,12 @@ def _hysteresis(ramps: Sequence[RampBlocks]) -> FloatArray:
         if rising.sum() < 2 or falling.sum() < 2:
             continue
         up, down = (np.argsort(ramp.temperature_degc[branch]) for branch in (rising, falling))
-        x_up, x_down = ramp.temperature_degc[rising][up], ramp.temperature_degc[falling][down]
-        common = (x_up >= x_down[0]) & (x_up <= x_down[-1])
+        up_degc, down_degc = ramp.temperature_degc[rising][up], ramp.temperature_degc[falling][down]
+        common = (up_degc >= down_degc[0]) & (up_degc <= down_degc[-1])
         if not common.any():
             continue
         # Rows interpolate the falling branch; their squares its variances.
-        there = np.column_stack([np.interp(x_up[common], x_down, unit) for unit in np.eye(len(x_down))])
+        there = np.column_stack([np.interp(up_degc[common], down_degc, unit) for unit in np.eye(len(down_degc))])
         halves.append((ramp.output[rising][up][common] - there @ ramp.output[falling][down]) / 2)
         variances = ramp.sigma[rising][up][common] ** 2 + there**2 @ ramp.sigma[falling][down] ** 2
         noise.append(variances / 4)

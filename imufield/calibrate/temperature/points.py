@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,7 +18,14 @@ from imufield.calibrate.temperature.fit import SessionPoints
 from imufield.samples import FloatArray
 
 _LEFT_OUT = 1.0  # Variance of a scale that a session does not show: any, as its row is left out.
-_Point = tuple[FloatArray, FloatArray, FloatArray]
+
+
+class _Point(NamedTuple):
+    """What one session found: a row of each array of ``SessionPoints``."""
+
+    bias: FloatArray
+    scale: FloatArray
+    covariance: FloatArray
 
 
 def accelerometer_points(
@@ -44,9 +52,8 @@ def gyroscope_points(
 
 
 def _points(points: Sequence[_Point], temperature_degc: Sequence[float], reference: int | None) -> SessionPoints:
-    bias, scale, covariance = (np.array(values) for values in zip(*points, strict=True))
-    at_degc = np.array(temperature_degc)
-    return SessionPoints(temperature_degc=at_degc, bias=bias, scale=scale, covariance=covariance, reference=reference)
+    arrays = {name: np.array([getattr(point, name) for point in points]) for name in _Point._fields}
+    return SessionPoints(temperature_degc=np.array(temperature_degc), reference=reference, **arrays)
 
 
 def _accelerometer(reference: AccelerometerParameters, session: Calibration) -> _Point:
@@ -55,7 +62,7 @@ def _accelerometer(reference: AccelerometerParameters, session: Calibration) -> 
     # The error of gravity is that of the place, and no change from one temperature to another.
     known = without_gravity(session.covariance_names, session.covariance)
     covariance = np.array([known[np.ix_(row, row)] for row in rows]) * unit[:, :, None] * unit[:, None, :]
-    return session.accelerometer.bias_m_s2, session.accelerometer.scale / reference.scale - 1, covariance
+    return _Point(session.accelerometer.bias_m_s2, session.accelerometer.scale / reference.scale - 1, covariance)
 
 
 def _gyroscope(reference: GyroscopeParameters, session: GyroscopeCalibration) -> _Point:
@@ -66,4 +73,4 @@ def _gyroscope(reference: GyroscopeParameters, session: GyroscopeCalibration) ->
     covariance[:, 0, 0] = (sigma.bias / K) ** 2
     covariance[:, 1, 1] = np.where(is_shown, (sigma.scale / K) ** 2, _LEFT_OUT)
     # The bias as an output has grown with the scale; B has not.
-    return found.bias / np.where(is_shown, 1 + scale, 1.0) / K, scale, covariance
+    return _Point(found.bias / np.where(is_shown, 1 + scale, 1.0) / K, scale, covariance)

@@ -8,6 +8,7 @@ import numpy as np
 
 from imufield.calibrate.model.models import at_temperature
 from imufield.calibrate.model.result import Calibration, GyroscopeCalibration
+from imufield.calibrate.model.temperature import TriadTemperature
 from imufield.samples import AXES, FloatArray
 
 
@@ -22,7 +23,7 @@ def calibration_at(calibration: Calibration, temperature_degc: float) -> Calibra
         sigma = replace(sigma, bias_m_s2=bias, scale=scale * np.abs(there.scale))
         raised |= {"accelerometer.bias_m_s2": sigma.bias_m_s2, "accelerometer.scale": sigma.scale}
     if gyroscope is not None and gyroscope.temperature is not None:
-        gyroscope = _gyroscope_there(gyroscope, temperature_degc)
+        gyroscope = _gyroscope_there(gyroscope, gyroscope.temperature, temperature_degc)
         raised |= {"gyroscope.bias": gyroscope.sigma.bias, "gyroscope.scale": gyroscope.sigma.scale}
     return replace(
         calibration,
@@ -34,10 +35,8 @@ def calibration_at(calibration: Calibration, temperature_degc: float) -> Calibra
     )
 
 
-def _gyroscope_there(gyroscope: GyroscopeCalibration, temperature_degc: float) -> GyroscopeCalibration:
-    model, K = gyroscope.temperature, np.abs(gyroscope.parameters.scale)
-    if model is None:
-        return gyroscope
+def _gyroscope_there(gyroscope: GyroscopeCalibration, model: TriadTemperature, temperature_degc: float) -> GyroscopeCalibration:
+    K = np.abs(gyroscope.parameters.scale)
     bias, scale = model.sigma_there(temperature_degc, gyroscope.sigma.bias / K, gyroscope.sigma.scale / K)
     there = at_temperature(gyroscope.parameters, model, temperature_degc)
     size = np.abs(there.scale)

@@ -7,25 +7,21 @@ import numpy as np
 from imufield.calibrate.model.grades import Grade
 from imufield.calibrate.model.temperature import TriadTemperature
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2
-from imufield.sentences import Sentences
+from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
 
 
-def trap_sentence(temperature: TriadTemperature, typical: Grade) -> str:
-    """Say what is left in other poses where the drift of the accelerometer's scale is in its bias; empty where it is not."""
-    if temperature.scale_separated:
-        return ""
+def trap_sentence(temperature: TriadTemperature, typical: Grade) -> Sentence:
+    """Say what is left in other poses where the drift of the accelerometer's scale is in its bias."""
     worst, span = _worst(temperature)
     ppm = typical.accelerometer.scale_ppm_per_degc
     size = {"ppm": ppm, "size_mg": 1e-6 * ppm * span * STANDARD_GRAVITY_M_S2 / MILLI_G_M_S2}
     return sentence("trap.pose", grade=typical.name, temperature_degc=worst, **size)
 
 
-def gyroscope_sentence(temperature: TriadTemperature, typical: Grade, *, scale_shown: bool) -> str:
-    """Say that the gyroscope's scale was not seen over temperature; empty where it was."""
-    if scale_shown:
-        return ""
+def gyroscope_sentence(temperature: TriadTemperature, typical: Grade) -> Sentence:
+    """Say that the gyroscope's scale was not seen over temperature."""
     worst, span = _worst(temperature)
     ppm = typical.gyroscope.scale_ppm_per_degc
     return sentence("trap.gyroscope", grade=typical.name, temperature_degc=worst, ppm=ppm, size_ppm=ppm * span)

@@ -20,6 +20,7 @@ from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_R
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import (
     GRAVITY_NAME,
+    VERDICTS,
     Calibration,
     GyroscopeCalibration,
     GyroscopeParameters,
@@ -63,7 +64,6 @@ _NO_POSITIONS = PositionResult(
     used=np.zeros(0, dtype=np.bool_),
     bias_drift_m_s2=np.zeros((0, 3)),
 )
-_RANKS = ("good", "usable", "poor")
 
 
 @dataclass(frozen=True, slots=True)
@@ -286,7 +286,7 @@ def _quality(joined: JoinedFrom, joint: Joint, warnings: Sequence[str], notes: S
 
 
 def _worst(verdicts: Sequence[str]) -> str:
-    return max((verdict for verdict in verdicts if verdict in _RANKS), key=_RANKS.index, default="")
+    return max((verdict for verdict in verdicts if verdict in VERDICTS), key=VERDICTS.index, default="")
 
 
 def _summary(joined: JoinedFrom) -> str:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
 from imufield.calibrate.model.grades import GRADES
 from imufield.calibrate.model.models import BIAS, SCALE
+from imufield.calibrate.model.result import VERDICTS
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity, choose_gravity, sigma_of_digits
 from imufield.sentences import Sentence
 from imufield.simulate.truth.effects import Effects
@@ -64,7 +65,7 @@ def with_touched_holds(count: int, size_mg: float, rng: np.random.Generator) -> 
     named = {str(reason.values["position"]) for reason in reasons if reason.key in _OUTLIERS}
     without = session.answer(gravity, without=named)
     return {
-        **{verdict: found.calibration.quality.verdict == verdict for verdict in ("good", "usable", "poor")},
+        **{verdict: found.calibration.quality.verdict == verdict for verdict in VERDICTS},
         "named_right": named == session.touched,
         "named_wrong": bool(named - session.touched),
         "inside": found.inside[:6],

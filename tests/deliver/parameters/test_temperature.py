@@ -155,6 +155,7 @@ def test_numbers_that_cannot_be_are_refused(loaded: Parameters, tmp_path: Path, 
 
 def test_apply_undoes_what_the_temperature_did(loaded: Parameters) -> None:
     calibration, force = loaded.calibration, np.random.default_rng(1).normal(scale=8, size=(5, 3))
+    assert calibration.accelerometer_temperature is not None
     at_degc = np.array([-30.0, -20.0, 10.0, 32.15, 70.0])
     raw = np.vstack(
         [
