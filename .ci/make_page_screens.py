@@ -1,12 +1,15 @@
 """Make the pictures of the guide's page: all its states on every screen, by day and by night; ``make screens``.
 
-A session without a wire or a clock goes through the states (``tests/web/guide_stages.py``), pages of one browser look on.
+A session without a wire or a clock goes through the states (``tests/web/guide_stages.py``), pages of one browser look on. And
+two of the workbench, in which a simulated session is computed.
 """
 
 from __future__ import annotations
 
 import base64
+import os
 import sys
+import tempfile
 from collections import defaultdict
 from itertools import product
 from pathlib import Path
@@ -15,8 +18,11 @@ from typing import TYPE_CHECKING
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))
 
+from imufield.web.workbench import Workbench  # noqa: E402
+from tests.commands.conftest import simulated_session  # noqa: E402
 from tests.web.browser import open_browser  # noqa: E402
 from tests.web.guide_stages import ENDED, STAND_STILL, StagedSession  # noqa: E402
+from tests.web.served import Served  # noqa: E402
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -28,6 +34,7 @@ FOLDER = ROOT / "docs" / "screens"
 SCREENS = (("phone", 390, 844, 180), ("tablet", 768, 1024, 240), ("laptop", 1280, 800, 320))
 ALONE = {("turning", "laptop", "light"): "page", ("holding", "phone", "dark"): "page-hold"}
 COLUMNS = {"phone": 8, "tablet": 5, "laptop": 5}
+SLOW_MS = 120_000.0  # Commands on a busy machine, and a port that says nothing.
 QUALITY = {"alone": 45, "once": 80, "sheet": 40}
 STYLE = "body{margin:8px;background:#777;font:14px sans-serif;color:#fff;display:grid;gap:8px}figure{margin:0}img{width:100%}"
 
@@ -89,6 +96,40 @@ def main() -> None:
         visit(pages, pictures)
         for (name, scheme), taken in pictures.items():
             write_sheet(pages[name, scheme], name, scheme, taken)
+        photograph_workbench(browser.new_page(viewport={"width": 1100, "height": 1000}))
+
+
+def photograph_workbench(page: Page) -> None:
+    """Take a picture of what begins a session, and of the result of one."""
+    with tempfile.TemporaryDirectory() as folder:
+        # The page shows the paths of its commands as they are typed.
+        os.chdir(folder)
+        root = Path("imufield-sessions")
+        simulated_session(root / "2026-03-14-workshop", serial_number="N25581846020021")
+        bench = Workbench(root)
+        served = Served(bench.board, bench.take, bench.service)
+        with served.server:
+            bench.refresh()
+            page.goto(served.url)
+            page.locator("#virtual").click()
+            # Ports of this machine are nobody's business.
+            page.locator("#look:enabled").wait_for(timeout=SLOW_MS)
+            page.evaluate("() => document.querySelectorAll('.port:not(:has(:checked))').forEach((port) => port.remove())")
+            page.get_by_label("Bias wanted to").fill("100")
+            page.get_by_label("Bias wanted to").blur()
+            page.locator("#plan-says", has_text="100").wait_for(timeout=SLOW_MS)
+            page.screenshot(path=FOLDER / "workbench.png")
+            page.locator('header a[href="#sessions"]').click()
+            page.locator("#list a").click(timeout=SLOW_MS)
+            page.locator("#steps button.main").click(timeout=SLOW_MS)
+            page.get_by_role("button", name="Show the signals").click(timeout=SLOW_MS)
+            page.locator("#signals-of-session polyline").first.wait_for(timeout=SLOW_MS)
+            # What is behind the verdict would be most of the picture.
+            page.locator("#result summary").first.click()
+            page.set_viewport_size({"width": 1100, "height": 1240})
+            page.screenshot(path=FOLDER / "workbench-result.png")
+        bench.close()
+        os.chdir(ROOT)
 
 
 def write_sheet(page: Page, name: str, scheme: str, taken: list[tuple[str, bytes]]) -> None:
