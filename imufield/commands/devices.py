@@ -42,20 +42,15 @@ def list_devices(options: DevicesOptions) -> None:
     if options.as_json:
         echo(json.dumps({"ports": ports, "buses": [asdict(bus) for bus in buses], "drivers": drivers}))
         return
-    # Slow to import, and not needed by a program that reads JSON.
-    from rich.table import Table
-
-    from imufield.console import PlainTextConsole
-
-    console = PlainTextConsole()
-    table = Table(title="serial ports", title_justify="left", box=None, padding=(0, 2, 0, 0))
-    table.add_column("port", no_wrap=True, min_width=max((len(port["device"]) for port in ports), default=0))
-    table.add_column("description by the system")
-    for port in ports:
-        table.add_row(port["device"], port["description"])
-    console.print(table if ports else "no serial ports found: plug the instrument in, or give --port socket://host:port")
+    if not ports:
+        echo("no serial ports found: plug the instrument in, or give --port socket://host:port")
+    else:
+        width = max(len("port"), *(len(port["device"]) for port in ports)) + 2
+        echo(f"serial ports\n{'port':<{width}}description by the system")
+        for port in ports:
+            echo(hanging(f"{port['device']:<{width}}", printable(port["description"])))
     for bus in buses:
-        console.print(f"CAN bus {bus.bus} ({bus.state})", highlight=False)
+        echo(f"CAN bus {bus.bus} ({bus.state})")
     echo("\ninstruments: bit rate, how well tested, supported commands")
     width = max(len(driver["name"]) for driver in drivers) + 2
     for driver in drivers:

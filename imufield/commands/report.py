@@ -21,21 +21,18 @@ from imufield.deliver.parameters.write import content_sha256
 from imufield.deliver.report.data import (
     Closure,
     ReportData,
-    RestCollector,
-    Trace,
-    TraceCollector,
     closure,
     convergence,
     observations_of,
+    with_gyroscope,
 )
 from imufield.deliver.report.page import load_weasyprint, render_record, render_report, to_pdf
+from imufield.deliver.report.trace import Trace, trace
 from imufield.deliver.verification.result import read_verification, verification_note, verification_path
 from imufield.drawing.style import load_matplotlib
-from imufield.errors import ParameterFileError, Reason
+from imufield.errors import CalibrationError, ParameterFileError, Reason
 from imufield.files import refuse_overwriting, utf8_text
-from imufield.pipeline.calibration import MoveListener
-from imufield.pipeline.chain import Chain, ReadingPlan, replay_into
-from imufield.pipeline.solving import session_sha256
+from imufield.pipeline.solving import read_recording, session_sha256
 from imufield.progress import task
 from imufield.sentences import Sentences
 from imufield.version import __version__
@@ -44,7 +41,6 @@ sentence = Sentences(__package__)
 
 REPORT_FILE = "report.html"
 RECORD_FILE = "calibration-record.html"
-_FEWEST_FOR_METHODS = 9  # Positions; the methods of the papers need more than parameters.
 
 
 def run_report(options: ReportOptions) -> tuple[Path, ...]:
@@ -90,22 +86,20 @@ def gather(options: ReportOptions) -> tuple[ReportData, Path]:
     path = parameters.path or Path(PARAMETER_FILE)
     preset = None if options.preset is None else load(options.preset)
     _check_belongs(parameters, session, preset)
-    trace, closed, damage = (None, None, []) if session is None else _replay(session, parameters, preset)
-    seed = parameters.calibration.solver.seed or 0
+    traced, closed, notes = (None, None, ()) if session is None else _read(session, parameters, preset)
     before = None if preset is None else preset.calibration.accelerometer
     results, sha256 = verification_path(path), content_sha256(parameters.document)
     left_out = verification_note(results, sha256)
-    many = len(parameters.document["position"]) >= _FEWEST_FOR_METHODS
     data = ReportData(
         parameters=parameters,
         preset=preset,
-        trace=trace,
+        trace=traced,
         closure=closed,
-        convergence=convergence(observations_of(parameters), parameters.calibration, before, seed) if many else (),
+        convergence=convergence(observations_of(parameters), parameters.calibration, before),
         verification=read_verification(results, sha256),
         provenance=tuple(_provenance(path, parameters, session)),
         operator=options.operator,
-        notes=(*(entry.what for entry in damage), *filter(None, (left_out,))),
+        notes=(*notes, *filter(None, (left_out,))),
     )
     return data, path.parent if session is None else session.folder
 
@@ -124,27 +118,25 @@ def _check_belongs(parameters: Parameters, session: Session | None, preset: Para
         raise ParameterFileError(other, Reason.FOREIGN)
 
 
-def _replay(
+def _read(
     session: Session, parameters: Parameters, preset: Parameters | None
-) -> tuple[Trace | None, Closure | None, list[Damage]]:
-    """Return what only the recording tells."""
-    trace, moves, rests = TraceCollector(parameters), MoveListener(), RestCollector(parameters)
-    # The rests between whole turns part moves, and the guide alone knows them.
-    turned = bool(session.record.guide.rotations)
-    plan = ReadingPlan.of(session) if turned else ReadingPlan(None)
-    chain = Chain(plan, (trace.feed, moves.feed, rests.feed), judging=turned)
+) -> tuple[Trace | None, Closure | None, tuple[str, ...]]:
+    """Return what only the recording tells, and sentences about what it does not."""
     damage: list[Damage] = []
-    replay_into(chain, session, damage)
-    observations = rests.finish()
-    nominal = None if chain.protocol is None else chain.protocol.nominal.gyroscope_scale
-    old = None if preset is None or preset.calibration.gyroscope is None else preset.calibration.gyroscope.parameters
+    try:
+        reading = read_recording(session, damage)
+    except CalibrationError as error:
+        # Parameters that are here all the same have a report.
+        return None, None, (error.message,)
+    positions, old = with_gyroscope(observations_of(parameters), reading.observations), None
+    if preset is not None and preset.calibration.gyroscope is not None:
+        old = preset.calibration.gyroscope.parameters
     closed = None
     # Positions that were given otherwise have no time, and no moves between them.
-    if len(observations) and np.isfinite(observations.start_s).all():
-        between = chain.turn_rests()
-        stills = observations if between is None else join_observations(observations, between)
-        closed = closure(stills, moves.between(stills), parameters, old, nominal=nominal)
-    return trace.finish(), closed, damage
+    if len(positions) and np.isfinite(positions.start_s).all():
+        stills = positions if reading.rests is None else join_observations(positions, reading.rests)
+        closed = closure(stills, reading.between(positions), parameters, old, nominal=reading.gyroscope_scale)
+    return trace(reading.cells, parameters), closed, tuple(entry.what for entry in damage)
 
 
 def _provenance(path: Path, parameters: Parameters, session: Session | None) -> Iterator[tuple[str, str]]:

@@ -38,6 +38,8 @@ from imufield.errors import CalibrationError, ImufieldError, ParameterFileError,
 from imufield.files import refuse_overwriting
 from imufield.pipeline.chain import Chain, ReadingPlan, replay_into, session_protocol
 from imufield.pipeline.damage import naming_damage
+from imufield.pipeline.kept import kept
+from imufield.pipeline.reading import Reading
 from imufield.pipeline.solving import session_sha256
 from imufield.samples import Samples
 from imufield.sentences import Sentences
@@ -69,7 +71,7 @@ class _Task:
             checked.check_instrument(self.session.serial_number)
         # By the bytes and not by the name: a folder may be renamed or copied. Parameters of no session have no hash.
         sha256 = self.parameters.context.session.sha256
-        own_sha256 = session_sha256(self.session)
+        self.sha256 = own_sha256 = session_sha256(self.session)
         self.is_its_own = bool(sha256) and sha256 == own_sha256
         together = self.parameters.context.together
         if together is not None and own_sha256 in [session.sha256 for session in together.session]:
@@ -134,10 +136,14 @@ def _verify(task: _Task) -> Verification:
     problems: list[ImufieldError] = []
     damage: list[Damage] = []
     navigation, flags = _Navigation(task, problems), TemperatureFlags(task.parameters)
+    # Positions alone are all in what is kept of an earlier replay.
+    only_positions = navigation.is_off and not task.parameters.temperature_models
+    reading = kept(task.session, task.sha256) if only_positions else None
     chain = Chain(ReadingPlan.of(task.session), (flags.count, navigation.feed))
-    replay_into(chain, task.session, damage)
+    if reading is None:
+        replay_into(chain, task.session, damage)
     with naming_damage(task.session, damage):
-        left_out = _left_out(task, chain, problems)
+        left_out = _left_out(task, chain, reading, problems)
         navigated = navigation.finish()
         if left_out is None and navigated is None:
             least_s = task.options.align_s + SHORTEST_S
@@ -153,19 +159,23 @@ def _verify(task: _Task) -> Verification:
         left_out=left_out,
         navigation=navigated,
         requirements=judge(task.limits, left_out, navigated),
-        notes=(*filter(None, about_file), *chain.notes, *flags.notes(), *found, *read),
+        notes=(*filter(None, about_file), *(chain if reading is None else reading).notes, *flags.notes(), *found, *read),
     )
 
 
-def _left_out(task: _Task, chain: Chain, problems: list[ImufieldError]) -> LeftOutPositions | None:
+def _left_out(task: _Task, chain: Chain, reading: Reading | None, problems: list[ImufieldError]) -> LeftOutPositions | None:
     """Check the positions; what stands in the way goes to ``problems``, except where it is the user's mistake."""
-    calibration, protocol = task.parameters.calibration, chain.protocol
+    calibration = task.parameters.calibration
+    protocol = chain.protocol if reading is None else session_protocol(task.session)
     try:
         for parameters in filter(None, (task.parameters, task.preset)):
             # For other raw units they are refused, as applying them would; without a protocol there is no sample.
             if protocol is not None:
                 parameters.check_unit("accelerometer", protocol.units.accelerometer_rate_unit)
-        observations = chain.observations() if chain.guide is not None else chain.still_intervals().observations
+        if reading is not None:
+            observations = reading.observations
+        else:
+            observations = chain.observations() if chain.guide is not None else chain.still_intervals().observations
         before = _before_accelerometer(task, protocol)
         if not task.is_its_own:
             # Its own positions were measured where the parameters hold; others may come from the cold.
@@ -228,10 +238,10 @@ class _Navigation:
         self._problems = problems
         self._check: StaticNavigation | None = None
         # A guided session is turned all the time; who wants navigation on it has to say so.
-        self._off = task.session.record.scheme is not None and not task.wants_navigation
+        self.is_off = task.session.record.scheme is not None and not task.wants_navigation
 
     def feed(self, samples: Samples) -> None:
-        if self._off:
+        if self.is_off:
             return
         try:
             if self._check is None:
@@ -241,7 +251,7 @@ class _Navigation:
             self._give_up(error)
 
     def finish(self) -> NavigationResult | None:
-        if self._off or self._check is None:
+        if self.is_off or self._check is None:
             return None
         try:
             return self._check.finish(self._task.parameters.calibration)
@@ -254,7 +264,7 @@ class _Navigation:
         if self._task.wants_navigation or isinstance(error, ParameterFileError):
             raise error
         self._problems.append(error)
-        self._off = True
+        self.is_off = True
 
     def _start(self) -> StaticNavigation:
         task, options = self._task, self._task.options

@@ -25,6 +25,7 @@ sentence = Sentences(__package__)
 
 _COLUMNS = 3  # Axes.
 _PANEL_IN = 1.35  # Height.
+_MOST_DATES = 4  # Below a panel, without one over the other.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,8 +90,13 @@ def plot_history(history: JudgedHistory) -> bytes:
     found = charts(history)
     rows = [row for kind in dict.fromkeys(kind_of(chart.name) for chart in found) for row in _rows(found, kind)]
     with plot_style():
+        from matplotlib.dates import AutoDateFormatter, AutoDateLocator
+
         drawn = figure(_PANEL_IN * max(len(rows), 1) + 0.6)
         panels = drawn.subplots(max(len(rows), 1), _COLUMNS, sharex=True, squeeze=False)
+        dates = AutoDateLocator(minticks=2, maxticks=_MOST_DATES)  # type: ignore[no-untyped-call]  # not in its stubs
+        panels[0, 0].xaxis.set_major_locator(dates)
+        panels[0, 0].xaxis.set_major_formatter(AutoDateFormatter(dates))  # type: ignore[no-untyped-call]  # the same
         for axes in panels.flat:
             axes.set_axis_off()
         for of_row, row in zip(panels, rows, strict=False):

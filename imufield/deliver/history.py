@@ -28,7 +28,8 @@ from imufield.sentences import Sentences
 sentence = Sentences(__package__)
 
 INDEX_FILE = ".imufield-history.json"
-INDEX_VERSION = 9  # Of the index alone, which is made anew when it changes.
+INDEX_VERSION = 10  # Of the index alone, which is made anew when it changes.
+_BEHIND_HEAD = "\t"  # Which JSON writes as an escape: what stands before it tells whether a row is wanted.
 _ROW_LIMIT_BYTES = 1 << 16  # Four times the row of a model with every term.
 _INDEX_LIMIT_BYTES = 1 << 28  # Of some 50,000 files.
 STALE_DAYS = 365.0  # The usual interval of calibration; --stale-days says another.
@@ -154,7 +155,9 @@ class _Row:
     size: int
     changed_ns: int
     fault: str  # Why it is no entry; empty where it was never meant to be one.
-    entry: Entry | None
+    serial_number: str
+    entry: Entry | str | None
+    """As the text of the index where it is of an instrument that nobody asked for: to read thousands of them takes seconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,19 +245,19 @@ def read_history(folder: Path, serial_number: str | None = None) -> History:
     """
     if not folder.is_dir():
         raise ParameterFileError(sentence("history.no_folder", folder=str(folder)), Reason.FOREIGN)
-    rows, unread, read = _read_files(folder)
+    rows, unread, read = _read_files(folder, serial_number)
     faults = (*(row.fault for row in rows if row.fault), *unread)
-    entries = [row.entry for row in rows if row.entry is not None]
+    entries = [row.entry for row in rows if isinstance(row.entry, Entry)]
     chosen = [entry for entry in entries if serial_number in (None, entry.serial_number)]
     if not chosen:
         key = "history.none" if serial_number is None else "history.none_of_serial"
-        said = {"serial_number": serial_number, "found": len(entries)}
+        said = {"serial_number": serial_number, "found": sum(row.entry is not None for row in rows)}
         first = sentence("history.first_fault", fault=faults[0]) if faults else ""
         raise ParameterFileError(sentence(key, folder=str(folder), first_fault=first, **said), Reason.FOREIGN)
     return History(folder, _by_instrument(chosen), faults, read)
 
 
-def _read_index(folder: Path, names: Collection[str]) -> dict[str, _Row]:
+def _read_index(folder: Path, names: Collection[str], serial_number: str | None) -> dict[str, _Row]:
     """Return what was read before of the files with these names; nothing where the file is no index of ours."""
     rows: dict[str, _Row] = {}
     unsound = (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError)
@@ -263,22 +266,28 @@ def _read_index(folder: Path, names: Collection[str]) -> dict[str, _Row]:
             return {}
         # Row by row: an index that somebody made takes no more memory than the files of its folder.
         while file.tell() < _INDEX_LIMIT_BYTES and (line := file.readline(_ROW_LIMIT_BYTES)):
-            name, size, changed_ns, fault, entry = json.loads(line)
+            head, _, text = line.decode("ascii").partition(_BEHIND_HEAD)
+            name, size, changed_ns, fault, serial = json.loads(head)
             if name in names:
-                rows[name] = _Row(size, changed_ns, str(fault), None if entry is None else Entry.from_index(entry))
+                entry: Entry | str | None = text.rstrip() or None
+                if isinstance(entry, str) and serial_number in (None, serial):
+                    entry = Entry.from_index(json.loads(entry))
+                rows[name] = _Row(size, changed_ns, str(fault), str(serial), entry)
     return rows
 
 
 def _write_index(folder: Path, rows: dict[str, _Row]) -> None:
-    listed = ((name, row.size, row.changed_ns, row.fault, row.entry and asdict(row.entry)) for name, row in rows.items())
     # ASCII, so that names of any bytes come back as they were.
-    lines = [json.dumps(line) + "\n" for line in ({"version": INDEX_VERSION}, *listed)]
+    lines = [json.dumps({"version": INDEX_VERSION}) + "\n"]
+    for name, row in rows.items():
+        text = json.dumps(asdict(row.entry)) if isinstance(row.entry, Entry) else row.entry or ""
+        lines.append(json.dumps((name, row.size, row.changed_ns, row.fault, row.serial_number)) + _BEHIND_HEAD + text + "\n")
     # Where the folder is read-only, or full, it is read again the next time.
     with suppress(OSError):
         write_atomically(folder / INDEX_FILE, "".join(lines).encode("ascii"))
 
 
-def _read_files(folder: Path) -> tuple[list[_Row], list[str], int]:
+def _read_files(folder: Path, serial_number: str | None) -> tuple[list[_Row], list[str], int]:
     """Return what all TOML files say, sentences about what cannot be looked at, and the number of files read now."""
     rows: dict[str, _Row] = {}
     unread: list[str] = []
@@ -290,7 +299,7 @@ def _read_files(folder: Path) -> tuple[list[_Row], list[str], int]:
     walk = os.walk(folder, onerror=leave_out)
     found = sorted(Path(below, name) for below, _, names in walk for name in names if name.endswith(".toml"))
     paths = {path.relative_to(folder).as_posix(): path for path in found}
-    before = _read_index(folder, paths)
+    before = _read_index(folder, paths, serial_number)
     for name, path in one_by_one("reading", paths.items()):
         try:
             state = path.stat()
@@ -302,7 +311,8 @@ def _read_files(folder: Path) -> tuple[list[_Row], list[str], int]:
         row = before.get(name)
         if row is None or (row.size, row.changed_ns) != (state.st_size, state.st_mtime_ns):
             read += 1
-            row = _Row(state.st_size, state.st_mtime_ns, *_read_file(name, path))
+            fault, entry = _read_file(name, path)
+            row = _Row(state.st_size, state.st_mtime_ns, fault, "" if entry is None else entry.serial_number, entry)
         rows[name] = row
     # An index of nothing is not left behind.
     if rows and rows != before:

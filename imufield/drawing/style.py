@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib
 import io
 import re
+import textwrap
 from contextlib import AbstractContextManager
 from pathlib import Path
 from types import ModuleType
@@ -30,6 +31,7 @@ ORANGE = "#b45f06"
 GREY = "#8a8a8a"
 """Dark enough on paper; blue and orange differ in lightness too. Curves take the first three for x, y, z."""
 WIDTH_IN = 7.0
+_TITLE_LETTERS = 90  # Bold letters of a page's width, in a browser's font too, which may be wider than ours.
 _FEW_DECADES = 2  # Up to here there is room for the numbers 1, 2 and 5 of each.
 
 
@@ -61,7 +63,7 @@ def figure(height_in: float) -> Figure:
 
 def title(drawn: Figure, text: str) -> None:
     """Write what a picture shows above it; a page has its own headings."""
-    drawn.suptitle(text, x=0.01, horizontalalignment="left", fontsize=9, fontweight="bold")
+    drawn.suptitle(textwrap.fill(text, _TITLE_LETTERS), x=0.01, horizontalalignment="left", fontsize=9, fontweight="bold")
 
 
 def legend_beside(axes: Axes) -> None:

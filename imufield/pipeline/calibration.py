@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
@@ -15,8 +15,8 @@ from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
 from imufield.calibrate.gyroscope.input import FEWEST_STILLS, GyroscopeInput
 from imufield.calibrate.gyroscope.methods import cross_check_gyroscope, solve_gyroscope_with
 from imufield.calibrate.gyroscope.model_choice import GyroscopeModel
-from imufield.calibrate.gyroscope.moves import MoveCollector, Moves, cut_moves, no_slots
-from imufield.calibrate.gyroscope.whole_turns import Stop, stops_at
+from imufield.calibrate.gyroscope.moves import Moves, cut_moves, no_slots
+from imufield.calibrate.gyroscope.whole_turns import Stop
 from imufield.calibrate.model.grades import DEFAULT_GRADE
 from imufield.calibrate.model.models import recover_vectors, to_vector
 from imufield.calibrate.model.observations import Observations, join_observations
@@ -26,9 +26,7 @@ from imufield.deliver.parameters.clock import clock_words
 from imufield.deliver.parameters.file import Context, Parameters, from_document, to_document
 from imufield.earth import MILLI_G_M_S2, Gravity
 from imufield.errors import CalibrationError, Reason, UsageError
-from imufield.guide.events import Event, Turned
-from imufield.guide.lead.turns import VERTICAL
-from imufield.samples import FloatArray, Samples
+from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -91,35 +89,6 @@ class SolveSettings:
     """Names of positions to leave out."""
     clock_sigma: float | None = None
     """1 sigma of the sample period, relative; None: by what clock it is."""
-
-
-class MoveListener:
-    """Keeps what the gyroscope fit needs of a stream of samples."""
-
-    def __init__(self) -> None:
-        self._collector: MoveCollector | None = None
-        self._turned_s: list[float] = []
-
-    def feed(self, samples: Samples) -> None:
-        """Take the next samples."""
-        self._collector = self._collector or MoveCollector(samples.units)
-        self._collector.feed(samples)
-
-    def hear(self, events: Iterable[Event]) -> None:
-        """Remember the whole turns about the vertical that the guide saw."""
-        turned = (event for event in events if isinstance(event, Turned) and event.about == VERTICAL)
-        self._turned_s += [(event.start_s + event.end_s) / 2 for event in turned]
-
-    def stops(self, moves: Moves) -> tuple[Stop, ...]:
-        """Return the whole turns about the vertical that are among the moves."""
-        return stops_at(self._turned_s, moves.start_s, moves.end_s)
-
-    def between(self, observations: Observations, rests: Observations | None = None) -> Moves:
-        """Return the moves between the observed stills, and those between whole turns."""
-        observations = observations if rests is None else join_observations(observations, rests)
-        if self._collector is None:
-            return cut_moves(no_slots(), observations.start_s, observations.duration_s)
-        return self._collector.finish(observations.start_s, observations.duration_s)
 
 
 def calibrate(measured: Measured, settings: SolveSettings) -> Parameters:

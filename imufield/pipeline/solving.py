@@ -7,6 +7,7 @@ import math
 import shlex
 from collections import Counter
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -15,21 +16,24 @@ import numpy as np
 from imufield.acquire.recording.part_file import open_part
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
+from imufield.calibrate.gyroscope.whole_turns import stops_at
 from imufield.calibrate.model.observation_files import parse_observations, read_content
-from imufield.calibrate.model.observations import Observations, count_repeats_once, leave_out
+from imufield.calibrate.model.observations import Observations, count_repeats_once, join_observations, leave_out
 from imufield.deliver.parameters.clock import best_rate, clock_facts
 from imufield.deliver.parameters.file import Context, InstrumentFacts, Parameters, SessionFacts, load_found
 from imufield.earth import Gravity
 from imufield.errors import CalibrationError, ImufieldError, Reason
 from imufield.files import Origin, utf8_text
 from imufield.guide.cross_checks.axes import AxesCheck
-from imufield.guide.events import Event, RefusalCode, Rejected
+from imufield.guide.events import RefusalCode, Rejected
 from imufield.guide.lead.guide import Guide
 from imufield.guide.refusals import Refusal
 from imufield.guide.view.marks import with_keys
-from imufield.pipeline.calibration import FEWEST_POSITIONS, Measured, MoveListener, SolveSettings, calibrate
+from imufield.pipeline.calibration import FEWEST_POSITIONS, Measured, SolveSettings, calibrate
 from imufield.pipeline.chain import Chain, ReadingPlan, SamplesListener, replay_into
 from imufield.pipeline.damage import naming_damage, without_end_under_way
+from imufield.pipeline.kept import is_kept, keep, kept
+from imufield.pipeline.reading import Reading, ReadingCollector
 from imufield.pipeline.site import SiteOptions
 from imufield.pipeline.windows import is_ramp
 from imufield.progress import task
@@ -81,65 +85,124 @@ def solve_session(
         Recording unreadable, calibration impossible or refused.
     """
     damage: list[Damage] = []
-    goes_on = session.is_being_recorded
-    moves = MoveListener()
-    chain = Chain(ReadingPlan.of(session), listeners=(moves.feed, *listeners))
-    refusals: list[Rejected] = []
-
-    def hear(events: list[Event]) -> None:
-        moves.hear(events)
-        refusals.extend(event for event in events if isinstance(event, Rejected))
-
-    replay_into(chain, session, damage, hear)
-    if goes_on:
-        damage = without_end_under_way(damage, session)
-        chain.notes.append(sentence("solving.goes_on"))
+    reading = read_recording(session, damage, listeners)
     with naming_damage(session, damage), task("solving"):
-        usable = _unguided(chain, session) if chain.guide is None else _guided(chain, chain.guide, refusals)
-        if usable.axes.error is not None:
-            raise usable.axes.error
+        observations, left_out = leave_out(reading.observations, settings.without)
+        between, best = reading.between(observations), reading.best
         is_import = session.record.kind == "import"
-        lost = _loss_sentences(chain, damage, is_import=is_import)
-        of_recording = (*filter(None, (usable.saturated,)), *usable.refused, *chain.notes, *lost)
-        # Axes are compared by the gyroscope's turns: where there is none, of few of them nobody need be told.
-        compared = usable.axes.words if np.isfinite(usable.observations.gyroscope_mean_raw).any() else ""
-        best = best_rate(chain.statistics)
-        true_rate_hz = math.nan if best is None else best.rate_hz or math.nan
-        rests = chain.turn_rests()
-        observations, left_out = leave_out(usable.observations, settings.without)
-        between = moves.between(observations, rests)
-        protocol = chain.protocol
+        of_recording = (*filter(None, (reading.saturated,)), *reading.refused, *reading.notes, *reading.lost)
         measured = Measured(
             observations=observations,
             left_out=left_out,
             gravity=(site or SiteOptions()).gravity(session.record.site),
             context=Context(
                 instrument=InstrumentFacts(**asdict(session.record.instrument)),
-                session=_facts(session, chain, true_rate_hz),
+                session=_facts(session, reading),
                 clock=None if best is None else clock_facts(best, is_import=is_import, stated_sigma=settings.clock_sigma),
             ),
             moves=between,
-            rests=rests,
-            stops=moves.stops(between),
-            raw_zero=None if protocol is None else chain.raw_zero(protocol),
-            gyroscope_scale=None if protocol is None else protocol.nominal.gyroscope_scale,
-            grade="" if protocol is None else protocol.nominal.grade,
-            reasons=(*filter(None, (compared,)), *of_recording),
-            doubts=usable.sticking,
+            rests=reading.rests,
+            stops=stops_at(reading.turned_s.tolist(), between.start_s, between.end_s),
+            raw_zero=reading.raw_zero,
+            gyroscope_scale=reading.gyroscope_scale,
+            grade=reading.grade,
+            reasons=(*filter(None, (reading.compared,)), *of_recording),
+            doubts=reading.sticking,
         )
         try:
             return replace(calibrate(measured, settings), of_recording=of_recording)
         except CalibrationError as error:
-            if not usable.saturated:
+            if not reading.saturated:
                 raise
             # Clipped outputs are the cause where what is left cannot be calibrated from.
-            why = sentence("solving.rest", saturated=usable.saturated.removesuffix("."), error=error.message)
+            why = sentence("solving.rest", saturated=reading.saturated.removesuffix("."), error=error.message)
             raise CalibrationError(why, Reason.SATURATED, **error.values) from error
 
 
-def _facts(session: Session, chain: Chain, rate_hz: float) -> SessionFacts:
-    recorded = session.record.recorded
-    return SessionFacts(session.name, session_sha256(session), rate_hz, chain.temperature_degc, recorded=recorded)
+def read_recording(session: Session, damage: list[Damage], listeners: tuple[SamplesListener, ...] = ()) -> Reading:
+    """Replay a session, or take what is kept of an earlier replay where nobody listens.
+
+    Parameters
+    ----------
+    session : Session
+    damage : list of Damage
+        Receives what could not be read.
+    listeners : sequence of callable
+        Each is given every block of samples, in order.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be read.
+    CalibrationError
+        If it holds nothing to be calibrated from.
+    """
+    goes_on = session.is_being_recorded
+    collected = ReadingCollector()
+    chain = Chain(ReadingPlan.of(session), listeners=(collected.feed, *listeners))
+    # Hashing leaves the interpreter to others: beside the replay it costs no time.
+    with ThreadPoolExecutor(1) as beside:
+        hashing = beside.submit(session_sha256, session)
+        if not (goes_on or listeners) and is_kept(session):
+            found = kept(session, hashing.result())
+            if found is not None:
+                return found
+        replay_into(chain, session, damage, collected.hear)
+        sha256 = hashing.result()
+    if goes_on:
+        damage[:] = without_end_under_way(damage, session)
+        chain.notes.append(sentence("solving.goes_on"))
+    with naming_damage(session, damage), task("solving"):
+        reading = reading_of(session, chain, collected, damage, sha256=sha256)
+    if not (goes_on or damage):
+        keep(session, reading)
+    return reading
+
+
+def reading_of(
+    session: Session, chain: Chain, collected: ReadingCollector, damage: Sequence[Damage] = (), *, sha256: str
+) -> Reading:
+    """Return what a chain has read to its end.
+
+    Raises
+    ------
+    CalibrationError
+        If that is nothing to be calibrated from.
+    """
+    usable = _unguided(chain, session) if chain.guide is None else _guided(chain, chain.guide, collected.refusals)
+    if usable.axes.error is not None:
+        raise usable.axes.error
+    observations = usable.observations
+    rests = chain.turn_rests()
+    slots, range_raw = collected.slots(observations if rests is None else join_observations(observations, rests))
+    nominal = None if chain.protocol is None else chain.protocol.nominal
+    return Reading(
+        sha256=sha256,
+        observations=observations,
+        rests=rests,
+        slots=slots,
+        range_raw=range_raw,
+        turned_s=np.array(collected.turned_s),
+        cells=collected.trace.finish(),
+        best=best_rate(chain.statistics),
+        temperature_degc=np.array(chain.temperature_degc),
+        raw_zero=None if chain.protocol is None else chain.raw_zero(chain.protocol),
+        gyroscope_scale=None if nominal is None else nominal.gyroscope_scale,
+        grade="" if nominal is None else nominal.grade,
+        # Axes are compared by the gyroscope's turns: where there is none, of few of them nobody need be told.
+        compared=usable.axes.words if np.isfinite(observations.gyroscope_mean_raw).any() else "",
+        saturated=usable.saturated,
+        refused=usable.refused,
+        sticking=usable.sticking,
+        notes=tuple(chain.notes),
+        lost=_loss_sentences(chain, damage, is_import=session.record.kind == "import"),
+    )
+
+
+def _facts(session: Session, reading: Reading) -> SessionFacts:
+    rate_hz = math.nan if reading.best is None else reading.best.rate_hz or math.nan
+    low, high = reading.temperature_degc.tolist()
+    return SessionFacts(session.name, reading.sha256, rate_hz, (low, high), recorded=session.record.recorded)
 
 
 def solve_observations(path: Path, settings: SolveSettings, site: SiteOptions) -> Parameters:
@@ -254,7 +317,7 @@ def _missing_sentences(guide: Guide, refusals: list[Rejected]) -> tuple[str, ...
     return (unmeasured, *refused)
 
 
-def _loss_sentences(chain: Chain, damage: list[Damage], *, is_import: bool) -> tuple[str, ...]:
+def _loss_sentences(chain: Chain, damage: Sequence[Damage], *, is_import: bool) -> tuple[str, ...]:
     sentences = [part.what for part in damage]
     lost = sum(statistics.samples_lost for statistics in chain.statistics)
     estimated = sum(statistics.losses_estimated for statistics in chain.statistics)

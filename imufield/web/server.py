@@ -39,7 +39,9 @@ TYPES = {"html": "text/html; charset=utf-8", "css": "text/css; charset=utf-8", "
 CLIENTS = 64
 """Pages at once; a connection beyond them is closed before it is read."""
 CONNECTIONS = 128
-OPEN_TIMEOUT_S = 5.0  # For a request that does not come.
+# For a request that does not come. On a busy machine a browser may take seconds between a connection and its request, and a
+# page that lacks one script of ten does nothing.
+OPEN_TIMEOUT_S = 15.0
 SEND_TIMEOUT_S = 5.0  # A page that takes nothing for so long is cut off; it comes back by itself.
 CLOSE_TIMEOUT_S = 0.5
 LARGEST_MESSAGE = 1024  # Bytes: a mark has less than a tenth of it.

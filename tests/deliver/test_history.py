@@ -17,7 +17,7 @@ from imufield.calibrate.model.result import Calibration
 from imufield.deliver.changes import judge_history, sentences, to_csv
 from imufield.deliver.control_chart import charts, plot_history
 from imufield.deliver.family import Shared
-from imufield.deliver.history import INDEX_FILE, InstrumentHistory, find, one_instrument, read_history
+from imufield.deliver.history import INDEX_FILE, INDEX_VERSION, Entry, InstrumentHistory, find, one_instrument, read_history
 from imufield.deliver.parameters.context import Context
 from imufield.deliver.parameters.file import write_parameters
 from imufield.deliver.parameters.gauge_free import gauge_free
@@ -296,8 +296,9 @@ def test_damaged_files_are_named_and_left_out(tmp_path: Path, write) -> None:  #
     assert "a/parameters.toml" in history.faults[0]
 
 
-NO_ROWS = [b"7", b"[]", b'["a/parameters.toml", 1, 1, "", 1]', b"[" * 100_000, b" " * 100_000]
-NO_INDEX = [b"", b"\xff no index at all", b"[]", b"[" * 100_000, *(b'{"version": 8}\n' + row for row in NO_ROWS)]
+NO_ROWS = [b"7", b"[]", b'["a/parameters.toml", 1, 1, "", "N1"]\t1', b"[" * 100_000, b" " * 100_000, b"\xff\t"]
+HEADER = json.dumps({"version": INDEX_VERSION}).encode() + b"\n"
+NO_INDEX = [b"", b"\xff no index at all", b"[]", b"[" * 100_000, *(HEADER + row for row in NO_ROWS)]
 
 
 @pytest.mark.parametrize("content", NO_INDEX)
@@ -325,13 +326,38 @@ def test_an_index_of_another_version_or_program_is_made_anew(  # type: ignore[no
 ) -> None:
     write("a", "2026-03-04")
     before = read_history(tmp_path)
-    header, row = map(json.loads, (tmp_path / INDEX_FILE).read_text().splitlines())
-    (header if key in header else row[4])[key] = value
-    (tmp_path / INDEX_FILE).write_text(f"{json.dumps(header)}\n{json.dumps(row)}\n")
+    first, line = (tmp_path / INDEX_FILE).read_text().splitlines()
+    head, _, text = line.partition("\t")
+    header, entry = json.loads(first), json.loads(text)
+    (header if key in header else entry)[key] = value
+    (tmp_path / INDEX_FILE).write_text(f"{json.dumps(header)}\n{head}\t{json.dumps(entry)}\n")
     again = read_history(tmp_path)
     assert again.read == 1
     assert again.instruments == before.instruments
     assert read_history(tmp_path).read == 0
+
+
+def test_rows_of_other_instruments_stay_unread_and_whole(tmp_path: Path, write, monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2026-03-04")
+    write("b", "2026-03-05", serial_number="N2", session="b" * 64)
+    before = read_history(tmp_path)
+    write("c", "2026-03-06", session="c" * 64)
+    made: list[object] = []
+    from_index = Entry.from_index
+
+    def noted(values: dict[str, object]) -> Entry:
+        made.append(values["serial_number"])
+        return from_index(values)
+
+    monkeypatch.setattr(Entry, "from_index", noted)
+    (instrument,) = read_history(tmp_path, "N1").instruments
+    assert made == ["N1"]
+    assert len(instrument.entries) == 2
+    monkeypatch.undo()
+    # The index was written meanwhile, with the row that was not looked at.
+    again = read_history(tmp_path)
+    assert again.read == 0
+    assert again.instruments[1:] == before.instruments[1:]
 
 
 def test_empty_and_missing_folders_are_refused(tmp_path: Path) -> None:

@@ -25,6 +25,17 @@ def test_curves_differ_in_line_as_well_as_in_colour() -> None:
         assert line.get_linestyle() != other.get_linestyle()
 
 
+def test_a_long_title_goes_on_in_a_second_line() -> None:
+    with plot_style():
+        drawn = figure(2.0)
+        drawn.subplots()
+        title(drawn, "nine words of ten letters " * 5)
+        text = to_svg(drawn, "drawn")
+    lines = re.findall(r">\s*([^<>]*ten letters[^<>]*?)\s*<", text)
+    assert [len(line) <= 90 for line in lines] == [True, True]
+    assert " ".join(lines) == ("nine words of ten letters " * 5).strip()
+
+
 def test_only_colours_of_the_palette_are_drawn() -> None:
     with plot_style():
         drawn = figure(2.0)

@@ -204,6 +204,20 @@ def test_pages_beyond_the_limit_are_refused_and_the_others_stay(served: Served, 
     assert next_state(pages.enter_context(served.open()))
 
 
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("imufield.web.server.OPEN_TIMEOUT_S", 3.0)
+
+
+def test_a_request_that_comes_late_is_answered(served: Served) -> None:
+    with socket.create_connection(("127.0.0.1", served.port), timeout=WAIT_S) as line:
+        # A browser on a machine with many programs does so.
+        time.sleep(6.0)
+        line.sendall(f"GET /texts.js HTTP/1.1\r\nHost: {served.host}\r\n\r\n".encode())
+        assert line.recv(15).startswith(b"HTTP/1.1 200")
+
+
+@pytest.mark.usefixtures("impatient")  # Made before the server, which reads the limit then.
 def test_connections_that_say_nothing_keep_nobody_out_for_long(served: Served) -> None:
     served.board.put({"n": 1})
     threads = threading.active_count()

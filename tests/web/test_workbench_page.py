@@ -147,6 +147,7 @@ def test_from_an_empty_folder_to_the_files(program: Program, screens: Screens, a
     page.get_by_label("Bias wanted to").blur()
     wait_for(page, "#plan-says", "^6 positions with holds of 3 s")
     wait_for(page, "#commands code", "imufield plan --json --positions=faces6 --latitude=45 --height=0 --grade=navigation")
+    assert ".." not in page.locator("#plan-says").inner_text()
     page.get_by_role("button", name="Start the guide").click()
     page.locator("#start:disabled + [role=status]").wait_for()
     # The guide has a page of its own, and leads back to where the session is.
@@ -181,6 +182,17 @@ def test_from_an_empty_folder_to_the_files(program: Program, screens: Screens, a
     for words in ("capture .*--session=imufield-sessions/first", "solve .*imufield-sessions/first", "export .*--to=c"):
         wait_for(page, "#commands code", f"imufield {words}")
     assert_it_is_for_everybody(page)
+    # What was recorded is seen again, as fast as one likes.
+    page.locator('header a[href="#sessions"]').click()
+    page.get_by_role("link", name="first").click()
+    page.get_by_label("times as fast").fill("2.5")
+    page.get_by_role("button", name="Replay").click()
+    page.locator("#recording", has_text="2.5").wait_for()
+    page.locator("#back").click()
+    wait_for(page, "#commands code", "imufield replay --web --json imufield-sessions/first --speed=2.5")
+    page.locator("#under-way button", has_text="Stop").click()
+    page.locator("#under-way button", has_text="again").click()
+    page.locator("#under-way > div").wait_for(state="detached")
     assert screens.console == []
     # Another one knows neither this page nor what was done here; the folder tells it.
     program.started[0].kill()

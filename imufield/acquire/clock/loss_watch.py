@@ -59,11 +59,24 @@ _LARGEST_SLOPE = 0.05  # The worst unit on record ran 3.8 % slow; more is not a 
 
 
 class HostBaseline:
-    """Lower line through (arrival - sample clock) over arrival, both in s."""
+    """Lower line through (arrival - sample clock) over arrival, both in s.
+
+    Attributes
+    ----------
+    slope : float or None
+        How much slower than nominal the instrument's clock runs, e.g. 0.038 for 3.8 %; None while not known.
+    slope_sigma : float
+        1 sigma of ``slope`` by how far the minima lie apart; infinite while not known.
+    spread_s : float
+        How far the minima lie apart, s: by so much the least of many arrivals still jitters; infinite while not known.
+    """
 
     def __init__(self) -> None:
         self._hull: list[tuple[float, float]] = []  # Of all full buckets, lower side, from left to right.
         self._buckets: deque[tuple[float, float]] = deque(maxlen=_WINDOW_BUCKETS)
+        self.slope: float | None = None
+        self.slope_sigma = math.inf
+        self.spread_s = math.inf
 
     def add(self, arrival_s: float, sample_s: float) -> None:
         """Take note of a block that arrived at ``arrival_s`` and whose last sample is of ``sample_s``."""
@@ -75,24 +88,9 @@ class HostBaseline:
             if self._buckets:
                 self._add_to_hull(self._buckets[-1])
             self._buckets.append((arrival_s, offset))
+            self._renew()
         elif offset < self._buckets[-1][1]:
             self._buckets[-1] = (self._buckets[-1][0], offset)
-
-    @property
-    def slope(self) -> float | None:
-        """How much slower than nominal the instrument's clock runs, e.g. 0.038 for 3.8 %; None while not known."""
-        # The newest bucket is still filling, its minimum may be late.
-        if len(self._hull) < 2 or self._buckets[-1][0] - self._hull[0][0] < _SLOPE_AFTER_S:
-            return None
-        middle_s = (self._hull[0][0] + self._hull[-1][0]) / 2
-        right = bisect_left(self._hull, (middle_s,))
-        slope = _slope(self._hull[right - 1], self._hull[right])
-        return max(-_LARGEST_SLOPE, min(_LARGEST_SLOPE, slope))
-
-    @property
-    def slope_sigma(self) -> float:
-        """1 sigma of ``slope`` by how far the minima lie apart; infinite while not known."""
-        return self.spread_s / (self._hull[-1][0] - self._hull[0][0]) if len(self._hull) > 1 else math.inf
 
     def _add_to_hull(self, point: tuple[float, float]) -> None:
         # A. M. Andrew, Information Processing Letters 9 (1979): what lies above the line past it is no corner.
@@ -101,14 +99,16 @@ class HostBaseline:
             hull.pop()
         hull.append(point)
 
-    @property
-    def spread_s(self) -> float:
-        """How far the minima lie apart, s: by so much the least of many arrivals still jitters; infinite while not known."""
-        if len(self._buckets) < _LEAST_BUCKETS:
-            return math.inf
-        slope = self.slope or 0.0
-        level = [offset - slope * arrival_s for arrival_s, offset in list(self._buckets)[:-1]]
-        return max(level) - min(level)
+    def _renew(self) -> None:
+        """Work out what the full buckets tell: the newest is still filling, its minimum may be late."""
+        hull = self._hull
+        self.slope = None
+        if len(hull) > 1 and self._buckets[-1][0] - hull[0][0] >= _SLOPE_AFTER_S:
+            right = bisect_left(hull, ((hull[0][0] + hull[-1][0]) / 2,))
+            self.slope = max(-_LARGEST_SLOPE, min(_LARGEST_SLOPE, _slope(hull[right - 1], hull[right])))
+        level = [offset - (self.slope or 0.0) * arrival_s for arrival_s, offset in list(self._buckets)[:-1]]
+        self.spread_s = max(level) - min(level) if len(self._buckets) >= _LEAST_BUCKETS else math.inf
+        self.slope_sigma = self.spread_s / (hull[-1][0] - hull[0][0]) if len(hull) > 1 else math.inf
 
     def offset_at(self, arrival_s: float) -> float | None:
         """Return the lowest offset to expect at ``arrival_s``; None before anything arrived."""
@@ -146,7 +146,7 @@ _COARSEST_WITH_FAULT = 1 / 4
 _LEAST_SILENT_S = 1.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True)
 class TimedBlock:
     """A block with its time. The arrays are changed in place when a loss before them is found."""
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from imufield.acquire.clock.clock import Arrivals, Clock
 from imufield.acquire.clock.loss_watch import LossWatch, TimedBlock
-from imufield.acquire.clock.stamp_clock import LEARN_FROM, StampClock, StepRule
+from imufield.acquire.clock.stamp_clock import LEARN_FROM, StampClock, StepRule, steps_between
 from imufield.acquire.decode.assembly import NO_TICKS, RawBlock, join
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
@@ -182,7 +182,7 @@ class SampleClock(Clock):
             # The counter is exact but goes round; the stamps beside it tell how often it did.
             steps = self._add_wraps(steps, stamped.step_s) if self._has_counter else stamped.step_s
         else:
-            self._block_ticks = self._ticks + np.cumsum(ticks)
+            self._block_ticks = self._ticks + ticks.cumsum()
             self._ticks = int(self._block_ticks[-1])
             time_s = self._time_of(self._block_ticks)
         found = self._steps.examine(steps)
@@ -195,23 +195,23 @@ class SampleClock(Clock):
             self._statistics.samples_lost += int(found.lost[counted].sum())
             self._statistics.losses_estimated += int(found.lost[estimated].sum())
         else:
-            flags[found.irregular & ~found.inexact] |= np.uint32(Status.AFTER_GAP)
-            flags[found.inexact] |= np.uint32(Status.GAP_ESTIMATED)
-            # A gap as long as the bytes that were passed over there needs no other explanation.
-            unaccounted = np.abs(block.skipped_before - found.lost) > _HALF_A_SAMPLE
-            fault = unaccounted & (found.irregular | (block.skipped_before > 0))
+            if np.count_nonzero(found.irregular) or np.count_nonzero(block.skipped_before):
+                flags[found.irregular & ~found.inexact] |= np.uint32(Status.AFTER_GAP)
+                flags[found.inexact] |= np.uint32(Status.GAP_ESTIMATED)
+                # A gap as long as the bytes that were passed over there needs no other explanation.
+                unaccounted = np.abs(block.skipped_before - found.lost) > _HALF_A_SAMPLE
+                fault = unaccounted & (found.irregular | (block.skipped_before > 0))
+                self._statistics.samples_lost += int(found.lost.sum())
             self._statistics.gaps += int(np.count_nonzero(flags))
-            self._statistics.samples_lost += int(found.lost.sum())
             if not (self._has_time or self._has_counter):
                 flags |= np.uint32(Status.TIME_ESTIMATED)
         return TimedBlock(block=block, time_s=time_s, flags=flags, fault=fault, arrival_s=math.nan)
 
     def _counter_steps(self, block: RawBlock) -> IntArray:
         """Return how far the counter went to each sample; a standing one went round once. Shape (n,)."""
-        steps: IntArray = np.diff(block.counter, prepend=self._last_counter) % self._rule.counter_modulus
+        steps = steps_between(block.counter, self._last_counter)
         self._last_counter = int(block.counter[-1])
-        steps[steps == 0] = self._rule.counter_modulus
-        return steps
+        return (steps - 1) % self._rule.counter_modulus + 1
 
     def _add_wraps(self, steps: FloatArray, step_s: FloatArray) -> FloatArray:
         """Return the steps of a counter with the whole wraps that the time stamps beside it show."""
@@ -238,6 +238,8 @@ class SampleClock(Clock):
             settled += self._following_host(self._watch.push(timed.part(at, end, arrival_s)))
             self._count_losses(timed.time_s, end)
             begin = at = end
+        if begin == 0 and at == len(block):
+            return [timed]
         return [*settled, timed.part(begin, at, math.nan)] if at > begin else settled
 
     def _time_of(self, ticks: IntArray) -> FloatArray:

@@ -21,7 +21,7 @@ from imufield.acquire.clock.clock import Arrivals, Clock, filled_in
 from imufield.acquire.decode.assembly import NO_TICKS, RawBlock, Ticks, join
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
-from imufield.samples import FloatArray, IntArray, Samples, SampleUnits, Status
+from imufield.samples import FloatArray, IntArray, Samples, SampleUnits, Status, every
 
 LEARN_FROM = 8
 """Steps from which the regular one is learned."""
@@ -78,7 +78,7 @@ class StepRule:
         at = 0
         while at < len(steps) and self.step > 0:
             odd = np.abs(steps[at:] - self.step) > (self._jitter if self._allowed else 2 * _TOLERANCE * self.step)
-            if not odd.any():
+            if not np.count_nonzero(odd):
                 self._run_length = 0
                 break
             until, learned = self._relearn(steps, at + np.flatnonzero(odd))
@@ -170,15 +170,15 @@ class StampClock:
         """
         stamps = self._unwrap(self._without_garbage(stamps))
         raw_s: FloatArray = np.divide(stamps, self._ticks_per_s, dtype=np.float64)
-        step_s = _steps(raw_s, self._raw_s)
+        step_s = steps_between(raw_s, self._raw_s)
         reset = (step_s < 0) | (step_s > self._longest_pause_s)
         offset_s = np.full(len(stamps), self._offset_s)
-        for place in np.flatnonzero(reset).tolist():
+        for place in reset.nonzero()[0].tolist():
             before_s = raw_s[place - 1] + offset_s[place - 1] if place else self._raw_s + self._offset_s
             offset_s[place:] = before_s + regular_s - raw_s[place]
+            step_s[place] = regular_s
         # Between times far apart the offset is coarser than a step, which must not turn time back.
         time_s = np.maximum.accumulate(np.maximum(raw_s + offset_s, self._time_s))
-        step_s[reset] = regular_s
         self._raw_s, self._offset_s, self._time_s = float(raw_s[-1]), float(offset_s[-1]), float(time_s[-1])
         return Stamped(time_s, step_s, reset)
 
@@ -186,7 +186,7 @@ class StampClock:
         """Replace what is no time by the stamp before: such a sample has no time of its own."""
         is_whole = stamps.dtype.kind == "i"
         good = stamps != NO_TICKS if is_whole else np.abs(stamps) < _LARGEST_TIME_S * self._ticks_per_s
-        if not good.all():
+        if not every(good):
             stamps = np.concatenate([np.array([self._last], dtype=stamps.dtype), stamps])
             place = np.maximum.accumulate(np.where(np.append(True, good), np.arange(len(stamps)), 0))
             stamps = stamps[place][1:]
@@ -197,16 +197,17 @@ class StampClock:
         before, self._last = self._last, stamps[-1].item()
         if not self._modulus:
             return stamps
-        wraps = self._wraps + np.cumsum(_steps(stamps, before) < -(self._modulus // 2))
+        backwards = steps_between(stamps, before) < -(self._modulus // 2)
+        wraps = self._wraps + backwards.cumsum() if np.count_nonzero(backwards) else np.array([self._wraps])
         self._wraps = int(wraps[-1])
         unwrapped: Ticks = np.add(stamps, wraps * self._modulus)
         return unwrapped
 
 
-def _steps(values: NDArray[_Number], before: float) -> NDArray[_Number]:
+def steps_between(values: NDArray[_Number], before: float) -> NDArray[_Number]:
     """Return how far each value is from the one before it; as ``np.diff(values, prepend=before)``, many times faster."""
     steps = np.empty_like(values)
-    steps[0] = values[0] - before
+    np.subtract(values[:1], before, out=steps[:1])
     np.subtract(values[1:], values[:-1], out=steps[1:])
     return steps
 

@@ -17,7 +17,7 @@ from imufield.acquire.protocol.frame_schema import FrameRule
 from imufield.acquire.protocol.layout import Field, Layout, Rows
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.protocol.samples_and_clock import NANOSECONDS, FlagRule
-from imufield.samples import LARGEST_OUTPUT, NO_COUNTER, FloatArray, IntArray, Status
+from imufield.samples import LARGEST_OUTPUT, NO_COUNTER, FloatArray, IntArray, Status, every
 
 _FAR = 2.0**62  # Bound on time stamps in ns, for bits that are no time.
 
@@ -140,11 +140,11 @@ class _FrameReader:
         for reader in self._status:
             status |= reader.read(rows)
         if self._may_be_garbage:
-            bad = ~(np.abs(accelerometer) <= LARGEST_OUTPUT).all(axis=1)
-            # Three NaN of a gyroscope mean that there is none.
-            bad_gyroscope = ~(np.abs(gyroscope) <= LARGEST_OUTPUT).all(axis=1) & ~np.isnan(gyroscope).all(axis=1)
-            status[bad] |= np.uint32(Status.ACCELEROMETER_INVALID)
-            status[bad_gyroscope] |= np.uint32(Status.GYROSCOPE_INVALID)
+            if not every(possible := np.abs(accelerometer) <= LARGEST_OUTPUT):
+                status[~possible.all(axis=1)] |= np.uint32(Status.ACCELEROMETER_INVALID)
+            if not every(possible := np.abs(gyroscope) <= LARGEST_OUTPUT):
+                # Three NaN of a gyroscope mean that there is none.
+                status[~possible.all(axis=1) & ~np.isnan(gyroscope).all(axis=1)] |= np.uint32(Status.GYROSCOPE_INVALID)
         return RawBlock(
             accelerometer=accelerometer,
             gyroscope=gyroscope,

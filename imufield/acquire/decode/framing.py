@@ -20,12 +20,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
-from imufield.acquire.decode.frame_check import INVALID, NO_SHAPE, FrameCheck
+from imufield.acquire.decode.frame_check import INVALID, NO_SHAPE, FrameCheck, spaced_rows
 from imufield.acquire.protocol.frame_schema import FrameRule
 from imufield.acquire.protocol.layout import Layout
+from imufield.samples import every
 
 Bytes = NDArray[np.uint8]
 Positions = NDArray[np.intp]
@@ -42,7 +42,7 @@ _LONGEST_CHAIN = 1 << 16
 _SAME_AGAIN = 64  # Frames of one length in a row after which a stream is taken to go on like that.
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True)  # One for each feed: a frozen one takes five times as long to make.
 class FrameBlock:
     """The frames of one feed, in the order of the stream."""
 
@@ -85,6 +85,7 @@ class Framer:
 
     def __init__(self, rule: FrameRule) -> None:
         self._rule = rule
+        self._trailer: Bytes = np.frombuffer(rule.trailer, dtype=np.uint8)
         self._check = FrameCheck(rule)
         self._rest = b""
         self._origin = 0
@@ -158,14 +159,13 @@ class Framer:
         behind = at + length
         step = length + len(trailer) * (buffer[behind : behind + len(trailer)].tobytes() == trailer)
         count = min((len(buffer) - behind) // step + 1, self._run)
-        good, shape = self._check.rows_fit(as_strided(buffer[at:], (count, length), (step, 1), writeable=False))
-        joined = np.ones(count, dtype=np.bool_)
-        for offset, byte in enumerate(trailer[: step - length]):
-            joined[:-1] &= buffer[behind + offset : len(buffer) - length : step][: count - 1] == byte
+        good, shape = self._check.rows_fit(spaced_rows(buffer, at, step, (count, length)))
         starts = np.arange(at, at + count * step, step, dtype=np.intp)
-        if good.all() and joined.all():
+        trailers = spaced_rows(buffer, behind, step, (count - 1, step - length)) == self._trailer[: step - length]
+        if every(good) and every(trailers):
             self._run = min(2 * self._run, _LONGEST_RUN)
             return self._accept(found, starts, self._run_shapes(buffer, starts, length, shape), length)
+        joined = np.append(trailers.all(axis=1), True)
         return self._take_broken_run(
             buffer, _Run(starts=starts, length=length, step=step, shape=shape, good=good, joined=joined), found
         )

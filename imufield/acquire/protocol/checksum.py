@@ -236,7 +236,8 @@ class Fletcher(Checksum):
         """Return the checksum of each row, as the base class has it."""
         weights = np.arange(rows.shape[1], 0, -1, dtype=np.uint64)
         if rows.shape[1] <= _EXACT_IN_SINGLE:
-            both = np.stack([np.ones(len(weights)), weights], axis=1).astype(np.float32)
+            both = np.ones((len(weights), 2), dtype=np.float32)
+            both[:, 1] = weights
             sums = (rows.astype(np.float32) @ both).astype(np.uint64)
             return self._join(sums[:, 0], sums[:, 1])
         return self._join(rows.sum(axis=1, dtype=np.uint64), (rows * weights).sum(axis=1, dtype=np.uint64))

@@ -156,10 +156,10 @@ class Shape:
     """Frames that can be read together."""
 
     layout: Layout
-    columns: Positions
-    """Where bytes stand, besides key and length, that tell this shape. Shape (m,)."""
+    mask: Bytes
+    """255 where bytes stand, besides key and length, that tell this shape, to the last of them; 0 elsewhere. Shape (m,)."""
     values: Bytes
-    """Those bytes. Shape (m,)."""
+    """Those bytes; 0 elsewhere. Shape (m,)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -290,5 +290,6 @@ class FrameForm:
 
 
 def _shape(layout: Layout, columns: list[int], row: bytes) -> Shape:
-    places = np.array(columns, dtype=np.intp)
-    return Shape(layout, places, np.frombuffer(row, dtype=np.uint8)[places])
+    mask = np.zeros(max(columns, default=-1) + 1, dtype=np.uint8)
+    mask[columns] = 255
+    return Shape(layout, mask, np.frombuffer(row, dtype=np.uint8)[: len(mask)] & mask)

@@ -23,6 +23,7 @@ sentence = Sentences(__package__)
 
 _ITERATIONS = 60  # Steps before it says that it did not converge; the scatters settle last.
 _SETTLED = 1e-8  # Sum of squared changes in sigma at which it stops: a ten-thousandth of a sigma.
+_NEAR = 1.0  # The same from which on only the scatters are left to be found, and the Earth's heading is seen or not: a sigma.
 _SCATTER_SETTLED = 1e-3  # Relative change of each scatter at which it stops: 24 stills tell a scatter to a tenth.
 _HALVINGS = 6  # Shares of a step that are tried, 1 to 1/32; the last is taken as it is, and the next step is another.
 _SESSION_ROOT_S = 20.0  # Root of the length of a session, sqrt(s), to start from: 400 s, 24 positions of 17 s.
@@ -121,16 +122,17 @@ def fit_jointly(data: GyroscopeData, start: FloatArray, free: IntArray, scatter:
     p[VERTICAL] = prior.mean[VERTICAL]
     nuisance = [VERTICAL] if data.latitude_deg is None else []
     columns = np.array([*free, *nuisance, *range(FIRST_HORIZONTAL, data.parameters)], dtype=np.int64)
-    fitted = _gauss_newton(data, p, columns, prior, scatter)
+    strict = make_prior(data, heading=True)
     # One azimuth serves each chain of moves; once every chain knows it, the known length is kept strictly.
-    places = np.flatnonzero(fitted.free >= FIRST_HORIZONTAL)
-    spread = np.sqrt(np.diag(fitted.covariance)[places].reshape(-1, 2).sum(axis=1))
-    prior = make_prior(data, heading=True)
-    if prior.length_rad_s and np.all(spread < HEADING_SEEN * prior.length_rad_s):
-        p = fitted.p.copy()
-        h = p[FIRST_HORIZONTAL:].reshape(-1, 2)
-        h *= prior.length_rad_s / np.linalg.norm(h, axis=1)[:, None]
-        fitted = _gauss_newton(data, p, columns, prior, fitted.scatter)
+    for settled in (_NEAR, _SETTLED) if strict.length_rad_s else (_SETTLED,):
+        fitted = _gauss_newton(data, p, columns, prior, scatter, settled=settled)
+        p, scatter = fitted.p.copy(), fitted.scatter
+        places = np.flatnonzero(fitted.free >= FIRST_HORIZONTAL)
+        spread = np.sqrt(np.diag(fitted.covariance)[places].reshape(-1, 2).sum(axis=1))
+        if strict.length_rad_s and np.all(spread < HEADING_SEEN * strict.length_rad_s):
+            h = p[FIRST_HORIZONTAL:].reshape(-1, 2)
+            h *= strict.length_rad_s / np.linalg.norm(h, axis=1)[:, None]
+            return _gauss_newton(data, p, columns, strict, scatter)
     return fitted
 
 
@@ -145,7 +147,15 @@ class _Step:
     size: float  # Change in sigma, squared.
 
 
-def _gauss_newton(data: GyroscopeData, p: FloatArray, free: IntArray, prior: _Prior, scatter: Scatter | None) -> JointFit:
+def _gauss_newton(
+    data: GyroscopeData,
+    p: FloatArray,
+    free: IntArray,
+    prior: _Prior,
+    scatter: Scatter | None,
+    *,
+    settled: float = _SETTLED,
+) -> JointFit:
     now = evaluate(p, data)
     scatter = scatter or first_scatter(now)
     status, count = SolverStatus.ITERATION_LIMIT, 1
@@ -167,14 +177,16 @@ def _gauss_newton(data: GyroscopeData, p: FloatArray, free: IntArray, prior: _Pr
         p = trial
         parts = covariances(now, p[:PARAMETERS], data)
         before, scatter = scatter, _next_scatter(scatter, now, free, parts)
-        pairs = zip(before, scatter, strict=True)
-        same_scatter = all(abs(old - new) <= _SCATTER_SETTLED * max(old, 1e-9) for old, new in pairs)
-        if step.size < _SETTLED * len(free) and same_scatter:
+        for _ in range(_ITERATIONS if step.size < _NEAR * len(free) else 0):
+            # The turns hardly change any more, and they cost most of a step: the scatters settle at these.
+            last, scatter = scatter, _next_scatter(scatter, now, free, parts)
+            if _is_same(last, scatter):
+                break
+        if step.size < settled * len(free) and (_is_same(before, scatter) or settled > _SETTLED):
             status = SolverStatus.CONVERGED
             break
     step = _linear_step(now, parts, scatter, p, free=free, prior=prior)
-    settled = status is SolverStatus.CONVERGED
-    message = sentence("fit.settled" if settled else "fit.iteration_limit", iterations=_ITERATIONS)
+    message = sentence("fit.settled" if status is SolverStatus.CONVERGED else "fit.iteration_limit", iterations=_ITERATIONS)
     solved = SolverResult(x=p[free], cost=step.cost, status=status, message=message, evaluations=count)
     return JointFit(
         p=p,
@@ -187,6 +199,11 @@ def _gauss_newton(data: GyroscopeData, p: FloatArray, free: IntArray, prior: _Pr
         solved=solved,
         heading_fitted=prior.length_rad_s is not None,
     )
+
+
+def _is_same(before: Scatter, after: Scatter) -> bool:
+    pairs = zip(before, after, strict=True)
+    return all(abs(old - new) <= _SCATTER_SETTLED * max(old, 1e-9) for old, new in pairs)
 
 
 def first_scatter(evaluation: Evaluation) -> Scatter:

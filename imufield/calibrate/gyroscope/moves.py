@@ -233,13 +233,18 @@ class MoveCollector:
                 self._compact()
         self._pending = samples[cut:]
 
-    def finish(self, start_s: FloatArray, duration_s: FloatArray) -> Moves:
-        """Return the moves between still intervals (sample clock, shape (s,), in any order)."""
+    def slots(self) -> Slots:
+        """Return the slots of all samples so far."""
         parts = self._parts
         if self._pending is not None and len(self._pending) > 1 and self.interval_s:
             # The unfinished slot is the last one.
             parts = [*parts, self._measure(self._pending, self._slot_of(self._pending.time_s[:-1]))]
-        return cut_moves(stack_slots(parts) if parts else no_slots(), start_s, duration_s, (self.low, self.high))
+        return stack_slots(parts) if parts else no_slots()
+
+    def finish(self, start_s: FloatArray, duration_s: FloatArray) -> Moves:
+        """Return the moves between still intervals (sample clock, shape (s,), in any order)."""
+        slots = self.slots()
+        return cut_moves(slots, start_s, duration_s, (self.low, self.high))
 
     def _slot_of(self, time_s: FloatArray) -> IntArray:
         slot: IntArray = np.floor(time_s / SLOT_S + _SLOT_MARGIN).astype(np.int64)
@@ -376,6 +381,25 @@ def cut_moves(
         slots=slots[np.concatenate(rows)] if kept else slots[:0],
         dropped=tuple(dropped),
     )
+
+
+def join_stills(slots: Slots, start_s: FloatArray, duration_s: FloatArray) -> Slots:
+    """Return the slots with those inside stretched stills joined into cells; moves are cut at cells, so they stay the same."""
+    if not len(slots) or not np.isfinite(start_s).all():
+        return slots
+    stills = np.stack([start_s, start_s + duration_s], axis=1)[np.argsort(start_s, kind="stable")]
+    rising_s = np.maximum.accumulate(slots.start_s)
+    stills = stretch_stills(rising_s, slots.duration_s, slots.turn, slots.force, stills=stills)
+    number = np.floor(rising_s / CELL_S + _SLOT_MARGIN).astype(np.int64)
+    starts = np.concatenate(([0], np.flatnonzero(np.diff(number)) + 1))
+    length = np.diff(np.append(starts, len(slots)))
+    cell_s, next_s = rising_s[starts], np.append(rising_s[starts[1:]], -np.inf)
+    # The last still that begins before each cell: whole cells of it are joined.
+    still = np.searchsorted(stills[:, 0], cell_s + _SLOT_MARGIN, side="right") - 1
+    inside = (still >= 0) & (next_s <= stills[still, 1] + _SLOT_MARGIN) if len(stills) else np.zeros(len(starts), np.bool_)
+    keep = ~np.repeat(inside & (next_s > cell_s), length)
+    keep[starts] = True
+    return join_slots(slots, np.flatnonzero(keep))
 
 
 def _fault(slots: Slots, begin: float, end: float, limits: tuple[FloatArray, FloatArray] | None) -> Sentence | None:

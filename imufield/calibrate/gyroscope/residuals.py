@@ -29,7 +29,7 @@ import numpy as np
 from imufield.calibrate.gyroscope.move_integration import BIAS, INVERSE, PARAMETERS, SENSITIVITY, Turns, integrate
 from imufield.calibrate.gyroscope.moves import Moves
 from imufield.calibrate.gyroscope.turntable import TableRows, no_table
-from imufield.calibrate.model.rotation import cross, from_matrix, logarithm, matrix, rotation_matrix, skew
+from imufield.calibrate.model.rotation import cross, from_matrix, logarithm, matrix, one_rotation_matrix, skew
 from imufield.samples import FloatArray, IntArray
 
 VERTICAL = PARAMETERS
@@ -228,12 +228,12 @@ def carry_azimuth(data: GyroscopeData, turns: Turns, v: float, h: FloatArray) ->
     duration = np.add.reduceat(data.moves.slots.duration_s, data.moves.first)
     for k, (i, j) in enumerate(zip(data.moves.before, data.moves.after, strict=True)):
         earth = v * up[i] + Q[i] @ h[data.chain[i]]
-        carry[k] = back[k] @ rotation_matrix(earth * duration[k])
+        carry[k] = back[k] @ one_rotation_matrix(earth * duration[k])
         # The carried axes are made orthonormal again, and at right angles to up.
         axis = (carry[k] @ Q[i])[:, 0]
         first = axis - up[j] * (up[j] @ axis)
         first /= np.linalg.norm(first)
-        Q[j] = np.stack([first, np.cross(up[j], first)], axis=1)
+        Q[j] = np.stack([first, cross(up[j], first)], axis=1)
     return Q, carry
 
 

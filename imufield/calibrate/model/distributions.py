@@ -24,6 +24,7 @@ _SMALLEST = 1e-300
 _EXACT = 4 * sys.float_info.epsilon
 
 
+@cache
 def student_quantile(freedom: float, p: float) -> float:
     """Return what Student's distribution stays below with a probability p above one half."""
     if freedom >= _MANY:

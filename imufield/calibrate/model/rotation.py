@@ -15,12 +15,16 @@ References
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from imufield.samples import FloatArray, IntArray
 
 # Element by element below, not as products of small matrices: NumPy's loops over three numbers cost more than the numbers.
 _CYCLES = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
+_MANY = 4096  # Turns from which they are multiplied in blocks: below, few long passes are faster.
+_BLOCK = 16
 _SMALL_RAD = 1e-3  # Below this the series of ``Jr`` is exact to the last bit that matters (1e-13).
 
 
@@ -111,6 +115,22 @@ def rotation_matrix(rotation_rad: FloatArray) -> FloatArray:
     return matrix(exponential(rotation_rad))
 
 
+def one_rotation_matrix(rotation_rad: FloatArray) -> FloatArray:
+    """Return the same of one rotation vector, by Rodrigues: where each turn waits for the one before, arrays cost more."""
+    x, y, z = rotation_rad.tolist()
+    angle = math.sqrt(x * x + y * y + z * z)
+    half = math.sin(angle / 2) / angle if angle > 0 else 0.5
+    # I + s [r] + 2 h^2 [r]^2 with h = sin(t/2) / t and s = sin(t) / t
+    s, c = 2 * half * math.cos(angle / 2), 2 * half * half
+    return np.array(
+        [
+            [1 - c * (y * y + z * z), c * x * y - s * z, c * x * z + s * y],
+            [c * x * y + s * z, 1 - c * (x * x + z * z), c * y * z - s * x],
+            [c * x * z - s * y, c * y * z + s * x, 1 - c * (x * x + y * y)],
+        ]
+    )
+
+
 def right_jacobian(rotation_rad: FloatArray) -> FloatArray:
     """Return Jr of rotation vectors, shape (..., 3) -> (..., 3, 3)."""
     p = np.moveaxis(rotation_rad, -1, 0)
@@ -141,15 +161,35 @@ def running_turns(quaternion: FloatArray, first: IntArray) -> FloatArray:
     Returns
     -------
     ndarray, shape (k, 4)
-        Running products, by doubling: log2(longest chain) vectorised passes instead of one step an interval.
+        Running products, in vectorised passes instead of one step an interval.
     """
     length = np.diff(np.append(first, len(quaternion)))
-    place = np.arange(len(quaternion)) - np.repeat(first, length)
-    running, step = quaternion.copy(), 1
-    longest = int(length.max(initial=0))
-    while step < longest:
-        later = np.flatnonzero(place >= step)
-        running[later] = multiply(running[later - step], running[later])
-        step *= 2  # each pass doubles how far every product reaches
+    running = _running(quaternion.copy(), length)
     running /= np.linalg.norm(running, axis=-1, keepdims=True)
     return running
+
+
+def _running(running: FloatArray, length: IntArray) -> FloatArray:
+    """Return running products of chains of these lengths, shape (k, 4); what is given is changed."""
+    first = np.cumsum(length) - length
+    place = np.arange(len(running)) - np.repeat(first, length)
+    if len(running) < _MANY:
+        step = 1
+        while step < length.max(initial=0):
+            later = np.flatnonzero(place >= step)
+            running[later] = multiply(running[later - step], running[later])
+            step *= 2  # each pass doubles how far every product reaches
+        return running
+    # Many passes over much cost more than memory gives: blocks of a chain, all at once, and then the chains of their products.
+    blocks = -(-length // _BLOCK)
+    first_block = np.cumsum(blocks) - blocks
+    row, at = place % _BLOCK, np.repeat(first_block, length) + place // _BLOCK
+    # Filled up with turns about nothing. Numbers of one component stand together, which makes long loops of it.
+    products = np.moveaxis(np.zeros((4, _BLOCK, blocks.sum())), 0, -1)
+    products[..., 0] = 1.0
+    products[row, at] = running
+    for step in range(1, _BLOCK):
+        products[step] = multiply(products[step - 1], products[step])
+    before = np.roll(_running(products[-1].copy(), blocks), 1, axis=0)
+    before[first_block[length > 0]] = (1.0, 0.0, 0.0, 0.0)
+    return multiply(before[at], products[row, at])

@@ -97,7 +97,7 @@ class SolveOptions:
     workers: Workers = None
     scheduler: Scheduler = None
     together: Annotated[
-        bool, option("--together", help="Solve all sessions, of one instrument, as one; see docs/together.md.")
+        bool, option("--together", help="Solve all sessions of one instrument as one; see docs/together.md.")
     ] = False
     serial_number: Annotated[
         str | None, option("--serial", help="With --together: all sessions of this instrument in imufield-sessions.")
@@ -307,8 +307,8 @@ class CertificateOptions:
         Path | None,
         session_argument(metavar="[SESSION]", help="Session folder, or parameter file (default: the newest session)."),
     ] = None
-    laboratory: Annotated[str, option(help="Who calibrates.")] = ""
-    customer: Annotated[str, option(help="For whom.")] = ""
+    laboratory: Annotated[str, option(help="Laboratory that calibrates.")] = ""
+    customer: Annotated[str, option(help="Who ordered the calibration.")] = ""
     operator: Annotated[str, option(help="Person who calibrated.")] = ""
     due_months: Annotated[int | None, option(help="Months until the next calibration.", low=1, high=1200)] = None
     output: Annotated[Path | None, option("-o", "--output", help="Folder to write to (default: that of the parameters).")] = (
@@ -328,7 +328,7 @@ class HistoryOptions:
     serial_number: Annotated[str | None, option("--serial", help="Only this serial number.")] = None
     at: Annotated[str | None, option(help="Print only the file calibrated closest to this date, e.g. 2026-03-04.")] = None
     # A year, as calibrations are usually dated.
-    stale_days: Annotated[float, option(help="Age at which a calibration is old.", low=0)] = 365.0
+    stale_days: Annotated[float, option(help="Age in days from which a calibration is called old.", low=0)] = 365.0
     csv: Annotated[Path | None, option(help="Write every number of every calibration to this file.")] = None
     plot: Annotated[Path | None, option(help="Draw a control chart of every parameter as SVG, one file per instrument.")] = None
     target_bias_ug: Annotated[

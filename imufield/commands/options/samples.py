@@ -72,7 +72,10 @@ class DemoOptions:
         8.0  # What a small machine keeps up with.
     )
     temperature: Annotated[
-        bool, option("--temperature", help="Three sessions at -10, 20 and 50 degC, joined, and what one alone would cost.")
+        bool,
+        option(
+            "--temperature", help="Three sessions at -10, 20 and 50 degC, joined, and the error that one alone would leave."
+        ),
     ] = False
     plain: Plain = False
     root: Path = DEFAULT_ROOT
@@ -242,7 +245,7 @@ class RecordOptions:
     site: PlaceOptions = field(default_factory=unknown_site)
     duration_s: Annotated[float | None, option(help="Stop after this many seconds (default: until Ctrl-C).", low=0.1)] = None
     ramp: Annotated[
-        bool, option("--ramp", help="Lead a ramp of temperature in one pose: how cold, how fast, how much is covered.")
+        bool, option("--ramp", help="Guide a temperature ramp in one pose: how cold, how fast, how much is covered.")
     ] = False
     as_json: AsJson = False
     clock_speed: ClockSpeed = 1.0
@@ -369,7 +372,10 @@ class EmulateOptions:
     link: Annotated[Path | None, option(help="Make a symbolic link to the port here.")] = None
     truth: Annotated[Path | None, option(help="Write the true parameters and still intervals to this file.")] = None
     duration_s: Annotated[float | None, option(help="Stop after this many seconds of sample time.", low=0.1)] = None
-    faults: Annotated[list[str] | None, option("--fault", help="E.g. bit_flip_probability=1e-4; may be repeated.")] = None
+    faults: Annotated[
+        list[str] | None,
+        option("--fault", help="Fault to simulate, NAME=NUMBER, e.g. bit_flip_probability=1e-4; may be repeated."),
+    ] = None
     as_json: AsJson = False
 
     @property

@@ -201,7 +201,7 @@ Scheduler = Annotated[str | None, option(help="Address of a Dask scheduler, e.g.
 ClockSpeed = Annotated[
     float,
     option(
-        help="For an emulated instrument alone: the --speed at which it runs.",
+        help="For emulated instruments only: the --speed at which the emulator runs.",
         envvar="IMUFIELD_CLOCK_SPEED",
         low=1,
         high=1000,

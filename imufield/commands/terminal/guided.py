@@ -7,7 +7,7 @@ import shlex
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING
@@ -20,6 +20,7 @@ from imufield.acquire.instrument.same_stream import SameStream
 from imufield.acquire.link.host_clock import HostClock, ScaledClock, patience_s
 from imufield.acquire.link.reconnect import ReconnectingLink
 from imufield.acquire.link.serial import Chunk
+from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import Session, create_session
 from imufield.acquire.recording.session_record import GuideRecord
@@ -29,7 +30,7 @@ from imufield.commands.terminal.page import SHOWN_EVERY_S, serve_page
 from imufield.commands.terminal.views import View, make_view
 from imufield.deliver.parameters.file import load
 from imufield.deliver.parameters.numbers import beside
-from imufield.errors import ImufieldError, RecordingError, UsageError
+from imufield.errors import CalibrationError, ImufieldError, RecordingError, UsageError
 from imufield.files import read_small_file, typed_write_errors, write_atomically
 from imufield.guide.events import Advice, Event, Topic
 from imufield.guide.positions import SCHEME_FILE, SCHEMES, scheme
@@ -48,7 +49,10 @@ from imufield.pipeline.chain import (
     require_gravity,
 )
 from imufield.pipeline.intake import Intake
+from imufield.pipeline.kept import keep
+from imufield.pipeline.reading import ReadingCollector
 from imufield.pipeline.site import SiteOptions
+from imufield.pipeline.solving import reading_of, session_sha256
 from imufield.progress import hidden
 from imufield.sentences import Sentences
 
@@ -176,9 +180,10 @@ def guided_session(
     ``ImufieldError``.
     """
     stream = SameStream(connected.link.name, patience_s(clock, 1.0))
-    chain = Chain(ReadingPlan.of(session), listeners=(stream.hear,))
+    collected, damage = ReadingCollector(), list[Damage]()
+    chain = Chain(ReadingPlan.of(session), listeners=(stream.hear, collected.feed))
     # Of a session that goes on, so that the guide knows again what it knew; of a new one there is nothing.
-    replay_into(chain, session, [], ended=False)
+    replay_into(chain, session, damage, collected.hear, ended=False)
     stream.begin()
     metadata = part_metadata(connected.protocol, connected.session_tables())
     loop = None
@@ -197,6 +202,7 @@ def guided_session(
                 session=session,
                 connected=connected,
                 intake=Intake(recorder=recorder, chain=chain, stream=stream),
+                hear=collected.hear,
                 view=view,
                 keyboard=keyboard,
                 clock=clock,
@@ -220,6 +226,10 @@ def guided_session(
             farewell(loop.captured(), options.view, clock)
         raise
     farewell(captured, options.view, clock)
+    if not damage:
+        # For who solves it: all has been seen already. Where there is nothing to be calibrated from, solving says so.
+        with suppress(CalibrationError):
+            keep(session, reading_of(session, chain, collected, sha256=session_sha256(session)))
     return captured
 
 
@@ -234,6 +244,8 @@ class CaptureLoop:
     keyboard: Keyboard
     clock: HostClock
     check: Callable[[], None]
+    hear: Callable[[list[Event]], None] = lambda _: None
+    """Is told every event."""
     retake: tuple[str, ...] = ()
     """Positions to be measured again."""
 
@@ -366,6 +378,7 @@ class CaptureLoop:
         return False
 
     def _publish(self, events: list[Event]) -> None:
+        self.hear(events)
         for event in events:
             self.recorder.write_event(event.to_dict())
             if isinstance(event, Advice) and event.topic in (Topic.DRIFT, Topic.SCALE):

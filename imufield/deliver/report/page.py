@@ -230,7 +230,7 @@ def _quality(calibration: Calibration) -> Iterator[tuple[str, str]]:
     yield "Scatter between positions", f"{_short(quality.between_position_sigma_m_s2 / size)} {unit}"
     yield "Degrees of freedom of the fit", str(quality.degrees_of_freedom)
     if math.isfinite(quality.condition):
-        yield "Condition", f"{quality.condition:.1f}"
+        yield "Condition number", f"{quality.condition:.1f}"
 
 
 def _checks(verification: Document) -> Iterator[tuple[str, str]]:

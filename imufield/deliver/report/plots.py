@@ -10,10 +10,11 @@ from imufield.deliver.navigation.drift import QUANTITIES
 from imufield.deliver.parameters.numbers import acceleration_unit
 from imufield.deliver.parameters.schema import Document
 from imufield.deliver.report.correlations import Correlations
-from imufield.deliver.report.data import Closure, Convergence, Trace
+from imufield.deliver.report.data import Closure, Convergence
 from imufield.deliver.report.gain import Gain
 from imufield.deliver.report.over_temperature import TemperatureCurves
 from imufield.deliver.report.positions import short_name
+from imufield.deliver.report.trace import Trace
 from imufield.drawing.style import BLUE, GREY, INK, ORANGE, figure, plain_ticks, to_svg
 from imufield.earth import MILLI_G_M_S2
 from imufield.samples import AXES, FloatArray

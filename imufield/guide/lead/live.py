@@ -49,11 +49,11 @@ class LiveFeed:
     def __init__(self) -> None:
         self._blocks: deque[Cells] = deque()
         self._count = 0
-        self._last = np.empty((0, 3))  # Of the accelerometer, raw, behind what is in the cells.
+        self._last: Samples | None = None  # The newest, behind what is in the cells.
 
     def hear(self, samples: Samples) -> None:
         """Keep the newest samples: a cell is 0.1 s old before it is whole, and a hand sees that."""
-        self._last = samples.accelerometer[samples.time_s > samples.time_s[-1] - _NEWEST_S]
+        self._last = samples
 
     def add(self, cells: Cells) -> None:
         """Append cells."""
@@ -69,7 +69,10 @@ class LiveFeed:
 
     def up(self, scale: RoughScale) -> FloatArray:
         """Return where up is in the body by the newest samples, unit vector (3,), NaN while not known."""
-        known = self._last[np.isfinite(self._last).all(axis=1)]
+        if (last := self._last) is None:
+            return np.full(3, np.nan)
+        newest = last.accelerometer[last.time_s > last.time_s[-1] - _NEWEST_S]
+        known = newest[np.isfinite(newest).all(axis=1)]
         if not len(known) or not scale.accelerometer:
             return np.full(3, np.nan)
         return scale.up(known.mean(axis=0))

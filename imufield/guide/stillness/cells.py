@@ -17,7 +17,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.samples import UNUSABLE, FloatArray, IntArray, Samples, Status, concatenate
+from imufield.samples import UNUSABLE, FloatArray, IntArray, Samples, Status, concatenate, every
 
 # Short against a turn (0.5 s and more), long against the tremor of a hand (8 to 12 Hz).
 CELL_S = 0.1
@@ -81,6 +81,8 @@ class Cells:
         return len(self.slot)
 
     def __getitem__(self, rows: slice | IntArray) -> Cells:
+        if isinstance(rows, slice) and rows.indices(len(self)) == (0, len(self), 1):
+            return self  # Live, nearly every block is one cell.
         return Cells(**{name: getattr(self, name)[rows] for name in _FIELDS})
 
 
@@ -118,14 +120,14 @@ class CellBuilder:
             return None
         slot = slots_of(samples.time_s)
         first, last = int(slot[0]), int(slot[-1])
-        if first == last == self._pending_slot and bool((slot == first).all()):
+        if first == last == self._pending_slot and every(slot == first):
             self._pending.append(samples)
             return None
         if self._pending:
             samples = concatenate([*self._pending, samples])
             slot = slots_of(samples.time_s)
-        changes = np.flatnonzero(np.diff(slot)) + 1
-        cut = int(changes[-1]) if len(changes) else 0
+        changes = (slot[1:] != slot[:-1]).nonzero()[0]
+        cut = int(changes[-1]) + 1 if len(changes) else 0
         self._pending, self._pending_slot = [samples[cut:]], last
         return measure_cells(samples[:cut], slot[:cut]) if cut else None
 
@@ -140,12 +142,20 @@ class CellBuilder:
 
 def measure_cells(samples: Samples, slot: IntArray) -> Cells:
     """Return the statistics of each run of equal slots; ``slot`` has shape (n,), n at least 1."""
-    starts = np.concatenate(([0], np.flatnonzero(np.diff(slot)) + 1))
-    count = np.diff(np.append(starts, len(slot)))
-    values = np.concatenate((samples.accelerometer_rate().T, samples.gyroscope_rate().T))
-    flagged = bool((samples.status & np.uint32(UNUSABLE)).any())
+    begins = np.ones(len(slot), dtype=np.bool_)
+    np.not_equal(slot[1:], slot[:-1], out=begins[1:])
+    starts = begins.nonzero()[0]
+    count = np.append(starts[1:], len(slot)) - starts
+    # Filled in place: joining two transposed arrays takes three times as long.
+    values = np.empty((6, len(slot)))
+    values[:3], values[3:] = samples.accelerometer_rate().T, samples.gyroscope_rate().T
+    flagged = np.count_nonzero(samples.status & np.uint32(UNUSABLE))
+    least: np.ufunc = np.fmin
+    largest: np.ufunc = np.fmax
     # A sum is finite only if every term is: one pass instead of a mask. The usual case.
     if not flagged and np.isfinite(values.sum()):
+        # Where nothing is NaN, these are twice as fast.
+        least, largest = np.minimum, np.maximum
         counts, first, clipped = np.tile(count, (6, 1)), values[:, starts], np.zeros_like(count)
         deviation = values - np.repeat(first, count, axis=1)
     else:
@@ -170,13 +180,14 @@ def measure_cells(samples: Samples, slot: IntArray) -> Cells:
     distance = np.abs(deviation)
     # Zero distance shows no step of the output.
     distance[distance == 0] = np.inf
-    low, high = np.fmin.reduceat(values, starts, axis=1), np.fmax.reduceat(values, starts, axis=1)
+    low, high = least.reduceat(values, starts, axis=1), largest.reduceat(values, starts, axis=1)
     at_low, at_high = (
         np.add.reduceat(values[:3] == np.repeat(end[:3], count, axis=1), starts, axis=1, dtype=np.int64) for end in (low, high)
     )
-    warmth = samples.temperature_degc
-    known = np.add.reduceat(np.isfinite(warmth), starts, dtype=np.int64)
-    warmth = np.add.reduceat(np.where(np.isfinite(warmth), warmth, 0.0), starts)
+    warmth, known, there = samples.temperature_degc, count, np.isfinite(samples.temperature_degc)
+    if not every(there):
+        warmth, known = np.where(there, warmth, 0.0), np.add.reduceat(there, starts, dtype=np.int64)
+    warmth = np.add.reduceat(warmth, starts)
     return Cells(
         slot=slot[starts],
         start_s=samples.time_s[starts],

@@ -51,7 +51,10 @@ class Stretch:
 
     def cells(self) -> Cells:
         """Return the kept cells; at least one was added."""
-        return join_cells([cells[start:stop] for cells, start, stop in self._parts])
+        joined = join_cells([cells[start:stop] for cells, start, stop in self._parts])
+        # Asked again and again of a stretch that grows cell by cell.
+        self._parts = [(joined, 0, len(joined))]
+        return joined
 
     def cut(self, rows: slice) -> None:
         """Keep only some of the kept cells, at least one, and compute the mean of these."""

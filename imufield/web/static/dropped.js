@@ -177,12 +177,11 @@ async function asking(bench, files, onAnswer) {
         MEANINGS.map((name) => make("option", { value: name }, name === "-" ? text("leaveOut") : name)),
       ),
     );
-    const signals = Array.from({ length: width }, (_, k) =>
-      lineOf(
-        numbers.map((row) => Number(row[k])),
-        "small",
-      ),
-    );
+    const signals = Array.from({ length: width }, (_, k) => {
+      const column = numbers.filter((row) => row[k]).map((row) => Number(row[k]));
+      const [low, high] = [Math.min(...column), Math.max(...column)].map((value) => Number(value.toPrecision(4)));
+      return make("div", {}, lineOf(column, "small"), make("small", {}, column.length ? text("between", { low, high }) : ""));
+    });
     const head = rows.find((row) => !isNumber(row) && row.length === width) ?? [];
     tables.push({
       file,

@@ -21,6 +21,11 @@ function token() {
   return given || sessionStorage.getItem("token") || "";
 }
 
+// Typed into the tab of an earlier page, an address with another token loads nothing by itself.
+addEventListener("hashchange", () => {
+  if (new URLSearchParams(location.hash.slice(1)).has("token")) location.reload();
+});
+
 export class Link {
   /**
    * @param {(message: any) => void} onMessage

@@ -29,7 +29,7 @@ export function showHistory(bench, job) {
   at("instruments").replaceChildren(
     ...(instruments.length ? [] : [make("p", {}, text("noHistory")), job.code === 0 ? "" : make("p", { class: "state" }, complaint(job))]),
     ...instruments.map((/** @type {any} */ instrument) => {
-      const plot = make("div");
+      const plot = make("div", { class: "wide" });
       const serial = instrument.serial_number ? { serial_number: instrument.serial_number } : {};
       const calibrations = instrument.calibrations.map((/** @type {any} */ each) => [
         each.created.slice(0, 10),

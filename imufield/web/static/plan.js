@@ -23,7 +23,7 @@ export function watchPlan(bench, noise) {
         withSigns(
           [words, remedy, assumed]
             .filter(Boolean)
-            .map((part) => `${part[0].toUpperCase()}${part.slice(1)}.`)
+            .map((part) => `${part[0].toUpperCase()}${part.slice(1).replace(/\.$/, "")}.`)
             .join(" "),
         ),
       (/** @type {Error} */ error) => error.message,

@@ -5,7 +5,7 @@ import { text, withSigns } from "./texts.js";
 
 const WIDTH = 1000;
 const HEIGHT = 260;
-const TIMES = 5; // Written below what a screen shows.
+const EDGE = 30; // Half of the longest time that is written below.
 const AXES = ["x", "y", "z"];
 
 /** @param {number} share of the largest @param {string} kind */
@@ -43,10 +43,11 @@ export function readOverview(text) {
   return Object.fromEntries(names.map((name, k) => [name, rows.map((row) => (row[k] ? Number(row[k]) : NaN))]));
 }
 
-/** Round values between two, two to five of them. @param {number} low @param {number} high */
-function ticks(low, high) {
-  const power = 10 ** Math.floor(Math.log10((high - low) / 2 || 1));
-  const step = ([5, 2].find((times) => (high - low) / (times * power) >= 2) ?? 1) * power;
+/** Round values between two, so many times two to five of them. @param {number} low @param {number} high @param {number} [many] */
+function ticks(low, high, many = 1) {
+  const span = (high - low) / many;
+  const power = 10 ** Math.floor(Math.log10(span / 2 || 1));
+  const step = ([5, 2].find((times) => span / (times * power) >= 2) ?? 1) * power;
   const first = Math.ceil(low / step);
   return Array.from({ length: Math.floor(high / step) - first + 1 }, (_, k) => Number(((first + k) * step).toPrecision(6)));
 }
@@ -101,16 +102,17 @@ export function drawSignals(columns, holds, without, onChoose, { zoom, unit }) {
         draw("title", {}, hold.name),
       );
     });
-  const words = Array.from({ length: TIMES * zoom + 1 }, (_, k) => {
-    const at = k / (TIMES * zoom);
-    const anchor = at === 0 ? "start" : at === 1 ? "end" : "middle";
-    return draw("text", { x: wide * at, y: HEIGHT - 4, "text-anchor": anchor }, `${((last - first) * at).toFixed(0)} s`);
+  const words = ticks(0, last - first, 2 * zoom).map((seconds) => {
+    const across = x(first + seconds);
+    const anchor = across < EDGE ? "start" : across > wide - EDGE ? "end" : "middle";
+    return draw("text", { x: across, y: HEIGHT - 4, "text-anchor": anchor }, `${seconds} s`);
   });
-  const levels = ticks(low, high).flatMap((value) => [
-    draw("line", { class: "level", x1: 0, x2: wide, y1: y(value), y2: y(value) }),
-    // Where a part is shown, each has them in sight.
-    ...Array.from({ length: zoom }, (_, k) => draw("text", { x: WIDTH * k + 4, y: y(value) - 3 }, `${value} ${withSigns(unit)}`)),
-  ]);
+  const heights = ticks(low, high);
+  const levels = heights.map((value) => draw("line", { class: "level", x1: 0, x2: wide, y1: y(value), y2: y(value) }));
+  // Where a part is shown, each has them in sight.
+  const names = heights.flatMap((value) =>
+    Array.from({ length: zoom }, (_, k) => draw("text", { x: WIDTH * k + 4, y: y(value) - 3 }, `${value} ${withSigns(unit)}`)),
+  );
   const drawn = draw(
     "svg",
     { viewBox: `0 0 ${wide} ${HEIGHT}`, class: "plot", role: "group", "aria-label": text("plot") },
@@ -118,6 +120,8 @@ export function drawSignals(columns, holds, without, onChoose, { zoom, unit }) {
     lines,
     stills,
     words,
+    // Above the lines: a number that is crossed out is none.
+    names,
   );
   drawn.style.width = `${100 * zoom}%`;
   drawn.style.minWidth = `${44 * zoom}rem`;

@@ -169,9 +169,7 @@ export class SessionView {
       ...[
         canGoOn ? button(text("goOn"), () => this.resume(), { class: "main" }) : null,
         canSolve ? button(text(row.verdict ? "solveAgain" : "solve"), () => this.solve(), { class: !canGoOn && (!parameters || isOutdated) && "main" }) : null,
-        canSolve && row.kind === "capture"
-          ? button(text("replay"), () => this.begin("replay", { session: this.name, speed: 4 }))
-          : null,
+        ...(canSolve && row.kind === "capture" ? this.replay() : []),
       ].filter(Boolean),
     );
     at("give").hidden = !parameters;
@@ -184,6 +182,13 @@ export class SessionView {
     at("saved").replaceChildren(...saves(files.filter((name) => !earlier.includes(name))));
     at("earlier").hidden = !earlier.length;
     at("saved-earlier").replaceChildren(...saves(files.filter((name) => earlier.includes(name))));
+  }
+
+  /** What shows the session on the page of the guide again, and how fast. */
+  replay() {
+    const speed = make("input", { name: "speed", inputmode: "decimal", value: "4", autocomplete: "off" });
+    const places = make("label", { class: "speed" }, speed, text("timesAsFast"));
+    return [button(text("replay"), () => this.begin("replay", { session: this.name, ...filled(places) })), places];
   }
 
   /** @param {string} path */

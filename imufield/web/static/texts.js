@@ -19,7 +19,7 @@ export const withMarks = (words, how) => words.replace(/\[([a-z ]+)\]/g, (_, mar
 
 /** Words as a terminal can show them, with the signs of units. @param {string} words */
 export const withSigns = (words) =>
-  words.replaceAll("^2", "²").replaceAll(" per root Hz", "/√Hz").replace(/\bu(?=g\b|rad\b)/g, "µ").replace(/ deg\b/g, "°");
+  words.replaceAll("^2", "²").replaceAll(" per root Hz", "/√Hz").replace(/\bu(?=g\b|rad\b)/g, "µ").replace(/ deg\b/g, "°").replace(/(?<![\d.])\+-(?=\d)/g, "±");
 
 /** A number with its sign; what is rounded to zero has none. @param {number} value @param {number} digits */
 export function signed(value, digits) {

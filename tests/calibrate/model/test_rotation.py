@@ -13,6 +13,7 @@ from imufield.calibrate.model.rotation import (
     logarithm,
     matrix,
     multiply,
+    one_rotation_matrix,
     right_jacobian,
     rotation_matrix,
     running_turns,
@@ -60,8 +61,9 @@ def test_right_jacobian_is_the_derivative() -> None:
     assert change == pytest.approx((right_jacobian(VECTORS) @ step[:, :, None])[:, :, 0], abs=1e-14)
 
 
-def test_running_turns_of_chains_of_any_length() -> None:
-    lengths = [1, 2, 5, 37]
+@pytest.mark.parametrize("longest", [37, 6000])  # In passes, and in blocks.
+def test_running_turns_of_chains_of_any_length(longest: int) -> None:
+    lengths = [1, 2, 16, 5, 17, longest]
     turns = exponential(RNG.standard_normal((sum(lengths), 3)))
     first = (np.cumsum(lengths) - lengths).astype(np.int64)
     running = running_turns(turns, first)
@@ -69,4 +71,10 @@ def test_running_turns_of_chains_of_any_length() -> None:
         product = np.array([1.0, 0, 0, 0])
         for k in range(start, start + length):
             product = multiply(product, turns[k])
-            assert running[k] == pytest.approx(product, abs=1e-13)
+            assert running[k] == pytest.approx(product, abs=1e-12)
+
+
+def test_one_rotation_matrix_is_that_of_its_quaternion() -> None:
+    for size in (0.0, 1e-9, 0.3, 3.0):
+        vector = size * np.array([2.0, -1.0, 2.0]) / 3
+        np.testing.assert_allclose(one_rotation_matrix(vector), rotation_matrix(vector), atol=1e-15)

@@ -14,10 +14,11 @@ from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration
 from imufield.deliver.parameters.context import Context, InstrumentFacts
 from imufield.deliver.parameters.file import Parameters, from_document, to_document
-from imufield.deliver.report.data import Closure, Convergence, ReportData, Trace
+from imufield.deliver.report.data import Closure, Convergence, ReportData
 from imufield.deliver.report.page import render_record, render_report, to_pdf
 from imufield.deliver.report.plots import label_offsets
 from imufield.deliver.report.rows import Row, parameter_rows
+from imufield.deliver.report.trace import Trace
 from imufield.errors import Reason, UsageError
 from tests.refused import refused
 

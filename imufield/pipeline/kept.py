@@ -1,0 +1,136 @@
+"""A reading kept beside its recording: hours of samples take most of the time of a solve, and say the same every time.
+
+``capture`` keeps it as soon as it has seen all of the recording, else who replays it first. It is believed only under a digest
+of the recording, of what ``session.toml`` says, and of this program's own code; anything else is read anew, and nothing is said
+of it: the result is the same.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import fields, is_dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar, cast
+
+import numpy as np
+
+from imufield.acquire.decode.statistics import DecoderStatistics
+from imufield.acquire.recording.session import SETTINGS_FILE, Session
+from imufield.calibrate.gyroscope.moves import Slots
+from imufield.calibrate.model.observations import Observations
+from imufield.deliver.report.trace import TraceCells
+from imufield.files import SMALL_FILE_LIMIT_BYTES, Origin, read_small_file, write_atomically
+from imufield.guide.positions import SCHEME_FILE
+from imufield.json_files import parse_json
+from imufield.pipeline.reading import Reading
+from imufield.samples import SampleUnits
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+KEPT_FILE = "session.reading"
+_DIGEST_BYTES = 32
+_ROOMS = ("acquire", "calibrate", "guide", "pipeline")  # Whose code a reading hangs on.
+_TYPES = {
+    "observations": Observations,
+    "rests": Observations,
+    "units": SampleUnits,
+    "slots": Slots,
+    "cells": TraceCells,
+    "best": DecoderStatistics,
+}
+
+_Made = TypeVar("_Made", bound="DataclassInstance")
+
+
+def keep(session: Session, reading: Reading) -> None:
+    """Write a reading beside its recording."""
+    body = _packed(reading)
+    if len(body) + _DIGEST_BYTES <= SMALL_FILE_LIMIT_BYTES:
+        # A folder that cannot be written, or a full disk, only costs the time that this would save.
+        with suppress(OSError):
+            write_atomically(session.folder / KEPT_FILE, _digest(session, reading.sha256, body) + body)
+
+
+def is_kept(session: Session) -> bool:
+    """Tell whether something is kept; whether it is to be believed, ``kept`` tells."""
+    return (session.folder / KEPT_FILE).exists()
+
+
+def kept(session: Session, sha256: str) -> Reading | None:
+    """Return the reading that is kept of a recording with this hash; None where there is none to be believed."""
+    try:
+        content = read_small_file(session.folder / KEPT_FILE, Origin.INSIDE)
+        body = content[_DIGEST_BYTES:]
+        return _unpacked(body) if content[:_DIGEST_BYTES] == _digest(session, sha256, body) else None
+    # The digest has no secret: what somebody made up under it may be anything.
+    except (OSError, AttributeError, KeyError, TypeError, ValueError):
+        return None
+
+
+def _digest(session: Session, sha256: str, body: bytes) -> bytes:
+    """Return the hash of all that a reading hangs on, and of the reading itself."""
+    digest = hashlib.sha256(f"{sha256} {_code_sha256()} {np.__version__}\n".encode())
+    for name in (SETTINGS_FILE, SCHEME_FILE):
+        with suppress(FileNotFoundError):
+            digest.update(hashlib.sha256(read_small_file(session.folder / name, Origin.INSIDE)).digest())
+    digest.update(body)
+    return digest.digest()
+
+
+@cache
+def _code_sha256() -> str:
+    """Return the hash of the code and tables that read a recording: a version number stays while they are worked on."""
+    package, digest = Path(__file__).parent.parent, hashlib.sha256()
+    found = [package / "samples.py", *(path for room in _ROOMS for path in (package / room).rglob("*"))]
+    for path in sorted(path for path in found if path.suffix in (".py", ".toml")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def _packed(reading: Reading) -> bytes:
+    """Return a line of JSON with all that is no array, and of each array type and shape; behind it their numbers."""
+    found = dict(_flat(reading))
+    arrays = {name: value for name, value in found.items() if isinstance(value, np.ndarray)}
+    others = {name: value for name, value in found.items() if name not in arrays}
+    shapes = {name: (array.dtype.str, array.shape) for name, array in arrays.items()}
+    line = json.dumps([others, shapes]).encode()
+    return b"".join([line, b"\n", *(array.tobytes() for array in arrays.values())])
+
+
+def _flat(value: DataclassInstance, prefix: str = "") -> Iterator[tuple[str, object]]:
+    for field in fields(value):
+        entry = getattr(value, field.name)
+        if is_dataclass(entry) and not isinstance(entry, type):
+            yield from _flat(entry, f"{prefix}{field.name}.")
+        else:
+            yield prefix + field.name, entry
+
+
+def _unpacked(body: bytes) -> Reading:
+    at = body.index(b"\n") + 1
+    # What it is instead of these types, a TypeError or the like tells.
+    found, shapes = cast("tuple[dict[str, object], dict[str, tuple[str, list[int]]]]", parse_json(body[:at]))
+    for name, (kind, shape) in shapes.items():
+        # From a buffer: what somebody wrote of a shape allocates nothing.
+        array = np.frombuffer(body, kind, math.prod(shape), at)
+        found[name] = array.reshape(shape)
+        at += array.nbytes
+    return _made(Reading, found)
+
+
+def _made(kind: type[_Made], found: Mapping[str, object], prefix: str = "") -> _Made:
+    values = {}
+    for field in fields(kind):
+        name = prefix + field.name
+        if name in found:
+            value = found[name]
+            values[field.name] = tuple(value) if isinstance(value, list) else value
+        else:
+            values[field.name] = _made(_TYPES[field.name], found, f"{name}.")
+    return kind(**values)

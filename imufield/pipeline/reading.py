@@ -1,0 +1,121 @@
+"""What a recording holds for whoever calibrates from it: the outcome of one replay, as plain values (kept by ``kept``)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from imufield.acquire.decode.statistics import DecoderStatistics
+from imufield.calibrate.gyroscope.moves import MoveCollector, Moves, Slots, cut_moves, join_stills, no_slots
+from imufield.calibrate.model.observations import Observations, join_observations
+from imufield.deliver.report.trace import TraceCells, TraceCollector
+from imufield.guide.events import Event, Rejected, Turned
+from imufield.guide.lead.turns import VERTICAL
+from imufield.samples import FloatArray, Samples, concatenate
+
+_AT_ONCE = 1024  # Samples that are summed at once: a live link brings them by tens, each time at the price of hundreds.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reading:
+    """A recording that was replayed to its end.
+
+    Attributes
+    ----------
+    sha256 : str
+        Of the parts, in their order.
+    observations : Observations
+    rests : Observations or None
+        Stills between whole turns: for the gyroscope alone.
+    slots : Slots
+        Of the moves, and of the stills in cells.
+    range_raw : ndarray, shape (2, 3)
+        Smallest and largest output of the gyroscope.
+    turned_s : ndarray, shape (k,)
+        Times of the whole turns about the vertical.
+    cells : TraceCells
+    best : DecoderStatistics or None
+        Of the part whose rate is known best.
+    temperature_degc : ndarray, shape (2,)
+        Lowest and highest; NaN where none was sent.
+    raw_zero : ndarray, shape (3,), or None
+    gyroscope_scale : float or None
+    grade : str
+        Nominal, of the protocol.
+    compared, saturated : str
+        Sentences about the gyroscope's axes, and about what was left out because an axis was clipped; may be empty.
+    refused, sticking, notes, lost : tuple of str
+        Sentences about refused holds, codes that stick, how the recording was read, and what is missing.
+    """
+
+    sha256: str
+    observations: Observations
+    rests: Observations | None
+    slots: Slots
+    range_raw: FloatArray
+    turned_s: FloatArray
+    cells: TraceCells
+    best: DecoderStatistics | None
+    temperature_degc: FloatArray
+    raw_zero: FloatArray | None
+    gyroscope_scale: float | None
+    grade: str
+    compared: str
+    saturated: str
+    refused: tuple[str, ...]
+    sticking: tuple[str, ...]
+    notes: tuple[str, ...]
+    lost: tuple[str, ...]
+
+    @property
+    def stills(self) -> Observations:
+        """All stills that moves lie between."""
+        return self.observations if self.rests is None else join_observations(self.observations, self.rests)
+
+    def between(self, observations: Observations) -> Moves:
+        """Return the moves between the observed stills, and those between whole turns."""
+        stills = observations if self.rests is None else join_observations(observations, self.rests)
+        return cut_moves(self.slots, stills.start_s, stills.duration_s, (self.range_raw[0], self.range_raw[1]))
+
+
+class ReadingCollector:
+    """Keeps of a stream of samples and events what the gyroscope fit and the report need."""
+
+    def __init__(self) -> None:
+        self.refusals: list[Rejected] = []
+        self.turned_s: list[float] = []
+        self.trace = TraceCollector()
+        self._moves: MoveCollector | None = None
+        self._waiting: list[Samples] = []
+
+    def feed(self, samples: Samples) -> None:
+        """Take the next samples."""
+        self._waiting.append(samples)
+        if sum(map(len, self._waiting)) >= _AT_ONCE:
+            self._take()
+
+    def hear(self, events: Iterable[Event]) -> None:
+        """Remember refused holds, and the whole turns about the vertical that the guide saw."""
+        for event in events:
+            if isinstance(event, Rejected):
+                self.refusals.append(event)
+            elif isinstance(event, Turned) and event.about == VERTICAL:
+                self.turned_s.append((event.start_s + event.end_s) / 2)
+
+    def slots(self, stills: Observations) -> tuple[Slots, FloatArray]:
+        """Return the slots of all samples, those inside stills joined, and the range of the outputs, shape (2, 3)."""
+        if self._waiting:
+            self._take()
+        if self._moves is None:
+            return no_slots(), np.array([[np.inf] * 3, [-np.inf] * 3])
+        slots = join_stills(self._moves.slots(), stills.start_s, stills.duration_s)
+        return slots, np.array([self._moves.low, self._moves.high])
+
+    def _take(self) -> None:
+        samples = concatenate(self._waiting)
+        self._waiting.clear()
+        self._moves = self._moves or MoveCollector(samples.units)
+        self._moves.feed(samples)
+        self.trace.feed(samples)

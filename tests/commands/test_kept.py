@@ -1,0 +1,126 @@
+"""What is kept of a replay: it saves the replay and changes no result, whatever becomes of it."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from imufield.acquire.recording.session import SETTINGS_FILE, Session
+from imufield.cli.run import run
+from imufield.commands.options.results import ReportOptions
+from imufield.commands.report import gather
+from imufield.pipeline import kept, solving
+from imufield.pipeline.calibration import SolveSettings
+from imufield.pipeline.solving import solve_session
+
+if TYPE_CHECKING:
+    from tests.commands.conftest import Program
+
+WITHOUT = SolveSettings(without=("x+90",))
+
+
+@pytest.fixture
+def folder(whole_session: Path, tmp_path: Path) -> Path:
+    """Return a recorded session of which nothing is kept."""
+    copy = Path(shutil.copytree(whole_session, tmp_path / "session"))
+    (copy / kept.KEPT_FILE).unlink(missing_ok=True)
+    return copy
+
+
+def solved(folder: Path, settings: SolveSettings | None = None) -> dict[str, Any]:
+    document = dict(solve_session(Session.open(folder), settings or SolveSettings()).document)
+    return {key: value for key, value in document.items() if key not in ("created", "integrity")}
+
+
+def refuse_replay(monkeypatch: pytest.MonkeyPatch) -> None:
+    def replay(*_: object, **__: object) -> None:
+        raise AssertionError("the recording was read again")
+
+    monkeypatch.setattr(solving, "replay_into", replay)
+
+
+def test_results_are_those_of_the_replay(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (folder / kept.KEPT_FILE).mkdir()  # Nothing can be kept.
+    cold, cold_without = solved(folder), solved(folder, WITHOUT)
+    (folder / kept.KEPT_FILE).rmdir()
+    assert repr(solved(folder)) == repr(cold)
+    refuse_replay(monkeypatch)
+    assert repr(solved(folder)) == repr(cold)
+    assert repr(solved(folder, WITHOUT)) == repr(cold_without)
+    assert repr(cold) != repr(cold_without)
+
+
+def flip(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+
+
+def edit(path: Path) -> None:
+    settings = path.with_name(SETTINGS_FILE)
+    settings.write_text(settings.read_text(encoding="utf-8") + "\n# another day\n", encoding="utf-8")
+
+
+def forge(path: Path) -> None:
+    session = Session.open(path.parent)
+    path.write_bytes(kept._digest(session, solving.session_sha256(session), b"no arrays") + b"no arrays")
+
+
+@pytest.mark.parametrize("spoil", [flip, edit, forge, lambda path: path.write_bytes(path.read_bytes()[:-9])])
+def test_what_does_not_fit_is_read_anew(folder: Path, spoil: Callable[[Path], None], monkeypatch: pytest.MonkeyPatch) -> None:
+    cold, path = solved(folder), folder / kept.KEPT_FILE
+    before = path.read_bytes()
+    spoil(path)
+    with monkeypatch.context() as patch:
+        refuse_replay(patch)
+        with pytest.raises(AssertionError):
+            solved(folder)
+    assert repr(solved(folder)) == repr(cold)
+    assert path.read_bytes()[32:] == before[32:]
+
+
+def test_other_code_reads_anew(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    solved(folder)
+    monkeypatch.setattr(kept, "_code_sha256", lambda: "of another version")
+    refuse_replay(monkeypatch)
+    with pytest.raises(AssertionError):
+        solved(folder)
+
+
+def test_a_damaged_recording_is_read_every_time(folder: Path) -> None:
+    flip(folder / "part-001.mcap")
+    reasons = [solve_session(Session.open(folder), SolveSettings()).calibration.quality.reasons for _ in range(2)]
+    assert reasons[0] == reasons[1]
+    assert not (folder / kept.KEPT_FILE).exists()
+
+
+def test_report_and_verify_need_no_replay(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert run(["solve", str(folder), "--latitude", "45"]) == 0
+    first, _ = gather(ReportOptions(session=folder))
+    refuse_replay(monkeypatch)
+    monkeypatch.setattr("imufield.commands.verify.replay_into", None)
+    again, _ = gather(ReportOptions(session=folder))
+    assert first.trace is not None
+    assert again.trace is not None
+    np.testing.assert_array_equal(first.trace.scatter_m_s2, again.trace.scatter_m_s2)
+    assert run(["verify", str(folder)]) == 0
+
+
+def test_what_capture_keeps_is_what_a_replay_finds(program: Program, monkeypatch: pytest.MonkeyPatch) -> None:
+    port = program.emulate("--positions", "faces6", "--hold-s", 6, "--wait")
+    ended = program.run(*program.capture(port))
+    assert ended.returncode == 0, ended.stderr
+    folder = Session.newest(program.folder / "imufield-sessions").folder
+    path = folder / kept.KEPT_FILE
+    live = path.read_bytes()
+    with monkeypatch.context() as patch:
+        refuse_replay(patch)
+        found = solved(folder)
+    path.unlink()
+    assert repr(solved(folder)) == repr(found)
+    assert path.read_bytes() == live
