@@ -26,7 +26,7 @@ ROOMS = (
     ("version", "sentences", "limits"),
     ("errors",),
     ("progress",),
-    ("samples", "earth", "files", "toml_files", "console"),
+    ("samples", "earth", "files", "toml_files", "console", "campaign"),
     ("json_files",),
     ("drawing",),
     ("acquire/protocol",),

@@ -19,9 +19,9 @@ from imufield.calibrate.solvers.costs import NormProblem
 from imufield.calibrate.solvers.evolution import solve_ide
 from imufield.calibrate.solvers.least_squares import solve_least_squares
 from imufield.calibrate.solvers.triad_costs import TriadProblem
+from imufield.campaign import run_campaign
 from imufield.samples import FloatArray
 from imufield.study.bsas_runs import run_whitened
-from imufield.study.campaign import run_campaign
 from imufield.study.instruments import BSAS_AXES, BSAS_GRAVITY_M_S2, bsas_outputs, bsas_preset, ide_problem
 from imufield.study.optimum import exact_absolute_minimum, squares_optimum
 

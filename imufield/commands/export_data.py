@@ -10,10 +10,10 @@ from imufield.commands.options.results import ExportDataOptions
 from imufield.commands.terminal.output import echo, say, say_each
 from imufield.commands.terminal.row_count import RowCount
 from imufield.deliver.parameters.numbers import beside, hanging
-from imufield.deliver.samples.export_data import FORMATS, export_samples, facts_of
+from imufield.deliver.samples.export_data import FORMATS, OUTLINE, export_samples, facts_of
 from imufield.errors import RecordingError, UsageError
 from imufield.files import refuse_overwriting
-from imufield.pipeline.chain import session_protocol, session_samples
+from imufield.pipeline.chain import session_outline, session_protocol, session_samples
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -42,7 +42,8 @@ def run_export_data(options: ExportDataOptions) -> None:
     raw_zero = protocol.nominal.raw_zero if stated is None else np.array(stated)
     damage: list[Damage] = []
     count = RowCount()
-    blocks = count.through(session_samples(session, damage))
+    read = session_outline if to == OUTLINE else session_samples
+    blocks = count.through(read(session, damage))
     rows = export_samples(blocks, path, to, facts_of(protocol, raw_zero))
     say_each((entry.what for entry in damage), err=True)
     echo(beside(f"{rows} samples in", path))

@@ -17,8 +17,7 @@ from imufield.deliver.changes import JudgedHistory, judge_history, sentences, sh
 from imufield.deliver.control_chart import plot_history
 from imufield.deliver.family import Change
 from imufield.deliver.history import History, InstrumentHistory, as_utc, one_instrument, read_history
-from imufield.deliver.parameters.gauge_free import Number
-from imufield.deliver.parameters.joined import unit_of
+from imufield.deliver.parameters.gauge_free import Number, unit_of
 from imufield.deliver.parameters.numbers import WIDTH, hanging, to_ascii, with_sigma
 from imufield.errors import UsageError
 from imufield.files import refuse_overwriting, utf8_text
@@ -109,6 +108,8 @@ def _print(histories: Sequence[JudgedHistory], options: HistoryOptions, now: dat
         headings = [("parameter", "value ± sigma", "unit", "since the one before")] if numbers else []
         for line in _table(headings + [_cells(number, changes.get(number.name)) for number in numbers]):
             echo(line)
+        if any(number.name.startswith("angle") for number in numbers):
+            echo(hanging("    ", sentence("history.angles")))
         for line in folded(_said(history, options, now)):
             echo(hanging("  - ", line))
     alone = sum(len(history.instrument.entries) == 1 for history in histories)

@@ -138,8 +138,8 @@ def run_solve_many(sessions: Sequence[Path], options: SolveOptions) -> int:
 
     for outcome in failed.values():
         tell(outcome)
-    # Dask is looked for only where there are several sessions.
-    from imufield.study.campaign import run_campaign
+    # Slow to import, and most solve one session.
+    from imufield.campaign import run_campaign
 
     found = run_campaign(
         solve_job,

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 
-import numpy as np
 from rich.table import Table
 
 from imufield.acquire.recording.session import Session
@@ -19,12 +16,11 @@ from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, json_re
 from imufield.deliver.parameters.joined import shown_unit
 from imufield.deliver.parameters.numbers import WIDTH, to_ascii
 from imufield.deliver.report.together import HEADINGS, together_rows
-from imufield.errors import ImufieldError, UsageError
+from imufield.errors import UsageError
 from imufield.files import DEFAULT_ROOT, refuse_overwriting
 from imufield.pipeline.solving import lost_by_replacing
-from imufield.pipeline.together import SolvedSession, SolveJob, sessions_of, solve_job, solve_together
+from imufield.pipeline.together import sessions_of, solve_together
 from imufield.sentences import Sentences
-from imufield.study.campaign import run_campaign
 
 sentence = Sentences(__package__)
 
@@ -43,7 +39,7 @@ def run_solve_together(options: SolveOptions) -> int:
     path = options.output or Path(PARAMETER_FILE)
     parts = [part for session in sessions for part in session.parts]
     refuse_overwriting(path, parts, advice=sentence("solve.elsewhere"))
-    parameters = solve_together(sessions, options.settings(), options.site, partial(_in_parallel, options.workers))
+    parameters = solve_together(sessions, options.settings(), options.site, options.workers)
     lost = lost_by_replacing(path, parameters)
     kept = write_document(path, parameters.document, advice=sentence("solve.elsewhere"))
     if options.as_json:
@@ -53,14 +49,6 @@ def run_solve_together(options: SolveOptions) -> int:
         say_each(lost, indent=4, begin="  - ")
     tell_written(path, kept, as_json=options.as_json)
     return 0
-
-
-def _in_parallel(workers: int | None, jobs: Sequence[SolveJob]) -> list[SolvedSession | ImufieldError]:
-    return run_campaign(_job, jobs, seed=0, workers=workers)
-
-
-def _job(job: SolveJob, _rng: np.random.Generator) -> SolvedSession | ImufieldError:
-    return solve_job(job)
 
 
 def _sessions(options: SolveOptions) -> list[Session]:

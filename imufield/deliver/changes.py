@@ -18,18 +18,15 @@ import numpy as np
 from imufield.calibrate.model.grades import GRADES, grade_by_noise
 from imufield.calibrate.sessions.changes import FEWEST, MOST, DatedNumbers, Judged, LargestChange, day_to_day, judge
 from imufield.calibrate.sessions.forecast import Forecast, forecast
-from imufield.calibrate.sessions.joint import kind_of
+from imufield.calibrate.sessions.kinds import PPM, kind_of
 from imufield.calibrate.sessions.repeatability import Repeatability
 from imufield.deliver.family import Change, compare, family_of, typical_turn_on
 from imufield.deliver.history import STALE_DAYS, Entry, History, InstrumentHistory
-from imufield.deliver.parameters.gauge_free import Number
-from imufield.deliver.parameters.joined import unit_of
+from imufield.deliver.parameters.gauge_free import Number, unit_of
 from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
 
-_SCALES = ("scale", "gyroscope scale")
-_PPM = 1e-6
 _NO_UNIT = ("m/s^2 per m/s^2", "rad/s per rad/s")  # Units of a scale that is 1 but for its error.
 _MANY = 4  # Up to three of one kind are told one by one.
 _OF_MANY = {
@@ -79,7 +76,7 @@ class JudgedHistory:
 
 def shown_as(name: str, unit: str) -> tuple[str, str, float]:
     """Return name and unit of a number for people, and the size of that unit: a scale without one is its error in ppm."""
-    return (name.replace("scale", "scale error"), "ppm", _PPM) if unit in _NO_UNIT else (name, unit, 1.0)
+    return (name.replace("scale", "scale error"), "ppm", PPM) if unit in _NO_UNIT else (name, unit, 1.0)
 
 
 def judge_history(instrument: InstrumentHistory) -> JudgedHistory:
@@ -95,26 +92,21 @@ def dated_numbers(entries: Sequence[Entry]) -> tuple[DatedNumbers, ...]:
 
 
 def _dated(entry: Entry, newest: Mapping[str, Number]) -> DatedNumbers:
-    found = entry.gauge_free
     # In another unit (another range, another output) it is another number.
-    rows = [k for k, number in enumerate(found.numbers) if newest.get(number.name, number).unit == number.unit]
-    numbers = [found.numbers[k] for k in rows]
-    scales = [newest.get(number.name, number).value if kind_of(number.name) in _SCALES else 0.0 for number in numbers]
-    sizes = np.array([1 / (_PPM * scale) if scale else 1.0 for scale in scales])
-    units = np.outer(sizes, sizes)
-    error, scatter = (part[np.ix_(rows, rows)] * units for part in (found.error, found.scatter))
+    rows = [k for k, number in enumerate(entry.numbers) if newest.get(number.name, number).unit == number.unit]
+    found = entry.gauge_free.against(newest, rows)
     is_known = entry.gravity_source != "assumed"
     return DatedNumbers(
         day=entry.time.timestamp() / 86400,
-        names=tuple(number.name for number in numbers),
-        values=np.array([(number.value - scale) * size for number, scale, size in zip(numbers, scales, sizes, strict=True)]),
-        covariance=scatter,
-        freedom=np.array([number.scatter_freedom for number in numbers]),
+        names=tuple(number.name for number in found.numbers),
+        values=np.array([number.value for number in found.numbers]),
+        covariance=found.scatter,
+        freedom=np.array([number.scatter_freedom for number in found.numbers]),
         setup=entry.setup,
-        hidden=error - scatter,
+        hidden=found.error - found.scatter,
         # A gravity that was only assumed says nothing of the place.
         site=f"{entry.gravity_m_s2:.6f}" if is_known else entry.path,
-        by_gravity=np.array([number.common for number in numbers]) * np.abs(sizes),
+        by_gravity=np.array([number.common for number in found.numbers]),
     )
 
 
@@ -128,8 +120,7 @@ def _changes_between(old: Entry, new: Entry, daily: Mapping[str, float]) -> tupl
 
 
 def _day_change(daily: Mapping[str, float], number: Number) -> float:
-    kind = kind_of(number.name)
-    return daily.get(kind, 0.0) * (_PPM * abs(number.value) if kind in _SCALES else 1.0)
+    return daily.get(kind_of(number.name), 0.0) * abs(number.adjusted_size)
 
 
 def to_csv(history: History) -> str:
@@ -216,8 +207,7 @@ def _share_of_limit(change: LargestChange) -> float:
 def _forecast(history: JudgedHistory, kind: str, accuracy: float) -> Iterator[Sentence]:
     """Yield when to calibrate again for an accuracy, or why nobody knows."""
     stated = [number for number in history.entries[-1].numbers if kind_of(number.name) == kind]
-    sizes = [_PPM * abs(number.value) if kind in _SCALES else 1.0 for number in stated]
-    sigma = max((number.sigma / size for number, size in zip(stated, sizes, strict=True)), default=math.nan)
+    sigma = max((number.sigma / abs(number.adjusted_size) for number in stated), default=math.nan)
     found = forecast(history.sessions, history.judged, kind, file_sigma=sigma, wanted=accuracy)
     told = {"kind": kind, "wanted": accuracy, "unit": unit_of(f"{kind} x")}
     if not isinstance(found, Forecast):

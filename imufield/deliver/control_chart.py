@@ -14,9 +14,9 @@ from datetime import datetime
 import numpy as np
 
 from imufield.calibrate.sessions.changes import LargestChange
-from imufield.calibrate.sessions.joint import kind_of
+from imufield.calibrate.sessions.kinds import kind_of
 from imufield.deliver.changes import JudgedHistory
-from imufield.deliver.parameters.joined import unit_of
+from imufield.deliver.parameters.gauge_free import unit_of
 from imufield.drawing.style import BLUE, INK, ORANGE, figure, plot_style, title, to_svg
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences

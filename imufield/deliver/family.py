@@ -27,13 +27,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from imufield.calibrate.model.grades import Grade
+from imufield.calibrate.sessions.draws import FAMILY_CHANCE, symmetric_root, variance_share
+from imufield.calibrate.sessions.kinds import kind_of
 from imufield.deliver.parameters.gauge_free import GaugeFree, Number
 from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S
 from imufield.earth import MILLI_G_M_S2
 from imufield.samples import FloatArray
 
-FAMILY_CHANCE = 0.05
-"""Share of unchanged pairs that are called different."""
 _DRAWS = 20_000  # They tell the limit to 0.3 % and the chance to 0.15 %.
 
 
@@ -43,7 +43,7 @@ def typical_turn_on(grade: Grade, name: str) -> float:
         "bias": grade.accelerometer.turn_on / MILLI_G_M_S2,
         "gyroscope bias": grade.gyroscope.turn_on / DEG_PER_HOUR_RAD_S,
     }
-    return biases.get(name.rpartition(" ")[0], math.inf)
+    return biases.get(kind_of(name), math.inf)
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,16 +132,9 @@ def _drawn(side: GaugeFree, names: Sequence[str], rng: np.random.Generator, shar
     rows = [places[name] for name in names]
     numbers = [side.numbers[row] for row in rows]
     covariance = _own(side, shared)[np.ix_(rows, rows)]
-    own = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    values, vectors = np.linalg.eigh(covariance / np.outer(own, own))
-    # The symmetric root: another sign of an eigenvector would be other draws.
-    root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
-    error = rng.standard_normal((_DRAWS, len(names))) @ root * own
-    variance = np.empty_like(error)
+    error = rng.standard_normal((_DRAWS, len(names))) @ symmetric_root(covariance)
     freedom = np.array([_freedom(number, shared) for number in numbers])
-    for n in np.unique(freedom):
-        share = rng.chisquare(n, _DRAWS) / n if math.isfinite(n) else np.ones(_DRAWS)
-        variance[:, freedom == n] = share[:, None] * own[freedom == n] ** 2
+    variance = variance_share(freedom, _DRAWS, rng) * np.maximum(np.diag(covariance), 0.0)
     if not shared.gravity:
         # K goes with 1/g: all scales of a session are off the same way.
         common = np.array([number.common * math.copysign(1.0, number.value) for number in numbers])

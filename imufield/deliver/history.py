@@ -73,7 +73,7 @@ class Entry:
 
     @classmethod
     def of(cls, path: str, parameters: Parameters) -> Entry:
-        """Return the entry of a loaded file; raises as ``numbers_of``."""
+        """Return the entry of a loaded file; raises as ``Parameters.gauge_free``."""
         context, calibration = parameters.context, parameters.calibration
         positions = parameters.document["position"]
         found = parameters.gauge_free()

@@ -29,7 +29,7 @@ from imufield.guide.positions import SCHEME_FILE, SCHEMES, scheme
 from imufield.guide.stillness.scale import RoughScale
 from imufield.pipeline.damage import require_samples
 from imufield.pipeline.site import SiteOptions
-from imufield.samples import FloatArray, Samples, Status
+from imufield.samples import FloatArray, Samples, Status, concatenate, no_samples
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -45,6 +45,9 @@ UNPLUGGED = "unplugged"
 the guide said of it, ``link_lost``."""
 PART_GAP_S = 1.0
 """Least time between the samples of two parts, whatever the clocks of the host say of them."""
+
+OUTLINE_BYTES = 1 << 25
+"""Of a recording, decoded for a first picture of it: a second of one core at 2000 Hz."""
 
 SamplesListener = Callable[[Samples], None]
 Items = Iterator[PartStart | RecordedBlock | RecordedEvent]
@@ -373,6 +376,36 @@ def session_samples(session: Session, damage: list[Damage]) -> Iterator[Samples]
         yield from blocks
         # Cleared at once, or hours of samples would be in memory at the end.
         blocks.clear()
+
+
+def session_outline(session: Session, damage: list[Damage]) -> Iterator[Samples]:
+    """Decode one second in some of a long recording, each for itself, timed by its arrival: for a first picture.
+
+    A recording of at most ``OUTLINE_BYTES``, and one without arrival times, is decoded whole. Raises as ``replay_into``.
+    """
+    # Rounded up: what is decoded takes as long for a day as for an hour.
+    every = -(-sum(path.stat().st_size for path in session.parts) // OUTLINE_BYTES)
+    # The bytes of an import have no arrival that tells their time.
+    if every <= 1 or session.record.kind == "import":
+        yield from session_samples(session, damage)
+        return
+    protocol, number, begun = session_protocol(session), 0, None
+    for item in read_blocks(session, damage):
+        if isinstance(item, PartStart):
+            protocol = recorded_protocol(item.metadata, session)
+        elif isinstance(item, RecordedBlock):
+            number += 1
+            samples = _alone(item, protocol) if number % every == 1 else no_samples(protocol.units)
+            if len(samples):
+                # The first keeps its times; of every other the last sample has arrived so much later.
+                begun = begun or (item.utc_ns, float(samples.time_s[-1]))
+                last_s = begun[1] + (item.utc_ns - begun[0]) / 1e9
+                yield replace(samples, time_s=samples.time_s - samples.time_s[-1] + last_s)
+
+
+def _alone(block: RecordedBlock, protocol: Protocol) -> Samples:
+    decoder = Decoder(protocol)
+    return concatenate([decoder.feed_chunks(block.data, block.end, block.monotonic_s), decoder.flush()])
 
 
 def _say_again(chain: Chain, event: Mapping[str, object]) -> list[Event]:

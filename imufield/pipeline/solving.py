@@ -8,7 +8,7 @@ import shlex
 from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -48,9 +48,18 @@ _AT_LIMIT = (RefusalCode.SATURATED, RefusalCode.STUCK)
 _SPOIL_DATA = (RefusalCode.SATURATED, RefusalCode.FROZEN, RefusalCode.INVALID, RefusalCode.SAMPLE_LOSS)
 
 
-# What a session holds to be calibrated from, its axes, sentences about what was refused and why, the one about what was left
-# out because an axis was clipped, empty where none was, and those about codes that stick.
-_Usable = tuple[Observations, AxesCheck, tuple[str, ...], str, tuple[str, ...]]
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Usable:
+    """What a session holds to be calibrated from, with sentences about it."""
+
+    observations: Observations
+    axes: AxesCheck
+    refused: tuple[str, ...]
+    """What, and why."""
+    saturated: str
+    """What was left out because an axis was clipped; empty where nothing was."""
+    sticking: tuple[str, ...]
+    """Codes that stick."""
 
 
 def solve_session(
@@ -81,6 +90,7 @@ def solve_session(
         observations, left_out = leave_out(reading.observations, settings.without)
         between, best = reading.between(observations), reading.best
         is_import = session.record.kind == "import"
+        of_recording = (*filter(None, (reading.saturated,)), *reading.refused, *reading.notes, *reading.lost)
         measured = Measured(
             observations=observations,
             left_out=left_out,
@@ -96,11 +106,11 @@ def solve_session(
             raw_zero=reading.raw_zero,
             gyroscope_scale=reading.gyroscope_scale,
             grade=reading.grade,
-            reasons=(*filter(None, (reading.compared, reading.saturated)), *reading.refused, *reading.notes, *reading.lost),
+            reasons=(*filter(None, (reading.compared,)), *of_recording),
             doubts=reading.sticking,
         )
         try:
-            return calibrate(measured, settings)
+            return replace(calibrate(measured, settings), of_recording=of_recording)
         except CalibrationError as error:
             if not reading.saturated:
                 raise
@@ -160,7 +170,7 @@ def reading_of(
         If that is nothing to be calibrated from.
     """
     usable = _unguided(chain, session) if chain.guide is None else _guided(chain, chain.guide, collected.refusals)
-    observations, axes, refused, saturated, sticking = usable
+    observations, axes = usable.observations, usable.axes
     if axes.error is not None:
         raise axes.error
     rests = chain.turn_rests()
@@ -181,9 +191,9 @@ def reading_of(
         grade="" if nominal is None else nominal.grade,
         # Axes are compared by the gyroscope's turns: where there is none, of few of them nobody need be told.
         compared=axes.words if np.isfinite(observations.gyroscope_mean_raw).any() else "",
-        saturated=saturated,
-        refused=refused,
-        sticking=sticking,
+        saturated=usable.saturated,
+        refused=usable.refused,
+        sticking=usable.sticking,
         notes=tuple(chain.notes),
         lost=_loss_sentences(chain, damage, is_import=session.record.kind == "import"),
     )
@@ -220,8 +230,13 @@ def _guided(chain: Chain, guide: Guide, refusals: list[Rejected]) -> _Usable:
     clipped = [
         event for event in refusals if event.reason in _AT_LIMIT and missing and (event.position or missing[0]) in missing
     ]
-    saturated = _saturation_sentence([(event.time_s, event.words) for event in clipped])
-    return observations, axes, _missing_sentences(guide, refusals), saturated, guide.sticking()
+    return _Usable(
+        observations=observations,
+        axes=axes,
+        refused=_missing_sentences(guide, refusals),
+        saturated=_saturation_sentence([(event.time_s, event.words) for event in clipped]),
+        sticking=guide.sticking(),
+    )
 
 
 def _unguided(chain: Chain, session: Session) -> _Usable:
@@ -238,8 +253,13 @@ def _unguided(chain: Chain, session: Session) -> _Usable:
     others: dict[RefusalCode, list[tuple[float, str]]] = {}
     for start_s, refusal in found.refused:
         (clipped if refusal.reason in _AT_LIMIT else others.setdefault(refusal.reason, [])).append((start_s, refusal.words))
-    left_out = tuple(_left_out_sentence("solving.left_out", stills) for stills in others.values())
-    return found.observations, found.axes, left_out, _saturation_sentence(clipped), found.sticking
+    return _Usable(
+        observations=found.observations,
+        axes=found.axes,
+        refused=tuple(_left_out_sentence("solving.left_out", stills) for stills in others.values()),
+        saturated=_saturation_sentence(clipped),
+        sticking=found.sticking,
+    )
 
 
 def _refuse_ramp(chain: Chain, session: Session, error: CalibrationError | None = None) -> None:

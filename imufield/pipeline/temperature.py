@@ -24,7 +24,7 @@ from imufield.pipeline.chain import session_samples
 from imufield.pipeline.same_recording import RecordingMarks, without_copies
 from imufield.pipeline.site import SiteOptions
 from imufield.pipeline.solving import session_sha256, solve_session
-from imufield.pipeline.windows import RAMP, WindowMeans
+from imufield.pipeline.windows import RAMP, WindowMeans, WindowSums
 from imufield.samples import FloatArray, require_possible_degc
 from imufield.sentences import Sentences
 
@@ -35,15 +35,11 @@ _TRIADS = ("accelerometer", "gyroscope")
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class RampMeans:
+class RampMeans(WindowMeans):
     """Means of a recording over windows, in its raw units."""
 
     name: str
     sha256: str
-    time_s: FloatArray
-    temperature_degc: FloatArray
-    accelerometer: FloatArray
-    gyroscope: FloatArray
     remarks: tuple[str, ...] = ()
     """What of the recording could not be read, or is not used, in sentences."""
     marks: RecordingMarks = field(default_factory=RecordingMarks)
@@ -61,27 +57,27 @@ def read_ramp(session: Session, base: Parameters) -> RampMeans:
     """
     base.check_instrument(session.serial_number)
     damage: list[Damage] = []
-    windows, marks = WindowMeans(), RecordingMarks()
+    windows, marks = WindowSums(), RecordingMarks()
     for samples in session_samples(session, damage):
         base.check_unit("accelerometer", samples.units.accelerometer_rate_unit)
         windows.feed(samples)
         marks.feed(samples)
     means = windows.means()
     remarks = [entry.what for entry in damage]
-    kept = in_one_pose(_felt(base, means[:, 2:5]))
+    kept = in_one_pose(_felt(base, means.accelerometer))
     share = (kept.stop - kept.start) / max(len(means), 1)
     # A session of positions stays one; who was led through a ramp was told where it begins anew.
     if 1.0 > share >= (0.0 if session.record.kind == RAMP else _MOST_OF_IT):
         remarks.append(sentence("temperature.moved", name=session.name, kept=share))
         means = means[kept]
-    require_possible_degc(session.name, means[:, 1])
+    require_possible_degc(session.name, means.temperature_degc)
     return RampMeans(
         name=session.name,
         sha256=session_sha256(session),
-        time_s=means[:, 0],
-        temperature_degc=means[:, 1],
-        accelerometer=means[:, 2:5],
-        gyroscope=means[:, 5:8],
+        time_s=means.time_s,
+        temperature_degc=means.temperature_degc,
+        accelerometer=means.accelerometer,
+        gyroscope=means.gyroscope,
         remarks=tuple(remarks),
         marks=marks,
     )

@@ -7,31 +7,32 @@ of the body frame changes, so sessions may come from any gauge; scales count as 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 from imufield.acquire.recording.session import SETTINGS_FILE, Session
 from imufield.calibrate.model.grades import find_grade
 from imufield.calibrate.sessions.joint import FEWEST, FEWEST_WITHOUT_PRIOR, Joint, SessionNumbers, adjust
+from imufield.calibrate.sessions.kinds import kind_of
+from imufield.campaign import run_campaign
 from imufield.deliver.parameters.file import Parameters
-from imufield.deliver.parameters.gauge_free import GaugeFree
-from imufield.deliver.parameters.joined import JoinedFrom, joined_parameters, numbers_of, prior_scales, unit_of
+from imufield.deliver.parameters.gauge_free import GaugeFree, unit_of
+from imufield.deliver.parameters.joined import JoinedFrom, joined_parameters, numbers_of, prior_scales
 from imufield.errors import CalibrationError, ImufieldError, Reason, UsageError
 from imufield.pipeline.calibration import SolveSettings
 from imufield.pipeline.chain import session_protocol
 from imufield.pipeline.same_recording import RecordingMarks, without_copies
 from imufield.pipeline.site import SiteOptions
 from imufield.pipeline.solving import solve_session
-from imufield.progress import one_by_one
-from imufield.sentences import Sentence, Sentences
+from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
 
 _LARGEST_CHANGE = 0.05  # Of a scale, ten times what the worst instruments do; another range is a factor of two.
 _FREE_SETTINGS = ("rate_hz",)  # Of a protocol: what changes no value.
-# Rooms whose sentences about a session are about its recording: what is missing or damaged.
-_OF_RECORDINGS = ("solving", "chain", "damage", "reader", "part_file", "mcap_format", "session", "session_record")
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,23 +59,17 @@ class SolvedSession:
         return self.session.name
 
 
-SolveAll = Callable[[Sequence[SolveJob]], Sequence[SolvedSession | ImufieldError]]
-"""Does jobs, in their order: ``one_after_another``, or on several processes."""
+def solve_job(job: SolveJob, _rng: np.random.Generator) -> SolvedSession | ImufieldError:
+    """Solve one session; the function that workers are sent.
 
-
-def solve_job(job: SolveJob) -> SolvedSession | ImufieldError:
-    """Solve one session; what refuses it is a result, so that of several the first is told, whichever ended first."""
+    What refuses it is a result, so that of several the first is told, whichever ended first.
+    """
     marks = RecordingMarks()
     try:
         parameters = solve_session(job.session, job.settings, job.site, (marks.feed,))
         return SolvedSession(job.session, parameters, parameters.gauge_free(), marks)
     except ImufieldError as error:
         return error
-
-
-def one_after_another(jobs: Sequence[SolveJob]) -> list[SolvedSession | ImufieldError]:
-    """Do the jobs here."""
-    return [solve_job(job) for job in one_by_one("solving", jobs)]
 
 
 def sessions_of(serial_number: str, root: Path) -> list[Session]:
@@ -102,7 +97,7 @@ def solve_together(
     sessions: Sequence[Session],
     settings: SolveSettings,
     site: SiteOptions | None = None,
-    solve_all: SolveAll = one_after_another,
+    workers: int | None = None,
 ) -> Parameters:
     """Solve sessions of one instrument together.
 
@@ -113,8 +108,8 @@ def solve_together(
         How each is solved.
     site : SiteOptions, optional
         What was typed of the place of all of them; by default each has its own.
-    solve_all : callable
-        What solves each of them.
+    workers : int, optional
+        Processes; default one per core.
 
     Raises
     ------
@@ -133,14 +128,14 @@ def solve_together(
     # In order of time where all have one; else as they were named.
     if all(session.record.recorded for session in sessions):
         sessions = sorted(sessions, key=lambda session: session.record.recorded)
-    every = _solved([SolveJob(session, settings, site) for session in sessions], solve_all)
+    every = _solved([SolveJob(session, settings, site) for session in sessions], workers)
     # Of copies the most complete counts.
     kept, copies = without_copies(sorted(every, key=lambda each: -len(each.parameters.document["position"])))
     solved = sorted(kept, key=every.index)
     _require_two(len(solved))
     for other in solved[1:]:
         _check_scales(solved[0], other)
-    solved = _with_one_model(solved, settings, site, solve_all)
+    solved = _with_one_model(solved, settings, site, workers)
     # The one with the most numbers, of several the newest, states what no adjustment changes.
     base = max(reversed(solved), key=lambda each: len(each.numbers.numbers))
     gathered = [numbers_of(each.parameters.calibration, each.numbers, base.numbers) for each in solved]
@@ -187,10 +182,10 @@ def _check_instruments(sessions: Sequence[Session]) -> None:
             raise CalibrationError(sentence("together.instruments", names=names, serial_numbers=serial_numbers), Reason.FOREIGN)
 
 
-def _solved(jobs: Sequence[SolveJob], solve_all: SolveAll) -> list[SolvedSession]:
+def _solved(jobs: Sequence[SolveJob], workers: int | None) -> list[SolvedSession]:
     """Return the sessions solved; raises as ``solve_session``."""
     solved = []
-    for found in solve_all(jobs):
+    for found in run_campaign(solve_job, jobs, seed=0, workers=workers):
         if isinstance(found, ImufieldError):
             raise found
         solved.append(found)
@@ -221,14 +216,14 @@ def _check_scales(first: SolvedSession, other: SolvedSession) -> None:
     """Refuse sessions whose range or signs changed without a word; raises CalibrationError."""
     before = {number.name: number.value for number in first.numbers.numbers}
     for number in other.numbers.numbers:
-        change = number.value / before.get(number.name, number.value) - 1 if "scale" in number.name else 0.0
+        change = number.value / before.get(number.name, number.value) - 1 if number.is_scale else 0.0
         if abs(change) > _LARGEST_CHANGE:
             told = {"names": [first.name, other.name], "number": number.name, "change": change, "limit": _LARGEST_CHANGE}
             raise CalibrationError(sentence("together.scale", **told), Reason.UNITS)
 
 
 def _with_one_model(
-    solved: list[SolvedSession], settings: SolveSettings, site: SiteOptions | None, solve_all: SolveAll
+    solved: list[SolvedSession], settings: SolveSettings, site: SiteOptions | None, workers: int | None
 ) -> list[SolvedSession]:
     """Return the sessions with every term that one of them shows: a term left out of some would pose as a change."""
     is_quadratic = any(each.parameters.calibration.quadratic_fitted for each in solved)
@@ -242,12 +237,12 @@ def _with_one_model(
         if (is_quadratic and not each.parameters.calibration.quadratic_fitted)
         or (is_sensitive and not _is_sensitive(each.numbers))
     ]
-    again = _solved([SolveJob(solved[k].session, whole, site) for k in lacking], solve_all) if lacking else []
+    again = _solved([SolveJob(solved[k].session, whole, site) for k in lacking], workers)
     return [dict(zip(lacking, again, strict=True)).get(k, each) for k, each in enumerate(solved)]
 
 
 def _is_sensitive(numbers: GaugeFree) -> bool:
-    return any(number.name.startswith("g-sensitivity") for number in numbers.numbers)
+    return any(kind_of(number.name) == "g-sensitivity" for number in numbers.numbers)
 
 
 def _warnings(solved: Sequence[SolvedSession], joint: Joint) -> Iterator[str]:
@@ -264,9 +259,8 @@ def _warnings(solved: Sequence[SolvedSession], joint: Joint) -> Iterator[str]:
 def _notes(solved: Sequence[SolvedSession], joint: Joint, numbers: Sequence[SessionNumbers], grade: str) -> Iterator[str]:
     """Yield what belongs to the result and lowers no verdict."""
     for each in solved:
-        for reason in each.parameters.calibration.quality.reasons:
-            if isinstance(reason, Sentence) and reason.key.partition(".")[0] in _OF_RECORDINGS:
-                yield sentence("together.of_session", session=each.name, reason=reason)
+        for reason in each.parameters.of_recording:
+            yield sentence("together.of_session", session=each.name, reason=reason)
     unnamed = [each.name for each in solved if not each.session.serial_number]
     if unnamed:
         yield sentence("together.no_serial", names=unnamed)

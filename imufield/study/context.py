@@ -6,7 +6,7 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from imufield.study.campaign import Argument, Result, Run, run_campaign
+from imufield.campaign import Argument, Result, Run, run_campaign
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -254,6 +254,7 @@ ACTIONS: Mapping[str, Action] = {
         },
         needs=("session", "to"),
     ),
+    "outline": Action("export-data --to=outline", {"session": _session}, needs=("session",)),
     "overview": Action("export-data --to=overview", {"session": _session}, needs=("session",)),
     "replay": Action("replay --web --json", {"session": _session, "speed": _option("--speed", _number)}, needs=("session",)),
     "sessions": Action("sessions --json {root}", {}),

@@ -29,6 +29,8 @@ sentence = Sentences(__package__)
 # Files of a session that are nothing of its parameters, whatever they are older than.
 SAMPLES = "samples."
 PART_SUFFIX = ".mcap"
+_OUTLINE = "samples.outline.csv"
+_OVERVIEW = "samples.overview.csv"
 # A report replaces the one before, which is not kept: one with a number beside it is somebody's own.
 _REPLACED = (".html", ".pdf")
 EVENTS_KEPT = 1000
@@ -122,7 +124,7 @@ def _found(folder: Path) -> Json:
     -------
     dict
         ``files``, the names of what was made of it; ``earlier``, of those what is older than its parameters or was replaced;
-        ``parameters``;
+        ``signals``, what of the formats of samples has to be made before they can be shown; ``parameters``;
         ``fault``, what is wrong with them; ``is_outdated``, whether the recording has grown since.
     """
     from imufield.deliver.parameters.file import PARAMETER_FILE, load
@@ -131,7 +133,12 @@ def _found(folder: Path) -> Json:
 
     written_ns = _written_ns(folder)
     made = [name for name in written_ns if not is_recorded(folder / name)]
-    found: Json = {"files": sorted(made, key=lambda name: (name != PARAMETER_FILE, name)), "earlier": [], "is_outdated": False}
+    found: Json = {
+        "files": sorted({*made} - {_OUTLINE}, key=lambda name: (name != PARAMETER_FILE, name)),
+        "earlier": [],
+        "is_outdated": False,
+        "signals": _signals(folder, written_ns),
+    }
     # Most have no parameters because nobody has solved them yet.
     if PARAMETER_FILE not in made:
         return {**found, "parameters": None, "fault": ""}
@@ -146,6 +153,18 @@ def _found(folder: Path) -> Json:
     # It can be solved again, whatever has become of its parameters.
     except ImufieldError as error:
         return {**found, "parameters": None, "fault": error.message}
+
+
+def _signals(folder: Path, written_ns: Mapping[str, int]) -> list[str]:
+    """Return what ``export-data`` has to make, one after the other, to show the signals: nothing where it was made already."""
+    from imufield.pipeline.chain import OUTLINE_BYTES
+
+    parts = [name for name in written_ns if name.endswith(PART_SUFFIX)]
+    if all(written_ns[name] < written_ns.get(_OVERVIEW, 0) for name in parts):
+        return []
+    is_long = sum((folder / name).stat().st_size for name in parts) > OUTLINE_BYTES
+    # All of a long one takes long: some seconds of it are shown first.
+    return ["outline", "overview"] if is_long else ["overview"]
 
 
 def _is_earlier(path: Path, *, is_older: bool) -> bool:

@@ -18,6 +18,7 @@ from imufield.deliver.parameters.document import calibration_from_document
 from imufield.deliver.parameters.write import to_toml
 from imufield.errors import Reason
 from tests.commands.told import fails, missing
+from tests.parameter_files import on_purpose
 
 OLD = b"what stood there before\n"
 
@@ -47,11 +48,6 @@ def newer(text: str) -> str:
 def not_a_number(text: str) -> str:
     head, name, tail = text.partition("scale = [")
     return on_purpose(f"{head}{name}nan{tail[tail.index(',') :]}")
-
-
-def on_purpose(text: str) -> str:
-    head, _, _ = text.rpartition("sha256 = ")
-    return f'{head}sha256 = "edited"\n'
 
 
 def changed(table: str, key: str, value: object) -> Callable[[str], str]:

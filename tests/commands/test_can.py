@@ -89,13 +89,14 @@ def emulate() -> Iterator[Emulate]:
             bus: str,
             positions: str = "",
             *,
+            rounds: int = 1,
             still_s: float = 6.0,
             link: Path | None = None,
             speed: float = SPEED,
             **more: Any,
         ) -> CanEmulator:
             habits = OperatorSettings(hold_s=6.0, initial_still_s=still_s)
-            directions = scheme(positions).directions() if positions else ()
+            directions = np.tile(scheme(positions).directions(), (rounds, 1)) if positions else ()
             options = Emulation(device="text", rate_hz=100.0, grade="mems", seed=5, directions=directions, operator=habits)
             settings = EmulatorSettings(speed=speed, link=link, **more.pop("run", {}))
             return stack.enter_context(CanEmulator(protocol, make_virtual_imu(options), bus, settings, **more))
@@ -185,7 +186,9 @@ def test_record_from_multicast_then_solve(program: Program, emulate: Emulate, mu
         assert process.poll() is None
         time.sleep(0.05)
     protocol = load_driver("xsens_can").load_protocol()
-    emulator = emulate(protocol, multicast, "faces6", still_s=10.0, speed=DATAGRAM_SPEED, run={"duration_s": 70.0})
+    # Twice each: of datagrams that a starved program does not fetch in time the system drops some, and with them a position.
+    run = {"duration_s": 130.0}
+    emulator = emulate(protocol, multicast, "faces6", rounds=2, still_s=10.0, speed=DATAGRAM_SPEED, run=run)
     assert emulator.wait(900)
     process.send_signal(signal.SIGINT)
     output, error = process.communicate(timeout=900)

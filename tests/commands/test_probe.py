@@ -269,7 +269,7 @@ def test_increments_are_read_at_the_rate_that_was_set() -> None:
 RATES = {
     "aceinna_serial": (100, 200),
     "microstrain_mip": (500, 250),
-    "stim300": (2000, 500),
+    "stim300": (500, 250),
     "vectornav_ascii": (100, 50),
     "vectornav_binary": (200, 400),
     "witmotion": (50, 100),

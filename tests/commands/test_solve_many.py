@@ -24,8 +24,8 @@ from imufield.deliver.parameters.file import load
 from imufield.errors import ParameterFileError, Reason, UsageError
 from imufield.pipeline.solving import solve_session
 from tests.commands.conftest import LONGEST_S
+from tests.local_cluster import local_cluster
 from tests.refused import refused
-from tests.study.local_cluster import local_cluster
 
 if TYPE_CHECKING:
     from tests.commands.conftest import Program

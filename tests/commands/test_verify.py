@@ -19,7 +19,6 @@ from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import Session
 from imufield.calibrate.model.gauge import intrinsic, make_intrinsic
 from imufield.calibrate.model.models import to_vector
-from imufield.calibrate.model.temperature import Polynomials, TriadTemperature, unchanging
 from imufield.cli.run import run
 from imufield.commands.options.results import VerifyOptions
 from imufield.commands.verify import run_verify
@@ -32,6 +31,7 @@ from imufield.pipeline.chain import part_metadata
 from imufield.pipeline.site import SiteOptions
 from imufield.samples import FloatArray, Samples
 from tests.commands.told import fails, missing
+from tests.parameter_files import over_temperature
 from tests.refused import refused
 from tests.told import told
 
@@ -215,15 +215,7 @@ def test_what_the_file_says_of_itself_goes_into_the_verdict(
 
 def test_samples_that_the_calibrated_temperatures_do_not_cover_are_counted(short: Path, tmp_path: Path) -> None:
     parameters = load(short / "parameters.toml")
-    over = TriadTemperature(
-        reference_degc=20.0,
-        range_degc=(0.0, 40.0),
-        bias=Polynomials(np.full((1, 3), 1e-4), np.zeros((3, 1, 1))),
-        scale=unchanging(),
-        hysteresis=np.full(3, np.nan),
-        scale_separated=True,
-    )
-    document = add_temperature(parameters.document, replace(parameters.calibration, accelerometer_temperature=over), ())
+    document = add_temperature(parameters.document, over_temperature(parameters.calibration, 1e-4), ())
     document.pop("integrity")
     (tmp_path / "over.toml").write_text(to_toml(document))
     found = run_verify(VerifyOptions(parameters=tmp_path / "over.toml", session=short, output=tmp_path / "found.json"))

@@ -23,6 +23,7 @@ from imufield.deliver.parameters.file import write_parameters
 from imufield.deliver.parameters.gauge_free import gauge_free
 from imufield.errors import ParameterFileError, Reason
 from imufield.sentences import Sentence
+from tests.parameter_files import on_purpose
 from tests.refused import refused
 from tests.told import key_of, keys
 
@@ -381,8 +382,7 @@ def test_table_says_which_file_was_edited_and_which_refused(tmp_path: Path, writ
     write("a", "2026-03-04", session="a" * 64)
     edited = write("b", "2026-08-01", session="b" * 64)
     refused = write("c", "2026-08-02", session="c" * 64)
-    head, _, _ = edited.read_text(encoding="utf-8").rpartition("sha256 = ")
-    edited.write_text(f'{head}sha256 = "edited"\n', encoding="utf-8")
+    edited.write_text(on_purpose(edited.read_text(encoding="utf-8")), encoding="utf-8")
     refused.write_text(refused.read_text(encoding="utf-8").replace("used = true", "used = false", 1), encoding="utf-8")
     rows = list(csv.DictReader(io.StringIO(to_csv(read_history(tmp_path)))))
     remarks = {row["file"]: row["remark"] for row in rows}

@@ -12,7 +12,7 @@ import pytest
 
 from imufield.acquire.recording.session import Session
 from imufield.calibrate.model.budget import combined_sigma
-from imufield.calibrate.model.models import accelerometer_at, predict
+from imufield.calibrate.model.models import at_temperature, predict
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeCalibration, GyroscopeParameters
 from imufield.calibrate.model.temperature import Polynomials, TriadTemperature
@@ -64,7 +64,7 @@ def solved(
 ) -> Parameters:
     rng, up = np.random.default_rng(int(temperature_degc) + 50), scheme("paper24").directions()
     m = len(up)
-    output = predict(accelerometer_at(TRUTH, OVER_TEMPERATURE, temperature_degc), GRAVITY.gravity_m_s2 * up)
+    output = predict(at_temperature(TRUTH, OVER_TEMPERATURE, temperature_degc), GRAVITY.gravity_m_s2 * up)
     observations = Observations(
         name=tuple(position.name for position in scheme("paper24").positions),
         mean_raw=output + NOISE_M_S2 * rng.normal(size=output.shape),
@@ -94,7 +94,7 @@ def ramp() -> RampMeans:
     """Return a ramp of two hours from -20 to 60 degC and back, one pose."""
     time_s = np.arange(0.0, 14400.0, 10.0)
     at_degc = -20 + 80 * (1 - np.abs(time_s / 7200 - 1))
-    truths = (accelerometer_at(TRUTH, OVER_TEMPERATURE, degc) for degc in at_degc)
+    truths = (at_temperature(TRUTH, OVER_TEMPERATURE, degc) for degc in at_degc)
     output = np.vstack([predict(truth, GRAVITY.gravity_m_s2 * UP / np.linalg.norm(UP)) for truth in truths])
     noise = NOISE_M_S2 * np.random.default_rng(2).normal(size=output.shape)
     return RampMeans(
@@ -111,7 +111,7 @@ def residual_m_s2(parameters: Parameters, temperature_degc: float) -> float:
     """Return the RMS of norm less gravity in poses never measured."""
     up = np.random.default_rng(8).normal(size=(200, 3))
     force = GRAVITY.gravity_m_s2 * up / np.linalg.norm(up, axis=1)[:, None]
-    raw = predict(accelerometer_at(TRUTH, OVER_TEMPERATURE, temperature_degc), force)
+    raw = predict(at_temperature(TRUTH, OVER_TEMPERATURE, temperature_degc), force)
     corrected = parameters.apply_accelerometer(raw, temperature_degc=temperature_degc)
     return float(np.sqrt(np.mean((np.linalg.norm(corrected, axis=1) - GRAVITY.gravity_m_s2) ** 2)))
 

@@ -11,6 +11,7 @@ from imufield.acquire.protocol.protocol import load_protocol
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
 from imufield.calibrate.model.gauge import intrinsic
 from imufield.calibrate.model.models import to_vector
+from imufield.campaign import run_campaign
 from imufield.earth import Gravity, choose_gravity
 from imufield.guide.lead.guide import Guide
 from imufield.guide.lead.settings import GuideSettings
@@ -19,7 +20,6 @@ from imufield.samples import FloatArray
 from imufield.simulate.emulator.emulate import Emulation, choose_wire, make_device, make_virtual_imu
 from imufield.simulate.instruments.stim300 import Stim300Device
 from imufield.simulate.truth.operator import OperatorSettings
-from imufield.study.campaign import run_campaign
 from tests.torture.conftest import FULL
 
 RATE_HZ = 125.0

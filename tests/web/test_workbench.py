@@ -317,6 +317,28 @@ def test_what_is_older_than_the_parameters_or_replaced_is_told_apart(page: Page,
     assert page.ask({"session": "two"})["answer"]["is_outdated"]
 
 
+def test_signals_that_were_read_are_not_read_again_until_the_recording_grows(
+    page: Page, root: Path, solved_session: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(solved_session, root / "two")
+    part = next((root / "two").glob("part-*.mcap"))
+    made_ns = part.stat().st_mtime_ns
+
+    def needed() -> list[str]:
+        return list(page.ask({"session": "two"})["answer"]["signals"])
+
+    assert needed() == ["overview"]
+    (root / "two" / "samples.overview.csv").touch()
+    os.utime(root / "two" / "samples.overview.csv", ns=(made_ns + 1, made_ns + 1))
+    assert needed() == []
+    os.utime(part, ns=(made_ns + 2, made_ns + 2))
+    monkeypatch.setattr("imufield.pipeline.chain.OUTLINE_BYTES", part.stat().st_size - 1)
+    assert needed() == ["outline", "overview"]
+    # A first picture is nobody's file.
+    (root / "two" / "samples.outline.csv").touch()
+    assert "samples.outline.csv" not in page.ask({"session": "two"})["answer"]["files"]
+
+
 @pytest.mark.parametrize(
     "message",
     ["", "x", "{", "[]", "null", "7", '{"run": {}}', '{"values": {}}', "{}", "[" * 100_000, b"", b"x", b"\xff" * 99,

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from imufield.calibrate.accelerometer.fit import Fit, FitData, fit, summarise
 from imufield.calibrate.accelerometer.leave_one_out import (
     Influence,
-    SinglePosition,
     influence,
     single_position_factors,
     single_positions,
@@ -156,7 +155,7 @@ def calibrate_accelerometer(  # noqa: PLR0913 (the settings of `solve`, by keywo
         chosen=chosen,
         fitted=fitted,
         spread=known.spread,
-        singles=known.singles,
+        geometry=known.geometry,
         factors=known.factors,
         observability=observe(derivatives, chosen.fit.vector, gravity.gravity_m_s2, quadratic=chosen.quadratic),
         unobservable=_unobservable(known.sigma, observability),
@@ -288,7 +287,8 @@ class _Uncertainty:
     by_left_out: FloatArray
     """How parameters that were not fitted, in steps of their scale, reach all, shape (15, k)."""
     spread: Influence
-    singles: tuple[SinglePosition, ...]
+    geometry: Influence
+    """The same without a drift."""
     factors: FloatArray
     """By which coordinates were raised."""
     shares: tuple[Share, ...]
@@ -305,10 +305,10 @@ def _uncertainty(
     spread = influence(residual, jacobian)
     # What carries a parameter alone is a matter of the positions; a drift beside it takes half of what they have to spare.
     geometry = influence(residual, jacobian[:, :parameters])
-    singles, factors = single_positions(geometry), np.ones(fitted.basis.shape[1])
+    factors = np.ones(fitted.basis.shape[1])
     covariance = spread.covariance * chosen.choice.variance_ratio
     if fitted.degrees_of_freedom >= SPARE_POSITIONS:
-        factors[:parameters] = single_position_factors(geometry, singles)
+        factors[:parameters] = single_position_factors(geometry, single_positions(geometry))
         covariance = covariance * np.outer(factors, factors)
     elif fitted.effective_degrees_of_freedom == 0 and data.covariance_raw is None:
         covariance = np.full_like(covariance, np.nan)  # nothing says how sure anything is
@@ -326,7 +326,7 @@ def _uncertainty(
         higher_sigma=higher_sigma(chosen, covariance[parameters:, parameters:], hidden, gravity.gravity_m_s2),
         by_left_out=by_left_out,
         spread=spread,
-        singles=singles,
+        geometry=geometry,
         factors=factors,
         shares=tuple(fit_shares(fitted, data, chosen.choice, factors, parameters)),
         gravity=gravity_share(t, gravity.sigma_m_s2),

@@ -42,8 +42,9 @@ _UNTESTED: dict[ModelChoice, str] = {
 _FIRST_QUADRATIC = QUADRATIC.start
 _MISALIGNMENT_ENTRIES = range(MISALIGNMENT.start, MISALIGNMENT.stop)
 _ROUNDING = 1e-12  # Ideal outputs leave nothing else, and no ratio of it means anything.
-HIGHER_LEVEL = 0.005
-"""Chance that higher terms are said to show where they are typical at most: a clean session loses its "good" by that."""
+VERDICT_LEVEL = 0.005
+"""Chance that a clean session loses its "good" by a test of terms: of higher ones where they are typical at most, and of drift
+and quadratic term in an order that confounds them. What the gate admits by its own level is in sigma."""
 # Of a position: with it, what leaving it out shows is 14 sigma. The faces of all26 have 0.96 to 0.98, as they are placed; with
 # cubic and cross terms each edge of paper24 has 1, so no other position checks it.
 _MOST_LEVERAGE = 0.995
@@ -73,7 +74,9 @@ class ChosenModel:
     choice: Choice = Choice()  # noqa: RUF009 - frozen, so one default may be shared
     """What choosing the model makes of the covariance."""
     confusion: float = 1.0
-    """How much less sure the bias is because quadratic term and drift are told apart."""
+    """How much less sure the bias is because quadratic term and drift are told apart; 1 where none is admitted."""
+    terms_p: float = 1.0
+    """Of the joint F test of all candidates, times the number of tests."""
     higher: FloatArray = field(default_factory=lambda: np.zeros((TERMS, 0)))
     """Combinations of higher terms that are fitted, in steps of ``higher_scale``, shape (12, k)."""
     left_out: LeftOutTerms | None = None
@@ -182,6 +185,7 @@ def choose_model(
         drift=kept,
         choice=choice,
         confusion=gate.confusion() if terms else 1.0,
+        terms_p=gate.chance(gate.all) * len(tried),
         sentences=tuple(sentences),
     )
 
@@ -260,7 +264,7 @@ def left_out_terms(data: FitData, chosen: ChosenModel, typical: Grade | None) ->
     possible = [shown for shown in tests if shown.lengths.size and shown.spare >= FEWEST_TO_SPARE]
     residual = fitted.residual_m_s2 / fitted.sigma_m_s2
     found = [_tested(shown, residual, np.zeros(TERMS) if typical is None else typical_higher(typical)) for shown in possible]
-    return min((each for each in found if each.p < HIGHER_LEVEL / len(tests)), key=lambda each: each.p, default=None)
+    return min((each for each in found if each.p < VERDICT_LEVEL / len(tests)), key=lambda each: each.p, default=None)
 
 
 def _tested(shown: ShownTerms, residual: FloatArray, typical_m_s2: FloatArray) -> LeftOutTerms:

@@ -9,8 +9,8 @@ import numpy as np
 
 from imufield.calibrate.accelerometer.drift import MOST_CONFUSION
 from imufield.calibrate.accelerometer.fit import Fit, FitData
-from imufield.calibrate.accelerometer.leave_one_out import Influence, SinglePosition
-from imufield.calibrate.accelerometer.model_choice import HIGHER_LEVEL, ChosenModel
+from imufield.calibrate.accelerometer.leave_one_out import PAIR_SHARE, Influence, position_pairs, single_positions
+from imufield.calibrate.accelerometer.model_choice import VERDICT_LEVEL, ChosenModel
 from imufield.calibrate.accelerometer.outliers import Outlier, find_outliers
 from imufield.calibrate.model.models import BIAS, SCALE
 from imufield.calibrate.model.observability import Observability
@@ -60,8 +60,8 @@ class Evidence:
     fitted: Fit
     """In the wanted gauge; that of ``chosen`` is in the lower one."""
     spread: Influence
-    singles: tuple[SinglePosition, ...]
-    """Positions that carry parameters nearly alone."""
+    geometry: Influence
+    """The same without a drift."""
     factors: FloatArray
     """By how much the sigma of each coordinate is raised, shape (n,)."""
     observability: Observability
@@ -218,12 +218,20 @@ def _model_sentences(evidence: Evidence) -> list[str]:
     drift_mg, most_mg = evidence.fitted.drift_span_m_s2 / MILLI_G_M_S2, MOST_DRIFT_M_S2 / MILLI_G_M_S2
     if drift_mg > most_mg:
         reasons.append(sentence("quality.drift", drift_mg=drift_mg, limit_mg=most_mg))
-    if chosen.confusion > MOST_CONFUSION:
-        reasons.append(sentence("quality.confounded", factor=chosen.confusion, limit=MOST_CONFUSION))
+    # Terms that show less may be none: then the order costs what sigma says, and nothing else.
+    if chosen.terms_p < VERDICT_LEVEL:
+        reasons += _order_sentences(chosen)
     if (left_out := chosen.left_out) is not None:
         sizes_mg = {"cubic_mg": left_out.cubic_m_s2 / MILLI_G_M_S2, "cross_mg": left_out.cross_m_s2 / MILLI_G_M_S2}
-        reasons.append(sentence("quality.left_out_terms", p=left_out.p, limit=HIGHER_LEVEL, **sizes_mg))
+        reasons.append(sentence("quality.left_out_terms", p=left_out.p, limit=VERDICT_LEVEL, **sizes_mg))
     return reasons
+
+
+def _order_sentences(chosen: ChosenModel) -> list[str]:
+    """Return what the order of the positions costs, where terms are admitted that it confounds."""
+    if chosen.confusion <= MOST_CONFUSION:
+        return []
+    return [sentence("quality.confounded", factor=chosen.confusion, limit=MOST_CONFUSION)]
 
 
 def _unobservable_sentence(evidence: Evidence) -> str:
@@ -257,12 +265,19 @@ def _position_sentences(evidence: Evidence) -> list[str]:
     sentences: list[str] = []
     if evidence.fitted.degrees_of_freedom < 1:
         return sentences
-    for single in evidence.singles:
+    for single in single_positions(evidence.geometry):
         names = [_words(ACCELEROMETER_NAMES[free[k]]) for k in single.coordinates]
         raised = float(evidence.factors[list(single.coordinates)].max())
         key = "quality.carries_raised" if raised > _WORTH_TELLING else "quality.carries"
         position = evidence.observations.name[single.position]
         sentences.append(sentence(key, position=position, names=names, leverage=single.leverage, raised=raised))
+    # Of two holds that were touched and two that were not the residuals often cannot say which are which: whoever left out the
+    # wrong ones sees nothing more. Without a hold that was left out there is no reason to doubt two that agree.
+    left_out = list(evidence.observations.left_out)
+    for pair in position_pairs(evidence.geometry) if left_out else ():
+        told = {"name": _words(ACCELEROMETER_NAMES[free[pair.coordinate]]), "share": pair.share, "limit": PAIR_SHARE}
+        two = [evidence.observations.name[position] for position in pair.positions]
+        sentences.append(sentence("quality.carried_by_two", positions=two, left_out=left_out, **told))
     return sentences
 
 
@@ -283,7 +298,10 @@ def _outlier_sentences(evidence: Evidence, key: str, outliers: list[Outlier]) ->
 
 
 def _notes(evidence: Evidence) -> list[str]:
-    notes: list[str] = [*evidence.chosen.sentences]
+    chosen = evidence.chosen
+    notes: list[str] = [*chosen.sentences]
+    if chosen.terms_p >= VERDICT_LEVEL:
+        notes += _order_sentences(chosen)
     if evidence.grade is not None:
         scale_ppm = 1e6 * np.max(evidence.typical_sigma[SCALE] / np.abs(evidence.fitted.vector[SCALE]))
         bias_mg = np.max(evidence.typical_sigma[BIAS]) / MILLI_G_M_S2

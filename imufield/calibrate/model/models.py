@@ -31,6 +31,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -42,6 +43,8 @@ from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
+
+_Triad = TypeVar("_Triad", AccelerometerParameters, GyroscopeParameters)
 
 PARAMETERS = 15
 SCALE = slice(0, 3)
@@ -251,31 +254,14 @@ def predict_gyroscope(parameters: GyroscopeParameters, rate: FloatArray, a: Floa
     return output if a is None else output + a @ parameters.g_sensitivity.T
 
 
-def accelerometer_at(
-    parameters: AccelerometerParameters, temperature: TriadTemperature | None, temperature_degc: float
-) -> AccelerometerParameters:
-    """Return the parameters that hold at a temperature."""
+def at_temperature(parameters: _Triad, temperature: TriadTemperature | None, temperature_degc: float) -> _Triad:
+    """Return the parameters of a triad that hold at a temperature."""
     if temperature is None:
         return parameters
     factor, bias = temperature.change_at(temperature_degc)
-    return replace(
-        parameters,
-        scale=parameters.scale * factor,
-        bias_m_s2=parameters.bias_m_s2 + bias,
-        quadratic=parameters.quadratic * factor,
-    )
-
-
-def gyroscope_at(
-    parameters: GyroscopeParameters, temperature: TriadTemperature | None, temperature_degc: float
-) -> GyroscopeParameters:
-    """Return the parameters that hold at a temperature."""
-    if temperature is None:
-        return parameters
-    factor, bias = temperature.change_at(temperature_degc)
-    return replace(
-        parameters,
-        scale=parameters.scale * factor,
-        bias=(parameters.bias + parameters.scale * bias) * factor,
-        g_sensitivity=parameters.g_sensitivity * factor[:, None],
-    )
+    scale = parameters.scale * factor
+    if isinstance(parameters, AccelerometerParameters):
+        # Its bias stands inside K (s + b), that of a gyroscope outside.
+        return replace(parameters, scale=scale, bias_m_s2=parameters.bias_m_s2 + bias, quadratic=parameters.quadratic * factor)
+    e = (parameters.bias + parameters.scale * bias) * factor
+    return replace(parameters, scale=scale, bias=e, g_sensitivity=parameters.g_sensitivity * factor[:, None])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,8 @@ class Observations:
     start_s, duration_s, temperature_degc : ndarray, shape (m,)
         Sample clock; NaN where not known.
     units : SampleUnits
+    left_out : tuple of str
+        Names of those that were left out by name.
     """
 
     name: tuple[str, ...]
@@ -46,22 +48,25 @@ class Observations:
     duration_s: FloatArray
     temperature_degc: FloatArray
     units: SampleUnits
+    left_out: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.name)
 
     def __getitem__(self, rows: NDArray[np.bool_]) -> Observations:
         name = tuple(name for name, kept in zip(self.name, rows, strict=True) if kept)
-        return Observations(name=name, units=self.units, **{array: getattr(self, array)[rows] for array in _ARRAYS})
+        arrays = {array: getattr(self, array)[rows] for array in _ARRAYS}
+        return Observations(name=name, units=self.units, left_out=self.left_out, **arrays)
 
 
-_ARRAYS = tuple(field.name for field in fields(Observations) if field.name not in ("name", "units"))
+_ARRAYS = tuple(field.name for field in fields(Observations) if field.name not in ("name", "units", "left_out"))
 
 
 def join_observations(first: Observations, second: Observations) -> Observations:
     """Return the rows of both, of the same units."""
     joined = {array: np.concatenate([getattr(first, array), getattr(second, array)]) for array in _ARRAYS}
-    return Observations(name=(*first.name, *second.name), units=first.units, **joined)
+    name, left_out = (*first.name, *second.name), (*first.left_out, *second.left_out)
+    return Observations(name=name, units=first.units, left_out=left_out, **joined)
 
 
 def leave_out(observations: Observations, names: Collection[str]) -> tuple[Observations, Observations]:
@@ -77,7 +82,7 @@ def leave_out(observations: Observations, names: Collection[str]) -> tuple[Obser
             known = list(observations.name)
             raise UsageError(sentence("observations.not_there", name=name, known=known), names=known)
     out = np.array([name in names for name in observations.name], dtype=np.bool_)
-    return observations[~out], observations[out]
+    return replace(observations[~out], left_out=(*observations.left_out, *names)), observations[out]
 
 
 def count_repeats_once(observations: Observations) -> tuple[Observations, tuple[str, ...]]:

@@ -30,12 +30,11 @@ from functools import cached_property
 
 import numpy as np
 
-from imufield.calibrate.sessions.joint import DAILY, kind_of
+from imufield.calibrate.sessions.draws import FAMILY_CHANCE, symmetric_root, variance_share
+from imufield.calibrate.sessions.kinds import DAILY, kind_of, of_gyroscope
 from imufield.calibrate.sessions.repeatability import Repeatability, contrasts, reml_variance, repeatability
 from imufield.samples import FloatArray
 
-FAMILY_CHANCE = 0.05
-"""Share of unchanged histories that are called changed."""
 FEWEST = 3
 """Sessions whose scatter from day to day is known at all."""
 MOST = 50
@@ -334,7 +333,7 @@ def _group_covariance(sessions: Sequence[DatedNumbers], rows: Sequence[Sequence[
         for j, (other, theirs) in enumerate(zip(sessions, rows, strict=True)):
             block = whole[i * a : (i + 1) * a, j * a : (j + 1) * a]
             if one.setup == other.setup and len(setups) > 1:
-                block += _root(one.hidden[np.ix_(its, its)]).T @ _root(other.hidden[np.ix_(theirs, theirs)])
+                block += symmetric_root(one.hidden[np.ix_(its, its)]).T @ symmetric_root(other.hidden[np.ix_(theirs, theirs)])
             if one.site == other.site and len(sites) > 1:
                 block += np.outer(one.by_gravity[its], other.by_gravity[theirs])
     return whole
@@ -360,13 +359,11 @@ def _limits(sessions: Sequence[DatedNumbers], tests: Sequence[KindTest]) -> list
 
 def _drawn(session: DatedNumbers, draws: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     """Return errors of a session's own, and its estimated over its true variances, shape (draws, n) each."""
-    error = rng.standard_normal((draws, len(session.names))) @ _root(session.covariance)
-    share = np.ones_like(error)
-    triad = np.array([name.startswith(("gyroscope", "g-")) for name in session.names])
-    for of_triad in (triad, ~triad):
-        for n in np.unique(session.freedom[of_triad]):
-            if n > 0 and math.isfinite(n):
-                share[:, of_triad & (session.freedom == n)] = rng.chisquare(n, (draws, 1)) / n
+    error = rng.standard_normal((draws, len(session.names))) @ symmetric_root(session.covariance)
+    share = np.empty_like(error)
+    gyroscope = of_gyroscope(session.names)
+    for triad in (gyroscope, ~gyroscope):
+        share[:, triad] = variance_share(session.freedom[triad], draws, rng)
     return error, share
 
 
@@ -374,12 +371,5 @@ def _drawn_groups(test: KindTest, draws: int, rng: np.random.Generator) -> Float
     """Return what days, setups and sites add to the values of a kind, shape (draws, m)."""
     added = math.sqrt(test.variance) * rng.standard_normal((draws, len(test.y)))
     if test.groups.any():
-        added += rng.standard_normal((draws, len(test.y))) @ _root(test.groups)
+        added += rng.standard_normal((draws, len(test.y))) @ symmetric_root(test.groups)
     return np.asarray(added)
-
-
-def _root(covariance: FloatArray) -> FloatArray:
-    """Return the symmetric root: another sign of an eigenvector would be other draws."""
-    own = np.sqrt(np.maximum(np.diag(covariance), np.finfo(np.float64).tiny))
-    values, vectors = np.linalg.eigh(covariance / np.outer(own, own))
-    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T * own)

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imufield.calibrate.model.uncertainty import NORMAL_FACTOR_95, f_chance, student_factor
+from imufield.calibrate.sessions.kinds import DAILY, kind_of
 from imufield.calibrate.sessions.repeatability import (
     Contrasts,
     Repeatability,
@@ -33,8 +34,6 @@ from imufield.calibrate.sessions.repeatability import (
 )
 from imufield.samples import FloatArray
 
-DAILY: tuple[str, ...] = ("bias", "scale", "gyroscope bias", "gyroscope scale")
-"""Kinds of numbers that change from day to day."""
 FEWEST = 2
 """Sessions that are solved together."""
 FEWEST_WITHOUT_PRIOR = 5
@@ -117,11 +116,6 @@ class _Adjusted:
     values: FloatArray
     covariance: FloatArray
     weighted_square: float
-
-
-def kind_of(name: str) -> str:
-    """Return the kind of a number, "bias" of "bias x"."""
-    return name.rpartition(" ")[0]
 
 
 def adjust(sessions: Sequence[SessionNumbers], prior_scales: Mapping[str, float]) -> Joint:

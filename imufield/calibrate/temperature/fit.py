@@ -21,8 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +33,17 @@ from imufield.calibrate.model.temperature import (
     SessionChanges,
     TriadTemperature,
     powers,
+)
+from imufield.calibrate.temperature.scatter import (
+    BIAS,
+    LEAST,
+    RAMP,
+    SCALE,
+    Equations,
+    Scatter,
+    scatter_of,
+    shares_of,
+    whitened,
 )
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import CalibrationError, Reason
@@ -48,6 +58,9 @@ WIDEST_GAP_DEGC = 5.0
 """Between the reference and what was measured: beyond, what joins the two is a guess."""
 MOST_SCATTER = 4.0
 """Factor on the sigmas given; days that differ as the sessions' own sigma make 2 of it."""
+_BIAS_OF_REFERENCE = 0  # Places in a joint covariance; the coefficients follow.
+_SCALE_OF_REFERENCE = 1
+_STEPS = 21  # Over the range of temperature.
 _FEWEST_FREEDOM = 0.5  # Of one kind of rows: with fewer the others fit them, and they show no scatter.
 _OTHER_POSE_M_S2 = 0.5 * STANDARD_GRAVITY_M_S2  # Along each axis: below, bias and scale share what the ramps see.
 
@@ -90,27 +103,6 @@ class RampBlocks:
         return len(self.temperature_degc)
 
 
-_BIAS, _SCALE, _RAMP = range(3)
-
-
-class _System(NamedTuple):
-    """Whitened equations of one axis: rows by unknowns, and what they must give."""
-
-    matrix: FloatArray
-    values: FloatArray
-    kind: NDArray[np.intp]
-    """Of each row: bias or scale of a session, or a ramp."""
-
-
-class _Scatter(NamedTuple):
-    """Scatter of bias and scale of sessions, and of ramps, about the polynomials."""
-
-    factor: FloatArray
-    """On the sigma given, 1 at least, shape (3,)."""
-    freedom: FloatArray
-    """Degrees of freedom, shape (3,)."""
-
-
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class TemperatureFit:
     """Bias and scale of a triad over temperature, and how they were found."""
@@ -140,12 +132,12 @@ class Evidence:
 
     def highest_orders(self) -> tuple[int, int]:
         """Return the highest order of bias and of scale that these temperatures and poses can show."""
-        bias = min(HIGHEST_ORDER, distinct(self.temperature_degc) - 2)
+        bias = min(HIGHEST_ORDER, _most(distinct(self.temperature_degc)))
         scale = 0
         if self.points is not None:
             seen = distinct(self.points.temperature_degc[np.isfinite(self.points.scale).all(axis=1)])
             # Where a ramp sees both, it checks what two sessions say of each.
-            scale = seen - 2 + self._ramps_feel
+            scale = _most(seen + self._ramps_feel)
         if len(self.ramps) > 1 and np.all(np.ptp([ramp.specific_force_m_s2 for ramp in self.ramps], axis=0) > _OTHER_POSE_M_S2):
             scale = max(scale, bias)
         return max(bias, 0), min(max(scale, 0), HIGHEST_ORDER)
@@ -159,6 +151,11 @@ class Evidence:
     def _ramps_feel(self) -> bool:
         """Whether ramps show the scale beside the bias: those of a gyroscope at rest do not."""
         return any(np.any(ramp.specific_force_m_s2) for ramp in self.ramps)
+
+
+def _most(temperatures: int) -> int:
+    """Return the highest order that leaves as many temperatures as it has coefficients: fewer make a small scatter by luck."""
+    return (temperatures - 1) // 2
 
 
 def distinct(temperature_degc: FloatArray) -> int:
@@ -200,103 +197,124 @@ def fit_warnings(found: TemperatureFit, triad: str) -> tuple[str, ...]:
 
 def _chosen_orders(evidence: Evidence, most_bias: int, most_scale: int) -> tuple[int, int]:
     """Return the orders of bias and scale with the lowest information criterion."""
-    full = [_system(evidence, most_bias, most_scale, axis) for axis in range(3)]
-    rows = sum(len(system.values) for system in full)
+    full = [_equations(evidence, most_bias, most_scale, axis) for axis in range(3)]
+    variances = scatter_of(full).variances
+    white = [whitened(each, variances) for each in full]
+    rows = sum(len(each.values) for each in white)
     criteria = {}
     for bias in range(most_bias + 1):
         for scale in range(most_scale + 1):
             # Constants come last, and every model has them.
             kept = np.r_[0:bias, most_bias : most_bias + scale, most_bias + most_scale : full[0].matrix.shape[1]]
-            misfit = sum(_misfit(system._replace(matrix=system.matrix[:, kept])) for system in full)
+            misfit = sum(_square(each._replace(matrix=each.matrix[:, kept]).residual()) for each in white)
             beyond = misfit if misfit <= rows else rows * (1 + math.log(misfit / rows))
             criteria[bias, scale] = beyond + 3 * (bias + scale) * math.log(rows)
     return min(criteria, key=lambda orders: criteria[orders])
 
 
-def _misfit(system: _System) -> float:
-    solution = np.linalg.lstsq(system.matrix, system.values, rcond=None)[0]
-    return float(np.sum((system.values - system.matrix @ solution) ** 2))
+def _square(values: FloatArray) -> float:
+    return float(values @ values)
 
 
 def fit_orders(evidence: Evidence, bias: int, scale: int) -> TemperatureFit:
     """Return the fit of polynomials of these orders."""
-    systems = [_system(evidence, bias, scale, axis) for axis in range(3)]
-    spare = sum(len(system.values) - system.matrix.shape[1] for system in systems)
-    factor = math.sqrt(max(1.0, sum(map(_misfit, systems)) / max(spare, 1)))
-    span = _span(evidence)
-    unit = np.concatenate([span ** -np.arange(1.0, order + 1) for order in (bias, scale)])
-    coefficients, covariances = np.zeros((bias + scale, 3)), np.zeros((3, bias + scale, bias + scale))
-    scatter, inverses = _scatter(systems), []
-    for axis, system in enumerate(systems):
-        inverse = np.linalg.pinv(system.matrix)[: bias + scale] * unit[:, None]
-        coefficients[:, axis] = inverse @ system.values
-        # Days that differ, and blocks of a ramp that do, have errors of their own sizes.
-        inverses.append(inverse * scatter.factor[system.kind])
-        covariances[axis] = inverses[-1] @ inverses[-1].T
+    axes = [_equations(evidence, bias, scale, axis) for axis in range(3)]
+    scatter = scatter_of(axes)
+    unit = np.concatenate([_span(evidence) ** -np.arange(1.0, order + 1) for order in (bias, scale)])
+    # The unknowns behind the coefficients are constants.
+    inverses = [whitened(each, scatter.variances).inverse()[: bias + scale] * unit[:, None] for each in axes]
+    coefficients = np.stack([inverse @ each.values for inverse, each in zip(inverses, axes, strict=True)], axis=1)
+    shares = np.array([_shares(evidence.points, axis, *each) for axis, each in enumerate(zip(axes, inverses, strict=True))])
+    covariance = np.einsum("s,aspq->apq", scatter.weights, shares)
+    of_bias, of_scale = np.r_[_BIAS_OF_REFERENCE, 2 : 2 + bias], np.r_[_SCALE_OF_REFERENCE, 2 + bias : 2 + bias + scale]
     measured_degc = evidence.temperature_degc
     range_degc = (
         min(float(measured_degc.min()), evidence.reference_degc),
         max(float(measured_degc.max()), evidence.reference_degc),
     )
+    range_d_degc = np.array(range_degc) - evidence.reference_degc
     temperature = TriadTemperature(
         reference_degc=evidence.reference_degc,
         range_degc=range_degc,
-        bias=Polynomials(coefficients[:bias], covariances[:, :bias, :bias]),
-        scale=Polynomials(
-            _scale_of_share(coefficients[bias:], np.array(range_degc) - evidence.reference_degc), covariances[:, bias:, bias:]
-        ),
+        bias=Polynomials(coefficients[:bias], _block(covariance, of_bias[1:], of_bias[1:])),
+        scale=Polynomials(_scale_of_share(coefficients[bias:], range_d_degc), _block(covariance, of_scale[1:], of_scale[1:])),
         hysteresis=_hysteresis(evidence.ramps),
         scale_separated=evidence.separates_scale,
-        new_day=None if evidence.points is None else _new_day(evidence.points, scatter, inverses, bias),
+        new_day=None,
         sessions=None if evidence.points is None else _changes(evidence.points),
     )
+    if scatter.freedom[BIAS] >= _FEWEST_FREEDOM:
+        is_shown = scatter.freedom[SCALE] >= _FEWEST_FREEDOM
+        days = np.sqrt(scatter.variances)
+        left = np.array([_left(evidence.points, axis, each, scatter.variances) for axis, each in enumerate(axes)])
+        d = np.linspace(range_d_degc[0], range_d_degc[1], _STEPS)
+        freedom = [
+            _freedom(scatter, shares[:, :, of[:, None], of], left[:, kind], kind, d)
+            for kind, of in ((BIAS, of_bias), (SCALE, of_scale))
+        ]
+        new_day = NewDay(
+            bias=np.full(3, days[BIAS]),
+            scale=np.full(3, days[SCALE] if is_shown else np.nan),
+            bias_covariance=_block(covariance, of_bias, of_bias),
+            scale_covariance=_block(covariance, of_scale, of_scale) * is_shown,
+            bias_freedom=freedom[BIAS],
+            scale_freedom=freedom[SCALE] if is_shown else 0.0,
+        )
+        temperature = replace(temperature, new_day=new_day)
     gap_degc = float(np.abs(measured_degc - evidence.reference_degc).min())
-    return TemperatureFit(temperature=temperature, blocks=distinct(measured_degc), factor=factor, gap_degc=gap_degc)
+    return TemperatureFit(temperature=temperature, blocks=distinct(measured_degc), factor=_factor(axes), gap_degc=gap_degc)
 
 
-def _scatter(systems: Sequence[_System]) -> _Scatter:
-    """Return how far the rows of each kind are from the fit."""
-    squares, freedom = np.zeros(3), np.zeros(3)
-    for matrix, values, kind in systems:
-        hat = matrix @ np.linalg.pinv(matrix)
-        squares += np.bincount(kind, (values - hat @ values) ** 2, minlength=3)
-        freedom += np.bincount(kind, 1 - np.diagonal(hat), minlength=3)
-    shown = freedom >= _FEWEST_FREEDOM
-    factor = np.sqrt(np.maximum(squares, freedom) / np.where(shown, freedom, 1.0))
-    return _Scatter(np.where(shown, factor, 1.0), np.where(shown, freedom, 0.0))
+def _block(covariance: FloatArray, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> FloatArray:
+    return np.asarray(covariance[:, rows[:, None], columns])
 
 
-def _new_day(points: SessionPoints, scatter: _Scatter, inverses: Sequence[FloatArray], bias: int) -> NewDay | None:
-    """Return how bias and scale of a day that was not measured differ, by inverses whose rows are the coefficients."""
-    if not scatter.freedom[_BIAS]:
-        return None
-    order = len(inverses[0])
-    days, covariances = np.full((2, 3), np.nan), np.zeros((2, 3, order + 1, order + 1))
+def _places(points: SessionPoints, axis: int, equations: Equations) -> NDArray[np.intp]:
+    """Return the rows of bias and, where it is shown, scale of the session that stands for the reference."""
     row = points.reference or 0
-    for axis, inverse in enumerate(inverses):
-        shown = np.isfinite(points.scale[:, axis])
-        # Rows of sessions come first: one of each bias, one of each scale that is shown.
-        place = row + int(shown[:row].sum())
-        kinds = np.array([_BIAS, _SCALE] if shown[row] else [_BIAS])
-        # Whitened rows scatter, each kind by its factor; a scale that is correlated with the bias scatters with both.
-        own = np.linalg.cholesky(points.covariance[row, axis][np.ix_(kinds, kinds)])
-        root = own * scatter.factor[kinds]
-        for quantity in kinds if scatter.freedom[_SCALE] else (_BIAS,):
-            days[quantity, axis] = np.linalg.norm(own[quantity] * np.sqrt(scatter.factor[kinds] ** 2 - 1))
-            covariances[quantity, axis, 0, 0] = root[quantity] @ root[quantity]
-            covariances[quantity, axis, 1:, 1:] = inverse @ inverse.T
-            if points.reference is not None:
-                shared = inverse[:, place : place + len(kinds)] @ root[quantity]
-                covariances[quantity, axis, 0, 1:] = covariances[quantity, axis, 1:, 0] = shared
-    of_bias, of_scale = np.arange(bias + 1), np.r_[0, bias + 1 : order + 1]
-    return NewDay(
-        bias=days[_BIAS],
-        scale=days[_SCALE],
-        bias_covariance=covariances[_BIAS][:, of_bias[:, None], of_bias],
-        scale_covariance=covariances[_SCALE][:, of_scale[:, None], of_scale],
-        bias_freedom=float(scatter.freedom[_BIAS]),
-        scale_freedom=float(scatter.freedom[_SCALE]),
-    )
+    place = np.flatnonzero(equations.kind == BIAS)[row]
+    return np.arange(place, place + 1 + int(np.isfinite(points.scale[row, axis])))
+
+
+def _shares(points: SessionPoints | None, axis: int, equations: Equations, inverse: FloatArray) -> FloatArray:
+    """Return the shares of the covariance of bias and scale of the reference and of the coefficients, by their inverse."""
+    reference = np.zeros((2, len(equations.values)))
+    if points is not None:
+        places = _places(points, axis, equations)
+        reference[range(len(places)), places] = 1.0
+    shares = shares_of(np.vstack([reference, inverse]), equations)
+    if points is None or points.reference is None:
+        # It is none of the sessions, so it has no errors in common with them.
+        shares[:, :2, 2:] = shares[:, 2:, :2] = 0.0
+    return shares
+
+
+def _left(points: SessionPoints | None, axis: int, equations: Equations, variances: FloatArray) -> FloatArray:
+    """Return the variance of the part of bias and scale of the reference that residuals of the fit show, shape (2,)."""
+    found = np.zeros(2)
+    if points is not None and points.reference is not None:
+        white, kept = whitened(equations, variances), np.zeros(len(equations.values))
+        root = np.linalg.inv(white.root)
+        for quantity, place in enumerate(_places(points, axis, equations)):
+            kept[: len(root)] = root[place]
+            found[quantity] = _square(white._replace(values=kept).residual())
+    return found
+
+
+def _freedom(scatter: Scatter, shares: FloatArray, left: FloatArray, kind: int, d: FloatArray) -> float:
+    """Return the degrees of freedom of bias or scale of a new day: the middle of those of all axes over the range."""
+    V = np.column_stack([np.ones(len(d)), powers(d, shares.shape[-1] - 1)])
+    of_day = np.einsum("np,aspq,nq->san", V, shares, V)
+    # What is stated for another day is off by what that day differs, too.
+    of_day[1 + kind] += 1.0
+    return float(np.median([scatter.freedom_of(of_day[:, axis], kind, left[axis, None]) for axis in range(3)]))
+
+
+def _factor(axes: Sequence[Equations]) -> float:
+    """Return the scatter about the polynomials over the sigma given, 1 at least."""
+    given = [whitened(each, LEAST) for each in axes]
+    spare = sum(len(each.values) - each.matrix.shape[1] for each in given)
+    return math.sqrt(max(1.0, sum(_square(each.residual()) for each in given) / max(spare, 1)))
 
 
 def _changes(points: SessionPoints) -> SessionChanges | None:
@@ -320,35 +338,41 @@ def _span(evidence: Evidence) -> float:
     return float(np.abs(evidence.temperature_degc - evidence.reference_degc).max())
 
 
-def _system(evidence: Evidence, bias: int, scale: int, axis: int) -> _System:
+def _equations(evidence: Evidence, bias: int, scale: int, axis: int) -> Equations:
     """Return the equations of one axis; the unknowns are B and q in powers of d over the span, then the constants."""
     points, ramps, span = evidence.points, evidence.ramps, _span(evidence)
-    constants = 2 * (points is not None) + len(ramps)
-    matrices, values, kinds = [], [], list[NDArray[np.intp]]()
+    unknowns = bias + scale + 2 * (points is not None) + len(ramps)
+    matrices, values, kinds, own = [np.empty((0, unknowns))], [np.empty(0)], [np.empty(0, np.intp)], np.empty((0, 0))
     if points is not None:
+        m = len(points)
         d = (points.temperature_degc - evidence.reference_degc) / span
-        for row in range(len(points)):
-            pair = np.zeros((2, bias + scale + constants))
-            pair[0, :bias] = powers(d[row : row + 1], bias)
-            pair[1, bias : bias + scale] = powers(d[row : row + 1], scale)
-            pair[0, bias + scale] = pair[1, bias + scale + 1] = 1.0
-            scaled = points.scale[row, axis]
-            found = np.array([points.bias[row, axis], scaled / (1 + scaled)])
-            shown = np.isfinite(found)
-            white = np.linalg.inv(np.linalg.cholesky(points.covariance[row, axis][np.ix_(shown, shown)]))
-            matrices.append(white @ pair[shown])
-            values.append(white @ found[shown])
-            kinds.append(np.flatnonzero(shown))
+        pairs = np.zeros((m, 2, unknowns))
+        pairs[:, 0, :bias], pairs[:, 1, bias : bias + scale] = powers(d, bias), powers(d, scale)
+        pairs[:, 0, bias + scale] = pairs[:, 1, bias + scale + 1] = 1.0
+        found = np.column_stack([points.bias[:, axis], points.scale[:, axis] / (1 + points.scale[:, axis])]).ravel()
+        shown = np.isfinite(found)
+        every = np.zeros((m, 2, m, 2))
+        every[range(m), :, range(m)] = points.covariance[:, axis]
+        own = every.reshape(2 * m, 2 * m)[np.ix_(shown, shown)]
+        matrices.append(pairs.reshape(2 * m, unknowns)[shown])
+        values.append(found[shown])
+        kinds.append(np.tile([BIAS, SCALE], m)[shown])
     for number, ramp in enumerate(ramps):
         d = (ramp.temperature_degc - evidence.reference_degc) / span
-        block = np.zeros((len(ramp), bias + scale + constants))
+        block = np.zeros((len(ramp), unknowns))
         block[:, :bias] = powers(d, bias)
         block[:, bias : bias + scale] = ramp.output[:, axis, None] * powers(d, scale)
-        block[:, constants + bias + scale - len(ramps) + number] = 1.0
-        matrices.append(block / ramp.sigma[:, axis, None])
-        values.append(ramp.output[:, axis] / ramp.sigma[:, axis])
-        kinds.append(np.full(len(ramp), _RAMP))
-    return _System(np.vstack(matrices), np.concatenate(values), np.concatenate(kinds))
+        block[:, unknowns - len(ramps) + number] = 1.0
+        matrices.append(block)
+        values.append(ramp.output[:, axis])
+        kinds.append(np.full(len(ramp), RAMP))
+    return Equations(
+        matrix=np.vstack(matrices),
+        values=np.concatenate(values),
+        own=own,
+        sigma=np.concatenate([np.empty(0), *(ramp.sigma[:, axis] for ramp in ramps)]),
+        kind=np.concatenate(kinds),
+    )
 
 
 def _hysteresis(ramps: Sequence[RampBlocks]) -> FloatArray:

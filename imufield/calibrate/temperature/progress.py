@@ -7,23 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imufield.calibrate.temperature.ramp import (
-    FASTEST_DEGC_PER_MIN,
-    LEAST_SPAN_DEGC,
-    RATE_OVER_S,
-    TOO_FAST_DEGC_PER_MIN,
-    moved_windows,
-)
+from imufield.calibrate.temperature.ramp import LEAST_SPAN_DEGC, RATE_OVER_S, TOO_FAST_DEGC_PER_MIN, moved_windows
 from imufield.samples import FloatArray
-from imufield.sentences import Sentences
-
-sentence = Sentences(__package__)
 
 EVEN_DEGC_PER_MIN = 0.1
 """A twentieth of the fastest: over 60 s what a thermometer with steps of 0.1 degC can show."""
 EVEN_FOR_S = 300.0
 """So long it must stay below: the inside of a unit follows its case by minutes."""
-TOLD_EVERY_DEGC = 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,32 +71,3 @@ def _degc_per_min(time_s: FloatArray, temperature_degc: FloatArray, over_s: floa
         return math.nan
     t, x = time_s[last] - time_s[last].mean(), temperature_degc[last]
     return float(60 * (t @ x) / (t @ t))
-
-
-class RampSpeaker:
-    """Tells the operator of a ramp what to do, each thing once."""
-
-    def __init__(self) -> None:
-        self._last: RampProgress | None = None
-        self._covered_degc = 0.0  # Told of so far.
-        self._was_fast = False  # Since it was within the limit last.
-
-    def news(self, now: RampProgress) -> list[str]:
-        """Return what is new, in sentences."""
-        before, self._last = self._last, now
-        said: list[str] = []
-        if before is None:
-            return [sentence("progress.begins", temperature_degc=now.temperature_degc)]
-        if math.isfinite(now.moved_s) and now.moved_s != before.moved_s:
-            self._covered_degc = 0.0
-            said.append(sentence("progress.moved", time_s=now.moved_s))
-        if now.is_too_fast and not self._was_fast:
-            said.append(sentence("progress.fast", rate=abs(now.degc_per_min), limit=FASTEST_DEGC_PER_MIN))
-        self._was_fast = now.is_too_fast or (self._was_fast and abs(now.degc_per_min) > FASTEST_DEGC_PER_MIN)
-        if now.span_degc >= self._covered_degc + TOLD_EVERY_DEGC:
-            self._covered_degc = TOLD_EVERY_DEGC * math.floor(now.span_degc / TOLD_EVERY_DEGC)
-            said.append(sentence("progress.covered", low=now.low_degc, high=now.high_degc, span=now.span_degc))
-        if now.is_even and not before.is_even:
-            key = "progress.even_again" if now.is_enough else "progress.even"
-            said.append(sentence(key, temperature_degc=now.temperature_degc, limit=EVEN_DEGC_PER_MIN))
-        return said

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from imufield.calibrate.model.models import accelerometer_at, gyroscope_at
+from imufield.calibrate.model.models import at_temperature
 from imufield.calibrate.model.result import Calibration, GyroscopeCalibration
 from imufield.samples import AXES, FloatArray
 
@@ -18,7 +18,7 @@ def calibration_at(calibration: Calibration, temperature_degc: float) -> Calibra
     raised: dict[str, FloatArray] = {}
     if model is not None:
         bias, scale = model.sigma_there(temperature_degc, sigma.bias_m_s2, sigma.scale / np.abs(there.scale))
-        there = accelerometer_at(there, model, temperature_degc)
+        there = at_temperature(there, model, temperature_degc)
         sigma = replace(sigma, bias_m_s2=bias, scale=scale * np.abs(there.scale))
         raised |= {"accelerometer.bias_m_s2": sigma.bias_m_s2, "accelerometer.scale": sigma.scale}
     if gyroscope is not None and gyroscope.temperature is not None:
@@ -39,7 +39,7 @@ def _gyroscope_there(gyroscope: GyroscopeCalibration, temperature_degc: float) -
     if model is None:
         return gyroscope
     bias, scale = model.sigma_there(temperature_degc, gyroscope.sigma.bias / K, gyroscope.sigma.scale / K)
-    there = gyroscope_at(gyroscope.parameters, model, temperature_degc)
+    there = at_temperature(gyroscope.parameters, model, temperature_degc)
     size = np.abs(there.scale)
     # A scale that no turn has shown has no sigma at any temperature.
     scale = np.where(np.isfinite(gyroscope.sigma.scale), scale, gyroscope.sigma.scale)

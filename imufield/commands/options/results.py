@@ -233,7 +233,9 @@ class ExportDataOptions:
     """
 
     session: NewestSession = None
-    to: Annotated[str, option(help="csv, parquet, hdf5, ros2 (MCAP) or overview (for plots).")] = "csv"
+    to: Annotated[str, option(help="csv, parquet, hdf5, ros2 (MCAP), overview (for plots) or outline (the same, faster).")] = (
+        "csv"
+    )
     output: Annotated[Path | None, option("-o", "--output", help="File to write (default: SESSION/samples.*).")] = None
 
 

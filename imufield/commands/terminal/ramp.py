@@ -8,18 +8,19 @@ import shlex
 import sys
 
 from imufield.acquire.recording.session import Session
-from imufield.calibrate.temperature.progress import RampProgress, RampSpeaker, ramp_progress
+from imufield.calibrate.temperature.progress import EVEN_DEGC_PER_MIN, RampProgress, ramp_progress
 from imufield.calibrate.temperature.ramp import FASTEST_DEGC_PER_MIN, LEAST_SPAN_DEGC
 from imufield.commands.terminal.output import echo, say
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import Reason, UsageError
-from imufield.pipeline.windows import WINDOW_S, WindowMeans
+from imufield.pipeline.windows import WINDOW_S, WindowSums
 from imufield.samples import FloatArray, Samples
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
 
 _WAIT_S = 3 * WINDOW_S  # Of samples: the slowest instruments send their temperature every second.
+_TOLD_EVERY_DEGC = LEAST_SPAN_DEGC  # The first time it is told, there is a ramp.
 
 
 class RampLead:
@@ -35,7 +36,7 @@ class RampLead:
 
     def __init__(self, raw_zero: FloatArray, *, as_json: bool) -> None:
         self._raw_zero, self._as_json = raw_zero, as_json
-        self._windows, self._speaker = WindowMeans(), RampSpeaker()
+        self._windows, self._speaker = WindowSums(), RampSpeaker()
         self._told = 0  # Windows.
         if not as_json:
             say(sentence("ramp.first", limit=FASTEST_DEGC_PER_MIN, least=LEAST_SPAN_DEGC))
@@ -47,7 +48,7 @@ class RampLead:
     def _progress(self) -> RampProgress | None:
         # The last window is not full yet.
         means = self._windows.means()[:-1]
-        return ramp_progress(means[:, 0], means[:, 1], means[:, 2:5] - self._raw_zero)
+        return ramp_progress(means.time_s, means.temperature_degc, means.accelerometer - self._raw_zero)
 
     def tell(self) -> None:
         """Say what is new, and show the temperature.
@@ -92,3 +93,32 @@ class RampLead:
         say(sentence("ramp.recorded", low=progress.low_degc, high=progress.high_degc))
         echo(beside("next: ", f"imufield solve SESSION --temperature {shlex.quote(str(session.folder))}"))
         say(sentence("ramp.pose"))
+
+
+class RampSpeaker:
+    """Tells the operator of a ramp what to do, each thing once."""
+
+    def __init__(self) -> None:
+        self._last: RampProgress | None = None
+        self._covered_degc = 0.0  # Told of so far.
+        self._was_fast = False  # Since it was within the limit last.
+
+    def news(self, now: RampProgress) -> list[str]:
+        """Return what is new, in sentences."""
+        before, self._last = self._last, now
+        said: list[str] = []
+        if before is None:
+            return [sentence("ramp.begins", temperature_degc=now.temperature_degc)]
+        if math.isfinite(now.moved_s) and now.moved_s != before.moved_s:
+            self._covered_degc = 0.0
+            said.append(sentence("ramp.moved", time_s=now.moved_s))
+        if now.is_too_fast and not self._was_fast:
+            said.append(sentence("ramp.fast", rate=abs(now.degc_per_min), limit=FASTEST_DEGC_PER_MIN))
+        self._was_fast = now.is_too_fast or (self._was_fast and abs(now.degc_per_min) > FASTEST_DEGC_PER_MIN)
+        if now.span_degc >= self._covered_degc + _TOLD_EVERY_DEGC:
+            self._covered_degc = _TOLD_EVERY_DEGC * math.floor(now.span_degc / _TOLD_EVERY_DEGC)
+            said.append(sentence("ramp.covered", low=now.low_degc, high=now.high_degc, span=now.span_degc))
+        if now.is_even and not before.is_even:
+            key = "ramp.even_again" if now.is_enough else "ramp.even"
+            said.append(sentence(key, temperature_degc=now.temperature_degc, limit=EVEN_DEGC_PER_MIN))
+        return said

@@ -27,20 +27,15 @@ from imufield.deliver.report.budget import (
 )
 from imufield.earth import STANDARD_GRAVITY_M_S2, height_words
 from imufield.files import source_date, utf8_text
-from imufield.sentences import Sentences, printable
+from imufield.sentences import Sentence, Sentences, printable
 from imufield.version import __version__
 
 sentence = Sentences(__package__)
 
 FORMAT = "imufield-certificate"
 VERSION = 1
-UNKNOWN = "not known"
 _SHORT_HASH = 12  # Hexadecimal digits that a person compares on a label.
-_CLOCKS = {
-    "host": "clock of the computer",
-    "compared": "clock of the instrument, compared with that of the computer",
-    "unchecked": "stated rate, which no clock checked",
-}
+_CLOCKS = {"host": "references.host", "compared": "references.compared", "unchecked": "references.unchecked"}
 # What XML 1.0 can hold no character of, beside what ``printable`` shows: two code points that are none.
 _NO_XML = re.compile("[\ufffe\uffff]")
 
@@ -84,13 +79,13 @@ class Certificate:
     @property
     def serial_number(self) -> str:
         """Printable, and said where it is not known."""
-        return printable(self.parameters.context.instrument.serial_number) or UNKNOWN
+        return printable(self.parameters.context.instrument.serial_number) or unknown()
 
     @property
     def instrument(self) -> str:
         """Model, or what else is known of its kind."""
         instrument = self.parameters.context.instrument
-        return printable(instrument.model or instrument.driver) or UNKNOWN
+        return printable(instrument.model or instrument.driver) or unknown()
 
     @property
     def calibrated(self) -> str:
@@ -106,6 +101,11 @@ class Certificate:
     def groups(self) -> tuple[Group, ...]:
         """The budget of each parameter."""
         return budget_of(self.parameters)
+
+
+def unknown() -> Sentence:
+    """Return what stands in place of what nobody says."""
+    return sentence("identity.unknown")
 
 
 def xml_text(text: str) -> str:
@@ -141,54 +141,83 @@ def statements(certificate: Certificate) -> tuple[str, ...]:
     return (*told, *not_in_budget(certificate.parameters))
 
 
-def conditions(certificate: Certificate) -> Iterator[tuple[str, str]]:
+def identity(certificate: Certificate) -> Iterator[tuple[Sentence, str]]:
+    """Yield what was calibrated, who is concerned, and the days."""
+    parties = certificate.parties
+    facts = {
+        "identity.instrument": certificate.instrument,
+        "identity.serial_number": certificate.serial_number,
+        "identity.firmware": certificate.parameters.context.instrument.firmware,
+        "identity.laboratory": parties.laboratory or unknown(),
+        "identity.customer": parties.customer,
+        "identity.calibrated": certificate.calibrated,
+        "identity.issued": certificate.issued,
+        "identity.due": certificate.due,
+    }
+    yield from ((sentence(key), fact) for key, fact in facts.items() if fact)
+
+
+def conditions(certificate: Certificate) -> Iterator[tuple[Sentence, str]]:
     """Yield under which conditions it was calibrated, and the range in which it holds."""
     parameters = certificate.parameters
     gravity, session = parameters.calibration.gravity, parameters.context.session
     low, high = session.temperature_degc
     is_known = math.isfinite(low + high)
-    yield "Temperature", f"{low:.1f} to {high:.1f} °C" if is_known else "not stated: temperature unknown"
-    yield "Positions", str(len(parameters.document["position"]) or sum(each.positions for each in _sessions(parameters)))
-    yield "Valid: acceleration", f"up to ±{gravity.gravity_m_s2 / STANDARD_GRAVITY_M_S2:.3f} g: what was seen at rest"
+    at = sentence("conditions.between", low=low, high=high) if is_known else sentence("conditions.temperature_unknown")
+    yield sentence("conditions.temperature"), at
+    positions = len(parameters.document["position"]) or sum(each.positions for each in _sessions(parameters))
+    yield sentence("conditions.positions"), str(positions)
+    up_to = sentence("conditions.up_to_gravity", limit_g=gravity.gravity_m_s2 / STANDARD_GRAVITY_M_S2)
+    yield sentence("conditions.valid_acceleration"), up_to
     gyroscope = parameters.calibration.gyroscope
     if gyroscope is not None and np.isfinite(gyroscope.range_rad_s).all():
-        rates = ", ".join(f"{rate:.0f}" for rate in np.degrees(gyroscope.range_rad_s))
-        yield "Valid: rate", f"up to ±{rates} °/s about x, y, z"
+        up_to = sentence("conditions.up_to_rates", limits=np.degrees(gyroscope.range_rad_s).tolist())
+        yield sentence("conditions.valid_rate"), up_to
     if is_known or parameters.temperature_models:
-        yield "Valid: temperature", _valid_temperature(parameters)
+        yield sentence("conditions.valid_temperature"), _valid_temperature(parameters)
 
 
 def _sessions(parameters: Parameters) -> tuple[JoinedSession, ...]:
     return () if parameters.context.together is None else parameters.context.together.session
 
 
-def _valid_temperature(parameters: Parameters) -> str:
+def _valid_temperature(parameters: Parameters) -> Sentence:
     if not parameters.temperature_models:
-        return "at that of the calibration"
+        return sentence("conditions.one_temperature")
     low, high = parameters.temperature_range_degc
-    return f"{low:g} to {high:g} °C, with the terms over temperature in the parameter file"
+    return sentence("conditions.over_temperature", low=low, high=high)
 
 
-def references(certificate: Certificate) -> Iterator[tuple[str, str]]:
+def references(certificate: Certificate) -> Iterator[tuple[Sentence, Sentence]]:
     """Yield the standards that the numbers go back to."""
     gravity, clock = certificate.parameters.calibration.gravity, certificate.parameters.context.clock
-    place = "" if gravity.latitude_deg is None else f", latitude {gravity.latitude_deg:g}°, {height_words(gravity)}"
-    yield "Gravity", f"{with_sigma(gravity.gravity_m_s2, gravity.sigma_m_s2)} m/s², {gravity.source_words}{place}"
+    value = with_sigma(gravity.gravity_m_s2, gravity.sigma_m_s2)
+    if gravity.latitude_deg is None:
+        stated = sentence("references.stated", value=value, source=gravity.source_words)
+    else:
+        place = {"latitude_deg": gravity.latitude_deg, "height": height_words(gravity)}
+        stated = sentence("references.stated_at", value=value, source=gravity.source_words, **place)
+    yield sentence("references.gravity"), stated
     if clock is not None:
-        yield "Time base", f"{_CLOCKS[clock.source]}, 1 sigma {1e6 * clock.sigma:.0f} ppm of true seconds"
+        ticks = sentence("references.period", clock=sentence(_CLOCKS[clock.source]), sigma_ppm=1e6 * clock.sigma)
+        yield sentence("references.time_base"), ticks
 
 
-def identification(certificate: Certificate) -> Iterator[tuple[str, str]]:
+def identification(certificate: Certificate) -> Iterator[tuple[Sentence, str]]:
     """Yield which data and programs the numbers are of."""
     context = certificate.parameters.context
-    yield "Parameters", f"content SHA-256 {certificate.sha256}"
+    yield sentence("identification.parameters"), sentence("identification.content", sha256=certificate.sha256)
     if context.session.sha256:
-        yield "Recording", f"{printable(context.session.name)}, SHA-256 {context.session.sha256}"
+        yield sentence("identification.recording"), _hashed(context.session.name, context.session.sha256)
     for session in _sessions(certificate.parameters):
-        yield "Session", f"{printable(session.name)}, SHA-256 {session.sha256}"
-    yield "Protocol", certificate.protocol or UNKNOWN
-    yield "Solved by", printable(context.software)
-    yield "Certificate by", f"imufield {__version__}"
+        yield sentence("identification.session"), _hashed(session.name, session.sha256)
+    yield sentence("identification.protocol"), certificate.protocol or unknown()
+    yield sentence("identification.solved_by"), printable(context.software)
+    yield sentence("identification.certificate_by"), f"imufield {__version__}"
+
+
+def _hashed(name: str, sha256: str) -> Sentence:
+    return sentence("identification.recorded", name=name, sha256=sha256)
 
 
 def to_json(certificate: Certificate) -> Document:
@@ -216,7 +245,7 @@ def to_json(certificate: Certificate) -> Document:
         "reference": [[name, value] for name, value in references(certificate)],
         "identification": [[name, value] for name, value in identification(certificate)],
         "coverage_probability": COVERAGE,
-        "units": "those of the parameter file, raw units of accelerometer and gyroscope",
+        "units": sentence("certificate.units"),
         "budget": [_parameter_json(parameter) for group in certificate.groups for parameter in group.parameters],
     }
 

@@ -20,12 +20,12 @@ from collections.abc import Iterable, Mapping
 from xml.etree import ElementTree as ET
 
 from imufield.deliver.certificate.certificate import (
-    UNKNOWN,
     Certificate,
     conditions,
     identification,
     references,
     statements,
+    unknown,
     xml_text,
 )
 from imufield.deliver.report.budget import COVERAGE, Group
@@ -114,7 +114,7 @@ def _administrative_data(certificate: Certificate) -> ET.Element:
         "performanceLocation": "other",
         "issueDate": certificate.issued,
     }
-    person = _dcc("person", _named("name", parties.operator or UNKNOWN))
+    person = _dcc("person", _named("name", parties.operator or unknown()))
     told = [*statements(certificate), sentence("certificate.not_validated")]
     if certificate.due:
         told.append(sentence("certificate.due", due=certificate.due))
@@ -131,8 +131,8 @@ def _administrative_data(certificate: Certificate) -> ET.Element:
 
 
 def _item(certificate: Certificate) -> ET.Element:
-    serial = _identification("manufacturer", certificate.serial_number, "Serial number")
-    named = (_named("name", "Inertial measurement unit"), _text("model", certificate.instrument))
+    serial = _identification("manufacturer", certificate.serial_number, sentence("identity.serial_number"))
+    named = (_named("name", sentence("dcc.item")), _text("model", certificate.instrument))
     return _dcc("item", *named, _dcc("identifications", serial))
 
 
@@ -141,7 +141,7 @@ def _identification(issuer: str, value: str, name: str) -> ET.Element:
 
 
 def _contact(kind: str, name: str) -> ET.Element:
-    return _dcc(kind, _named("name", name or UNKNOWN), _dcc("location", _text("countryCode", _NO_COUNTRY)))
+    return _dcc(kind, _named("name", name or unknown()), _dcc("location", _text("countryCode", _NO_COUNTRY)))
 
 
 def _measurement_result(certificate: Certificate) -> ET.Element:
@@ -159,7 +159,7 @@ def _measurement_result(certificate: Certificate) -> ET.Element:
         for name, value in conditions(certificate)
     ]
     children = [
-        _named("name", f"Calibration of {certificate.instrument}, serial number {certificate.serial_number}"),
+        _named("name", sentence("dcc.calibration", instrument=certificate.instrument, serial_number=certificate.serial_number)),
         _dcc("usedMethods", method),
         _dcc("measuringEquipments", *equipment),
         _dcc("influenceConditions", *influences),

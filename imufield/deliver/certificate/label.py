@@ -8,7 +8,9 @@ from xml.sax.saxutils import escape
 
 from imufield.deliver.certificate.certificate import Certificate, xml_text
 from imufield.drawing.style import missing_package
-from imufield.sentences import shortened
+from imufield.sentences import Sentences, shortened
+
+sentence = Sentences(__package__)
 
 _QUIET = 4  # Modules of blank around the code (ISO/IEC 18004).
 _WIDTH_MM = 62.0  # A roll of common label printers.
@@ -57,10 +59,10 @@ def label_svg(certificate: Certificate) -> str:
     )
     lines = [
         (certificate.instrument, 3.2, "bold"),
-        (f"S/N {certificate.serial_number}", 2.8, "normal"),
-        (f"Calibrated {certificate.calibrated}", 2.8, "normal"),
-        (f"Due {certificate.due}" if certificate.due else "", 2.8, "normal"),
-        (f"SHA-256 {certificate.short_sha256}", 2.2, "normal"),
+        (sentence("label.serial_number", serial_number=certificate.serial_number), 2.8, "normal"),
+        (sentence("label.calibrated", day=certificate.calibrated), 2.8, "normal"),
+        (sentence("label.due", day=certificate.due) if certificate.due else "", 2.8, "normal"),
+        (sentence("label.hash", sha256=certificate.short_sha256), 2.2, "normal"),
     ]
     texts, y = [], 2.0
     for text, size, weight in lines:
@@ -73,7 +75,7 @@ def label_svg(certificate: Certificate) -> str:
             texts.append(f'<text x="{_TEXT_X_MM}" y="{y:.2f}" {style}>{escape(shown)}</text>')
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{_WIDTH_MM:g}mm" height="{_HEIGHT_MM:g}mm" '
-        f'viewBox="0 0 {_WIDTH_MM:g} {_HEIGHT_MM:g}" role="img" aria-label="Label with a QR code">'
+        f'viewBox="0 0 {_WIDTH_MM:g} {_HEIGHT_MM:g}" role="img" aria-label="{sentence("label.drawing")}">'
         f'<rect width="{_WIDTH_MM:g}" height="{_HEIGHT_MM:g}" fill="#fff"/>'
         f'<svg width="{_HEIGHT_MM:g}" height="{_HEIGHT_MM:g}" viewBox="0 0 {modules} {modules}"><path d="{dark}"/></svg>'
         f'<g font-family="Helvetica, Arial, sans-serif">{"".join(texts)}</g></svg>\n'

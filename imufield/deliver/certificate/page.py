@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
-from imufield.deliver.certificate.certificate import UNKNOWN, Certificate, conditions, identification, references, statements
+from imufield.deliver.certificate.certificate import Certificate, conditions, identification, identity, references, statements
 from imufield.deliver.parameters.document import GYROSCOPE_EQUATION
 from imufield.deliver.report.budget import budget_tables
 from imufield.deliver.report.page import render
@@ -26,7 +24,7 @@ def render_certificate(certificate: Certificate, label: str) -> str:
         "title": f"{certificate.instrument} {certificate.serial_number}",
         "number": certificate.number,
         "claim": sentence("certificate.in_house"),
-        "identity": [*_identity(certificate)],
+        "identity": [*identity(certificate)],
         "budget": budget_tables(certificate.parameters),
         "equation": calibration.equation,
         "gyroscope_equation": "" if calibration.gyroscope is None else GYROSCOPE_EQUATION,
@@ -42,16 +40,3 @@ def render_certificate(certificate: Certificate, label: str) -> str:
         "operator": certificate.parties.operator,
     }
     return render("certificate.html", values, "imufield.deliver.certificate")
-
-
-def _identity(certificate: Certificate) -> Iterator[tuple[str, str]]:
-    parties = certificate.parties
-    yield "Instrument", certificate.instrument
-    yield "Serial number", certificate.serial_number
-    firmware = certificate.parameters.context.instrument.firmware
-    yield from (("Firmware", firmware),) if firmware else ()
-    yield "Laboratory", parties.laboratory or UNKNOWN
-    yield from (("Customer", parties.customer),) if parties.customer else ()
-    yield "Calibrated", certificate.calibrated
-    yield "Issued", certificate.issued
-    yield from (("Due", certificate.due),) if certificate.due else ()

@@ -89,7 +89,7 @@ def _at_positions(parameters: Parameters, target: Corrections) -> str:
         round(float(np.sqrt(np.mean((np.linalg.norm(force, axis=1) - g) ** 2)) / MILLI_G_M_S2), 6)
         for force in (parameters.apply_accelerometer(raw), target.apply_accelerometer(raw))
     )
-    return " " + sentence("loss.positions", positions=len(raw), theirs=theirs, ours=ours)
+    return sentence("loss.positions", positions=len(raw), theirs=theirs, ours=ours)
 
 
 def at_one_temperature(

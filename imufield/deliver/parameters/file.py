@@ -79,6 +79,8 @@ class Parameters:
     path: Path | None = None
     version: int
     """Of the file; older than that of the document where it was converted."""
+    of_recording: tuple[str, ...] = ()
+    """What a solve found missing, damaged or refused in its recording, in sentences; empty for a loaded file."""
 
     @property
     def is_converted(self) -> bool:

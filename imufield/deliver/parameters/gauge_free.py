@@ -24,7 +24,7 @@ gyroscope's numbers are its parameters in that gauge, divided by its scale.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -37,9 +37,10 @@ from imufield.calibrate.model.models import QUADRATIC, to_vector
 from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, GRAVITY_NAME, Calibration, GyroscopeParameters
 from imufield.calibrate.model.uncertainty import degrees_of_freedom, without_gravity
+from imufield.calibrate.sessions.kinds import PPM, SCALES, kind_of
 from imufield.calibrate.solvers.costs import NormProblem
 from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S
-from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2
+from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2, STANDARD_GRAVITY_M_S2
 from imufield.samples import AXES, FloatArray
 
 # Places of the numbers, in the order of the file.
@@ -61,6 +62,17 @@ NAMES = tuple(
     for place in places
 )
 """Of every gauge-free number, in the order of ``si_values``."""
+UNITS = {
+    "bias": ("mg", MILLI_G_M_S2),
+    "scale": ("ppm", PPM),
+    "angle": ("mrad", 1e-3),
+    "quadratic": ("ug/g^2", MICRO_G_M_S2 / STANDARD_GRAVITY_M_S2**2),
+    "gyroscope bias": ("deg/h", DEG_PER_HOUR_RAD_S),
+    "gyroscope scale": ("ppm", PPM),
+    "gyroscope misalignment": ("mrad", 1e-3),
+    "g-sensitivity": ("deg/h/g", DEG_PER_HOUR_RAD_S / STANDARD_GRAVITY_M_S2),
+}
+"""Of a kind of numbers in an adjustment: its unit for people and that unit in SI, of scales relative."""
 _GYROSCOPE = 12  # Where the numbers of the gyroscope begin.
 _ACCELEROMETER_NAMES = frozenset(NAMES[:_GYROSCOPE])
 _ROUNDING = 1e-9  # Of a drift: what of three axes is smaller than the largest by this is no form of it.
@@ -90,6 +102,16 @@ class Number:
     scatter_freedom: float = math.inf
     """Those of the part that another session draws anew."""
 
+    @property
+    def is_scale(self) -> bool:
+        """Whether an adjustment takes it in ppm of itself."""
+        return kind_of(self.name) in SCALES
+
+    @property
+    def adjusted_size(self) -> float:
+        """Size of the unit that an adjustment takes it in, with the sign of a scale."""
+        return PPM * self.value if self.is_scale else 1.0
+
 
 @dataclass(frozen=True, slots=True)
 class GaugeFree:
@@ -100,6 +122,29 @@ class GaugeFree:
     """Covariance of their errors for a known gravity, in their units, shape (n, n)."""
     scatter: FloatArray
     """The part of it that another session with the same positions and model draws anew, shape (n, n)."""
+
+    def against(self, reference: Mapping[str, Number], rows: Sequence[int]) -> GaugeFree:
+        """Return some of the numbers as an adjustment takes them: scales as their deviation from those of a reference."""
+        numbers = [self.numbers[row] for row in rows]
+        origins = [reference.get(number.name, number) for number in numbers]
+        sizes = np.array([origin.adjusted_size for origin in origins])
+        adjusted = (
+            replace(
+                number,
+                unit=unit_of(number.name),
+                value=(number.value - origin.value * origin.is_scale) / origin.adjusted_size,
+                sigma=number.sigma / abs(origin.adjusted_size),
+                common=number.common / abs(origin.adjusted_size),
+            )
+            for number, origin in zip(numbers, origins, strict=True)
+        )
+        error, scatter = (part[np.ix_(rows, rows)] / np.outer(sizes, sizes) for part in (self.error, self.scatter))
+        return GaugeFree(tuple(adjusted), error, scatter)
+
+
+def unit_of(name: str) -> str:
+    """Return the unit of a number of an adjustment."""
+    return UNITS[kind_of(name)][0]
 
 
 def gauge_free(calibration: Calibration, mean_raw: FloatArray, sigma_raw: FloatArray) -> GaugeFree:
@@ -212,20 +257,17 @@ def _gyroscope(calibration: Calibration, values: FloatArray, sigma: FloatArray) 
     sigma = np.where(own, sigma, np.nan)
     # A bias hangs on the scatter between the stills, and everything else on their biases.
     freedom = float(np.count_nonzero(calibration.positions.used) - 1)
-    kinds = (
-        ("gyroscope bias", "deg/h", DEG_PER_HOUR_RAD_S),
-        ("gyroscope scale", f"{gyroscope.raw_unit} per rad/s", 1.0),
-        ("gyroscope misalignment", "mrad", 1e-3),
-        ("g-sensitivity", "deg/h/g", DEG_PER_HOUR_RAD_S / STANDARD_GRAVITY_M_S2),
-    )
-    for (what, unit, size), place in zip(kinds, (slice(3), slice(3, 6), slice(6, 12), slice(12, 21)), strict=True):
-        yield from _numbers(what, unit, values[place] / size, sigma[place] / size, freedom=freedom)
+    units = UNITS | {"gyroscope scale": (f"{gyroscope.raw_unit} per rad/s", 1.0)}
+    kinds = dict.fromkeys(kind_of(name) for name in NAMES[_GYROSCOPE:])
+    for kind, place in zip(kinds, (slice(3), slice(3, 6), slice(6, 12), slice(12, 21)), strict=True):
+        unit, size = units[kind]
+        yield from _numbers(kind, unit, values[place] / size, sigma[place] / size, freedom=freedom)
 
 
 def _numbers(
     what: str, unit: str, values: FloatArray, sigmas: FloatArray, *, freedom: float, common: FloatArray | None = None
 ) -> Iterator[Number]:
-    names = [name for name in NAMES if name.rpartition(" ")[0] == what]
+    names = [name for name in NAMES if kind_of(name) == what]
     shared = np.zeros(len(values)) if common is None else common
     for name, value, sigma, part in zip(names, values, sigmas, shared, strict=True):
         # Sigma 0 is fixed by the gauge, NaN was not estimated: neither can have changed.

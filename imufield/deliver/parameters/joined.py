@@ -28,44 +28,33 @@ from imufield.calibrate.model.result import (
     SolverSummary,
 )
 from imufield.calibrate.model.uncertainty import NORMAL_FACTOR_95, rms
-from imufield.calibrate.sessions.joint import Joint, SessionNumbers, kind_of
+from imufield.calibrate.sessions.joint import Joint, SessionNumbers
+from imufield.calibrate.sessions.kinds import PPM, SCALES, kind_of, of_gyroscope
 from imufield.deliver.parameters.context import Context, DayToDay, JoinedSession, SessionFacts, Together, now_text
 from imufield.deliver.parameters.file import Parameters, from_document, to_document
 from imufield.deliver.parameters.gauge_free import (
     FIXED_NAMES,
     NAMES,
     PARAMETER_NAMES,
+    UNITS,
     GaugeFree,
     lower_jacobian,
     lower_parameters,
     si_values,
 )
 from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S
-from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2, STANDARD_GRAVITY_M_S2
+from imufield.earth import MILLI_G_M_S2
 from imufield.samples import AXES, FloatArray, SampleUnits
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
 
-_PPM = 1e-6
-# Of a kind of numbers in the adjustment: its unit for people and that unit in SI (of scales relative).
-_UNITS = {
-    "bias": ("mg", MILLI_G_M_S2),
-    "scale": ("ppm", _PPM),
-    "angle": ("mrad", 1e-3),
-    "quadratic": ("ug/g^2", MICRO_G_M_S2 / STANDARD_GRAVITY_M_S2**2),
-    "gyroscope bias": ("deg/h", DEG_PER_HOUR_RAD_S),
-    "gyroscope scale": ("ppm", _PPM),
-    "gyroscope misalignment": ("mrad", 1e-3),
-    "g-sensitivity": ("deg/h/g", DEG_PER_HOUR_RAD_S / STANDARD_GRAVITY_M_S2),
-}
 _KEYS = {
     "bias": "accelerometer.bias_m_s2",
     "scale": "accelerometer.scale",
     "gyroscope bias": "gyroscope.bias_rad_s",
     "gyroscope scale": "gyroscope.scale",
 }
-_SCALES = ("scale", "gyroscope scale")
 # Each session's own file has its positions.
 _NO_POSITIONS = PositionResult(
     residual_m_s2=np.zeros(0),
@@ -114,7 +103,7 @@ def prior_scales(grade: Grade) -> dict[str, float]:
 
 def shown_unit(kind: str) -> tuple[str, float]:
     """Return the unit for people of a ``DayToDay.kind``, and its size in the unit of the file."""
-    return _UNITS[next(name for name, key in _KEYS.items() if key == kind)]
+    return UNITS[next(name for name, key in _KEYS.items() if key == kind)]
 
 
 def shown_name(kind: str) -> str:
@@ -122,35 +111,22 @@ def shown_name(kind: str) -> str:
     return next(name for name, key in _KEYS.items() if key == kind)
 
 
-def unit_of(name: str) -> str:
-    """Return the unit of a number of the adjustment."""
-    return _UNITS[kind_of(name)][0]
-
-
 def numbers_of(calibration: Calibration, found: GaugeFree, reference: GaugeFree) -> Gathered:
     """Return the numbers of a session for the adjustment, scales against those of a reference."""
-    before = {number.name: number.value for number in reference.numbers}
     # A quadratic term that was not fitted is zero with a sigma, and nothing that the session says.
     rows = [k for k, number in enumerate(found.numbers) if calibration.quadratic_fitted or kind_of(number.name) != "quadratic"]
-    numbers = [found.numbers[k] for k in rows]
-    names = tuple(number.name for number in numbers)
-    sizes, offsets = np.ones(len(numbers)), np.zeros(len(numbers))
-    for k, number in enumerate(numbers):
-        if kind_of(number.name) in _SCALES:
-            sizes[k], offsets[k] = 1 / (_PPM * before.get(number.name, number.value)), 1 / _PPM
-    values = np.array([number.value for number in numbers]) * sizes - offsets
-    units = np.outer(sizes, sizes)
-    error, scatter = (part[np.ix_(rows, rows)] * units for part in (found.error, found.scatter))
+    adjusted = found.against({number.name: number for number in reference.numbers}, rows)
+    names = tuple(number.name for number in adjusted.numbers)
     # The two triads have parts of their own only as wholes: what they have in common is not told apart from what is drawn anew.
-    gyroscope = np.array([name.startswith(("gyroscope", "g-")) for name in names])
-    scatter[gyroscope[:, None] != gyroscope] = 0.0
-    shared = np.where(gyroscope[:, None] | gyroscope, 0.0, error - scatter)
+    gyroscope = of_gyroscope(names)
+    scatter = np.where(gyroscope[:, None] != gyroscope, 0.0, adjusted.scatter)
+    shared = np.where(gyroscope[:, None] | gyroscope, 0.0, adjusted.error - scatter)
     gravity = calibration.gravity
     # K goes with 1/g: what is taken for too much makes it too small.
-    by_gravity = [-gravity.sigma_m_s2 / gravity.gravity_m_s2 / _PPM if kind_of(name) == "scale" else 0.0 for name in names]
+    by_gravity = [-gravity.sigma_m_s2 / gravity.gravity_m_s2 / PPM if kind_of(name) == "scale" else 0.0 for name in names]
     own = SessionNumbers(
         names=names,
-        values=values,
+        values=np.array([number.value for number in adjusted.numbers]),
         covariance=scatter,
         by_gravity=np.array(by_gravity),
         # Assumed gravity counts as one place: its error does not average out, and what places differ by widens repeatability.
@@ -200,8 +176,8 @@ def _calibration(base: Calibration, joint: Joint, shared: FloatArray, reference:
     values = si_values(base)
     before = {number.name: number.value for number in reference.numbers}
     places = [NAMES.index(name) for name in joint.names]
-    units = np.array([_UNITS[kind_of(name)][1] * (before[name] if kind_of(name) in _SCALES else 1.0) for name in joint.names])
-    scales = np.array([before[name] if kind_of(name) in _SCALES else 0.0 for name in joint.names])
+    units = np.array([UNITS[kind_of(name)][1] * (before[name] if kind_of(name) in SCALES else 1.0) for name in joint.names])
+    scales = np.array([before[name] if kind_of(name) in SCALES else 0.0 for name in joint.names])
     values[places] = scales + units * joint.values
     vector = lower_parameters(values)
     J = lower_jacobian(values)[:, places] * units
@@ -351,7 +327,7 @@ def _day_to_day(joint: Joint, shared: Mapping[str, float]) -> list[DayToDay]:
     """Return what changes from day to day; sigmas of mean and new day hold what no session shows, too."""
     found = []
     for kind, daily in joint.daily.items():
-        size, own = _UNITS[kind][1], daily.repeatability
+        size, own = UNITS[kind][1], daily.repeatability
         hidden = np.sqrt([shared[f"{kind} {place}"] for place in daily.places])
         both = [np.hypot(sigma, hidden) * size for sigma in (daily.mean_sigma, daily.day_sigma)]
         on_axes = [dict(zip(daily.places, sigma.tolist(), strict=True)) for sigma in both]

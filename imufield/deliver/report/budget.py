@@ -32,47 +32,47 @@ LEAST_SHOWN = 1e-3
 """Of the combined uncertainty: a smaller share changes no digit of it."""
 _TIME_BASE = "time_base"
 _STEPS = 50  # Over the range of temperature: a polynomial of order 5 bends four times.
-_BY_CLOCK = "for the clock of the samples"
-_IN_TRUE_SECONDS = "for true seconds"
 _FIXED = 1e-12  # rad: rounding of an angle that the gauge fixes.
 _TITLES = {
-    "accelerometer.bias_m_s2": "Accelerometer bias",
-    "accelerometer.scale": "Accelerometer scale",
-    "accelerometer.misalignment_rad": "Accelerometer misalignment",
-    "accelerometer.quadratic": "Accelerometer quadratic term",
-    "gyroscope.bias": "Gyroscope bias",
-    "gyroscope.scale": "Gyroscope scale",
-    "gyroscope.misalignment_rad": "Gyroscope misalignment",
-    "gyroscope.g_sensitivity": "Gyroscope g-sensitivity",
+    "accelerometer.bias_m_s2": "titles.accelerometer_bias",
+    "accelerometer.scale": "titles.accelerometer_scale",
+    "accelerometer.misalignment_rad": "titles.accelerometer_misalignment",
+    "accelerometer.quadratic": "titles.accelerometer_quadratic",
+    "gyroscope.bias": "titles.gyroscope_bias",
+    "gyroscope.scale": "titles.gyroscope_scale",
+    "gyroscope.misalignment_rad": "titles.gyroscope_misalignment",
+    "gyroscope.g_sensitivity": "titles.gyroscope_g_sensitivity",
 }
 _INPUT_UNITS = {"accelerometer": "m/s²", "gyroscope": "rad/s"}
-_SHARES = {
-    "within_hold": "Noise within a hold",
-    "between_holds": "Scatter between positions",
-    "drift": "Drift of the bias, fitted",
-    "higher_terms": "Cubic and cross terms, fitted",
-    "model_choice": "Choice of the model: hidden quadratic term and drift",
-    "nonlinearity": "Nonlinearity and asymmetry, typical of the grade",
-    "misalignment_not_shown": "Misalignment not shown, typical of the grade",
-    "quadratic_not_shown": "Quadratic term not shown, typical of the grade",
-    "gravity": "Gravity",
-    "accelerometer": "Accelerometer: its noise, scatter and calibration",
-    "gyroscope_within_hold": "Gyroscope noise within a hold",
-    "gyroscope_moving": "Gyroscope noise while turning",
-    "gyroscope_between_holds": "Gyroscope scatter between positions",
-    "gyroscope_wander": "Gyroscope bias, wandering",
-    "gyroscope_turns": "Scatter between turns",
-    "stops": "Mechanical stop",
-    "turntable": "Rate of the turntable",
-    "earth_rate": "Earth's rate, heading or latitude unknown",
-    "g_sensitivity_not_fitted": "g-sensitivity that was not fitted",
-    "rate_nonlinearity": "Scale over rate, typical of the grade",
-    "time_base": "Time base: the clock against true seconds",
-    "sessions": "The sessions, solved together",
-    "day_to_day": "Repeatability from day to day",
-    "no_session_shows": "Terms that no session shows, typical of the grade",
-    "not_recorded_apart": "All others, not recorded apart",
-}
+_SHARES = frozenset(
+    (
+        "shares.within_hold",
+        "shares.between_holds",
+        "shares.drift",
+        "shares.higher_terms",
+        "shares.model_choice",
+        "shares.nonlinearity",
+        "shares.misalignment_not_shown",
+        "shares.quadratic_not_shown",
+        "shares.gravity",
+        "shares.accelerometer",
+        "shares.gyroscope_within_hold",
+        "shares.gyroscope_moving",
+        "shares.gyroscope_between_holds",
+        "shares.gyroscope_wander",
+        "shares.gyroscope_turns",
+        "shares.stops",
+        "shares.turntable",
+        "shares.earth_rate",
+        "shares.g_sensitivity_not_fitted",
+        "shares.rate_nonlinearity",
+        "shares.time_base",
+        "shares.sessions",
+        "shares.day_to_day",
+        "shares.no_session_shows",
+        "shares.not_recorded_apart",
+    )
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,9 +132,9 @@ class Group:
     parameters: tuple[ParameterBudget, ...]
 
     @property
-    def title(self) -> str:
+    def title(self) -> Sentence:
         """For people."""
-        return _TITLES[self.key]
+        return sentence(_TITLES[self.key])
 
     @property
     def shares(self) -> tuple[Share, ...]:
@@ -256,7 +256,8 @@ def _worst(triad: str, model: TriadTemperature, sigmas: Sequence[tuple[str, floa
 
 def share_words(share: Share) -> str:
     """Return a share in words; its key where a file has one of somebody else."""
-    return _SHARES.get(share.name, share.name)
+    key = f"shares.{share.name}"
+    return sentence(key) if key in _SHARES else share.name
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -320,17 +321,18 @@ def _table(group: Group, calibration: Calibration) -> BudgetTable:
             )
         )
     pairs = [*zip(group.parameters, sizes, strict=True)]
-    combined, both = "Combined standard uncertainty", []
+    combined, both = "budget.combined", []
     if any(share.name == _TIME_BASE for share in group.shares):
-        both = [(f"{combined}, {_BY_CLOCK}", *(short(parameter.sigma_by_clock / abs(size)) for parameter, size in pairs))]
-        combined = f"{combined}, {_IN_TRUE_SECONDS}"
+        by_clock = (short(parameter.sigma_by_clock / abs(size)) for parameter, size in pairs)
+        both = [(sentence("budget.combined_by_clock"), *by_clock)]
+        combined = "budget.combined_true_seconds"
     sums = (
         *both,
-        (combined, *(short(parameter.sigma / abs(size)) for parameter, size in pairs)),
-        ("Effective degrees of freedom", *(freedom_words(parameter.degrees_of_freedom) for parameter, _ in pairs)),
-        ("Coverage factor k, 95 %", *(f"{parameter.coverage_factor:.2f}" for parameter, _ in pairs)),
-        ("Expanded uncertainty U", *(short(parameter.expanded / abs(size)) for parameter, size in pairs)),
-        ("Value", *(_value_words(parameter, size, group, calibration) for parameter, size in pairs)),
+        (sentence(combined), *(short(parameter.sigma / abs(size)) for parameter, size in pairs)),
+        (sentence("budget.effective_freedom"), *(freedom_words(parameter.degrees_of_freedom) for parameter, _ in pairs)),
+        (sentence("budget.coverage_factor"), *(f"{parameter.coverage_factor:.2f}" for parameter, _ in pairs)),
+        (sentence("budget.expanded"), *(short(parameter.expanded / abs(size)) for parameter, size in pairs)),
+        (sentence("budget.value"), *(_value_words(parameter, size, group, calibration) for parameter, size in pairs)),
     )
     places = tuple(parameter.place for parameter in group.parameters)
     return BudgetTable(title=group.title, unit=unit, places=places, rows=tuple(rows), sums=sums)

@@ -9,13 +9,13 @@ import numpy as np
 
 from imufield.calibrate.model.temperature import TriadTemperature
 from imufield.calibrate.model.uncertainty import NORMAL_FACTOR_95, student_factor
+from imufield.calibrate.sessions.kinds import PPM
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S
 from imufield.earth import MILLI_G_M_S2
 from imufield.samples import FloatArray
 
 _STEPS = 81  # Over the range: a polynomial of order 5 bends four times.
-_PPM = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -83,8 +83,8 @@ def _curves(
         ),
         scale=QuantityCurves(
             label="scale, ppm",
-            change=model.scale.at(d_degc) / _PPM,
-            half_95=factors[1] * scale / _PPM,
-            sessions=none if sessions is None else sessions.scale / _PPM,
+            change=model.scale.at(d_degc) / PPM,
+            half_95=factors[1] * scale / PPM,
+            sessions=none if sessions is None else sessions.scale / PPM,
         ),
     )

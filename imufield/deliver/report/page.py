@@ -228,7 +228,7 @@ def _quality(calibration: Calibration) -> Iterator[tuple[str, str]]:
     if math.isfinite(quality.leave_one_out_rms_m_s2):
         yield "Leave-one-out, RMS", f"{_short(quality.leave_one_out_rms_m_s2 / size)} {unit}"
     yield "Scatter between positions", f"{_short(quality.between_position_sigma_m_s2 / size)} {unit}"
-    yield "Degrees of freedom", str(quality.degrees_of_freedom)
+    yield "Degrees of freedom of the fit", str(quality.degrees_of_freedom)
     if math.isfinite(quality.condition):
         yield "Condition", f"{quality.condition:.1f}"
 

@@ -113,6 +113,7 @@ def _write_overview(blocks: Iterable[Samples], path: Path, facts: Mapping[str, s
     return samples
 
 
+OUTLINE = "outline"
 _LACKING = "messages of ROS hold no temperature, counter, losses or status"
 FORMATS = {
     "csv": Format("csv", "text, one line for each sample", write_csv),
@@ -120,4 +121,5 @@ FORMATS = {
     "hdf5": Format("h5", "HDF5, one dataset for each column (extra `hdf5`)", write_hdf5),
     "ros2": Format("mcap", "sensor_msgs/msg/Imu for ROS 2, Foxglove, PlotJuggler", write_ros2, _LACKING),
     "overview": Format("overview.csv", "text, least, mean and largest values of blocks, for plots of hours", _write_overview),
+    OUTLINE: Format("outline.csv", "as overview, of some seconds of a long recording: a first picture", _write_overview),
 }

@@ -28,14 +28,15 @@ LOST_SHARE = 0.05  # Samples of a hold that may be missing or unusable.
 CLIPPED_SHARE = 0.001
 CLIPPED_SAMPLES = 3
 _KNOCKED_PERCENT = 10.0  # Cells of a hold that may be left out because they stand out.
-# Change of the norm over a hold that is refused if it is beyond 4 sigma too; the mean corresponds to the middle of the line.
+# Change of the norm over a hold that is refused if it is beyond 6 sigma too; the mean corresponds to the middle of the line.
 _DRIFT_M_S2 = 0.01
 _TILT_DEG = 1.0  # Turn of the mean direction over a hold that is refused: the norm of the mean loses 13 ug by it.
-_DRIFT_SIGMAS = 4.0
 # Sudden turn within a hold that is refused if it is beyond 6 sigma too: the norm of the mean loses 3 ug by it.
 _SHIFT_DEG = 0.3
 _LEAST_SHIFT_DEG = 0.05  # A smaller one never is: 0.1 ug. Between the two the limit is what costs 1 sigma of the mean.
-_SHIFT_SIGMAS = 6.0
+# Of a drift or a turn. By Student's distribution with the 17 to 35 cells of a hold of 2.5 to 4 s noise alone passes 4 sigma
+# in one hold of 900 to 3000, or in one session of 40 holds in 50; it passes 6 in one hold of 40,000 at most.
+_REFUSED_SIGMAS = 6.0
 # Of the usual jolt of a hold in the hand: tremor and noise make up to 4, bumps that shift the mean 15 to 600; a slow one
 # that makes less stands out of the cells.
 JOLT_SHARE = 8.0
@@ -134,7 +135,7 @@ def _check_shift(hold: HoldUnderTest) -> Refusal | None:
     along = force @ force.mean(axis=0) / norm
     variance = float(along.var(ddof=1)) / len(along) * correlation_factor(along - along.mean())
     harmless = min(_SHIFT_DEG, max(_LEAST_SHIFT_DEG, math.degrees(math.sqrt(8 * math.sqrt(variance) / norm))))
-    limit = max(harmless, _SHIFT_SIGMAS * math.degrees(sigma / norm))
+    limit = max(harmless, _REFUSED_SIGMAS * math.degrees(sigma / norm))
     after_s = float(hold.cells.start_s[row] - hold.cells.start_s[0])
     return refusals.PUSHED.beyond(turn, limit, axis=AXES[int(np.argmax(np.abs(step)))], after_s=after_s)
 
@@ -168,7 +169,7 @@ def _check_drift(hold: HoldUnderTest) -> Refusal | None:
     mean = force.mean(axis=0)
     norm = float(np.linalg.norm(mean))
     change, sigma = change_over(force @ mean / norm)
-    limit = max(_DRIFT_M_S2, _DRIFT_SIGMAS * sigma)
+    limit = max(_DRIFT_M_S2, _REFUSED_SIGMAS * sigma)
     if abs(change) > limit:
         axis = AXES[int(np.argmax(np.abs(mean)))]
         drift, allowed = 1e3 * abs(change), 1e3 * limit
@@ -176,7 +177,7 @@ def _check_drift(hold: HoldUnderTest) -> Refusal | None:
     changes = np.array([change_over(column) for column in force.T])
     sideways = changes[:, 0] - mean * (mean @ changes[:, 0]) / norm**2
     turn = math.degrees(float(np.linalg.norm(sideways)) / norm)
-    limit = max(_TILT_DEG, _DRIFT_SIGMAS * math.degrees(float(changes[:, 1].max()) / norm))
+    limit = max(_TILT_DEG, _REFUSED_SIGMAS * math.degrees(float(changes[:, 1].max()) / norm))
     return refusals.TILTS.beyond(turn, limit, axis=AXES[int(np.argmax(np.abs(sideways)))])
 
 

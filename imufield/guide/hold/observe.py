@@ -211,4 +211,4 @@ def gather(observations: Sequence[Observation], units: SampleUnits) -> Observati
         name: np.array([getattr(observation, name) for observation in observations], dtype=np.float64).reshape(count, *shape)
         for name, shape in _SHAPES.items()
     }
-    return Observations(name=tuple(observation.name for observation in observations), units=units, **arrays)
+    return Observations(name=tuple(observation.name for observation in observations), units=units, left_out=(), **arrays)

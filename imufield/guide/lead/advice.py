@@ -72,6 +72,7 @@ _DOUBTFUL = _Kind(Topic.DOUBTFUL, "advice.doubtful", "advice.doubtful_remedy", "
 _SETTLED = _Kind(Topic.SETTLED, "advice.settled", "advice.settled_remedy", "m/s^2")
 _DRIFTED = _Kind(Topic.DRIFT, "advice.drifted", "advice.drifted_remedy", "m/s^2")
 _NO_DRIFT = _Kind(Topic.DRIFT, "advice.no_drift", "advice.no_drift_remedy", "m/s^2")
+_NO_DRIFT_TURNED = _Kind(Topic.DRIFT, "advice.no_drift_turned", "advice.no_drift_remedy", "m/s^2")
 _BIAS_MET = _Kind(Topic.TARGET_MET, "advice.target_met", "advice.target_met_remedy", "ug")
 _SCALE_MET = _Kind(Topic.TARGET_MET, "advice.target_met", "advice.target_met_remedy", "ppm")
 _SCHEME = _Kind(Topic.SCHEME, "advice.scheme", "advice.scheme_remedy", "sigma")
@@ -259,13 +260,20 @@ class Adviser:
         norms = [float(np.linalg.norm(force)) for force in forces]
         directions = [force / norm for force, norm in zip(forces, norms, strict=True)]
         # An uncalibrated norm changes with the placement; the gradient of the bias across it tells by how much.
-        placement = 0.0 if self.fit is None else float(np.linalg.norm(self.fit.vector[3:6])) * math.dist(*directions)
+        turned = math.dist(*directions)
+        placement = 0.0 if self.fit is None else float(np.linalg.norm(self.fit.vector[3:6])) * turned
         change = norms[1] - norms[0]
         limit = _DRIFT_SIGMAS * math.hypot(EXPECTED_SCATTER_M_S2, placement)
-        minutes = (after.start_s - before.start_s) / 60
-        kind = _DRIFTED if abs(change) > limit else _NO_DRIFT
-        in_mg = {"change_mg": change / MILLI_G_M_S2, "limit_mg": limit / MILLI_G_M_S2}
-        return [kind.advice(now_s, abs(change), limit, before.name, minutes=minutes, **in_mg)]
+        kind = _NO_DRIFT_TURNED if placement > EXPECTED_SCATTER_M_S2 else _NO_DRIFT
+        kind = _DRIFTED if abs(change) > limit else kind
+        values = {
+            "minutes": (after.start_s - before.start_s) / 60,
+            "change_mg": change / MILLI_G_M_S2,
+            "limit_mg": limit / MILLI_G_M_S2,
+            "same_mg": _DRIFT_SIGMAS * EXPECTED_SCATTER_M_S2 / MILLI_G_M_S2,
+            "turned_deg": math.degrees(turned),
+        }
+        return [kind.advice(now_s, abs(change), limit, before.name, **values)]
 
     def offset_advice(self, now_s: float, before: RoughScale, scale: RoughScale, *, renamed: int) -> Advice:
         """Fit again to the scale about the offset that was found, and return what it is, of the reading as it comes."""

@@ -66,6 +66,7 @@ _LATEST: dict[type[Event], str] = {
     events.Turn: "turn",
     events.Rejected: "refused",
     events.Accepted: "accepted",
+    events.Done: "finished",
 }
 
 
@@ -75,7 +76,7 @@ class Screen:
 
     Attributes
     ----------
-    move, hold, turn, refused, accepted
+    move, hold, turn, refused, accepted, finished
         The latest event of each kind; ``refused`` as long as it is to be read, ``accepted`` until something else happens.
     angle_deg, remaining_s : float
         To the target, and of the hold.
@@ -92,6 +93,7 @@ class Screen:
     turn: events.Turn | None = None
     refused: events.Rejected | None = None
     accepted: events.Accepted | None = None
+    finished: events.Done | None = None
     angle_deg: float = math.nan
     remaining_s: float = math.nan
     link: bool = True
@@ -199,7 +201,8 @@ def instruct(screen: Screen, snapshot: Snapshot) -> Instruction:
 def _instruct(screen: Screen, snapshot: Snapshot) -> Instruction:
     state, refused, turn, hold = snapshot.state, screen.refused, screen.turn, screen.hold
     if (now := _BY_STATE.get(state)) is not None:
-        return now._replace(details=sentence(now.details))
+        finished = screen.finished if state is State.DONE else None
+        return now._replace(details=sentence(now.details) if finished is None else finished.words)
     target, side = (f"{screen.move.position}: {screen.move.words}", screen.move.position) if screen.move else (": ", "")
     if snapshot.target_direction is not None:
         side = nearest_cube_direction(np.array(snapshot.target_direction))

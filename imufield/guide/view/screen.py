@@ -114,7 +114,7 @@ def _pictures_and_bars(
     """Return what to do, how the unit is held and should be, and how still it is, in a number of columns and lines."""
     width, height = size
     now = instruct(screen, snapshot)
-    details = textwrap.wrap(now.details, width, max_lines=_DETAIL_ROWS, placeholder="...", break_on_hyphens=False)
+    details = _whole(now.details, width, _DETAIL_ROWS)
     one = ((width - 2) // 2, height - 1 - _DETAIL_ROWS - _BAR_ROWS)
     return Group(
         Text(" ".join(now.headline), style=now.style, no_wrap=True),
@@ -122,6 +122,17 @@ def _pictures_and_bars(
         _pictures(screen, snapshot, cable, one, ascii_only=ascii_only),
         _bars(screen, snapshot, width - _BESIDE_BAR),
     )
+
+
+def _whole(text: str, width: int, rows: int) -> list[str]:
+    """Return the lines of a text; where they are too many, those of its first clauses: the messages have it in full."""
+    clauses = re.split(r"(?<=[;:]) ", text)
+    for count in range(len(clauses), 0, -1):
+        some = " ".join(clauses[:count])
+        lines = textwrap.wrap(some.rstrip(";:") if count < len(clauses) else some, width, break_on_hyphens=False)
+        if len(lines) <= rows:
+            return lines or [""]
+    return textwrap.wrap(clauses[0], width, max_lines=rows, placeholder="...", break_on_hyphens=False)
 
 
 def _traces(snapshot: Snapshot, width: int, height: int, *, ascii_only: bool) -> RenderableType:
@@ -139,7 +150,7 @@ def draw_big(screen: Screen, snapshot: Snapshot, link: LinkState, size: tuple[in
     return Group(
         *(Text(line, style=now.style, no_wrap=True) for line in (*first, "", *second)),
         Text(),
-        Text(textwrap.shorten(f"{now.headline}: {now.details}", width, placeholder="..."), no_wrap=True, overflow="crop"),
+        Text(_whole(f"{now.headline}: {now.details}", width, 1)[0], no_wrap=True, overflow="crop"),
         Text.assemble(" still ", _stillness_bar(snapshot), "  hold ", bar(snapshot.fraction, "green"), f"  {_done(snapshot)}"),
         Text(),
         _link_line(screen, snapshot, link, width),
@@ -252,7 +263,7 @@ def _known(forecast: dict[str, float] | None) -> list[Text]:
     if not forecast:
         return [_dim("screen.not_known")]
     words = {name.partition("_")[0]: known_words(forecast, name).replace(NOT_TOLD, "unknown") for name in KNOWN_UNITS}
-    return [Text(sentence(key, **words), no_wrap=True) for key in ("screen.known_bias", "screen.known_scale")]
+    return [Text(sentence(key, **words), no_wrap=True) for key in ("screen.known_scale", "screen.known_bias")]
 
 
 def _map(snapshot: Snapshot, scheme: Scheme) -> RenderableType:

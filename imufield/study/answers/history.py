@@ -15,7 +15,8 @@ import numpy as np
 
 from imufield.calibrate.sessions.changes import DatedNumbers, judge
 from imufield.calibrate.sessions.forecast import Forecast, forecast
-from imufield.calibrate.sessions.joint import SessionNumbers, kind_of
+from imufield.calibrate.sessions.joint import SessionNumbers
+from imufield.calibrate.sessions.kinds import kind_of
 from imufield.deliver.parameters.joined import numbers_of
 from imufield.simulate.truth.grades import TrueInstrument, draw_truth
 from imufield.study.answers.tables import Study, Table

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
 from imufield.calibrate.model.grades import GRADES, Grade
-from imufield.calibrate.model.models import accelerometer_at
+from imufield.calibrate.model.models import at_temperature
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration
 from imufield.calibrate.model.temperature import Polynomials, TriadTemperature
 from imufield.calibrate.model.uncertainty import student_factor
@@ -48,7 +48,7 @@ def covered(sessions: int, order: int, grade: Grade, rng: np.random.Generator) -
     points = accelerometer_points(base.accelerometer, found, at_degc, reference)
     model = fit_temperature(Evidence(reference_degc=_REFERENCE_DEGC, points=points)).temperature
     new_degc = float(rng.uniform(at_degc[0], at_degc[-1]))
-    stated, day = accelerometer_at(base.accelerometer, model, new_degc), _of_day(truth, over, new_degc, grade, rng=rng)
+    stated, day = at_temperature(base.accelerometer, model, new_degc), _of_day(truth, over, new_degc, grade, rng=rng)
     own = base.accelerometer_sigma
     bias_sigma, scale_sigma = model.sigma_there(new_degc, own.bias_m_s2, own.scale / base.accelerometer.scale)
     if model.new_day is None:
@@ -84,7 +84,7 @@ def _of_day(
     truth: AccelerometerParameters, over: TriadTemperature, degc: float, grade: Grade, *, rng: np.random.Generator
 ) -> AccelerometerParameters:
     """Return the true parameters of one day at a temperature."""
-    there, triad = accelerometer_at(truth, over, degc), grade.accelerometer
+    there, triad = at_temperature(truth, over, degc), grade.accelerometer
     factor = 1 + 1e-6 * _DAY_PPM_OF_SCALE * triad.scale_ppm * rng.standard_normal(3)
     return replace(there, scale=there.scale * factor, bias_m_s2=there.bias_m_s2 + triad.turn_on * rng.standard_normal(3))
 

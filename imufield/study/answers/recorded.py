@@ -151,9 +151,10 @@ def with_offset(offset_g: float, unit: str, rng: np.random.Generator) -> dict[st
     finder = StillIntervalFinder(truth.grade.units)
     finder.feed(concatenate(in_si))
     found = finder.finish()
-    starts: FloatArray = found.observations.start_s
-    # Of the true stills, the stay before the first move among them, those in which an observation begins.
-    kept = float(np.mean([np.any((still.start_s <= starts) & (starts < still.end_s)) for still in operator.stills]))
+    middles: FloatArray = found.observations.start_s + found.observations.duration_s / 2
+    # Of the true stills, the stay before the first move among them, those that an observation is of: where a slow turn ends, it
+    # is still before it is over.
+    kept = float(np.mean([np.any((still.start_s <= middles) & (middles < still.end_s)) for still in operator.stills]))
     true_scale = float(np.mean(truth.gyroscope.scale)) * UNITS[unit]
     return {
         "holds kept": kept,

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
 from imufield.calibrate.model.grades import GRADES
-from imufield.calibrate.model.models import accelerometer_at, predict, recover
+from imufield.calibrate.model.models import at_temperature, predict, recover
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration
 from imufield.calibrate.model.temperature import HIGHEST_ORDER, Polynomials, TriadTemperature, powers, unchanging
 from imufield.calibrate.temperature.fit import Evidence, RampBlocks, fit_orders, fit_temperature
@@ -96,7 +96,7 @@ def left_after(repeatability_mg: float, repeatability_ppm: float, rng: np.random
     over = _drawn_temperature(rng)
 
     def day(temperature_degc: float) -> AccelerometerParameters:
-        there = accelerometer_at(truth, over, temperature_degc)
+        there = at_temperature(truth, over, temperature_degc)
         factor = 1 + 1e-6 * repeatability_ppm * rng.standard_normal(3)
         moved = repeatability_mg * MILLI_G_M_S2 * rng.standard_normal(3)
         return replace(there, scale=there.scale * factor, bias_m_s2=there.bias_m_s2 + moved)
@@ -143,7 +143,7 @@ def _ramp(
     at_degc = REFERENCE_DEGC + np.linspace(-AWAY_DEGC, AWAY_DEGC, 41)
     up = rng.standard_normal(3)
     pose = _KNOWN.gravity_m_s2 * up / np.linalg.norm(up)
-    raw = np.vstack([predict(accelerometer_at(truth, over, float(degc)), pose) for degc in at_degc])
+    raw = np.vstack([predict(at_temperature(truth, over, float(degc)), pose) for degc in at_degc])
     sigma = _INDUSTRIAL.accelerometer.bias_instability
     output = raw / base.scale + sigma * rng.standard_normal(raw.shape)
     return RampBlocks(

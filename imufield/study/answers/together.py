@@ -15,6 +15,7 @@ from imufield.calibrate.model.models import to_vector
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration
 from imufield.calibrate.model.uncertainty import NORMAL_FACTOR_95
 from imufield.calibrate.sessions.joint import Joint, adjust
+from imufield.calibrate.sessions.kinds import PPM
 from imufield.deliver.parameters.gauge_free import GaugeFree, gauge_free
 from imufield.deliver.parameters.joined import numbers_of, prior_scales
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity
@@ -30,7 +31,6 @@ LENGTHS = (3, 5, 10)
 GRADE = GRADES["tactical"]
 """Of the instruments."""
 _KNOWN = Gravity(gravity_m_s2=STANDARD_GRAVITY_M_S2, sigma_m_s2=1e-6, source="measured")
-_PPM = 1e-6
 
 
 def with_days(sessions: int, rng: np.random.Generator) -> dict[str, ArrayLike]:
@@ -57,7 +57,7 @@ def on_another_day(instrument: TrueInstrument, rng: np.random.Generator) -> True
     """Return the instrument as it is on a day drawn at random."""
     own = instrument.accelerometer
     bias = own.bias_m_s2 + DAY_MG * MILLI_G_M_S2 * rng.standard_normal(3)
-    scale = own.scale * (1 + DAY_PPM * _PPM * rng.standard_normal(3))
+    scale = own.scale * (1 + DAY_PPM * PPM * rng.standard_normal(3))
     return replace(instrument, accelerometer=replace(own, bias_m_s2=bias, scale=scale))
 
 
@@ -72,7 +72,7 @@ def calibrated(instrument: TrueInstrument, rng: np.random.Generator) -> tuple[Ca
 
 def _true(accelerometer: AccelerometerParameters, reference: FloatArray) -> dict[str, FloatArray]:
     scale, bias_raw = intrinsic(to_vector(accelerometer))[0].reshape(4, 3)[:2]
-    return {"bias": bias_raw / scale / MILLI_G_M_S2, "scale": (scale / reference - 1) / _PPM}
+    return {"bias": bias_raw / scale / MILLI_G_M_S2, "scale": (scale / reference - 1) / PPM}
 
 
 def _holds(joint: Joint, kind: str, true: float) -> bool:

@@ -135,7 +135,7 @@ export class SessionView {
     if (this.wasUnderWay && !isUnderWay) this.refresh();
     if (this.wasUnderWay !== isUnderWay) this.showState();
     this.wasUnderWay = isUnderWay;
-    const reading = this.jobs(["overview"]).find((job) => job.code === null)?.told.progress;
+    const reading = this.jobs(["outline", "overview"]).find((job) => job.code === null)?.told.progress;
     const place = document.querySelector("#signals-of-session [role=status]");
     if (reading && place) place.textContent = clean(reading.words);
   }
@@ -316,31 +316,44 @@ export class SessionView {
       }
   }
 
-  /** @param {any[]} holds @param {string} unit of the accelerometer */
+  /** Show the signals, of a long recording some seconds first. @param {any[]} holds @param {string} unit of the accelerometer */
   async showSignals(holds, unit) {
-    const place = at("signals-of-session");
-    place.replaceChildren(make("p", { role: "status" }, text("reading")));
-    try {
-      const job = await this.bench.run("overview", { session: this.name });
-      if (job.code !== 0) throw new Error(complaint(job));
-      const columns = readOverview(await (await fetch(await this.bench.address(`${this.name}/samples.overview.csv`))).text());
-      const frame = make("div", { class: "wide" });
-      let zoom = 1;
-      const show = (/** @type {number} */ times) => {
-        // What is in the middle stays there.
-        const middle = (frame.scrollLeft + frame.clientWidth / 2) / (frame.scrollWidth || 1);
-        zoom = Math.max(1, Math.min(LARGEST_ZOOM, zoom * times));
-        frame.replaceChildren(drawSignals(columns, holds, this.without, (name) => this.keep(name, this.without.has(name)), { zoom, unit }));
-        frame.scrollLeft = middle * frame.scrollWidth - frame.clientWidth / 2;
-      };
-      place.replaceChildren(
-        make("p", {}, text("signalsHow")),
-        make("p", { class: "row" }, button(text("closer"), () => show(2)), button(text("farther"), () => show(1 / 2))),
-        frame,
-      );
+    const [place, name, says] = [at("signals-of-session"), this.name, make("p", { role: "status" }, text("reading"))];
+    const frame = make("div", { class: "wide" });
+    /** @type {Record<string, number[]>} */
+    let columns = {};
+    let zoom = 1;
+    const show = (/** @type {number} */ times) => {
+      // What is in the middle stays there.
+      const middle = (frame.scrollLeft + frame.clientWidth / 2) / (frame.scrollWidth || 1);
+      zoom = Math.max(1, Math.min(LARGEST_ZOOM, zoom * times));
+      frame.replaceChildren(drawSignals(columns, holds, this.without, (name) => this.keep(name, this.without.has(name)), { zoom, unit }));
+      frame.scrollLeft = middle * frame.scrollWidth - frame.clientWidth / 2;
+    };
+    const read = async (/** @type {string} */ kind) => {
+      columns = readOverview(await (await fetch(await this.bench.address(`${name}/samples.${kind}.csv`))).text());
+      if (!frame.isConnected)
+        place.prepend(
+          make("p", {}, text("signalsHow")),
+          make("p", { class: "row" }, button(text("closer"), () => show(2)), button(text("farther"), () => show(1 / 2))),
+          frame,
+        );
       show(1);
+    };
+    place.replaceChildren(says);
+    try {
+      const { signals } = await this.bench.ask({ session: name });
+      for (const kind of signals) {
+        const job = await this.bench.run(kind, { session: name });
+        if (job.code !== 0) throw new Error(complaint(job));
+        // Another session may be shown by now.
+        if (!says.isConnected) return;
+        await read(kind);
+      }
+      if (!signals.length) await read("overview");
+      says.remove();
     } catch (error) {
-      place.replaceChildren(make("p", { class: "failed" }, /** @type {Error} */ (error).message));
+      says.replaceWith(make("p", { class: "failed" }, /** @type {Error} */ (error).message));
     }
   }
 

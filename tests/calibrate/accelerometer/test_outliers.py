@@ -15,7 +15,7 @@ from imufield.calibrate.model.observations import Observations, leave_out
 from imufield.calibrate.model.result import Calibration
 from imufield.earth import MILLI_G_M_S2, Gravity
 from imufield.errors import Reason, UsageError
-from tests.calibrate.calibration_truth import GRAVITY, campaign, outputs, random_parameters
+from tests.calibrate.calibration_truth import GRAVITY, campaign, outputs, paper24, random_parameters
 from tests.refused import refused
 from tests.told import told
 
@@ -71,6 +71,25 @@ def test_without_them_the_numbers_are_those_of_a_session_that_never_had_them() -
     assert found.quality.suspects == ()
     with refused(UsageError, Reason.USAGE, key="observations.not_there"):
         leave_out(clean, ("p12",))
+
+
+def test_two_edges_that_nothing_checks_are_not_good() -> None:
+    """+2 mg on two opposite edges of a plane is, but for an angle, what +2 mg on the two others are."""
+    up = paper24()
+    one, *plane = np.flatnonzero((np.abs(up[:, 0]) < 0.1) & (np.abs(up[:, 1:]).min(axis=1) > 0.5))
+    (opposite,) = (row for row in plane if up[row] @ up[one] < -0.9)
+    others = {f"p{row + 1:02d}" for row in plane if row != opposite}
+    touched = session(3, {int(one): 2.0, int(opposite): 2.0}, noise=0.2)
+    quality = calibrate_accelerometer(leave_out(touched, others)[0], EXACT).quality
+    assert (quality.verdict, quality.suspects) == ("usable", ())
+    (carried,) = told(quality.reasons, "quality.carried_by_two")
+    assert carried.values["positions"] == [f"p{one + 1:02d}", f"p{opposite + 1:02d}"]
+    assert set(carried.values["left_out"]) == others
+    assert carried.values["share"] > carried.values["limit"]
+    # Of two planes one edge each: the others check them.
+    other = np.flatnonzero((np.abs(up[:, 1]) < 0.1) & (np.abs(up[:, [0, 2]]).min(axis=1) > 0.5))[0]
+    apart = leave_out(session(3, {}), (f"p{one + 1:02d}", f"p{other + 1:02d}"))[0]
+    assert calibrate_accelerometer(apart, EXACT).quality.verdict == "good"
 
 
 def test_a_hold_that_alone_shows_a_parameter_is_not_taken_out() -> None:

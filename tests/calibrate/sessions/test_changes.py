@@ -141,3 +141,14 @@ def test_an_accuracy_below_what_days_do_is_never_reached() -> None:
     assert isinstance(found, NoForecast)
     assert found.why == "now"
     assert found.now > 0.2
+
+
+def test_a_hidden_variance_below_zero_is_none() -> None:
+    values = drawn(np.random.default_rng(5))
+    hidden = np.diag([-2.0, 1.0, 4.0])
+    hidden[0, 1] = hidden[1, 0] = 0.5
+    judged = [
+        judge([*history(values[:5], hidden=part), *history(values[5:], hidden=part, setup="other")])
+        for part in (hidden, np.diag([0.0, 1.0, 4.0]))
+    ]
+    assert judged[0] == judged[1]

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imufield.calibrate.sessions.joint import DAILY, FEWEST_WITHOUT_PRIOR, Joint, SessionNumbers, adjust
+from imufield.calibrate.sessions.joint import FEWEST_WITHOUT_PRIOR, Joint, SessionNumbers, adjust
+from imufield.calibrate.sessions.kinds import DAILY
 
 NAMES = (*(f"{kind} {axis}" for kind in ("bias", "scale") for axis in "xyz"), *(f"angle {pair}" for pair in ("xy", "xz", "yz")))
 OPEN = dict.fromkeys(DAILY, math.inf)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from imufield.calibrate.model.grades import GRADES
-from imufield.calibrate.model.models import accelerometer_at, gyroscope_at, predict, predict_gyroscope
+from imufield.calibrate.model.models import at_temperature, predict, predict_gyroscope
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters
 from imufield.calibrate.model.temperature import Polynomials, TriadTemperature, unchanging
 from imufield.calibrate.temperature.fit import Evidence, RampBlocks, SessionPoints, distinct, fit_temperature, fit_warnings
@@ -186,15 +186,15 @@ def test_raw_output_at_a_temperature_becomes_that_of_the_reference() -> None:
     force, rate = 10 * rng.normal(size=(4, 3)), rng.normal(size=(4, 3))
     for temperature_degc, same_as in ((-5.0, -5.0), (90.0, 60.0), (np.nan, 20.0)):
         at = np.full(4, temperature_degc)
-        raw = predict(accelerometer_at(accelerometer, model, same_as), force)
+        raw = predict(at_temperature(accelerometer, model, same_as), force)
         back = model.to_reference(raw, at, scale=accelerometer.scale, raw_zero=accelerometer.raw_zero)
         np.testing.assert_allclose(back, predict(accelerometer, force), atol=1e-12)
-        turned = predict_gyroscope(gyroscope_at(gyroscope, model, same_as), rate, force)
+        turned = predict_gyroscope(at_temperature(gyroscope, model, same_as), rate, force)
         back = model.to_reference(turned, at, scale=gyroscope.scale)
         np.testing.assert_allclose(back, predict_gyroscope(gyroscope, rate, force), atol=1e-12)
     np.testing.assert_array_equal(model.is_outside(np.array([-21.0, 0.0, 61.0, np.nan])), [True, False, True, False])
-    assert accelerometer_at(accelerometer, None, 50.0) is accelerometer
-    assert gyroscope_at(gyroscope, None, 50.0) is gyroscope
+    assert at_temperature(accelerometer, None, 50.0) is accelerometer
+    assert at_temperature(gyroscope, None, 50.0) is gyroscope
     assert unchanging().at(np.zeros(2)).tolist() == [[0.0] * 3] * 2
 
 

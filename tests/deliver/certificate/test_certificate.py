@@ -15,7 +15,7 @@ import pytest
 from imufield.calibrate.model.budget import Share
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration
-from imufield.deliver.certificate.certificate import Certificate, Parties, issue_date, to_json
+from imufield.deliver.certificate.certificate import Certificate, Parties, conditions, issue_date, references, to_json
 from imufield.deliver.certificate.dcc import DCC, SI, to_xml, unit_of
 from imufield.deliver.certificate.label import label_svg, label_text
 from imufield.deliver.certificate.page import render_certificate
@@ -26,6 +26,7 @@ from imufield.deliver.parameters.schema import json_ready
 from imufield.deliver.report.budget import budget_of, budget_tables, not_in_budget
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import Reason, UsageError
+from imufield.sentences import Sentences
 from tests.refused import refused
 from tests.told import key_of
 
@@ -80,8 +81,8 @@ def test_the_xml_has_the_documented_structure(solved: Parameters) -> None:
     assert base64.b64decode(found(root, "dcc:document/dcc:dataBase64").text or "") == b"%PDF-1.7 made up"
     assert names(parsed(to_xml(certificate))) == ["administrativeData", "measurementResults"]
     texts = [element.text or "" for element in found(root, "dcc:administrativeData/dcc:statements").iter()]
-    assert any("no accreditation is claimed" in text for text in texts)
-    assert any("not validated against the schema" in text for text in texts)
+    sentence = Sentences("imufield.deliver.certificate")
+    assert {sentence("certificate.in_house"), sentence("certificate.not_validated")} <= {*texts}
 
 
 def test_lists_are_as_long_as_their_names_and_in_si(solved: Parameters) -> None:
@@ -156,10 +157,13 @@ def test_a_page_names_the_reference_once_and_nobody_unknown(calibration: Calibra
     for parameters, rows in ((known, 2), (unknown, 1)):
         certificate = certified(parameters)
         document = to_json(certificate)
-        assert [name for name, _ in document["reference"]] == ["Gravity", "Time base"]
-        assert document["reference"][1][1].endswith("1 sigma 50 ppm of true seconds")
-        assert "Gravity" not in document["conditions"]
-        assert sum("emperature" in name for name in document["conditions"]) == rows
+        stated = {name.key: value for name, value in references(certificate)}
+        assert [*stated] == ["references.gravity", "references.time_base"]
+        assert document["reference"][1][1] == stated["references.time_base"]
+        assert stated["references.time_base"].values["sigma_ppm"] == pytest.approx(50)
+        keys = [name.key for name, _ in conditions(certificate)]
+        assert [*document["conditions"]] == [name for name, _ in conditions(certificate)]
+        assert sum("temperature" in key for key in keys) == rows
         page = render_certificate(certificate, "")
         assert "<dt>Customer</dt>" not in page
         assert "Approved by" in page
@@ -242,16 +246,16 @@ def test_the_json_has_every_share_with_type_freedom_and_sensitivity(solved: Para
 def test_tables_name_each_share(solved: Parameters) -> None:
     for table, group in zip(budget_tables(solved), budget_of(solved), strict=True):
         assert len(table.rows) == len(group.shares)
-        assert all(row.words and "_" not in row.words for row in table.rows)
+        assert [key_of(row.words) for row in table.rows] == [f"shares.{share.name}" for share in group.shares]
         assert len(table.results) == len(group.parameters)
 
 
 def test_a_scale_that_only_the_maker_knows_has_its_own_unit(calibration: Calibration, observations: Observations) -> None:
     counts = replace(calibration, accelerometer_raw_unit="count")
-    by_title = {table.title: table for table in budget_tables(parameters_of(counts, observations))}
-    assert by_title["Accelerometer scale"].results[0][1].endswith(" count per m/s²")
-    by_title = {table.title: table for table in budget_tables(parameters_of(calibration, observations))}
-    assert by_title["Accelerometer scale"].results[0][1] == "+120"  # of 1.000123456789, U = 110 ppm
+    by_title = {key_of(table.title): table for table in budget_tables(parameters_of(counts, observations))}
+    assert by_title["titles.accelerometer_scale"].results[0][1].endswith(" count per m/s²")
+    by_title = {key_of(table.title): table for table in budget_tables(parameters_of(calibration, observations))}
+    assert by_title["titles.accelerometer_scale"].results[0][1] == "+120"  # of 1.000123456789, U = 110 ppm
 
 
 def test_shares_survive_the_file_and_add_up(solved: Parameters, observations: Observations) -> None:

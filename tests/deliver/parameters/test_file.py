@@ -32,6 +32,7 @@ from imufield.deliver.parameters.file import (
 from imufield.deliver.parameters.read import parse_document, read_document
 from imufield.errors import ImufieldError, ParameterFileError, Reason
 from imufield.sentences import printable
+from tests.parameter_files import edit
 from tests.refused import refused
 from tests.told import key_of
 
@@ -186,10 +187,7 @@ def test_every_changed_value_is_refused_and_a_changed_comment_is_not(file: Path)
 
 
 def test_a_change_on_purpose_is_taken_and_remembered(file: Path) -> None:
-    text = file.read_text(encoding="utf-8").replace("height_m = 520.0", "height_m = 521.0")
-    head, _, _ = text.rpartition("sha256 = ")
-    file.write_text(f'{head}sha256 = "edited"\n', encoding="utf-8")
-    loaded = load(file)
+    loaded = load(edit(file, "height_m = 520.0", "height_m = 521.0"))
     assert loaded.edited
     assert loaded.calibration.gravity.height_m == 521.0
 
@@ -276,13 +274,6 @@ def test_a_calibration_that_calls_itself_poor_may_have_any_scale(file: Path) -> 
     document["quality"]["verdict"] = "poor"
     # What else follows from the scale is still looked at.
     assert contradiction(document).startswith("accelerometer.intrinsic")
-
-
-def edit(file: Path, old: str, new: str) -> None:
-    text = file.read_text(encoding="utf-8")
-    assert old in text
-    head, _, _ = text.replace(old, new, 1).rpartition("sha256 = ")
-    file.write_text(f'{head}sha256 = "edited"\n', encoding="utf-8")
 
 
 @pytest.mark.parametrize(

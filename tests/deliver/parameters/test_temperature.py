@@ -9,7 +9,7 @@ import jsonschema
 import numpy as np
 import pytest
 
-from imufield.calibrate.model.models import accelerometer_at, predict
+from imufield.calibrate.model.models import at_temperature, predict
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration
 from imufield.calibrate.model.temperature import NewDay, Polynomials, TriadTemperature
@@ -26,6 +26,7 @@ from imufield.deliver.parameters.file import (
 from imufield.errors import ParameterFileError, Reason
 from imufield.pipeline.solving import lost_by_replacing
 from imufield.samples import SampleUnits, Status, TemperatureHold, make_samples
+from tests.parameter_files import edit
 from tests.refused import refused
 from tests.told import told
 
@@ -113,14 +114,6 @@ def test_without_temperature_it_is_version_1_as_before(
     assert not parameters.temperature_status(np.array([np.nan])).any()
 
 
-def edited(parameters: Parameters, path: Path, old: str, new: str) -> Path:
-    text = to_toml({key: value for key, value in parameters.document.items() if key != "integrity"})
-    assert old in text
-    head, _, _ = text.replace(old, new, 1).rpartition("sha256 = ")
-    path.write_text(f'{head}sha256 = "edited"\n', encoding="utf-8")
-    return path
-
-
 @pytest.mark.parametrize(
     ("old", "new", "fact"),
     [
@@ -137,9 +130,10 @@ def edited(parameters: Parameters, path: Path, old: str, new: str) -> Path:
         ),
     ],
 )
-def test_what_contradicts_itself_is_refused(loaded: Parameters, tmp_path: Path, old: str, new: str, fact: str) -> None:
-    with refused(ParameterFileError, None, "p.toml", fact):
-        load(edited(loaded, tmp_path / "p.toml", old, new))
+@pytest.mark.usefixtures("loaded")
+def test_what_contradicts_itself_is_refused(tmp_path: Path, old: str, new: str, fact: str) -> None:
+    with refused(ParameterFileError, None, "parameters.toml", fact):
+        load(edit(tmp_path / "parameters.toml", old, new))
 
 
 @pytest.mark.parametrize(
@@ -164,7 +158,7 @@ def test_apply_undoes_what_the_temperature_did(loaded: Parameters) -> None:
     at_degc = np.array([-30.0, -20.0, 10.0, 32.15, 70.0])
     raw = np.vstack(
         [
-            predict(accelerometer_at(calibration.accelerometer, calibration.accelerometer_temperature, degc), row)
+            predict(at_temperature(calibration.accelerometer, calibration.accelerometer_temperature, degc), row)
             for degc, row in zip(at_degc, force, strict=True)
         ]
     )

@@ -16,6 +16,7 @@ from imufield.deliver.parameters.versions import CONVERTERS, to_current
 from imufield.deliver.parameters.write import content_sha256
 from imufield.errors import ParameterFileError, Reason
 from imufield.sentences import Sentences
+from tests.parameter_files import edit
 from tests.refused import refused
 
 OLD = Path(__file__).with_name("parameters-version-0.toml")
@@ -23,11 +24,8 @@ OLD = Path(__file__).with_name("parameters-version-0.toml")
 
 def rewritten(path: Path, old: str, new: str) -> Path:
     """Write the old file with a change somebody made on purpose."""
-    text = OLD.read_text(encoding="utf-8")
-    assert old in text
-    head, _, _ = text.replace(old, new, 1).rpartition("sha256 = ")
-    path.write_text(f'{head}sha256 = "edited"\n', encoding="utf-8")
-    return path
+    path.write_bytes(OLD.read_bytes())
+    return edit(path, old, new)
 
 
 def test_there_is_a_step_from_every_version_that_is_no_longer_written() -> None:

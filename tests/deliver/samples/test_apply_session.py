@@ -10,12 +10,12 @@ import pytest
 
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration
-from imufield.calibrate.model.temperature import Polynomials, TriadTemperature, unchanging
 from imufield.deliver.parameters.context import Context
 from imufield.deliver.parameters.file import Parameters, from_document, to_document
 from imufield.deliver.samples.apply_session import TemperatureFlags, apply_session
 from imufield.errors import ParameterFileError, Reason, RecordingError
 from imufield.samples import Samples, SampleUnits, Status, make_samples
+from tests.parameter_files import over_temperature
 from tests.refused import refused
 
 ROWS = 1000
@@ -97,33 +97,28 @@ def test_memory_does_not_grow_with_the_recording(loaded: Parameters, tmp_path: P
     assert peaks[1] < 1.2 * peaks[0]
 
 
-def over_temperature(loaded: Parameters) -> Parameters:
-    """Return parameters that hold from 0 to 40 degC."""
-    model = TriadTemperature(
-        reference_degc=20.0,
-        range_degc=(0.0, 40.0),
-        bias=Polynomials(np.full((1, 3), 1e-3), np.zeros((3, 1, 1))),
-        scale=unchanging(),
-        hysteresis=np.full(3, np.nan),
-        scale_separated=True,
-    )
-    return replace(loaded, calibration=replace(loaded.calibration, accelerometer_temperature=model))
+@pytest.fixture
+def warm(loaded: Parameters) -> Parameters:
+    return replace(loaded, calibration=over_temperature(loaded.calibration, 1e-3))
 
 
 @pytest.mark.parametrize("found", [-400.0, -100.1, 300.1, 5000.0, np.inf])
-def test_a_temperature_that_no_instrument_has_is_refused(found: float, loaded: Parameters, tmp_path: Path) -> None:
+def test_a_temperature_that_no_instrument_has_is_refused(
+    found: float, loaded: Parameters, warm: Parameters, tmp_path: Path
+) -> None:
     at_degc = np.full(ROWS, 20.0)
     at_degc[3] = found
     blocks = [replace(block(0), temperature_degc=at_degc)]
     with refused(RecordingError, Reason.BAD_DATA, f"{found:g} degC", key="samples.impossible"):
-        apply_session(over_temperature(loaded), blocks, tmp_path / "corrected.csv")
+        apply_session(warm, blocks, tmp_path / "corrected.csv")
     assert not list(tmp_path.iterdir())
     # Parameters of one temperature take none of it.
     apply_session(loaded, blocks, tmp_path / "corrected.csv")
 
 
-def test_samples_beyond_the_calibrated_temperatures_are_flagged_and_counted(loaded: Parameters, tmp_path: Path) -> None:
-    warm = over_temperature(loaded)
+def test_samples_beyond_the_calibrated_temperatures_are_flagged_and_counted(
+    loaded: Parameters, warm: Parameters, tmp_path: Path
+) -> None:
     at_degc = np.full(ROWS, np.nan)
     at_degc[10], at_degc[500] = 30.0, 50.0
     blocks = [replace(block(0), temperature_degc=at_degc), block(1)]

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from imufield.calibrate.accelerometer.drift import MOST_CONFUSION
-from imufield.earth import choose_gravity
+from imufield.earth import MILLI_G_M_S2, choose_gravity
 from imufield.guide import refusals
 from imufield.guide.events import Accepted, Advice, Done, Event, Hold, Move, RefusalCode, Rejected, Topic
 from imufield.guide.lead.guide import Guide
@@ -19,12 +19,13 @@ from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.positions import scheme
 from imufield.guide.view.marks import with_keys
 from imufield.guide.view.plain import PlainView
-from imufield.samples import Samples
+from imufield.samples import FloatArray, Samples
 from imufield.sentences import Sentences
 from imufield.simulate.truth.grades import TACTICAL, perfect_instrument
 from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.operator import Operator, OperatorSettings
 from tests.guide.guided import is_said_by, values_of
+from tests.told import key_of, told
 
 sentence = Sentences("imufield.guide.lead")
 
@@ -109,15 +110,19 @@ def test_larger_movement_is_refused_with_the_value(tremor_deg: float, sway_deg: 
     assert len(guide.observations()) <= 1
 
 
-def corners(make_path: Any, spoil: int | None = None, again: tuple[int, ...] = (), hold_s: float = 4.5) -> Samples:
-    """All of corners24, then some of its positions again; one reading is 3 mg long."""
+def corners(
+    make_path: Any, spoil: int | None = None, again: tuple[int, ...] = (), hold_s: float = 4.5, turned: FloatArray | None = None
+) -> Samples:
+    """All of corners24, then some of its positions again, turned by a rotation matrix; one reading is 3 mg long."""
+    rotations = [np.eye(3)] * 23 + [np.eye(3) if turned is None else turned] * len(again)
     positions = scheme("corners24").positions
     path = make_path(100.0).hold(positions[0].direction, 8)
     starts = [0.0]
-    for index in (*range(1, 24), *again):
-        path.turn(positions[index].direction, 1.2)
+    for index, rotation in zip((*range(1, 24), *again), rotations, strict=True):
+        direction = rotation @ positions[index].direction
+        path.turn(direction, 1.2)
         starts.append(path.time_s)
-        path.hold(positions[index].direction, hold_s)
+        path.hold(direction, hold_s)
     samples = path.samples(2e-3, 5e-4)
     if spoil is not None:
         rows = (samples.time_s >= starts[spoil] - 0.6) & (samples.time_s < starts[spoil] + hold_s)
@@ -314,6 +319,27 @@ def test_drift_is_seen_at_the_revisit(make_path: Any) -> None:
     assert drift.measured == pytest.approx(2e-3 * 9.8, rel=0.2)
 
 
+def test_the_revisit_says_what_drift_it_can_show_in_another_attitude(make_path: Any) -> None:
+    """A bias b across a turn by the angle t changes the norm by b t."""
+    turn, bias_m_s2 = math.radians(3.0), 0.3
+    across = np.cross(scheme("corners24").positions[0].direction, [0.36, 0.48, 0.8])
+    x, y, z = across / np.linalg.norm(across)
+    about = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    limits, said = {}, []
+    for turned in (None, np.eye(3) + np.sin(turn) * about + (1 - np.cos(turn)) * about @ about):
+        samples = corners(make_path, again=(0,), turned=turned)
+        samples.accelerometer[:] += [0.0, 0.0, bias_m_s2]
+        _, events = feed(samples, "corners24", revisit_first=True)
+        (drift,) = (event for event in of(events, Advice) if event.topic is Topic.DRIFT)
+        limits[key_of(drift.words)] = drift.limit
+        said += told([drift.words], "advice.no_drift_turned")
+    (values,) = (sentence.values for sentence in said)
+    same_m_s2 = values["same_mg"] * MILLI_G_M_S2
+    assert values["turned_deg"] == pytest.approx(3.0, abs=0.1)
+    assert limits["advice.no_drift"] == pytest.approx(same_m_s2, rel=0.5)
+    assert limits["advice.no_drift_turned"] == pytest.approx(np.hypot(same_m_s2, 4 * bias_m_s2 * turn), rel=0.05)
+
+
 def test_a_wrong_common_scale_is_told(make_path: Any) -> None:
     samples = corners(make_path)
     samples.accelerometer[:] *= 1.05
@@ -377,7 +403,7 @@ def test_a_changed_sample_rate_is_told(make_path: Any) -> None:
     _, events = feed(samples[thinned], hold_s=20.0)
     told = [event for event in of(events, Rejected) if event.reason is RefusalCode.RATE]
     assert len(told) == 1
-    assert "-20 %" in told[0].words
+    assert values_of(told[0].words)["percent"] == pytest.approx(-20)
 
 
 def test_finish_ends_a_session_with_turns_left(make_path: Any) -> None:

@@ -4,6 +4,7 @@ import json
 import math
 import re
 from dataclasses import replace
+from functools import partial
 from io import BytesIO, StringIO, TextIOWrapper
 from typing import Any
 
@@ -14,6 +15,7 @@ from imufield.guide.events import (
     EVENT_VERSION,
     EVENTS,
     Accepted,
+    Done,
     Hold,
     LinkBack,
     LinkLost,
@@ -24,6 +26,7 @@ from imufield.guide.events import (
 )
 from imufield.guide.lead.guide import Guide
 from imufield.guide.lead.settings import GuideSettings
+from imufield.guide.lead.state_table import State
 from imufield.guide.positions import SCHEMES, scheme
 from imufield.guide.view.instruction import Screen, instruct
 from imufield.guide.view.marks import with_keys
@@ -224,10 +227,14 @@ def test_the_panel_says_what_is_not_known_yet(session: Any) -> None:
     guide = list(session(9.0))[-1][1]
     for forecast, told in (
         ({}, ("accuracy: not known yet",)),
-        ({"scale_ppm": 26000.0}, ("1 sigma so far: bias unknown", "scale 2.6 %, angle unknown")),
+        ({"scale_ppm": 26000.0}, ("1 sigma now: scale 2.6 %", "bias unknown, angle unknown")),
         (
             {"bias_ug": 25800.0, "scale_ppm": 9990.0, "misalignment_urad": 25800.0},
-            ("1 sigma so far: bias 25.8 mg", "scale 0.999 %, angle 25.8 mrad"),
+            ("1 sigma now: scale 0.999 %", "bias 25.8 mg, angle 25.8 mrad"),
+        ),
+        (
+            {"bias_ug": 103.4, "scale_ppm": 43.12, "misalignment_urad": 47.31},
+            ("1 sigma now: scale 43.1 ppm", "bias 103 ug, angle 47.3 urad"),
         ),
     ):
         console = Console(width=WIDTH, height=HEIGHT, record=True, file=open_nothing())
@@ -280,6 +287,29 @@ def test_instruction_reason_and_remedy_are_whole_in_every_window(session: Any, w
     shown = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", drawn.getvalue())
     left = (line.split("││")[0].strip("│") for line in shown.splitlines())
     assert f"{words}; {LONG}" in " ".join(" ".join(left).split())
+
+
+def test_what_has_no_room_in_the_panel_is_left_out_clause_by_clause(session: Any) -> None:
+    guide = list(session(6.5))[-1][1]
+    screen = Screen()
+    limited = "the sample clock jumped forward by 2.9 s (limit 2 s)"
+    words = f"{limited}: samples were lost, the computer slept, or the instrument restarted"
+    screen.follow([refused(RefusalCode.CLOCK_JUMP, words, LONG)])
+    for draws in (partial(draw, scheme=guide.plan.scheme), draw_big):
+        console = Console(width=WIDTH, height=HEIGHT, record=True, file=open_nothing())
+        console.print(draws(screen, guide.snapshot(), link=LinkState(0)))
+        text = console.export_text()
+        assert not re.search(r"\w\.\.\.", text)
+        left = (line.split("││")[0].strip("│") for line in text.splitlines())
+        assert f"{limited} now " in " ".join(" ".join(left).split()) or f"{limited} still" in " ".join(text.split())
+
+
+def test_a_session_that_was_finished_early_is_not_called_complete(session: Any) -> None:
+    guide = list(session(6.5))[-1][1]
+    snapshot = replace(guide.snapshot(), state=State.DONE)
+    screen = Screen()
+    screen.follow([Done(7.0, accepted=1, planned=6, skipped=("+x",), words="finished with 1 of 6 positions")])
+    assert instruct(screen, snapshot).details == "finished with 1 of 6 positions"
 
 
 def test_a_large_window_shows_more_messages(session: Any) -> None:

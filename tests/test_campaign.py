@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from imufield.campaign import BLAS_VARIABLES, one_blas_thread, run_batch, run_campaign
 from imufield.errors import LinkError, Reason, UsageError
-from imufield.study.campaign import BLAS_VARIABLES, one_blas_thread, run_batch, run_campaign
+from tests.local_cluster import local_cluster
 from tests.refused import refused
-from tests.study.local_cluster import local_cluster
 
 LIBRARY = Path(__file__).with_name("campaign_runs.py")
 
@@ -111,7 +111,7 @@ def test_an_empty_campaign_has_no_results(runs: Any) -> None:
 
 def test_a_scheduler_that_is_not_there(runs: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed", reason="needs the study extra")
-    monkeypatch.setattr("imufield.study.campaign._CONNECT_TIMEOUT_S", 1.0)
+    monkeypatch.setattr("imufield.campaign._CONNECT_TIMEOUT_S", 1.0)
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))
         port = listener.getsockname()[1]
