@@ -79,7 +79,7 @@ class TraceCollector:
         start_s = 0.0 if self._means is None else self._means.start_s
         values = means[:, :7] + self._centre
         return TraceCells(
-            time_s=np.asarray(start_s + (np.arange(len(means)) + 0.5) * CELL_S),
+            time_s=np.asarray(start_s + (np.arange(len(means)) + 0.5) * CELL_S, dtype=np.float64),
             temperature_degc=values[:, 6],
             accelerometer=values[:, :3],
             gyroscope=values[:, 3:6],
