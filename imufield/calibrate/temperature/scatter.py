@@ -127,7 +127,7 @@ def shares_of(rows: FloatArray, equations: Equations) -> FloatArray:
 
 def whitened(equations: Equations, variances: FloatArray) -> Whitened:
     """Return equations over the root of V."""
-    root = np.linalg.inv(np.linalg.cholesky(equations.covariance(variances)))
+    root = np.asarray(np.linalg.inv(np.linalg.cholesky(equations.covariance(variances))), np.float64)
     weight = 1 / (equations.sigma * np.sqrt(variances[RAMP]))
     both = np.column_stack([equations.matrix, equations.values])
     both = np.vstack([root @ both[: len(root)], weight[:, None] * both[len(root) :]])
@@ -136,13 +136,13 @@ def whitened(equations: Equations, variances: FloatArray) -> Whitened:
 
 def scatter_of(axes: Sequence[Equations]) -> Scatter:
     """Return the variances of the largest restricted likelihood of all axes."""
-    variances, settled = _first(axes), False
+    variances = _first(axes)
+    information, score, freedom = _sums(axes, variances)
     for _ in range(_STEPS):
-        information, score, freedom = (sum(parts) for parts in zip(*(_terms(each, variances) for each in axes), strict=True))
-        if settled:
-            break
         before, variances = variances, _bounded(information, information @ variances + score, variances)
-        settled = bool(np.all(np.abs(variances - before) <= _SETTLED * variances))
+        information, score, freedom = _sums(axes, variances)
+        if np.all(np.abs(variances - before) <= _SETTLED * variances):
+            break
     size = np.sqrt(np.where(np.diag(information) > 0, np.diag(information), 1.0))
     covariance = 2 * np.linalg.pinv(information / np.outer(size, size), hermitian=True) / np.outer(size, size)
     return Scatter(variances, covariance, freedom)
@@ -150,9 +150,17 @@ def scatter_of(axes: Sequence[Equations]) -> Scatter:
 
 def _first(axes: Sequence[Equations]) -> FloatArray:
     """Return variances that are rather too large: from above, the first step is that of rows that count alike."""
-    squares = [np.bincount(each.kind, (each.values - each.values.mean()) ** 2, minlength=3) for each in axes]
-    rows = sum(np.bincount(each.kind, minlength=3) for each in axes)
-    return np.asarray(np.maximum(sum(squares) / np.maximum(rows, 1) * [1.0, 1.0, 0.0], LEAST))
+    kind = np.concatenate([each.kind for each in axes])
+    off = np.concatenate([each.values - each.values.mean() for each in axes])
+    mean_square = np.bincount(kind, off**2, minlength=3) / np.maximum(np.bincount(kind, minlength=3), 1)
+    return np.asarray(np.maximum(mean_square * [1.0, 1.0, 0.0], LEAST))
+
+
+def _sums(axes: Sequence[Equations], variances: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the terms of all axes."""
+    every = [_terms(each, variances) for each in axes]
+    information, score, freedom = (np.sum([terms[k] for terms in every], axis=0) for k in range(3))
+    return information, score, freedom
 
 
 def _terms(equations: Equations, variances: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
