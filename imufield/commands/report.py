@@ -130,6 +130,10 @@ def _read(
         except CalibrationError as error:
             # Parameters that are here all the same have a report.
             return None, None, (error.message,)
+        units = reading.observations.units
+        parameters.check_unit("accelerometer", units.accelerometer_rate_unit)
+        if parameters.calibration.gyroscope is not None:
+            parameters.check_unit("gyroscope", units.gyroscope_rate_unit)
         positions, old = with_gyroscope(observations_of(parameters), reading.observations), None
         if preset is not None and preset.calibration.gyroscope is not None:
             old = preset.calibration.gyroscope.parameters
