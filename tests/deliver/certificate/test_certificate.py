@@ -27,6 +27,7 @@ from imufield.deliver.report.budget import budget_of, budget_tables, not_in_budg
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import Reason, UsageError
 from imufield.sentences import Sentences
+from tests.deliver.certificate.qr import Modules, decoded
 from tests.refused import refused
 from tests.told import key_of
 
@@ -180,21 +181,34 @@ def test_a_sensitivity_has_a_unit_where_its_source_is_one_quantity(solved: Param
             assert row.sensitivity_unit == (f"{table.unit} per {unit}" if unit else "")
 
 
-def test_the_code_of_the_label_is_the_text_s(solved: Parameters) -> None:
-    import segno
-
-    certificate = certified(solved, 12)
-    text = label_text(certificate)
-    assert text == f"imufield serial=N1 calibrated=2026-01-31 due=2027-01-31 sha256={certificate.sha256[:12]}"
-    svg = parsed(label_svg(certificate))
-    drawn = svg.find("{*}svg")
-    assert drawn is not None
-    size = int((drawn.get("viewBox") or "").split()[2])
+def drawn_code(certificate: Certificate) -> Modules:
+    """Return the code as it is drawn, with its quiet zone."""
+    svg = parsed(label_svg(certificate)).find("{*}svg")
+    assert svg is not None
+    size = int((svg.get("viewBox") or "").split()[2])
     dark = np.zeros((size, size), dtype=np.bool_)
-    for x, y, width in re.findall(r"M(\d+) (\d+)h(\d+)v1h-\d+z", drawn[0].get("d") or ""):
+    for x, y, width in re.findall(r"M(\d+) (\d+)h(\d+)v1h-\d+z", svg[0].get("d") or ""):
         dark[int(y), int(x) : int(x) + int(width)] = True
-    wanted = [*segno.make(text, error="m", micro=False, boost_error=False).matrix_iter(border=4)]
-    assert np.array_equal(dark, np.array([[*row] for row in wanted], dtype=np.bool_))
+    return dark
+
+
+@pytest.mark.parametrize("serial_number", ["N1", "N-2025/0012345678 rev. C", "Gerät 7", "計測 7", ""])
+@pytest.mark.parametrize("due_months", [None, 12])
+def test_the_code_of_the_label_reads_as_its_text(
+    calibration: Calibration, observations: Observations, serial_number: str, due_months: int | None
+) -> None:
+    certificate = certified(parameters_of(calibration, observations, serial_number=serial_number), due_months)
+    dark = drawn_code(certificate)
+    assert not dark[[0, 1, 2, 3, -4, -3, -2, -1]].any()
+    assert not dark[:, [0, 1, 2, 3, -4, -3, -2, -1]].any()
+    code = dark[4:-4, 4:-4]
+    due = "" if due_months is None else " due=2027-01-31"
+    known = f"serial={serial_number or 'not known'} calibrated=2026-01-31{due} sha256={certificate.sha256[:12]}"
+    assert decoded(code) == label_text(certificate) == f"imufield {known}"
+    # The reader passes nothing over.
+    code[12, 12] ^= True
+    with pytest.raises(AssertionError):
+        decoded(code)
 
 
 @pytest.mark.parametrize(
