@@ -21,6 +21,7 @@ from imufield.deliver.report.budget import (
     Group,
     ParameterBudget,
     budget_of,
+    covariance_of,
     not_in_budget,
     scale_words,
     share_words,
@@ -247,6 +248,8 @@ def to_json(certificate: Certificate) -> Document:
         "coverage_probability": COVERAGE,
         "units": sentence("certificate.units"),
         "budget": [_parameter_json(parameter) for group in certificate.groups for parameter in group.parameters],
+        # In the order of the budget.
+        "covariance": [[_finite(value) for value in row] for row in covariance_of(certificate.parameters).tolist()],
     }
 
 

@@ -1,14 +1,15 @@
 r"""The certificate as a digital calibration certificate (DCC), XML in the namespaces of PTB [1]_.
 
 Its structure is that of schema version 3.2.0 as documented: administrative data, one measurement result with a list of
-quantities for each kind of parameter, and the certificate as PDF. The schema's files are not part of this program, so nothing
-is validated against them, and a statement inside says so.
+quantities for each kind of parameter and one of all with their covariance, and the certificate as PDF. The schema's files are
+not part of this program, so nothing is validated against them, and a statement inside says so.
 
 Values are in SI, coherent units in the notation of siunitx. Counts and pulses are numbers, unit ``\one``.
 
 References
 ----------
 .. [1] Physikalisch-Technische Bundesanstalt, https://ptb.de/dcc and https://ptb.de/si (D-SI).
+.. [2] JCGM 102:2011, 6.5: the region of several quantities. A common estimate of variance makes F of chi squared.
 """
 
 from __future__ import annotations
@@ -16,9 +17,12 @@ from __future__ import annotations
 import base64
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from xml.etree import ElementTree as ET
 
+import numpy as np
+
+from imufield.calibrate.model.distributions import f_quantile
 from imufield.deliver.certificate.certificate import (
     Certificate,
     conditions,
@@ -28,7 +32,7 @@ from imufield.deliver.certificate.certificate import (
     unknown,
     xml_text,
 )
-from imufield.deliver.report.budget import COVERAGE, Group
+from imufield.deliver.report.budget import COVERAGE, Group, covariance_of
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.sentences import Sentences
 from imufield.version import __version__
@@ -40,6 +44,7 @@ SI = "https://ptb.de/si"
 SCHEMA_VERSION = "3.2.0"
 _NO_COUNTRY = "ZZ"  # ISO 3166-1: a code that stands for no country; the country of the parties is not asked for.
 _LANGUAGE = "en"
+_NORMAL = 1e6  # Degrees of freedom: with more, F is chi squared to five digits.
 # Of a raw unit: its exponents of SI units, and its size.
 _RAW: dict[str, tuple[Mapping[str, int], float]] = {
     "m/s^2": ({"metre": 1, "second": -2}, 1.0),
@@ -93,6 +98,12 @@ def _dcc(name: str, *children: ET.Element, **attributes: str) -> ET.Element:
 def _text(name: str, value: str, namespace: str = DCC) -> ET.Element:
     element = ET.Element(f"{{{namespace}}}{name}")
     element.text = xml_text(value)
+    return element
+
+
+def _si(name: str, *children: ET.Element) -> ET.Element:
+    element = ET.Element(f"{{{SI}}}{name}")
+    element.extend(children)
     return element
 
 
@@ -163,7 +174,7 @@ def _measurement_result(certificate: Certificate) -> ET.Element:
         _dcc("usedMethods", method),
         _dcc("measuringEquipments", *equipment),
         _dcc("influenceConditions", *influences),
-        _dcc("results", *(_result(group, units) for group in certificate.groups)),
+        _dcc("results", *(_result(group, units) for group in certificate.groups), *_joint_result(certificate, units)),
     ]
     return _dcc("measurementResult", *children)
 
@@ -176,35 +187,78 @@ def _content(value: str) -> ET.Element:
 
 def _result(group: Group, raw_units: Mapping[str, str]) -> ET.Element:
     """Return the values of one kind of parameters with their expanded uncertainty."""
-    unit, size = unit_of(group.key, raw_units[group.key.partition(".")[0]])
+    exponents, size = unit_of(group.key, raw_units[group.key.partition(".")[0]])
     places = " ".join(parameter.place for parameter in group.parameters)
-    numbers = ET.Element(f"{{{SI}}}realListXMLList")
-    numbers.append(_list("valueXMLList", (parameter.value * size for parameter in group.parameters)))
-    numbers.append(_text("unitXMLList", unit, SI))
+    values = _list("valueXMLList", (parameter.value * size for parameter in group.parameters))
+    numbers = _si("realListXMLList", values, _text("unitXMLList", unit_words(exponents), SI))
     # Without a degree of freedom nothing says how sure a number is.
     if all(math.isfinite(parameter.expanded) for parameter in group.parameters):
-        uncertainty = ET.SubElement(numbers, f"{{{SI}}}expandedUncXMLList")
-        uncertainty.append(_list("uncertaintyXMLList", (parameter.expanded * size for parameter in group.parameters)))
-        uncertainty.append(_list("coverageFactorXMLList", (parameter.coverage_factor for parameter in group.parameters)))
-        uncertainty.append(_text("coverageProbabilityXMLList", str(COVERAGE), SI))
-    quantity = _dcc("quantity", _named("name", f"{group.title}: {places}"), numbers, refType="basic_measuredValue")
-    return _dcc("result", _named("name", group.title), _dcc("data", _dcc("list", quantity)))
+        uncertainties = _list("uncertaintyXMLList", (parameter.expanded * size for parameter in group.parameters))
+        factors = _list("coverageFactorXMLList", (parameter.coverage_factor for parameter in group.parameters))
+        chance = _text("coverageProbabilityXMLList", str(COVERAGE), SI)
+        numbers.append(_si("expandedUncXMLList", uncertainties, factors, chance))
+    return _listed(group.title, f"{group.title}: {places}", numbers)
+
+
+def _joint_result(certificate: Certificate, raw_units: Mapping[str, str]) -> Iterator[ET.Element]:
+    """Yield the values of all parameters with their covariance; nothing where one of them has no uncertainty."""
+    parameters = [parameter for group in certificate.groups for parameter in group.parameters]
+    freedom = min((parameter.degrees_of_freedom for parameter in parameters), default=0.0)
+    covariance = covariance_of(certificate.parameters)
+    if not (freedom > 0 and np.isfinite(covariance).all()):
+        return
+    units = [
+        unit_of(group.key, raw_units[group.key.partition(".")[0]]) for group in certificate.groups for _ in group.parameters
+    ]
+    sizes = np.array([size for _, size in units])
+    columns = (
+        _si("column", *(_covariance(value, row, column) for value, (row, _) in zip(values, units, strict=True)))
+        for values, (column, _) in zip((covariance * np.outer(sizes, sizes)).tolist(), units, strict=True)
+    )
+    # The least degrees of freedom among the parameters: the region is rather too large [2]_.
+    factor = math.sqrt(len(units) * f_quantile(len(units), min(freedom, _NORMAL), COVERAGE))
+    region = _si(
+        "ellipsoidalRegionXMLList",
+        _si("covarianceMatrix", *columns),
+        _text("coverageFactor", repr(factor), SI),
+        _text("coverageProbability", str(COVERAGE), SI),
+    )
+    numbers = _si(
+        "realListXMLList",
+        _text("labelXMLList", " ".join(parameter.name for parameter in parameters), SI),
+        _list("valueXMLList", (parameter.value * size for parameter, size in zip(parameters, sizes, strict=True))),
+        _text("unitXMLList", " ".join(unit_words(exponents) for exponents, _ in units), SI),
+        region,
+    )
+    yield _listed(sentence("dcc.covariance"), sentence("dcc.covariance"), numbers)
+
+
+def _covariance(value: float, row: Mapping[str, int], column: Mapping[str, int]) -> ET.Element:
+    exponents = Counter(row)
+    exponents.update(column)
+    return _si("covariance", _text("value", repr(value), SI), _text("unit", unit_words(exponents), SI))
+
+
+def _listed(title: str, name: str, numbers: ET.Element) -> ET.Element:
+    """Return a result that is one list of numbers."""
+    quantity = _dcc("quantity", _named("name", name), numbers, refType="basic_measuredValue")
+    return _dcc("result", _named("name", title), _dcc("data", _dcc("list", quantity)))
 
 
 def _list(name: str, values: Iterable[float]) -> ET.Element:
     return _text(name, " ".join(repr(float(value)) for value in values), SI)
 
 
-def unit_of(key: str, raw_unit: str) -> tuple[str, float]:
-    """Return the SI unit of a kind of parameters, and the size of the parameter file's unit in it."""
+def unit_of(key: str, raw_unit: str) -> tuple[Mapping[str, int], float]:
+    """Return the exponents of the SI unit of a kind of parameters, and the size of the parameter file's unit in it."""
     kind = key.partition(".")[2]
     if kind in _FIXED:
-        return unit_words(_FIXED[kind]), 1.0
+        return _FIXED[kind], 1.0
     exponents, size = _RAW[raw_unit]
     left = Counter(exponents)
     for divisor in _DIVISORS[key]:
         left.subtract(divisor)
-    return unit_words(left), size
+    return left, size
 
 
 def unit_words(exponents: Mapping[str, int]) -> str:

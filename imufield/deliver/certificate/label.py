@@ -52,7 +52,8 @@ def label_svg(certificate: Certificate) -> str:
         import segno
     except ImportError as error:
         raise missing_package("segno", "web") from error
-    code = segno.make(label_text(certificate), error="m", micro=False, boost_error=False)
+    # Left to choose, segno takes Latin-1 or Shift JIS where they hold the text, and a reader has to guess.
+    code = segno.make(label_text(certificate), error="m", micro=False, boost_error=False, encoding="utf-8")
     modules = code.symbol_size(scale=1, border=_QUIET)[0]
     dark = "".join(
         f"M{x + _QUIET} {y + _QUIET}h{width}v1h-{width}z" for y, row in enumerate(code.matrix) for x, width in _runs(row)

@@ -21,7 +21,7 @@ from imufield.deliver.parameters.context import ClockFacts
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S, acceleration_unit, decimals
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2
-from imufield.samples import AXES
+from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
@@ -168,6 +168,17 @@ def budget_of(parameters: Parameters) -> tuple[Group, ...]:
     return tuple(Group(key=key, parameters=tuple(groups[key])) for key in _TITLES if key in groups)
 
 
+def covariance_of(parameters: Parameters) -> FloatArray:
+    """Return the covariance of the parameters of ``budget_of``, in their order and units, with the time base, shape (n, n)."""
+    calibration = parameters.calibration
+    by_clock = _by_clock(calibration, parameters.context.clock)
+    # Rounding in the file leaves it symmetric but for the last digits.
+    C = (calibration.covariance + calibration.covariance.T) / 2 + np.outer(by_clock, by_clock)
+    names = (parameter.name for group in budget_of(parameters) for parameter in group.parameters)
+    rows = [calibration.covariance_names.index(name) for name in names]
+    return np.asarray(C[np.ix_(rows, rows)])
+
+
 def _not_apart(calibration: Calibration) -> Iterator[Share]:
     """Yield the shares of a file that has none: what gravity is in the covariance, and the rest."""
     names, C = calibration.covariance_names, calibration.covariance
@@ -185,13 +196,21 @@ def _not_apart(calibration: Calibration) -> Iterator[Share]:
 
 
 def _time_base(calibration: Calibration, clock: ClockFacts | None) -> Iterator[Share]:
-    """Yield the share of the clock: the scale of the gyroscope holds for its period, and is stated here in true seconds."""
-    if clock is None or calibration.gyroscope is None:
-        return
-    scale = dict(zip((f"gyroscope.scale.{axis}" for axis in AXES), calibration.gyroscope.parameters.scale, strict=True))
-    sigma = np.array([abs(scale.get(name, 0.0)) * clock.sigma for name in calibration.covariance_names])
-    if np.any(sigma > 0):
+    """Yield the share of the clock, where it has one."""
+    sigma = np.abs(_by_clock(calibration, clock))
+    if clock is not None and np.any(sigma > 0):
         yield Share(name=_TIME_BASE, kind="B", input_sigma=clock.sigma, input_unit="s/s", sigma=sigma)
+
+
+def _by_clock(calibration: Calibration, clock: ClockFacts | None) -> FloatArray:
+    """Return by how much 1 sigma of the clock moves each parameter, shape (n,): it is common to the scales of the gyroscope.
+
+    They hold for the period of the clock, and are stated here in true seconds.
+    """
+    if clock is None or calibration.gyroscope is None:
+        return np.zeros(len(calibration.covariance_names))
+    scale = dict(zip((f"gyroscope.scale.{axis}" for axis in AXES), calibration.gyroscope.parameters.scale, strict=True))
+    return np.array([scale.get(name, 0.0) * clock.sigma for name in calibration.covariance_names])
 
 
 def _value(calibration: Calibration, name: str) -> float:

@@ -16,7 +16,7 @@ from imufield.calibrate.model.budget import Share
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration
 from imufield.deliver.certificate.certificate import Certificate, Parties, conditions, issue_date, references, to_json
-from imufield.deliver.certificate.dcc import DCC, SI, to_xml, unit_of
+from imufield.deliver.certificate.dcc import DCC, SI, to_xml, unit_of, unit_words
 from imufield.deliver.certificate.label import label_svg, label_text
 from imufield.deliver.certificate.page import render_certificate
 from imufield.deliver.parameters.consistency import contradiction
@@ -27,6 +27,7 @@ from imufield.deliver.report.budget import budget_of, budget_tables, not_in_budg
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import Reason, UsageError
 from imufield.sentences import Sentences
+from tests.deliver.certificate.qr import Modules, decoded
 from tests.refused import refused
 from tests.told import key_of
 
@@ -87,7 +88,7 @@ def test_the_xml_has_the_documented_structure(solved: Parameters) -> None:
 
 def test_lists_are_as_long_as_their_names_and_in_si(solved: Parameters) -> None:
     root = parsed(to_xml(certified(solved)))
-    quantities = list(root.iter(f"{{{DCC}}}quantity"))
+    *quantities, _ = root.iter(f"{{{DCC}}}quantity")
     groups = budget_of(solved)
     assert len(quantities) == len(groups) > 3
     for quantity, group in zip(quantities, groups, strict=True):
@@ -123,7 +124,8 @@ def test_lists_are_as_long_as_their_names_and_in_si(solved: Parameters) -> None:
     ],
 )
 def test_units_are_powers_of_si(key: str, raw_unit: str, unit: str, size: float) -> None:
-    assert unit_of(key, raw_unit) == (unit, size)
+    exponents, found_size = unit_of(key, raw_unit)
+    assert (unit_words(exponents), found_size) == (unit, size)
 
 
 def test_texts_of_somebody_else_are_texts(calibration: Calibration, observations: Observations) -> None:
@@ -179,21 +181,34 @@ def test_a_sensitivity_has_a_unit_where_its_source_is_one_quantity(solved: Param
             assert row.sensitivity_unit == (f"{table.unit} per {unit}" if unit else "")
 
 
-def test_the_code_of_the_label_is_the_text_s(solved: Parameters) -> None:
-    import segno
-
-    certificate = certified(solved, 12)
-    text = label_text(certificate)
-    assert text == f"imufield serial=N1 calibrated=2026-01-31 due=2027-01-31 sha256={certificate.sha256[:12]}"
-    svg = parsed(label_svg(certificate))
-    drawn = svg.find("{*}svg")
-    assert drawn is not None
-    size = int((drawn.get("viewBox") or "").split()[2])
+def drawn_code(certificate: Certificate) -> Modules:
+    """Return the code as it is drawn, with its quiet zone."""
+    svg = parsed(label_svg(certificate)).find("{*}svg")
+    assert svg is not None
+    size = int((svg.get("viewBox") or "").split()[2])
     dark = np.zeros((size, size), dtype=np.bool_)
-    for x, y, width in re.findall(r"M(\d+) (\d+)h(\d+)v1h-\d+z", drawn[0].get("d") or ""):
+    for x, y, width in re.findall(r"M(\d+) (\d+)h(\d+)v1h-\d+z", svg[0].get("d") or ""):
         dark[int(y), int(x) : int(x) + int(width)] = True
-    wanted = [*segno.make(text, error="m", micro=False, boost_error=False).matrix_iter(border=4)]
-    assert np.array_equal(dark, np.array([[*row] for row in wanted], dtype=np.bool_))
+    return dark
+
+
+@pytest.mark.parametrize("serial_number", ["N1", "N-2025/0012345678 rev. C", "Gerät 7", "計測 7", ""])
+@pytest.mark.parametrize("due_months", [None, 12])
+def test_the_code_of_the_label_reads_as_its_text(
+    calibration: Calibration, observations: Observations, serial_number: str, due_months: int | None
+) -> None:
+    certificate = certified(parameters_of(calibration, observations, serial_number=serial_number), due_months)
+    dark = drawn_code(certificate)
+    assert not dark[[0, 1, 2, 3, -4, -3, -2, -1]].any()
+    assert not dark[:, [0, 1, 2, 3, -4, -3, -2, -1]].any()
+    code = dark[4:-4, 4:-4]
+    due = "" if due_months is None else " due=2027-01-31"
+    known = f"serial={serial_number or 'not known'} calibrated=2026-01-31{due} sha256={certificate.sha256[:12]}"
+    assert decoded(code) == label_text(certificate) == f"imufield {known}"
+    # The reader passes nothing over.
+    code[12, 12] ^= True
+    with pytest.raises(AssertionError):
+        decoded(code)
 
 
 @pytest.mark.parametrize(
