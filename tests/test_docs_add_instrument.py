@@ -144,5 +144,5 @@ def test_the_file_loses_nothing_where_a_busy_host_stamps_late(
     samples = concatenate([decoder.feed(frames(bus_file, 0.008), N * 0.01), decoder.flush()])
     assert len(samples) == decoder.statistics.samples == N
     assert decoder.statistics.samples_incomplete == np.isnan(samples.gyroscope).any(axis=1).sum() == incomplete
-    said = [f"{incomplete} of {N} samples ({2 * incomplete} %) lack acceleration or rate and are not averaged"]
+    said = [f"{incomplete} of {N} samples ({2 * incomplete} %) lack acceleration or angular rate and are not averaged"]
     assert remarks([decoder.statistics]) == (said if incomplete else [])

@@ -289,7 +289,7 @@ def test_keys_on_a_terminal(program: Program, screen: Terminal) -> None:
         screen.wait_for(words)
     screen.wait_for("accepted -")
     screen.type("f")
-    screen.wait_for("f again to finish with")
+    screen.wait_for("f again within 10 s to finish with")
     assert screen.process.poll() is None
     screen.type("f")
     screen.wait_for("finished with")

@@ -42,7 +42,7 @@ def test_tables_say_their_units_and_what_to_leave_out(
     assert "time in s, accelerometer in m/s^2, gyroscope in rad/s, temperature in degC" in told
     marked = sum(int(line.rsplit(",", 1)[1]) & Status.START_UP != 0 for line in table.read_text().splitlines()[1:])
     assert marked > 100
-    assert f"{marked} rows are marked unusable in the column status, {marked} of them during start-up (flag 16)" in told
+    assert f"{marked} rows marked unusable in the column status, {marked} of them during start-up (flag 16)" in told
     assert run(["apply", str(solved_session), str(session.folder), "-o", str(tmp_path / "corrected.csv")]) == 0
     assert "specific force in m/s^2, angular rate in rad/s" in capsys.readouterr().out
 

@@ -74,9 +74,9 @@ def read_bag(path: Path, topic: str | None = None) -> ArrayTable:
     rows, cause = arrays["rows"], stated["cause"]
     if cause and not len(rows):
         raise RecordingError(sentence("ros_bags.damaged", path=str(path), cause=cause), Reason.DAMAGED)
-    _check_topics(path, stated["topics"], topic)
+    read_topic = _only_topic(path, stated["topics"], topic)
     if not len(rows):
-        raise RecordingError(sentence("ros_bags.no_message", path=str(path)), Reason.BAD_DATA)
+        raise RecordingError(sentence("ros_bags.no_message", path=str(path), topic=read_topic), Reason.BAD_DATA)
     return _table(path, rows, [sentence("ros_bags.lost", name=path.name, count=len(rows), cause=cause)] if cause else [])
 
 
@@ -90,8 +90,8 @@ def _refuse_links(path: Path) -> None:
             raise RecordingError(sentence("ros_bags.no_file", path=str(file), cause=error.strerror), Reason.FOREIGN) from error
 
 
-def _check_topics(path: Path, there: Sequence[tuple[str, str]], topic: str | None) -> None:
-    """Refuse a recording of which no topic or several could be read."""
+def _only_topic(path: Path, there: Sequence[tuple[str, str]], topic: str | None) -> str:
+    """Return the topic that is read; refuse a recording of which no topic or several could be."""
     topics = [name for name, kind in there if kind == IMU_TYPE and topic in (None, name)]
     if len(topics) > 1:
         raise UsageError(sentence("ros_bags.several_topics", path=str(path), kind=IMU_TYPE, topics=topics))
@@ -99,6 +99,7 @@ def _check_topics(path: Path, there: Sequence[tuple[str, str]], topic: str | Non
         listed = [f"{name} ({kind})" for name, kind in there] or "nothing"
         wanted = IMU_TYPE if topic is None else f"{IMU_TYPE} on {topic}"
         raise RecordingError(sentence("ros_bags.no_topic", path=str(path), wanted=wanted, there=listed), Reason.BAD_DATA)
+    return topics[0]
 
 
 def _table(path: Path, rows: FloatArray, said: list[str]) -> ArrayTable:

@@ -38,7 +38,7 @@ def test_a_whole_session_in_any_order(make_path: Any) -> None:
     assert guide.done
     assert isinstance(events[0], NoiseFloorMeasured)
     assert isinstance(events[1], Move)
-    assert events[1].why == "the unit is there already"
+    assert events[1].why == "the unit is already in this position"
     assert [event.position for event in of(events, Accepted)] == list(order)
     assert of(events, Done)[0].skipped == ()
     assert not of(events, Rejected)

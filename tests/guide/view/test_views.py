@@ -113,7 +113,7 @@ def test_plain_lines_tell_progress_now_and_then(session: Any) -> None:
         view.show(events)
     text = "\n".join(lines)
     assert "accepted +z: 3.0 s" in text
-    assert "refused: no open position here" in text
+    assert "refused: none of the open positions is near" in text
     assert sum("turning:" in one for one in lines) <= 3
     assert not re.search(r"\x1b", text)
 
@@ -125,7 +125,7 @@ def test_plain_lines_tell_progress_now_and_then(session: Any) -> None:
         (3.35, "H O L D   S T I L L", "+z: +z up, standing on the -z face"),
         (5.0, "G O O D :   T U R N", "1 of 6 done"),
         (6.8, "T U R N", "moving"),
-        (12.5, "N O T   T A K E N", "no open position here"),
+        (12.5, "N O T   T A K E N", "none of the open positions is near"),
     ],
 )
 def test_screen_says_what_to_do(session: Any, until_s: Any, big: Any, told: Any) -> None:
@@ -227,14 +227,14 @@ def test_the_panel_says_what_is_not_known_yet(session: Any) -> None:
     guide = list(session(9.0))[-1][1]
     for forecast, told in (
         ({}, ("accuracy: not known yet",)),
-        ({"scale_ppm": 26000.0}, ("1 sigma now: scale 2.6 %", "bias unknown, angle unknown")),
+        ({"scale_ppm": 26000.0}, ("1 sigma now: scale 2.6 %", "bias unknown, misal. unknown")),
         (
             {"bias_ug": 25800.0, "scale_ppm": 9990.0, "misalignment_urad": 25800.0},
-            ("1 sigma now: scale 0.999 %", "bias 25.8 mg, angle 25.8 mrad"),
+            ("1 sigma now: scale 0.999 %", "bias 25.8 mg, misal. 25.8 mrad"),
         ),
         (
             {"bias_ug": 103.4, "scale_ppm": 43.12, "misalignment_urad": 47.31},
-            ("1 sigma now: scale 43.1 ppm", "bias 103 ug, angle 47.3 urad"),
+            ("1 sigma now: scale 43.1 ppm", "bias 103 ug, misal. 47.3 urad"),
         ),
     ):
         console = Console(width=WIDTH, height=HEIGHT, record=True, file=open_nothing())
