@@ -15,7 +15,7 @@ from imufield.cli.run import run
 if TYPE_CHECKING:
     from tests.commands.conftest import Program
 
-BEFORE = re.compile(r"\(([+-]?\d\.\d+) deg with the parameters before\)")
+BEFORE = re.compile(r"\(([+-]?\d\.\d+) deg with the earlier parameters\)")
 CLOSURE = re.compile(r"closing error ([+-]?\d\.\d+) deg")
 
 
@@ -26,7 +26,7 @@ def gyroscope_path(session: Session) -> str:
 @pytest.mark.parametrize(
     ("kind", "words"),
     [
-        ("rolled", "6 of them whole turns, whose end is checked against gravity"),
+        ("rolled", "6 of them whole turns about axes that are not vertical, checked against gravity at the end"),
         ("table", "6 whole turns about the vertical against a stop"),
     ],
 )
