@@ -63,4 +63,4 @@ def test_the_emulated_operator_turns_and_the_program_sees_it(program: Program) -
     assert session.finished
     solved = program.run("solve", session.folder)
     assert solved.returncode == 0, solved.stderr
-    assert "whole turns, whose end is checked against gravity" in gyroscope_path(session)
+    assert "whole turns about axes that are not vertical, checked against gravity at the end" in gyroscope_path(session)
