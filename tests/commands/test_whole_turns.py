@@ -15,7 +15,7 @@ from imufield.cli.run import run
 if TYPE_CHECKING:
     from tests.commands.conftest import Program
 
-BEFORE = re.compile(r"\(([+-]?\d\.\d+) deg with the parameters before\)")
+BEFORE = re.compile(r"\(([+-]?\d\.\d+) deg with the earlier parameters\)")
 CLOSURE = re.compile(r"closing error ([+-]?\d\.\d+) deg")
 
 
@@ -26,7 +26,7 @@ def gyroscope_path(session: Session) -> str:
 @pytest.mark.parametrize(
     ("kind", "words"),
     [
-        ("rolled", "6 of them whole turns, whose end is checked against gravity"),
+        ("rolled", "6 of them whole turns about axes that are not vertical, checked against gravity at the end"),
         ("table", "6 whole turns about the vertical against a stop"),
     ],
 )
@@ -63,4 +63,4 @@ def test_the_emulated_operator_turns_and_the_program_sees_it(program: Program) -
     assert session.finished
     solved = program.run("solve", session.folder)
     assert solved.returncode == 0, solved.stderr
-    assert "whole turns, whose end is checked against gravity" in gyroscope_path(session)
+    assert "whole turns about axes that are not vertical, checked against gravity at the end" in gyroscope_path(session)

@@ -9,6 +9,7 @@ from imufield.deliver.certificate.certificate import Certificate, conditions, id
 from imufield.deliver.parameters.document import GYROSCOPE_EQUATION
 from imufield.deliver.report.budget import BudgetTable, budget_tables
 from imufield.deliver.report.page import render
+from imufield.deliver.report.rows import GAUGE_WORDS
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -35,7 +36,7 @@ def render_certificate(certificate: Certificate, label: str) -> str:
         "results": [*_results(tables)],
         "equation": calibration.equation,
         "gyroscope_equation": "" if calibration.gyroscope is None else GYROSCOPE_EQUATION,
-        "gauge": calibration.gauge,
+        "frame": f"{GAUGE_WORDS[calibration.gauge]} (gauge {calibration.gauge})",
         "conditions": [*conditions(certificate)],
         "statements": statements(certificate)[1:],
         "method": sentence("certificate.method"),

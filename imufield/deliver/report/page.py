@@ -21,7 +21,7 @@ from imufield.deliver.report.data import ReportData
 from imufield.deliver.report.gain import gain
 from imufield.deliver.report.over_temperature import temperature_curves
 from imufield.deliver.report.positions import directions, position_cards
-from imufield.deliver.report.rows import VERDICT_WORDS, Row, parameter_rows
+from imufield.deliver.report.rows import GAUGE_WORDS, VERDICT_WORDS, Row, parameter_rows
 from imufield.deliver.report.summary import sigma_words
 from imufield.deliver.report.together import HEADINGS, session_rows, together_rows
 from imufield.deliver.verification.result import duration_words
@@ -145,7 +145,7 @@ def _facts(data: ReportData) -> Document:
         "positions_caption": sentence("page.residuals"),
         "quality": list(_quality(calibration)),
         "gyroscope_path": "not calibrated" if calibration.gyroscope is None else calibration.gyroscope.path,
-        "gauge": calibration.gauge,
+        "frame": f"{GAUGE_WORDS[calibration.gauge]} (gauge {calibration.gauge})",
         "equation": calibration.equation,
         "together": [*together_rows(parameters)],
         "together_headings": HEADINGS,

@@ -20,6 +20,12 @@ VERDICT_WORDS = {
     "usable": "read the warnings below",
     "poor": "do not use it for navigation",
 }
+GAUGE_WORDS = {
+    "lower": "body x is the sensor's x axis, body y lies in its x-y plane",
+    "upper": "body z is the sensor's z axis, body y lies in its y-z plane",
+    "symmetric": "body axes are the orthogonal axes nearest to the sensor's axes",
+    "preset": "body axes are those of the preset",
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

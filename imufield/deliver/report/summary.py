@@ -31,7 +31,7 @@ from imufield.deliver.parameters.numbers import (
     with_sigma_within,
 )
 from imufield.deliver.report.gain import gain
-from imufield.deliver.report.rows import VERDICT_WORDS, Quantity, quantities
+from imufield.deliver.report.rows import GAUGE_WORDS, VERDICT_WORDS, Quantity, quantities
 from imufield.earth import MICRO_G_M_S2, height_words
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentence, Sentences, folded, printable
@@ -39,12 +39,6 @@ from imufield.sentences import Sentence, Sentences, folded, printable
 sentence = Sentences(__package__)
 
 _VERDICT_STYLES = {"good": "bold green", "usable": "bold yellow", "poor": "bold red"}
-_GAUGE_WORDS = {
-    "lower": "body x is the sensor's x axis, body y lies in its x-y plane",
-    "upper": "body z is the sensor's z axis, body y lies in its y-z plane",
-    "symmetric": "body axes lie in the middle of the sensor's axes",
-    "preset": "body axes are those of the preset",
-}
 # Three columns of each fit 80 characters.
 _BAR_WIDTH = 9
 _NUMBER_WIDTH = 18
@@ -163,7 +157,7 @@ def _facts(calibration: Calibration) -> Table:
     elif gravity.source == "normal" and gravity.latitude_deg is not None:
         source = sentence("summary.normal", latitude_deg=gravity.latitude_deg, height=height_words(gravity))
     table.add_row("Gravity", f"{with_sigma(gravity.gravity_m_s2, gravity.sigma_m_s2)} m/s², {source}")
-    table.add_row("Frame", f"gauge {calibration.gauge}: {_GAUGE_WORDS[calibration.gauge]}")
+    table.add_row("Frame", f"gauge {calibration.gauge}: {GAUGE_WORDS[calibration.gauge]}")
     table.add_row("Sigma", sigma_words(quality))
     return table
 
