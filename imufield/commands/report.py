@@ -6,6 +6,7 @@ import platform
 import shlex
 import sys
 from collections.abc import Iterator
+from contextlib import ExitStack
 from importlib.metadata import version
 from pathlib import Path
 
@@ -123,20 +124,21 @@ def _read(
 ) -> tuple[Trace | None, Closure | None, tuple[str, ...]]:
     """Return what only the recording tells, and sentences about what it does not."""
     damage: list[Damage] = []
-    try:
-        reading = read_recording(session, damage)
-    except CalibrationError as error:
-        # Parameters that are here all the same have a report.
-        return None, None, (error.message,)
-    positions, old = with_gyroscope(observations_of(parameters), reading.observations), None
-    if preset is not None and preset.calibration.gyroscope is not None:
-        old = preset.calibration.gyroscope.parameters
-    closed = None
-    # Positions that were given otherwise have no time, and no moves between them.
-    if len(positions) and np.isfinite(positions.start_s).all():
-        stills = positions if reading.rests is None else join_observations(positions, reading.rests)
-        closed = closure(stills, reading.between(positions), parameters, old, nominal=reading.gyroscope_scale)
-    return trace(reading.cells, parameters), closed, tuple(entry.what for entry in damage)
+    with ExitStack() as stack:
+        try:
+            reading = stack.enter_context(read_recording(session, damage))
+        except CalibrationError as error:
+            # Parameters that are here all the same have a report.
+            return None, None, (error.message,)
+        positions, old = with_gyroscope(observations_of(parameters), reading.observations), None
+        if preset is not None and preset.calibration.gyroscope is not None:
+            old = preset.calibration.gyroscope.parameters
+        closed = None
+        # Positions that were given otherwise have no time, and no moves between them.
+        if len(positions) and np.isfinite(positions.start_s).all():
+            stills = positions if reading.rests is None else join_observations(positions, reading.rests)
+            closed = closure(stills, reading.between(positions), parameters, old, nominal=reading.gyroscope_scale)
+        return trace(reading.cells, parameters), closed, tuple(entry.what for entry in damage)
 
 
 def _provenance(path: Path, parameters: Parameters, session: Session | None) -> Iterator[tuple[str, str]]:

@@ -6,8 +6,9 @@ import hashlib
 import math
 import shlex
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -85,8 +86,7 @@ def solve_session(
         Recording unreadable, calibration impossible or refused.
     """
     damage: list[Damage] = []
-    reading = read_recording(session, damage, listeners)
-    with naming_damage(session, damage), task("solving"):
+    with read_recording(session, damage, listeners) as reading, naming_damage(session, damage), task("solving"):
         observations, left_out = leave_out(reading.observations, settings.without)
         between, best = reading.between(observations), reading.best
         is_import = session.record.kind == "import"
@@ -119,8 +119,11 @@ def solve_session(
             raise CalibrationError(why, Reason.SATURATED, **error.values) from error
 
 
-def read_recording(session: Session, damage: list[Damage], listeners: tuple[SamplesListener, ...] = ()) -> Reading:
+@contextmanager
+def read_recording(session: Session, damage: list[Damage], listeners: tuple[SamplesListener, ...] = ()) -> Iterator[Reading]:
     """Replay a session, or take what is kept of an earlier replay where nobody listens.
+
+    What was read is kept when the block ends well: a command that is refused writes nothing.
 
     Parameters
     ----------
@@ -146,7 +149,8 @@ def read_recording(session: Session, damage: list[Damage], listeners: tuple[Samp
         if not (goes_on or listeners) and is_kept(session):
             found = kept(session, hashing.result())
             if found is not None:
-                return found
+                yield found
+                return
         replay_into(chain, session, damage, collected.hear)
         sha256 = hashing.result()
     if goes_on:
@@ -154,9 +158,9 @@ def read_recording(session: Session, damage: list[Damage], listeners: tuple[Samp
         chain.notes.append(sentence("solving.goes_on"))
     with naming_damage(session, damage), task("solving"):
         reading = reading_of(session, chain, collected, damage, sha256=sha256)
+    yield reading
     if not (goes_on or damage):
         keep(session, reading)
-    return reading
 
 
 def reading_of(

@@ -124,7 +124,8 @@ def fit_jointly(data: GyroscopeData, start: FloatArray, free: IntArray, scatter:
     columns = np.array([*free, *nuisance, *range(FIRST_HORIZONTAL, data.parameters)], dtype=np.int64)
     strict = make_prior(data, heading=True)
     # One azimuth serves each chain of moves; once every chain knows it, the known length is kept strictly.
-    for settled in (_NEAR, _SETTLED) if strict.length_rad_s else (_SETTLED,):
+    settled = _NEAR if strict.length_rad_s else _SETTLED
+    while True:
         fitted = _gauss_newton(data, p, columns, prior, scatter, settled=settled)
         p, scatter = fitted.p.copy(), fitted.scatter
         places = np.flatnonzero(fitted.free >= FIRST_HORIZONTAL)
@@ -133,7 +134,9 @@ def fit_jointly(data: GyroscopeData, start: FloatArray, free: IntArray, scatter:
             h = p[FIRST_HORIZONTAL:].reshape(-1, 2)
             h *= strict.length_rad_s / np.linalg.norm(h, axis=1)[:, None]
             return _gauss_newton(data, p, columns, strict, scatter)
-    return fitted
+        if settled == _SETTLED:
+            return fitted
+        settled = _SETTLED
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
