@@ -50,6 +50,11 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     return files
 
 
+def on_page_markdown(markdown: str, **_: object) -> str:
+    """Return a page whose links to the root's pages lead to those added here; called by mkdocs."""
+    return markdown.replace("](../SECURITY.md", "](security.md")
+
+
 def commands() -> Iterator[str]:
     """Yield the page of all commands, from what ``--help`` says."""
     yield "# Commands\n\n`imufield COMMAND -h` and [the man page](imufield.1) say the same. Exit codes: [errors](errors.md).\n"

@@ -33,7 +33,7 @@ from imufield.samples import SampleUnits
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-KEPT_FILE = "session.reading"
+KEPT_FILE = ".imufield-reading"  # Hidden, as the index of a history: it is nobody's result.
 _DIGEST_BYTES = 32
 _ROOMS = ("acquire", "calibrate", "guide", "pipeline")  # Whose code a reading hangs on.
 _TYPES = {

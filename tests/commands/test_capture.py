@@ -280,10 +280,10 @@ def test_keys_on_a_terminal(program: Program, screen: Terminal) -> None:
     for key, words in (
         ("p", "press p to continue"),
         ("p", "continuing"),
-        ("s", "skip:"),
-        ("u", "undo:"),
-        ("r", "retake:"),
-        ("S", "skip:"),
+        ("s", "skipped ("),
+        ("u", "undone;"),
+        ("r", "will be measured again"),
+        ("S", "skipped ("),
     ):
         screen.type(key)
         screen.wait_for(words)

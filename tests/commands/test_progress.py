@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from imufield.errors import EXIT_INTERRUPTED
+from imufield.pipeline.kept import KEPT_FILE
 from tests.commands.pty_terminal import Terminal
 from tests.commands.test_verify import rest_session
 from tests.commands.told import missing
@@ -36,7 +37,8 @@ AT_ONCE = [("show_progress_at_once",)]
 
 @pytest.fixture
 def here(program: Program, short_solved: Path) -> Path:
-    shutil.copytree(short_solved, program.folder / "here")
+    # Without what is kept of its replay: reading it again is what takes long.
+    shutil.copytree(short_solved, program.folder / "here", ignore=shutil.ignore_patterns(KEPT_FILE))
     return program.folder / "here"
 
 
@@ -76,7 +78,7 @@ def test_a_command_says_what_it_does_and_writes_and_leaves_the_terminal_clean(
     before = set(program.folder.iterdir()) | set(here.iterdir())
     terminal = start(terminals, program, command)
     assert terminal.wait() == 0, terminal.text
-    # Hidden is the index of a history, which is nobody's result.
+    # Hidden are the index of a history and what is kept of a replay, which are nobody's results.
     made = [path for path in (*program.folder.iterdir(), *here.iterdir()) if path not in before and path.name[0] != "."]
     assert not missing(terminal.text, *(path.name for path in made))
     drawn = [words.partition(":")[0] for words in terminal.raw.split("\r\x1b[K") if ":" in words]

@@ -37,8 +37,7 @@ ParameterFile = Annotated[Path, session_argument(help="Parameter file.")]
 class SolveOptions:
     """The options of ``solve``.
 
-    With --together, sessions of one instrument give one file: parameters for a day not measured, and the
-    change from day to day.
+    With --together, sessions of one instrument give one file: parameters for a day not measured.
 
     Example: imufield solve --latitude 48.1 --height 520
 
@@ -79,18 +78,25 @@ class SolveOptions:
     ] = None
     without: Annotated[list[str] | None, option(help="Name of a position to leave out; may be repeated.")] = None
     clock_sigma_ppm: Annotated[
-        float | None, option(help="How well the sample period is known, 1 sigma, ppm (default: by kind of clock).", low=0)
+        float | None, option(help="Uncertainty of the sample period, 1 sigma, ppm (default: by kind of clock).", low=0)
     ] = None
     method: Annotated[str, option(help="least-squares, bsas, ide and others, see docs/study.md.")] = "least-squares"
     method_settings: MethodSettings = field(default_factory=dict)
     polish: Annotated[bool, option(help="Refine the result of any other --method by least squares.")] = True
-    cross_check: Annotated[bool, option("--cross-check", help="Solve by bsas, ide and least squares, compare.")] = False
-    gyroscope_model: Annotated[str, option("--gyro-model", help="auto, basic or g-sensitive.")] = "auto"
+    cross_check: Annotated[
+        bool, option("--cross-check", help="Solve by bsas, ide and least squares, and compare the results.")
+    ] = False
+    gyroscope_model: Annotated[
+        str,
+        option(
+            "--gyro-model", help="Gyroscope model: basic, g-sensitive (with g-sensitivity), or auto, which decides by a test."
+        ),
+    ] = "auto"
     grade: Annotated[
         str | None,
         option(
-            help="Instrument class: navigation, tactical, industrial or mems. Sigma includes its typical errors where a "
-            "session cannot measure them."
+            help="Instrument grade: navigation, tactical, industrial or mems (default: as driver or --preset "
+            "states, else mems). Sigma includes its typical errors where a session cannot measure them."
         ),
     ] = None
     seed: Annotated[int, option(help="Seed of everything random.", low=0, high=LARGEST_SEED)] = 0
@@ -233,9 +239,13 @@ class ExportDataOptions:
     """
 
     session: NewestSession = None
-    to: Annotated[str, option(help="csv, parquet, hdf5, ros2 (MCAP), overview (for plots) or outline (the same, faster).")] = (
-        "csv"
-    )
+    to: Annotated[
+        str,
+        option(
+            help="csv, parquet, hdf5, ros2 (MCAP), overview (for plots), outline (quick overview: only some "
+            "seconds of each minute).",
+        ),
+    ] = "csv"
     output: Annotated[Path | None, option("-o", "--output", help="File to write (default: SESSION/samples.*).")] = None
 
 
@@ -271,8 +281,14 @@ class VerifyOptions:
     )
     site: PlaceOptions = field(default_factory=unknown_site)
     require: Annotated[str | None, option(help="Limits, e.g. residual-ug=50,nav-nmi-per-h=1.")] = None
-    turn_on_ug: Annotated[float | None, option(help="Turn-on bias of the accelerometer, 1 sigma.", low=0)] = None
-    turn_on_deg_per_h: Annotated[float | None, option(help="Turn-on bias of the gyroscope, 1 sigma.", low=0)] = None
+    turn_on_ug: Annotated[
+        float | None,
+        option(help="Turn-on bias of the accelerometer, 1 sigma, micro-g (default: as large as its bias instability).", low=0),
+    ] = None
+    turn_on_deg_per_h: Annotated[
+        float | None,
+        option(help="Turn-on bias of the gyroscope, 1 sigma, deg/h (default: as large as its bias instability).", low=0),
+    ] = None
     seed: Annotated[
         int, option(help="Seed of the random runs that forecast the navigation error.", low=0, high=LARGEST_SEED)
     ] = 0

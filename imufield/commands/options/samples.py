@@ -42,7 +42,8 @@ HoldS = Annotated[
     float | None,
     option(
         "--hold-s",
-        help="Seconds to hold each position (default: until its mean is accurate enough, 3 to 10 s; to 60 s for a target).",
+        help="Seconds to hold each position (default: 3 to 10 s, until the mean is known to 10 micro-g; "
+        "with a target 3 to 60 s).",
         within=HOLD_RANGE_S,
     ),
 ]
@@ -194,7 +195,7 @@ class PlanOptions:
     target_scale_ppm: TargetScalePpm = None
     site: PlaceOptions = field(default_factory=unknown_site)
     grade: Annotated[
-        str | None, option(help="Instrument class, whose noise is assumed: navigation, tactical, industrial or mems (default).")
+        str | None, option(help="Instrument grade, whose noise is assumed: navigation, tactical, industrial or mems (default).")
     ] = None
     noise_ug: Annotated[
         float | None,
@@ -315,7 +316,9 @@ class EmulateOptions:
             help="Instrument family, see `imufield devices`, or your protocol file (.toml).", autocompletion=completion.drivers
         ),
     ]
-    form: Annotated[str | None, option(help="Format of the data, e.g. RAWIMUX; for a list, give any unknown name.")] = None
+    form: Annotated[
+        str | None, option(help="Format of the data, e.g. RAWIMUX; the message about an unknown name lists all.")
+    ] = None
     settings: Settings = field(default_factory=dict)
     bus: Annotated[
         str | None,
@@ -359,8 +362,8 @@ class EmulateOptions:
     temperature: Annotated[
         str | None,
         option(
-            help="Temperature of the instrument, degC, e.g. -10; or a ramp FROM:TO or FROM:TO:RATE, RATE in degC/min "
-            "(default: 1)."
+            help="Temperature of the instrument, degC, e.g. -10 (default: 25); or a ramp FROM:TO or FROM:TO:RATE, RATE in "
+            "degC/min (default: 1)."
         ),
     ] = None
     wait: Annotated[

@@ -163,11 +163,13 @@ Settings = Annotated[
 ]
 ExportSettings = Annotated[
     Mapping[str, str],
-    _set_option("Setting of the export, NAME=VALUE, e.g. instance=1; for a list, give any unknown name."),
+    _set_option("Setting of the export, NAME=VALUE, e.g. instance=1; the message about an unknown NAME lists all names."),
 ]
 MethodSettings = Annotated[
     Mapping[str, str],
-    _set_option("Setting of --method, NAME=VALUE, e.g. m=20 (swarm size of bsas); for a list, give any unknown name."),
+    _set_option(
+        "Setting of --method, NAME=VALUE, e.g. m=20 (swarm size of bsas); the message about an unknown NAME lists all names."
+    ),
 ]
 TableRateHz = Annotated[
     float | None, option("--rate-hz", help="Sample rate, where the file has no time.", within=RATE_RANGE_HZ)
@@ -268,7 +270,8 @@ class Place:
         float | None,
         option(
             "--gravity",
-            help="Local gravity, m/s^2, e.g. 9.8089+-0.0001; without +-, the last digit sets its uncertainty.",
+            help="Local gravity, m/s^2, e.g. 9.8089+-0.0001; without +-, it is taken as rounded to its last digit "
+            "(1 sigma 0.29 of that digit).",
             envvar="IMUFIELD_GRAVITY_M_S2",
             parser=TypedNumber,
             metavar="FLOAT",
