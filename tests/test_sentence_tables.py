@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import imufield
-from imufield.guide.view.marks import NAMES
+from imufield.guide.view.marks import AGAIN_WITHIN_S, NAMES
 
 MOST_WORDS = 25
 LIMIT_WORDS = re.compile(
@@ -58,3 +58,9 @@ def test_sentences_of_the_guide_name_marks_and_no_keys() -> None:
 def test_no_private_words() -> None:
     found = [f"{key}: {text}" for key, text in sentences() if PRIVATE.search(text)]
     assert not found, "\n".join(found)
+
+
+def test_the_second_finish_is_asked_for_within_its_time() -> None:
+    asked = [text for _, text in sentences() if re.search(r"\[finish\] (again|twice)", text)]
+    assert asked
+    assert not [text for text in asked if f"within {AGAIN_WITHIN_S:g} s" not in text]
