@@ -273,10 +273,9 @@ class _Navigation:
         if not task.parameters.gyroscope_is_complete:
             raise ParameterFileError(sentence("verify.no_gyroscope", path=task.parameters.path), Reason.UNITS)
         sigma_rad = np.radians(options.heading_sigma_deg)
-        turn_on = None
-        if options.turn_on_ug is not None or options.turn_on_deg_per_h is not None:
-            each = ((options.turn_on_ug or 0.0) * MICRO_G_M_S2, (options.turn_on_deg_per_h or 0.0) * DEG_PER_HOUR_RAD_S)
-            turn_on = np.repeat(each, 3)
+        # NaN where it is not given.
+        given = np.array([options.turn_on_ug, options.turn_on_deg_per_h], dtype=float)
+        turn_on = np.repeat(given * [MICRO_G_M_S2, DEG_PER_HOUR_RAD_S], 3)
         noise, instability = task.parameters.context.noise, None
         if noise is not None:
             instability = np.concatenate([noise.accelerometer_bias_instability_m_s2, noise.gyroscope_bias_instability_rad_s])

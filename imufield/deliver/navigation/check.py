@@ -10,7 +10,7 @@ accelerometer remains left-out positions (``imufield.deliver.verification.left_o
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,8 +55,8 @@ class CheckSettings:
     """Somebody turned the instrument over after the alignment."""
     heading: Heading | None = None
     """During the alignment, where it is known; None: found from the Earth's rate."""
-    turn_on: FloatArray | None = None
-    """1 sigma of a bias that is new at each power-on, shape (6,), m/s^2 and rad/s; None: the bias instability."""
+    turn_on: FloatArray = field(default_factory=lambda: np.full(6, np.nan))
+    """1 sigma of a bias that is new at each power-on, shape (6,), m/s^2 and rad/s; NaN: the bias instability."""
     instability: FloatArray | None = None
     """Bias instability, shape (6,); None: measured on the recording."""
     runs: int = RUNS
@@ -204,7 +204,7 @@ class StaticNavigation:
             return None, (sentence("check.no_uncertainty"),)
         instability = noise.instability if settings.instability is None else settings.instability
         # A bias that is new at each start is as large as what it wanders, where nobody knows better.
-        turn_on = np.nan_to_num(instability) if settings.turn_on is None else settings.turn_on
+        turn_on = np.nan_to_num(np.where(np.isnan(settings.turn_on), instability, settings.turn_on))
         random = RandomErrors(noise.density, instability, turn_on)
         scene = Scene(
             latitude_deg=settings.latitude_deg,

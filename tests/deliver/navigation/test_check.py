@@ -70,6 +70,20 @@ def test_an_error_beyond_the_stated_uncertainty_is_found() -> None:
     assert result.forecast.sources["gyroscope calibration"] > result.forecast.sources["accelerometer calibration"]
 
 
+def test_a_turn_on_bias_that_is_not_given_is_the_instability() -> None:
+    samples = recording(random_attitude(3), 900, 2.0, noise=1.0)
+    instability = np.repeat([5 * MICRO_G, 0.02 * DEG_PER_HOUR], 3)
+    settings = replace(SETTINGS, instability=instability)
+
+    def turn_on_part(*given: float) -> float:
+        turned_on = replace(settings, turn_on=np.repeat(given, 3))
+        return check(samples, turned_on, perfect(10 * MICRO_G, 0.005 * DEG_PER_HOUR)).forecast.sources["turn-on bias"]
+
+    one = turn_on_part(50 * MICRO_G, np.nan)
+    assert one == turn_on_part(50 * MICRO_G, instability[3])
+    assert one > 1.1 * turn_on_part(50 * MICRO_G, 0.0)
+
+
 def test_turning_over_shows_the_accelerometer() -> None:
     error = (200 * MICRO_G, 200 * MICRO_G, 0)
     turned = check(turned_over(3600, 320, force=error), replace(SETTINGS, turned=True)).drifts["after"]
