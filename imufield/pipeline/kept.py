@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 
 KEPT_FILE = ".imufield-reading"  # Hidden, as the index of a history: it is nobody's result.
 _DIGEST_BYTES = 32
-_ROOMS = ("acquire", "calibrate", "guide", "pipeline")  # Whose code a reading hangs on.
 _TYPES = {
     "observations": Observations,
     "rests": Observations,
@@ -85,10 +84,9 @@ def _digest(session: Session, sha256: str, body: bytes) -> bytes:
 
 @cache
 def _code_sha256() -> str:
-    """Return the hash of the code and tables that read a recording: a version number stays while they are worked on."""
-    package, digest = Path(__file__).parent.parent, hashlib.sha256()
-    found = [package / "samples.py", *(path for room in _ROOMS for path in (package / room).rglob("*"))]
-    for path in sorted(path for path in found if path.suffix in (".py", ".toml")):
+    """Return the hash of this program's code and tables: a version number stays while they are worked on."""
+    digest = hashlib.sha256()
+    for path in sorted(path for path in Path(__file__).parent.parent.rglob("*") if path.suffix in (".py", ".toml")):
         digest.update(path.read_bytes())
     return digest.hexdigest()
 

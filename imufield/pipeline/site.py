@@ -52,7 +52,8 @@ class SiteOptions(SiteRecord):
                 return known
             return replace(known, gravity_sigma_m_s2=recorded_sigma(recorded.gravity_m_s2, recorded.gravity_sigma_m_s2))
         if self.gravity_m_s2 is not None and self.latitude_deg is None:
-            return replace(self, latitude_deg=recorded.latitude_deg, height_m=self.height_m or recorded.height_m)
+            height_m = recorded.height_m if self.height_m is None else self.height_m
+            return replace(self, latitude_deg=recorded.latitude_deg, height_m=height_m)
         return self
 
     def record(self) -> SiteRecord:

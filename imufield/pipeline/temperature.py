@@ -60,6 +60,8 @@ def read_ramp(session: Session, base: Parameters) -> RampMeans:
     windows, marks = WindowSums(), RecordingMarks()
     for samples in session_samples(session, damage):
         base.check_unit("accelerometer", samples.units.accelerometer_rate_unit)
+        if base.gyroscope_is_complete and np.isfinite(samples.gyroscope).any():
+            base.check_unit("gyroscope", samples.units.gyroscope_rate_unit)
         windows.feed(samples)
         marks.feed(samples)
     means = windows.means()
@@ -195,11 +197,13 @@ def _require_comparable(base: Parameters, other: Parameters) -> None:
     """Raise where parameters of a session mean something else than those of the base."""
     base.check_instrument(other.context.instrument.serial_number)
     ours, theirs = base.calibration, other.calibration
-    alike = (
+    alike = [
         ("gauge", ours.gauge, theirs.gauge),
         ("raw_unit", ours.accelerometer_raw_unit, theirs.accelerometer_raw_unit),
         ("quadratic_fitted", ours.quadratic_fitted, theirs.quadratic_fitted),
-    )
+    ]
+    if ours.gyroscope is not None and theirs.gyroscope is not None:
+        alike.append(("raw_unit of the gyroscope", ours.gyroscope.raw_unit, theirs.gyroscope.raw_unit))
     for what, wanted, found in alike:
         if wanted != found:
             values = {"name": other.context.session.name, "what": what, "found": found, "wanted": wanted}

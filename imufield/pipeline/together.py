@@ -242,8 +242,8 @@ def _with_one_model(
         if (is_quadratic and not each.parameters.calibration.quadratic_fitted)
         or (is_sensitive and not _is_sensitive(each.numbers))
     ]
-    again = _solved([SolveJob(solved[k].session, whole, site) for k in lacking], workers)
-    return [dict(zip(lacking, again, strict=True)).get(k, each) for k, each in enumerate(solved)]
+    again = dict(zip(lacking, _solved([SolveJob(solved[k].session, whole, site) for k in lacking], workers), strict=True))
+    return [again.get(k, each) for k, each in enumerate(solved)]
 
 
 def _is_sensitive(numbers: GaugeFree) -> bool:

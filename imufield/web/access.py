@@ -105,7 +105,8 @@ class Access:
         known = [
             (self.mark, Role.MARK),
             (self.watch, Role.WATCH),
-            *((token, role) for token, (role, made_s) in self._once.items() if time.monotonic() - made_s < ONCE_S),
+            # A copy: pages of other threads spend theirs meanwhile.
+            *((token, role) for token, (role, made_s) in [*self._once.items()] if time.monotonic() - made_s < ONCE_S),
         ]
         # All are compared with each, so that the time tells nothing.
         roles = [role for token, role in known for each in given if hmac.compare_digest(each, token.encode())]

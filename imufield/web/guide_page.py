@@ -57,7 +57,6 @@ class GuidePage:
     ) -> None:
         # A mark is named as the guide names it: which button that is, the page says.
         self._screen = Screen(say=str)
-        self._scheme = scheme
         self._marks: SimpleQueue[str] = SimpleQueue()
         self._forecasts: dict[int, list[float | None]] = {}
         self._log: list[object] = []

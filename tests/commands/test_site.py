@@ -146,6 +146,7 @@ def test_a_typed_value_leaves_the_session_its_place() -> None:
     recorded = SiteRecord(latitude_deg=48.0, height_m=300.0)
     gravity = SiteOptions(gravity_m_s2=9.80798).gravity(recorded)
     assert (gravity.source, gravity.latitude_deg, gravity.height_m) == ("typed", 48.0, 300.0)
+    assert SiteOptions(gravity_m_s2=9.80798, height_m=0.0).gravity(recorded).height_m == 0.0
     gravity = SiteOptions(latitude_deg=10.0).gravity(SiteRecord(gravity_m_s2=9.81))
     assert (gravity.source, gravity.latitude_deg) == ("normal", 10.0)
 

@@ -357,6 +357,14 @@ def test_a_ramp_without_accelerometer_shows_the_gyroscope(
     reasons = with_temperature(joint, [], [read_ramp(Session.open(warm_up), joint), rates]).calibration.quality.reasons
     assert "cut short" in reasons
     assert [words.values["name"] for words in told(reasons, "ramp.one_way")] == ["rates"]
+    counts = replace(joint, document=joint.document | {"gyroscope": joint.document["gyroscope"] | {"raw_unit": "count"}})
+    with refused(ParameterFileError, Reason.UNITS, "gyroscope", key="file.unit"):
+        read_ramp(Session.open(warm_up), counts)
+    assert joint.calibration.gyroscope is not None
+    of_counts = replace(joint.calibration.gyroscope, raw_unit="count")
+    other = replace(joint, calibration=replace(joint.calibration, gyroscope=of_counts))
+    with refused(CalibrationError, Reason.UNITS, "gyroscope", key="temperature.differs"):
+        with_temperature(joint, [joint, other], [])
     # Alone it does not show the accelerometer, and an instrument without gyroscope has no use for it.
     with refused(CalibrationError, Reason.TOO_FEW, key="fit.too_few"):
         with_temperature(joint, [], [rates])

@@ -110,13 +110,8 @@ def from_matrix(rotation: FloatArray) -> FloatArray:
     return np.asarray(row / np.linalg.norm(row, axis=-1, keepdims=True))
 
 
-def rotation_matrix(rotation_rad: FloatArray) -> FloatArray:
-    """Return rotation matrices of rotation vectors, shape (..., 3) -> (..., 3, 3)."""
-    return matrix(exponential(rotation_rad))
-
-
 def one_rotation_matrix(rotation_rad: FloatArray) -> FloatArray:
-    """Return the same of one rotation vector, by Rodrigues: where each turn waits for the one before, arrays cost more."""
+    """Return the matrix of one rotation vector, by Rodrigues: where each turn waits for the one before, arrays cost more."""
     x, y, z = rotation_rad.tolist()
     angle = math.sqrt(x * x + y * y + z * z)
     half = math.sin(angle / 2) / angle if angle > 0 else 0.5
