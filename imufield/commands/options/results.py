@@ -242,8 +242,8 @@ class ExportDataOptions:
     to: Annotated[
         str,
         option(
-            help="csv, parquet, hdf5, ros2 (MCAP), overview (for plots), outline (quick overview: only some "
-            "seconds of each minute).",
+            help="csv, parquet, hdf5, ros2 (MCAP), overview (least, mean and largest of each "
+            "stretch, for plots), outline (the same of only some seconds of each minute: quick).",
         ),
     ] = "csv"
     output: Annotated[Path | None, option("-o", "--output", help="File to write (default: SESSION/samples.*).")] = None

@@ -75,7 +75,8 @@ class DemoOptions:
     temperature: Annotated[
         bool,
         option(
-            "--temperature", help="Three sessions at -10, 20 and 50 degC, joined, and the error that one alone would leave."
+            "--temperature",
+            help="Three sessions at -10, 20 and 50 degC, solved into one file, and the error that one alone would leave.",
         ),
     ] = False
     plain: Plain = False
