@@ -22,7 +22,7 @@ help:
 	@echo "make docs    build the documentation into build/docs; broken links and examples fail"
 	@echo "make torture  kills, cuts, bad wires and damaged files, in full, about 4 h on two cores; writes docs/reliability.md"
 	@echo "make coverage  branches tested in acquire, calibrate and guide; below 90 % fails"
-	@echo "make audit   what is installed against the lock; make lock notes it anew"
+	@echo "make audit   compare the installed packages with the lock file; make lock writes that file anew"
 	@echo "make changelog  what has changed since the last release"
 	@echo "make screens draw the guide's screens, its page and the report in README and docs again, from emulated sessions"
 	@echo "make wheel   build source archive and wheel into dist/, check what is in them"

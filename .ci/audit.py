@@ -72,7 +72,7 @@ def licences() -> str:
     rows = [f"| {name} | {'always' if name in needed else ''} | {licence(distribution(name))} |\n" for name in sorted(locked())]
     return (
         "# Licences of the dependencies\n\n"
-        "Written by `make lock` from what the packages declare. *always*: `pip install imufield` takes it; the others come\n"
+        "Written by `make lock` from what the packages declare. *always*: `pip install .` takes it; the others come\n"
         "with an extra or are tools of the developers.\n\n| package | | licence |\n|---|---|---|\n" + "".join(rows)
     )
 

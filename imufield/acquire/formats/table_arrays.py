@@ -182,7 +182,7 @@ def missing_package(what: str, package: str, extra: str, cause: str = "") -> Usa
 
     ``cause`` is what Python says where it may be installed, and made for another Python, NumPy or system.
     """
-    wanted = f"'imufield[{extra}]'" if extra else "imufield"
+    wanted = f"'.[{extra}]'" if extra else "."
     key = "table_arrays.broken_package" if cause else "table_arrays.missing_package"
     return UsageError(sentence(key, what=what, package=package, wanted=wanted, cause=cause), Reason.MISSING_PACKAGE)
 

@@ -239,7 +239,7 @@ def test_mf4_without_its_package_says_what_to_install(tmp_path: Path, monkeypatc
     path = tmp_path / "drive.mf4"
     path.write_bytes(b"MDF     4.10")
     monkeypatch.setitem(sys.modules, "asammdf", None)
-    with refused(UsageError, Reason.MISSING_PACKAGE, "asammdf", "pip install 'imufield[mf4]'"):
+    with refused(UsageError, Reason.MISSING_PACKAGE, "asammdf", "pip install '.[mf4]'"):
         list(read_log(path))
 
 

@@ -230,7 +230,7 @@ def test_a_package_that_cannot_be_imported_is_named(
     (tmp_path / "packages").mkdir()
     (tmp_path / "packages" / f"{package}.py").write_text(f"raise ImportError({said!r})\n")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path / "packages"))
-    with refused(UsageError, Reason.MISSING_PACKAGE, str(path), package, said, f"pip install 'imufield[{extra}]'") as caught:
+    with refused(UsageError, Reason.MISSING_PACKAGE, str(path), package, said, f"pip install '.[{extra}]'") as caught:
         read_tables([path])
     assert caught.value.reason is Reason.MISSING_PACKAGE
 
@@ -238,7 +238,7 @@ def test_a_package_that_cannot_be_imported_is_named(
 def test_a_broken_scipy_comes_with_imufield_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "scipy.py").write_text("raise ImportError('no libopenblas')\n")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    with refused(UsageError, Reason.MISSING_PACKAGE, "scipy", "no libopenblas", "pip install imufield"):
+    with refused(UsageError, Reason.MISSING_PACKAGE, "scipy", "no libopenblas", "`pip install .`"):
         read_tables([written(tmp_path, mat_matrix)])
 
 

@@ -257,7 +257,7 @@ def test_missing_allantools_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> No
         raise ImportError(name)
 
     monkeypatch.setattr(importlib, "import_module", refuse)
-    with refused(UsageError, Reason.MISSING_PACKAGE, "imufield[noise]", key="allan.no_allantools"):
+    with refused(UsageError, Reason.MISSING_PACKAGE, "pip install '.[noise]'", key="allan.no_allantools"):
         load_allantools()
 
 

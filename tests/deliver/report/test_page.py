@@ -241,7 +241,7 @@ def test_the_same_data_give_the_same_page(data: ReportData) -> None:
 @pytest.mark.parametrize("package", ["matplotlib", "jinja2"])
 def test_missing_package_is_named(data: ReportData, monkeypatch: pytest.MonkeyPatch, package: str) -> None:
     monkeypatch.setitem(sys.modules, package, None)
-    with refused(UsageError, Reason.MISSING_PACKAGE, "pip install 'imufield[report]'", key="style.package") as caught:
+    with refused(UsageError, Reason.MISSING_PACKAGE, "pip install '.[report]'", key="style.package") as caught:
         render_report(data)
     assert caught.value.values["package"] == package
     assert caught.value.reason is Reason.MISSING_PACKAGE
@@ -276,5 +276,5 @@ def test_what_pdf_needs_is_named(monkeypatch: pytest.MonkeyPatch, error: type[Ex
         raise error(name)
 
     monkeypatch.setattr("importlib.import_module", missing)
-    with refused(UsageError, Reason.MISSING_PACKAGE, "pip install 'imufield[pdf]'", key="style.package"):
+    with refused(UsageError, Reason.MISSING_PACKAGE, "pip install '.[pdf]'", key="style.package"):
         to_pdf("")
