@@ -134,6 +134,8 @@ class Samples:
     status : ndarray of uint32, shape (n,)
         ``Status`` flags.
     units : SampleUnits
+    sensor_temperature_degc : ndarray, shape (n, 6), optional
+        Of the thermometers of the axes, in the order ax ay az gx gy gz, NaN where not available; None where none is sent.
     """
 
     time_s: FloatArray
@@ -143,12 +145,16 @@ class Samples:
     counter: IntArray
     status: NDArray[np.uint32]
     units: SampleUnits
+    sensor_temperature_degc: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.time_s)
 
     def __getitem__(self, rows: slice | NDArray[np.bool_] | NDArray[np.intp]) -> Samples:
-        return Samples(units=self.units, **{name: getattr(self, name)[rows] for name in _ARRAYS})
+        own_degc = self.sensor_temperature_degc
+        own_degc = None if own_degc is None else own_degc[rows]
+        arrays = {name: getattr(self, name)[rows] for name in _ARRAYS}
+        return Samples(units=self.units, sensor_temperature_degc=own_degc, **arrays)
 
     @property
     def usable(self) -> NDArray[np.bool_]:
@@ -164,7 +170,7 @@ class Samples:
         return _as_rate(self.gyroscope, self.units.gyroscope_is_increment, self.units.interval_s)
 
 
-_ARRAYS = tuple(field.name for field in fields(Samples) if field.name != "units")
+_ARRAYS = tuple(field.name for field in fields(Samples) if field.name not in ("units", "sensor_temperature_degc"))
 
 
 def _as_rate(values: FloatArray, is_increment: bool, interval_s: float | None) -> FloatArray:
@@ -257,4 +263,9 @@ def concatenate(blocks: Iterable[Samples]) -> Samples:
         raise ValueError("`blocks` have different units")
     if len(parts) == 1:
         return parts[0]
-    return Samples(units=units, **{name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS})
+    own_degc = None
+    if any(part.sensor_temperature_degc is not None for part in parts):
+        each = [(len(part), part.sensor_temperature_degc) for part in parts]
+        own_degc = np.concatenate([np.full((n, 6), np.nan) if own is None else own for n, own in each])
+    arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS}
+    return Samples(units=units, sensor_temperature_degc=own_degc, **arrays)

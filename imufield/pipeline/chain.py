@@ -98,6 +98,7 @@ class Chain:
         self.decoder: Decoder | None = None
         self.statistics: list[DecoderStatistics] = []  # One per part.
         self.temperature_degc = (float("nan"), float("nan"))  # Lowest and highest so far.
+        self._offsets = np.zeros((2, 6))  # Of the axes' thermometers from that temperature: sums, and how many.
         self.notes: list[str] = []  # Sentences about how the recording was read.
         self._listeners = listeners
         self._offset_s: float | None = 0.0  # None from the start of a later part to its first samples, which tell it.
@@ -170,11 +171,19 @@ class Chain:
             low, high = self.temperature_degc
             # fmin and fmax take the number where the other is NaN, as both are before the first.
             self.temperature_degc = (float(np.fmin(low, known.min())), float(np.fmax(high, known.max())))
+        if samples.sensor_temperature_degc is not None:
+            offsets = samples.sensor_temperature_degc - samples.temperature_degc[:, np.newaxis]
+            self._offsets += [np.nansum(offsets, axis=0), np.isfinite(offsets).sum(axis=0)]
         for listener in self._listeners:
             listener(samples)
         if self.finder is not None:
             self.finder.feed(samples)
         return self.guide.feed(samples) if self.guide is not None else []
+
+    def sensor_offset_degc(self) -> FloatArray:
+        """Return the temperature of each axis' sensor less that of the instrument, mean of all samples; NaN where not sent."""
+        total, count = self._offsets
+        return np.asarray(np.divide(total, count, out=np.full(6, np.nan), where=count > 0))
 
     def origin_s(self) -> float:
         """Return the sample clock at the session's first sample, what a person counts from; 0 before it."""

@@ -40,6 +40,8 @@ class Reading:
         Of the part whose rate is known best.
     temperature_degc : ndarray, shape (2,)
         Lowest and highest; NaN where none was sent.
+    sensor_offset_degc : ndarray, shape (6,)
+        Temperature of each axis' sensor less that of the instrument, mean of the session; NaN where none was sent.
     raw_zero : ndarray, shape (3,), or None
     gyroscope_scale : float or None
     grade : str
@@ -59,6 +61,7 @@ class Reading:
     cells: TraceCells
     best: DecoderStatistics | None
     temperature_degc: FloatArray
+    sensor_offset_degc: FloatArray
     raw_zero: FloatArray | None
     gyroscope_scale: float | None
     grade: str

@@ -190,6 +190,7 @@ def reading_of(
         cells=collected.trace.finish(),
         best=best_rate(chain.statistics),
         temperature_degc=np.array(chain.temperature_degc),
+        sensor_offset_degc=chain.sensor_offset_degc(),
         raw_zero=None if chain.protocol is None else chain.raw_zero(chain.protocol),
         gyroscope_scale=None if nominal is None else nominal.gyroscope_scale,
         grade="" if nominal is None else nominal.grade,
@@ -206,7 +207,9 @@ def reading_of(
 def _facts(session: Session, reading: Reading) -> SessionFacts:
     rate_hz = math.nan if reading.best is None else reading.best.rate_hz or math.nan
     low, high = reading.temperature_degc.tolist()
-    return SessionFacts(session.name, reading.sha256, rate_hz, (low, high), recorded=session.record.recorded)
+    own_degc = tuple(reading.sensor_offset_degc.tolist()) if np.isfinite(reading.sensor_offset_degc).any() else ()
+    recorded = session.record.recorded
+    return SessionFacts(session.name, reading.sha256, rate_hz, (low, high), recorded=recorded, sensor_offset_degc=own_degc)
 
 
 def solve_observations(path: Path, settings: SolveSettings, site: SiteOptions) -> Parameters:

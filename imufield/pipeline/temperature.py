@@ -167,6 +167,9 @@ def with_temperature(
             told += ramp_sentences(ramp, means.name) if means not in described else ()
         described.update(shown)
         points = _points(base, triad, sessions) if sessions else None
+        # A ramp is by the temperature of the instrument, and no curve belongs to two thermometers.
+        if points is not None and not shown:
+            points = _by_sensors(points, base, triad, sessions)
         evidence = Evidence(reference_degc=reference_degc, points=points, ramps=[ramp.blocks for ramp in cut])
         highest = evidence.highest_orders()
         if triad == "gyroscope" and highest.bias == 0:
@@ -175,6 +178,9 @@ def with_temperature(
         found = fit_temperature(evidence)
         models[triad] = found.temperature
         told.append(_words(triad, found))
+        if points is not None and points.sensor_degc is not None:
+            apart = float(np.abs(points.sensor_degc - points.temperature_degc[:, np.newaxis]).max())
+            told.append(sentence("temperature.by_sensors", triad=triad, apart=apart))
         warnings[triad] += fit_warnings(found, triad)
         if triad == "accelerometer" and not found.temperature.scale_separated:
             warnings[triad].append(trap_sentence(found.temperature, grade))
@@ -236,6 +242,15 @@ def _points(base: Parameters, triad: str, sessions: Sequence[Parameters]) -> Ses
         none = sentence("temperature.no_gyroscope", name=lacking.context.session.name)
         raise CalibrationError(none, Reason.UNOBSERVABLE)
     return gyroscope_points(gyroscope.parameters, theirs, at_degc, of_base)
+
+
+def _by_sensors(points: SessionPoints, base: Parameters, triad: str, sessions: Sequence[Parameters]) -> SessionPoints:
+    """Return points with the temperature of each axis' own sensor, where base and sessions all have them."""
+    axes = slice(3) if triad == "accelerometer" else slice(3, 6)
+    facts = (session.context.session.sensor_offset_degc or (np.nan,) * 6 for session in (base, *sessions))
+    of_base, *offsets_degc = (np.array(each[axes], dtype=np.float64) for each in facts)
+    sensor_degc = points.temperature_degc[:, np.newaxis] + np.array(offsets_degc) - of_base
+    return replace(points, sensor_degc=sensor_degc, sensor_offset_degc=of_base) if np.isfinite(sensor_degc).all() else points
 
 
 def _windows(base: Parameters, triad: str, means: RampMeans) -> RampWindows:

@@ -59,12 +59,23 @@ OVER_TEMPERATURE = TriadTemperature(
 UP = np.array([[0.55, -0.6, 0.58]])
 
 
+def outputs(force: np.ndarray, of_axes_degc: np.ndarray) -> np.ndarray:
+    """Return what the instrument gives whose axes have these temperatures."""
+    of_axes = (predict(at_temperature(TRUTH, OVER_TEMPERATURE, degc), force)[:, axis] for axis, degc in enumerate(of_axes_degc))
+    return np.column_stack([*of_axes])
+
+
 def solved(
-    temperature_degc: float, *, gauge: str = "lower", serial_number: str = "A1", gravity: Gravity = GRAVITY
+    temperature_degc: float,
+    *,
+    gauge: str = "lower",
+    serial_number: str = "A1",
+    gravity: Gravity = GRAVITY,
+    sensor_offset_degc: tuple[float, ...] = (),
 ) -> Parameters:
     rng, up = np.random.default_rng(int(temperature_degc) + 50), scheme("paper24").directions()
     m = len(up)
-    output = predict(at_temperature(TRUTH, OVER_TEMPERATURE, temperature_degc), GRAVITY.gravity_m_s2 * up)
+    output = outputs(GRAVITY.gravity_m_s2 * up, temperature_degc + np.array((*sensor_offset_degc, 0, 0, 0)[:3]))
     observations = Observations(
         name=tuple(position.name for position in scheme("paper24").positions),
         mean_raw=output + NOISE_M_S2 * rng.normal(size=output.shape),
@@ -79,7 +90,13 @@ def solved(
     )
     context = Context(
         instrument=InstrumentFacts(serial_number=serial_number),
-        session=SessionFacts(f"at {temperature_degc:g}", 64 * "b", 100.0, (temperature_degc, temperature_degc)),
+        session=SessionFacts(
+            name=f"at {temperature_degc:g}",
+            sha256=64 * "b",
+            sample_rate_hz=100.0,
+            temperature_degc=(temperature_degc, temperature_degc),
+            sensor_offset_degc=sensor_offset_degc,
+        ),
     )
     settings = SolveSettings(model="linear", gauge=gauge, grade="industrial")  # type: ignore[arg-type]
     return calibrate(Measured(observations=observations, gravity=gravity, context=context), settings)

@@ -83,6 +83,7 @@ class Clock(ABC):
             counter=block.counter,
             status=block.status | flags,
             units=self._units,
+            sensor_temperature_degc=block.sensor_temperature_degc if block.sensor_temperature_degc.ndim > 1 else None,
         )
 
 

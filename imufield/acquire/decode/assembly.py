@@ -64,6 +64,9 @@ class RawBlock:
     stream_end: IntArray = field(default_factory=lambda: _ABSENT_COUNTS)
     """Offset in the stream just behind the last byte that must be there to know this sample. Shape (n,), not of a bus."""
 
+    sensor_temperature_degc: FloatArray = field(default_factory=lambda: _ABSENT)
+    """Of the thermometers of the axes, shape (n, 6), or (0,) where the protocol has none."""
+
     def __len__(self) -> int:
         return len(self.status)
 

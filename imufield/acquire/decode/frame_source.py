@@ -116,6 +116,9 @@ class _FrameReader:
         self.has_samples = any(triad.fields for triad in self._triads)
         temperatures = layout.fields_of(rule.temperature.fields)
         self._temperature = temperatures[0] if temperatures else None
+        sensors = [rule.quantity(part).sensor_temperature for part in ("accelerometer", "gyroscope")]
+        # Empty where no kind of frame has any; a kind without them among others has NaN.
+        self._of_sensors = [layout.field(name) for name in sensors] if any(sensors) else []
         self._counter = layout.field(protocol.clock.counter_field)
         self._ticks = _TickReader(protocol, layout)
         names = dict.fromkeys([flag.field for flag in rule.flags] + [name for name, _ in rule.instrument_status])
@@ -136,6 +139,10 @@ class _FrameReader:
                 raw = field.raw(rows)
                 total: FloatArray = raw.astype(np.float64) if raw.ndim == 1 else raw.sum(axis=1, dtype=np.float64)
                 temperature_degc = total * (field.factor / field.count) + field.offset
+            own_degc = np.full((n, 6) if self._of_sensors else 0, np.nan)
+            for place, own in enumerate(self._of_sensors):
+                if own is not None:
+                    own_degc[:, 3 * place : 3 * place + 3] = own.raw(rows).reshape(n, -1) * own.factor + own.offset
         status = np.zeros(n, dtype=np.uint32)
         for reader in self._status:
             status |= reader.read(rows)
@@ -155,6 +162,7 @@ class _FrameReader:
             lost_before=np.zeros(n, dtype=np.int64),
             skipped_before=skipped_before / self.length,
             stream_end=ends,
+            sensor_temperature_degc=own_degc,
         )
 
 

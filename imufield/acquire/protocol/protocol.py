@@ -308,9 +308,14 @@ def _check_fields(top: Table, frame: FrameRule, samples: SampleRule, clock: Cloc
     table, times = top.table("samples"), top.table("clock")
     stamps = (clock.counter_field, clock.time_field, *(time.field for time in clock.times))
     used = [(table, part, name) for part in PARTS for name in samples.quantity(part).fields]
+    used += [(table, part, name) for part in PARTS if (name := samples.quantity(part).sensor_temperature)]
     used += [(table, "flags", flag.field) for flag in samples.flags]
     used += [(table, "flags", name) for name, _ in samples.instrument_status]
     used += [(times, "", name) for name in stamps if name]
     for where, key, name in used:
         if name not in known:
             raise where.error(key, sentence("protocol.field", name=name, near=near(name, known)))
+    of_sensors = {samples.quantity(part).sensor_temperature for part in PARTS}
+    for each in frame.all_fields():
+        if each.name in of_sensors and each.count not in (1, 3):
+            raise table.error("sensor_temperature", sentence("protocol.sensors", name=each.name, count=each.count))

@@ -86,6 +86,8 @@ class Quantity:
     scale: float = 1.0
     """What the values are multiplied by, besides what their fields say."""
     scale_when: ScaleWhen | None = None
+    sensor_temperature: str = ""
+    """Field with the temperature of each of the three sensors, or of all."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -234,6 +236,7 @@ def _read_quantity(table: Table) -> Quantity:
             increment=table.flag("increment"),
             scale=table.scale("scale", 1.0),
             scale_when=scale_when,
+            sensor_temperature=table.text("sensor_temperature", ""),
         )
 
 

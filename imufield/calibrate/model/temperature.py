@@ -36,8 +36,10 @@ class Polynomials:
         return len(self.coefficients)
 
     def at(self, d_degc: FloatArray) -> FloatArray:
-        """Return the values for shape (n,) of degrees above the reference, shape (n, 3)."""
-        return powers(d_degc, self.order) @ self.coefficients
+        """Return the values for degrees above the reference, of shape (n,) or (n, 3): one for each axis. Shape (n, 3)."""
+        if d_degc.ndim == 1:
+            return powers(d_degc, self.order) @ self.coefficients
+        return np.column_stack([powers(own, self.order) @ of for own, of in zip(d_degc.T, self.coefficients.T, strict=True)])
 
     def sigma_at(self, d_degc: FloatArray) -> FloatArray:
         """Return 1 sigma of ``at``, shape (n, 3)."""
@@ -123,11 +125,13 @@ class TriadTemperature:
     """None where no sessions show how days differ: fewer than three, or none to spare."""
     sessions: SessionChanges | None = None
     """None where ramps alone were seen."""
+    sensor_offset_degc: FloatArray | None = None
+    """The curves belong to each axis' own sensor's temperature less this, shape (3,); None: to that of the instrument."""
     bias_scale_covariance: FloatArray | None = None
     """Of the coefficients of B and k, each axis, shape (3, order of B, order of k); None where it is not known."""
 
     def degrees_above(self, temperature_degc: FloatArray) -> FloatArray:
-        """Return d for temperatures of shape (n,): clamped into the range, and zero where the temperature is not known."""
+        """Return d for temperatures of any shape: clamped into the range, and zero where the temperature is not known."""
         clamped = np.clip(np.asarray(temperature_degc, dtype=np.float64), *self.range_degc)
         return np.asarray(np.where(np.isnan(clamped), 0.0, clamped - self.reference_degc))
 
@@ -177,7 +181,7 @@ class TriadTemperature:
     def to_reference(
         self, raw: FloatArray, temperature_degc: FloatArray, *, scale: FloatArray, raw_zero: FloatArray | float = 0.0
     ) -> FloatArray:
-        """Return N(0) for raw outputs N, both of shape (n, 3), at temperatures of shape (n,).
+        """Return N(0) for raw outputs N, both of shape (n, 3), at temperatures of shape (n,), or (n, 3) of the axes.
 
         ``scale`` is K at the reference, shape (3,).
         """

@@ -78,6 +78,10 @@ class SessionPoints:
     """Relative to the scale at the reference, less 1, shape (m, 3); NaN where a session does not show it."""
     covariance: FloatArray
     """Of bias and scale of each axis, shape (m, 3, 2, 2)."""
+    sensor_degc: FloatArray | None = None
+    """By the sensor of each axis, at its offset of the reference, shape (m, 3); None: as the instrument's."""
+    sensor_offset_degc: FloatArray | None = None
+    """That offset: the sensor of each axis less the instrument, shape (3,)."""
     reference: int | None = None
     """Which of them is the session whose numbers hold at the reference; None where it is none of these."""
 
@@ -236,10 +240,9 @@ def fit_orders(evidence: Evidence, bias: int, scale: int) -> TemperatureFit:
     covariance = np.einsum("s,aspq->apq", scatter.weights, shares)
     of_bias, of_scale = np.r_[_BIAS_OF_REFERENCE, 2 : 2 + bias], np.r_[_SCALE_OF_REFERENCE, 2 + bias : 2 + bias + scale]
     measured_degc = evidence.temperature_degc
-    range_degc = (
-        min(float(measured_degc.min()), evidence.reference_degc),
-        max(float(measured_degc.max()), evidence.reference_degc),
-    )
+    sensor_degc = None if evidence.points is None else evidence.points.sensor_degc
+    reached_degc = [evidence.reference_degc, *measured_degc, *(() if sensor_degc is None else sensor_degc.ravel())]
+    range_degc = float(min(reached_degc)), float(max(reached_degc))
     range_d_degc = np.array(range_degc) - evidence.reference_degc
     temperature = TriadTemperature(
         reference_degc=evidence.reference_degc,
@@ -249,6 +252,7 @@ def fit_orders(evidence: Evidence, bias: int, scale: int) -> TemperatureFit:
         hysteresis=_hysteresis(evidence.ramps),
         scale_separated=evidence.separates_scale,
         new_day=None,
+        sensor_offset_degc=None if evidence.points is None else evidence.points.sensor_offset_degc,
         sessions=None if evidence.points is None else _changes(evidence.points),
         bias_scale_covariance=_block(covariance, of_bias[1:], of_scale[1:]),
     )
@@ -355,7 +359,8 @@ def _equations(evidence: Evidence, bias: int, scale: int, axis: int) -> Equation
     matrices, values, kinds, own = [np.empty((0, unknowns))], [np.empty(0)], [np.empty(0, np.intp)], np.empty((0, 0))
     if points is not None:
         m = len(points)
-        d = (points.temperature_degc - evidence.reference_degc) / span
+        at_degc = points.temperature_degc if points.sensor_degc is None else points.sensor_degc[:, axis]
+        d = (at_degc - evidence.reference_degc) / span
         pairs = np.zeros((m, 2, unknowns))
         pairs[:, 0, :bias], pairs[:, 1, bias : bias + scale] = powers(d, bias), powers(d, scale)
         pairs[:, 0, bias + scale] = pairs[:, 1, bias + scale + 1] = 1.0

@@ -14,7 +14,7 @@ from imufield.calibrate.model.models import recover
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters
 from imufield.calibrate.model.temperature import TriadTemperature
 from imufield.errors import ParameterFileError, Reason
-from imufield.samples import FloatArray
+from imufield.samples import FloatArray, Samples
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -129,14 +129,28 @@ def at_reference(
     """Return what raw outputs of shape (..., 3) would be at the reference temperature of their triad.
 
     As they are where nothing is known over temperature, or no temperature is given; ``temperature_degc`` is one for all, or of
-    shape (...). ``scale`` is K at the reference.
+    shape (...), or (..., 3) for one of each axis. ``scale`` is K at the reference.
     """
     if model is None or temperature_degc is None:
         return raw
     raw = np.asarray(raw, dtype=np.float64)
-    each_degc = np.broadcast_to(np.asarray(temperature_degc, dtype=np.float64), raw.shape[:-1])
-    rows = model.to_reference(raw.reshape(-1, 3), each_degc.ravel(), scale=scale, raw_zero=raw_zero)
+    each_degc = np.asarray(temperature_degc, dtype=np.float64)
+    of_axes = each_degc.ndim == raw.ndim
+    each_degc = np.broadcast_to(each_degc, raw.shape if of_axes else raw.shape[:-1]).reshape(-1, *raw.shape[-1:] * of_axes)
+    rows = model.to_reference(raw.reshape(-1, 3), each_degc, scale=scale, raw_zero=raw_zero)
     return rows.reshape(raw.shape)
+
+
+def temperatures_for(samples: Samples, model: TriadTemperature | None, first: int) -> FloatArray:
+    """Return the temperatures that correct a triad: of its own sensors, shape (n, 3), where they are sent and it was fitted so.
+
+    Elsewhere that of the instrument, shape (n,). ``first`` is the place of the triad's first axis among the six.
+    """
+    own_degc = samples.sensor_temperature_degc
+    if own_degc is None or model is None or model.sensor_offset_degc is None:
+        return samples.temperature_degc
+    there = own_degc[:, first : first + 3] - model.sensor_offset_degc
+    return np.where(np.isnan(there), samples.temperature_degc[:, np.newaxis], there)
 
 
 def correction_matrix(scale: FloatArray, misalignment_rad: FloatArray) -> FloatArray:

@@ -56,6 +56,8 @@ class SessionFacts:
     temperature_degc: tuple[float, float] = (float("nan"), float("nan"))
     """Lowest and highest."""
     recorded: str = ""
+    sensor_offset_degc: tuple[float, ...] = ()
+    """Temperature of each axis' sensor, ax ay az gx gy gz, less that of the instrument, means; NaN where an axis has none."""
 
 
 @dataclass(frozen=True, slots=True)

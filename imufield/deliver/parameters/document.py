@@ -95,6 +95,7 @@ def to_document(calibration: Calibration, observations: Observations, context: C
             "sample_rate_hz": float(session.sample_rate_hz),
             "temperature_degc": [float(value) for value in session.temperature_degc],
             **({"recorded": session.recorded} if session.recorded else {}),
+            **({"sensor_offset_degc": list(session.sensor_offset_degc)} if session.sensor_offset_degc else {}),
         },
         "accelerometer": {
             "equation": calibration.equation,
@@ -324,7 +325,12 @@ def context_from_document(document: Document) -> Context:
     return Context(
         instrument=InstrumentFacts(**document["instrument"]),
         session=SessionFacts(
-            session["name"], session["sha256"], session["sample_rate_hz"], (low, high), session.get("recorded", "")
+            session["name"],
+            session["sha256"],
+            session["sample_rate_hz"],
+            (low, high),
+            recorded=session.get("recorded", ""),
+            sensor_offset_degc=tuple(session.get("sensor_offset_degc", ())),
         ),
         clock=None if "clock" not in document else ClockFacts(**document["clock"]),
         noise=None if noise is None else Noise(source=noise["source"], **_arrays(noise, _NOISE)),

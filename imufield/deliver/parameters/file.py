@@ -17,7 +17,13 @@ from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration, GyroscopeParameters
 from imufield.calibrate.model.temperature import TriadTemperature
 from imufield.calibrate.temperature.there import calibration_at
-from imufield.deliver.parameters.apply import at_reference, correct_accelerometer, correct_both, correct_gyroscope
+from imufield.deliver.parameters.apply import (
+    at_reference,
+    correct_accelerometer,
+    correct_both,
+    correct_gyroscope,
+    temperatures_for,
+)
 from imufield.deliver.parameters.context import Context, InstrumentFacts, Noise, SessionFacts
 from imufield.deliver.parameters.document import calibration_from_document, context_from_document, to_document
 from imufield.deliver.parameters.read import read_document
@@ -179,12 +185,15 @@ class Parameters:
         """
         if isinstance(raw, Samples):
             self.check_unit("accelerometer", raw.units.accelerometer_rate_unit)
-            at_degc = TemperatureHold().fill(raw).temperature_degc
+            raw = TemperatureHold().fill(raw)
+            at_degc = temperatures_for(raw, self.calibration.accelerometer_temperature, 0)
             force = self.apply_accelerometer(raw.accelerometer_rate(), temperature_degc=at_degc)
             # A file without the gyroscope is still good for the accelerometer.
             if not self.gyroscope_is_complete:
                 return Corrected(raw.time_s, force, np.full_like(force, np.nan))
             self.check_unit("gyroscope", raw.units.gyroscope_rate_unit)
+            found = self.calibration.gyroscope
+            at_degc = temperatures_for(raw, None if found is None else found.temperature, 3)
             rate = self.apply_gyroscope(raw.gyroscope_rate(), force, temperature_degc=at_degc)
             return Corrected(raw.time_s, force, rate)
         # What a caller gives may be a list, or an array of whole counts.

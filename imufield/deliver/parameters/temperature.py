@@ -54,6 +54,8 @@ def _table(model: TriadTemperature, unit: str) -> Document:
             f"bias_{unit}": model.sessions.bias.tolist(),
             "scale": model.sessions.scale.tolist(),
         }
+    if model.sensor_offset_degc is not None:
+        more["sensor_offset_degc"] = model.sensor_offset_degc.tolist()
     if model.bias_scale_covariance is not None:
         more["bias_scale_covariance"] = model.bias_scale_covariance.tolist()
     return {
@@ -97,6 +99,7 @@ def temperature_of(document: Document, triad: str) -> TriadTemperature | None:
         scale_separated=table["scale_separated"],
         new_day=_new_day(table["new_day"], unit) if "new_day" in table else None,
         sessions=_sessions(table["sessions"], unit) if "sessions" in table else None,
+        sensor_offset_degc=np.array(table["sensor_offset_degc"]) if "sensor_offset_degc" in table else None,
         bias_scale_covariance=_between(table) if "bias_scale_covariance" in table else None,
     )
 

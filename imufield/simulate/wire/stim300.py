@@ -149,8 +149,12 @@ class Stim300Encoder:
         if use.inclinometer:
             clusters.append(Cluster(inclinometer, _start_up(samples)))
         if use.temperature:
-            three_degc = _to_integer(np.repeat(samples.temperature_degc[:, np.newaxis], 3, axis=1), 8, _INT16)
-            clusters += [Cluster(three_degc, size=2)] * len(clusters)  # Each of the three triads has its thermometers.
+            # Each triad has its thermometers; those of the inclinometer are not simulated apart.
+            one_degc = np.repeat(samples.temperature_degc[:, np.newaxis], 3, axis=1)
+            own_degc = samples.sensor_temperature_degc
+            triads_degc = [one_degc, one_degc] if own_degc is None else [own_degc[:, 3:], own_degc[:, :3]]
+            sent_degc = [*triads_degc[: 1 + use.accelerometer], *[one_degc] * use.inclinometer]
+            clusters += [Cluster(_to_integer(each_degc, 8, _INT16), size=2) for each_degc in sent_degc]
         if use.auxiliary != "none":
             clusters.append(Cluster(np.zeros((len(samples), 1), dtype=np.int64)))
         counter = samples.counter * use.counter_step + self.counter_offset
