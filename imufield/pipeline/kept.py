@@ -1,15 +1,18 @@
 """A reading kept beside its recording: hours of samples take most of the time of a solve, and say the same every time.
 
 ``capture`` keeps it as soon as it has seen all of the recording, else who replays it first. It is believed only under a digest
-of the recording, of what ``session.toml`` says, and of this program's own code; anything else is read anew, and nothing is said
-of it: the result is the same.
+of the recording, of what ``session.toml`` says, and of this program's own code, with a secret of this user: what came with the
+session of another, who could write anything there, is read anew. Nothing is said of it: the result is the same.
 """
 
 from __future__ import annotations
 
 import hashlib
+import hmac
 import json
 import math
+import os
+import secrets
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import fields, is_dataclass
@@ -24,7 +27,7 @@ from imufield.acquire.recording.session import SETTINGS_FILE, Session
 from imufield.calibrate.gyroscope.moves import Slots
 from imufield.calibrate.model.observations import Observations
 from imufield.deliver.report.trace import TraceCells
-from imufield.files import SMALL_FILE_LIMIT_BYTES, Origin, read_small_file, write_atomically
+from imufield.files import SMALL_FILE_LIMIT_BYTES, Origin, make_beside, read_small_file, write_atomically
 from imufield.guide.positions import SCHEME_FILE
 from imufield.json_files import parse_json
 from imufield.pipeline.reading import Reading
@@ -66,20 +69,36 @@ def kept(session: Session, sha256: str) -> Reading | None:
     try:
         content = read_small_file(session.folder / KEPT_FILE, Origin.INSIDE)
         body = content[_DIGEST_BYTES:]
-        return _unpacked(body) if content[:_DIGEST_BYTES] == _digest(session, sha256, body) else None
-    # The digest has no secret: what somebody made up under it may be anything.
-    except (OSError, AttributeError, KeyError, TypeError, ValueError):
+        own = hmac.compare_digest(content[:_DIGEST_BYTES], _digest(session, sha256, body))
+    except OSError:
         return None
+    return _unpacked(body) if own else None
 
 
 def _digest(session: Session, sha256: str, body: bytes) -> bytes:
-    """Return the hash of all that a reading hangs on, and of the reading itself."""
-    digest = hashlib.sha256(f"{sha256} {_code_sha256()} {np.__version__}\n".encode())
+    """Return the keyed hash of all that a reading hangs on, and of the reading itself."""
+    digest = hmac.new(_secret(), f"{sha256} {_code_sha256()} {np.__version__}\n".encode(), "sha256")
     for name in (SETTINGS_FILE, SCHEME_FILE):
         with suppress(FileNotFoundError):
             digest.update(hashlib.sha256(read_small_file(session.folder / name, Origin.INSIDE)).digest())
     digest.update(body)
     return digest.digest()
+
+
+def _secret() -> bytes:
+    """Return what only this user's programs know, made at its first use."""
+    import platformdirs  # Only where something is kept.
+
+    path = platformdirs.user_state_path("imufield", ensure_exists=True) / "secret"
+    with suppress(FileNotFoundError):
+        if len(found := read_small_file(path, Origin.INSIDE)) == _DIGEST_BYTES:
+            return found
+    # Nobody else may read it; of two programs that make one at once the later one wins, which costs a replay.
+    descriptor, name = make_beside(path)
+    with os.fdopen(descriptor, "wb") as file:
+        file.write(secrets.token_bytes(_DIGEST_BYTES))
+    Path(name).replace(path)
+    return path.read_bytes()
 
 
 @cache

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -67,8 +68,13 @@ def edit(path: Path) -> None:
 
 
 def forge(path: Path) -> None:
+    """Write as somebody else who has the program: all is right but the secret."""
     session = Session.open(path.parent)
-    path.write_bytes(kept._digest(session, solving.session_sha256(session), b"no arrays") + b"no arrays")
+    reading = kept.kept(session, solving.session_sha256(session))
+    assert reading is not None
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(kept, "_secret", lambda: bytes(32))
+        kept.keep(session, reading)
 
 
 @pytest.mark.parametrize("spoil", [flip, edit, forge, lambda path: path.write_bytes(path.read_bytes()[:-9])])
@@ -82,6 +88,27 @@ def test_what_does_not_fit_is_read_anew(folder: Path, spoil: Callable[[Path], No
             solved(folder)
     assert repr(solved(folder)) == repr(cold)
     assert path.read_bytes()[32:] == before[32:]
+
+
+@pytest.mark.parametrize("content", [b"", bytes(31)])
+def test_a_damaged_secret_is_made_anew(folder: Path, tmp_path: Path, content: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("platformdirs.user_state_path", lambda *_, **__: tmp_path)
+    (tmp_path / "secret").write_bytes(content)
+    cold = solved(folder)
+    assert len((tmp_path / "secret").read_bytes()) == 32
+    if os.name == "posix":
+        assert (tmp_path / "secret").stat().st_mode & 0o777 == 0o600
+    refuse_replay(monkeypatch)
+    assert repr(solved(folder)) == repr(cold)
+
+
+def test_without_a_place_for_the_secret_nothing_is_kept(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def nowhere(*_: object, **__: object) -> Path:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("platformdirs.user_state_path", nowhere)
+    solved(folder)
+    assert not (folder / kept.KEPT_FILE).exists()
 
 
 def test_other_code_reads_anew(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -118,6 +145,9 @@ def test_what_capture_keeps_is_what_a_replay_finds(program: Program, monkeypatch
     folder = Session.newest(program.folder / "imufield-sessions").folder
     path = folder / kept.KEPT_FILE
     live = path.read_bytes()
+    # As that user: what another one kept is not believed.
+    for name in ("HOME", "XDG_STATE_HOME"):
+        monkeypatch.setenv(name, program.environment()[name])
     with monkeypatch.context() as patch:
         refuse_replay(patch)
         found = solved(folder)
