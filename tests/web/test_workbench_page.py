@@ -248,7 +248,7 @@ def test_a_dropped_file_is_asked_about_and_solved_without_a_position(program: Pr
     for number, name in enumerate(("ax", "ay", "az"), start=1):
         page.get_by_label(f"meaning of column {number}").select_option(name)
     page.get_by_label("samples per second").fill(str(RATE_HZ))
-    page.get_by_role("button", name="Import with these").click()
+    page.get_by_role("button", name="Import with these settings").click()
     page.get_by_role("button", name="Go on to the result").click()
     page.get_by_label("Latitude").last.fill("45")
     page.get_by_role("button", name="Compute the result").click()
@@ -260,7 +260,7 @@ def test_a_dropped_file_is_asked_about_and_solved_without_a_position(program: Pr
     page.keyboard.press("Enter")
     name = str(page.locator("[data-still]").nth(3).get_attribute("data-still"))
     assert not page.locator(f'[data-hold="{name}"]').is_checked()
-    page.get_by_role("button", name="Compute again with these").click()
+    page.get_by_role("button", name="Compute again with the ticked positions").click()
     page.locator("#verdict").wait_for()
     wait_for(page, "#commands code", f"--without={re.escape(name)}")
     page.locator(f'.holds label:has([data-hold="{name}"]) rect.left').wait_for()

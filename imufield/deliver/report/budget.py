@@ -235,6 +235,8 @@ def scale_words(parameters: Parameters) -> Sentence | None:
 def not_in_budget(parameters: Parameters) -> tuple[Sentence, ...]:
     """Return what the budget has no share of, and what it takes to have one."""
     calibration, context = parameters.calibration, parameters.context
+    if not budget_of(parameters):
+        return (sentence("budget.no_covariance"),)
     told = []
     if not calibration.budget:
         told.append(sentence("budget.not_apart"))

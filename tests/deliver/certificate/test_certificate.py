@@ -7,6 +7,7 @@ import json
 import math
 import re
 from dataclasses import replace
+from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -21,7 +22,7 @@ from imufield.deliver.certificate.label import label_svg, label_text
 from imufield.deliver.certificate.page import render_certificate
 from imufield.deliver.parameters.consistency import contradiction
 from imufield.deliver.parameters.context import ClockFacts, Context, InstrumentFacts, SessionFacts
-from imufield.deliver.parameters.file import Parameters, from_document, to_document
+from imufield.deliver.parameters.file import Parameters, from_document, load, to_document
 from imufield.deliver.parameters.schema import json_ready
 from imufield.deliver.report.budget import budget_of, budget_tables, not_in_budget
 from imufield.earth import STANDARD_GRAVITY_M_S2
@@ -230,6 +231,14 @@ def test_the_day_of_issue_is_the_one_that_the_environment_says(monkeypatch: pyte
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "yesterday")
     with refused(UsageError, Reason.USAGE, key="files.source_date"):
         issue_date()
+
+
+def test_a_file_without_covariance_gives_the_reason_and_no_empty_section() -> None:
+    parameters = load(Path(__file__).resolve().parents[3] / "docs" / "exports" / "example.toml")
+    page = render_certificate(certified(parameters), "")
+    assert "This file has no [covariance]" in page
+    assert "<h2>Results" not in page
+    assert "Uncertainty budget" not in page
 
 
 def test_a_file_without_shares_has_gravity_s_and_the_rest(solved: Parameters) -> None:
