@@ -29,6 +29,13 @@ settings.load_profile("same")
 PROJECT = Path(__file__).resolve().parent.parent
 
 
+@pytest.fixture(autouse=True, scope="session")
+def own_places(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Keep secret and indexes of the tests out of the person's own folders."""
+    for name in ("XDG_CACHE_HOME", "XDG_STATE_HOME"):
+        os.environ[name] = str(tmp_path_factory.mktemp(name.lower()))
+
+
 # Files of a minute and more. They begin first, or one process works on alone when the others are done.
 LONG = (
     "torture/test_sequences.py",

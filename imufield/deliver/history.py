@@ -1,11 +1,13 @@
 """Parameters of instruments over time, from a folder of parameter files and an index of them.
 
-The index (``.imufield-history.json`` in the folder) holds what was read of each file and its size and time of change, so
-that a thousand files are read once. It can be deleted at any time. What the history says: ``changes``.
+The index holds what was read of each file and its size and time of change, so that a thousand files are read once. It lies
+with the user and not beside the files: who hands those over could write anything into it. It can be deleted at any time.
+What the history says: ``changes``.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from collections.abc import Collection
@@ -27,7 +29,6 @@ from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
 
-INDEX_FILE = ".imufield-history.json"
 INDEX_VERSION = 10  # Of the index alone, which is made anew when it changes.
 _BEHIND_HEAD = "\t"  # Which JSON writes as an escape: what stands before it tells whether a row is wanted.
 _ROW_LIMIT_BYTES = 1 << 16  # Four times the row of a model with every term.
@@ -257,11 +258,19 @@ def read_history(folder: Path, serial_number: str | None = None) -> History:
     return History(folder, _by_instrument(chosen), faults, read)
 
 
+def index_file(folder: Path) -> Path:
+    """Return where the index of a folder is kept."""
+    import platformdirs  # Only here.
+
+    name = hashlib.sha256(os.fsencode(folder.resolve())).hexdigest()
+    return platformdirs.user_cache_path("imufield") / "history" / f"{name[:32]}.jsonl"
+
+
 def _read_index(folder: Path, names: Collection[str], serial_number: str | None) -> dict[str, _Row]:
     """Return what was read before of the files with these names; nothing where the file is no index of ours."""
     rows: dict[str, _Row] = {}
     unsound = (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError)
-    with suppress(*unsound), open_to_read(folder / INDEX_FILE, Origin.INSIDE) as file:
+    with suppress(*unsound), open_to_read(index_file(folder), Origin.INSIDE) as file:
         if json.loads(file.readline(_ROW_LIMIT_BYTES)) != {"version": INDEX_VERSION}:
             return {}
         # Row by row: an index that somebody made takes no more memory than the files of its folder.
@@ -282,9 +291,11 @@ def _write_index(folder: Path, rows: dict[str, _Row]) -> None:
     for name, row in rows.items():
         text = json.dumps(asdict(row.entry)) if isinstance(row.entry, Entry) else row.entry or ""
         lines.append(json.dumps((name, row.size, row.changed_ns, row.fault, row.serial_number)) + _BEHIND_HEAD + text + "\n")
-    # Where the folder is read-only, or full, it is read again the next time.
+    # Where it cannot be written, all files are read again the next time.
     with suppress(OSError):
-        write_atomically(folder / INDEX_FILE, "".join(lines).encode("ascii"))
+        path = index_file(folder)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, "".join(lines).encode("ascii"))
 
 
 def _read_files(folder: Path, serial_number: str | None) -> tuple[list[_Row], list[str], int]:

@@ -57,6 +57,7 @@ class Program:
             **AT_START,
             "HOME": home,
             "XDG_CONFIG_HOME": f"{home}/.config",
+            "XDG_CACHE_HOME": f"{home}/.cache",
             "XDG_STATE_HOME": f"{home}/.local/state",
             "COLUMNS": "80",
             **self.variables,

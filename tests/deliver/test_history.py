@@ -17,7 +17,7 @@ from imufield.calibrate.model.result import Calibration
 from imufield.deliver.changes import judge_history, sentences, to_csv
 from imufield.deliver.control_chart import charts, plot_history
 from imufield.deliver.family import Shared
-from imufield.deliver.history import INDEX_FILE, INDEX_VERSION, Entry, InstrumentHistory, find, one_instrument, read_history
+from imufield.deliver.history import INDEX_VERSION, Entry, InstrumentHistory, find, index_file, one_instrument, read_history
 from imufield.deliver.parameters.context import Context
 from imufield.deliver.parameters.file import write_parameters
 from imufield.deliver.parameters.gauge_free import gauge_free
@@ -304,7 +304,8 @@ NO_INDEX = [b"", b"\xff no index at all", b"[]", b"[" * 100_000, *(HEADER + row 
 @pytest.mark.parametrize("content", NO_INDEX)
 def test_a_spoilt_index_does_no_harm(tmp_path: Path, write, content: bytes) -> None:  # type: ignore[no-untyped-def]
     write("a", "2026-03-04")
-    (tmp_path / INDEX_FILE).write_bytes(content)
+    read_history(tmp_path)
+    index_file(tmp_path).write_bytes(content)
     assert len(read_history(tmp_path).instruments) == 1
 
 
@@ -326,11 +327,11 @@ def test_an_index_of_another_version_or_program_is_made_anew(  # type: ignore[no
 ) -> None:
     write("a", "2026-03-04")
     before = read_history(tmp_path)
-    first, line = (tmp_path / INDEX_FILE).read_text().splitlines()
+    first, line = index_file(tmp_path).read_text().splitlines()
     head, _, text = line.partition("\t")
     header, entry = json.loads(first), json.loads(text)
     (header if key in header else entry)[key] = value
-    (tmp_path / INDEX_FILE).write_text(f"{json.dumps(header)}\n{head}\t{json.dumps(entry)}\n")
+    index_file(tmp_path).write_text(f"{json.dumps(header)}\n{head}\t{json.dumps(entry)}\n")
     again = read_history(tmp_path)
     assert again.read == 1
     assert again.instruments == before.instruments
