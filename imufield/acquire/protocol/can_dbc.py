@@ -40,7 +40,8 @@ MOST_FORMS = 1 << 16
 _FURTHEST_BIT = 8 * 1785
 """Of a message of J1939 that takes several frames (J1939-21). cantools makes numbers with as many bits as a signal has."""
 _DEEPEST = 8  # Multiplexers in each other: files of vehicles have two or three.
-_STRING_OR_COMMENT = re.compile(r'"(?:\\"|[^"])*?"|//[^\n]*')
+_TEXT_OR_COMMENT = re.compile(r'"(?:[^"\\]++|\\"?+)*+"?+|//[^\n]*+')
+_LONGEST_TEXT = 1 << 16  # Comments have up to some hundred characters; cantools takes 240 bytes for each.
 # Nothing that was taken is given back, and what stands between is of few characters: a file that is made to be slow would have
 # each of its characters looked at from each of the others on.
 _ENTRY = re.compile(r"\b(?:BO_\s++\d++\s*+\w++|SG_\s++\w++(?:\s++\w++)?+)\s*+:")
@@ -343,8 +344,11 @@ def compile_signal(signal: Signal, is_j1939: bool = False) -> CanSignal:
 
 
 def _check_extent(text: str, label: str) -> None:
-    """Refuse too many messages and signals, numbers and signals too long, and what ``_check_forms`` refuses."""
-    bare = _STRING_OR_COMMENT.sub(lambda found: '""' if found[0].startswith('"') else " ", text)
+    """Refuse too many messages and signals, texts, numbers and signals too long, and what ``_check_forms`` refuses."""
+    longest = max((len(found) for found in _TEXT_OR_COMMENT.findall(text) if found.startswith('"')), default=0)
+    if longest > _LONGEST_TEXT:
+        raise ProtocolError(sentence("can_dbc.long_text", label=label, length=longest, limit=_LONGEST_TEXT))
+    bare = _TEXT_OR_COMMENT.sub(lambda found: '""' if found[0].startswith('"') else " ", text)
     entries = sum(1 for _ in _ENTRY.finditer(bare))
     if entries > MOST_ENTRIES:
         raise ProtocolError(sentence("can_dbc.many_entries", label=label, entries=entries, limit=MOST_ENTRIES))

@@ -162,6 +162,9 @@ FAR_BITS = ("0|2147483648", f"0 | {10**400}", "2147483648|8")
         ("BU_: R\n" + "".join(f"BO_ {2**31 + number} M{number}: 8 R\n" for number in range(40_000)), "many_entries"),
         *((f'BU_: R\nBO_ 100 M: 8 R\n SG_ A : {bits}@1+ (1,0) [0|0] "" R\n', "far_bit") for bits in FAR_BITS),
         *((DBC + text.format("9" * 5000), "long_number") for text in LONG_NUMBERS),
+        # Of each character of a text, also of one without an end, cantools takes 240 bytes.
+        (DBC + 'CM_ "' + "(" * 100_000 + '";', "long_text"),
+        (DBC + 'CM_ "' + "(" * 100_000, "long_text"),
         # Behind each slash of a comment without an end cantools looks for one.
         ("/" * 1_000_000, "unreadable"),
     ],
