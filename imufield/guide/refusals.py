@@ -140,6 +140,7 @@ NOT_QUIET_STRAYS = RefusalKind(RefusalCode.NOT_QUIET, "refusals.not_quiet_strays
 AXES_LEFT_HANDED = RefusalKind(RefusalCode.AXES, "refusals.axes_left_handed", "refusals.gyroscope_lost_remedy", "deg")
 AXES_DIFFER = RefusalKind(RefusalCode.AXES, "refusals.axes_differ", "refusals.gyroscope_lost_remedy", "deg")
 AXES_OPEN = RefusalKind(RefusalCode.AXES, "refusals.axes_open", "refusals.gyroscope_lost_remedy", "deg")
+MOTIONLESS = RefusalKind(RefusalCode.AXES, "refusals.motionless", "refusals.gyroscope_lost_remedy", "deg")
 SCALE_DIFFERS = RefusalKind(RefusalCode.SCALE, "refusals.scale_differs", "refusals.gyroscope_lost_remedy", "deg")
 SCALE_AND_AXES = RefusalKind(RefusalCode.SCALE, "refusals.scale_and_axes", "refusals.gyroscope_lost_remedy", "deg")
 SAME_SIDE_AGAIN = RefusalKind(RefusalCode.AXES, "refusals.same_side_again", "refusals.own_way_remedy", "sides")

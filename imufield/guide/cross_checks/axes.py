@@ -185,8 +185,19 @@ def check_axes(moves: list[MoveBetweenStills], gyroscope_scale: float | None) ->
     ratio = gyroscope_scale / scaled.gyroscope_scale
     # Turns about one axis leave others open, but that the given ones fit with a factor is enough to contradict the scale.
     if not scaled.fits or abs(math.log(ratio)) < _SAME_FACTOR:
-        return given
+        return _motionless(moves, gyroscope_scale, given)
     return _contradicted(scaled, given.misfit_deg, ratio)
+
+
+def _motionless(moves: list[MoveBetweenStills], scale: float, given: AxesCheck) -> AxesCheck:
+    """Return the check with its cause where the gyroscope moved by less than half of the way in every move."""
+    ways_deg = np.degrees([np.linalg.norm(move.rate_raw, axis=1).sum() * CELL_S / scale for move in moves])
+    turns_deg = np.degrees([angle_rad(move.up_before, move.up_after) for move in moves])
+    if (ways_deg > turns_deg / 2).any():
+        return given
+    most = int(np.argmax(turns_deg))
+    refusal = refusals.MOTIONLESS.refusal(turns_deg[most], 2 * ways_deg[most], way=ways_deg[most])
+    return replace(given, words=refusal.words, refusal=refusal)
 
 
 def _confused(unknown: AxesCheck, moves: list[MoveBetweenStills], scale: float) -> AxesCheck:

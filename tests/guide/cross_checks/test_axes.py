@@ -7,7 +7,7 @@ import pytest
 
 from imufield.errors import CalibrationError, Reason
 from imufield.guide.cross_checks.axes import MoveLog, check_axes, signed_permutations
-from imufield.guide.refusals import AXES_DIFFER, AXES_LEFT_HANDED, SCALE_AND_AXES, SCALE_DIFFERS
+from imufield.guide.refusals import AXES_DIFFER, AXES_LEFT_HANDED, AXES_OPEN, MOTIONLESS, SCALE_AND_AXES, SCALE_DIFFERS
 from imufield.guide.stillness.detector import StillnessDetector
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import Samples
@@ -150,6 +150,17 @@ def test_a_gyroscope_that_shows_nothing_is_not_decided(moves: Any) -> None:
     assert check_axes(silent, 1.0).agrees is None
     assert check_axes(silent, None).agrees is None
     assert check_axes(silent, 1.0).is_contradicted
+
+
+def test_a_gyroscope_that_does_not_turn_is_the_cause(moves: Any) -> None:
+    noise = np.random.default_rng(1)
+    still = [dataclasses.replace(move, rate_raw=noise.normal(0, 0.001, move.rate_raw.shape)) for move in moves]
+    found = check_axes(still, 1.0)
+    assert found.agrees is None
+    assert is_said_by(MOTIONLESS, found.refusal)
+    assert values_of(found.words)["way"] < 1
+    one_turns = [dataclasses.replace(still[0], rate_raw=moves[0].rate_raw), *still[1:]]
+    assert is_said_by(AXES_OPEN, check_axes(one_turns, 1.0).refusal)
 
 
 @pytest.mark.parametrize(
