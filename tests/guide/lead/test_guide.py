@@ -402,13 +402,13 @@ def test_a_gyroscope_far_too_small_is_told_with_the_third_position(make_path: An
     assert len([event for event in events[: events.index(warned)] if isinstance(event, Accepted)]) == 3
 
 
-def test_a_gyroscope_that_nothing_fits_is_told_once(make_path: Any) -> None:
+def test_a_gyroscope_that_never_turns_is_told_once(make_path: Any) -> None:
     samples = faces_session(make_path).samples()
     samples.gyroscope[:] = 0
     guide, events = run(samples)
     assert guide.done
     (told,) = of(events, Rejected)
-    assert is_said_by(refusals.AXES_OPEN, told)
+    assert is_said_by(refusals.MOTIONLESS, told)
 
 
 def test_turning_is_told_a_few_times_a_second_with_the_angle(make_path: Any) -> None:
