@@ -124,8 +124,6 @@ def photograph_workbench(page: Page) -> None:
             page.locator("#steps button.main").click(timeout=SLOW_MS)
             page.get_by_role("button", name="Show the signals").click(timeout=SLOW_MS)
             page.locator("#signals-of-session polyline").first.wait_for(timeout=SLOW_MS)
-            # What is behind the verdict would be most of the picture.
-            page.locator("#result summary").first.click()
             page.set_viewport_size({"width": 1100, "height": 1240})
             page.screenshot(path=FOLDER / "workbench-result.png")
         bench.close()

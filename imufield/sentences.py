@@ -1,9 +1,9 @@
 """The sentences people read: those of a room stand together in its ``sentences.toml``, the code names them by key.
 
 ``sentence = Sentences(__package__)`` at the top of a module, ``sentence("module.key", value=...)`` where one is needed. A text
-is a format with named values, its line breaks mean nothing. Beside the formats of Python, ``{found:#position}`` counts
-("1 position", "2 positions"), and the values of a list are joined by commas. Values come from wires and files of others: their
-control characters are shown and not sent to the terminal (``printable``).
+is a format with named values, its line breaks mean nothing. Beside the formats of Python, ``{found:#position}`` counts ("1
+position", "2 positions"), ``{size:#.3g}`` has three digits, zeros too ("0.120"), and the values of a list are joined by commas.
+Values come from wires and files of others: their control characters are shown and not sent to the terminal (``printable``).
 """
 
 from __future__ import annotations
@@ -91,8 +91,8 @@ class _Format(string.Formatter):
     def format_field(self, value: object, format_spec: str) -> str:
         if isinstance(value, list | tuple):
             return ", ".join(self.format_field(entry, format_spec) for entry in value)
-        if format_spec.startswith("#") and isinstance(value, int):
-            return counted(value, format_spec[1:])
+        if format_spec.startswith("#"):
+            return counted(value, format_spec[1:]) if isinstance(value, int) else format(value, format_spec).removesuffix(".")
         return printable(format(value, format_spec))
 
 

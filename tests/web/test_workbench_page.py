@@ -272,7 +272,7 @@ def test_a_dropped_file_is_asked_about_and_solved_without_a_position(program: Pr
     # What was made of an earlier result is offered as that.
     page.get_by_text("Older files").click()
     page.locator("#saved-earlier").get_by_role("button", name="Save parameters-1.toml").wait_for()
-    assert page.locator("#saved").get_by_role("button", name="Save parameters.toml").is_visible()
+    assert page.locator("#result").get_by_role("button", name="Save parameters.toml").is_visible()
     # A damaged result is told of, and computed again.
     (folder / "parameters.toml").write_text("cut")
     page.reload()

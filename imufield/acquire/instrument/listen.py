@@ -230,7 +230,7 @@ def nothing_recognised(port: str, result: Search) -> LinkError:
     bauds = [hearing.baud for hearing in result.hearings]
     total = sum(hearing.byte_count for hearing in result.hearings)
     if total == 0:
-        waited_s = LISTEN_S if len(result.hearings) == 1 else SILENT_S
+        waited_s = LISTEN_S if len(bauds) == 1 else SILENT_S + SILENT_TRY_S * (len(bauds) - 1)
         return LinkTimeoutError(sentence("listen.silent", port=port, waited_s=waited_s, bauds=bauds), Reason.SILENCE)
     listeners = [listener for hearing in result.hearings for listener in hearing.listeners]
     # The closest one helps to see what is wrong: a baud rate, a setting, a damaged line.

@@ -38,7 +38,7 @@ function drawStrips(canvas, strips, across) {
     context.fillText(value, 0, middle + 8);
     context.font = "11px system-ui, sans-serif";
     context.fillStyle = colour("faint");
-    ends.forEach((words, k) => context.fillText(words, LABEL, top + strip * (k ? 0.12 : 0.88)));
+    ends.forEach((words, k) => context.fillText(words, LABEL, top + strip * (k ? 0.2 : 0.8)));
     context.strokeStyle = colour("line");
     context.lineWidth = 1;
     context.beginPath();

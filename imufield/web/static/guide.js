@@ -131,7 +131,8 @@ function hear(lines, isOld) {
   for (const line of lines) {
     if (!isOld) sound.play(line.kind, line.tones);
     if (!line.text) continue; // To be heard only.
-    log.prepend(make("li", { class: line.kind }, pretty(line.text)));
+    const pieces = pretty(line.text).split("`");
+    log.prepend(make("li", { class: line.kind }, pieces.map((words, k) => (k % 2 ? make("code", {}, words) : words))));
   }
   // What was said together is not cut off by its last part.
   const spoken = lines.map((line) => line.spoken).filter(Boolean);

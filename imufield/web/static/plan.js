@@ -1,7 +1,7 @@
 // How long a session takes with what was chosen, asked of the program whenever that changes.
 
 import { at, filled } from "./make.js";
-import { withSigns } from "./texts.js";
+import { text, withSigns } from "./texts.js";
 
 /**
  * @param {import("./bench.js").Bench} bench
@@ -18,6 +18,7 @@ export function watchPlan(bench, noise) {
     const mine = JSON.stringify(values);
     if (form.closest("[data-view]").hidden || mine === asked) return;
     asked = mine;
+    at("plan-says").textContent = text("planning");
     const says = await bench.found("plan", values).then(
       ({ words, remedy, assumed }) =>
         withSigns(

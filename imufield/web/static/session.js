@@ -5,6 +5,7 @@ import { at, button, clean, filled, make, table } from "./make.js";
 import { barOf, drawSignals, readOverview } from "./plots.js";
 import { text, when, withSigns } from "./texts.js";
 
+const PARAMETERS = "parameters.toml"; // Its button stands below the verdict, those of other files at the end.
 const MICRO_G = 9.80665e-6;
 const FEWEST_CHECKED = 10; // Positions, for a result that is checked: see the pipeline of the program.
 const AXES = ["x", "y", "z"];
@@ -175,13 +176,16 @@ export class SessionView {
     at("give").hidden = !parameters;
     at("again").hidden = !canSolve;
     at("again").open = row?.kind === "import" && !row.verdict;
-    const saves = (/** @type {string[]} */ names) =>
-      names.map((name) =>
-        button(text("save", { name }), () => this.save(`${this.name}/${name}`), { class: name === "parameters.toml" && "main" }),
-      );
-    at("saved").replaceChildren(...saves(files.filter((name) => !earlier.includes(name))));
+    const isEarlier = (/** @type {string} */ name) => earlier.includes(name);
+    const others = files.filter((name) => name !== PARAMETERS && !isEarlier(name));
+    at("saved").replaceChildren(...others.map((name) => this.saving(name)));
     at("earlier").hidden = !earlier.length;
-    at("saved-earlier").replaceChildren(...saves(files.filter((name) => earlier.includes(name))));
+    at("saved-earlier").replaceChildren(...files.filter(isEarlier).map((name) => this.saving(name)));
+  }
+
+  /** What saves a file of the session. @param {string} name @param {any} [properties] */
+  saving(name, properties = {}) {
+    return button(text("save", { name }), () => this.save(`${this.name}/${name}`), properties);
   }
 
   /** What shows the session on the page of the guide again, and how fast. */
@@ -244,6 +248,7 @@ export class SessionView {
         { "aria-labelledby": "verdict" },
         make("p", { id: "verdict", class: `verdict ${quality.verdict}` }, quality.verdict.toUpperCase()),
         make("p", {}, text(quality.verdict)),
+        make("p", { class: "row" }, this.saving(PARAMETERS, { class: "main" })),
         gained ? make("p", { class: "gain" }, gained.words) : null,
         make("p", {}, text("triads", { accelerometer: quality.accelerometer_verdict, gyroscope })),
         quality.warnings.length
@@ -255,7 +260,7 @@ export class SessionView {
           : null,
         make(
           "details",
-          { open: true },
+          {},
           make("summary", {}, text("reasons")),
           make(
             "ul",

@@ -17,9 +17,9 @@ export function text(name, values = {}) {
  */
 export const withMarks = (words, how) => words.replace(/\[([a-z ]+)\]/g, (_, mark) => text(how, { mark }));
 
-/** Words as a terminal can show them, with the signs of units. @param {string} words */
+/** Words as a terminal can show them, with the signs of units; names of options stay. @param {string} words */
 export const withSigns = (words) =>
-  words.replaceAll("^2", "²").replaceAll(" per root Hz", "/√Hz").replace(/\bu(?=g\b|rad\b)/g, "µ").replace(/ deg\b/g, "°").replace(/(?<![\d.])\+-(?=\d)/g, "±");
+  words.replaceAll("^2", "²").replaceAll(" per root Hz", "/√Hz").replace(/(?<![\w-])u(?=g\b|rad\b)/g, "µ").replace(/ deg\b/g, "°").replace(/(?<![\d.])\+-(?=\d)/g, "±");
 
 /** A number with its sign; what is rounded to zero has none. @param {number} value @param {number} digits */
 export function signed(value, digits) {

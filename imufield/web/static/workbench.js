@@ -319,6 +319,9 @@ function underWay(job, counts, hasPage) {
   return job.action === "solve" ? text("computing", counts) : job.command;
 }
 
+/** A port to which nothing is connected has been looked at, too. @param {import("./bench.js").Job} job */
+const isSilent = (job) => job.action === "probe" && job.found[0]?.ports?.[0]?.error?.reason === "silence";
+
 /** @type {Map<number, {entry: any, said: number}>} */
 const written = new Map();
 
@@ -343,14 +346,16 @@ function showCommands() {
           ? text("done")
           : job.code === 130
             ? text("stopped")
-            : text("notDone", { why: complaint(job) });
+            : isSilent(job)
+              ? text("heardNothing", { why: complaint(job) })
+              : text("notDone", { why: complaint(job) });
     const words = [...job.lines, ...job.said].join("\n");
     const entry = make(
       "li",
       {},
       make("code", {}, job.command),
       " ",
-      make("span", { class: job.code && job.code !== 130 ? "failed" : "state" }, state),
+      make("span", { class: job.code && job.code !== 130 && !isSilent(job) ? "failed" : "state" }, state),
       words ? make("details", {}, make("summary", {}, text("says")), make("pre", {}, words)) : null,
     );
     if (before) before.entry.replaceWith(entry);
