@@ -232,7 +232,7 @@ def test_a_session_of_a_virtual_instrument_is_stopped_and_goes_on(program: Progr
     page.reload()
     page.get_by_role("button", name="Go on with the positions").click()
     wait_for(page, "#session-says", "/dev/ttyUSB77")
-    page.get_by_label("Port, where").wait_for()
+    page.get_by_label("Port, if it has changed").wait_for()
     assert screens.console == []
 
 

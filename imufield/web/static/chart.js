@@ -36,16 +36,13 @@ function drawStrips(canvas, strips, across) {
     context.fillText(name, 0, middle - 8);
     context.fillStyle = colour("text");
     context.fillText(value, 0, middle + 8);
-    context.font = "11px system-ui, sans-serif";
-    context.fillStyle = colour("faint");
-    ends.forEach((words, k) => context.fillText(words, LABEL, top + strip * (k ? 0.2 : 0.8)));
     context.strokeStyle = colour("line");
     context.lineWidth = 1;
     context.beginPath();
     context.moveTo(LABEL, top + strip - 0.5);
     context.lineTo(width, top + strip - 0.5);
     context.stroke();
-    context.strokeStyle = context.fillStyle = colour(ink);
+    context.strokeStyle = colour(ink);
     context.lineWidth = 2;
     context.lineJoin = "round";
     context.beginPath();
@@ -60,6 +57,17 @@ function drawStrips(canvas, strips, across) {
       }
     }
     context.stroke();
+    // Above the line: a number that is crossed out is none.
+    context.font = "11px system-ui, sans-serif";
+    context.strokeStyle = colour("panel");
+    context.lineWidth = 3;
+    context.fillStyle = colour("faint");
+    ends.forEach((words, k) => {
+      const y = top + strip * (k ? 0.2 : 0.8);
+      context.strokeText(words, LABEL, y);
+      context.fillText(words, LABEL, y);
+    });
+    context.fillStyle = colour(ink);
     const last = points[points.length - 1];
     if (!dots || !last) return;
     context.beginPath();
