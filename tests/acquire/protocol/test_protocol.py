@@ -127,8 +127,8 @@ def test_wrong_settings_name_what_is_allowed(given: dict[str, object], reason: R
         ('"0D 0A"', '"0D 0"', '"0D 0A"', "frame.trailer.bytes", "toml.hexadecimal", "'0D 0'"),
         ('flag = "start_up"', 'flag = "startup"', 'flag = "start_up"', "samples.flags.0.flag", "toml.choice", "'start_up'"),
         (
-            'accelerometer = { fields = ["accelerometer"] }',
-            'accelerometer = { fields = ["acceleration"] }',
+            'accelerometer = { fields = ["accelerometer"]',
+            'accelerometer = { fields = ["acceleration"]',
             "accelerometer = { fields",
             "samples.accelerometer",
             "protocol.field",
