@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import os
 import resource
 import signal
 import sys
@@ -43,8 +44,14 @@ class _Watch:
             self.seen.append(f"{event} {arguments!r}")
         if event == "open" and arguments[2] & _WRITING and isinstance(arguments[0], str | bytes):
             path = Path(arguments[0].decode() if isinstance(arguments[0], bytes) else arguments[0])
-            if not (path.resolve().is_relative_to(self.allowed) or path.is_relative_to("/dev") or "__pycache__" in path.parts):
+            allowed = any(path.resolve().is_relative_to(place) for place in (self.allowed, *_own_places()))
+            if not (allowed or path.is_relative_to("/dev") or "__pycache__" in path.parts):
                 self.seen.append(f"wrote {path}")
+
+
+def _own_places() -> list[Path]:
+    """Return where the program keeps what only saves it time."""
+    return [Path(os.environ[name], "imufield").resolve() for name in ("XDG_CACHE_HOME", "XDG_STATE_HOME")]
 
 
 _WATCH = _Watch()
