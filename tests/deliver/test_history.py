@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import hashlib
 import json
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -41,7 +42,7 @@ def write(tmp_path: Path, calibration: Calibration, observations: Observations, 
         moved_to = replace(calibration.accelerometer, bias_m_s2=raw / K)
         changed = replace(calibration, accelerometer=moved_to, intrinsic=replace(found, bias_raw=raw))
         seen = replace(observations, mean_raw=observations.mean_raw + raw - found.bias_raw)
-        facts = replace(context.session, sha256=session or f"{hash(name) % 16:x}" * 64)
+        facts = replace(context.session, sha256=session or hashlib.sha256(name.encode()).hexdigest())
         moment = created if "T" in created else f"{created}T10:00:00Z"
         instrument = replace(context.instrument, **{"serial_number": "N1", **who})
         where = replace(context, created=moment, instrument=instrument, session=facts)
