@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import csv
-import io
 import hashlib
+import io
 import json
 from dataclasses import replace
 from datetime import UTC, datetime
