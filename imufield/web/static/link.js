@@ -8,12 +8,15 @@ const SILENT_MS = 3000; // The program says something once a second, if only a b
 /** Whether an address is one of this machine: others may come from anybody. @param {string} url */
 export const isOfThisMachine = (url) => /^http:\/\/(127\.0\.0\.1|localhost|\[::1\]):\d+\//.test(url);
 
+/** @param {string} hash */
+const tokenOf = (hash) => new URLSearchParams(hash.slice(1)).get("token");
+
 /**
  * Take the token out of the address, where nobody shall read it off the screen; a reload finds it in this tab's memory.
  * @returns {string}
  */
 function token() {
-  const given = new URLSearchParams(location.hash.slice(1)).get("token");
+  const given = tokenOf(location.hash);
   if (given) {
     sessionStorage.setItem("token", given);
     history.replaceState(null, "", location.pathname);
@@ -21,9 +24,13 @@ function token() {
   return given || sessionStorage.getItem("token") || "";
 }
 
-// Typed into the tab of an earlier page, an address with another token loads nothing by itself.
-addEventListener("hashchange", () => {
-  if (new URLSearchParams(location.hash.slice(1)).has("token")) location.reload();
+// Typed into the tab of an earlier page, an address with another token loads nothing by itself. It is that of the event: who
+// chose a tab of the page meanwhile has another one in the address already.
+addEventListener("hashchange", (event) => {
+  const given = tokenOf(new URL(event.newURL).hash);
+  if (!given) return;
+  sessionStorage.setItem("token", given);
+  location.reload();
 });
 
 export class Link {
