@@ -273,7 +273,7 @@ def _read_index(folder: Path, names: Collection[str], serial_number: str | None)
     with suppress(*unsound), open_to_read(index_file(folder), Origin.INSIDE) as file:
         if json.loads(file.readline(_ROW_LIMIT_BYTES)) != {"version": INDEX_VERSION}:
             return {}
-        # Row by row: an index that somebody made takes no more memory than the files of its folder.
+        # Row by row: an index that was damaged takes no more memory than the files of its folder.
         while file.tell() < _INDEX_LIMIT_BYTES and (line := file.readline(_ROW_LIMIT_BYTES)):
             head, _, text = line.decode("ascii").partition(_BEHIND_HEAD)
             name, size, changed_ns, fault, serial = json.loads(head)

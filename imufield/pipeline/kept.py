@@ -11,7 +11,6 @@ import hashlib
 import hmac
 import json
 import math
-import os
 import secrets
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -27,7 +26,7 @@ from imufield.acquire.recording.session import SETTINGS_FILE, Session
 from imufield.calibrate.gyroscope.moves import Slots
 from imufield.calibrate.model.observations import Observations
 from imufield.deliver.report.trace import TraceCells
-from imufield.files import SMALL_FILE_LIMIT_BYTES, Origin, make_beside, read_small_file, write_atomically
+from imufield.files import SMALL_FILE_LIMIT_BYTES, Origin, read_small_file, write_atomically
 from imufield.guide.positions import SCHEME_FILE
 from imufield.json_files import parse_json
 from imufield.pipeline.reading import Reading
@@ -36,7 +35,7 @@ from imufield.samples import SampleUnits
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-KEPT_FILE = ".imufield-reading"  # Hidden, as the index of a history: it is nobody's result.
+KEPT_FILE = ".imufield-reading"  # Hidden: it is nobody's result.
 _DIGEST_BYTES = 32
 _TYPES = {
     "observations": Observations,
@@ -93,11 +92,10 @@ def _secret() -> bytes:
     with suppress(FileNotFoundError):
         if len(found := read_small_file(path, Origin.INSIDE)) == _DIGEST_BYTES:
             return found
-    # Nobody else may read it; of two programs that make one at once the later one wins, which costs a replay.
-    descriptor, name = make_beside(path)
-    with os.fdopen(descriptor, "wb") as file:
-        file.write(secrets.token_bytes(_DIGEST_BYTES))
-    Path(name).replace(path)
+    # Nobody else may read it; writing keeps that. Of two programs that make one at once the later wins, which costs a replay.
+    path.touch()
+    path.chmod(0o600)
+    write_atomically(path, secrets.token_bytes(_DIGEST_BYTES))
     return path.read_bytes()
 
 

@@ -90,10 +90,13 @@ def test_what_does_not_fit_is_read_anew(folder: Path, spoil: Callable[[Path], No
     assert path.read_bytes()[32:] == before[32:]
 
 
-@pytest.mark.parametrize("content", [b"", bytes(31)])
-def test_a_damaged_secret_is_made_anew(folder: Path, tmp_path: Path, content: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("content", [None, b"", bytes(31)])
+def test_a_secret_that_is_missing_or_damaged_is_made_anew(
+    folder: Path, tmp_path: Path, content: bytes | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("platformdirs.user_state_path", lambda *_, **__: tmp_path)
-    (tmp_path / "secret").write_bytes(content)
+    if content is not None:
+        (tmp_path / "secret").write_bytes(content)
     cold = solved(folder)
     assert len((tmp_path / "secret").read_bytes()) == 32
     if os.name == "posix":
