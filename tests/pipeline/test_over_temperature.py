@@ -12,11 +12,11 @@ import pytest
 
 from imufield.acquire.recording.session import Session
 from imufield.calibrate.model.budget import combined_sigma
+from imufield.calibrate.model.distributions import student_factor
 from imufield.calibrate.model.models import at_temperature, predict
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeCalibration, GyroscopeParameters
 from imufield.calibrate.model.temperature import Polynomials, TriadTemperature
-from imufield.calibrate.model.uncertainty import student_factor
 from imufield.cli.run import run
 from imufield.deliver.parameters.context import Context, InstrumentFacts, SessionFacts
 from imufield.deliver.parameters.file import Parameters, load, write_document

@@ -1,39 +1,33 @@
 """Calibrate an accelerometer from the outputs of still positions: the one call behind ``imufield solve``.
 
 Steps: check the observations; start in closed form; ask what the positions can show; fit in the lower gauge, without and with
-the quadratic term (``fit``); choose the model (``model_choice``); turn into the wanted gauge; propagate the covariance; judge
-(``quality``).
+the quadratic term (``fit``); choose the model (``model_choice``); turn into the wanted gauge; propagate the covariance
+(``covariance``); judge (``quality``).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from imufield.calibrate.accelerometer.covariance import Uncertainty, all_shares, is_known, propagate
 from imufield.calibrate.accelerometer.fit import Fit, FitData, fit, summarise
-from imufield.calibrate.accelerometer.leave_one_out import (
-    Influence,
-    influence,
-    single_position_factors,
-    single_positions,
-)
 from imufield.calibrate.accelerometer.model_choice import ChosenModel, choose_model, find_origin, left_out_terms
 from imufield.calibrate.accelerometer.quality import Evidence, common_scale_ratio, judge, refuse_saturation
-from imufield.calibrate.accelerometer.shares import fit_shares, gravity_share, hidden_shares
 from imufield.calibrate.accelerometer.start import (
     FEWEST_FOR_MISALIGNMENT,
     FEWEST_FOR_QUADRATIC,
     FEWEST_FOR_SCALE_AND_BIAS,
     find_signs,
 )
-from imufield.calibrate.accelerometer.unshown import Unshown, higher_sigma, unshown
-from imufield.calibrate.model.budget import Share, picked
+from imufield.calibrate.accelerometer.unshown import unshown
+from imufield.calibrate.model.budget import picked
 from imufield.calibrate.model.gauge import change_gauge, intrinsic, make_intrinsic
 from imufield.calibrate.model.grades import Grade, find_grade
-from imufield.calibrate.model.higher import HigherTerms, higher_scale
+from imufield.calibrate.model.higher import higher_scale
 from imufield.calibrate.model.models import (
     PARAMETERS,
     SCALE,
@@ -45,7 +39,6 @@ from imufield.calibrate.model.observability import (
     LOWER_GAUGE_COLUMNS,
     Observability,
     observe,
-    parameter_scale,
     require_outputs,
     require_space,
 )
@@ -61,7 +54,7 @@ from imufield.calibrate.model.result import (
     PositionResult,
     QuadraticAxes,
 )
-from imufield.calibrate.model.uncertainty import SPARE_POSITIONS, estimated_share, gravity_sensitivity, known_covariance
+from imufield.calibrate.model.uncertainty import estimated_share, known_covariance
 from imufield.calibrate.solvers.least_squares import Loss
 from imufield.earth import STANDARD_GRAVITY_M_S2, Gravity
 from imufield.errors import CalibrationError, Reason, UsageError
@@ -78,8 +71,6 @@ HIGHER_EQUATIONS = {
     "sensing": "N - raw_zero = K (f + b) + K2 f^2, f = T a + h(T a)",
     "body": "N - raw_zero = K (f + b) + K2 (T^-1 f)^2, f = T a + h(T a)",
 }
-# A number that takes more than this share (in scaled coordinates) of a parameter that was not fitted has no sigma.
-_MIXED = 0.1
 
 
 def calibrate_accelerometer(  # noqa: PLR0913 (the settings of `solve`, by keyword)
@@ -147,7 +138,7 @@ def calibrate_accelerometer(  # noqa: PLR0913 (the settings of `solve`, by keywo
     up = derivatives.a / derivatives.norm[:, None]
     is_open = _open_entries(chosen, model, has_preset=preset is not None)
     hidden = unshown(fitted, chosen, typical, up, is_open=is_open, to_gauge=to_gauge, gravity_m_s2=gravity.gravity_m_s2)
-    known = _uncertainty(fitted, chosen, data, gravity, hidden=hidden, to_gauge=to_gauge)
+    known = propagate(fitted, chosen, data, gravity, hidden=hidden, to_gauge=to_gauge)
     evidence = Evidence(
         observations=observations,
         gravity=gravity,
@@ -176,7 +167,7 @@ def calibrate_accelerometer(  # noqa: PLR0913 (the settings of `solve`, by keywo
         intrinsic=_intrinsic(fitted.vector, data, known),
         covariance_names=tuple(name for name, kept in zip((*ACCELEROMETER_NAMES, GRAVITY_NAME), keep, strict=True) if kept),
         covariance=known.covariance[np.ix_(keep, keep)],
-        budget=picked(_shares(known, hidden, int(is_open[:3].sum())), np.flatnonzero(keep).tolist()),
+        budget=picked(all_shares(known, hidden, int(is_open[:3].sum())), np.flatnonzero(keep).tolist()),
         gravity=gravity,
         positions=PositionResult(
             residual_m_s2=fitted.residual_m_s2,
@@ -211,16 +202,11 @@ def _open_entries(chosen: ChosenModel, model: ModelChoice, *, has_preset: bool) 
     return is_open
 
 
-def _is_known(by_left_out: FloatArray, size: FloatArray) -> NDArray[np.bool_]:
-    """Return which numbers have a sigma: those that do not hang on parameters which were not fitted."""
-    return np.asarray(~np.any(np.abs(by_left_out) / size[:, None] > _MIXED, axis=1))
-
-
-def _intrinsic(vector: FloatArray, data: FitData, known: _Uncertainty) -> Intrinsic:
+def _intrinsic(vector: FloatArray, data: FitData, known: Uncertainty) -> Intrinsic:
     numbers, J = intrinsic(vector, data.quadratic_axes)
     variance = np.sum((J @ known.covariance[:PARAMETERS, :PARAMETERS]) * J, axis=1)
     K, g = np.abs(vector[SCALE]), data.gravity_m_s2
-    shown = _is_known(J @ known.by_left_out, np.concatenate([K / g, K, np.full(3, 1 / g), K / g**2]))
+    shown = is_known(J @ known.by_left_out, np.concatenate([K / g, K, np.full(3, 1 / g), K / g**2]))
     return make_intrinsic(numbers, np.where(shown, np.sqrt(np.maximum(variance, 0.0)), np.nan))
 
 
@@ -275,65 +261,3 @@ def _in_gauge(data: FitData, chosen: ChosenModel, gauge: Gauge, before: FloatArr
         return fit(data, change.vector, basis[:, : len(chosen.free)], columns, combinations), change.jacobian
     higher = None if chosen.fit.higher is None else chosen.fit.higher.turned(change.vector[SCALE] / chosen.fit.vector[SCALE])
     return replace(chosen.fit, vector=change.vector, basis=basis, higher=higher), change.jacobian
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Uncertainty:
-    covariance: FloatArray
-    """Of 15 parameters and gravity."""
-    sigma: FloatArray
-    """Of the parameters; NaN where one hangs on what was not fitted."""
-    higher_sigma: HigherTerms | None
-    by_left_out: FloatArray
-    """How parameters that were not fitted, in steps of their scale, reach all, shape (15, k)."""
-    spread: Influence
-    geometry: Influence
-    """The same without a drift."""
-    factors: FloatArray
-    """By which coordinates were raised."""
-    shares: tuple[Share, ...]
-    """Of the fit, in the uncertainty of the parameters."""
-    gravity: Share
-
-
-def _uncertainty(
-    fitted: Fit, chosen: ChosenModel, data: FitData, gravity: Gravity, *, hidden: Unshown, to_gauge: FloatArray
-) -> _Uncertainty:
-    """Return how sure the parameters are."""
-    parameters = len(chosen.free)
-    residual, jacobian = fitted.residual_m_s2 / fitted.sigma_m_s2, fitted.jacobian / fitted.sigma_m_s2[:, None]
-    spread = influence(residual, jacobian)
-    # What carries a parameter alone is a matter of the positions; a drift beside it takes half of what they have to spare.
-    geometry = influence(residual, jacobian[:, :parameters])
-    factors = np.ones(fitted.basis.shape[1])
-    covariance = spread.covariance * chosen.choice.variance_ratio
-    if fitted.degrees_of_freedom >= SPARE_POSITIONS:
-        factors[:parameters] = single_position_factors(geometry, single_positions(geometry))
-        covariance = covariance * np.outer(factors, factors)
-    elif fitted.effective_degrees_of_freedom == 0 and data.covariance_raw is None:
-        covariance = np.full_like(covariance, np.nan)  # nothing says how sure anything is
-    # Gravity is a common scale: its sigma moves all parameters together.
-    t = np.append(gravity_sensitivity(fitted.vector, gravity.gravity_m_s2), 1.0)
-    joint = np.outer(t, t) * gravity.sigma_m_s2**2
-    joint[:PARAMETERS, :PARAMETERS] += fitted.basis @ covariance @ fitted.basis.T + hidden.parameters @ hidden.parameters.T
-    scale = parameter_scale(fitted.vector, gravity.gravity_m_s2)
-    left_out = [k for k in LOWER_GAUGE_COLUMNS if k not in chosen.free]
-    by_left_out = to_gauge[:, left_out] * scale[left_out]
-    sigma = np.where(_is_known(by_left_out, scale), np.sqrt(np.diag(joint)[:PARAMETERS]), np.nan)
-    return _Uncertainty(
-        covariance=joint,
-        sigma=sigma,
-        higher_sigma=higher_sigma(chosen, covariance[parameters:, parameters:], hidden, gravity.gravity_m_s2),
-        by_left_out=by_left_out,
-        spread=spread,
-        geometry=geometry,
-        factors=factors,
-        shares=tuple(fit_shares(fitted, data, chosen.choice, factors, parameters)),
-        gravity=gravity_share(t, gravity.sigma_m_s2),
-    )
-
-
-def _shares(known: _Uncertainty, hidden: Unshown, open_misalignments: int) -> tuple[Share, ...]:
-    """Return the shares of the 15 parameters and gravity, to which it alone contributes."""
-    of_parameters = [*known.shares, *hidden_shares(hidden, open_misalignments, known.shares[0].degrees_of_freedom)]
-    return (*(replace(share, sigma=np.append(share.sigma, 0.0)) for share in of_parameters), known.gravity)

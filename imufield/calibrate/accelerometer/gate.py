@@ -33,8 +33,8 @@ from typing import Literal
 import numpy as np
 
 from imufield.calibrate.accelerometer.fit import Fit
+from imufield.calibrate.model.distributions import f_tail
 from imufield.calibrate.model.models import BIAS, PARAMETERS
-from imufield.calibrate.model.uncertainty import f_chance
 from imufield.samples import FloatArray
 
 Term = Literal["quadratic", "drift"]
@@ -125,7 +125,7 @@ class Gate:
         full, without = self._parts[self.all], self._parts[self.all - terms]
         count = without.freedom - full.freedom
         F = (without.chi_squared - full.chi_squared) / count / (full.chi_squared / full.freedom)
-        return f_chance(F, count, full.freedom)
+        return f_tail(count, full.freedom, F)
 
     def admitted(self, level: float = LEVEL) -> Terms:
         """Return the terms that pass."""

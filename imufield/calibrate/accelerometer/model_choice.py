@@ -18,6 +18,7 @@ from imufield.calibrate.accelerometer.drift import FEWEST_TO_SPARE, DriftForm, d
 from imufield.calibrate.accelerometer.fit import Fit, FitData, column_basis, fit
 from imufield.calibrate.accelerometer.gate import LEVEL, Choice, Gate, Term, Terms
 from imufield.calibrate.accelerometer.start import FEWEST_FOR_MISALIGNMENT, FEWEST_FOR_QUADRATIC, closed_form_start
+from imufield.calibrate.model.distributions import f_tail
 from imufield.calibrate.model.gauge import change_gauge
 from imufield.calibrate.model.grades import Grade
 from imufield.calibrate.model.higher import KINDS, TERMS, ShownTerms, higher_scale, shown_terms
@@ -26,7 +27,6 @@ from imufield.calibrate.model.observability import WEAKEST_COLUMN, Observability
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, ModelChoice
 from imufield.calibrate.model.typical import typical_higher
-from imufield.calibrate.model.uncertainty import f_chance
 from imufield.earth import MILLI_G_M_S2
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
@@ -282,7 +282,7 @@ def _tested(shown: ShownTerms, residual: FloatArray, typical_m_s2: FloatArray) -
     cubic, cross = (
         math.sqrt(np.mean(terms[own])) if (own := shown.combinations[kind].any(axis=0)).any() else 0.0 for kind in KINDS
     )
-    return LeftOutTerms(cubic_m_s2=cubic, cross_m_s2=cross, p=f_chance(ratio, len(shown.lengths), shown.spare))
+    return LeftOutTerms(cubic_m_s2=cubic, cross_m_s2=cross, p=f_tail(len(shown.lengths), shown.spare, ratio))
 
 
 def _shown_terms(data: FitData, fitted: Fit, jacobian: FloatArray, kinds: Sequence[slice]) -> ShownTerms:

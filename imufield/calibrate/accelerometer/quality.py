@@ -12,11 +12,12 @@ from imufield.calibrate.accelerometer.fit import Fit, FitData
 from imufield.calibrate.accelerometer.leave_one_out import PAIR_SHARE, Influence, position_pairs, single_positions
 from imufield.calibrate.accelerometer.model_choice import VERDICT_LEVEL, ChosenModel
 from imufield.calibrate.accelerometer.outliers import Outlier, find_outliers
+from imufield.calibrate.model.distributions import student_factor
 from imufield.calibrate.model.models import BIAS, SCALE
 from imufield.calibrate.model.observability import Observability
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, Quality
-from imufield.calibrate.model.uncertainty import SPARE_POSITIONS, rms, student_factor
+from imufield.calibrate.model.uncertainty import SPARE_POSITIONS, rms
 from imufield.earth import MEASURED_GRAVITY_SIGMA_M_S2, MILLI_G_M_S2, Gravity, contradiction
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from imufield.calibrate.accelerometer.fit import Fit
 from imufield.calibrate.accelerometer.model_choice import VERDICT_LEVEL, ChosenModel
+from imufield.calibrate.model.distributions import NORMAL_FACTOR_95, f_tail, student_factor
 from imufield.calibrate.model.grades import Grade
 from imufield.calibrate.model.higher import KINDS, TERMS, HigherTerms, higher_scale
 from imufield.calibrate.model.models import PARAMETERS
 from imufield.calibrate.model.typical import HIGHER_COLUMNS, open_terms, typical_higher
-from imufield.calibrate.model.uncertainty import NORMAL_FACTOR_95, f_chance, student_factor
 from imufield.samples import FloatArray
 
 
@@ -87,7 +87,7 @@ def _excess(fitted: Fit, shown: FloatArray, found_m_s2: FloatArray, typical: Gra
         own, size = shown[kind].any(axis=0), typical_higher(typical)[kind][0]
         square, count = found_m_s2[own] ** 2, int(own.sum())
         ratio = float(np.mean(square / (variance[own] + size**2))) if count else 0.0
-        if count and f_chance(ratio, count, fitted.degrees_of_freedom) < VERDICT_LEVEL:
+        if count and f_tail(count, fitted.degrees_of_freedom, ratio) < VERDICT_LEVEL:
             # The factor that is stated goes down to the normal one, the larger the part that residuals do not tell.
             factor = student_factor(count) / NORMAL_FACTOR_95
             excess[kind] = max(1.0, factor * float(np.sqrt(np.mean(square))) / size)

@@ -45,9 +45,10 @@ from imufield.calibrate.gyroscope.fit import JointFit, fit_jointly, make_prior
 from imufield.calibrate.gyroscope.move_integration import INVERSE, PARAMETERS, SENSITIVITY
 from imufield.calibrate.gyroscope.observability import Observability
 from imufield.calibrate.gyroscope.residuals import GyroscopeData
+from imufield.calibrate.model.distributions import NORMAL_FACTOR_95, f_limit_95, f_tail
 from imufield.calibrate.model.grades import Grade
 from imufield.calibrate.model.rotation import skew
-from imufield.calibrate.model.uncertainty import NORMAL_FACTOR_95, f_chance, f_limit_95, told_apart
+from imufield.calibrate.model.uncertainty import told_apart
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentence, Sentences
@@ -149,7 +150,7 @@ def check_linearity(data: GyroscopeData, fit: JointFit, typical: Grade | None = 
         size = -np.linalg.lstsq(columns[:, seen], r, rcond=None)[0]
         rest = float(np.sum((r + columns[:, seen] @ size) ** 2))
         variance = max(rest / spare, _LEAST_VARIANCE)
-        if f_chance((float(r @ r) - rest) / len(seen) / variance, len(seen), spare) < _RATE_LEVEL:
+        if f_tail(len(seen), spare, (float(r @ r) - rest) / len(seen) / variance) < _RATE_LEVEL:
             found[seen], prior[seen] = size, _ANY_SIZE
             worst = seen[int(np.argmax(np.abs(size) / sigma[seen]))]
             sizes = {"size_ppm": to_ppm * found[worst], "sigma_ppm": to_ppm * sigma[worst]}
@@ -157,7 +158,7 @@ def check_linearity(data: GyroscopeData, fit: JointFit, typical: Grade | None = 
             sentences.append(sentence(key, axis=AXES[worst % 3], rate_deg_s=rate_deg_s, **sizes))
             continue
         ratio = float(np.mean(size**2 / (sigma[seen] ** 2 + prior[seen] ** 2)))
-        if typical is not None and f_chance(ratio, len(seen), spare) < _NOT_TYPICAL:
+        if typical is not None and f_tail(len(seen), spare, ratio) < _NOT_TYPICAL:
             prior[seen] = np.sqrt(max(float(np.mean(size**2 - sigma[seen] ** 2)), 0.0))
     # With R = X S^1/2: V = S^1/2 (1 + R^T R)^-1 S^1/2, also where S is zero.
     R = columns * prior

@@ -19,6 +19,7 @@ from imufield.calibrate.gyroscope.residuals import Evaluation, GyroscopeData, ev
 from imufield.calibrate.gyroscope.static import GYROSCOPE_BIAS_NAMES, StaticData, StaticFit, latitude_words
 from imufield.calibrate.gyroscope.whole_turns import find_whole_turns
 from imufield.calibrate.model.budget import Share, joined_shares, picked, root_of
+from imufield.calibrate.model.distributions import degrees_of_freedom
 from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS
 from imufield.calibrate.model.result import (
     ACCELEROMETER_NAMES,
@@ -27,7 +28,7 @@ from imufield.calibrate.model.result import (
     GyroscopeCalibration,
     GyroscopeParameters,
 )
-from imufield.calibrate.model.uncertainty import bounded_cross_covariance, degrees_of_freedom, rms
+from imufield.calibrate.model.uncertainty import bounded_cross_covariance, rms
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentence, Sentences
 

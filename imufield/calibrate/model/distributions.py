@@ -1,7 +1,8 @@
-"""Student's and the F distribution, which every solved session asks a few times: SciPy's take longer to load than it to solve.
+"""The 95 % factors and limits: quantiles of Student's and the F distribution, which every solved session asks a few times.
 
-Both are incomplete beta functions [1]_; what passes a chance is found between bounds that are halved. Where Student's
-distribution has many degrees of freedom, its quantile is that of the normal distribution with the terms of [2]_.
+SciPy's take longer to load than a session to solve. Both are incomplete beta functions [1]_; what passes a chance is found
+between bounds that are halved. Where Student's distribution has many degrees of freedom, its quantile is that of the normal
+distribution with the terms of [2]_.
 
 References
 ----------
@@ -17,6 +18,14 @@ from collections.abc import Callable
 from functools import cache
 from statistics import NormalDist
 
+import numpy as np
+
+from imufield.samples import FloatArray
+
+NORMAL_FACTOR_95 = 1.959964
+"""``student_factor`` for infinitely many degrees of freedom."""
+
+_NORMAL_NEARLY = 1.9602  # A Student factor below it stands for more than 10,000 degrees of freedom.
 _MANY = 1000  # Degrees of freedom from which the terms of [2] left out are below 1e-11.
 _TERMS = 1000  # Of the continued fraction; it takes some root of the larger argument.
 _SMALLEST = 1e-300
@@ -52,6 +61,36 @@ def f_tail(numerator: float, denominator: float, value: float) -> float:
 def f_quantile(numerator: float, denominator: float, p: float) -> float:
     """Return what the F distribution stays below with a probability."""
     return _between(lambda value: f_tail(numerator, denominator, value) > 1 - p)
+
+
+def student_factor(degrees_of_freedom: float, of: int = 1, chance: float = 0.05) -> float:
+    """Return the factor from sigma to the limit that the largest of some values passes with a chance, 95 % by default.
+
+    Two-sided, by Student's distribution, Bonferroni for ``of`` values. It is 1.96 for one value and infinitely many degrees of
+    freedom; NaN without any.
+    """
+    return student_quantile(float(degrees_of_freedom), 1 - chance / (2 * of)) if degrees_of_freedom > 0 else float("nan")
+
+
+def degrees_of_freedom(student_factor_95: float) -> float:
+    """Return the degrees of freedom whose ``student_factor`` this is; 0 where it is NaN."""
+    if not student_factor_95 > 0:
+        return 0.0
+    return student_freedom(0.975, student_factor_95) if student_factor_95 > _NORMAL_NEARLY else float("inf")
+
+
+def deviation_limits_95(sigma: FloatArray, freedom: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the 95 % limits of estimated standard deviations: chi squared with their degrees of freedom."""
+    from scipy.special import chdtri  # slow to load, and only noise needs it
+
+    low = sigma * np.sqrt(freedom / chdtri(freedom, 0.025))
+    high = sigma * np.sqrt(freedom / chdtri(freedom, 0.975))
+    return np.asarray(low), np.asarray(high)
+
+
+def f_limit_95(numerator: int, denominator: int) -> float:
+    """Return the 95 % point of the F distribution; infinite without degrees of freedom."""
+    return f_quantile(float(numerator), float(denominator), 0.95) if denominator > 0 else float("inf")
 
 
 def _student_tail(freedom: float, t: float) -> float:

@@ -1,4 +1,4 @@
-"""How sure the parameters are: weights, scatter between positions, Student factors.
+"""How sure the parameters are: weights, scatter between positions; covariances of parts and wholes.
 
 The variance of position i is ``s_i^2 = within_i^2 + tau^2``. ``within`` is the covariance of the mean output carried to the
 norm; it cannot see flicker noise and drift between holds. ``tau`` is estimated by Mandel and Paule's rule [1]_: the smallest
@@ -17,15 +17,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from imufield.calibrate.model.distributions import f_quantile, f_tail, student_freedom, student_quantile
 from imufield.calibrate.model.models import BIAS, PARAMETERS, QUADRATIC, SCALE
 from imufield.calibrate.model.result import GRAVITY_NAME
 from imufield.samples import FloatArray
 
-NORMAL_FACTOR_95 = 1.959964
-"""``student_factor`` for infinitely many degrees of freedom."""
-
-_NORMAL_NEARLY = 1.9602  # A Student factor below it stands for more than 10,000 degrees of freedom.
 SPARE_POSITIONS = 4
 """Degrees of freedom below this give Student factors of 3.2 and more, and scatter and jackknife from chance."""
 
@@ -125,41 +120,6 @@ def estimated_share(covariance: FloatArray, prior_root: FloatArray) -> float:
     variance, gravity = np.diag(covariance)[:PARAMETERS], covariance[:PARAMETERS, -1] ** 2 / covariance[-1, -1]
     prior, has_any = np.sum(prior_root**2, axis=1) + gravity, variance > 0
     return float(np.mean(1 - prior[has_any] / variance[has_any])) if has_any.any() else 1.0
-
-
-def student_factor(degrees_of_freedom: float, of: int = 1, chance: float = 0.05) -> float:
-    """Return the factor from sigma to the limit that the largest of some values passes with a chance, 95 % by default.
-
-    Two-sided, by Student's distribution, Bonferroni for ``of`` values. It is 1.96 for one value and infinitely many degrees of
-    freedom; NaN without any.
-    """
-    return student_quantile(float(degrees_of_freedom), 1 - chance / (2 * of)) if degrees_of_freedom > 0 else float("nan")
-
-
-def degrees_of_freedom(student_factor_95: float) -> float:
-    """Return the degrees of freedom whose ``student_factor`` this is; 0 where it is NaN."""
-    if not student_factor_95 > 0:
-        return 0.0
-    return student_freedom(0.975, student_factor_95) if student_factor_95 > _NORMAL_NEARLY else float("inf")
-
-
-def deviation_limits_95(sigma: FloatArray, freedom: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the 95 % limits of estimated standard deviations: chi squared with their degrees of freedom."""
-    from scipy.special import chdtri  # slow to load, and only noise needs it
-
-    low = sigma * np.sqrt(freedom / chdtri(freedom, 0.025))
-    high = sigma * np.sqrt(freedom / chdtri(freedom, 0.975))
-    return np.asarray(low), np.asarray(high)
-
-
-def f_chance(value: float, numerator: int, denominator: int) -> float:
-    """Return the probability that a variable of the F distribution is at least ``value``."""
-    return f_tail(numerator, denominator, float(value))
-
-
-def f_limit_95(numerator: int, denominator: int) -> float:
-    """Return the 95 % point of the F distribution; infinite without degrees of freedom."""
-    return f_quantile(float(numerator), float(denominator), 0.95) if denominator > 0 else float("inf")
 
 
 def told_apart(value: float, limit: float) -> tuple[str, str]:

@@ -22,7 +22,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from imufield.calibrate.model.uncertainty import NORMAL_FACTOR_95, f_chance, student_factor
+from imufield.calibrate.model.distributions import NORMAL_FACTOR_95, f_tail, student_factor
 from imufield.calibrate.sessions.kinds import DAILY, kind_of
 from imufield.calibrate.sessions.repeatability import (
     Contrasts,
@@ -271,4 +271,4 @@ def _differs(sessions: Sequence[SessionNumbers], names: tuple[str, ...], adjuste
     denominator = sum(session.freedom for session in sessions)
     if numerator < 1 or denominator < 1:
         return False
-    return f_chance(adjusted.weighted_square / numerator, numerator, denominator) < _DIFFERENT
+    return f_tail(numerator, denominator, adjusted.weighted_square / numerator) < _DIFFERENT

@@ -32,11 +32,12 @@ import numpy as np
 
 from imufield.calibrate.accelerometer.fit import column_basis
 from imufield.calibrate.gyroscope.report import GYROSCOPE_NAMES
+from imufield.calibrate.model.distributions import degrees_of_freedom
 from imufield.calibrate.model.gauge import change_gauge, intrinsic, turn_gyroscope
 from imufield.calibrate.model.models import QUADRATIC, to_vector
 from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, GRAVITY_NAME, Calibration, GyroscopeParameters
-from imufield.calibrate.model.uncertainty import degrees_of_freedom, without_gravity
+from imufield.calibrate.model.uncertainty import without_gravity
 from imufield.calibrate.sessions.kinds import PPM, SCALES, kind_of
 from imufield.calibrate.solvers.costs import NormProblem
 from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S

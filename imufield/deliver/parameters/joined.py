@@ -14,6 +14,7 @@ import numpy as np
 
 from imufield.calibrate.accelerometer.quality import USABLE_BIAS_SIGMA_M_S2
 from imufield.calibrate.model.budget import Kind, Share, picked, root_of
+from imufield.calibrate.model.distributions import NORMAL_FACTOR_95
 from imufield.calibrate.model.gauge import intrinsic, make_intrinsic
 from imufield.calibrate.model.grades import Grade
 from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS, PARAMETERS, from_vector
@@ -28,7 +29,7 @@ from imufield.calibrate.model.result import (
     Quality,
     SolverSummary,
 )
-from imufield.calibrate.model.uncertainty import NORMAL_FACTOR_95, rms
+from imufield.calibrate.model.uncertainty import rms
 from imufield.calibrate.sessions.joint import Joint, SessionNumbers
 from imufield.calibrate.sessions.kinds import PPM, SCALES, kind_of, of_gyroscope
 from imufield.deliver.parameters.context import Context, DayToDay, JoinedSession, SessionFacts, Together, now_text

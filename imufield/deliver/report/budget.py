@@ -13,9 +13,10 @@ import numpy as np
 
 from imufield.acquire.protocol.units import nominal_scale
 from imufield.calibrate.model.budget import Share, combined_sigma, effective_freedom
+from imufield.calibrate.model.distributions import degrees_of_freedom, student_factor
 from imufield.calibrate.model.result import GRAVITY_NAME, Calibration
 from imufield.calibrate.model.temperature import TriadTemperature
-from imufield.calibrate.model.uncertainty import degrees_of_freedom, student_factor, without_gravity
+from imufield.calibrate.model.uncertainty import without_gravity
 from imufield.calibrate.temperature.there import calibration_at
 from imufield.deliver.parameters.context import ClockFacts
 from imufield.deliver.parameters.file import Parameters

@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
+from imufield.calibrate.model.distributions import f_limit_95, f_tail
 from imufield.calibrate.model.grades import GRADES
 from imufield.calibrate.model.models import BIAS, NormDerivatives, norm_derivatives, to_vector, without_higher
 from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS, parameter_scale
@@ -38,7 +39,7 @@ from imufield.calibrate.model.result import (
     Calibration,
     without_drift,
 )
-from imufield.calibrate.model.uncertainty import f_chance, f_limit_95, known_covariance, within_variance
+from imufield.calibrate.model.uncertainty import known_covariance, within_variance
 from imufield.calibrate.solvers.agreement import AGREEMENT_SIGMA
 from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2, Gravity
 from imufield.errors import CalibrationError, Reason, UsageError
@@ -221,7 +222,7 @@ def check_positions(
         misfit=misfit,
         misfit_limit=limit,
         how=sentence("left_out.other_session", found=m),
-        chance=f_chance(misfit, m, freedom),
+        chance=f_tail(m, freedom, misfit),
         turn_on_m_s2=turn_on if explains else np.nan,
     )
 

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
+from imufield.calibrate.model.distributions import degrees_of_freedom, student_factor
 from imufield.calibrate.model.gauge import intrinsic
 from imufield.calibrate.model.models import predict, to_vector
 from imufield.calibrate.model.observations import Observations, leave_out
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration
-from imufield.calibrate.model.uncertainty import degrees_of_freedom, student_factor
 from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2, Gravity
 from imufield.guide.positions import scheme
 from imufield.samples import FloatArray, SampleUnits

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
+from imufield.calibrate.model.distributions import student_factor
 from imufield.calibrate.model.grades import GRADES, Grade
 from imufield.calibrate.model.models import at_temperature
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration
 from imufield.calibrate.model.temperature import Polynomials, TriadTemperature
-from imufield.calibrate.model.uncertainty import student_factor
 from imufield.calibrate.temperature.fit import Evidence, fit_temperature
 from imufield.calibrate.temperature.points import accelerometer_points
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity

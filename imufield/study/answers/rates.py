@@ -10,11 +10,11 @@ from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
 from imufield.calibrate.gyroscope.model_choice import typical_rate_terms
 from imufield.calibrate.gyroscope.report import JointSolution, joint_result
 from imufield.calibrate.gyroscope.turntable import TurntableRun
+from imufield.calibrate.model.distributions import NORMAL_FACTOR_95
 from imufield.calibrate.model.gauge import change_gauge, turn_gyroscope
 from imufield.calibrate.model.grades import GRADES
 from imufield.calibrate.model.models import predict_gyroscope, to_vector
 from imufield.calibrate.model.result import GyroscopeParameters
-from imufield.calibrate.model.uncertainty import NORMAL_FACTOR_95
 from imufield.guide.positions import scheme
 from imufield.samples import FloatArray
 from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu

@@ -22,11 +22,11 @@ from imufield.calibrate.accelerometer.accelerometer import calibrate_acceleromet
 from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
 from imufield.calibrate.gyroscope.input import GyroscopeInput
 from imufield.calibrate.gyroscope.moves import MoveCollector
+from imufield.calibrate.model.distributions import NORMAL_FACTOR_95
 from imufield.calibrate.model.gauge import change_gauge, turn_gyroscope
 from imufield.calibrate.model.grades import find_grade
 from imufield.calibrate.model.models import to_vector
 from imufield.calibrate.model.observations import Observations
-from imufield.calibrate.model.uncertainty import NORMAL_FACTOR_95
 from imufield.deliver.parameters.clock import HOST_SIGMA, clock_facts
 from imufield.earth import STANDARD_GRAVITY_M_S2, Gravity
 from imufield.errors import CalibrationError

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
+from imufield.calibrate.model.distributions import NORMAL_FACTOR_95
 from imufield.calibrate.model.gauge import intrinsic
 from imufield.calibrate.model.grades import GRADES
 from imufield.calibrate.model.models import to_vector
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration
-from imufield.calibrate.model.uncertainty import NORMAL_FACTOR_95
 from imufield.calibrate.sessions.joint import Joint, adjust
 from imufield.calibrate.sessions.kinds import PPM
 from imufield.deliver.parameters.gauge_free import GaugeFree, gauge_free

@@ -12,11 +12,11 @@ from imufield.calibrate.accelerometer.accelerometer import calibrate_acceleromet
 from imufield.calibrate.accelerometer.drift import drift_forms
 from imufield.calibrate.accelerometer.fit import Fit, FitData, column_basis, fit
 from imufield.calibrate.accelerometer.gate import Gate, Term, Terms
+from imufield.calibrate.model.distributions import student_factor
 from imufield.calibrate.model.gauge import intrinsic
 from imufield.calibrate.model.models import QUADRATIC, to_vector
 from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS
 from imufield.calibrate.model.result import Calibration
-from imufield.calibrate.model.uncertainty import student_factor
 from imufield.earth import MICRO_G_M_S2, Gravity
 from imufield.samples import FloatArray
 from tests.told import told

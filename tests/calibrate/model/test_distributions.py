@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 import scipy.special
 
-from imufield.calibrate.model.distributions import f_quantile, f_tail, student_freedom, student_quantile
+from imufield.calibrate.model.distributions import (
+    f_limit_95,
+    f_quantile,
+    f_tail,
+    student_factor,
+    student_freedom,
+    student_quantile,
+)
 
 pytestmark = pytest.mark.numerical
 
@@ -35,3 +42,10 @@ def test_where_there_is_no_chance() -> None:
     assert math.isnan(f_tail(3, 0, 1.0))
     assert math.isnan(f_tail(3, 5, math.nan))
     assert f_tail(3, 5, np.inf) == 0.0
+
+
+def test_quantiles_against_tables() -> None:
+    assert student_factor(12) == pytest.approx(2.179, abs=5e-4)
+    assert np.isnan(student_factor(0))
+    assert f_limit_95(3, 12) == pytest.approx(3.49, abs=5e-3)
+    assert f_limit_95(3, 0) == np.inf

@@ -1,4 +1,4 @@
-"""Weights, scatter between positions and Student factors, each against a second route."""
+"""Weights, scatter between positions and covariances, each against a second route."""
 
 from __future__ import annotations
 
@@ -8,16 +8,15 @@ from calibration_truth import GRAVITY, campaign, random_parameters
 
 from imufield.calibrate.accelerometer.fit import FitData, column_basis, fit
 from imufield.calibrate.accelerometer.start import closed_form_start
+from imufield.calibrate.model.distributions import student_factor
 from imufield.calibrate.model.models import PARAMETERS, from_vector, norm_derivatives, predict, recover, to_vector
 from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS
 from imufield.calibrate.model.uncertainty import (
     between_position_sigma,
     bounded_cross_covariance,
     estimated_share,
-    f_limit_95,
     gravity_sensitivity,
     known_covariance,
-    student_factor,
     told_apart,
     within_variance,
 )
@@ -96,13 +95,6 @@ def test_a_covariance_that_is_not_known_is_left_as_it_is() -> None:
     cross = np.array([[np.nan, np.nan], [0.5, 2.0]])
     theirs = np.diag([np.nan, 1.0])
     np.testing.assert_array_equal(bounded_cross_covariance(cross, np.eye(2), theirs), cross)
-
-
-def test_quantiles_against_tables() -> None:
-    assert student_factor(12) == pytest.approx(2.179, abs=5e-4)
-    assert np.isnan(student_factor(0))
-    assert f_limit_95(3, 12) == pytest.approx(3.49, abs=5e-3)
-    assert f_limit_95(3, 0) == np.inf
 
 
 def test_two_numbers_are_shown_with_the_digits_that_tell_them_apart() -> None:

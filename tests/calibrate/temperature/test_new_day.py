@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from imufield.calibrate.model.distributions import student_factor
 from imufield.calibrate.model.temperature import TriadTemperature
-from imufield.calibrate.model.uncertainty import student_factor
 from imufield.calibrate.temperature.fit import Evidence, RampBlocks, SessionPoints, fit_orders
 from imufield.samples import FloatArray
 
