@@ -18,11 +18,11 @@ residual ``r`` and C less what the Jacobian of the fit explains of them, the sco
 What it does not name is in the uncertainty by what is typical of the grade. A term c ~ N(0, S), S diagonal, leaves -X c of the
 whitened residual, X the columns less what is fitted, and moves the parameters by D c, D the gain of the fit times C. So
 
-    c | r ~ N(m, V),    V = (X^T X + S^-1)^-1,    m = -V X^T r,    and    D (V + m m^T) D^T
+    c | r ~ N(m, V),    V = (X^T X + S^-1)^-1,    m = -V X^T r
 
-is added: all of S where the moves show nothing, what they leave open where they show something. A term that is named is not
-drawn towards zero; where typical terms and noise explain others with a chance of less than 20 % (F test) their S is the mean
-of the squares of what is shown, less its variance: an instrument that has a larger one is held too.
+D m is taken off the parameters and D V D^T added to their covariance, as in a fit of both together: all of S where the moves
+show nothing, what they leave open where they show something. A term that is named is not drawn towards zero. Of others the root
+of S is typical, or what is shown where that is more: an instrument that has a larger one is held too.
 
 A data sheet's nonlinearity n is the largest deviation from the best straight line over the range R, as a share of it. By least
 squares that line leaves 2/5 c R of c s^3 / R^2, so c is 5 n / 2 (S / R)^2, and c R / 2 of c |s|, so 2 n is the most that an
@@ -107,7 +107,6 @@ def choose_model(data: GyroscopeData, start: FloatArray, observability: Observab
 SCALES = [0, 4, 8]
 """The diagonal of A."""
 _RATE_LEVEL = 0.005  # Of each of the two tests: one clean session of a hundred is named.
-_NOT_TYPICAL = 0.2  # Chance of typical terms, and noise, that count as larger ones.
 # 1 sigma from which on a term counts as not shown, ten times what data sheets of consumer chips give for nonlinearity.
 _SHOWN = 0.01
 # Of whitened residuals, 0.6 to 1 in simulated sessions: without noise a ratio of rounding means nothing.
@@ -130,8 +129,10 @@ class Linearity:
     """What is there."""
     matters: bool
     """Whether one of them moves a scale by more than its 95 % limit."""
+    moved: FloatArray
+    """By how much the fit is off because of them, as far as is known, shape (parameters,)."""
     hidden_root: FloatArray
-    """Root of what it adds to the covariance of the parameters, shape (parameters, 7)."""
+    """Root of what they add to the covariance of the parameters, shape (parameters, 6)."""
 
 
 def check_linearity(data: GyroscopeData, fit: JointFit, typical: Grade | None = None) -> Linearity:
@@ -157,14 +158,13 @@ def check_linearity(data: GyroscopeData, fit: JointFit, typical: Grade | None = 
             rate_deg_s = float(np.degrees(range_rad_s[worst % 3]))
             sentences.append(sentence(key, axis=AXES[worst % 3], rate_deg_s=rate_deg_s, **sizes))
             continue
-        ratio = float(np.mean(size**2 / (sigma[seen] ** 2 + prior[seen] ** 2)))
-        if typical is not None and f_tail(len(seen), spare, ratio) < _NOT_TYPICAL:
-            prior[seen] = np.sqrt(max(float(np.mean(size**2 - sigma[seen] ** 2)), 0.0))
+        if typical is not None:
+            prior[seen] = np.maximum(prior[seen], np.abs(size))
     # With R = X S^1/2: V = S^1/2 (1 + R^T R)^-1 S^1/2, also where S is zero.
     R = columns * prior
     L = prior[:, None] * np.linalg.inv(np.linalg.cholesky(np.eye(6) + R.T @ R)).T
-    hidden_root = np.zeros((data.parameters, 7))
-    hidden_root[fit.free] = fit.gain @ C @ np.column_stack([L, -L @ (L.T @ (columns.T @ r))])
+    of_terms = np.zeros((data.parameters, 6))
+    of_terms[fit.free] = fit.gain @ C
     known = np.zeros(data.parameters)
     known[fit.free] = np.sqrt(np.diag(fit.covariance))
     limit = NORMAL_FACTOR_95 * known[SCALES] / np.abs(fit.p[SCALES])
@@ -173,7 +173,8 @@ def check_linearity(data: GyroscopeData, fit: JointFit, typical: Grade | None = 
         sigma=sigma.reshape(2, 3).max(axis=1),
         sentences=tuple(sentences),
         matters=bool(np.any(np.abs(found.reshape(2, 3)) > limit)),
-        hidden_root=hidden_root,
+        moved=-of_terms @ (L @ (L.T @ (columns.T @ r))),
+        hidden_root=of_terms @ L,
     )
 
 

@@ -166,6 +166,7 @@ def joint_result(solution: JointSolution) -> GyroscopeResult:
     known = np.array([name not in observability.hidden_names for name in GYROSCOPE_NAMES])
     known[12:] &= chosen.g_sensitive
     data, now, m = solution.data, fitted.evaluation, len(solution.given.moves)
+    x = fitted.p - linearity.moved
     before = _before(solution.given, data, fitted)
     turns = find_whole_turns(now, data, before)
     S = fitted.parts.total(fitted.scatter)
@@ -173,15 +174,15 @@ def joint_result(solution: JointSolution) -> GyroscopeResult:
     residual = now.residual[: 2 * m].reshape(m, 2)
     moves = MoveReport(
         before_deg=_angles_deg(before, data),
-        after_deg=_angles_deg(now, data),
+        after_deg=_angles_deg(evaluate(x, data), data),
         sigma=np.sqrt(np.einsum("mi,mij,mj->m", residual, np.linalg.inv(blocks), residual)),
     )
-    result = _result(solution, fitted.p[:PARAMETERS], own, known, path=_path(solution, turns))
+    result = _result(solution, x[:PARAMETERS], own, known, path=_path(solution, turns))
     unsettled = () if fitted.solved.converged else (_unsettled(fitted.solved.message, solution.given.latitude_deg),)
     return replace(
         result,
         calibration=replace(result.calibration, range_rad_s=linearity.range_rad_s),
-        with_accelerometer=(forward(fitted.p[:PARAMETERS], data.rest_raw)[1] @ with_accelerometer)[known],
+        with_accelerometer=(forward(x[:PARAMETERS], data.rest_raw)[1] @ with_accelerometer)[known],
         moves=moves,
         turns=turns,
         unobservable=observability.hidden_names,

@@ -81,7 +81,8 @@ def run_rates(kind: RatesKind, rng: np.random.Generator) -> RatesRun:
     solution = found.basis
     assert isinstance(solution, JointSolution)  # noqa: S101  (there are moves)
     linearity = solution.linearity
-    untested = joint_result(replace(solution, linearity=replace(linearity, hidden_root=np.zeros_like(linearity.hidden_root))))
+    nothing = replace(linearity, moved=np.zeros_like(linearity.moved), hidden_root=np.zeros_like(linearity.hidden_root))
+    untested = joint_result(replace(solution, linearity=nothing))
     before, after = (
         (each.calibration.parameters.scale - gyroscope.scale) / (NORMAL_FACTOR_95 * each.calibration.sigma.scale)
         for each in (untested, found)
