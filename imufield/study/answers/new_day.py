@@ -108,7 +108,7 @@ temperatures = Study(
         label="instruments",
         campaign="answers-new-day",
         rows=_ROWS,
-        runs=(200, 2),
+        runs=(1000, 2),
         statistics={"bias_mg": _rms, "scale_ppm": _rms},
     )
 )

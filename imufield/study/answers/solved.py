@@ -148,5 +148,5 @@ touched_holds = Study(Table(label="touched", campaign="answers-outlier", rows=_T
 drift_and_quadratic = Study(
     Table(name="terms", label="session", campaign="answers-terms", rows=_TERMS, runs=(100, 1), statistics=_COUNTED),
     Table(name="gate", label="order", campaign="answers-gate", rows=_NONE, runs=(2000, 4), statistics=_COUNTED),
-    Table(name="typical", label="grade, order", campaign="answers-typical", rows=_TYPICAL, runs=(300, 1), statistics=_COUNTED),
+    Table(name="typical", label="grade, order", campaign="answers-typical", rows=_TYPICAL, runs=(2500, 1), statistics=_COUNTED),
 )
