@@ -1,4 +1,4 @@
-"""Small files that are either the old or the new one, never half of each.
+"""Files: small ones written as a whole or not at all, and the one place where files of other people and programs are opened.
 
 ``write_atomically`` guarantees, on a local file system: after a crash at any moment the path holds the whole old or the
 whole new content; after it returns, the new content survives a power cut. It does not guard against a file system that

@@ -71,7 +71,7 @@ class Replayed:
 
     def solve(self, **options: Any) -> Parameters:
         """Solve with fields of ``commands.options.results.SolveOptions``, and ``gravity_m_s2`` or ``latitude_deg``."""
-        from imufield.commands.options.results import SolveOptions
+        from imufield.commands.options.result_commands import SolveOptions
         from imufield.pipeline.site import SiteOptions
         from imufield.pipeline.solving import solve_session
 
@@ -95,7 +95,7 @@ def imufield_replay(tmp_path: Path) -> Callable[..., Replayed]:
     def replay(path: str | Path, protocol: str | None = None, settings: Mapping[str, str] | None = None) -> Replayed:
         from imufield.acquire.recording.session import Session
         from imufield.commands.import_files import import_session
-        from imufield.commands.options.samples import ImportOptions
+        from imufield.commands.options.acquire_commands import ImportOptions
 
         if protocol is None:
             return Replayed(Session.open(path))

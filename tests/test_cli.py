@@ -73,7 +73,7 @@ def test_help_without_typer_is_that_of_typer(columns: int) -> None:
     [
         ("--version", {"typer", "rich", "imufield.errors"}),
         ("--help", {"typer", "imufield.commands", "numpy"}),
-        ("devices --json", {"numpy", "pydantic", "rich.table", "imufield.commands.options.results"}),
+        ("devices --json", {"numpy", "pydantic", "rich.table", "imufield.commands.options.result_commands"}),
     ],
 )
 def test_a_start_loads_what_it_uses(command: str, unused: set[str]) -> None:

@@ -1,4 +1,4 @@
-"""Logs of CAN buses: the address that programs of others import."""
+"""Logs of CAN buses: the import address for other packages; the code is in ``formats.can_logs``."""
 
 from imufield.acquire.formats.can_log_heads import *  # noqa: F403  the names are listed below
 from imufield.acquire.formats.can_logs import *  # noqa: F403  the names are listed below

@@ -1,4 +1,4 @@
-"""Checksums: the address that drivers of other packages import."""
+"""Checksums: the import address for other packages; the code is in ``protocol.checksum``."""
 
 from imufield.acquire.protocol.checksum import *  # noqa: F403  the names are listed below
 

@@ -1,4 +1,4 @@
-"""Questions and orders to an instrument: the address that drivers of other packages import."""
+"""Questions and orders to an instrument: the import address for other packages; the code is in ``instrument.exchange``."""
 
 from imufield.acquire.instrument.exchange import ANSWER_S, TRIES, Command, Exchange, Message, any_message
 

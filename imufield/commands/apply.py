@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
-from imufield.commands.options.results import ApplyOptions
+from imufield.commands.options.result_commands import ApplyOptions
 from imufield.commands.terminal.output import echo, say, say_each
 from imufield.commands.terminal.row_count import RowCount
 from imufield.deliver.parameters.file import load

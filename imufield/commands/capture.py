@@ -7,7 +7,7 @@ from contextlib import ExitStack
 
 from imufield.acquire.instrument.connect import check_options, connect
 from imufield.acquire.link.host_clock import HostClock
-from imufield.commands.options.samples import CaptureOptions
+from imufield.commands.options.acquire_commands import CaptureOptions
 from imufield.commands.terminal.guided import DEFAULT_SCHEME, Captured, guide_record, guided_session, new_session
 from imufield.commands.terminal.output import before_recording, host_clock, say, say_assumed
 from imufield.commands.terminal.page import open_page

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 from imufield.acquire.recording.session import SETTINGS_FILE, Session
-from imufield.commands.options.results import CertificateOptions
+from imufield.commands.options.result_commands import CertificateOptions
 from imufield.commands.terminal.output import say, write_output
 from imufield.deliver.certificate.certificate import Certificate, Parties, issue_date, to_json
 from imufield.deliver.certificate.dcc import to_xml

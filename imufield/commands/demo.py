@@ -15,7 +15,7 @@ import numpy as np
 from imufield.calibrate.model.gauge import intrinsic
 from imufield.calibrate.model.models import predict, to_vector
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration
-from imufield.commands.options.samples import DemoOptions
+from imufield.commands.options.acquire_commands import DemoOptions
 from imufield.commands.terminal.emulated import capture, emulator
 from imufield.commands.terminal.guided import Captured
 from imufield.commands.terminal.output import echo, say

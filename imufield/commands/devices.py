@@ -9,7 +9,7 @@ from typing import Any
 
 from imufield.acquire.link.ports import can_channels, serial_ports
 from imufield.acquire.registry import driver_names, load_driver
-from imufield.commands.options.samples import DevicesOptions
+from imufield.commands.options.acquire_commands import DevicesOptions
 from imufield.commands.terminal.output import echo
 from imufield.deliver.parameters.numbers import hanging
 from imufield.errors import ProtocolError

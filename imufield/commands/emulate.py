@@ -16,7 +16,7 @@ import numpy as np
 
 from imufield.acquire.protocol.toml import spell
 from imufield.acquire.registry import driver_names, load_driver
-from imufield.commands.options.samples import EmulateOptions
+from imufield.commands.options.acquire_commands import EmulateOptions
 from imufield.commands.terminal.output import echo, replace_only, say
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import UsageError

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from imufield.commands.options.results import ExportOptions
+from imufield.commands.options.result_commands import ExportOptions
 from imufield.commands.terminal.output import echo
 from imufield.deliver.exports import TARGETS, export_options, export_parameters, target, write_exported
 from imufield.deliver.parameters.file import load

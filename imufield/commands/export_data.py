@@ -6,7 +6,7 @@ import numpy as np
 
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import open_or_newest
-from imufield.commands.options.results import ExportDataOptions
+from imufield.commands.options.result_commands import ExportDataOptions
 from imufield.commands.terminal.output import echo, say, say_each
 from imufield.commands.terminal.row_count import RowCount
 from imufield.deliver.parameters.numbers import beside, hanging

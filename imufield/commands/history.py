@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from imufield.calibrate.sessions.changes import LargestChange
-from imufield.commands.options.results import HistoryOptions
+from imufield.commands.options.result_commands import HistoryOptions
 from imufield.commands.terminal.output import echo, echo_path, say, say_each, write_output
 from imufield.deliver.changes import JudgedHistory, judge_history, sentences, shown_as, to_csv
 from imufield.deliver.control_chart import plot_history

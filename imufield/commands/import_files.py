@@ -27,7 +27,7 @@ from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import LOCK_FILE, SETTINGS_FILE, Session, create_session
 from imufield.acquire.recording.session_record import SettingRecord
 from imufield.acquire.registry import load_driver
-from imufield.commands.options.samples import ImportOptions
+from imufield.commands.options.acquire_commands import ImportOptions
 from imufield.commands.terminal.output import echo, say_each
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import Reason, RecordingError, UsageError

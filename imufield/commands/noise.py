@@ -13,7 +13,7 @@ from imufield.acquire.recording.session import Session, open_or_newest
 from imufield.calibrate.noise.noise import NoiseResult, measure_noise
 from imufield.calibrate.noise.noise_fit import NoiseFigure
 from imufield.calibrate.noise.noise_texts import NoiseFormat, draw_plot, noise_text
-from imufield.commands.options.results import NoiseOptions
+from imufield.commands.options.result_commands import NoiseOptions
 from imufield.commands.terminal.output import echo, say, say_each, tell_written, write_output
 from imufield.deliver.parameters.document import noise_table
 from imufield.deliver.parameters.file import Noise, Parameters, load, write_document

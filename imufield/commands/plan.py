@@ -6,7 +6,7 @@ import json
 from dataclasses import asdict
 
 from imufield.calibrate.model.grades import DEFAULT_GRADE, find_grade, grade_by_noise
-from imufield.commands.options.samples import PlanOptions
+from imufield.commands.options.acquire_commands import PlanOptions
 from imufield.commands.terminal.guided import DEFAULT_SCHEME
 from imufield.commands.terminal.output import echo, say
 from imufield.earth import MICRO_G_M_S2

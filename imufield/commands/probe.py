@@ -16,7 +16,7 @@ from imufield.acquire.instrument.listen import Search, bauds_to_try, has_no_baud
 from imufield.acquire.instrument.recognise import Candidate, Finding, Listener
 from imufield.acquire.link.host_clock import HostClock
 from imufield.acquire.link.ports import serial_ports
-from imufield.commands.options.samples import ProbeOptions
+from imufield.commands.options.acquire_commands import ProbeOptions
 from imufield.commands.terminal.output import echo, host_clock, say
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import ImufieldError, LinkError, Reason

@@ -14,7 +14,7 @@ from imufield.acquire.link.host_clock import HostClock, patience_s
 from imufield.acquire.link.reconnect import ReconnectingLink
 from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import Session, create_session
-from imufield.commands.options.samples import RecordOptions
+from imufield.commands.options.acquire_commands import RecordOptions
 from imufield.commands.terminal.output import echo, host_clock, say, say_assumed
 from imufield.commands.terminal.ramp import RampLead
 from imufield.deliver.parameters.numbers import beside

@@ -21,7 +21,7 @@ from imufield.acquire.recording.reader import (
     read_blocks,
 )
 from imufield.acquire.recording.session import Session, open_or_newest
-from imufield.commands.options.samples import ReplayOptions
+from imufield.commands.options.acquire_commands import ReplayOptions
 from imufield.commands.terminal.output import echo, say, say_each
 from imufield.commands.terminal.page import SHOWN_EVERY_S, bind_page, serve_page
 from imufield.deliver.parameters.file import PARAMETER_FILE, load_found

@@ -15,7 +15,7 @@ import numpy as np
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session, open_or_newest
 from imufield.calibrate.model.observations import join_observations
-from imufield.commands.options.results import ReportOptions
+from imufield.commands.options.result_commands import ReportOptions
 from imufield.commands.terminal.output import write_output
 from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, load
 from imufield.deliver.parameters.write import content_sha256

@@ -10,7 +10,7 @@ from typing import Any
 
 from imufield.acquire.recording.session import SETTINGS_FILE, Session
 from imufield.calibrate.model.result import VERDICTS
-from imufield.commands.options.samples import SessionsOptions
+from imufield.commands.options.acquire_commands import SessionsOptions
 from imufield.commands.terminal.output import echo, say
 from imufield.deliver.parameters.file import PARAMETER_FILE
 from imufield.errors import ImufieldError, ParameterFileError, RecordingError, UsageError

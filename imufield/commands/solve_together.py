@@ -9,7 +9,7 @@ from pathlib import Path
 from rich.table import Table
 
 from imufield.acquire.recording.session import Session
-from imufield.commands.options.results import SolveOptions
+from imufield.commands.options.result_commands import SolveOptions
 from imufield.commands.terminal.output import echo, say, say_each, tell_written
 from imufield.console import PlainTextConsole
 from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, json_ready, write_document

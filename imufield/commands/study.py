@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from imufield.commands.options.results import StudyOptions
+from imufield.commands.options.result_commands import StudyOptions
 from imufield.commands.terminal.output import echo, replace_only, tell_written
 from imufield.deliver.parameters.numbers import hanging
 from imufield.errors import UsageError

@@ -13,7 +13,7 @@ from imufield.acquire.recording.session import open_or_newest
 from imufield.acquire.recording.session_record import SiteRecord
 from imufield.calibrate.model.observations import leave_out
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters
-from imufield.commands.options.results import VerifyOptions
+from imufield.commands.options.result_commands import VerifyOptions
 from imufield.commands.terminal.output import echo, tell_written
 from imufield.console import PlainTextConsole
 from imufield.deliver.navigation.alignment import Heading

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from contextlib import ExitStack
 
-from imufield.commands.options.samples import WebOptions
+from imufield.commands.options.acquire_commands import WebOptions
 from imufield.commands.terminal.output import say
 from imufield.commands.terminal.page import bind_page, show_in_browser
 from imufield.errors import UsageError

@@ -1,4 +1,4 @@
-"""What the history of an instrument says: changes against what it does from day to day, in words and as a table.
+"""The changes in the history of an instrument as text and table: against what it does from day to day.
 
 Two calibrations are compared as a pair (``family``). From three on the scatter from day to day is known, and the whole history
 is tested at once (``calibrate.sessions.changes``).

@@ -1,4 +1,4 @@
-"""A reading kept beside its recording: hours of samples take most of the time of a solve, and say the same every time.
+"""Cache of a replayed recording (``Reading``) beside it, so that the next ``solve`` need not replay hours of samples.
 
 ``capture`` keeps it as soon as it has seen all of the recording, else who replays it first. It is believed only under a digest
 of the recording, of what ``session.toml`` says, and of this program's own code, with a secret of this user: what came with the

@@ -1,4 +1,4 @@
-"""What a recording holds for whoever calibrates from it: the outcome of one replay, as plain values (kept by ``kept``)."""
+"""The outcome of one replay of a recording, as plain values: all that the calibration needs (cached by ``kept``)."""
 
 from __future__ import annotations
 

@@ -12,9 +12,9 @@ from imufield.acquire.recording.session import Session
 from imufield.calibrate.model.grades import DEFAULT_GRADE, find_grade
 from imufield.calibrate.model.temperature import TriadTemperature
 from imufield.calibrate.temperature.fit import Evidence, SessionPoints, TemperatureFit, fit_temperature, fit_warnings
+from imufield.calibrate.temperature.one_pose import gyroscope_sentence, pose_sentence
 from imufield.calibrate.temperature.points import accelerometer_points, gyroscope_points
 from imufield.calibrate.temperature.ramp import RampWindows, cut_ramp, in_one_pose, ramp_sentences, turns
-from imufield.calibrate.temperature.trap import gyroscope_sentence, trap_sentence
 from imufield.deliver.parameters.context import TemperatureSource
 from imufield.deliver.parameters.file import Parameters, from_document
 from imufield.deliver.parameters.temperature import add_temperature
@@ -183,7 +183,7 @@ def with_temperature(
             told.append(sentence("temperature.by_sensors", triad=triad, apart=apart))
         warnings[triad] += fit_warnings(found, triad)
         if triad == "accelerometer" and not found.temperature.scale_separated:
-            warnings[triad].append(trap_sentence(found.temperature, grade))
+            warnings[triad].append(pose_sentence(found.temperature, grade))
         if triad == "gyroscope" and highest.scale == 0:
             told.append(gyroscope_sentence(found.temperature, grade))
     return _joined(base, models, sources=_sources(sessions, ramps), told=told, warnings=warnings)

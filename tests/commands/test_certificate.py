@@ -14,7 +14,7 @@ import pytest
 
 from imufield.cli.run import run
 from imufield.commands.certificate import run_certificate
-from imufield.commands.options.results import CertificateOptions
+from imufield.commands.options.result_commands import CertificateOptions
 from imufield.deliver.parameters.file import load
 from imufield.deliver.report.budget import budget_of, budget_tables, scale_words
 from imufield.errors import ParameterFileError, Reason

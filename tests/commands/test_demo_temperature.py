@@ -13,7 +13,7 @@ from imufield.acquire.recording.session import Session
 from imufield.cli.run import run
 from imufield.commands import demo
 from imufield.commands.emulate import make_emulation
-from imufield.commands.options.samples import DemoOptions, EmulateOptions
+from imufield.commands.options.acquire_commands import DemoOptions, EmulateOptions
 from imufield.deliver.parameters.file import load
 from imufield.earth import MILLI_G_M_S2
 from imufield.errors import UsageError, VerificationError

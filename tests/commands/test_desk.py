@@ -22,7 +22,7 @@ from imufield.acquire.recording.reader import read_session
 from imufield.acquire.recording.session import Session
 from imufield.commands import demo
 from imufield.commands.emulate import make_emulation
-from imufield.commands.options.samples import DemoOptions, EmulateOptions
+from imufield.commands.options.acquire_commands import DemoOptions, EmulateOptions
 from imufield.commands.terminal import emulated
 from imufield.errors import LinkError
 from imufield.guide.positions import scheme

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from imufield.commands.emulate import make_emulation
-from imufield.commands.options.samples import EmulateOptions
+from imufield.commands.options.acquire_commands import EmulateOptions
 from imufield.errors import Reason, UsageError
 from imufield.samples import FloatArray
 from imufield.simulate.emulator.emulate import make_virtual_imu

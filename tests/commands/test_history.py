@@ -12,7 +12,7 @@ import pytest
 
 from imufield.cli.run import run
 from imufield.commands.history import run_history
-from imufield.commands.options.results import HistoryOptions
+from imufield.commands.options.result_commands import HistoryOptions
 from imufield.deliver.parameters.file import load
 from imufield.deliver.parameters.write import to_toml
 from imufield.errors import Reason

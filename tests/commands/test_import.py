@@ -20,7 +20,7 @@ from imufield.acquire.recording.session import Session
 from imufield.acquire.registry import load_driver
 from imufield.cli.run import run
 from imufield.commands import import_files
-from imufield.commands.options.samples import ImportOptions
+from imufield.commands.options.acquire_commands import ImportOptions
 from imufield.deliver.samples.export_data import export_samples
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.pipeline.chain import Chain, ReadingPlan, replay_into, session_samples

@@ -12,7 +12,7 @@ import pytest
 
 from imufield.acquire.recording.session import Session
 from imufield.commands.import_files import import_session
-from imufield.commands.options.samples import ImportOptions
+from imufield.commands.options.acquire_commands import ImportOptions
 from imufield.errors import CalibrationError, Reason
 from imufield.pipeline.calibration import SolveSettings
 from imufield.pipeline.site import SiteOptions

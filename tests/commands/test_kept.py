@@ -13,7 +13,7 @@ import pytest
 
 from imufield.acquire.recording.session import SETTINGS_FILE, Session
 from imufield.cli.run import run
-from imufield.commands.options.results import ReportOptions
+from imufield.commands.options.result_commands import ReportOptions
 from imufield.commands.report import gather
 from imufield.pipeline import kept, solving
 from imufield.pipeline.calibration import SolveSettings

@@ -14,7 +14,7 @@ from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.acquire.recording.session import Session
 from imufield.commands import record as module
-from imufield.commands.options.samples import RecordOptions
+from imufield.commands.options.acquire_commands import RecordOptions
 from imufield.commands.record import run_record
 from imufield.errors import LinkError, Reason, UsageError
 from imufield.pipeline.chain import session_samples

@@ -11,7 +11,7 @@ import pytest
 from imufield.acquire.recording.session import Session
 from imufield.calibrate.model.uncertainty import rms
 from imufield.cli.run import run
-from imufield.commands.options.results import ReportOptions
+from imufield.commands.options.result_commands import ReportOptions
 from imufield.commands.report import gather, run_report
 from imufield.deliver.parameters.file import load
 from imufield.earth import MICRO_G_M_S2

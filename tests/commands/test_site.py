@@ -14,7 +14,7 @@ import tomli_w
 from imufield.acquire.recording.session import Session
 from imufield.acquire.recording.session_record import SiteRecord
 from imufield.cli.run import run
-from imufield.commands.options.results import VerifyOptions
+from imufield.commands.options.result_commands import VerifyOptions
 from imufield.commands.verify import _Task
 from imufield.earth import choose_gravity, sigma_of_digits
 from imufield.errors import Reason

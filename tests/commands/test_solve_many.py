@@ -18,7 +18,7 @@ import pytest
 import imufield
 from imufield.acquire.recording.session import Session
 from imufield.cli.run import run
-from imufield.commands.options.results import SolveOptions
+from imufield.commands.options.result_commands import SolveOptions
 from imufield.commands.solve import run_solve_many
 from imufield.deliver.parameters.file import load
 from imufield.errors import ParameterFileError, Reason, UsageError

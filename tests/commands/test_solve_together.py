@@ -15,7 +15,7 @@ from imufield.calibrate.model.budget import combined_sigma
 from imufield.cli.run import run
 from imufield.commands import solve_together
 from imufield.commands.certificate import run_certificate
-from imufield.commands.options.results import CertificateOptions, HistoryOptions, SolveOptions, VerifyOptions
+from imufield.commands.options.result_commands import CertificateOptions, HistoryOptions, SolveOptions, VerifyOptions
 from imufield.commands.solve import run_solve
 from imufield.commands.verify import run_verify
 from imufield.deliver.history import read_history

@@ -20,7 +20,7 @@ from imufield.acquire.recording.session import Session
 from imufield.calibrate.model.gauge import intrinsic, make_intrinsic
 from imufield.calibrate.model.models import to_vector
 from imufield.cli.run import run
-from imufield.commands.options.results import VerifyOptions
+from imufield.commands.options.result_commands import VerifyOptions
 from imufield.commands.verify import run_verify
 from imufield.deliver.parameters.file import from_document, load
 from imufield.deliver.parameters.temperature import add_temperature

@@ -232,7 +232,7 @@ def test_one_pose_alone_is_never_good_and_sessions_keep_their_verdict(sessions: 
     assert base.calibration.quality.verdict == "good"
     one_pose = with_temperature(base, [], [ramp()]).calibration.quality
     assert one_pose.verdict == one_pose.accelerometer_verdict == "usable"
-    assert "trap.pose" in keys(one_pose.warnings)
+    assert "one_pose.pose" in keys(one_pose.warnings)
     # Three sessions show a straight line, which the bias is not.
     bent = with_temperature(base, sessions, []).calibration.quality
     assert bent.verdict == "usable"

@@ -1,4 +1,4 @@
-"""Frames of a CAN bus to samples without a time: the source behind every CAN protocol.
+"""CAN frames to samples without a time: signals scaled and put in their places (bits: ``protocol.can_dbc``).
 
 A block of packed frames is sorted by kind, grouped into samples, and read kind by kind with NumPy. Frames of samples that are
 not settled yet are put back and read again in front of the next block. Values are written to their place in the sample as

@@ -1,4 +1,4 @@
-"""Whether what sends is what is expected.
+"""Check that a stream runs in real time, and that after a reconnect it still comes from the same instrument.
 
 In real time by its own clock, and still the same instrument where a link was lost and opened again and nobody can be asked.
 """

@@ -1,4 +1,4 @@
-"""The tables of a protocol file as typed objects: lines of text, what values mean in a sample, the clock."""
+"""The tables [text], [sample] and [clock] of a protocol file: columns, units, flags, counter and time stamp."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The one gate that terms beyond the linear model pass, and what choosing among them costs.
+"""The F tests that decide whether a quadratic term and a bias drift are fitted, and the uncertainty that choosing adds.
 
 Candidates are the quadratic term and a drift of the bias (``drift``). A joint F test of all of them rejects at 5 %, or none
 is admitted; within it Holm's order [1]_ on the F test of each term given the other refutes one of them. Where the joint test

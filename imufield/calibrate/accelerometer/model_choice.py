@@ -18,6 +18,7 @@ from imufield.calibrate.accelerometer.drift import FEWEST_TO_SPARE, DriftForm, d
 from imufield.calibrate.accelerometer.fit import Fit, FitData, column_basis, fit
 from imufield.calibrate.accelerometer.gate import LEVEL, Choice, Gate, Term, Terms
 from imufield.calibrate.accelerometer.start import FEWEST_FOR_MISALIGNMENT, FEWEST_FOR_QUADRATIC, closed_form_start
+from imufield.calibrate.model.aliasing import typical_higher
 from imufield.calibrate.model.distributions import f_tail
 from imufield.calibrate.model.gauge import change_gauge
 from imufield.calibrate.model.grades import Grade
@@ -26,7 +27,6 @@ from imufield.calibrate.model.models import MISALIGNMENT, PARAMETERS, QUADRATIC,
 from imufield.calibrate.model.observability import WEAKEST_COLUMN, Observability, observe, require_scale_and_bias
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, ModelChoice
-from imufield.calibrate.model.typical import typical_higher
 from imufield.earth import MILLI_G_M_S2
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray

@@ -19,8 +19,8 @@ import numpy as np
 from imufield.calibrate.accelerometer.fit import Fit, FitData
 from imufield.calibrate.accelerometer.gate import Choice
 from imufield.calibrate.accelerometer.unshown import Unshown
+from imufield.calibrate.model.aliasing import HIGHER_COLUMNS
 from imufield.calibrate.model.budget import Share, root_of
-from imufield.calibrate.model.typical import HIGHER_COLUMNS
 from imufield.calibrate.model.uncertainty import rms
 from imufield.samples import FloatArray
 

@@ -1,4 +1,4 @@
-"""What a fit does not show, by what is typical of the grade: of the parameters, and of the higher terms themselves."""
+"""Uncertainty added for error terms that were not fitted: in the parameters, and of the higher terms themselves."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from imufield.calibrate.accelerometer.fit import Fit
 from imufield.calibrate.accelerometer.model_choice import VERDICT_LEVEL, ChosenModel
+from imufield.calibrate.model.aliasing import HIGHER_COLUMNS, open_terms, typical_higher
 from imufield.calibrate.model.distributions import NORMAL_FACTOR_95, f_tail, student_factor
 from imufield.calibrate.model.grades import Grade
 from imufield.calibrate.model.higher import KINDS, TERMS, HigherTerms, higher_scale
 from imufield.calibrate.model.models import PARAMETERS
-from imufield.calibrate.model.typical import HIGHER_COLUMNS, open_terms, typical_higher
 from imufield.samples import FloatArray
 
 

@@ -1,4 +1,4 @@
-"""Coordinates in which a step of one size means the same in every direction: the cure for stalling beetles.
+"""Whitened coordinates of the parameters for swarm solvers: a step of one size means the same in every direction.
 
 Let ``J`` be the Jacobian of ``norm(a)`` at the preset, ``S`` the scale of each parameter and ``G`` the three generators of
 turns (``observability``), along which the norm is flat. With ``C`` an orthonormal basis of what is perpendicular to

@@ -1,1 +1,1 @@
-"""The gyroscope from stills, moves, whole turns or a turntable: fit, choice of the model, covariance of the residuals."""
+"""The gyroscope from stills, moves, whole turns or a turntable: fit of bias, scale, misalignment and g-sensitivity."""

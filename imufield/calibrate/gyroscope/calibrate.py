@@ -8,8 +8,8 @@ c   moves between still positions, against gravity
 d   whole turns by hand: rolled ones are moves, those about the vertical close against a stop
 e   turntable rates, both ways
 
-``model_choice`` decides whether the g-sensitivity is fitted, ``fit`` fits bias, scale and misalignment, ``covariance`` says how
-sure the residuals are, ``report`` makes the result.
+``model_choice`` decides whether the g-sensitivity is fitted, ``fit`` fits bias, scale and misalignment, ``residual_covariance``
+says how sure the residuals are, ``result`` puts it together.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ from imufield.calibrate.gyroscope.input import GyroscopeInput, handedness_error,
 from imufield.calibrate.gyroscope.model_choice import FULL, GyroscopeModel, check_linearity, choose_model
 from imufield.calibrate.gyroscope.move_integration import INVERSE, PARAMETERS, rough_inverse
 from imufield.calibrate.gyroscope.observability import observe
-from imufield.calibrate.gyroscope.report import (
+from imufield.calibrate.gyroscope.residuals import VERTICAL
+from imufield.calibrate.gyroscope.result import (
     GyroscopeResult,
     JointSolution,
     StaticSolution,
@@ -31,7 +32,6 @@ from imufield.calibrate.gyroscope.report import (
     static_bias_result,
     static_norm_result,
 )
-from imufield.calibrate.gyroscope.residuals import VERTICAL
 from imufield.calibrate.gyroscope.static import (
     StaticData,
     fit_static,

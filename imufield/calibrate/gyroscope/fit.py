@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imufield.calibrate.gyroscope.covariance import Covariances, Scatter, covariances, next_scatter
 from imufield.calibrate.gyroscope.move_integration import PARAMETERS
+from imufield.calibrate.gyroscope.residual_covariance import Covariances, Scatter, covariances, next_scatter
 from imufield.calibrate.gyroscope.residuals import FIRST_HORIZONTAL, VERTICAL, Evaluation, GyroscopeData, evaluate
 from imufield.calibrate.solvers.base import SolverResult, SolverStatus
 from imufield.earth import EARTH_RATE_RAD_S

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imufield.calibrate.gyroscope.covariance import accelerometer_force, force_errors
 from imufield.calibrate.gyroscope.move_integration import centre
 from imufield.calibrate.gyroscope.moves import Moves
+from imufield.calibrate.gyroscope.residual_covariance import accelerometer_force, force_errors
 from imufield.calibrate.gyroscope.residuals import GyroscopeData, chains_of
 from imufield.calibrate.gyroscope.static import StaticFree
 from imufield.calibrate.gyroscope.turntable import TurntableRun, no_table, pair_runs

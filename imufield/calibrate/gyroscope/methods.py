@@ -26,7 +26,8 @@ import numpy as np
 
 from imufield.calibrate.gyroscope.fit import make_prior
 from imufield.calibrate.gyroscope.move_integration import PARAMETERS
-from imufield.calibrate.gyroscope.report import (
+from imufield.calibrate.gyroscope.residuals import evaluate
+from imufield.calibrate.gyroscope.result import (
     GYROSCOPE_NAMES,
     GyroscopeResult,
     JointSolution,
@@ -35,7 +36,6 @@ from imufield.calibrate.gyroscope.report import (
     joint_result,
     static_norm_result,
 )
-from imufield.calibrate.gyroscope.residuals import evaluate
 from imufield.calibrate.gyroscope.static import linearise_static
 from imufield.calibrate.solvers.agreement import CROSS_CHECKED, LEAST_SQUARES, Attempt, CrossCheck, compare
 from imufield.calibrate.solvers.base import SolverResult, SolverStatus

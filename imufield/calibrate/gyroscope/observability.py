@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imufield.calibrate.gyroscope.covariance import Scatter, covariances
 from imufield.calibrate.gyroscope.fit import first_scatter
 from imufield.calibrate.gyroscope.move_integration import INVERSE, PARAMETERS, SENSITIVITY
+from imufield.calibrate.gyroscope.residual_covariance import Scatter, covariances
 from imufield.calibrate.gyroscope.residuals import GyroscopeData, evaluate
 from imufield.calibrate.model.observability import unexplained_lengths
 from imufield.errors import CalibrationError, Reason

@@ -35,7 +35,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from imufield.calibrate.gyroscope.covariance import Covariances, Scatter, next_scatter, random_walk
+from imufield.calibrate.gyroscope.residual_covariance import Covariances, Scatter, next_scatter, random_walk
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import GyroscopeCalibration, GyroscopeParameters
 from imufield.calibrate.model.uncertainty import block_diagonal

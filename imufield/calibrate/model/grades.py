@@ -2,7 +2,7 @@
 
 The figures are in ``grades.toml``, which says what each follows. Noise follows the Allan-deviation convention of
 IEEE Std 952: a noise density of N gives an Allan deviation of N at 1 s, hence a standard deviation of N sqrt(rate_hz) per
-sample; a bias instability of B gives a floor of 0.664 B. Terms of the accelerometer are those of ``typical``.
+sample; a bias instability of B gives a floor of 0.664 B. Terms of the accelerometer are those of ``aliasing``.
 """
 
 from __future__ import annotations

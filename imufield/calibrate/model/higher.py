@@ -11,7 +11,7 @@ At rest axis i adds its share ``u_i h_i`` to the norm, u being the direction of 
 three cubic terms. Beside bias (``u_i``) and K2 (``u_i^3``) the nine cross terms make four functions more: ``u_x u_y u_z``, of
 three of them, and three differences such as ``u_x^2 u_y - u_z^2 u_y``; the sums are ``u_y - u_y^3``. So the norm shows no cross
 term of one axis by itself. Fitted is the part that it shows, with the least sum of squares: ``u_x u_y u_z`` on three axes
-alike, a difference as +c and -c. The rest is zero in the parameters, and in their uncertainty by what is typical (``typical``).
+alike, a difference as +c and -c. The rest is zero in the parameters; in their uncertainty it is as is typical (``aliasing``).
 
 References
 ----------

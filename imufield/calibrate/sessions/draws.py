@@ -1,4 +1,4 @@
-"""Drawing what an unchanged instrument shows by chance: errors with a covariance, and variances as they are estimated."""
+"""Monte-Carlo draws of an unchanged instrument, for the tests between sessions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What solved sessions at several temperatures say of bias and scale, relative to the calibration at the reference."""
+"""Data points of the fit over temperature: bias and scale of each solved session, relative to the reference."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from imufield.acquire.instrument.connect import connect
 from imufield.acquire.instrument.connected import ConnectOptions
 from imufield.acquire.link.host_clock import ScaledClock
-from imufield.commands.options.samples import CaptureOptions, DemoOptions
+from imufield.commands.options.acquire_commands import CaptureOptions, DemoOptions
 from imufield.commands.terminal.guided import Captured, guided_session, new_session
 from imufield.commands.terminal.output import before_recording, say_assumed
 from imufield.errors import LinkError, Reason, UsageError

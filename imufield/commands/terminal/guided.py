@@ -24,7 +24,7 @@ from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import Session, create_session
 from imufield.acquire.recording.session_record import GuideRecord
-from imufield.commands.options.samples import CaptureOptions, ViewName
+from imufield.commands.options.acquire_commands import CaptureOptions, ViewName
 from imufield.commands.terminal.output import echo, say
 from imufield.commands.terminal.page import SHOWN_EVERY_S, serve_page
 from imufield.commands.terminal.views import View, make_view

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from imufield.acquire.recording.session import Session
 from imufield.commands.configuration import instrument_stl
-from imufield.commands.options.samples import CaptureOptions
+from imufield.commands.options.acquire_commands import CaptureOptions
 from imufield.commands.terminal.output import echo, say
 from imufield.errors import Reason, UsageError
 from imufield.guide.events import EVENT_VERSION

@@ -9,7 +9,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imufield.commands.options.samples import CaptureOptions
+from imufield.commands.options.acquire_commands import CaptureOptions
 from imufield.commands.terminal.output import echo, say
 from imufield.deliver.parameters.numbers import beside
 from imufield.guide.events import EVENT_VERSION, Event

@@ -1,4 +1,4 @@
-"""How well the time of the samples is known: what gravity cannot tell of a gyroscope.
+"""Error of the sample clock, as uncertainty of the gyroscope's scale, and its words in the parameter file.
 
 A move between two stills is an angle that gravity shows. The gyroscope's output N over n samples of the period T gives the same
 angle as ``n T N / K``: only K / T is found. So K belongs to the period that the clock of the samples states. A program that

@@ -31,7 +31,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imufield.calibrate.accelerometer.fit import column_basis
-from imufield.calibrate.gyroscope.report import GYROSCOPE_NAMES
+from imufield.calibrate.gyroscope.result import GYROSCOPE_NAMES
 from imufield.calibrate.model.distributions import degrees_of_freedom
 from imufield.calibrate.model.gauge import change_gauge, intrinsic, turn_gyroscope
 from imufield.calibrate.model.models import QUADRATIC, to_vector

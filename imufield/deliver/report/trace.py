@@ -1,4 +1,4 @@
-"""How still an instrument was: sums over cells of a stream, which need no parameters, and what parameters make of them."""
+"""Data of the stillness plot: force and rate over the session, collected without parameters and scaled by them later."""
 
 from __future__ import annotations
 

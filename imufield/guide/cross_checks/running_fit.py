@@ -20,10 +20,10 @@ from typing import Protocol
 
 import numpy as np
 
+from imufield.calibrate.model.aliasing import open_terms
 from imufield.calibrate.model.grades import Grade
 from imufield.calibrate.model.models import PARAMETERS, norm_derivatives
 from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS, observe
-from imufield.calibrate.model.typical import open_terms
 from imufield.calibrate.model.uncertainty import gravity_sensitivity
 from imufield.earth import MICRO_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity
 from imufield.errors import CalibrationError

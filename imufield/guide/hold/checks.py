@@ -1,4 +1,7 @@
-"""Checks of a hold before it counts. Each gives a refusal with value, limit, axis and remedy, or None."""
+"""Checks of a hold before it counts. Each gives a refusal with value, limit, axis and remedy, or None.
+
+Clipping that the instrument does not flag is found across holds: ``cross_checks.outputs``.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The stillness detector: cells in, judgements out.
+"""The stillness detector: whether each cell of 0.1 s is still, by limits from the noise floor.
 
 Each cell is compared with limits that come from the measured noise floor, in two ways for each triad:
 

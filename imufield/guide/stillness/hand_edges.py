@@ -1,4 +1,4 @@
-"""Begin and end of a hold in the hand, by its own standard.
+"""Begin and end of a hold in the hand, where the turn fades into the sway of this arm.
 
 A turn fades into the sway of the arm, and limits wide enough for any arm let the end of a slow turn pass. How much *this* arm
 moves is known once it has held for some seconds: the rms change of force and rate of the cells well inside the stretch. At both

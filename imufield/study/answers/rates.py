@@ -8,7 +8,7 @@ import numpy as np
 
 from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
 from imufield.calibrate.gyroscope.model_choice import typical_rate_terms
-from imufield.calibrate.gyroscope.report import JointSolution, joint_result
+from imufield.calibrate.gyroscope.result import JointSolution, joint_result
 from imufield.calibrate.gyroscope.turntable import TurntableRun
 from imufield.calibrate.model.distributions import NORMAL_FACTOR_95
 from imufield.calibrate.model.gauge import change_gauge, turn_gyroscope

@@ -10,12 +10,13 @@ import pytest
 from gyroscope_sessions import Session, Turn, collect_moves, fit_turns_only, record, rolled, simulate
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
-from imufield.calibrate.gyroscope import covariance, fit
+from imufield.calibrate.gyroscope import fit, residual_covariance
 from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
-from imufield.calibrate.gyroscope.covariance import Covariances, Scatter
 from imufield.calibrate.gyroscope.input import GyroscopeInput, make_data
 from imufield.calibrate.gyroscope.move_integration import rough_inverse
-from imufield.calibrate.gyroscope.report import (
+from imufield.calibrate.gyroscope.residual_covariance import Covariances, Scatter
+from imufield.calibrate.gyroscope.residuals import evaluate
+from imufield.calibrate.gyroscope.result import (
     GYROSCOPE_NAMES,
     GyroscopeResult,
     JointSolution,
@@ -23,7 +24,6 @@ from imufield.calibrate.gyroscope.report import (
     forward,
     little_gained,
 )
-from imufield.calibrate.gyroscope.residuals import evaluate
 from imufield.calibrate.gyroscope.turntable import TurntableRun
 from imufield.calibrate.gyroscope.whole_turns import Stop
 from imufield.calibrate.model.budget import combined_sigma
@@ -73,8 +73,8 @@ def test_hand_moves_alone_give_all_21_parameters_within_their_sigma() -> None:
 
 
 def test_the_path_is_told_and_the_moves_reported(result: GyroscopeResult) -> None:
-    assert sentence("report.moves", moves=24, stills=25) in result.calibration.path
-    assert sentence("report.g_sensitivity") in result.calibration.path
+    assert sentence("result.moves", moves=24, stills=25) in result.calibration.path
+    assert sentence("result.g_sensitivity") in result.calibration.path
     assert result.moves.rms_after_deg < 0.06 < result.moves.rms_before_deg
     assert len(result.moves.after_deg) == 24
     assert result.unobservable == ()
@@ -96,7 +96,7 @@ def test_one_joint_covariance(session: Session, result: GyroscopeResult) -> None
     rows = [k for k, name in enumerate(names) if name in ACCELEROMETER_NAMES]
     columns = [k for k, name in enumerate(names) if name.startswith("gyroscope.misalignment")]
     assert np.abs(joined.covariance[np.ix_(rows, columns)]).max() > 0
-    assert [one.values["moves"] for one in told(joined.quality.reasons, "report.angle_errors")] == [24]
+    assert [one.values["moves"] for one in told(joined.quality.reasons, "result.angle_errors")] == [24]
 
 
 def test_the_shares_are_the_covariance_and_the_earth_s_is_that_of_its_prior(session: Session, result: GyroscopeResult) -> None:
@@ -162,7 +162,7 @@ def test_model_is_chosen_by_significance(session: Session) -> None:
 def test_a_fine_gyroscope_finds_north_and_checks_the_latitude() -> None:
     fine = simulate(1, grade="navigation", hold_s=15.0)
     result = calibrate_gyroscope(fine.given, "basic")
-    assert sentence("report.azimuth") in result.calibration.path
+    assert sentence("result.azimuth") in result.calibration.path
     assert np.abs(np.degrees(result.calibration.parameters.bias - fine.truth.bias) * 3600).max() < 0.03
     assert told(result.reasons, "static.latitude_seen")[0].values["observed_deg"] == pytest.approx(45.0, abs=0.5)
     wrong = calibrate_gyroscope(replace(fine.given, latitude_deg=45.5), "basic")
@@ -171,7 +171,7 @@ def test_a_fine_gyroscope_finds_north_and_checks_the_latitude() -> None:
 
 def test_without_a_latitude_the_earth_is_in_the_sigma(session: Session, result: GyroscopeResult) -> None:
     unknown = calibrate_gyroscope(replace(session.given, latitude_deg=None))
-    assert sentence("report.no_latitude") in unknown.calibration.path
+    assert sentence("result.no_latitude") in unknown.calibration.path
     assert np.all(unknown.calibration.sigma.g_sensitivity[range(3), range(3)] > result.calibration.sigma.g_sensitivity.min())
 
 
@@ -183,7 +183,7 @@ def test_rolled_whole_turns_sharpen_the_scale(result: GyroscopeResult) -> None:
     assert sorted({turn.values["turns"] for turn in sharp.turns}) == [-1, 1]
     assert np.all(result.calibration.sigma.scale > 2.7 * sharp.calibration.sigma.scale)
     assert np.abs(ratios(turned, sharp)[:3]).max() < 3.5
-    assert sentence("report.rolled", turns=18) in sharp.calibration.path
+    assert sentence("result.rolled", turns=18) in sharp.calibration.path
 
 
 UPRIGHT = tuple(Turn(np.eye(3)[axis], way * 2 * np.pi, upright=True) for axis in range(3) for way in (1.0, -1.0))
@@ -208,7 +208,7 @@ def test_a_turn_that_was_not_whole_is_named_with_what_is_missing() -> None:
     found = calibrate_gyroscope(replace(turned.given, stops=stops))
     (missed,) = told(found.reasons, "calibrate.not_whole")
     assert abs(missed.values["missed_deg"]) == pytest.approx(8.0, abs=0.15)
-    assert sentence("report.stops", stops=6) in found.calibration.path
+    assert sentence("result.stops", stops=6) in found.calibration.path
     with refused(UsageError, Reason.USAGE, "-5 s", key="whole_turns.no_move"):
         calibrate_gyroscope(replace(turned.given, stops=(Stop(-5.0, 1e-3),)))
     with refused(UsageError, Reason.USAGE, "57.2958 deg", key="whole_turns.repeatability"):
@@ -230,7 +230,7 @@ def test_turntable_rates_join_the_fit(session: Session, result: GyroscopeResult)
         for w in np.radians([10.0, -10.0, 30.0, -30.0])
     ]
     joined = calibrate_gyroscope(replace(session.given, turntable=runs))
-    assert sentence("report.table", pairs=6) in joined.calibration.path
+    assert sentence("result.table", pairs=6) in joined.calibration.path
     assert np.all(joined.calibration.sigma.scale < 0.1 * result.calibration.sigma.scale)
     assert np.abs(ratios(session, joined)[:9]).max() < 4
 
@@ -248,7 +248,7 @@ def test_positions_about_one_axis_leave_the_rest_at_the_preset() -> None:
     assert "gyroscope.scale.z" not in result.unobservable
     assert np.isnan(result.calibration.sigma.scale[0])
     assert result.calibration.parameters.scale[0] == pytest.approx(full.truth.scale[0], rel=1e-3)
-    assert "gyroscope.scale.x" in told(result.reasons, "report.hidden")[0].values["names"]
+    assert "gyroscope.scale.x" in told(result.reasons, "result.hidden")[0].values["names"]
     counts = replace(
         given,
         preset=None,
@@ -306,7 +306,7 @@ def test_lost_samples_are_bridged_or_named() -> None:
     result = calibrate_gyroscope(lossy.given)
     assert told(result.reasons, "moves.lost_samples")[0].values["missing_s"] == pytest.approx(0.4, abs=0.05)
     assert len(result.moves.after_deg) == 23
-    assert told(result.reasons, "report.chains")[0].values["chains"] == 2
+    assert told(result.reasons, "result.chains")[0].values["chains"] == 2
     assert np.abs(ratios(lossy, result)).max() < 4.5
 
 
@@ -323,7 +323,7 @@ def test_static_norm_for_an_instrument_that_sees_the_earth() -> None:
     fine = simulate(2, grade="navigation", hold_s=20.0)
     nothing = collect_moves([], fine.given.observations.start_s[:1], fine.given.observations.duration_s[:1])
     result = calibrate_gyroscope(replace(fine.given, moves=nothing, preset=fine.truth))
-    assert key_of(result.calibration.path) == "report.norm_bias"
+    assert key_of(result.calibration.path) == "result.norm_bias"
     assert np.abs(np.degrees(result.calibration.parameters.bias - fine.truth.bias) * 3600).max() < 0.05
     everything = calibrate_gyroscope(replace(fine.given, moves=nothing, static_free="all"))
     assert np.isfinite(everything.calibration.sigma.scale).all()
@@ -364,7 +364,7 @@ def test_xsens_on_the_reference_model(xsens: Samples) -> None:
 
 def test_xsens_with_g_sensitivity(xsens: Samples) -> None:
     result = calibrate_gyroscope(real_session(xsens, 32768.0, 9.81744))
-    assert sentence("report.g_sensitivity") in result.calibration.path
+    assert sentence("result.g_sensitivity") in result.calibration.path
     assert result.moves.rms_after_deg <= 0.15
     G = np.array([[0.104, 0.293, 0.645], [-1.305, 0.029, 0.818], [-0.697, -0.807, 0.215]])
     assert result.calibration.parameters.g_sensitivity == pytest.approx(G, abs=0.1)
@@ -386,7 +386,7 @@ def test_a_fit_that_does_not_end_makes_the_whole_usable_at_most(monkeypatch: pyt
     joined = found.join(still.calibration).quality
     assert still.calibration.quality.verdict == "good"
     assert joined.verdict == "usable"
-    assert key_of(joined.main_reason) == "report.unsettled"
+    assert key_of(joined.main_reason) == "result.unsettled"
     assert "--gravity" in joined.main_reason
     assert "--latitude" in joined.main_reason
     remedied = calibrate_gyroscope(replace(still.given, latitude_deg=None))
@@ -402,8 +402,8 @@ def test_residuals_that_no_noise_explains_are_refused() -> None:
 @pytest.mark.parametrize(
     ("before_deg", "after_deg", "said"),
     [
-        (0.368, 0.312, "report.hardly_better"),
-        (0.025, 0.078, "report.worse"),
+        (0.368, 0.312, "result.hardly_better"),
+        (0.025, 0.078, "result.worse"),
         (0.097, 0.012, None),
         (np.nan, 0.012, None),
     ],
@@ -416,7 +416,7 @@ def test_little_gained_by_a_fit_is_said(before_deg: float, after_deg: float, sai
 def test_scatter_that_overflows_is_a_contradiction(monkeypatch: pytest.MonkeyPatch, session: Session) -> None:
     # A capture that was resumed twice once led there: sizes that overflow, then eigenvalues that do not converge.
     def overflowing(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, parts: Covariances) -> Scatter:
-        return covariance.next_scatter(Scatter(1e153, 1e153, 1e153), residual, jacobian, parts)
+        return residual_covariance.next_scatter(Scatter(1e153, 1e153, 1e153), residual, jacobian, parts)
 
     monkeypatch.setattr(fit, "next_scatter", overflowing)
     with refused(CalibrationError, Reason.NOT_CONVERGED, key="fit.contradiction"):

@@ -12,7 +12,7 @@ from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
 from imufield.calibrate.gyroscope.input import GyroscopeInput
 from imufield.calibrate.gyroscope.methods import cross_check_gyroscope, searched_fit, solve_gyroscope_with
 from imufield.calibrate.gyroscope.moves import cut_moves, no_slots
-from imufield.calibrate.gyroscope.report import GyroscopeResult
+from imufield.calibrate.gyroscope.result import GyroscopeResult
 from imufield.calibrate.gyroscope.turntable import TurntableRun
 from imufield.calibrate.model.models import recover
 from imufield.calibrate.model.result import GyroscopeParameters
@@ -114,7 +114,7 @@ def test_a_method_that_stops_short_says_so(result: GyroscopeResult) -> None:
 @pytest.mark.parametrize("free", ["bias", "all"])
 def test_methods_prove_one_another_on_the_norm_of_the_earth_rate(still: GyroscopeInput, free: str) -> None:
     found = calibrate_gyroscope(replace(still, static_free=free))  # type: ignore[arg-type]
-    assert key_of(found.calibration.path) == f"report.norm_{free}"
+    assert key_of(found.calibration.path) == f"result.norm_{free}"
     check = cross_check_gyroscope(found, rng=np.random.default_rng(0))
     assert check is not None
     assert check.agree, check.sentence
@@ -138,7 +138,7 @@ def test_turntable_rates_are_searched_in_the_vector_form(session: Session) -> No
         for way in (1.0, -1.0)
     ]
     with_table = calibrate_gyroscope(replace(session.given, turntable=runs))
-    assert sentence("report.table", pairs=9) in with_table.calibration.path
+    assert sentence("result.table", pairs=9) in with_table.calibration.path
     check = cross_check_gyroscope(with_table, rng=np.random.default_rng(0))
     assert check is not None
     assert check.agree, check.sentence

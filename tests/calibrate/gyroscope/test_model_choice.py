@@ -14,8 +14,8 @@ from imufield.calibrate.gyroscope.fit import make_prior
 from imufield.calibrate.gyroscope.input import make_data
 from imufield.calibrate.gyroscope.model_choice import SCALES, _rate_columns, check_linearity, typical_rate_terms
 from imufield.calibrate.gyroscope.moves import cut_moves, no_slots
-from imufield.calibrate.gyroscope.report import GyroscopeResult, JointSolution
 from imufield.calibrate.gyroscope.residuals import evaluate
+from imufield.calibrate.gyroscope.result import GyroscopeResult, JointSolution
 from imufield.calibrate.gyroscope.turntable import TurntableRun
 from imufield.calibrate.model.distributions import NORMAL_FACTOR_95
 from imufield.calibrate.model.grades import GRADES
@@ -80,7 +80,7 @@ def test_the_columns_are_what_the_effects_do_to_the_residuals(
 
 def test_a_clean_session_names_nothing_and_says_its_range(result: GyroscopeResult) -> None:
     assert not any(told(result.reasons, key) for key in NAMED)
-    (said,) = told(result.reasons, "report.range")
+    (said,) = told(result.reasons, "result.range")
     assert said.values["rates_deg_s"] == pytest.approx(np.degrees(result.calibration.range_rad_s))
     # The operator turns at 250 deg/s at most, wobble aside.
     assert np.all((result.calibration.range_rad_s > 1.5) & (result.calibration.range_rad_s < 6.0))
@@ -144,7 +144,7 @@ def test_a_turntable_of_several_rates_shows_it_best(plain: Session, asymmetry: f
 def test_one_rate_shows_neither(plain: Session) -> None:
     stills = cut_moves(no_slots(), plain.given.observations.start_s, plain.given.observations.duration_s)
     found = calibrate_gyroscope(replace(plain.given, moves=stills, turntable=table(plain, (50.0,), asymmetry=0.01, cubic=0.01)))
-    (said,) = told(found.reasons, "report.range_not_shown")
+    (said,) = told(found.reasons, "result.range_not_shown")
     assert said.values["not_shown"] == "asymmetry and nonlinearity"
     assert not solution_of(found).linearity.sentences
     assert np.degrees(found.calibration.range_rad_s) == pytest.approx(50.0, rel=0.02)
@@ -205,14 +205,14 @@ def test_what_moves_leave_open_is_a_fit_of_both_with_priors(result: GyroscopeRes
 
 def test_the_verdict_says_what_a_typical_nonlinearity_adds(plain: Session, result: GyroscopeResult) -> None:
     found = calibrate_gyroscope(replace(plain.given, grade="mems"))
-    (said,) = told(found.reasons, "report.typical")
+    (said,) = told(found.reasons, "result.typical")
     assert said.values["grade"] == "mems"
-    assert not told(result.reasons, "report.typical")
+    assert not told(result.reasons, "result.typical")
     more, less = (each.calibration.sigma.scale for each in (found, result))
     added_ppm = 1e6 * np.sqrt(np.max(more**2 - less**2)) / found.calibration.parameters.scale[0]
     assert said.values["scale_ppm"] == pytest.approx(added_ppm, rel=0.02)
     # Where the rates show all, little is left.
     runs = table(plain, (25.0, 50.0, 100.0, 200.0))
     shown = calibrate_gyroscope(replace(plain.given, grade="mems", turntable=runs))
-    (less_said,) = told(shown.reasons, "report.typical")
+    (less_said,) = told(shown.reasons, "result.typical")
     assert less_said.values["scale_ppm"] < said.values["scale_ppm"] / 5

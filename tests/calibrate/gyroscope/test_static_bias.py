@@ -12,7 +12,7 @@ from imufield.calibrate.accelerometer.accelerometer import calibrate_acceleromet
 from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
 from imufield.calibrate.gyroscope.input import GyroscopeInput
 from imufield.calibrate.gyroscope.moves import cut_moves, no_slots
-from imufield.calibrate.gyroscope.report import static_bias_result
+from imufield.calibrate.gyroscope.result import static_bias_result
 from imufield.calibrate.gyroscope.static import static_bias
 from imufield.calibrate.model.budget import combined_sigma
 from imufield.earth import EARTH_RATE_RAD_S, Gravity

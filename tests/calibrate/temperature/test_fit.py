@@ -20,7 +20,7 @@ from imufield.calibrate.temperature.fit import (
     fit_temperature,
     fit_warnings,
 )
-from imufield.calibrate.temperature.trap import gyroscope_sentence, trap_sentence
+from imufield.calibrate.temperature.one_pose import gyroscope_sentence, pose_sentence
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2
 from imufield.errors import CalibrationError, Reason
 from tests.refused import refused
@@ -122,11 +122,11 @@ def test_a_one_pose_ramp_puts_the_scale_into_the_bias_and_says_how_much() -> Non
     bias, scale = true_change(ENDS)
     mixed = bias + scale * (POSE + OFFSET + bias)
     np.testing.assert_allclose(found.bias.at(found.degrees_above(ENDS)), mixed, atol=3e-4)
-    told = trap_sentence(found, GRADES["mems"])
-    assert key_of(told) == "trap.pose"
+    told = pose_sentence(found, GRADES["mems"])
+    assert key_of(told) == "one_pose.pose"
     typical = GRADES["mems"].accelerometer.scale_ppm_per_degc
     assert told.values["size_mg"] == pytest.approx(typical * 40e-3, rel=1e-6)
-    assert key_of(gyroscope_sentence(found, GRADES["mems"])) == "trap.gyroscope"
+    assert key_of(gyroscope_sentence(found, GRADES["mems"])) == "one_pose.gyroscope"
 
 
 def test_ramps_in_opposite_poses_separate_them_without_a_session() -> None:

@@ -27,7 +27,7 @@ from imufield.acquire.link.serial import Chunk
 from imufield.acquire.recording.reader import PartStart, RecordedEvent, read_session
 from imufield.acquire.recording.session import Session
 from imufield.acquire.registry import load_driver
-from imufield.commands.options.samples import CaptureOptions
+from imufield.commands.options.acquire_commands import CaptureOptions
 from imufield.commands.terminal import guided, page
 from imufield.commands.terminal.guided import guided_session
 from imufield.commands.terminal.page import bind_page

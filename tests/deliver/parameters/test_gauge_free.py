@@ -9,7 +9,7 @@ import pytest
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
 from imufield.calibrate.accelerometer.methods import restart
-from imufield.calibrate.gyroscope.report import GYROSCOPE_NAMES
+from imufield.calibrate.gyroscope.result import GYROSCOPE_NAMES
 from imufield.calibrate.model.gauge import change_gauge, turn_accelerometer, turn_gyroscope
 from imufield.calibrate.model.models import from_vector, to_vector
 from imufield.calibrate.model.observations import Observations

@@ -12,7 +12,7 @@ import pytest
 from imufield.acquire.formats.tables import read_tables
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.commands.import_files import import_session
-from imufield.commands.options.samples import ImportOptions
+from imufield.commands.options.acquire_commands import ImportOptions
 from imufield.deliver.samples.export_data import FORMATS, export_csv, export_samples, facts_of
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.pipeline.chain import session_samples
