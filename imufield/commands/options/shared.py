@@ -163,13 +163,11 @@ Settings = Annotated[
 ]
 ExportSettings = Annotated[
     Mapping[str, str],
-    _set_option("Setting of the export, NAME=VALUE, e.g. instance=1; the message about an unknown NAME lists all names."),
+    _set_option("Setting of the export, NAME=VALUE, e.g. instance=1; a wrong NAME lists all."),
 ]
 MethodSettings = Annotated[
     Mapping[str, str],
-    _set_option(
-        "Setting of --method, NAME=VALUE, e.g. m=20 (swarm size of bsas); the message about an unknown NAME lists all names."
-    ),
+    _set_option("Setting of --method, NAME=VALUE, e.g. m=20 (swarm size of bsas); a wrong NAME lists all."),
 ]
 TableRateHz = Annotated[
     float | None, option("--rate-hz", help="Sample rate, where the file has no time.", within=RATE_RANGE_HZ)
@@ -183,7 +181,7 @@ TargetBiasUg = Annotated[
     float | None,
     option(
         "--target-bias-ug",
-        help="Accuracy wanted for the biases, 1 sigma, micro-g; holds become as long as it needs (60 s at most).",
+        help="Accuracy wanted for the biases, 1 sigma, micro-g; holds become long enough for it (60 s at most).",
         within=TARGET_RANGE,
     ),
 ]
@@ -270,8 +268,8 @@ class Place:
         float | None,
         option(
             "--gravity",
-            help="Local gravity, m/s^2, e.g. 9.8089+-0.0001; without +-, it is taken as rounded to its last digit "
-            "(1 sigma 0.29 of that digit).",
+            help="Local gravity, m/s^2, e.g. 9.8089+-0.0001; without +-, it counts as rounded: 1 sigma is 0.29 units "
+            "of its last digit.",
             envvar="IMUFIELD_GRAVITY_M_S2",
             parser=TypedNumber,
             metavar="FLOAT",

@@ -127,8 +127,8 @@ def test_nothing_is_lost_while_nobody_reads(port: tuple[int, str]) -> None:
         sent += os.write(port[0], data[sent : sent + 4096])
     received = b""
     while len(received) < len(data):
-        chunk = link.read()
-        assert chunk is not None
-        received += chunk.data
+        # On a busy machine the thread may not run for longer than a read waits.
+        if (chunk := link.read()) is not None:
+            received += chunk.data
     assert received == data
     link.close()
