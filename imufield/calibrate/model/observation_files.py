@@ -45,11 +45,6 @@ class _Table:
     lines: list[int]  # Line number of each row.
 
 
-def read_observations(path: str | Path, *, units: SampleUnits | None = None) -> Observations:
-    """Read position means from a CSV file; as ``parse_observations``, or it cannot be read."""
-    return parse_observations(read_content(path), path, units=units)
-
-
 def read_content(path: str | Path) -> bytes:
     """Return the content of a file or pipe of position means; raises RecordingError."""
     try:
@@ -59,7 +54,7 @@ def read_content(path: str | Path) -> bytes:
         raise RecordingError(unreadable, Reason.NOT_A_RECORDING) from error
 
 
-def parse_observations(content: bytes, path: str | Path, *, units: SampleUnits | None = None) -> Observations:
+def parse_observations(content: bytes, path: str | Path) -> Observations:
     """Return the position means that a CSV file holds.
 
     Parameters
@@ -67,14 +62,12 @@ def parse_observations(content: bytes, path: str | Path, *, units: SampleUnits |
     content : bytes
     path : str or Path
         Where they come from, for sentences.
-    units : SampleUnits, optional
-        Raw units of the means. Default: m/s^2 where the outputs span 2 g of that (rad/s with it), g where they span 2, else
-        count.
 
     Returns
     -------
     Observations
-        Covariances are diagonal from the sigmas, NaN where there are none; directions are NaN.
+        Covariances are diagonal from the sigmas, NaN where there are none; directions are NaN. The raw unit is m/s^2 where the
+        outputs span 2 g of that (rad/s with it), g where they span 2, else count.
 
     Raises
     ------
@@ -97,7 +90,7 @@ def parse_observations(content: bytes, path: str | Path, *, units: SampleUnits |
         start_s=unknown,
         duration_s=unknown.copy(),
         temperature_degc=_column(table, TEMPERATURE),
-        units=_guess_units(mean) if units is None else units,
+        units=_guess_units(mean),
     )
 
 
