@@ -82,7 +82,7 @@ class SolveOptions:
     ] = None
     method: Annotated[str, option(help="least-squares, bsas, ide and others, see docs/study.md.")] = "least-squares"
     method_settings: MethodSettings = field(default_factory=dict)
-    polish: Annotated[bool, option(help="Refine the result of a --method other than least-squares by least squares.")] = True
+    polish: Annotated[bool, option(help="Refine by least squares the result of any other --method.")] = True
     cross_check: Annotated[
         bool, option("--cross-check", help="Solve by bsas, ide and least squares, and compare the results.")
     ] = False
