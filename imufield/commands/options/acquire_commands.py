@@ -146,7 +146,10 @@ class CaptureOptions:
     resume: Annotated[bool, option("--resume", help="Continue an unfinished session.")] = False
     retake: Annotated[
         list[str] | None,
-        option(help="With --resume: position to measure again, also of a finished session; may be repeated."),
+        option(
+            help="With --resume: measure this position again, even if the session is finished; "
+            "--retake may be given several times."
+        ),
     ] = None
     site: PlaceOptions = field(default_factory=unknown_site)
     plain: Plain = False
@@ -275,7 +278,9 @@ class ImportOptions:
     settings: Settings = field(default_factory=dict)
     columns: Annotated[str | None, option(help="Columns of a table, e.g. time,ax,ay,az,gx,gy,gz.")] = None
     rate_hz: TableRateHz = None
-    zero: Annotated[str | None, option(help="Raw output at zero input, one or three numbers (mid-scale).")] = None
+    zero: Annotated[
+        str | None, option(help="Raw output at zero input, one or three numbers (default: as the file states, else 0).")
+    ] = None
     site: PlaceOptions = field(default_factory=unknown_site)
     replace: Annotated[
         bool, option("--replace", help="Overwrite an earlier import in the folder --output, if it has not been solved.")
@@ -339,7 +344,7 @@ class EmulateOptions:
             high=LARGEST_SEED,
         ),
     ] = 0
-    positions: Annotated[str, option(help="Scheme the operator works through; `none`: it lies still.")] = "paper24"
+    positions: Annotated[str, option(help="Scheme the operator works through; `none`: the instrument lies still.")] = "paper24"
     rounds: Annotated[
         int | None,
         option(
@@ -371,7 +376,7 @@ class EmulateOptions:
             "--wait/--no-wait", help="Begin when a program opens the port (default, unless --json or --duration-s is given)."
         ),
     ] = None
-    link: Annotated[Path | None, option(help="Make a symbolic link to the port here.")] = None
+    link: Annotated[Path | None, option(help="Make a symbolic link to the port at this path.")] = None
     truth: Annotated[Path | None, option(help="Write the true parameters and still intervals to this file.")] = None
     duration_s: Annotated[float | None, option(help="Stop after this many seconds of sample time.", low=0.1)] = None
     faults: Annotated[

@@ -82,7 +82,7 @@ class SolveOptions:
     ] = None
     method: Annotated[str, option(help="least-squares, bsas, ide and others, see docs/study.md.")] = "least-squares"
     method_settings: MethodSettings = field(default_factory=dict)
-    polish: Annotated[bool, option(help="Refine by least squares the result of any other --method.")] = True
+    polish: Annotated[bool, option(help="If --method is not least-squares, refine its result by least squares.")] = True
     cross_check: Annotated[
         bool, option("--cross-check", help="Solve by bsas, ide and least squares, and compare the results.")
     ] = False
@@ -268,7 +268,7 @@ class VerifyOptions:
         ),
     ] = None
     turned: Annotated[
-        bool, option("--turned", help="Say that you turned the instrument upside down after the alignment and left it so.")
+        bool, option("--turned", help="The instrument was turned upside down after the alignment and stayed so.")
     ] = False
     align_s: Annotated[float, option(help="Seconds of rest at the start to align with.", low=1)] = 600.0
     # From -360, as headings are written from 0 to 360 or from -180 to 180.
@@ -351,7 +351,7 @@ class HistoryOptions:
         float | None,
         option(
             "--target-bias-ug",
-            help="Accuracy wanted for the biases, 1 sigma, micro-g; tells when to calibrate again to keep it.",
+            help="Accuracy wanted for the biases, 1 sigma, micro-g; `history` then tells when to calibrate again.",
             within=TARGET_RANGE,
         ),
     ] = None
