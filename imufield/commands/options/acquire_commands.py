@@ -76,7 +76,7 @@ class DemoOptions:
         bool,
         option(
             "--temperature",
-            help="Simulate sessions at -10, 20 and 50 degC, solve them into one file, and show the error of one session alone.",
+            help="Simulate sessions at -10, 20 and 50 degC, solve them into one file, and compare it with one session.",
         ),
     ] = False
     plain: Plain = False
