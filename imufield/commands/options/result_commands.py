@@ -306,7 +306,7 @@ class ReportOptions:
     session: NewestSession = None
     parameters: Annotated[Path | None, option(help="Parameter file (default: SESSION/parameters.toml).")] = None
     preset: Annotated[Path | None, option(help="Previous parameter file, to compare with.")] = None
-    operator: Annotated[str, option(help="Who calibrated, for the record.")] = ""
+    operator: Annotated[str, option(help="Person who calibrated; printed on the calibration record.")] = ""
     output: Annotated[Path | None, option("-o", "--output", help="Page (default: SESSION/report.html).")] = None
     record: Annotated[Path | None, option(help="Calibration record (default: SESSION/calibration-record.html).")] = None
     pdf: Annotated[bool, option("--pdf", help="Write both as PDF, too, beside them (takes some seconds).")] = False
