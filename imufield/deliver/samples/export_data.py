@@ -11,16 +11,17 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from imufield.acquire.protocol.protocol import Protocol
-from imufield.deliver.samples.export_csv import float_texts, write_csv
+from imufield.deliver.samples.export_csv import ROWS, write_csv
 from imufield.deliver.samples.export_ros2 import write_ros2
 from imufield.deliver.samples.export_tables import write_hdf5, write_parquet
+from imufield.deliver.samples.number_text import float_cells, table_text
 from imufield.deliver.samples.overview import overview
 from imufield.errors import RecordingError
 from imufield.files import make_beside, typed_write_errors, usual_mode
 from imufield.samples import FloatArray, Samples, concatenate
-
-_ROWS_IN_A_BLOCK = 1 << 16  # 5 MB: a good size for the pieces of a Parquet file.
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +34,8 @@ class Format:
     """Writes blocks to a new file, with facts for its head; returns the number of samples."""
     lacks: str = ""
     """What it has no place for, in words."""
+    rows: int = 1 << 16
+    """Of a block; 5 MB are a good size for the pieces of a Parquet file."""
 
 
 def export_samples(blocks: Iterable[Samples], path: str | Path, to: str = "csv", facts: Mapping[str, str] | None = None) -> int:
@@ -66,7 +69,7 @@ def export_samples(blocks: Iterable[Samples], path: str | Path, to: str = "csv",
         descriptor, name = make_beside(path)
         os.close(descriptor)
         try:
-            rows = FORMATS[to].write(in_large_blocks(blocks), Path(name), facts or {})
+            rows = FORMATS[to].write(in_equal_blocks(blocks, FORMATS[to].rows), Path(name), facts or {})
             Path(name).chmod(usual_mode(path))
             # The last step: whoever watches the folder never sees half a file.
             Path(name).replace(path)
@@ -76,15 +79,17 @@ def export_samples(blocks: Iterable[Samples], path: str | Path, to: str = "csv",
     return rows
 
 
-def in_large_blocks(blocks: Iterable[Samples], rows: int = _ROWS_IN_A_BLOCK) -> Iterator[Samples]:
-    """Join small blocks to some of at least ``rows``, so that each is worth a compressed piece of a file."""
+def in_equal_blocks(blocks: Iterable[Samples], rows: int) -> Iterator[Samples]:
+    """Join and divide blocks, so that each has ``rows``, and the last what is left."""
     pending: list[Samples] = []
     for block in blocks:
         pending.append(block)
         if sum(map(len, pending)) >= rows:
-            yield concatenate(pending)
-            pending = []
-    if pending:
+            joined = concatenate(pending)
+            whole = len(joined) - len(joined) % rows
+            yield from (joined[start : start + rows] for start in range(0, whole, rows))
+            pending = [joined[whole:]]
+    if any(map(len, pending)):
         yield concatenate(pending)
 
 
@@ -108,15 +113,15 @@ def export_csv(blocks: Iterable[Samples], path: str | Path) -> int:
 
 def _write_overview(blocks: Iterable[Samples], path: Path, facts: Mapping[str, str]) -> int:  # noqa: ARG001  (the same)
     columns, samples = overview(blocks)
-    rows = zip(*(float_texts(column) for column in columns.values()), strict=True)
-    path.write_text("".join(",".join(row) + "\n" for row in (columns, *rows)), encoding="ascii", newline="")
+    cells = [cell for column in columns.values() for cell in float_cells(column[np.newaxis])]
+    path.write_bytes((",".join(columns) + "\n").encode() + table_text(cells))
     return samples
 
 
 OUTLINE = "outline"
 _LACKING = "messages of ROS hold no temperature, counter, losses or status"
 FORMATS = {
-    "csv": Format("csv", "text, one line for each sample", write_csv),
+    "csv": Format("csv", "text, one line for each sample", write_csv, rows=ROWS),
     "parquet": Format("parquet", "Parquet (extra `parquet`)", write_parquet),
     "hdf5": Format("h5", "HDF5, one dataset for each column (extra `hdf5`)", write_hdf5),
     "ros2": Format("mcap", "sensor_msgs/msg/Imu for ROS 2, Foxglove, PlotJuggler", write_ros2, _LACKING),
