@@ -42,17 +42,17 @@ _SPLIT = 2.0**27 + 1  # Dekker's factor for the same.
 
 @dataclass(frozen=True, slots=True)
 class _Powers:
-    """What belongs to e, by its bits in a double."""
+    """Numbers by e, as it stands in the bits of a double, and by k."""
 
     decimals: IntArray
-    """k, at most ``MOST_DECIMALS``."""
+    """k by e, at most ``MOST_DECIMALS``."""
+    half_step: FloatArray
+    """h by e; of zero any number above."""
     upper: FloatArray
     lower: FloatArray
     """Halves of the double nearest to 10**k, of 26 bits each."""
     rest: FloatArray
     """10**k less that double."""
-    half_step: FloatArray
-    """h; of zero any number above."""
 
 
 @cache
@@ -66,10 +66,10 @@ def _powers() -> _Powers:
     half_step[0] = 1.0
     return _Powers(
         decimals=decimals,
-        upper=upper[decimals],
-        lower=(power - upper)[decimals],
-        rest=np.array([float(whole - int(float(whole))) for whole in exact])[decimals],
         half_step=half_step,
+        upper=upper,
+        lower=power - upper,
+        rest=np.array([float(whole - int(float(whole))) for whole in exact]),
     )
 
 
@@ -85,12 +85,12 @@ def shortest_decimals(size: FloatArray) -> tuple[UIntArray, IntArray, NDArray[np
     exponent = size.view(np.int64) >> _MANTISSA_BITS
     decimals = powers.decimals.take(exponent)
     small = np.flatnonzero(decimals > _SURE_DECIMALS)
-    upper, lower = powers.upper.take(exponent), powers.lower.take(exponent)
+    upper, lower = powers.upper.take(decimals), powers.lower.take(decimals)
     size_upper = (size.view(np.int64) & _UPPER_HALF).view(np.float64)
     size_lower = size - size_upper
     p = size * (upper + lower)
     q = (size_upper * upper - p) + size_upper * lower + size_lower * upper + size_lower * lower
-    q[small] += size[small] * powers.rest.take(exponent[small])
+    q[small] += size[small] * powers.rest.take(decimals[small])
     whole = p.astype(np.uint64)
     tens = whole // np.uint64(10) * np.uint64(10)
     above = (whole - tens).astype(np.float64) + q  # V - tens, from -8 to 18.
