@@ -13,7 +13,7 @@ from imufield.deliver.samples.number_text import float_cells, integer_cell, tabl
 from imufield.samples import NO_COUNTER, SAMPLE_COLUMNS, Samples
 
 ROWS = 4096
-"""Of a block: half a megabyte of text. What is made of more would be given back to the system, and asked from it again."""
+"""Of a block: half a megabyte of text. What is made of more would be given back to the system each time."""
 _PENDING = 4  # Blocks between those who decode and who write text, so that neither waits for the other.
 
 

@@ -25,12 +25,13 @@ _LINE_END = ord("\n")
 _LAST_ZERO = ord("0") << 56
 _HALF_WORD = np.uint64(32)
 _GROUP = np.uint64(10**4)
+_EIGHT_DIGITS = np.uint64(10**8)
 _SIXTEEN_DIGITS = np.uint64(10**16)
 _HEAD_BELOW = 100  # Integer parts that are in one word, the head, with point and first decimal.
 _DECIMALS = 17  # The first, and 16 in the two words behind.
 _MOST_ZEROS = 3  # Behind the point and before these decimals: those of 1e-4.
 _PADDED_HEADS = 10 * (_HEAD_BELOW + _MOST_ZEROS)  # Index of the first head that follows other digits.
-_ROWS_JOINED = 1024  # 200 kB of words, which stay in a processor's cache.
+_ROWS_JOINED = 1024  # 200 kB of words: more would be given back to the system each time, and asked from it again.
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,8 +170,8 @@ def _exponent_words(digits: UIntArray, decimals: IntArray, signs: UIntArray) -> 
 def _words_of_sixteen(digits: UIntArray) -> Cell:
     """Return the words of 16 digits, without zeros at the end."""
     padded, trailing = _texts().padded, _texts().trailing
-    upper = digits // _GROUP**2
-    (a, b), (c, d) = (_groups(half.astype(np.uint32)) for half in (upper, digits - upper * _GROUP**2))
+    upper = digits // _EIGHT_DIGITS
+    (a, b), (c, d) = (_groups(half.astype(np.uint32)) for half in (upper, digits - upper * _EIGHT_DIGITS))
     first = padded.take(a) | padded.take(b) << _HALF_WORD
     second = padded.take(c) | trailing.take(d) << _HALF_WORD
     rows = np.flatnonzero(d == 0)
@@ -194,7 +195,7 @@ def _integer_words(size: UIntArray, signs: UIntArray) -> Cell:
     # The sign and the first group, then two groups in a word.
     while not len(groups) % 2 or size.any():
         rest = size // _GROUP
-        group = size - rest * _GROUP
+        group = (size - rest * _GROUP).view(np.int64)
         groups.append(np.where(rest > 0, texts.padded.take(group), texts.leading.take(group)))
         size = rest
     words = [signs, *groups[::-1]]
