@@ -41,6 +41,7 @@ def student_quantile(freedom: float, p: float) -> float:
     return _between(lambda t: _student_tail(freedom, t) > 1 - p)
 
 
+@cache
 def student_freedom(p: float, t: float) -> float:
     """Return the degrees of freedom for which t, which is more than that of the normal distribution, is the quantile of p."""
 
