@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 import sys
 from collections.abc import Iterator, Sequence
@@ -37,7 +38,7 @@ def run_history(options: HistoryOptions, now: datetime | None = None) -> History
         If the time is none, or there are several instruments to choose the closest file from.
     """
     now = now or datetime.now(UTC)
-    history = read_history(options.folder, options.serial_number)
+    history = read_history(options.folder, options.serial_number, workers=os.cpu_count() or 1)
     if options.at is not None:
         _print_nearest(history, options)
         return history

@@ -20,6 +20,7 @@ from imufield.calibrate.model.result import (
     Calibration,
     GyroscopeCalibration,
     GyroscopeParameters,
+    QuadraticAxes,
 )
 from imufield.deliver.navigation.uncertain import draw_parameters
 from imufield.deliver.parameters.gauge_free import (
@@ -117,15 +118,19 @@ def test_sigma_and_correlation_are_what_draws_show(whole: Calibration, observati
 
 def stepped(calibration: Calibration, name: str, step: float) -> Calibration:
     triad, key, place = name.split(".")
-    parameters = calibration.accelerometer if triad == "accelerometer" else calibration.gyroscope.parameters
+    axes = tuple("xyz".index(axis) for axis in place)
+    if triad == "accelerometer":
+        values = getattr(calibration.accelerometer, key).copy()
+        values[axes] += step
+        return replace(calibration, accelerometer=replace(calibration.accelerometer, **{key: values}))
+    parameters = calibration.gyroscope.parameters
     values = getattr(parameters, key).copy()
-    values[tuple("xyz".index(axis) for axis in place)] += step
-    changed = replace(parameters, **{key: values})
-    return replace(calibration, accelerometer=changed) if triad == "accelerometer" else with_gyroscope(calibration, changed)
+    values[axes] += step
+    return with_gyroscope(calibration, replace(parameters, **{key: values}))
 
 
 @pytest.mark.parametrize("axes", ["sensing", "body"])
-def test_the_covariance_follows_the_derivatives_by_differences(skew: Calibration, axes: str) -> None:
+def test_the_covariance_follows_the_derivatives_by_differences(skew: Calibration, axes: QuadraticAxes) -> None:
     skew = replace(skew, accelerometer=replace(skew.accelerometer, quadratic_axes=axes))
     names, rng = PARAMETER_NAMES, np.random.default_rng(4)
     spread = np.array([1e-4 if "misalignment" in name else 1e-5 for name in names])
