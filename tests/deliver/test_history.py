@@ -18,7 +18,7 @@ import pytest
 
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration
-from imufield.deliver.changes import judge_history, sentences, to_csv
+from imufield.deliver.changes import judge_histories, judge_history, sentences, to_csv
 from imufield.deliver.control_chart import charts, plot_history
 from imufield.deliver.family import Shared
 from imufield.deliver.history import Entry, InstrumentHistory, find, one_instrument, read_history
@@ -277,6 +277,17 @@ def test_unknown_serial_numbers_are_not_trusted(tmp_path: Path, write) -> None: 
     write("b", "2026-03-05", serial_number="", session="b" * 64)
     (instrument,) = read_history(tmp_path).instruments
     assert key_of(next(iter(sentences(judge_history(instrument), NOW)))) == "changes.no_serial"
+
+
+def test_several_processes_judge_as_one_does(tmp_path: Path, write, monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    for number in range(6):
+        write(f"{number}", f"2026-03-0{number + 1}", session=f"{number}" * 64, serial_number=f"N{number % 2}", moved=number)
+    instruments = read_history(tmp_path).instruments
+    alone = judge_histories(instruments)
+    monkeypatch.setattr("imufield.deliver.changes._INSTRUMENTS_A_WORKER", 1)
+    together = judge_histories(instruments, 2)
+    assert [one.instrument for one in together] == list(instruments)
+    assert [one.judged for one in together] == [one.judged for one in alone]
 
 
 def test_files_are_read_once_and_again_after_a_change(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
