@@ -283,8 +283,7 @@ def _states(folder: Path) -> tuple[dict[str, State], list[str]]:
 
 def _read_new(index: Index, folder: Path, states: dict[str, State], workers: int) -> int:
     """Bring the index up to date; return how many files were read."""
-    before = index.states_of(states.keys())
-    new = [name for name, state in states.items() if before.get(name) != state]
+    new = list(index.unread(states))
     if not new:
         return 0
     from imufield.campaign import run_campaign  # late: mostly nothing is new, and processes take time to import

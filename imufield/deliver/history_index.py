@@ -11,7 +11,7 @@ import hashlib
 import json
 import os
 import sqlite3
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import closing, suppress
 from pathlib import Path
 from typing import NamedTuple, TypeVar
@@ -52,18 +52,19 @@ class Index:
     def __init__(self, connection: sqlite3.Connection) -> None:
         self._connection = connection
 
-    def states_of(self, names: Collection[str]) -> dict[str, State]:
-        """Return the states in which files were read; those not among ``names`` are forgotten."""
-        states = {}
+    def unread(self, states: Mapping[str, State]) -> dict[str, State]:
+        """Return the files that were not read in the state they are in; those that are no more are forgotten."""
+        left, gone = dict(states), []
+        for stored, *state in self._connection.execute("SELECT name, size, changed_ns FROM file"):
+            name = json.loads(stored)
+            if name not in states:
+                gone.append((stored,))
+            elif states[name] == (state[0], state[1]):
+                del left[name]
         with self._connection:
-            for stored, *state in self._connection.execute("SELECT name, size, changed_ns FROM file").fetchall():
-                name = json.loads(stored)
-                if name in names:
-                    states[name] = (state[0], state[1])
-                else:
-                    self._connection.execute("DELETE FROM entry WHERE name = ?", (stored,))
-                    self._connection.execute("DELETE FROM file WHERE name = ?", (stored,))
-        return states
+            for table in ("file", "entry"):
+                self._connection.executemany(f"DELETE FROM {table} WHERE name = ?", gone)  # noqa: S608 - ours
+        return left
 
     def put(self, rows: Iterable[tuple[str, State, Row]]) -> None:
         """Keep what was read of some files, in one transaction."""

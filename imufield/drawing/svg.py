@@ -194,7 +194,7 @@ class Axes:
         self._rule(_LEFT_PT, self.top, _LEFT_PT, self._floor, INK)
         self._rule(_LEFT_PT, self._floor, right, self._floor, INK)
         self.picture.text(FONT_PT / 2 + 1, (self.top + self._floor) / 2, y_label, turned=True)
-        self.picture.text((_LEFT_PT + right) / 2, self.picture.height - FONT_PT / 2, x_label)
+        self.picture.text((_LEFT_PT + right) / 2, self.picture.height - FONT_PT / 2 - 2, x_label)
 
     def _rule(self, x: float, y: float, to_x: float, to_y: float, color: str) -> None:
         self.picture.line(np.array([x, to_x]), np.array([y, to_y]), color=color, width=0.6)
