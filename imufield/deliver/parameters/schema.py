@@ -74,7 +74,7 @@ class _Rule:
 
     types: tuple[tuple[str, Callable[[object], bool]], ...]
     """Words and check of each type that a value may have; empty where it may have any."""
-    limits: tuple[tuple[str, Any], ...]
+    limits: tuple[tuple[str, object], ...]
     """Keywords of ``_VALUE_CHECKS`` with their values."""
     is_kept: Callable[[object], bool]
     """Whether a value keeps the rule, as most do; where it is false the checks decide."""
@@ -192,16 +192,16 @@ _VALUE_CHECKS: dict[str, tuple[str, Callable[[object, Any], bool]]] = {
 }
 
 
-def _limits(rule: Document) -> tuple[tuple[str, Any], ...]:
+def _limits(rule: Document) -> tuple[tuple[str, object], ...]:
     return tuple((keyword, rule[keyword]) for keyword in _VALUE_CHECKS if keyword in rule)
 
 
-def _value_fault(value: object, limits: tuple[tuple[str, Any], ...], key: str) -> Fault | None:
+def _value_fault(value: object, limits: tuple[tuple[str, object], ...], key: str) -> Fault | None:
     for keyword, limit in limits:
         name, holds = _VALUE_CHECKS[keyword]
         if not holds(value, limit):
             # An empty text stands for what is not known, which is nothing to choose.
-            told = [*filter(None, limit)] if keyword == "enum" else limit
+            told = [*filter(None, limit)] if isinstance(limit, list) else limit
             return _fault(key, name, shown=shown(value), value=value, limit=told)
     return None
 
