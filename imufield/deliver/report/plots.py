@@ -54,6 +54,7 @@ def sphere_map(up: FloatArray, residual_m_s2: FloatArray, names: tuple[str, ...]
     up : ndarray, shape (m, 3)
         Direction of "up" in the body frame.
     residual_m_s2 : ndarray, shape (m,)
+        NaN where it is not known; such a position has no mark.
     names : tuple of str
     """
     largest = float(np.nanmax(np.abs(residual_m_s2), initial=1e-12))
@@ -63,7 +64,7 @@ def sphere_map(up: FloatArray, residual_m_s2: FloatArray, names: tuple[str, ...]
         # The same size of both halves, so that marks of one size mean one residual.
         centre = np.array([middle * drawn.width, 0.52 * drawn.height])
         _hemisphere(drawn, centre, upper)
-        rows = np.flatnonzero((up[:, 2] >= 0) == upper)
+        rows = np.flatnonzero(((up[:, 2] >= 0) == upper) & np.isfinite(residual_m_s2))
         place = _equal_area(up[rows]) * _POINTS_PER_UNIT
         radius = np.sqrt(12 + _LARGEST_MARKER * np.abs(residual_m_s2[rows]) / largest) / 2
         for at, size, residual in zip(centre + place * _DOWN, radius, residual_m_s2[rows], strict=True):

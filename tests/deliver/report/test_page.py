@@ -16,7 +16,7 @@ from imufield.deliver.parameters.context import Context, InstrumentFacts
 from imufield.deliver.parameters.file import Parameters, from_document, to_document
 from imufield.deliver.report.data import Closure, Convergence, ReportData
 from imufield.deliver.report.page import render_record, render_report, to_pdf
-from imufield.deliver.report.plots import label_offsets
+from imufield.deliver.report.plots import label_offsets, sphere_map
 from imufield.deliver.report.rows import Row, parameter_rows
 from imufield.deliver.report.trace import Trace
 from imufield.errors import Reason, UsageError
@@ -223,6 +223,13 @@ def test_names_on_the_sphere_cover_neither_marks_nor_each_other() -> None:
             assert np.any(np.maximum(boxes[k][0], boxes[other][0]) >= np.minimum(boxes[k][1], boxes[other][1]))
         for mark in boxes[len(offsets) :]:
             assert np.any(np.maximum(boxes[k][0], mark[0]) >= np.minimum(boxes[k][1], mark[1]))
+
+
+def test_a_position_without_residual_is_not_on_the_map() -> None:
+    drawn = sphere_map(np.eye(3), np.array([1e-3, np.nan, -1e-3]), ("one", "two", "three"))
+    assert drawn.count("<circle") == 2
+    assert "nan" not in drawn
+    assert [name for name in ("one", "two", "three") if f">{name}<" in drawn] == ["one", "three"]
 
 
 def test_record_has_all_parameters_and_lines_to_sign(data: ReportData) -> None:
