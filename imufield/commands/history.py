@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 import sys
 from collections.abc import Iterator, Sequence
@@ -13,7 +14,7 @@ from pathlib import Path
 from imufield.calibrate.sessions.changes import LargestChange
 from imufield.commands.options.result_commands import HistoryOptions
 from imufield.commands.terminal.output import echo, echo_path, say, say_each, write_output
-from imufield.deliver.changes import JudgedHistory, judge_history, sentences, shown_as, to_csv
+from imufield.deliver.changes import JudgedHistory, judge_histories, sentences, shown_as, to_csv
 from imufield.deliver.control_chart import plot_history
 from imufield.deliver.family import Change
 from imufield.deliver.history import History, InstrumentHistory, as_utc, one_instrument, read_history
@@ -37,7 +38,7 @@ def run_history(options: HistoryOptions, now: datetime | None = None) -> History
         If the time is none, or there are several instruments to choose the closest file from.
     """
     now = now or datetime.now(UTC)
-    history = read_history(options.folder, options.serial_number)
+    history = read_history(options.folder, options.serial_number, _cores())
     if options.at is not None:
         _print_nearest(history, options)
         return history
@@ -48,7 +49,7 @@ def run_history(options: HistoryOptions, now: datetime | None = None) -> History
         )
     if options.csv is not None:
         write_output(options.csv, utf8_text(to_csv(history)).encode(), as_json=options.as_json)
-    judged = {instrument: judge_history(instrument) for instrument in history.instruments}
+    judged = dict(zip(history.instruments, judge_histories(history.instruments, _cores()), strict=True))
     for path, instrument in plots.items():
         write_output(path, plot_history(judged[instrument]), as_json=options.as_json)
     if options.as_json:
@@ -58,6 +59,10 @@ def run_history(options: HistoryOptions, now: datetime | None = None) -> History
         _print([*judged.values()], options, now)
     say_each(history.faults, err=True, indent=2, begin="left out: ")
     return history
+
+
+def _cores() -> int:
+    return os.cpu_count() or 1
 
 
 def _plot_paths(history: History, path: Path) -> dict[Path, InstrumentHistory]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import platform
 import shlex
 import sys
@@ -30,7 +31,7 @@ from imufield.deliver.report.data import (
 from imufield.deliver.report.page import load_weasyprint, render_record, render_report, to_pdf
 from imufield.deliver.report.trace import Trace, trace
 from imufield.deliver.verification.result import read_verification, verification_note, verification_path
-from imufield.drawing.style import load_matplotlib
+from imufield.drawing.style import missing_package
 from imufield.errors import CalibrationError, ParameterFileError, Reason
 from imufield.files import refuse_overwriting, utf8_text
 from imufield.pipeline.solving import read_recording, session_sha256
@@ -54,8 +55,9 @@ def run_report(options: ReportOptions) -> tuple[Path, ...]:
     ParameterFileError
         If the parameters are not of this session, or a page cannot be written.
     """
-    # Asked first: a missing package should not be found out after the replay.
-    load_matplotlib()
+    # Asked first: a missing package should not be found out after the replay. To import it takes half a second.
+    if importlib.util.find_spec("matplotlib") is None:
+        raise missing_package("matplotlib")
     if options.pdf:
         load_weasyprint()
     data, folder = gather(options)

@@ -48,6 +48,7 @@ CSV_COLUMNS = (
     "change_sigma",
     "remark",
 )
+_INSTRUMENTS_A_WORKER = 8  # A process takes as long to start as some five instruments to judge.
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +78,20 @@ class JudgedHistory:
 def shown_as(name: str, unit: str) -> tuple[str, str, float]:
     """Return name and unit of a number for people, and the size of that unit: a scale without one is its error in ppm."""
     return (name.replace("scale", "scale error"), "ppm", PPM) if unit in _NO_UNIT else (name, unit, 1.0)
+
+
+def judge_histories(instruments: Sequence[InstrumentHistory], workers: int = 1) -> list[JudgedHistory]:
+    """Judge every instrument, where they are many on several processes."""
+    share = min(workers, 1 + len(instruments) // _INSTRUMENTS_A_WORKER)
+    if share == 1:
+        return [judge_history(instrument) for instrument in instruments]
+    from imufield.campaign import run_campaign  # late: processes take time to import
+
+    return run_campaign(_judge_one, instruments, seed=0, workers=share)
+
+
+def _judge_one(instrument: InstrumentHistory, _: np.random.Generator) -> JudgedHistory:
+    return judge_history(instrument)
 
 
 def judge_history(instrument: InstrumentHistory) -> JudgedHistory:

@@ -1,38 +1,32 @@
-"""Parameters of instruments over time, from a folder of parameter files and an index of them.
+"""Parameters of instruments over time, from a folder of parameter files and an index of them, ``history_index``.
 
-The index holds what was read of each file and its size and time of change, so that a thousand files are read once. It lies
-with the user and not beside the files: who hands those over could write anything into it. It can be deleted at any time.
 What the history says: ``changes``.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
-from collections.abc import Collection
-from contextlib import suppress
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
 from imufield.deliver.family import Shared
+from imufield.deliver.history_index import Index, Row, State, UnsoundIndexError, with_index
 from imufield.deliver.parameters.file import Parameters, load_found
 from imufield.deliver.parameters.gauge_free import GaugeFree, Number
 from imufield.errors import ImufieldError, ParameterFileError, Reason, UsageError
-from imufield.files import Origin, open_to_read, write_atomically
-from imufield.progress import one_by_one
+from imufield.files import Origin
+from imufield.progress import task
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
 
-INDEX_VERSION = 10  # Of the index alone, which is made anew when it changes.
-_BEHIND_HEAD = "\t"  # Which JSON writes as an escape: what stands before it tells whether a row is wanted.
-_ROW_LIMIT_BYTES = 1 << 16  # Four times the row of a model with every term.
-_INDEX_LIMIT_BYTES = 1 << 28  # Of some 50,000 files.
+_AT_ONCE = 5_000  # Files that are read before they are written to the index: 30 MB, and some 20 s that an interrupt loses.
+_FILES_A_WORKER = 200  # A process takes as long to start as a hundred files to read.
 STALE_DAYS = 365.0  # The usual interval of calibration; --stale-days says another.
 _SAME_GRAVITY_M_S2 = 1e-7  # Rounding of the figures in a file: a larger difference is another value.
 # Of the fields that an index holds.
@@ -101,9 +95,21 @@ class Entry:
             edited=parameters.edited,
         )
 
+    @property
+    def text(self) -> str:
+        """As an index holds it."""
+        return json.dumps(self, default=lambda record: {each.name: getattr(record, each.name) for each in fields(record)})
+
     @classmethod
-    def from_index(cls, values: dict[str, object]) -> Entry:
-        """Return the entry that an index holds; ValueError or TypeError where it is none of ours."""
+    def from_text(cls, text: str) -> Entry:
+        """Return the entry that an index holds; raises UnsoundIndexError where it is none of ours."""
+        try:
+            return cls._from_values(json.loads(text))
+        except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+            raise UnsoundIndexError(str(error)) from error
+
+    @classmethod
+    def _from_values(cls, values: dict[str, object]) -> Entry:
         numbers = values["numbers"]
         if not isinstance(numbers, list):
             raise TypeError("numbers")
@@ -147,18 +153,6 @@ def _square(triangle: tuple[float, ...], size: int) -> FloatArray:
     upper = np.zeros((size, size))
     upper[np.triu_indices(size)] = triangle
     return np.asarray(upper + np.triu(upper, 1).T)
-
-
-@dataclass(frozen=True, slots=True)
-class _Row:
-    """What the index holds of a TOML file."""
-
-    size: int
-    changed_ns: int
-    fault: str  # Why it is no entry; empty where it was never meant to be one.
-    serial_number: str
-    entry: Entry | str | None
-    """As the text of the index where it is of an instrument that nobody asked for: to read thousands of them takes seconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,8 +230,10 @@ def as_utc(time: datetime) -> datetime:
     return time if time.tzinfo is not None else time.replace(tzinfo=UTC)
 
 
-def read_history(folder: Path, serial_number: str | None = None) -> History:
+def read_history(folder: Path, serial_number: str | None = None, workers: int = 1) -> History:
     """Return the history of a folder and everything below it, reading files that are new or changed.
+
+    ``workers`` is how many processes read where files are many; a script that starts processes must be made for it.
 
     Raises
     ------
@@ -246,100 +242,77 @@ def read_history(folder: Path, serial_number: str | None = None) -> History:
     """
     if not folder.is_dir():
         raise ParameterFileError(sentence("history.no_folder", folder=str(folder)), Reason.FOREIGN)
-    rows, unread, read = _read_files(folder, serial_number)
-    faults = (*(row.fault for row in rows if row.fault), *unread)
-    entries = [row.entry for row in rows if isinstance(row.entry, Entry)]
-    chosen = [entry for entry in entries if serial_number in (None, entry.serial_number)]
-    if not chosen:
+    states, unread = _states(folder)
+
+    def look(index: Index) -> tuple[list[Entry], dict[str, str], int, int]:
+        read = _read_new(index, folder, states, workers)
+        return [Entry.from_text(text) for text in index.entries(serial_number)], index.faults(), len(index), read
+
+    # An index of nothing is not left behind.
+    entries, faulty, found, read = with_index(folder, look) if states else ([], {}, 0, 0)
+    faults = (*(faulty[name] for name in sorted(faulty, key=lambda name: name.split("/"))), *unread)
+    if not entries:
         key = "history.none" if serial_number is None else "history.none_of_serial"
-        said = {"serial_number": serial_number, "found": sum(row.entry is not None for row in rows)}
         first = sentence("history.first_fault", fault=faults[0]) if faults else ""
-        raise ParameterFileError(sentence(key, folder=str(folder), first_fault=first, **said), Reason.FOREIGN)
-    return History(folder, _by_instrument(chosen), faults, read)
+        told = {"folder": str(folder), "serial_number": serial_number, "found": found, "first_fault": first}
+        raise ParameterFileError(sentence(key, **told), Reason.FOREIGN)
+    return History(folder, _by_instrument(entries), faults, read)
 
 
-def index_file(folder: Path) -> Path:
-    """Return where the index of a folder is kept."""
-    import platformdirs  # Only here.
-
-    name = hashlib.sha256(os.fsencode(folder.resolve())).hexdigest()
-    return platformdirs.user_cache_path("imufield") / "history" / f"{name[:32]}.jsonl"
-
-
-def _read_index(folder: Path, names: Collection[str], serial_number: str | None) -> dict[str, _Row]:
-    """Return what was read before of the files with these names; nothing where the file is no index of ours."""
-    rows: dict[str, _Row] = {}
-    unsound = (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError)
-    with suppress(*unsound), open_to_read(index_file(folder), Origin.INSIDE) as file:
-        if json.loads(file.readline(_ROW_LIMIT_BYTES)) != {"version": INDEX_VERSION}:
-            return {}
-        # Row by row: an index that was damaged takes no more memory than the files of its folder.
-        while file.tell() < _INDEX_LIMIT_BYTES and (line := file.readline(_ROW_LIMIT_BYTES)):
-            head, _, text = line.decode("ascii").partition(_BEHIND_HEAD)
-            name, size, changed_ns, fault, serial = json.loads(head)
-            if name in names:
-                entry: Entry | str | None = text.rstrip() or None
-                if isinstance(entry, str) and serial_number in (None, serial):
-                    entry = Entry.from_index(json.loads(entry))
-                rows[name] = _Row(size, changed_ns, str(fault), str(serial), entry)
-    return rows
-
-
-def _write_index(folder: Path, rows: dict[str, _Row]) -> None:
-    # ASCII, so that names of any bytes come back as they were.
-    lines = [json.dumps({"version": INDEX_VERSION}) + "\n"]
-    for name, row in rows.items():
-        text = json.dumps(asdict(row.entry)) if isinstance(row.entry, Entry) else row.entry or ""
-        lines.append(json.dumps((name, row.size, row.changed_ns, row.fault, row.serial_number)) + _BEHIND_HEAD + text + "\n")
-    # Where it cannot be written, all files are read again the next time.
-    with suppress(OSError):
-        path = index_file(folder)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(path, "".join(lines).encode("ascii"))
-
-
-def _read_files(folder: Path, serial_number: str | None) -> tuple[list[_Row], list[str], int]:
-    """Return what all TOML files say, sentences about what cannot be looked at, and the number of files read now."""
-    rows: dict[str, _Row] = {}
+def _states(folder: Path) -> tuple[dict[str, State], list[str]]:
+    """Return the state of every TOML file by its name relative to the folder, and sentences about what cannot be looked at."""
+    states: dict[str, State] = {}
     unread: list[str] = []
-    read = 0
 
     def leave_out(error: OSError) -> None:
         unread.append(sentence("history.unreadable", path=error.filename, cause=error.strerror))
 
-    walk = os.walk(folder, onerror=leave_out)
-    found = sorted(Path(below, name) for below, _, names in walk for name in names if name.endswith(".toml"))
-    paths = {path.relative_to(folder).as_posix(): path for path in found}
-    before = _read_index(folder, paths, serial_number)
-    for name, path in one_by_one("reading", paths.items()):
-        try:
-            state = path.stat()
-        except FileNotFoundError:
-            continue  # it went away meanwhile
-        except OSError as error:
-            leave_out(error)
-            continue
-        row = before.get(name)
-        if row is None or (row.size, row.changed_ns) != (state.st_size, state.st_mtime_ns):
-            read += 1
-            fault, entry = _read_file(name, path)
-            row = _Row(state.st_size, state.st_mtime_ns, fault, "" if entry is None else entry.serial_number, entry)
-        rows[name] = row
-    # An index of nothing is not left behind.
-    if rows and rows != before:
-        _write_index(folder, rows)
-    return list(rows.values()), unread, read
+    for below, _, names in os.walk(folder, onerror=leave_out):
+        place = Path(below).relative_to(folder)
+        for name in (name for name in names if name.endswith(".toml")):
+            try:
+                state = os.stat(f"{below}/{name}")  # noqa: PTH116  # a Path takes longer than to look at the file
+            except FileNotFoundError:
+                continue  # it went away meanwhile
+            except OSError as error:
+                leave_out(error)
+                continue
+            states[name if place == Path() else f"{place.as_posix()}/{name}"] = (state.st_size, state.st_mtime_ns)
+    return states, unread
 
 
-def _read_file(name: str, path: Path) -> tuple[str, Entry | None]:
-    """Return what is wrong with a file, and what it holds."""
+def _read_new(index: Index, folder: Path, states: dict[str, State], workers: int) -> int:
+    """Bring the index up to date; return how many files were read."""
+    new = list(index.unread(states))
+    if not new:
+        return 0
+    from imufield.campaign import run_campaign  # late: mostly nothing is new, and processes take time to import
+
+    with task("reading", len(new)) as reading:
+
+        def count(_: Row) -> None:
+            reading.done += 1
+
+        for first in range(0, len(new), _AT_ONCE):
+            names = new[first : first + _AT_ONCE]
+            places = [(name, folder / name) for name in names]
+            share = min(workers, 1 + len(names) // _FILES_A_WORKER)
+            rows = run_campaign(_read_file, places, seed=0, workers=share, on_result=count)
+            index.put((name, states[name], row) for name, row in zip(names, rows, strict=True))
+    return len(new)
+
+
+def _read_file(place: tuple[str, Path], _: np.random.Generator) -> Row:
+    """Return what a file holds; nothing is drawn."""
+    name, path = place
     try:
         parameters = load_found(path, Origin.FOUND)
         # Solved from several sessions, it is none of its own: they are in the history themselves.
-        return "", None if parameters.context.together is not None else Entry.of(name, parameters)
+        entry = None if parameters.context.together is not None else Entry.of(name, parameters)
     except ImufieldError as error:
         # Session files and configurations are TOML too, and nobody's fault.
-        return "" if error.reason is Reason.FOREIGN else error.message, None
+        return Row("" if error.reason is Reason.FOREIGN else error.message, "", None)
+    return Row("", "", None) if entry is None else Row("", entry.serial_number, entry.text)
 
 
 def _by_instrument(entries: list[Entry]) -> tuple[InstrumentHistory, ...]:

@@ -32,7 +32,8 @@ GREY = "#8a8a8a"
 """Dark enough on paper; blue and orange differ in lightness too. Curves take the first three for x, y, z."""
 WIDTH_IN = 7.0
 _TITLE_LETTERS = 90  # Bold letters of a page's width, in a browser's font too, which may be wider than ours.
-_FEW_DECADES = 2  # Up to here there is room for the numbers 1, 2 and 5 of each.
+FEW_DECADES = 2
+"""Up to here there is room for the numbers 1, 2 and 5 of each."""
 
 
 def load_matplotlib(extra: str = "report") -> ModuleType:
@@ -77,7 +78,7 @@ def plain_ticks(*logarithmic: Axis) -> None:
 
     for axis in logarithmic:
         low, high = axis.get_view_interval()
-        if high < low * 10.0**_FEW_DECADES:
+        if high < low * 10.0**FEW_DECADES:
             axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axis.set_major_formatter("{x:g}")
         axis.set_minor_formatter("")

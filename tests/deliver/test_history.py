@@ -6,6 +6,9 @@ import csv
 import hashlib
 import io
 import json
+import os
+import sqlite3
+from contextlib import closing
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,10 +18,11 @@ import pytest
 
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration
-from imufield.deliver.changes import judge_history, sentences, to_csv
+from imufield.deliver.changes import judge_histories, judge_history, sentences, to_csv
 from imufield.deliver.control_chart import charts, plot_history
 from imufield.deliver.family import Shared
-from imufield.deliver.history import INDEX_VERSION, Entry, InstrumentHistory, find, index_file, one_instrument, read_history
+from imufield.deliver.history import Entry, InstrumentHistory, find, one_instrument, read_history
+from imufield.deliver.history_index import index_file
 from imufield.deliver.parameters.context import Context
 from imufield.deliver.parameters.file import write_parameters
 from imufield.deliver.parameters.gauge_free import gauge_free
@@ -275,6 +279,17 @@ def test_unknown_serial_numbers_are_not_trusted(tmp_path: Path, write) -> None: 
     assert key_of(next(iter(sentences(judge_history(instrument), NOW)))) == "changes.no_serial"
 
 
+def test_several_processes_judge_as_one_does(tmp_path: Path, write, monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    for number in range(6):
+        write(f"{number}", f"2026-03-0{number + 1}", session=f"{number}" * 64, serial_number=f"N{number % 2}", moved=number)
+    instruments = read_history(tmp_path).instruments
+    alone = judge_histories(instruments)
+    monkeypatch.setattr("imufield.deliver.changes._INSTRUMENTS_A_WORKER", 1)
+    together = judge_histories(instruments, 2)
+    assert [one.instrument for one in together] == list(instruments)
+    assert [one.judged for one in together] == [one.judged for one in alone]
+
+
 def test_files_are_read_once_and_again_after_a_change(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
     path = write("a", "2026-03-04")
     write("b", "2026-03-05", session="b" * 64)
@@ -297,17 +312,37 @@ def test_damaged_files_are_named_and_left_out(tmp_path: Path, write) -> None:  #
     assert "a/parameters.toml" in history.faults[0]
 
 
-NO_ROWS = [b"7", b"[]", b'["a/parameters.toml", 1, 1, "", "N1"]\t1', b"[" * 100_000, b" " * 100_000, b"\xff\t"]
-HEADER = json.dumps({"version": INDEX_VERSION}).encode() + b"\n"
-NO_INDEX = [b"", b"\xff no index at all", b"[]", b"[" * 100_000, *(HEADER + row for row in NO_ROWS)]
-
-
-@pytest.mark.parametrize("content", NO_INDEX)
+@pytest.mark.parametrize("content", [b"\xff no index at all", b"SQLite format 3\0" + b"\xff" * 4096, b"[" * 100_000])
 def test_a_spoilt_index_does_no_harm(tmp_path: Path, write, content: bytes) -> None:  # type: ignore[no-untyped-def]
     write("a", "2026-03-04")
     read_history(tmp_path)
     index_file(tmp_path).write_bytes(content)
-    assert len(read_history(tmp_path).instruments) == 1
+    assert [read_history(tmp_path).read for _ in range(2)] == [1, 0]
+
+
+def test_a_link_is_no_index(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2026-03-04")
+    read_history(tmp_path)
+    place, elsewhere = index_file(tmp_path), tmp_path / "elsewhere.sqlite"
+    content = place.read_bytes()
+    place.rename(elsewhere)
+    place.symlink_to(elsewhere)
+    # Read again each time, and nothing is written behind it.
+    assert [read_history(tmp_path).read for _ in range(2)] == [1, 1]
+    assert elsewhere.read_bytes() == content
+
+
+def test_where_no_index_can_be_written_files_are_read_again(tmp_path: Path, write, monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    place = tmp_path / "a file where a folder should be"
+    place.touch()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(place))
+    write("a", "2026-03-04")
+    assert [read_history(tmp_path).read for _ in range(2)] == [1, 1]
+
+
+def test_names_of_any_bytes_are_read_once(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2026-03-04").rename(tmp_path / os.fsdecode(b"\xff.toml"))
+    assert [read_history(tmp_path).read for _ in range(2)] == [1, 0]
 
 
 @pytest.mark.parametrize(
@@ -328,15 +363,30 @@ def test_an_index_of_another_version_or_program_is_made_anew(  # type: ignore[no
 ) -> None:
     write("a", "2026-03-04")
     before = read_history(tmp_path)
-    first, line = index_file(tmp_path).read_text().splitlines()
-    head, _, text = line.partition("\t")
-    header, entry = json.loads(first), json.loads(text)
-    (header if key in header else entry)[key] = value
-    index_file(tmp_path).write_text(f"{json.dumps(header)}\n{head}\t{json.dumps(entry)}\n")
+    with closing(sqlite3.connect(index_file(tmp_path))) as index, index:
+        if key == "version":
+            index.execute(f"PRAGMA user_version = {value}")
+        else:
+            ((text,),) = index.execute("SELECT text FROM entry").fetchall()
+            index.execute("UPDATE entry SET text = ?", (json.dumps(json.loads(text) | {key: value}),))
     again = read_history(tmp_path)
     assert again.read == 1
     assert again.instruments == before.instruments
     assert read_history(tmp_path).read == 0
+
+
+def test_several_processes_find_what_one_finds(tmp_path: Path, write, monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    for number in range(5):
+        write(f"{number}", f"2026-03-0{number + 1}", session=f"{number}" * 64)
+    (tmp_path / "cut.toml").write_text('format = "imufield-parameters"\nversion = 1\n')
+    alone = read_history(tmp_path)
+    index_file(tmp_path).unlink()
+    monkeypatch.setattr("imufield.deliver.history._FILES_A_WORKER", 2)
+    # Two files at a time are written to the index.
+    monkeypatch.setattr("imufield.deliver.history._AT_ONCE", 4)
+    together = read_history(tmp_path, workers=2)
+    assert together == alone
+    assert together.read == 6
 
 
 def test_rows_of_other_instruments_stay_unread_and_whole(tmp_path: Path, write, monkeypatch) -> None:  # type: ignore[no-untyped-def]
@@ -345,15 +395,15 @@ def test_rows_of_other_instruments_stay_unread_and_whole(tmp_path: Path, write, 
     before = read_history(tmp_path)
     write("c", "2026-03-06", session="c" * 64)
     made: list[object] = []
-    from_index = Entry.from_index
+    from_text = Entry.from_text
 
-    def noted(values: dict[str, object]) -> Entry:
-        made.append(values["serial_number"])
-        return from_index(values)
+    def noted(text: str) -> Entry:
+        made.append(json.loads(text)["serial_number"])
+        return from_text(text)
 
-    monkeypatch.setattr(Entry, "from_index", noted)
+    monkeypatch.setattr(Entry, "from_text", noted)
     (instrument,) = read_history(tmp_path, "N1").instruments
-    assert made == ["N1"]
+    assert made == ["N1", "N1"]
     assert len(instrument.entries) == 2
     monkeypatch.undo()
     # The index was written meanwhile, with the row that was not looked at.

@@ -2,12 +2,13 @@
 
 SciPy's take longer to load than a session to solve. Both are incomplete beta functions [1]_; what passes a chance is found
 between bounds that are halved. Where Student's distribution has many degrees of freedom, its quantile is that of the normal
-distribution with the terms of [2]_.
+distribution with the terms of [2]_. Chi squared has whole degrees of freedom here, and its tail is a finite sum [3]_.
 
 References
 ----------
 .. [1] NIST Digital Library of Mathematical Functions, 8.17.8 (symmetry, 8.17.4) and the continued fraction 8.17.22.
 .. [2] M. Abramowitz and I. Stegun, Handbook of Mathematical Functions (1964), 26.7.5.
+.. [3] The same, 26.4.4 and 26.4.5.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ def student_quantile(freedom: float, p: float) -> float:
     return _between(lambda t: _student_tail(freedom, t) > 1 - p)
 
 
+@cache
 def student_freedom(p: float, t: float) -> float:
     """Return the degrees of freedom for which t, which is more than that of the normal distribution, is the quantile of p."""
 
@@ -61,6 +63,25 @@ def f_tail(numerator: float, denominator: float, value: float) -> float:
 def f_quantile(numerator: float, denominator: float, p: float) -> float:
     """Return what the F distribution stays below with a probability."""
     return _between(lambda value: f_tail(numerator, denominator, value) > 1 - p)
+
+
+def chi_squared_tail(freedom: int, value: float) -> float:
+    """Return the probability that a variable of chi squared is above ``value``."""
+    half = value / 2
+    odd = freedom % 2
+    # (value / 2)^k exp(-value / 2) / gamma(k + 1), k from 0 or 1/2 in steps of one up to freedom / 2 - 1.
+    term = 2 * math.sqrt(half / math.pi) * math.exp(-half) if odd else math.exp(-half)
+    tail = math.erfc(math.sqrt(half)) if odd else 0.0
+    for k in range(freedom // 2):
+        tail += term
+        term *= half / (k + 1 + odd / 2)
+    return tail
+
+
+@cache
+def chi_squared_quantile(freedom: int, p: float) -> float:
+    """Return what a variable of chi squared stays below with a probability."""
+    return _between(lambda value: chi_squared_tail(freedom, value) > 1 - p)
 
 
 def student_factor(degrees_of_freedom: float, of: int = 1, chance: float = 0.05) -> float:

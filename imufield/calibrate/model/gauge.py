@@ -61,6 +61,8 @@ class GaugeChange:
     """R of a' = R a, shape (3, 3)."""
     jacobian: FloatArray
     """d new / d old parameters, shape (15, 15)."""
+    turn: FloatArray
+    """How R follows the old parameters: it becomes (I + [w]) R with w = ``turn`` dp, shape (3, 15)."""
 
 
 def change_gauge(vector: FloatArray, gauge: Gauge, preset: FloatArray | None = None) -> GaugeChange:
@@ -78,8 +80,8 @@ def change_gauge(vector: FloatArray, gauge: Gauge, preset: FloatArray | None = N
     G = generators(turned)
     # d p' = (I - G (C G)^-1 C) A d p: R changes so that the constraints stay met
     C = constraint_jacobian(turned, gauge, preset)
-    jacobian = jacobian - G @ np.linalg.solve(C @ G, C @ jacobian)
-    return GaugeChange(turned, rotation, jacobian)
+    following = np.asarray(-np.linalg.solve(C @ G, C @ jacobian), dtype=np.float64)
+    return GaugeChange(turned, rotation, jacobian + G @ following, following)
 
 
 def turn(vector: FloatArray, rotation: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -33,6 +33,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imufield.calibrate.model.distributions import chi_squared_quantile
 from imufield.samples import FloatArray
 
 _CHANCE = 0.05  # Of 95 % intervals.
@@ -109,10 +110,8 @@ def reml_variance(found: Contrasts) -> float:
 
 def repeatability(found: Contrasts) -> Repeatability:
     """Return the deviation from session to session with its 95 % interval."""
-    from scipy.special import chdtri  # slow to load, and only a finished fit needs it
-
     n = len(found.u)
-    low, high = (_where_q_is(found, float(chdtri(n, chance))) for chance in (_CHANCE / 2, 1 - _CHANCE / 2))
+    low, high = (_where_q_is(found, chi_squared_quantile(n, p)) for p in (1 - _CHANCE / 2, _CHANCE / 2))
     return Repeatability(sigma=math.sqrt(reml_variance(found)), low=low, high=high, freedom=n)
 
 
@@ -162,7 +161,7 @@ def half_widths(found: Contrasts, prior_scale: float, estimate: FloatArray) -> H
 
 def _mixture_limit(weight: FloatArray, offset: FloatArray, deviation: FloatArray) -> FloatArray:
     """Return the limit of |x| that is passed in 5 %, x drawn from normal distributions with these weights, shape (a,)."""
-    from scipy.special import ndtr  # slow to load, as above
+    from scipy.special import ndtr  # slow to load, and only sessions solved together need it
 
     low, high = np.zeros(offset.shape[1]), np.max(np.abs(offset) + 4 * deviation, axis=0)
     for _ in range(_HALVINGS):

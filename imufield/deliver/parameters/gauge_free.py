@@ -3,7 +3,7 @@
 The accelerometer's are those of ``[accelerometer.intrinsic]``. The gyroscope's are taken against the accelerometer's own axes:
 both triads are turned together so that the sensing x axis is the body's and the sensing y axis lies in its xy plane (gauge
 "lower"). That frame is found from parameters that are uncertain themselves, so sigma is that of the whole function, ``J C J^T``
-with the joint covariance C and J by central differences; it is smooth and nearly linear.
+with the joint covariance C; it is smooth and nearly linear.
 
 The numbers of one calibration hang together: for a known gravity their covariance is ``J (C - c c^T / C_gg) J^T``, with c the
 column of gravity in C. Much of that is the same in every session of an instrument, so that it is no reason for two of them to
@@ -26,17 +26,23 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
 from imufield.calibrate.accelerometer.fit import column_basis
 from imufield.calibrate.gyroscope.result import GYROSCOPE_NAMES
 from imufield.calibrate.model.distributions import degrees_of_freedom
-from imufield.calibrate.model.gauge import change_gauge, intrinsic, turn_gyroscope
-from imufield.calibrate.model.models import QUADRATIC, to_vector
+from imufield.calibrate.model.gauge import GaugeChange, change_gauge, intrinsic, turn_gyroscope
+from imufield.calibrate.model.models import PARAMETERS, QUADRATIC, to_vector
 from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS
-from imufield.calibrate.model.result import ACCELEROMETER_NAMES, GRAVITY_NAME, Calibration, GyroscopeParameters
+from imufield.calibrate.model.result import (
+    ACCELEROMETER_NAMES,
+    GRAVITY_NAME,
+    Calibration,
+    GyroscopeParameters,
+    QuadraticAxes,
+)
+from imufield.calibrate.model.rotation import skew
 from imufield.calibrate.model.uncertainty import without_gravity
 from imufield.calibrate.sessions.kinds import PPM, SCALES, kind_of
 from imufield.calibrate.solvers.costs import NormProblem
@@ -80,7 +86,6 @@ _ROUNDING = 1e-9  # Of a drift: what of three axes is smaller than the largest b
 _TINY = np.finfo(np.float64).tiny
 # Of the whole over its part: what choosing counts are other residuals, with a third of the variance at least.
 _LEAST_RATIO = 0.3
-_STEP_SIGMA = 0.1  # Of the central differences: far above rounding, far below what bends the function.
 FIXED_NAMES = tuple(f"accelerometer.misalignment_rad.{pair}" for pair in ("xy", "xz", "yz"))
 """Zero in the lower gauge."""
 PARAMETER_NAMES = (*ACCELEROMETER_NAMES, *GYROSCOPE_NAMES)
@@ -165,12 +170,14 @@ def gauge_free(calibration: Calibration, mean_raw: FloatArray, sigma_raw: FloatA
         If the accelerometer's axes are left-handed or nearly in one plane.
     """
     names, C = calibration.covariance_names, calibration.covariance
-    values, J = si_values(calibration), _jacobian(calibration)
+    lower = change_gauge(to_vector(calibration.accelerometer), "lower")
+    values = _si_values(calibration, lower.rotation)
+    J = _jacobian(calibration, lower)
     sigma = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", J, C, J), 0.0))
     numbers = (*_accelerometer(calibration), *_gyroscope(calibration, values[_GYROSCOPE:], sigma[_GYROSCOPE:]))
     error = J @ without_gravity(names, C) @ J.T
     scatter = error.copy()
-    fitted = _fit_covariance(calibration, mean_raw, sigma_raw)
+    fitted = _fit_covariance(calibration, lower.vector, mean_raw, sigma_raw)
     if fitted is not None:
         freedom = float(calibration.quality.degrees_of_freedom)
         numbers = tuple(
@@ -192,13 +199,14 @@ def gauge_free(calibration: Calibration, mean_raw: FloatArray, sigma_raw: FloatA
     return GaugeFree(numbers, error, scatter)
 
 
-def _fit_covariance(calibration: Calibration, mean_raw: FloatArray, sigma_raw: FloatArray) -> FloatArray | None:
-    """Return the covariance of the accelerometer's values by the fit alone, shape (12, 12).
+def _fit_covariance(
+    calibration: Calibration, vector: FloatArray, mean_raw: FloatArray, sigma_raw: FloatArray
+) -> FloatArray | None:
+    """Return the covariance of the accelerometer's values by the fit alone, shape (12, 12); ``vector`` is in the lower gauge.
 
     None where the residuals do not tell the weights, or the file does not say which parameters were fitted.
     """
     used, quality, positions = calibration.accelerometer, calibration.quality, calibration.positions
-    vector = change_gauge(to_vector(used), "lower").vector
     columns = tuple(
         k
         for k in LOWER_GAUGE_COLUMNS
@@ -225,12 +233,7 @@ def _fit_covariance(calibration: Calibration, mean_raw: FloatArray, sigma_raw: F
     if jacobian.shape[1] != quality.parameters_fitted or quality.degrees_of_freedom < 1 or not np.all(variance > 0):
         return None
     A = jacobian / np.sqrt(variance)[:, None]
-    own, J = intrinsic(vector, used.quadratic_axes)
-    K = own[:3]
-    # Bias and quadratic term over the scale, as in ``si_values``.
-    over = [*range(3, 6), *range(9, 12)]
-    J[over] = (J[over] - own[over, None] * np.tile(J[:3] / K[:, None], (2, 1))) / np.tile(K, 2)[:, None]
-    J = J @ problem.basis
+    J = _accelerometer_values(vector, used.quadratic_axes)[1] @ problem.basis
     birge = float(np.sum(positions.residual_m_s2[rows] ** 2 / variance)) / quality.degrees_of_freedom
     return np.asarray(birge * J @ np.linalg.inv(A.T @ A) @ J.T)
 
@@ -284,56 +287,74 @@ def _numbers(
             )
 
 
-def _jacobian(calibration: Calibration) -> FloatArray:
-    """Return d values / d parameters of the covariance, by central differences."""
-    names, C = calibration.covariance_names, calibration.covariance
-    # A parameter of the gyroscope turns no axis of the accelerometer, and gravity is none of the values.
-    frame = _accelerometer_frame(calibration)
-    J = np.zeros((len(si_values(calibration)), len(names)))
-    for column, size in enumerate(_STEP_SIGMA * np.sqrt(np.maximum(np.diag(C), 0.0))):
-        name = names[column]
-        if size > 0 and name != GRAVITY_NAME:
-            known = None if name in ACCELEROMETER_NAMES else frame
-            ends = [si_values(calibration, name, sign * size, known) for sign in (1.0, -1.0)]
-            J[:, column] = (ends[0] - ends[1]) / (2 * size)
-    return J
+def _jacobian(calibration: Calibration, change: GaugeChange) -> FloatArray:
+    """Return d values / d parameters of the covariance; ``change`` is that to the lower gauge."""
+    used, gyroscope = calibration.accelerometer, calibration.gyroscope
+    J = np.zeros((_GYROSCOPE, len(PARAMETER_NAMES)))
+    J[:, :PARAMETERS] = _accelerometer_values(to_vector(used), used.quadratic_axes)[1]
+    if gyroscope is not None:
+        J = np.concatenate([J, _gyroscope_jacobian(gyroscope.parameters, change)])
+    # Gravity is none of the parameters that the values depend on.
+    known = [k for k, name in enumerate(calibration.covariance_names) if name != GRAVITY_NAME]
+    chosen = np.zeros((len(J), len(calibration.covariance_names)))
+    chosen[:, known] = J[:, [PARAMETER_NAMES.index(calibration.covariance_names[k]) for k in known]]
+    return chosen
 
 
-class _Frame(NamedTuple):
-    """What the accelerometer says of the values."""
-
-    own: FloatArray
-    """Its own, shape (12,)."""
-    rotation: FloatArray
-    """Into the lower gauge, shape (3, 3)."""
-
-
-def _accelerometer_frame(calibration: Calibration, name: str = "", offset: float = 0.0) -> _Frame:
-    vector = to_vector(calibration.accelerometer)
-    if name in ACCELEROMETER_NAMES:
-        vector[ACCELEROMETER_NAMES.index(name)] += offset
-    scale, bias, angle, quadratic = intrinsic(vector, calibration.accelerometer.quadratic_axes)[0].reshape(4, 3)
-    own = np.concatenate([scale, bias / scale, angle, quadratic / scale])
-    return _Frame(own, np.eye(3) if calibration.gyroscope is None else change_gauge(vector, "lower").rotation)
+def _accelerometer_values(vector: FloatArray, quadratic_axes: QuadraticAxes) -> tuple[FloatArray, FloatArray]:
+    """Return the accelerometer's values and their derivatives, shapes (12,) and (12, 15)."""
+    values, J = intrinsic(vector, quadratic_axes)
+    over = [*range(3, 6), *range(9, 12)]
+    scale, slope = np.tile(values[:3], 2), np.tile(J[:3] / values[:3, None], (2, 1))
+    # Bias and quadratic term over the scale.
+    J[over] = (J[over] - values[over, None] * slope) / scale[:, None]
+    values[over] /= scale
+    return values, J
 
 
-def si_values(calibration: Calibration, name: str = "", offset: float = 0.0, frame: _Frame | None = None) -> FloatArray:
-    """Return the values of ``NAMES`` in SI with one parameter changed, those of the accelerometer alone without a gyroscope.
+def _gyroscope_jacobian(parameters: GyroscopeParameters, change: GaugeChange) -> FloatArray:
+    """Return d values of the gyroscope / d ``PARAMETER_NAMES``, shape (21, 36).
 
-    The quadratic term and the bias of the accelerometer are divided by its scale, those of the gyroscope by its own. ``frame``
-    is what the accelerometer says, where it is known.
+    With M = (I + E) R^T and D = diag(M) the values are e / (K D), K D, M / D and G R^T / (K D); the
+    parameters of the accelerometer turn R, dR^T = -R^T [w].
     """
-    own, rotation = frame or _accelerometer_frame(calibration, name, offset)
+    scale, misalignment, bias, sensitivity = np.split(np.eye(len(PARAMETER_NAMES))[:, PARAMETERS:], (3, 9, 12), axis=1)
+    off_diagonal = ~np.eye(3, dtype=np.bool_)
+    dE = np.zeros((len(PARAMETER_NAMES), 3, 3))
+    dE[:, off_diagonal] = misalignment
+    w = np.zeros((len(PARAMETER_NAMES), 3))
+    w[:PARAMETERS] = change.turn.T
+    R, turned = change.rotation, turn_gyroscope(parameters, change.rotation)
+    D, K, G = turned.scale / parameters.scale, turned.scale, turned.g_sensitivity
+    own = np.eye(3) + turned.misalignment_rad  # M / D
+    dM = dE @ R.T - D[:, None] * own @ skew(w)
+    dD = np.diagonal(dM, axis1=1, axis2=2)
+    dG = sensitivity.reshape(-1, 3, 3) @ R.T - G @ skew(w)
+    dK = scale * D + parameters.scale * dD
+    parts = (
+        bias / K - turned.bias / K**2 * dK,
+        dK,
+        ((dM - own * dD[:, :, None]) / D[:, None])[:, off_diagonal],
+        ((dG - G * (dK / K)[:, :, None]) / K[:, None]).reshape(-1, 9),
+    )
+    return np.concatenate(parts, axis=1).T
+
+
+def si_values(calibration: Calibration) -> FloatArray:
+    """Return the values of ``NAMES`` in SI, those of the accelerometer alone without a gyroscope.
+
+    The quadratic term and the bias of the accelerometer are divided by its scale, those of the gyroscope by its own.
+    """
+    if calibration.gyroscope is None:
+        return _si_values(calibration, np.eye(3))
+    return _si_values(calibration, change_gauge(to_vector(calibration.accelerometer), "lower").rotation)
+
+
+def _si_values(calibration: Calibration, rotation: FloatArray) -> FloatArray:
+    own = _accelerometer_values(to_vector(calibration.accelerometer), calibration.accelerometer.quadratic_axes)[0]
     if calibration.gyroscope is None:
         return own
-    # Copies: the calibration itself stays as it was measured.
-    parameters = calibration.gyroscope.parameters
-    fields = {key: getattr(parameters, key).copy() for key in ("scale", "misalignment_rad", "bias", "g_sensitivity")}
-    triad, _, rest = name.partition(".")
-    if triad == "gyroscope":
-        key, _, place = rest.partition(".")
-        fields[key][tuple(AXES.index(axis) for axis in place)] += offset
-    turned = turn_gyroscope(GyroscopeParameters(**fields), rotation)
+    turned = turn_gyroscope(calibration.gyroscope.parameters, rotation)
     K, off_diagonal = turned.scale, ~np.eye(3, dtype=np.bool_)
     sensitivity = (turned.g_sensitivity / K[:, None]).ravel()
     return np.concatenate([own, turned.bias / K, K, turned.misalignment_rad[off_diagonal], sensitivity])

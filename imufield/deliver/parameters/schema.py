@@ -9,7 +9,9 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable, Iterator
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from typing import Any, NamedTuple, TypeGuard
@@ -63,30 +65,87 @@ def _json_value(value: object) -> object:
 
 def first_fault(document: object) -> Fault | None:
     """Return the first rule of the schema that ``document`` breaks, or None."""
+    return next(_faults(document, _parameter_rule(), ""), None)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Rule:
+    """A rule of the schema with its references resolved: a document has some 2000 values, a schema far fewer rules."""
+
+    types: tuple[tuple[str, Callable[[object], bool]], ...]
+    """Words and check of each type that a value may have; empty where it may have any."""
+    limits: tuple[tuple[str, object], ...]
+    """Keywords of ``_VALUE_CHECKS`` with their values."""
+    is_kept: Callable[[object], bool]
+    """Whether a value keeps the rule, as most do; where it is false the checks decide."""
+    properties: Mapping[str, _Rule]
+    required: tuple[str, ...]
+    items: _Rule | None
+    fewest: float
+    most: float
+
+
+@cache
+def _parameter_rule() -> _Rule:
     schema = parameter_schema()
-    return next(_faults(_json_value(document), schema, "", schema["$defs"]), None)
+    return _resolved(schema, schema["$defs"])
 
 
-def _faults(value: object, rule: Document, key: str, definitions: Document) -> Iterator[Fault]:
+def _resolved(rule: Document, definitions: Document) -> _Rule:
     if "$ref" in rule:
         rule = definitions[rule["$ref"].rpartition("/")[2]]
-    wrong = _type_fault(value, rule, key) or _value_fault(value, rule, key)
+    wanted = rule.get("type", ())
+    # A schema names one type, or several of which one must fit.
+    names = [wanted] if isinstance(wanted, str) else wanted
+    return _Rule(
+        types=tuple(_TYPE_CHECKS[name] for name in names),
+        limits=_limits(rule),
+        is_kept=_first_look(rule, names),
+        properties={name: _resolved(inner, definitions) for name, inner in rule.get("properties", {}).items()},
+        required=tuple(rule.get("required", ())),
+        items=_resolved(rule["items"], definitions) if "items" in rule else None,
+        fewest=rule.get("minItems", 0),
+        most=rule.get("maxItems", math.inf),
+    )
+
+
+def _first_look(rule: Document, types: Sequence[str]) -> Callable[[object], bool]:
+    """Return what accepts at once the values that most of a document consists of: numbers within limits, and texts."""
+    limits = rule.keys() & _VALUE_CHECKS
+    if "number" in types and limits <= {"minimum", "maximum"}:
+        largest = sys.float_info.max
+        low, high, nan_too = rule.get("minimum", -largest), rule.get("maximum", largest), "null" in types
+        return lambda value: type(value) is float and (low <= value <= high or (nan_too and math.isnan(value)))
+    if "string" in types and not limits:
+        return lambda value: type(value) is str
+    return lambda _: False
+
+
+def _faults(value: object, rule: _Rule, key: str) -> Iterator[Fault]:
+    if isinstance(value, float) and math.isnan(value):
+        value = None
+    wrong = _type_fault(value, rule, key) or _value_fault(value, rule.limits, key)
     if wrong:
         yield wrong
     elif isinstance(value, dict):
-        above = f"{key}." if key else ""
-        for name, item in value.items():
-            if name in rule["properties"]:
-                yield from _faults(item, rule["properties"][name], above + name, definitions)
-            else:
-                yield _fault(above + name, "schema.unknown", Reason.UNKNOWN_KEY)
-        yield from (_fault(above + name, "schema.missing") for name in rule.get("required", ()) if name not in value)
-    elif isinstance(value, list):
-        fewest, most = rule.get("minItems", 0), rule.get("maxItems", math.inf)
-        if not fewest <= len(value) <= most:
-            yield _fault(key, "schema.entries", found=len(value), wanted=fewest if len(value) < fewest else most)
+        yield from _table_faults(value, rule, key)
+    elif isinstance(value, list) and rule.items is not None:
+        if not rule.fewest <= len(value) <= rule.most:
+            wanted = rule.fewest if len(value) < rule.fewest else rule.most
+            yield _fault(key, "schema.entries", found=len(value), wanted=wanted)
         for index, item in enumerate(value):
-            yield from _faults(item, rule["items"], f"{key}[{index}]", definitions)
+            if not rule.items.is_kept(item):
+                yield from _faults(item, rule.items, f"{key}[{index}]")
+
+
+def _table_faults(table: Document, rule: _Rule, key: str) -> Iterator[Fault]:
+    above = f"{key}." if key else ""
+    for name, item in table.items():
+        if name not in rule.properties:
+            yield _fault(above + name, "schema.unknown", Reason.UNKNOWN_KEY)
+        elif not rule.properties[name].is_kept(item):
+            yield from _faults(item, rule.properties[name], above + name)
+    yield from (_fault(above + name, "schema.missing") for name in rule.required if name not in table)
 
 
 def _fault(key: str, name: str, reason: Reason = Reason.DAMAGED, **values: object) -> Fault:
@@ -110,18 +169,15 @@ _TYPE_CHECKS: dict[str, tuple[str, Callable[[object], bool]]] = {
 }
 
 
-def _type_fault(value: object, rule: Document, key: str) -> Fault | None:
+def _type_fault(value: object, rule: _Rule, key: str) -> Fault | None:
     if isinstance(value, float) and math.isinf(value):
         return _fault(key, "schema.infinite", Reason.NOT_FINITE)
-    wanted = rule.get("type", ())
-    # A schema names one type, or several of which one must fit.
-    checks = [_TYPE_CHECKS[name] for name in ([wanted] if isinstance(wanted, str) else wanted)]
-    if not checks or any(fits(value) for _, fits in checks):
+    if not rule.types or any(fits(value) for _, fits in rule.types):
         return None
-    # None stands for NaN here (json_ready).
+    # None stands for NaN here, as in JSON.
     if value is None:
         return _fault(key, "schema.nan", Reason.NOT_FINITE)
-    return _fault(key, "schema.type", shown=shown(value), wanted=" or ".join(words for words, _ in checks))
+    return _fault(key, "schema.type", shown=shown(value), wanted=" or ".join(words for words, _ in rule.types))
 
 
 # By keyword: the sentence where a value breaks the rule, and whether a value keeps it.
@@ -132,16 +188,21 @@ _VALUE_CHECKS: dict[str, tuple[str, Callable[[object, Any], bool]]] = {
     "minimum": ("schema.minimum", lambda value, limit: not _is_number(value) or value >= limit),
     "maximum": ("schema.maximum", lambda value, limit: not _is_number(value) or value <= limit),
     "exclusiveMinimum": ("schema.above", lambda value, limit: not _is_number(value) or value > limit),
-    "anyOf": ("schema.between", lambda value, rules: any(_value_fault(value, rule, "") is None for rule in rules)),
+    "anyOf": ("schema.between", lambda value, rules: any(_value_fault(value, _limits(rule), "") is None for rule in rules)),
 }
 
 
-def _value_fault(value: object, rule: Document, key: str) -> Fault | None:
-    for keyword, (name, holds) in _VALUE_CHECKS.items():
-        if keyword in rule and not holds(value, rule[keyword]):
+def _limits(rule: Document) -> tuple[tuple[str, object], ...]:
+    return tuple((keyword, rule[keyword]) for keyword in _VALUE_CHECKS if keyword in rule)
+
+
+def _value_fault(value: object, limits: tuple[tuple[str, object], ...], key: str) -> Fault | None:
+    for keyword, limit in limits:
+        name, holds = _VALUE_CHECKS[keyword]
+        if not holds(value, limit):
             # An empty text stands for what is not known, which is nothing to choose.
-            limit = [*filter(None, rule[keyword])] if keyword == "enum" else rule[keyword]
-            return _fault(key, name, shown=shown(value), value=value, limit=limit)
+            told = [*filter(None, limit)] if isinstance(limit, list) else limit
+            return _fault(key, name, shown=shown(value), value=value, limit=told)
     return None
 
 

@@ -57,8 +57,7 @@ def render_report(data: ReportData) -> str:
     UsageError
         If matplotlib or jinja2 is not installed.
     """
-    with plot_style():
-        figures = list(_figures(data))
+    figures = list(_figures(data))
     shown = {
         "budget": budget_tables(data.parameters),
         "budget_notes": not_in_budget(data.parameters),
@@ -317,7 +316,9 @@ def _figures(data: ReportData) -> Iterator[Figure]:
             "page.temperature_day" if curves.is_of_new_day else "page.temperature", reference=curves.reference_degc
         )
         name = f"{curves.triad.capitalize()} over temperature"
-        yield Figure(name, plots.over_temperature(curves), caption, "Bias and scale over temperature")
+        with plot_style():
+            svg = plots.over_temperature(curves)
+        yield Figure(name, svg, caption, "Bias and scale over temperature")
     found = correlations(data.parameters.calibration)
     if len(found.names) > 1:
         pairs = found.strongest(_STRONGEST_SHOWN)
@@ -336,4 +337,6 @@ def _check_figures(verification: Document) -> Iterator[Figure]:
         yield Figure("Held-out positions", plots.left_out(positions), caption, "Residuals of held-out positions")
     if navigation:
         caption = sentence("page.navigation_turned" if navigation["turned"] else "page.navigation")
-        yield Figure("Static navigation", plots.navigation(navigation), caption, "Navigation errors over time")
+        with plot_style():
+            svg = plots.navigation(navigation)
+        yield Figure("Static navigation", svg, caption, "Navigation errors over time")

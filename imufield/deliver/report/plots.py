@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,13 +16,14 @@ from imufield.deliver.report.gain import Gain
 from imufield.deliver.report.over_temperature import TemperatureCurves
 from imufield.deliver.report.positions import short_name
 from imufield.deliver.report.trace import Trace
-from imufield.drawing.style import BLUE, GREY, INK, ORANGE, figure, plain_ticks, to_svg
+from imufield.drawing.style import BLUE, GREY, INK, ORANGE, figure, to_svg
+from imufield.drawing.svg import FONT_PT, POINTS_PER_INCH, SMALL_PT, Axes, Picture, Scale, text_width
 from imufield.earth import MILLI_G_M_S2
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentences
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+    from matplotlib.axes import Axes as MatplotlibAxes
 
 sentence = Sentences(__package__)
 
@@ -35,8 +37,10 @@ _LABELS = {
 LEAST_CORRELATION = 0.1
 """Weaker ones are not drawn: they change no sigma by more than half a per cent."""
 _LARGEST_MARKER = 260.0  # Points^2, as matplotlib measures marks.
-_LABEL_SIZE = 7.5  # Points; the smallest that is read on paper without a glass.
-_POINTS_PER_UNIT = 82.0  # Of the sphere map as it is laid out: labels need no more than a rough idea of it.
+_POINTS_PER_UNIT = 82.0  # Of the sphere map: its radius.
+_DOWN = np.array([1.0, -1.0])  # The map has y upwards, a picture downwards.
+_CELL_PT = 12.2  # Of a correlation: a line of names.
+_PANEL_FOOT_PT = 30.0  # Below the lowest of two panels.
 # Just outside the unit circle of the map.
 _AXIS_NAMES = (("+x", 1.2, 0.0), ("-x", -1.2, 0.0), ("+y", 0.0, 1.24), ("-y", 0.0, -1.2))
 _NAMED = 6  # Positions named on the sphere map, the largest residuals first.
@@ -50,31 +54,38 @@ def sphere_map(up: FloatArray, residual_m_s2: FloatArray, names: tuple[str, ...]
     up : ndarray, shape (m, 3)
         Direction of "up" in the body frame.
     residual_m_s2 : ndarray, shape (m,)
+        NaN where it is not known; such a position has no mark.
     names : tuple of str
     """
     largest = float(np.nanmax(np.abs(residual_m_s2), initial=1e-12))
     named = set(np.argsort(-np.abs(residual_m_s2))[:_NAMED].tolist())
-    drawn = figure(3.7)
-    for axes, upper in zip(drawn.subplots(1, 2), (True, False), strict=True):
-        _hemisphere(axes, upper)
-        rows = np.flatnonzero((up[:, 2] >= 0) == upper)
-        place = _equal_area(up[rows])
-        sizes = 12 + _LARGEST_MARKER * np.abs(residual_m_s2[rows]) / largest
-        faces = [INK if residual >= 0 else "white" for residual in residual_m_s2[rows]]
-        axes.scatter(*place.T, s=sizes, facecolor=faces, edgecolor=INK, linewidth=1.0, alpha=0.85)
-        shown = [row for row, k in enumerate(rows) if k in named]
-        marks = np.vstack([place, *(at for _, *at in _AXIS_NAMES)]) * _POINTS_PER_UNIT
-        radius = np.append(np.sqrt(sizes) / 2, [_LABEL_SIZE / 2] * len(_AXIS_NAMES))
-        offsets = label_offsets(marks, radius, {row: names[rows[row]] for row in shown})
-        for row, offset in offsets.items():
-            axes.annotate(
-                names[rows[row]], place[row], xytext=offset, textcoords="offset points", ha="center", va="center",
-                fontsize=_LABEL_SIZE, arrowprops={"arrowstyle": "-", "linewidth": 0.4, "color": GREY},
-                bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5},
-            )  # fmt: skip
+    drawn = Picture(3.7)
+    for middle, upper in zip((0.25, 0.75), (True, False), strict=True):
+        # The same size of both halves, so that marks of one size mean one residual.
+        centre = np.array([middle * drawn.width, 0.52 * drawn.height])
+        _hemisphere(drawn, centre, upper)
+        rows = np.flatnonzero(((up[:, 2] >= 0) == upper) & np.isfinite(residual_m_s2))
+        place = _equal_area(up[rows]) * _POINTS_PER_UNIT
+        radius = np.sqrt(12 + _LARGEST_MARKER * np.abs(residual_m_s2[rows]) / largest) / 2
+        for at, size, residual in zip(centre + place * _DOWN, radius, residual_m_s2[rows], strict=True):
+            drawn.mark(at[0], at[1], size, face=INK if residual >= 0 else "white", edge=INK)
+        shown = {row: names[k] for row, k in enumerate(rows) if k in named}
+        marks = np.vstack([place, *(np.array(at) * _POINTS_PER_UNIT for _, *at in _AXIS_NAMES)])
+        around = np.append(radius, [SMALL_PT / 2] * len(_AXIS_NAMES))
+        for row, offset in label_offsets(marks, around, shown).items():
+            _label(drawn, centre + place[row] * _DOWN, offset * _DOWN, shown[row])
     unit, size_si = acceleration_unit(largest)
-    drawn.supxlabel(sentence("plots.sphere", largest=largest / size_si, unit=unit), fontsize=8)
-    return to_svg(drawn, "sphere")
+    words = sentence("plots.sphere", largest=largest / size_si, unit=unit)
+    drawn.text(drawn.width / 2, drawn.height - FONT_PT, words, size=8)
+    return drawn.svg()
+
+
+def _label(drawn: Picture, mark: FloatArray, offset: FloatArray, words: str) -> None:
+    """Write a name beside a mark, with a line to it."""
+    (x, y), half = mark + offset, text_width(words, SMALL_PT) / 2
+    drawn.line(np.array([mark[0], x]), np.array([mark[1], y]), color=GREY, width=0.4)
+    drawn.box(x - half, y - SMALL_PT / 2, 2 * half, SMALL_PT, face="white")
+    drawn.text(x, y, words, size=SMALL_PT)
 
 
 def label_offsets(place: FloatArray, radius: FloatArray, names: dict[int, str]) -> dict[int, FloatArray]:
@@ -95,7 +106,7 @@ def label_offsets(place: FloatArray, radius: FloatArray, names: dict[int, str]) 
     angles = np.radians(90 + 30 * np.array([0, 6, 1, -1, 5, -5, 2, -2, 4, -4, 3, -3]))
     directions = np.column_stack([np.cos(angles), np.sin(angles)])
     for row, name in names.items():
-        half = np.array([0.29 * len(name), 0.6]) * _LABEL_SIZE
+        half = np.array([text_width(name, SMALL_PT) / 2, 0.6 * SMALL_PT])
         best, least = np.zeros(2), np.inf
         # Points beside the mark; the first that covers nothing is taken.
         for reach in (1.0, 8.0, 16.0, 28.0):
@@ -116,16 +127,16 @@ def _overlap(a: FloatArray, b: FloatArray) -> float:
     return float(np.prod(np.maximum(sides, 0.0)))
 
 
-def _hemisphere(axes: Axes, upper: bool) -> None:
+def _hemisphere(drawn: Picture, centre: FloatArray, upper: bool) -> None:
     angle = np.linspace(0, 2 * np.pi, 181)
-    for tilt, style in ((90, "-"), (45, ":")):
-        radius = np.sqrt(2) * np.sin(np.radians(tilt) / 2)
-        axes.plot(radius * np.cos(angle), radius * np.sin(angle), style, color=GREY, linewidth=0.8)
+    for tilt, dashes in ((90, ""), (45, "1 2")):
+        radius = _POINTS_PER_UNIT * np.sqrt(2) * np.sin(np.radians(tilt) / 2)
+        circle = centre[0] + radius * np.cos(angle), centre[1] + radius * np.sin(angle)
+        drawn.line(*circle, color=GREY, width=0.8, dashes=dashes)
     for label, x, y in _AXIS_NAMES:
-        axes.text(x, y, label, ha="center", va="center", fontsize=8, color=GREY)
-    # The same limits on both halves, so that marks of one size mean one residual.
-    axes.set(title="z axis up or level" if upper else "z axis down", aspect="equal", xlim=(-1.32, 1.32), ylim=(-1.32, 1.36))
-    axes.axis("off")
+        at = centre + np.array([x, y]) * _DOWN * _POINTS_PER_UNIT
+        drawn.text(at[0], at[1], label, size=8, color=GREY)
+    drawn.text(centre[0], FONT_PT, "z axis up or level" if upper else "z axis down")
 
 
 def _equal_area(up: FloatArray) -> FloatArray:
@@ -138,101 +149,111 @@ def _equal_area(up: FloatArray) -> FloatArray:
 
 def before_and_after(gained: Gain) -> str:
     """Draw the error of each position before and after, on one scale."""
-    drawn = figure(2.1)
-    axes = drawn.subplots()
-    at = np.arange(len(gained.names))
+    at = np.arange(float(len(gained.names)))
     before, after = gained.before_m_s2 / MILLI_G_M_S2, gained.after_m_s2 / MILLI_G_M_S2
-    axes.vlines(at, after, before, color=GREY, linewidth=0.8)
-    axes.plot(at, before, "s", color=ORANGE, markerfacecolor="white", markersize=5, label="before")
-    axes.plot(at, after, "o", color=BLUE, markersize=5, label="after")
-    axes.axhline(0, color=INK, linewidth=0.8)
-    _position_axis(axes, gained.names, "error, mg")
-    return to_svg(drawn, "gain")
+    drawn = Picture(2.1)
+    axes = _position_axes(drawn, gained.names, "error, mg", Scale.over(before, after, np.zeros(1)))
+    axes.stems(at, after, before)
+    axes.level(0.0)
+    axes.marks(at, before, "s", ORANGE, is_filled=False)
+    axes.marks(at, after, "o", BLUE, is_filled=True)
+    axes.legend([("before", ORANGE, "s"), ("after", BLUE, "o")])
+    return drawn.svg()
 
 
 def left_out(document: Document) -> str:
     """Draw residuals of left-out positions against their forecast."""
     residual, sigma, before = (_numbers(document[key]) for key in ("residual_m_s2", "sigma_m_s2", "before_m_s2"))
     unit, size = acceleration_unit(float(np.nanmax(np.abs(np.concatenate([residual, 2 * sigma])), initial=0.0)))
-    drawn = figure(2.5)
-    axes = drawn.subplots()
-    at = np.arange(len(residual))
-    axes.bar(
-        at, 4 * sigma / size, bottom=-2 * sigma / size, width=0.8, color="#eeeeee", edgecolor=GREY, hatch="////", linewidth=0.5,
-        label="forecast, ±2 sigma",
-    )  # fmt: skip
-    axes.plot(at, residual / size, "o", color=INK, markersize=5, label="residual")
-    axes.axhline(0, color=INK, linewidth=0.8)
     inside = np.abs(before) <= 1.5 * max(np.nanmax(np.abs(residual), initial=0.0), np.nanmax(2 * sigma, initial=0.0))
-    if np.all(inside):
-        axes.plot(at, before / size, "x", color=ORANGE, markersize=5, label="before")
-    # Bars hold the axis at their ends; with a margin one sees that they end there.
-    axes.use_sticky_edges = False
-    axes.margins(y=0.08)
-    _position_axis(axes, tuple(document["name"]), unit)
-    return to_svg(drawn, "heldout")
+    with_before = bool(np.all(inside))
+    values = (residual, 2 * sigma, -2 * sigma, *([before] if with_before else []))
+    at = np.arange(float(len(residual)))
+    drawn = Picture(2.5)
+    axes = _position_axes(drawn, tuple(document["name"]), unit, Scale.over(*(some / size for some in values)))
+    axes.bars(at, -2 * sigma / size, 2 * sigma / size)
+    axes.level(0.0)
+    axes.marks(at, residual / size, "o", INK, is_filled=True)
+    entries = [("forecast, ±2 sigma", GREY, "bar"), ("residual", INK, "o")]
+    if with_before:
+        axes.marks(at, before / size, "x", ORANGE, is_filled=False)
+        entries.append(("before", ORANGE, "x"))
+    axes.legend(entries)
+    return drawn.svg()
 
 
-def _position_axis(axes: Axes, names: tuple[str, ...], unit: str) -> None:
-    axes.set_xticks(
-        np.arange(len(names)), [short_name(name) for name in names], rotation=90 if len(names) > 8 else 0, fontsize=7
-    )
+def _position_axes(drawn: Picture, names: tuple[str, ...], unit: str, y: Scale) -> Axes:
+    short = [short_name(name) for name in names]
     # Room for eight at least: three marks alone would stand at the margins.
-    axes.set(xlim=(-0.7, max(len(names), 8) - 0.3), ylabel=unit)
-    axes.legend(loc="upper left", bbox_to_anchor=(0, 1.22), ncols=3)
+    axes = Axes(
+        picture=drawn,
+        x=Scale(-0.7, max(len(names), 8) - 0.3),
+        y=y,
+        bottom=10 + max((text_width(name, SMALL_PT) for name in short), default=0.0),
+    )
+    axes.frame("", unit, names=short)
+    return axes
 
 
 def stillness(trace: Trace, start_s: FloatArray, duration_s: FloatArray) -> str:
     """Draw how still the instrument was, and where positions were taken."""
     with_rate = bool(np.isfinite(trace.rate_rad_s).any())
-    drawn = figure(3.2 if with_rate else 2.2)
-    panels = drawn.subplots(2 if with_rate else 1, 1, sharex=True, squeeze=False)[:, 0]
+    drawn = Picture(3.2 if with_rate else 2.2)
     minutes = trace.time_s / 60
-    end_s = start_s + duration_s
-    sides = np.column_stack([start_s, start_s, end_s, end_s, end_s])
-    panels[0].plot(minutes, np.maximum(trace.scatter_m_s2 / MILLI_G_M_S2, 1e-3), color=INK, linewidth=0.8)
-    panels[0].set_ylabel("scatter, mg")
+    panels = [("scatter, mg", trace.scatter_m_s2 / MILLI_G_M_S2)]
     if with_rate:
-        rate = np.degrees(trace.rate_rad_s)
-        panels[1].plot(minutes, np.maximum(rate, 1e-3), color=INK, linewidth=0.8)
-        panels[1].set_ylabel("turning, °/s")
-    for axes in panels:
-        axes.set_yscale("log")
-        plain_ticks(axes.yaxis)
-        # One shape, parted by NaN: a PDF takes as long again for each shape with dots of its own.
-        look = {"facecolor": "#e4edf6", "edgecolor": GREY, "hatch": "....", "linewidth": 0.3, "zorder": 0}
-        axes.fill(sides.ravel() / 60, np.tile([0, 1, 1, 0, np.nan], len(sides)), transform=axes.get_xaxis_transform(), **look)
-    panels[-1].set_xlabel("minutes; shaded: taken as a position")
-    return to_svg(drawn, "stillness")
+        panels.append(("turning, °/s", np.degrees(trace.rate_rad_s)))
+    height = (drawn.height - _PANEL_FOOT_PT) / len(panels)
+    for number, (label, values) in enumerate(panels):
+        shown = np.maximum(values, 1e-3)
+        is_last = number == len(panels) - 1
+        axes = Axes(
+            picture=drawn,
+            x=Scale.over(minutes),
+            y=Scale.over(shown, is_logarithmic=True),
+            top=number * height + 4,
+            bottom=_PANEL_FOOT_PT + (len(panels) - 1 - number) * height,
+        )
+        axes.shade(start_s / 60, (start_s + duration_s) / 60)
+        axes.frame("minutes; shaded: taken as a position" if is_last else "", label, with_numbers=is_last)
+        axes.curve(minutes, shown, color=INK, width=0.8)
+    return drawn.svg()
 
 
 def convergence(runs: tuple[Convergence, ...]) -> str:
     """Draw how the methods of the papers came down to their best cost."""
-    drawn = figure(2.3)
-    axes = drawn.subplots()
-    for run, style, color in zip(runs, ("-", "--", ":"), (INK, BLUE, ORANGE), strict=False):
-        label = f"{run.method}, {run.evaluations} evaluations"
-        # The last excess is zero, which a logarithm cannot show.
-        axes.plot(np.arange(1.0, len(run.excess) + 1), np.maximum(run.excess, 1e-9), style, color=color, label=label)
-    axes.set(xscale="log", yscale="log", xlabel="iteration", ylabel="cost over best, less 1")
-    plain_ticks(axes.xaxis, axes.yaxis)
-    axes.legend(loc="lower left")
-    return to_svg(drawn, "convergence")
+    drawn = Picture(2.3)
+    # The last excess is zero, which a logarithm cannot show.
+    excess = [np.maximum(run.excess, 1e-9) for run in runs]
+    iterations = [np.arange(1.0, len(run.excess) + 1) for run in runs]
+    axes = Axes(
+        picture=drawn,
+        x=Scale.over(*iterations, is_logarithmic=True),
+        y=Scale.over(*excess, is_logarithmic=True),
+    )
+    axes.frame("iteration", "cost over best, less 1")
+    looks = list(zip((INK, BLUE, ORANGE), ("", "4 2", "1 2"), strict=True))
+    for at, values, (color, dashes) in zip(iterations, excess, looks, strict=False):
+        axes.curve(at, values, color=color, dashes=dashes)
+    labels = (f"{run.method}, {run.evaluations} evaluations" for run in runs)
+    axes.legend((label, *look) for label, look in zip(labels, looks, strict=False))
+    return drawn.svg()
 
 
 def closure(moves: Closure) -> str:
     """Draw how far each move ends from where gravity says."""
-    drawn = figure(2.3)
-    axes = drawn.subplots()
-    minutes = moves.start_s / 60
-    if np.isfinite(moves.before_deg).all():
-        axes.vlines(minutes, moves.before_deg, moves.after_deg, color=GREY, linewidth=0.8)
-        axes.plot(minutes, moves.before_deg, "s", color=ORANGE, markerfacecolor="white", markersize=4.5, label="before")
-    axes.plot(minutes, moves.after_deg, "o", color=INK, markersize=4.5, label="after")
+    minutes, with_before = moves.start_s / 60, bool(np.isfinite(moves.before_deg).all())
+    drawn = Picture(2.3)
+    shown = [moves.after_deg, *([moves.before_deg] if with_before else [])]
     # From zero: the height of a mark is to be read as the error itself.
-    axes.set(ylim=(0, None), xlabel="minutes, start of the move", ylabel="angle error, °")
-    axes.legend(loc="upper left", bbox_to_anchor=(0, 1.2), ncols=2)
-    return to_svg(drawn, "closure")
+    axes = Axes(picture=drawn, x=Scale.over(minutes), y=Scale.over(*shown, low=0.0))
+    axes.frame("minutes, start of the move", "angle error, °")
+    if with_before:
+        axes.stems(minutes, moves.before_deg, moves.after_deg)
+        axes.marks(minutes, moves.before_deg, "s", ORANGE, is_filled=False)
+    axes.marks(minutes, moves.after_deg, "o", INK, is_filled=True)
+    axes.legend([*([("before", ORANGE, "s")] if with_before else []), ("after", INK, "o")])
+    return drawn.svg()
 
 
 def over_temperature(curves: TemperatureCurves) -> str:
@@ -256,21 +277,23 @@ def over_temperature(curves: TemperatureCurves) -> str:
 def correlations(pairs: Correlations) -> str:
     """Draw the correlation of each pair of parameters below the diagonal."""
     n = len(pairs.names)
-    drawn = figure(min(0.17 * n + 1.4, _TALLEST_IN))
-    axes = drawn.subplots()
-    rows, columns = np.tril_indices(n, -1)
-    values = pairs.matrix[rows, columns]
-    shown = np.abs(values) >= LEAST_CORRELATION
-    for positive, face in ((True, INK), (False, "white")):
-        chosen = shown & ((values > 0) == positive)
-        axes.scatter(
-            columns[chosen], rows[chosen], 40 * np.abs(values[chosen]), facecolor=face, edgecolor=INK, linewidth=0.6, zorder=2
-        )
-    axes.set_xticks(range(n), pairs.names, rotation=90, fontsize=_LABEL_SIZE)
-    axes.set_yticks(range(n), pairs.names, fontsize=_LABEL_SIZE)
-    # Downwards, as a matrix is written.
-    axes.set(ylim=(n - 0.5, -0.5), xlim=(-0.5, n - 0.5), aspect="equal")
-    return to_svg(drawn, "correlations")
+    room = 8 + max(text_width(name, SMALL_PT) for name in pairs.names)
+    cell = min(_CELL_PT, (_TALLEST_IN * POINTS_PER_INCH - room) / n)
+    drawn = Picture((n * cell + room) / POINTS_PER_INCH)
+    left, side = (drawn.width - n * cell + room) / 2, n * cell
+    for k, name in enumerate(pairs.names):
+        at = (k + 0.5) * cell
+        drawn.line(np.array([left + at, left + at]), np.array([0, side]), color="#dddddd", width=0.5)
+        drawn.line(np.array([left, left + side]), np.array([at, at]), color="#dddddd", width=0.5)
+        drawn.text(left - 5, at, name, size=SMALL_PT, anchor="end")
+        drawn.text(left + at, side + 5, name, size=SMALL_PT, anchor="end", turned=True)
+    drawn.line(np.array([left, left, left + side]), np.array([0, side, side]), color=INK, width=0.6)
+    for row, column in zip(*np.tril_indices(n, -1), strict=True):
+        value = pairs.matrix[row, column]
+        if abs(value) >= LEAST_CORRELATION:
+            place = left + (column + 0.5) * cell, (row + 0.5) * cell
+            drawn.mark(*place, math.sqrt(40 * abs(value)) / 2, face=INK if value > 0 else "white", edge=INK, width=0.6)
+    return drawn.svg()
 
 
 def navigation(document: Document) -> str:
@@ -294,12 +317,12 @@ def navigation(document: Document) -> str:
     return to_svg(drawn, "navigation")
 
 
-def _band(axes: Axes, forecast: Document, low: FloatArray, high: FloatArray) -> None:
+def _band(axes: MatplotlibAxes, forecast: Document, low: FloatArray, high: FloatArray) -> None:
     hours = _numbers(forecast["time_s"]) / 3600
     axes.fill_between(hours, low, high, facecolor="#e4edf6", edgecolor=GREY, hatch="////", linewidth=0.5, label="95 % forecast")
 
 
-def _curves(axes: Axes, drifts: Document, quantity: str) -> None:
+def _curves(axes: MatplotlibAxes, drifts: Document, quantity: str) -> None:
     # The set under test is the last: it gets the full line, and the one before it the broken.
     for (name, drift), style, color in zip(reversed(drifts.items()), ("-", "--"), (INK, ORANGE), strict=False):
         axes.plot(_numbers(drift["time_s"]) / 3600, _numbers(drift[quantity]), style, color=color, label=name)

@@ -1,4 +1,4 @@
-"""Student's and the F distribution against SciPy's."""
+"""Student's, the F and the chi squared distribution against SciPy's."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import pytest
 import scipy.special
 
 from imufield.calibrate.model.distributions import (
+    chi_squared_quantile,
+    chi_squared_tail,
     f_limit_95,
     f_quantile,
     f_tail,
@@ -36,6 +38,15 @@ def test_f(numerator: float, denominator: float) -> None:
         assert f_tail(numerator, denominator, value) == pytest.approx(expected, rel=1e-9, abs=1e-290)
     expected = float(scipy.special.fdtri(numerator, denominator, 0.95))
     assert f_quantile(numerator, denominator, 0.95) == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("freedom", [1, 2, 3, 8, 27, 150])
+def test_chi_squared(freedom: int) -> None:
+    for value in (1e-3, 0.5, 5.0, 40.0, 400.0):
+        expected = float(scipy.special.chdtrc(freedom, value))
+        assert chi_squared_tail(freedom, value) == pytest.approx(expected, rel=1e-10, abs=1e-290)
+    for p in (0.025, 0.5, 0.975):
+        assert chi_squared_quantile(freedom, p) == pytest.approx(float(scipy.special.chdtri(freedom, 1 - p)), rel=1e-12)
 
 
 def test_where_there_is_no_chance() -> None:

@@ -15,10 +15,12 @@ from imufield.calibrate.model.models import from_vector, to_vector
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import (
     ACCELEROMETER_NAMES,
+    GRAVITY_NAME,
     AccelerometerParameters,
     Calibration,
     GyroscopeCalibration,
     GyroscopeParameters,
+    QuadraticAxes,
 )
 from imufield.deliver.navigation.uncertain import draw_parameters
 from imufield.deliver.parameters.gauge_free import (
@@ -112,6 +114,42 @@ def test_sigma_and_correlation_are_what_draws_show(whole: Calibration, observati
     np.testing.assert_allclose(np.std(drawn_values, axis=1)[12:] / SIZES, known, rtol=0.05)
     root = np.sqrt(np.diag(found.error))
     np.testing.assert_allclose(np.corrcoef(drawn_values), found.error / np.outer(root, root), atol=0.08)
+
+
+def stepped(calibration: Calibration, name: str, step: float) -> Calibration:
+    triad, key, place = name.split(".")
+    axes = tuple("xyz".index(axis) for axis in place)
+    if triad == "accelerometer":
+        values = getattr(calibration.accelerometer, key).copy()
+        values[axes] += step
+        return replace(calibration, accelerometer=replace(calibration.accelerometer, **{key: values}))
+    parameters = calibration.gyroscope.parameters
+    values = getattr(parameters, key).copy()
+    values[axes] += step
+    return with_gyroscope(calibration, replace(parameters, **{key: values}))
+
+
+@pytest.mark.parametrize("axes", ["sensing", "body"])
+def test_the_covariance_follows_the_derivatives_by_differences(skew: Calibration, axes: QuadraticAxes) -> None:
+    skew = replace(skew, accelerometer=replace(skew.accelerometer, quadratic_axes=axes))
+    names, rng = PARAMETER_NAMES, np.random.default_rng(4)
+    spread = np.array([1e-4 if "misalignment" in name else 1e-5 for name in names])
+    root = spread[:, None] * rng.standard_normal((len(names), len(names)))
+    correlated = replace(skew, covariance_names=(*names, GRAVITY_NAME), covariance=np.pad(root @ root.T, (0, 1)))
+    nothing = np.full((len(skew.positions.used), 3), np.nan)
+    found = gauge_free(correlated, nothing, nothing)
+    ends = [[si_values(stepped(skew, name, sign * 1e-5)) for sign in (1.0, -1.0)] for name in names]
+    J = np.transpose([(high - low) / 2e-5 for high, low in ends])
+    expected = J @ root @ root.T @ J.T
+    # The numbers of the gyroscope have their sigma from here alone, in units of their own.
+    own = [number for number in found.numbers if number.name.startswith(("gyroscope", "g-"))]
+    sigma = SIZES * [number.sigma for number in own]
+    np.testing.assert_allclose(sigma, np.sqrt(np.diag(expected))[12:], rtol=1e-7)
+    scale = np.sqrt(np.diag(found.error))
+    order = [NAMES.index(number.name) for number in found.numbers]
+    wanted = expected[np.ix_(order, order)]
+    size = np.sqrt(np.diag(wanted))
+    np.testing.assert_allclose(found.error / np.outer(scale, scale), wanted / np.outer(size, size), atol=1e-7)
 
 
 def test_what_differs_between_sessions_is_the_fit_alone() -> None:
