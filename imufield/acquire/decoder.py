@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from imufield.acquire.clock.clock import Arrivals, Clock
+from imufield.acquire.clock.clock import Arrival, Arrivals, Clock
 from imufield.acquire.clock.sample_clock import SampleClock
 from imufield.acquire.clock.stamp_clock import DeviceClock
 from imufield.acquire.decode.assembly import Keep, Message, Source
@@ -66,7 +66,8 @@ class Decoder:
         arrival_s : float
             Host time when the last of them arrived, s; leave it out where it is not known.
         """
-        return self.feed_chunks(data, np.array([len(data)]), np.array([arrival_s]))
+        self.statistics.bytes_total += len(data)
+        return self._feed(data, Arrival(arrival_s))
 
     def feed_chunks(self, data: bytes, ends: IntArray, arrival_s: FloatArray) -> Samples:
         """Take the bytes of k reads at once; the same as k calls of ``feed``, many times faster for small reads.
@@ -82,6 +83,9 @@ class Decoder:
         """
         arrivals = Arrivals(ends + self.statistics.bytes_total, np.asarray(arrival_s, dtype=np.float64))
         self.statistics.bytes_total += len(data)
+        return self._feed(data, arrivals)
+
+    def _feed(self, data: bytes, arrivals: Arrival | Arrivals) -> Samples:
         done: list[Samples] = []
         for at in range(0, len(data), _PIECE_BYTES):
             block = self._source.feed(data[at : at + _PIECE_BYTES])
@@ -93,7 +97,7 @@ class Decoder:
     def flush(self) -> Samples:
         """Return what was kept back; nothing will follow."""
         block = self._source.finish()
-        never = Arrivals(np.array([self.statistics.bytes_total]), np.array([math.nan]))
+        never = Arrival(math.nan)
         timed = [] if block is None else [self._clock.push(block, never)]
         return self._joined([samples for samples in (*timed, self._clock.flush()) if samples is not None])
 

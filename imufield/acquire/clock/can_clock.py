@@ -27,7 +27,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from imufield.acquire.clock.can_period import LEARN_S, LEARN_SAMPLES, learned_from, sample_period_s
-from imufield.acquire.clock.clock import Arrivals, Clock, filled_in
+from imufield.acquire.clock.clock import Arrival, Arrivals, Clock, filled_in
+from imufield.acquire.clock.stamp_clock import steps_between
 from imufield.acquire.decode.assembly import RawBlock, join
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
@@ -80,7 +81,7 @@ class CanClock(Clock):
         self._counter_step = 1
         self._begin: tuple[float, float] | None = None
 
-    def push(self, block: RawBlock, arrivals: Arrivals) -> Samples | None:  # noqa: ARG002  frames have their own stamps
+    def push(self, block: RawBlock, arrivals: Arrival | Arrivals) -> Samples | None:  # noqa: ARG002  frames have their own stamps
         """Return the samples whose time is settled now, None if there are none."""
         stamp_s = self._continuous(block.stamp_s)
         self._pending.append(block if stamp_s is block.stamp_s else replace(block, stamp_s=stamp_s))
@@ -94,10 +95,11 @@ class CanClock(Clock):
         """Take out jumps of the clock that made the stamps."""
         if self._last_stamp_s is None:
             self._last_stamp_s = float(stamp_s[0])
-        step_s = np.diff(stamp_s, prepend=self._last_stamp_s)
+        step_s = steps_between(stamp_s, self._last_stamp_s)
         self._last_stamp_s = float(stamp_s[-1])
         before_s, self._step_s = self._step_s, max(float(step_s[-1]), 0.0)
-        if not (step_s.min() >= -_RESET_S and step_s.max() <= _LONGEST_PAUSE_S):
+        # A NaN counts as the least and as the most.
+        if not (step_s[step_s.argmin()] >= -_RESET_S and step_s[step_s.argmax()] <= _LONGEST_PAUSE_S):
             jumps = ~((step_s >= -_RESET_S) & (step_s <= _LONGEST_PAUSE_S))
             self._statistics.clock_resets += int(np.count_nonzero(jumps))
             step_s = np.where(np.isfinite(step_s), step_s, 0.0)
@@ -188,12 +190,12 @@ class CanClock(Clock):
         number = self._numbers(block, phase)
         lag_s = block.stamp_s - number * phase.period_s
         envelope_s = np.zeros(ready) if phase.is_blind else _minimum_ahead(lag_s, block.stamp_s, phase.window_s, ready)
-        moved_s = np.diff(envelope_s, prepend=phase.base_s)
+        moved_s = steps_between(envelope_s, phase.base_s)
         ready = _until_rate_changes(moved_s, phase)
         envelope_s, moved_s = envelope_s[:ready], moved_s[:ready]
         time_s = envelope_s + number[:ready] * phase.period_s
         steps = None if self._last_counter is None else self._steps(block.counter[:ready])
-        least_s, most_s = float(moved_s.min()), float(moved_s.max())
+        least_s, most_s = moved_s.item(moved_s.argmin()), moved_s.item(moved_s.argmax())
         phase.base_s, phase.number = float(envelope_s[-1]), float(number[ready - 1])
         stands = least_s > -_DRIFT * phase.period_s and most_s < min(phase.visible_s, _DRIFT * phase.period_s)
         repeated = steps is not None and bool((steps < 1).any())
@@ -204,7 +206,7 @@ class CanClock(Clock):
         else:
             estimated = _losses(envelope_s, moved_s, phase)
             time_s = _forward(time_s, phase)
-        phase.before_s = np.concatenate([phase.before_s, envelope_s])[-phase.burst - 1 :]
+        phase.before_s = np.concatenate([phase.before_s, envelope_s[-phase.burst - 1 :]])[-phase.burst - 1 :]
         self._begin = self._begin or (float(number[0]) + self._statistics.losses_estimated, float(time_s[0]))
         samples = self._samples(block[:ready], time_s, steps, estimated)
         # The rate as learned, and as measured since the first sample.
@@ -244,6 +246,9 @@ class CanClock(Clock):
 
 def _until_rate_changes(moved_s: FloatArray, phase: _Phase) -> int:
     """Return how many samples there are before the phase has run away, which a wrong period makes it do: all if it has not."""
+    if max(-moved_s[moved_s.argmin()], moved_s[moved_s.argmax()]) <= _DRIFT * phase.period_s:
+        phase.run = 0
+        return len(moved_s)
     place = np.arange(len(moved_s))
     # Where the phase last stood still, at or before each sample.
     stood = np.maximum.accumulate(np.where(np.abs(moved_s) > _DRIFT * phase.period_s, -1 - phase.run, place))
@@ -267,14 +272,21 @@ def _losses(envelope_s: FloatArray, moved_s: FloatArray, phase: _Phase) -> IntAr
 
 def _settled(stamp_s: FloatArray, window_s: float) -> int:
     """Return how many samples have all those behind them that are stamped within the window."""
-    return int(np.searchsorted(np.maximum.accumulate(stamp_s), stamp_s.max() - window_s, side="left"))
+    order_s = np.maximum.accumulate(stamp_s)
+    return int(order_s.searchsorted(order_s[-1] - window_s, side="left"))
 
 
 def _minimum_ahead(values: FloatArray, stamp_s: FloatArray, window_s: float, count: int) -> FloatArray:
     """Return the least of each of the first ``count`` values and those that follow it with stamps within the window."""
     order_s = np.maximum.accumulate(stamp_s)
+    end = order_s.searchsorted(order_s[:count] + window_s, side="right")
+    if count <= end[0]:
+        # All windows have the values from the last of their beginnings to the first of their ends in common.
+        before = np.minimum.accumulate(values[count - 1 :: -1])[::-1]
+        behind = np.minimum.accumulate(values[end[0] - 1 : end[-1]])
+        least = np.minimum(before, np.minimum.reduce(values[count - 1 : end[0]]))
+        return np.asarray(np.minimum(least, behind[end - end[0]]))
     begin = np.arange(count)
-    end = np.searchsorted(order_s, order_s[:count] + window_s, side="right")
     # The largest power of two that fits into each window; two such stretches, one at either end, cover it.
     power = np.frexp((end - begin).astype(np.float64))[1] - 1
     least, stretch = values[:count].copy(), values

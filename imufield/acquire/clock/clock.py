@@ -13,23 +13,38 @@ from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
 from imufield.samples import FloatArray, IntArray, Samples, SampleUnits
 
+Reads = list[tuple[int, float]]
+"""(Rows of a block up to its end, arrival) of each read that completed a sample of the block."""
+
+
+@dataclass(slots=True)  # One for each read: a frozen one takes five times as long to make.
+class Arrival:
+    """When the bytes of one read came."""
+
+    arrival_s: float
+    """Host time when its last byte arrived, s; NaN where not known."""
+
+    def reads_of(self, block: RawBlock) -> Reads:
+        """Return (rows of the block, arrival): the read completed all there are."""
+        return [(len(block), self.arrival_s)] if len(block) else []
+
 
 @dataclass(frozen=True, slots=True)
 class Arrivals:
-    """When the bytes of a stream came."""
+    """When the bytes of several reads came."""
 
     ends: IntArray
     """Offset in the stream just behind each read, ascending. Shape (k,)."""
     arrival_s: FloatArray
     """Host time when its last byte arrived, s; NaN where not known. Shape (k,)."""
 
-    def reads_of(self, block: RawBlock) -> list[tuple[int, float]]:
+    def reads_of(self, block: RawBlock) -> Reads:
         """Return (rows up to its end, arrival) of each read that completed a sample of this block."""
-        if len(self.ends) == 1:
-            return [(len(block), float(self.arrival_s[0]))] if len(block) else []
         until = np.searchsorted(block.stream_end, self.ends, side="right")
         until[-1] = len(block)
-        with_rows = np.flatnonzero(np.diff(until, prepend=0))
+        before = np.zeros_like(until)
+        before[1:] = until[:-1]
+        with_rows = np.flatnonzero(until != before)
         return list(zip(until[with_rows].tolist(), self.arrival_s[with_rows].tolist(), strict=True))
 
 
@@ -58,13 +73,13 @@ class Clock(ABC):
         self._statistics = statistics
 
     @abstractmethod
-    def push(self, block: RawBlock, arrivals: Arrivals) -> Samples | None:
+    def push(self, block: RawBlock, arrivals: Arrival | Arrivals) -> Samples | None:
         """Return the samples whose time is settled now, None if there are none.
 
         Parameters
         ----------
         block : RawBlock
-        arrivals : Arrivals
+        arrivals : Arrival or Arrivals
             Of the reads that this block comes from; the frames of a bus have time stamps instead.
         """
 

@@ -55,6 +55,7 @@ _LEAST_BUCKETS = 5  # 1 s: minima that are known before their jitter is.
 # A 4 % slow unit is 40 ms behind by then, below what counts as a lag; before, minima are too close together.
 _SLOPE_AFTER_S = 1.0
 _RESTART_S = 1.0  # Arrival that runs back by more than this is another host clock, not the order of threads.
+_ROUNDING_S = 1e-6  # By so much the lag is known whatever way it is computed: times of 1e9 s have steps of 1e-7 s.
 _LARGEST_SLOPE = 0.05  # The worst unit on record ran 3.8 % slow; more is not a clock error.
 
 
@@ -77,6 +78,9 @@ class HostBaseline:
         self.slope: float | None = None
         self.slope_sigma = math.inf
         self.spread_s = math.inf
+        # The line of earliest arrivals: how steep it may rise, and where the full buckets put it at time 0.
+        self._rise = 0.0
+        self._full_s = math.inf
 
     def add(self, arrival_s: float, sample_s: float) -> None:
         """Take note of a block that arrived at ``arrival_s`` and whose last sample is of ``sample_s``."""
@@ -109,19 +113,28 @@ class HostBaseline:
         level = [offset - (self.slope or 0.0) * arrival_s for arrival_s, offset in list(self._buckets)[:-1]]
         self.spread_s = max(level) - min(level) if len(self._buckets) >= _LEAST_BUCKETS else math.inf
         self.slope_sigma = self.spread_s / (hull[-1][0] - hull[0][0]) if len(hull) > 1 else math.inf
+        # A fast unit needs no slope, its minima fall by themselves; and a late start looks like one.
+        self._rise = max(0.0, self.slope or 0.0)
+        self._full_s = min((offset - self._rise * at for at, offset in list(self._buckets)[:-1]), default=math.inf)
 
     def offset_at(self, arrival_s: float) -> float | None:
         """Return the lowest offset to expect at ``arrival_s``; None before anything arrived."""
         if not self._buckets:
             return None
-        # A fast unit needs no slope, its minima fall by themselves; and a late start looks like one.
-        slope = max(0.0, self.slope or 0.0)
-        return min(offset + slope * (arrival_s - at) for at, offset in self._buckets)
+        return min(offset + self._rise * (arrival_s - at) for at, offset in self._buckets)
 
     def lag_s(self, arrival_s: float, sample_s: float) -> float:
         """Return by how much ``sample_s`` is later at the host than it must be; 0 before anything arrived."""
         expected = self.offset_at(arrival_s)
         return 0.0 if expected is None else arrival_s - sample_s - expected
+
+    def is_surely_within(self, limit_s: float, arrival_s: float, sample_s: float) -> bool:
+        """Whether the lag is within the limit either way, without a look at each bucket; False too where rounding decides."""
+        if not self._buckets:
+            return False
+        at, offset = self._buckets[-1]
+        expected = self._rise * arrival_s + min(self._full_s, offset - self._rise * at)
+        return abs(arrival_s - sample_s - expected) < limit_s - _ROUNDING_S
 
 
 def _slope(first: tuple[float, float], second: tuple[float, float]) -> float:
@@ -199,7 +212,8 @@ class LossWatch:
         """
         if self._pending or not math.isfinite(arrival_s):
             return not self._pending
-        if not abs(self.baseline.lag_s(arrival_s, last_s)) <= self._smallest_s:
+        is_in_time = self.baseline.is_surely_within(self._smallest_s, arrival_s, last_s)
+        if not (is_in_time or abs(self.baseline.lag_s(arrival_s, last_s)) <= self._smallest_s):
             return False
         self._last_arrival_s = arrival_s
         self.baseline.add(arrival_s, last_s)

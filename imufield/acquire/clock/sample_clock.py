@@ -18,14 +18,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from imufield.acquire.clock.clock import Arrivals, Clock
+from imufield.acquire.clock.clock import Arrival, Arrivals, Clock
 from imufield.acquire.clock.loss_watch import LossWatch, TimedBlock
-from imufield.acquire.clock.stamp_clock import LEARN_FROM, StampClock, StepRule, steps_between
+from imufield.acquire.clock.stamp_clock import LEARN_FROM, StampClock, Stamped, StepRule, steps_between
 from imufield.acquire.decode.assembly import NO_TICKS, RawBlock, join
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
 from imufield.errors import ProtocolError, Reason
-from imufield.samples import NO_COUNTER, FloatArray, IntArray, Samples, SampleUnits, Status
+from imufield.samples import NO_COUNTER, FloatArray, IntArray, Samples, SampleUnits, Status, every
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -58,20 +58,23 @@ class SampleClock(Clock):
         self._tick_rate_hz = 1.0
         self._ticks = 0
         self._block_ticks: IntArray = np.empty(0, dtype=np.int64)  # Of the samples of the newest block, shape (n,).
+        self._even: IntArray = np.zeros(1, dtype=np.int64)  # Multiples of the regular step, as many as a block needed.
         self._unit_ticks = 1
         self._origin_s = 0.0
         self._shift_s = 0.0  # Added to even steps to follow the host clock, where there is neither time nor counter.
 
-    def push(self, block: RawBlock, arrivals: Arrivals) -> Samples | None:
+    def push(self, block: RawBlock, arrivals: Arrival | Arrivals) -> Samples | None:
         """Return the samples whose time is settled now, None if there are none.
 
         Parameters
         ----------
         block : RawBlock
-        arrivals : Arrivals
+        arrivals : Arrival or Arrivals
             Of the reads that this block comes from.
         """
         reads = arrivals.reads_of(block)
+        if self._started:
+            return self._emit(self._settle(block, reads)) if reads else None
         done: list[TimedBlock] = []
         begin = 0
         while not self._started and reads:
@@ -171,11 +174,63 @@ class SampleClock(Clock):
 
     def _time(self, block: RawBlock) -> TimedBlock:
         """Put one block on the clock."""
+        stamped = self._stamps.time(block.ticks, self._step_s) if self._has_time else None
+        return self._time_evenly(block, stamped) or self._time_with_gaps(block, stamped)
+
+    def _time_evenly(self, block: RawBlock, stamped: Stamped | None) -> TimedBlock | None:
+        """Put a block on the clock whose samples are all a regular step apart, as nearly always; None where they are not."""
+        if self._rule.gaps_told or np.count_nonzero(block.skipped_before):
+            return None
+        if self._has_counter and self._steps.step > self._rule.counter_modulus:
+            return None  # A step as long as a wrap stands still.
+        if stamped is not None and not self._stamps_go_on(stamped):
+            return None
+        if self._has_counter:
+            if not self._counter_goes_on(block.counter):
+                return None
+        elif stamped is None and (np.count_nonzero(block.lost_before) or not self._steps.are_regular(1.0, 1.0)):
+            return None
+        if stamped is None:
+            self._block_ticks = self._even_ticks(len(block)) + self._ticks
+            self._ticks = int(self._block_ticks[-1])
+        flags = np.zeros(len(block), dtype=np.uint32)
+        if not (self._has_time or self._has_counter):
+            flags.fill(Status.TIME_ESTIMATED)
+        return TimedBlock(
+            block=block,
+            time_s=self._time_of(self._block_ticks) if stamped is None else stamped.time_s,
+            flags=flags,
+            fault=np.zeros(len(block), dtype=np.bool_),
+            arrival_s=math.nan,
+        )
+
+    def _stamps_go_on(self, stamped: Stamped) -> bool:
+        """Whether all steps of the time stamps are regular, or do not show that a counter beside them went round."""
+        if stamped.range_s is None:
+            return False
+        lowest_s, highest_s = stamped.range_s
+        return not self._shows_wraps(highest_s) if self._has_counter else self._steps.are_regular(lowest_s, highest_s)
+
+    def _counter_goes_on(self, counter: IntArray) -> bool:
+        """Whether a counter makes nothing but regular steps; if it does, they are taken note of."""
+        step, modulus = self._steps.step, self._rule.counter_modulus
+        if not every((self._even_ticks(len(counter)) + self._last_counter) % modulus == counter):
+            return False
+        self._last_counter = int(counter[-1])
+        return self._steps.are_regular(step, step)
+
+    def _even_ticks(self, n: int) -> IntArray:
+        """Return the ticks from the sample before to each of the next n if all are a regular step apart, shape (n,)."""
+        step = int(self._steps.step)
+        if len(self._even) < n or self._even[0] != step:
+            self._even = step * np.arange(1, n + 1, dtype=np.int64)
+        return self._even[:n]
+
+    def _time_with_gaps(self, block: RawBlock, stamped: Stamped | None) -> TimedBlock:
         flags = np.zeros(len(block), dtype=np.uint32)
         ticks = self._counter_steps(block) if self._has_counter else block.lost_before + 1
         steps = ticks.astype(np.float64)
-        if self._has_time:
-            stamped = self._stamps.time(block.ticks, self._step_s)
+        if stamped is not None:
             time_s = stamped.time_s
             flags[stamped.reset] |= np.uint32(Status.GAP_ESTIMATED)
             self._statistics.clock_resets += int(np.count_nonzero(stamped.reset))
@@ -221,6 +276,11 @@ class SampleClock(Clock):
         wraps = np.maximum(np.rint((expected - steps) / self._rule.counter_modulus), 0)
         return np.asarray(steps + wraps * self._rule.counter_modulus)
 
+    def _shows_wraps(self, step_s: float) -> bool:
+        """Whether the time to a regular step of a counter shows that it went round meanwhile, as ``_add_wraps``."""
+        expected = step_s / self._stamped_step_s * self._steps.step if self._stamped_step_s > 0 else 0.0
+        return round((expected - self._steps.step) / self._rule.counter_modulus) > 0
+
     def _settle(self, block: RawBlock, reads: list[tuple[int, float]]) -> list[TimedBlock]:
         """Put a block on the clock; return what is settled now. ``reads`` has the last row and arrival of each read."""
         timed = self._time(block)
@@ -263,11 +323,11 @@ class SampleClock(Clock):
     def _emit(self, done: list[TimedBlock]) -> Samples | None:
         if not done:
             return None
-        time_s = np.concatenate([each.time_s for each in done]) if len(done) > 1 else done[0].time_s
-        block = join([each.block for each in done])
-        flags = np.concatenate([each.flags for each in done]) if len(done) > 1 else done[0].flags
         self._measure()
-        return self._timed(block, time_s, flags)
+        if len(done) == 1:
+            return self._timed(done[0].block, done[0].time_s, done[0].flags)
+        time_s, flags = np.concatenate([each.time_s for each in done]), np.concatenate([each.flags for each in done])
+        return self._timed(join([each.block for each in done]), time_s, flags)
 
     def _following_host(self, released: list[TimedBlock]) -> list[TimedBlock]:
         """Return blocks with the time they get; at once, as the line of arrivals is another after the next read."""

@@ -17,7 +17,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.acquire.clock.clock import Arrivals, Clock, filled_in
+from imufield.acquire.clock.clock import Arrival, Arrivals, Clock, filled_in
 from imufield.acquire.decode.assembly import NO_TICKS, RawBlock, Ticks, join
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
@@ -93,6 +93,14 @@ class StepRule:
             at = until
         return Steps(lost, irregular, inexact)
 
+    def are_regular(self, lowest: float, highest: float) -> bool:
+        """Whether all steps between these two are regular; if they are, they count as examined."""
+        limit = self._jitter if self._allowed else 2 * _TOLERANCE * self.step
+        regular = self.step > 0 and abs(lowest - self.step) <= limit and abs(highest - self.step) <= limit
+        if regular:
+            self._run_length = 0
+        return regular
+
     def _relearn(self, steps: FloatArray, odd_at: IntArray) -> tuple[int, bool]:
         """Return behind which of the steps another one becomes regular, and True; their number and False if none does."""
         previous = -1 if self._run_length else -2
@@ -127,6 +135,8 @@ class Stamped:
     """Time since the sample before; the regular step where the clock was set anew. Shape (n,)."""
     reset: NDArray[np.bool_]
     """Where the time stamp ran backwards or leapt ahead. Shape (n,)."""
+    range_s: tuple[float, float] | None = None
+    """The shortest and the longest step; None where the stamp did not only go forward."""
 
 
 class StampClock:
@@ -168,6 +178,25 @@ class StampClock:
         regular_s : float
             Step to assume where the instrument's clock was set anew, s.
         """
+        return self._time_forward(stamps) or self._time_with_jumps(stamps, regular_s)
+
+    def _time_forward(self, stamps: Ticks) -> Stamped | None:
+        """Return the time of stamps that only go forward, nearly always; None where they do not."""
+        # Of whole numbers the first is enough: what stands for none is the least of all and would make a step back.
+        if not every(self._good(stamps[:1] if stamps.dtype.kind == "i" else stamps)):
+            return None
+        wrapped = stamps + np.array([self._wraps]) * self._modulus if self._wraps else stamps
+        raw_s: FloatArray = np.divide(wrapped, self._ticks_per_s, dtype=np.float64)
+        step_s = steps_between(raw_s, self._raw_s)
+        time_s = raw_s + self._offset_s if self._offset_s else raw_s
+        lowest_s, highest_s = step_s.item(step_s.argmin()), step_s.item(step_s.argmax())
+        # A wrap and a clock set anew make a step that is negative or very long.
+        if not 0 <= lowest_s <= highest_s <= self._longest_pause_s or time_s[0] < self._time_s:
+            return None
+        self._last, self._raw_s, self._time_s = stamps[-1].item(), raw_s.item(-1), time_s.item(-1)
+        return Stamped(time_s, step_s, np.zeros(len(stamps), dtype=np.bool_), (lowest_s, highest_s))
+
+    def _time_with_jumps(self, stamps: Ticks, regular_s: float) -> Stamped:
         stamps = self._unwrap(self._without_garbage(stamps))
         raw_s: FloatArray = np.divide(stamps, self._ticks_per_s, dtype=np.float64)
         step_s = steps_between(raw_s, self._raw_s)
@@ -184,13 +213,17 @@ class StampClock:
 
     def _without_garbage(self, stamps: Ticks) -> Ticks:
         """Replace what is no time by the stamp before: such a sample has no time of its own."""
-        is_whole = stamps.dtype.kind == "i"
-        good = stamps != NO_TICKS if is_whole else np.abs(stamps) < _LARGEST_TIME_S * self._ticks_per_s
+        good = self._good(stamps)
         if not every(good):
             stamps = np.concatenate([np.array([self._last], dtype=stamps.dtype), stamps])
             place = np.maximum.accumulate(np.where(np.append(True, good), np.arange(len(stamps)), 0))
             stamps = stamps[place][1:]
         return stamps
+
+    def _good(self, stamps: Ticks) -> NDArray[np.bool_]:
+        """Return which are times, shape (n,)."""
+        is_whole = stamps.dtype.kind == "i"
+        return np.asarray(stamps != NO_TICKS if is_whole else np.abs(stamps) < _LARGEST_TIME_S * self._ticks_per_s)
 
     def _unwrap(self, stamps: Ticks) -> Ticks:
         """Add a wrap wherever a stamp is more than half a wrap behind the one before."""
@@ -223,7 +256,7 @@ class DeviceClock(Clock):
         self._started = False
         self._last = 0.0
 
-    def push(self, block: RawBlock, arrivals: Arrivals) -> Samples | None:  # noqa: ARG002  the instrument tells the time
+    def push(self, block: RawBlock, arrivals: Arrival | Arrivals) -> Samples | None:  # noqa: ARG002  the instrument tells the time
         """Return the samples whose time is settled now, None if there are none."""
         if self._started:
             return self._time(block)

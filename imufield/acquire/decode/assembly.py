@@ -13,7 +13,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from operator import attrgetter
+from functools import reduce
+from operator import attrgetter, or_
 from typing import Protocol
 
 import numpy as np
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 
 from imufield.acquire.protocol.frame_schema import JoinRule
 from imufield.acquire.protocol.layout import MessageValue
-from imufield.samples import INSTRUMENT_STATUS_SHIFT, FloatArray, IntArray
+from imufield.samples import INSTRUMENT_STATUS_SHIFT, FloatArray, IntArray, unknown
 
 Flags = NDArray[np.bool_]
 Message = Mapping[str, MessageValue]
@@ -33,7 +34,8 @@ Ticks = NDArray[np.int64 | np.float64]
 
 NO_TICKS = np.iinfo(np.int64).min
 """Time stamp of a sample that has none, where others have whole numbers; NaN where others have fractions."""
-_ABSENT = np.empty(0)
+ABSENT = np.empty(0)
+"""What the wire does not have."""
 _ABSENT_COUNTS = np.empty(0, dtype=np.int64)
 NO_FRAME = -1
 """Place of a frame that is missing."""
@@ -53,19 +55,19 @@ class RawBlock:
     """As sent; ``NO_COUNTER`` where there is none. Shape (n,)."""
     status: NDArray[np.uint32]
     """Shape (n,)."""
-    ticks: Ticks = field(default_factory=lambda: _ABSENT)
+    ticks: Ticks = field(default_factory=lambda: ABSENT)
     """Time stamp of the instrument as sent. Shape (n,), or (0,) where the protocol has none."""
-    stamp_s: FloatArray = field(default_factory=lambda: _ABSENT)
+    stamp_s: FloatArray = field(default_factory=lambda: ABSENT)
     """Time stamp that the host or the adapter gave to the frame the sample begins with. Shape (n,), of a bus only."""
     lost_before: IntArray = field(default_factory=lambda: _ABSENT_COUNTS)
     """Samples known to be lost just before this one, whatever the counter says (bad lines). Shape (n,), not of a bus."""
-    skipped_before: FloatArray = field(default_factory=lambda: _ABSENT)
+    skipped_before: FloatArray = field(default_factory=lambda: ABSENT)
     """Bytes passed over just before this sample, as a number of samples. Shape (n,), not of a bus."""
     stream_end: IntArray = field(default_factory=lambda: _ABSENT_COUNTS)
     """Offset in the stream just behind the last byte that must be there to know this sample. Shape (n,), not of a bus."""
 
-    sensor_temperature_degc: FloatArray = field(default_factory=lambda: _ABSENT)
-    """Of the thermometers of the axes, shape (n, 6), or (0,) where the protocol has none."""
+    sensor_temperature_degc: FloatArray = field(default_factory=lambda: ABSENT)
+    """Of the thermometers of the axes, shape (n, 6), or (0,) where no frame has any."""
 
     def __len__(self) -> int:
         return len(self.status)
@@ -82,9 +84,12 @@ def join(blocks: Sequence[RawBlock]) -> RawBlock:
     """Join at least one block."""
     if len(blocks) == 1:
         return blocks[0]
-    # Of one wire: what the first block lacks no other has.
-    columns = zip(*map(_parts_of, blocks), strict=True)
-    return RawBlock(*[np.concatenate(parts) if len(parts[0]) else parts[0] for parts in columns])
+    *columns, own_degc = map(list, zip(*map(_parts_of, blocks), strict=True))
+    # Frames of some kinds only have the temperatures of the axes.
+    if any(part.ndim > 1 for part in own_degc):
+        own_degc = [part if part.ndim > 1 else unknown((len(block), 6)) for part, block in zip(own_degc, blocks, strict=True)]
+    # Of one wire: what else the first block lacks no other has.
+    return RawBlock(*[np.concatenate(parts) if len(parts[0]) else parts[0] for parts in (*columns, own_degc)])
 
 
 class Source(Protocol):
@@ -119,6 +124,11 @@ def frame_table(kinds: NDArray[np.signedinteger], sample: IntArray, places: IntA
 def instrument_bits(raw: IntArray, shift: int) -> NDArray[np.uint32]:
     """Return a status field of the instrument as the upper bits of a sample's status. Shape (n,)."""
     return ((raw << (INSTRUMENT_STATUS_SHIFT + shift)) & 0xFFFF0000).astype(np.uint32)
+
+
+def _filled(values: FloatArray, others: FloatArray) -> FloatArray:
+    """Return values, those of others where there are none."""
+    return np.where(np.isnan(values), others, values)
 
 
 class FrameJoin:
@@ -169,6 +179,60 @@ class FrameJoin:
         lost = self._count_lost(begun, behind_gap, complete)
         return self._samples(block, rows[complete], lost) if complete.any() else None
 
+    def add_cycles(self, numbers: Sequence[int], parts: Sequence[RawBlock], has: Sequence[tuple[bool, ...]]) -> RawBlock | None:
+        """Return the same as ``add`` for frames whose kinds come one after the other, again and again, and nothing between.
+
+        Parameters
+        ----------
+        numbers : sequence of int
+            Number of the kind of each of the first frames, which the others repeat.
+        parts : sequence of RawBlock
+            The frames of each of these kinds.
+        has : sequence of tuple of bool
+            Whether each of these kinds has acceleration, rate and temperature at all.
+        """
+        begin = numbers.index(self._start)
+        cycle = [*numbers[begin:], *numbers[:begin]]
+        open_kinds: list[int] = [] if self._open is None else self._open[0].tolist()
+        if self._lost or [*open_kinds, *numbers][: len(cycle)] != cycle:
+            # In the order of the stream again: the first frames stand as the kinds do.
+            places = [place + len(numbers) * np.arange(len(part)) for place, part in enumerate(parts)]
+            order = np.argsort(np.concatenate(places))
+            return self.add(np.repeat(numbers, [len(part) for part in parts])[order], join(parts)[order])
+        by_kind = dict(zip(numbers, parts, strict=True))
+        if self._open is not None:
+            kept = self._open[1]
+            by_kind |= {kind: join([kept[row : row + 1], by_kind[kind]]) for row, kind in enumerate(open_kinds)}
+        count = len(by_kind[cycle[-1]])
+        still_open = [kind for kind in cycle if len(by_kind[kind]) > count]
+        self._open = (np.array(still_open), join([by_kind[kind][count:] for kind in still_open])) if still_open else None
+        self._was_complete = not still_open
+        if still_open:
+            by_kind = {kind: part[:count] for kind, part in by_kind.items()}
+        return self._samples_of(by_kind, dict(zip(numbers, has, strict=True)), cycle) if count else None
+
+    def _samples_of(self, by_kind: dict[int, RawBlock], has: dict[int, tuple[bool, ...]], cycle: list[int]) -> RawBlock:
+        """Return one sample for each row of the kinds; as ``_samples``, but what a kind never has is not looked at."""
+        first = by_kind[self._start]
+        kinds = sorted(by_kind, key=lambda kind: (kind != self._start, kind))
+
+        def first_that_has(column: int, name: str) -> FloatArray:
+            there = [getattr(by_kind[kind], name) for kind in kinds if has[kind][column]]
+            return reduce(_filled, there or [getattr(first, name)])
+
+        return RawBlock(
+            accelerometer=first_that_has(0, "accelerometer"),
+            gyroscope=first_that_has(1, "gyroscope"),
+            temperature_degc=first_that_has(2, "temperature_degc"),
+            counter=first.counter,
+            status=reduce(or_, [part.status for part in by_kind.values()]),
+            ticks=first.ticks,
+            lost_before=first.lost_before,
+            skipped_before=first.skipped_before,
+            stream_end=by_kind[cycle[-1]].stream_end,
+            sensor_temperature_degc=first.sensor_temperature_degc,
+        )
+
     def _count_lost(self, begun: Flags, behind_gap: Flags, complete: Flags) -> IntArray:
         """Return how many samples were lost before each complete one, and keep the count of those behind the last."""
         state = complete.copy()
@@ -192,7 +256,7 @@ class FrameJoin:
         for kind in range(len(self.kinds)):
             if kind != self._start:
                 own = rows[:, kind]
-                values = {name: np.where(np.isnan(value), getattr(block, name)[own], value) for name, value in values.items()}
+                values = {name: _filled(value, getattr(block, name)[own]) for name, value in values.items()}
                 status = status | block.status[own]
         return replace(
             first,

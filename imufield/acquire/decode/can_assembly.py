@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from imufield.acquire.decode.assembly import NO_FRAME, frame_table
 from imufield.acquire.protocol.can_protocol import AssemblyRule
-from imufield.samples import FloatArray, IntArray
+from imufield.samples import FloatArray, IntArray, every
 
 _LEARN_FRAMES = 24  # Frames of sample kinds from which the order is learned; 0.12 s of two messages at 100 Hz.
 # The same, and the longest time, where the kinds come at different rates: a kind with every tenth sample comes eight times.
@@ -196,11 +196,11 @@ class Assembler:
         times = frames.time_s.reshape(-1, self._kinds)
         if (
             len(set(cycle.tolist())) < self._kinds
-            or not (frames.kind.reshape(-1, self._kinds) == cycle).all()
-            or (times - times[:, :1]).max() > self._limit_s
+            or not every(frames.kind[self._kinds :] == frames.kind[: -self._kinds])
+            or not every(times - times[:, :1] <= self._limit_s)
         ):
             return None
-        return np.arange(n).reshape(-1, self._kinds)[:, np.argsort(cycle)]
+        return np.arange(n).reshape(-1, self._kinds)[:, cycle.argsort()]
 
     def _settled(self, rows: IntArray, frames: SampleFrames) -> int:
         """Return how many samples nothing can be added to: all but the last, and that too if it is complete or too old."""

@@ -7,6 +7,7 @@ they are read, not joined afterwards as those of serial frames are: on a bus eve
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -265,6 +266,11 @@ class _KindReader:
         self.mask = np.uint32(kind.message.mask)
         self.can_id = np.uint32(kind.message.can_id)
         self._columns = [(each, min((code.low for code in each.signal.codes), default=None)) for each in kind.columns]
+        # Acceleration and rate have three columns each, if any.
+        threes = (self._columns[at : at + 3] for at in range(0, len(self._columns) - 2, 3))
+        self._triads = [triad for columns in threes if (triad := _Triad.of(columns))]
+        together = {column.place for triad in self._triads for column in triad.columns}
+        self._others = [each for each in self._columns if each[0].place not in together]
         self._flag_tables, self._flags = _flag_tables(kind.flags)
 
     def data(self, frames: CanFrames, which: IntArray) -> NDArray[np.uint8]:
@@ -291,8 +297,10 @@ class _KindReader:
             Leave counter and time out.
         """
         kind, status = self.kind, into.status
-        has_gaps = False
-        for column, lowest_code in self._columns:
+        has_gaps, columns = False, self._columns
+        if isinstance(rows, slice) and all(triad.read(data, into) for triad in self._triads):
+            columns = self._others
+        for column, lowest_code in columns:
             has_gaps |= _read_column(column, lowest_code, data, into, rows)
         for at, table in self._flag_tables:
             status[rows] |= table[data[:, at]]
@@ -307,6 +315,55 @@ class _KindReader:
         if kind.time is not None:
             into.ticks[rows] = kind.time.raw(data).astype(np.float64)
         return has_gaps
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Triad:
+    """Three signals one behind another, whole numbers of one type, which are read at once."""
+
+    columns: list[Column]
+    begin: int
+    number_type: np.dtype[np.number]
+    factors: FloatArray
+    offsets: FloatArray
+    lowest_code: float
+    """Smallest number that is no value of one of them."""
+
+    @classmethod
+    def of(cls, columns: list[tuple[Column, float | None]]) -> _Triad | None:
+        """Return a reader for three columns, None where they do not stand so."""
+        signals = [column.signal for column, _ in columns]
+        first, kind = signals[0], signals[0].number_type
+        size = first.length // 8
+        stands = [
+            (signal.number_type, signal.first_byte, column.place)
+            == (kind, first.first_byte + size * at, columns[0][0].place + at)
+            for at, ((column, _), signal) in enumerate(zip(columns, signals, strict=True))
+        ]
+        # An offset of 0 that is added turns -0.0 into 0.0.
+        has_offsets = {bool(column.offset) for column, _ in columns}
+        if kind is None or first.is_float or not all(stands) or len(has_offsets) > 1:
+            return None
+        return cls(
+            columns=[column for column, _ in columns],
+            begin=first.first_byte,
+            number_type=np.dtype(kind),
+            factors=np.array([[column.factor] for column, _ in columns]),
+            offsets=np.array([[column.offset] for column, _ in columns]),
+            lowest_code=min((lowest for _, lowest in columns if lowest is not None), default=math.inf),
+        )
+
+    def read(self, data: NDArray[np.uint8], into: Rows) -> bool:
+        """Write the values of all frames; False where some may be none, and nothing is read."""
+        raw = data[:, self.begin : self.begin + 3 * self.number_type.itemsize].view(self.number_type)
+        if len(raw) and raw.max() >= self.lowest_code:
+            return False
+        place = self.columns[0].place
+        out = into.values[place : place + 3]
+        np.multiply(raw.T, self.factors, out=out)
+        if self.offsets.any():
+            out += self.offsets
+        return True
 
 
 def _read_column(

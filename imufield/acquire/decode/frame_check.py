@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from imufield.acquire.protocol.frame_forms import MORE, NONE, FrameForm, LengthRule, Shape
 from imufield.acquire.protocol.frame_schema import FrameRule
-from imufield.acquire.protocol.layout import Layout, Rows
+from imufield.acquire.protocol.layout import Frames, Layout, Numbers, Rows
 from imufield.samples import every
 
 Bytes = NDArray[np.uint8]
@@ -23,12 +24,14 @@ NO_SHAPE = -1
 _SHAPES_TRIED = 16  # Known shapes that are compared with many frames at once; an instrument sends one to ten of one length.
 _SHAPES_KEPT = 1024
 _GROUPS_OF_LENGTHS = 8  # Frames of so many lengths are checked length by length; more (candidates in noise) all at once.
+_LONGEST_CYCLE = 8  # Frames after which an instrument begins anew with the first kind.
 _FEW = 256  # Numbers up to which a set is faster than a sort.
 # Bytes of frames of many lengths checked together: bounds memory to some 20 MB, 40 bytes for each.
 _BYTES_CHECKED_AT_ONCE = 1 << 19
 _LENGTH_BITS = 17
 _LENGTH_MASK = (1 << _LENGTH_BITS) - 1
 _KEY_BITS = 32
+_NUMBER_SIZES = (1, 2, 4, 8)
 
 
 class FormCheck:
@@ -49,7 +52,12 @@ class FormCheck:
             # Length of a frame by its key of one byte, 0 where there is no such key: a look-up in place of a search.
             self._by_byte = np.zeros(256, dtype=np.intp)
             self._by_byte[self._keys] = self._lengths
+        self._tail = form.tail
         self._shortest = form.header + form.tail
+        self._checksum = form.checksum
+        # The type of number that the checksum is sent as; None where NumPy has none of that size.
+        size = form.checksum.size if form.checksum else 0
+        self._checksum_kind = np.dtype(f"{'>' if form.checksum_big_endian else '<'}u{size}") if size in _NUMBER_SIZES else None
 
     def matches(self, buffer: Bytes, starts: Positions) -> NDArray[np.bool_]:
         """Return where the sync bytes stand, as far as the buffer reaches. Shape (n,)."""
@@ -99,10 +107,13 @@ class FormCheck:
 
     def are_alike(self, rows: Rows) -> bool:
         """Whether all rows have the header of the first one, and so its key and its length; False where that is not simple."""
-        rule, header = self.form.length, self.form.header
-        if rule is not None and 0 <= rule.extended_when <= rows.shape[1] - rule.add:
-            return False
-        return every(rows[:, :header] == rows[0, :header])
+        header = self.form.header
+        return self.has_plain_length(rows.shape[1]) and every(rows[:, :header] == rows[0, :header])
+
+    def has_plain_length(self, length: int) -> bool:
+        """Whether the header of frames of this length tells all of it."""
+        rule = self.form.length
+        return rule is None or not 0 <= rule.extended_when <= length - rule.add
 
     def same_length(self, rows: Rows) -> NDArray[np.bool_]:
         """Return which rows have a header that gives them the length they have, shape (n,)."""
@@ -121,20 +132,25 @@ class FormCheck:
                 same &= rows[:, offset] == rows[0, offset]
         return same
 
-    def fits(self, rows: Rows) -> NDArray[np.bool_]:
+    def fits(self, frames: Frames) -> NDArray[np.bool_]:
         """Return which frames of one length have the checksum and the last bytes they must, shape (n,)."""
-        form = self.form
-        until = rows.shape[1] - len(form.end)
-        if form.checksum is None:
-            good = np.ones(len(rows), dtype=np.bool_)
-        elif (at := until - form.checksum.size) <= form.checksum_from:
-            return np.zeros(len(rows), dtype=np.bool_)
-        else:
-            expected = form.checksum.of_rows(rows[:, form.checksum_from : at])
-            good = expected == _numbers_of_rows(rows[:, at:until], form.checksum_big_endian)
-        for offset, byte in enumerate(form.end):
-            good &= rows[:, until + offset] == byte
+        good = self.sums_fit(frames)
+        for offset, byte in enumerate(self.form.end, frames.length - len(self.form.end)):
+            good &= frames.rows[:, offset] == byte
         return good
+
+    def sums_fit(self, frames: Frames) -> NDArray[np.bool_]:
+        """Return which frames of one length have the checksum they must, shape (n,)."""
+        checksum, begin, end = self._checksum, self.form.checksum_from, frames.length - self._tail
+        if checksum is None:
+            return np.ones(frames.count, dtype=np.bool_)
+        if end <= begin:
+            return np.zeros(frames.count, dtype=np.bool_)
+        if self._checksum_kind is None:
+            sent: Numbers = _numbers_of_rows(frames.columns(end, end + checksum.size), self.form.checksum_big_endian)
+        else:
+            sent = frames.numbers(self._checksum_kind, end, 1, 0)
+        return np.asarray(checksum.of_rows(frames.columns(begin, end)) == sent)
 
     def fit_spans(self, buffer: Bytes, starts: Positions, lengths: Positions) -> NDArray[np.bool_]:
         """Return the same as ``fits`` for frames of many lengths."""
@@ -183,6 +199,39 @@ class FormCheck:
         return found
 
 
+@dataclass(slots=True, kw_only=True)
+class Stencil:
+    """What frames one behind another have in common, of one length and of shapes in cycles: all are recognised at once."""
+
+    form: FormCheck
+    shapes: tuple[int, ...]
+    """Of frames one behind another, again and again: k of them."""
+    length: int
+    step: int
+    """Bytes from one frame to the next, the trailer behind each included."""
+    mask: Bytes
+    """255 where bytes stand that are known, to the last of them; 0 elsewhere. Shape (m,)."""
+    values: Bytes
+    """Those bytes; 0 elsewhere. Shape (k, m)."""
+    repeated: bytes = b""
+    """The same, as often as there were frames at once."""
+
+    def fits(self, frames: Frames, place: int) -> bool:
+        """Tell whether all of these frames are good, of these shapes from a place of the cycle on, and have their trailers."""
+        size = len(self.mask)
+        begin, end = place * size, (place + frames.count) * size
+        if len(self.repeated) < end:
+            self.repeated = self.values.tobytes() * (frames.count // len(self.shapes) + 2)
+        # As bytes, which are compared at half of the price of arrays.
+        known = (frames.columns(0, size) & self.mask).tobytes()
+        return known == self.repeated[begin:end] and every(self.form.sums_fit(frames))
+
+    def may_become(self, rest: Bytes, place: int) -> bool:
+        """Tell whether these bytes are the beginning of one more such frame, of that place of the cycle."""
+        known = min(len(rest), len(self.mask))
+        return len(rest) < self.length and every(rest[:known] & self.mask[:known] == self.values[place, :known])
+
+
 class FrameCheck:
     """Decides for all forms of a protocol.
 
@@ -204,11 +253,13 @@ class FrameCheck:
         """Return the layout of a shape."""
         return self._shapes[number].layout
 
-    def forget(self) -> None:
-        """Drop known shapes if there are too many, which only noise makes. Numbers given before are void then."""
-        if len(self._shapes) > _SHAPES_KEPT:
+    def forget(self) -> bool:
+        """Drop known shapes if there are too many, which only noise makes; tell so. Numbers given before are void then."""
+        is_full = len(self._shapes) > _SHAPES_KEPT
+        if is_full:
             self._shapes.clear()
             self._families.clear()
+        return is_full
 
     def candidates(self, buffer: Bytes, positions: Positions) -> Positions:
         """Return those positions whose first byte can begin a frame."""
@@ -256,17 +307,17 @@ class FrameCheck:
         judged[complete] = np.where(fitting, VALID, INVALID)
         return judged
 
-    def rows_fit(self, rows: Rows) -> tuple[NDArray[np.bool_], int]:
+    def run_fits(self, frames: Frames) -> tuple[NDArray[np.bool_], int]:
         """Return which frames of one length are good, shape (n,), and the shape they have in common.
 
         Where parts of frames may differ, a good frame has the key and the shape of the first one. Elsewhere there are several
         shapes if keys differ, and ``NO_SHAPE`` is returned.
         """
-        row = rows[0].tobytes()
-        form = next(form for form in self._forms if row.startswith(form.form.sync))
+        rows = frames.rows
+        form = self._form_of_row(rows[0])
         # The usual case: one comparison of the headers tells of their lengths and their keys.
         alike = form.are_alike(rows)
-        good = form.fits(rows) if alike else form.fits(rows) & form.same_length(rows)
+        good = form.fits(frames) if alike else form.fits(frames) & form.same_length(rows)
         number = NO_SHAPE
         if form.form.has_structure:
             number = self._shape_of_first(form, rows)
@@ -278,6 +329,35 @@ class FrameCheck:
         elif good[0] and (alike or every(form.have_first_key(rows))):
             number = self._shape_of_first(form, rows)
         return good, number
+
+    def stencil(self, frames: Frames, shapes: NDArray[np.int64], trailer: bytes) -> Stencil | None:
+        """Return what recognises more frames like these, whose shapes come in cycles; None where they do not."""
+        rows = frames.rows
+        header = self._form_of_row(rows[0]).form.header
+        size = cycle_length(shapes)
+        if not size or not every(rows[size:, :header] == rows[:-size, :header]):
+            return None
+        return self.stencil_of(rows[:size], tuple(shapes[:size].tolist()), trailer)
+
+    def stencil_of(self, rows: Rows, shapes: tuple[int, ...], trailer: bytes) -> Stencil | None:
+        """Return what recognises these frames again, one of each shape; None where their headers do not tell enough."""
+        form, length = self._form_of_row(rows[0]), rows.shape[1]
+        if not form.has_plain_length(length):
+            return None
+        mask = np.zeros(length + len(trailer), dtype=np.uint8)
+        # Frames of one length whose parts differ have one shape, if they are good at all.
+        structure = self._shapes[shapes[0]].mask
+        mask[: len(structure)] = structure
+        mask[: form.form.header] = mask[length - len(form.form.end) :] = 255
+        trailers = np.tile(np.frombuffer(trailer, dtype=np.uint8), (len(rows), 1))
+        values = np.bitwise_and(np.hstack([rows, trailers]), mask)
+        size = int(np.flatnonzero(mask)[-1]) + 1 if mask.any() else 0
+        return Stencil(form=form, shapes=shapes, length=length, step=len(mask), mask=mask[:size], values=values[:, :size])
+
+    def _form_of_row(self, row: Bytes) -> FormCheck:
+        """Return the form of one whole frame."""
+        first = row.tobytes()
+        return next(form for form in self._forms if first.startswith(form.form.sync))
 
     def _shape_of_first(self, form: FormCheck, rows: Rows) -> int:
         """Return the shape of the first of several frames of one length, ``NO_SHAPE`` where its parts do not add up."""
@@ -304,8 +384,8 @@ class FrameCheck:
                 continue
             for length in different:
                 group = mine if len(different) == 1 else mine[ordered == length]
-                rows = rows_at(buffer, starts[group], length)
-                fitting = form.fits(rows)
+                frames = frames_at(buffer, starts[group], length)
+                rows, fitting = frames.rows, form.fits(frames)
                 if every(fitting) and (form.are_alike(rows) or every(form.have_first_key(rows))):
                     found[group] = self._match(form, self._family(form, rows), rows)
                 else:
@@ -322,7 +402,7 @@ class FrameCheck:
             for family in distinct(families):
                 group = mine[families == family]
                 known = () if form.form.has_structure else self._families.get(family, ())
-                found[group] = known or self._match(form, family, rows_at(buffer, starts[group], family & _LENGTH_MASK))
+                found[group] = known or self._match(form, family, frames_at(buffer, starts[group], family & _LENGTH_MASK).rows)
         return found
 
     def _by_form(self, buffer: Bytes, starts: Positions) -> Iterator[tuple[FormCheck, Positions]]:
@@ -381,6 +461,12 @@ class FrameCheck:
         return self._next
 
 
+def cycle_length(shapes: NDArray[np.int64]) -> int:
+    """Return how many of the first shapes all others repeat; 0 where they do not."""
+    sizes = range(1, min(len(shapes) - 1, _LONGEST_CYCLE) + 1)
+    return next((size for size in sizes if every(shapes[size:] == shapes[:-size])), 0)
+
+
 def distinct(values: NDArray[np.signedinteger]) -> list[int]:
     """Return the different values of at least one number, ascending."""
     if every(values == values[0]):
@@ -388,18 +474,12 @@ def distinct(values: NDArray[np.signedinteger]) -> list[int]:
     return sorted(set(values.tolist())) if len(values) <= _FEW else np.unique(values).tolist()
 
 
-def rows_at(buffer: Bytes, starts: Positions, length: int) -> Rows:
-    """Return frames of one length as an array, shape (n, length): a view where they are evenly spaced."""
+def frames_at(buffer: Bytes, starts: Positions, length: int) -> Frames:
+    """Return frames of one length: where they stand if they are evenly spaced, else copied one behind another."""
     step = int(starts[1] - starts[0]) if len(starts) > 1 else length
     if step > 0 and (len(starts) < 3 or every(starts[1:] - starts[:-1] == step)):
-        return spaced_rows(buffer, int(starts[0]), step, (len(starts), length))
-    return spaced_rows(buffer, 0, 1, (len(buffer) - length + 1, length))[starts]
-
-
-def spaced_rows(buffer: Bytes, at: int, step: int, shape: tuple[int, int]) -> Rows:
-    """Return a view of frames of one length that stand ``step`` bytes apart from ``at`` on."""
-    # Bounds are checked, and it takes a tenth of the time of ``as_strided``.
-    return np.ndarray(shape, np.uint8, buffer, at, (step, 1))
+        return Frames(buffer, int(starts[0]), step, len(starts), length)
+    return Frames.of(Frames(buffer, 0, 1, len(buffer) - length + 1, length).rows[starts])
 
 
 def _have(rows: Rows, shape: Shape) -> NDArray[np.bool_]:
@@ -420,7 +500,7 @@ def _numbers(buffer: Bytes, at: Positions, size: int, big_endian: bool) -> NDArr
 def _numbers_of_rows(columns: Rows, big_endian: bool) -> NDArray[np.unsignedinteger]:
     """Return the number in each row of up to 8 bytes."""
     size = columns.shape[1]
-    if size in (1, 2, 4, 8):
+    if size in _NUMBER_SIZES:
         return columns.view(f"{'>' if big_endian else '<'}u{size}")[:, 0]
     value = np.zeros(len(columns), dtype=np.uint64)
     for index in range(size):

@@ -6,18 +6,22 @@ the stream. Frames that are no samples are handed out as messages.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import reduce
+from operator import or_
+
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.acquire.decode.assembly import NO_TICKS, FrameJoin, Keep, RawBlock, Ticks, instrument_bits, join
-from imufield.acquire.decode.frame_check import distinct, rows_at
-from imufield.acquire.decode.framing import FrameBlock, Framer
+from imufield.acquire.decode.assembly import ABSENT, NO_TICKS, FrameJoin, Keep, RawBlock, Ticks, instrument_bits, join
+from imufield.acquire.decode.frame_check import distinct, frames_at
+from imufield.acquire.decode.framing import EvenBlock, FrameBlock, Framer
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.frame_schema import FrameRule
-from imufield.acquire.protocol.layout import Field, Layout, Rows
+from imufield.acquire.protocol.layout import Field, FieldPair, Frames, Layout
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.protocol.samples_and_clock import NANOSECONDS, FlagRule
-from imufield.samples import LARGEST_OUTPUT, NO_COUNTER, FloatArray, IntArray, Status, every
+from imufield.samples import LARGEST_OUTPUT, NO_COUNTER, FloatArray, IntArray, Status, every, unknown
 
 _FAR = 2.0**62  # Bound on time stamps in ns, for bits that are no time.
 
@@ -39,6 +43,7 @@ class FrameSource:
         self._protocol = protocol
         self._join = FrameJoin(rule.join) if rule.join else None
         self._readers: dict[int, _FrameReader | None] = {}
+        self._cycles: dict[tuple[int, ...], _Cycle | None] = {}
         self._statistics = statistics
         self._keep = keep
 
@@ -50,12 +55,14 @@ class FrameSource:
         """Return what was kept back; nothing will follow."""
         return self._read(self._framer.feed(b"", last=True))
 
-    def _read(self, block: FrameBlock) -> RawBlock | None:
+    def _read(self, block: FrameBlock | EvenBlock) -> RawBlock | None:
         self._statistics.bytes_skipped = self._framer.bytes_skipped
         self._statistics.frames_bad_checksum = self._framer.frames_bad_checksum
         if len(block) == 0:
             return None
         self._statistics.frames += len(block)
+        if isinstance(block, EvenBlock) and (cycle := self._cycle(block.cycle)) is not None:
+            return self._read_even(block, cycle)
         keys = distinct(block.shapes)
         readers = {key: reader for key in keys if (reader := self._reader(key)) is not None}
         if len(readers) < len(keys):
@@ -85,14 +92,37 @@ class FrameSource:
             self._readers[key] = reader if reader is not None and reader.has_samples else None
         return self._readers[key]
 
-    def _read_kind(self, block: FrameBlock, reader: _FrameReader, which: NDArray[np.intp] | slice) -> RawBlock:
+    def _cycle(self, shapes: tuple[int, ...]) -> _Cycle | None:
+        """Return how frames are read whose shapes come in this cycle; None for those that are to be read kind by kind."""
+        if shapes not in self._cycles:
+            layouts = [self._framer.layout(shape) for shape in shapes]
+            readers = [(place, reader) for place, shape in enumerate(shapes) if (reader := self._reader(shape)) is not None]
+            numbers = [self._join.kinds.index(reader.kind) for _, reader in readers] if self._join else []
+            needed = len(readers) == 1 if self._join is None else sorted(numbers) == list(range(len(self._join.kinds)))
+            is_plain = needed and not any(layout.is_message for layout in layouts)
+            self._cycles[shapes] = _Cycle([layout.kind for layout in layouts], readers, numbers) if is_plain else None
+        return self._cycles[shapes]
+
+    def _read_even(self, block: EvenBlock, cycle: _Cycle) -> RawBlock | None:
+        each = [block.of_place(place) for place in range(len(block.cycle))]
+        for kind, frames in zip(cycle.kinds, each, strict=True):
+            self._statistics.count(kind, frames.count)
+        parts = [reader.read_even(each[place], block.origin) for place, reader in cycle.readers]
+        if self._join is None:
+            return parts[0]
+        return self._join.add_cycles(cycle.numbers, parts, [reader.has for _, reader in cycle.readers])
+
+    def _read_kind(self, block: FrameBlock | EvenBlock, reader: _FrameReader, which: NDArray[np.intp] | slice) -> RawBlock:
         starts = block.starts[which]
         self._statistics.count(reader.kind, len(starts))
-        rows = rows_at(block.data, starts, reader.length)
-        ends = np.maximum(starts + (block.origin + reader.length), block.seen_until[which])
-        return reader.read(rows, block.skipped_before[which], ends)
+        frames = frames_at(block.data, starts, reader.length)
+        skipped = np.zeros(len(starts)) if block.skipped_before is None else block.skipped_before[which] / reader.length
+        ends = starts + (block.origin + reader.length)
+        if block.seen_until is not None:
+            ends = np.maximum(ends, block.seen_until[which])
+        return reader.read(frames, skipped, ends)
 
-    def _read_others(self, block: FrameBlock, keys: list[int]) -> None:
+    def _read_others(self, block: FrameBlock | EvenBlock, keys: list[int]) -> None:
         """Count frames that are no samples; keep those that are messages, in the order of the stream."""
         layouts = {key: self._framer.layout(key) for key in keys}
         for key, layout in layouts.items():
@@ -104,6 +134,17 @@ class FrameSource:
             self._keep({"kind": layout.kind, **layout.describe(block.data[start : start + layout.length].tobytes())})
 
 
+@dataclass(frozen=True, slots=True)
+class _Cycle:
+    """Frames whose kinds come one after the other, again and again."""
+
+    kinds: list[str]
+    readers: list[tuple[int, _FrameReader]]
+    """Of those with samples, and the place of each in the cycle."""
+    numbers: list[int]
+    """Numbers of their kinds where they are joined."""
+
+
 class _FrameReader:
     """Reads the samples out of frames of one kind. Made once for each kind."""
 
@@ -111,59 +152,93 @@ class _FrameReader:
         rule = protocol.samples
         self.kind, self.length = layout.kind, layout.length
         self._triads = [_TriadReader(protocol, layout, part) for part in ("accelerometer", "gyroscope")]
+        temperatures = layout.fields_of(rule.temperature.fields)
+        self._temperature = temperatures[0] if temperatures else None
+        # Which of the values are there at all, in the order of a block.
+        self.has = (self._triads[0].is_whole, self._triads[1].is_whole, self._temperature is not None)
+        self._pair = _TriadPair.of(self._triads[0], self._triads[1], layout.length)
         self._may_be_garbage = any(field.type[0] == "f" for triad in self._triads for field in triad.fields)
         # False for frames that carry other things, e.g. a magnetometer alone.
         self.has_samples = any(triad.fields for triad in self._triads)
-        temperatures = layout.fields_of(rule.temperature.fields)
-        self._temperature = temperatures[0] if temperatures else None
         sensors = [rule.quantity(part).sensor_temperature for part in ("accelerometer", "gyroscope")]
-        # Empty where no kind of frame has any; a kind without them among others has NaN.
-        self._of_sensors = [layout.field(name) for name in sensors] if any(sensors) else []
+        self._of_sensors = [(place, field) for place, name in enumerate(sensors) if (field := layout.field(name))]
+        read = [*self._triads[0].fields, *self._triads[1].fields, *temperatures, *(field for _, field in self._of_sensors)]
+        self._has_fractions = any(field.type[0] == "f" for field in read)
         self._counter = layout.field(protocol.clock.counter_field)
         self._ticks = _TickReader(protocol, layout)
-        names = dict.fromkeys([flag.field for flag in rule.flags] + [name for name, _ in rule.instrument_status])
-        self._status = [
-            _StatusReader(field, [flag for flag in rule.flags if flag.field == name], dict(rule.instrument_status).get(name))
-            for name in names
-            if (field := layout.field(name)) is not None
-        ]
+        self._status = _StatusReader(protocol, layout)
 
-    def read(self, rows: Rows, skipped_before: IntArray, ends: IntArray) -> RawBlock:
-        """Return the samples of n frames, which are known at offsets ``ends`` of the stream."""
-        n = len(rows)
-        temperature_degc = np.full(n, np.nan)
-        with np.errstate(over="ignore", invalid="ignore"):
+    def read_even(self, frames: Frames, origin: int) -> RawBlock:
+        """Return the samples of frames with nothing passed over before them, in a buffer that stands there in the stream."""
+        end = origin + frames.at + self.length
+        ends = np.arange(end, end + frames.count * frames.step, frames.step, dtype=np.int64)
+        return self.read(frames, np.zeros(frames.count), ends)
+
+    def read(self, frames: Frames, skipped_before: FloatArray, ends: IntArray) -> RawBlock:
+        """Return the samples of n frames, known at ``ends`` of the stream; ``skipped_before`` counts bytes as frames."""
+        n = frames.count
+        if self._has_fractions:
             # Without a checksum any bits arrive as numbers; what is none is flagged below.
-            accelerometer, gyroscope = (triad.read(rows) for triad in self._triads)
-            if (field := self._temperature) is not None:
-                raw = field.raw(rows)
-                total: FloatArray = raw.astype(np.float64) if raw.ndim == 1 else raw.sum(axis=1, dtype=np.float64)
-                temperature_degc = total * (field.factor / field.count) + field.offset
-            own_degc = np.full((n, 6) if self._of_sensors else 0, np.nan)
-            for place, own in enumerate(self._of_sensors):
-                if own is not None:
-                    own_degc[:, 3 * place : 3 * place + 3] = own.raw(rows).reshape(n, -1) * own.factor + own.offset
-        status = np.zeros(n, dtype=np.uint32)
-        for reader in self._status:
-            status |= reader.read(rows)
+            with np.errstate(over="ignore", invalid="ignore"):
+                values = self._values(frames)
+        else:
+            values = self._values(frames)
+        accelerometer, gyroscope, temperature_degc, own_degc = values
+        status = self._status.read(frames)
         if self._may_be_garbage:
-            if not every(possible := np.abs(accelerometer) <= LARGEST_OUTPUT):
-                status[~possible.all(axis=1)] |= np.uint32(Status.ACCELEROMETER_INVALID)
-            if not every(possible := np.abs(gyroscope) <= LARGEST_OUTPUT):
-                # Three NaN of a gyroscope mean that there is none.
-                status[~possible.all(axis=1) & ~np.isnan(gyroscope).all(axis=1)] |= np.uint32(Status.GYROSCOPE_INVALID)
+            _flag_garbage(accelerometer, gyroscope, status)
         return RawBlock(
             accelerometer=accelerometer,
             gyroscope=gyroscope,
             temperature_degc=temperature_degc,
-            counter=np.full(n, NO_COUNTER) if self._counter is None else self._counter.raw(rows).astype(np.int64),
-            ticks=self._ticks.read(rows),
+            counter=np.full(n, NO_COUNTER) if self._counter is None else self._counter.raw(frames).astype(np.int64),
+            ticks=self._ticks.read(frames),
             status=status,
             lost_before=np.zeros(n, dtype=np.int64),
-            skipped_before=skipped_before / self.length,
+            skipped_before=skipped_before,
             stream_end=ends,
             sensor_temperature_degc=own_degc,
         )
+
+    def _values(self, frames: Frames) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return acceleration, rate, temperature and the temperatures of the axes."""
+        n = frames.count
+        accelerometer, gyroscope = (
+            [triad.read(frames) for triad in self._triads] if self._pair is None else self._pair.read(frames)
+        )
+        temperature_degc = unknown(n) if self._temperature is None else _degc(self._temperature, frames)
+        return accelerometer, gyroscope, temperature_degc, self._sensor_temperatures(frames) if self._of_sensors else ABSENT
+
+    def _sensor_temperatures(self, frames: Frames) -> FloatArray:
+        """Return what the thermometers of the axes show, shape (n, 6)."""
+        found = unknown((frames.count, 6))
+        for place, field in self._of_sensors:
+            found[:, 3 * place : 3 * place + 3] = field.raw(frames).reshape(frames.count, -1) * field.factor + field.offset
+        return found
+
+
+def _degc(field: Field, frames: Frames) -> FloatArray:
+    """Return a temperature, the mean of those in its field, shape (n,)."""
+    raw = field.raw(frames)
+    total: FloatArray = raw.astype(np.float64) if raw.ndim == 1 else raw.sum(axis=1, dtype=np.float64)
+    return total * (field.factor / field.count) + field.offset
+
+
+def _flag_garbage(accelerometer: FloatArray, gyroscope: FloatArray, status: NDArray[np.uint32]) -> None:
+    """Flag values that no instrument can have sent."""
+    if not _are_possible(accelerometer):
+        impossible = ~(np.abs(accelerometer) <= LARGEST_OUTPUT).all(axis=1)
+        status[impossible] |= np.uint32(Status.ACCELEROMETER_INVALID)
+    if not _are_possible(gyroscope):
+        # Three NaN of a gyroscope mean that there is none.
+        impossible = ~(np.abs(gyroscope) <= LARGEST_OUTPUT).all(axis=1)
+        status[impossible & ~np.isnan(gyroscope).all(axis=1)] |= np.uint32(Status.GYROSCOPE_INVALID)
+
+
+def _are_possible(values: FloatArray) -> bool:
+    """Whether an instrument can have sent all of these: the sum of the squares tells it, and otherwise each for itself."""
+    # A half leaves room for rounding.
+    return bool(np.vdot(values, values) < LARGEST_OUTPUT**2 / 2) or every(np.abs(values) <= LARGEST_OUTPUT)
 
 
 class _TriadReader:
@@ -172,41 +247,106 @@ class _TriadReader:
     def __init__(self, protocol: Protocol, layout: Layout, part: str) -> None:
         quantity = protocol.samples.quantity(part)
         self.fields = layout.fields_of(quantity.fields)
-        self._is_whole = sum(field.count for field in self.fields[:3]) >= 3
+        self.is_whole = sum(field.count for field in self.fields[:3]) >= 3
         self._factor = protocol.factor(part, self.fields[0]) if self.fields else 1.0
         # The scale that holds while status bits of the frame are set, relative to the usual one.
         when = quantity.scale_when
         self._when = None if when is None else layout.field(when.field)
         self._mask, self._ratio = (0, 1.0) if when is None else (when.mask, when.scale / quantity.scale)
 
-    def read(self, rows: Rows) -> FloatArray:
+    @property
+    def is_plain(self) -> bool:
+        """Whether it is one field that is only scaled."""
+        return self.is_whole and self.fields[0].count == 3 and not self.fields[0].offset and self._when is None
+
+    @property
+    def factor(self) -> float:
+        """From numbers as sent to SI units, where the field is only scaled."""
+        return self.fields[0].factor * self._factor
+
+    def read(self, frames: Frames) -> FloatArray:
         """Return the values in SI units, NaN where the frame has none. Shape (n, 3)."""
-        if not self._is_whole:
-            return np.full((len(rows), 3), np.nan)
+        if not self.is_whole:
+            return unknown((frames.count, 3))
         if self.fields[0].count == 3:
-            values = self._scaled(rows, self.fields[0])
+            values = self._scaled(frames, self.fields[0])
         else:
-            values = np.column_stack([self._scaled(rows, field) for field in self.fields])
+            values = np.column_stack([self._scaled(frames, field) for field in self.fields])
         if self._when is not None:
-            values[(self._when.raw(rows).astype(np.int64) & self._mask) != 0] *= self._ratio
+            values[(self._when.raw(frames).astype(np.int64) & self._mask) != 0] *= self._ratio
         return values
 
-    def _scaled(self, rows: Rows, field: Field) -> FloatArray:
-        values: FloatArray = np.multiply(field.raw(rows), field.factor * self._factor, dtype=np.float64)
+    def _scaled(self, frames: Frames, field: Field) -> FloatArray:
+        values: FloatArray = np.multiply(field.raw(frames), field.factor * self._factor, dtype=np.float64)
         return values + field.offset * self._factor if field.offset else values
 
 
+class _TriadPair:
+    """Reads acceleration and rate at once, where both are one field of three values of the same type."""
+
+    def __init__(self, fields: FieldPair, factors: tuple[float, float]) -> None:
+        self._fields = fields
+        self._factors = np.array(factors).reshape(2, 1, 1)
+
+    @classmethod
+    def of(cls, first: _TriadReader, second: _TriadReader, length: int) -> _TriadPair | None:
+        """Return a reader for the two, None where they are of different kinds."""
+        if not (first.is_plain and second.is_plain and FieldPair.fits(first.fields[0], second.fields[0], length)):
+            return None
+        return cls(FieldPair(first.fields[0], second.fields[0]), (first.factor, second.factor))
+
+    def read(self, frames: Frames) -> FloatArray:
+        """Return the values in SI units, shape (2, n, 3)."""
+        # Each triad in one piece of memory, as whoever works with them is faster so.
+        return np.asarray(np.multiply(self._fields.raw(frames), self._factors, dtype=np.float64, order="C"))
+
+
 class _StatusReader:
+    """Turns the status fields of frames into flags and instrument bits."""
+
+    def __init__(self, protocol: Protocol, layout: Layout) -> None:
+        rule = protocol.samples
+        shifts = dict(rule.instrument_status)
+        names = dict.fromkeys([flag.field for flag in rule.flags] + [name for name, _ in rule.instrument_status])
+        self._fields = [
+            _StatusField(field, [flag for flag in rule.flags if flag.field == name], shifts.get(name))
+            for name in names
+            if (field := layout.field(name)) is not None
+        ]
+        columns = [column for each in self._fields for column in range(each.field.at, each.field.at + each.field.size)]
+        self._begin, self._end = min(columns, default=0), max(columns, default=-1) + 1
+        self._mask = np.zeros(self._end - self._begin, dtype=np.uint8)
+        self._mask[np.array(columns, dtype=np.intp) - self._begin] = 255
+        self._usual, self._usual_bits = b"", np.uint32(0)
+
+    def read(self, frames: Frames) -> NDArray[np.uint32]:
+        """Return the status of n samples, shape (n,)."""
+        if not self._fields:
+            return np.zeros(frames.count, dtype=np.uint32)
+        sent = (frames.columns(self._begin, self._end) & self._mask).tobytes()
+        # A status seldom changes: those of a block are compared with the last one, all at once.
+        if sent == self._usual[: len(sent)]:
+            status = np.empty(frames.count, dtype=np.uint32)
+            status.fill(self._usual_bits)
+            return status
+        status = reduce(or_, [field.read(frames) for field in self._fields])
+        first = sent[: len(self._mask)]
+        if sent == (repeated := first * frames.count):
+            self._usual, self._usual_bits = repeated, status[0]
+        return status
+
+
+class _StatusField:
     """Turns one status field into flags and instrument bits; by table where the field is a byte."""
 
     def __init__(self, field: Field, flags: list[FlagRule], shift: int | None) -> None:
-        self._field = field
+        self.field = field
         self._flags = flags
         self._shift = shift
         self._table = self._translate(np.arange(256)) if field.size == 1 else None
 
-    def read(self, rows: Rows) -> NDArray[np.uint32]:
-        raw = self._field.raw(rows)
+    def read(self, frames: Frames) -> NDArray[np.uint32]:
+        raw = self.field.raw(frames)
         # A field of one byte is a whole number already: it is the place in the table.
         return self._translate(raw.astype(np.int64)) if self._table is None else self._table[raw.astype(np.uint8, copy=False)]
 
@@ -233,11 +373,11 @@ class _TickReader:
         fractions = any(field.name == rule.time_field and field.type[0] == "f" for field in known)
         self._missing: float | int = np.nan if fractions else NO_TICKS
 
-    def read(self, rows: Rows) -> Ticks:
+    def read(self, frames: Frames) -> Ticks:
         """Return the time stamps of n frames, shape (n,), or (0,) where the protocol has none."""
         if self._field is None:
-            return np.full(len(rows), self._missing) if self._has_time else np.empty(0)
-        raw = self._field.raw(rows)
+            return np.full(frames.count, self._missing) if self._has_time else ABSENT
+        raw = self._field.raw(frames)
         is_fraction = raw.dtype.kind == "f"
         if not self._factor:
             return raw.astype(np.float64 if is_fraction else np.int64)

@@ -11,6 +11,9 @@ That definition is carried out in two ways, chosen by what the stream looks like
   single ones fail between good ones, look for other frames in just those bytes.
 * *Search*: check every position of a window that could begin a frame, together, and take the first that fits.
 
+Where frames repeated each other, one kind or a few in cycles, a *stencil* of the bytes that they have in common is kept: a
+feed that is nothing but more of them is recognised by one comparison and their checksums.
+
 Both work on batches that grow while they succeed and shrink when they do not, so the work is linear in the number of
 bytes for a clean stream, for noise, and for anything between.
 """
@@ -22,9 +25,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.acquire.decode.frame_check import INVALID, NO_SHAPE, FrameCheck, spaced_rows
+from imufield.acquire.decode.frame_check import INVALID, NO_SHAPE, FrameCheck, Stencil, cycle_length, frames_at
 from imufield.acquire.protocol.frame_schema import FrameRule
-from imufield.acquire.protocol.layout import Layout
+from imufield.acquire.protocol.layout import Frames, Layout
 from imufield.samples import every
 
 Bytes = NDArray[np.uint8]
@@ -51,16 +54,62 @@ class FrameBlock:
     """Shape (n,), offsets in ``data``."""
     shapes: NDArray[np.int64]
     """Numbers of their shapes; ``Framer.layout`` has the layout. Shape (n,)."""
-    skipped_before: NDArray[np.int64]
-    """Bytes passed over just before this frame. Shape (n,)."""
-    seen_until: NDArray[np.int64]
+    skipped_before: NDArray[np.int64] | None
+    """Bytes passed over just before this frame. Shape (n,); None where there are none before any."""
+    seen_until: NDArray[np.int64] | None
     """Offset in the stream of what must be there to know that each is a frame: beside its own bytes those of the header before
-    it, which promised a longer frame and was none. Shape (n,)."""
+    it, which promised a longer frame and was none. Shape (n,); None where there was no such header."""
     origin: int
     """Offset of ``data`` in the stream."""
 
     def __len__(self) -> int:
         return len(self.starts)
+
+
+@dataclass(slots=True)
+class EvenBlock:
+    """The frames of one feed where all are of one length, of shapes in cycles, with nothing else between: nearly always."""
+
+    frames: Frames
+    cycle: tuple[int, ...]
+    """Shapes of the first k frames, which all others repeat."""
+    origin: int
+    """Offset of the buffer in the stream."""
+
+    def __len__(self) -> int:
+        return self.frames.count
+
+    @property
+    def data(self) -> Bytes:
+        """The buffer."""
+        return self.frames.data
+
+    @property
+    def starts(self) -> Positions:
+        """Offsets in ``data``, shape (n,)."""
+        return self.frames.at + self.frames.step * np.arange(self.frames.count)
+
+    @property
+    def shapes(self) -> NDArray[np.int64]:
+        """The shape of each, shape (n,)."""
+        return np.resize(np.array(self.cycle, dtype=np.int64), self.frames.count)
+
+    def of_place(self, place: int) -> Frames:
+        """Return the frames of one place of the cycle."""
+        if len(self.cycle) == 1:
+            return self.frames
+        at, step, count = self.frames.at, self.frames.step, len(range(place, self.frames.count, len(self.cycle)))
+        return Frames(self.frames.data, at + place * step, step * len(self.cycle), count, self.frames.length)
+
+    @property
+    def skipped_before(self) -> None:
+        """No bytes were passed over."""
+        return
+
+    @property
+    def seen_until(self) -> None:
+        """No frame was waited for longer than its own bytes."""
+        return
 
 
 @dataclass(slots=True)
@@ -90,6 +139,9 @@ class Framer:
         self._rest = b""
         self._origin = 0
         self._run = _FIRST_RUN
+        self._stencil: Stencil | None = None  # What the frames of the last run have in common.
+        self._place = 0  # Of the next frame in the cycle of its shapes.
+        self._sequence: list[Stencil] = []  # Of the next frames, where some of several lengths come in cycles.
         self._window = _FIRST_WINDOW
         self._is_mixed = False  # Frames of different lengths came one behind another.
         self._chain = _FIRST_CHAIN
@@ -104,7 +156,7 @@ class Framer:
         """Return the layout of a shape of the newest block."""
         return self._check.layout(shape)
 
-    def feed(self, data: bytes, *, last: bool = False) -> FrameBlock:
+    def feed(self, data: bytes, *, last: bool = False) -> FrameBlock | EvenBlock:
         """Return the frames that are complete now.
 
         Parameters
@@ -113,9 +165,15 @@ class Framer:
         last : bool
             Nothing will follow: give up waiting for incomplete frames.
         """
-        self._check.forget()
         joined = self._rest + data if self._rest else data
         buffer: Bytes = np.frombuffer(joined, dtype=np.uint8)
+        if not last and (again := self._as_before(buffer)) is not None:
+            block, until = again
+            self._rest = joined[until:]
+            self._origin += until
+            return block
+        if self._check.forget():
+            self._stencil, self._sequence = None, []
         found = _Found()
         at, self._cut_at = 0, -1
         while at < len(buffer):
@@ -159,16 +217,60 @@ class Framer:
         behind = at + length
         step = length + len(trailer) * (buffer[behind : behind + len(trailer)].tobytes() == trailer)
         count = min((len(buffer) - behind) // step + 1, self._run)
-        good, shape = self._check.rows_fit(spaced_rows(buffer, at, step, (count, length)))
+        frames = Frames(buffer, at, step, count, length)
+        good, shape = self._check.run_fits(frames)
         starts = np.arange(at, at + count * step, step, dtype=np.intp)
-        trailers = spaced_rows(buffer, behind, step, (count - 1, step - length)) == self._trailer[: step - length]
+        trailers = Frames(buffer, behind, step, count - 1, step - length).rows == self._trailer[: step - length]
         if every(good) and every(trailers):
             self._run = min(2 * self._run, _LONGEST_RUN)
-            return self._accept(found, starts, self._run_shapes(buffer, starts, length, shape), length)
+            shapes = self._run_shapes(buffer, starts, length, shape)
+            self._stencil = self._check.stencil(frames, shapes, trailer[: step - length])
+            self._place = count % len(self._stencil.shapes) if self._stencil else 0
+            return self._accept(found, starts, shapes, length)
         joined = np.append(trailers.all(axis=1), True)
         return self._take_broken_run(
             buffer, _Run(starts=starts, length=length, step=step, shape=shape, good=good, joined=joined), found
         )
+
+    def _as_before(self, buffer: Bytes) -> tuple[FrameBlock | EvenBlock, int] | None:
+        """Return the frames of a feed that is nothing but frames like those before, and where they end; None if it is not."""
+        is_waiting = self._behind_frame and self._rule.trailer
+        if self._skipped_here or self._seen_until > self._origin or is_waiting:
+            return None
+        if self._is_mixed:
+            return self._sequence_again(buffer, self._sequence) if self._sequence else None
+        return self._run_again(buffer, self._stencil) if self._stencil else None
+
+    def _run_again(self, buffer: Bytes, stencil: Stencil) -> tuple[EvenBlock, int] | None:
+        count, rest = divmod(len(buffer), stencil.step)
+        frames, size = Frames(buffer, 0, stencil.step, count, stencil.length), len(stencil.shapes)
+        if count < size or not stencil.fits(frames, self._place):
+            return None
+        following = (self._place + count) % size
+        if rest and not stencil.may_become(buffer[-rest:], following):
+            return None
+        cycle = stencil.shapes[self._place :] + stencil.shapes[: self._place]
+        self._place, self._behind_frame = following, stencil.step == stencil.length
+        return EvenBlock(frames, cycle, self._origin), len(buffer) - rest
+
+    def _sequence_again(self, buffer: Bytes, sequence: list[Stencil]) -> tuple[FrameBlock, int] | None:
+        lengths = [stencil.length for stencil in sequence]
+        cycles = np.arange(len(buffer) // sum(lengths) + 1)[:, np.newaxis]
+        ends = (cycles * sum(lengths) + np.cumsum(lengths)).ravel()
+        count = int(ends.searchsorted(len(buffer), side="right"))
+        if count < len(sequence):
+            return None
+        starts = ends[:count] - np.resize(lengths, count)
+        shapes = np.resize([stencil.shapes[0] for stencil in sequence], count)
+        for shape, stencil in {stencil.shapes[0]: stencil for stencil in sequence}.items():
+            if not stencil.fits(frames_at(buffer, starts[shapes == shape], stencil.length), 0):
+                return None
+        until, following = int(ends[count - 1]), count % len(sequence)
+        if not sequence[following].may_become(buffer[until:], 0):
+            return None
+        self._sequence = sequence[following:] + sequence[:following]
+        block = FrameBlock(data=buffer, starts=starts, shapes=shapes, skipped_before=None, seen_until=None, origin=self._origin)
+        return block, until
 
     def _take_broken_run(self, buffer: Bytes, run: _Run, found: _Found) -> int:
         """Take the good frames of a run up to where it ends, single bad ones between them left out."""
@@ -221,7 +323,24 @@ class Framer:
         self._is_mixed = count < _SAME_AGAIN or bool((lengths[:count] != lengths[0]).any())
         behind = self._accept(found, starts[:count], shapes[:count], int(lengths[count - 1]))
         self._cut_at = behind if behind in cut else -1
+        self._sequence = self._sequence_of(buffer, starts[:count], shapes[:count])
         return behind
+
+    def _sequence_of(self, buffer: Bytes, starts: Positions, shapes: NDArray[np.int64]) -> list[Stencil]:
+        """Return what recognises the frames to come if those so far came in cycles; empty if they did not."""
+        size = cycle_length(shapes)
+        # Two cycles at least: a few frames in any order look like the beginning of one.
+        if not size or 2 * size > len(shapes):
+            return []
+        found = []
+        for start, shape in zip(starts[:size].tolist(), shapes[:size].tolist(), strict=True):
+            rows = buffer[start : start + self._check.layout(shape).length][np.newaxis]
+            stencil = self._check.stencil_of(rows, (shape,), b"")
+            if stencil is None:
+                return []
+            found.append(stencil)
+        following = len(shapes) % size
+        return found[following:] + found[:following]
 
     def _end_of_run(self, buffer: Bytes, run: _Run, found: _Found) -> int:
         """Return how many frames of the run to look at: up to two bad ones in a row, or to another frame in a bad one."""
@@ -276,22 +395,26 @@ class Framer:
 
     def _block(self, buffer: Bytes, found: _Found) -> FrameBlock:
         nothing = np.empty(0, dtype=np.intp)
-        starts = found.starts[0] if len(found.starts) == 1 else np.concatenate([*found.starts, nothing])
-        shapes = found.shapes[0] if len(found.shapes) == 1 else np.concatenate([*found.shapes, nothing])
-        skipped_before = np.zeros(len(starts), dtype=np.int64)
-        for offsets, skipped in found.skipped_before:
-            skipped_before[np.searchsorted(starts, offsets)] = skipped
+        is_one_run = len(found.starts) == 1
+        starts = found.starts[0] if is_one_run else np.concatenate([*found.starts, nothing])
+        skipped_before = None
+        if found.skipped_before:
+            skipped_before = np.zeros(len(starts), dtype=np.int64)
+            for offsets, skipped in found.skipped_before:
+                skipped_before[np.searchsorted(starts, offsets)] = skipped
         return FrameBlock(
             data=buffer,
             starts=starts,
-            shapes=shapes,
+            shapes=found.shapes[0] if is_one_run else np.concatenate([*found.shapes, nothing]),
             skipped_before=skipped_before,
             seen_until=self._promised(starts, found),
             origin=self._origin,
         )
 
-    def _promised(self, starts: Positions, found: _Found) -> NDArray[np.int64]:
+    def _promised(self, starts: Positions, found: _Found) -> NDArray[np.int64] | None:
         """Return how far the false promises before each frame reach in the stream, and keep the last one for the next block."""
+        if not found.promises and self._seen_until <= self._origin:
+            return None
         until = np.full(len(starts) + 1, self._seen_until, dtype=np.int64)
         for offsets, ends in found.promises:
             np.maximum.at(until, np.searchsorted(starts, offsets), ends + self._origin)

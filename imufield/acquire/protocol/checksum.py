@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 sentence = Sentences(__package__)
 
 Bytes = NDArray[np.uint8]
-Values = NDArray[np.uint64]
+Values = NDArray[np.unsignedinteger]
 Positions = NDArray[np.intp]
 
 # Longest message whose weighted sum, at most 255 n (n + 1) / 2, stays below 2^24, so that single precision is exact.
@@ -44,9 +44,9 @@ _START = 256  # Column of the start value in the table of what each byte value l
 class _Tables(NamedTuple):
     """What the CRC of messages of one length is looked up in."""
 
-    left: NDArray[np.unsignedinteger]  # Flat: what each byte value leaves at each place.
-    offsets: NDArray[np.intp]  # Where the part of each place begins.
-    constant: np.unsignedinteger  # What start value and final XOR leave.
+    # Flat: what each byte value leaves at each place; at the first one also what start value and final XOR leave.
+    left: NDArray[np.unsignedinteger]
+    offsets: NDArray[np.intp]  # Where the part of each place begins, shape (length, 1).
 
 
 class _Ragged(NamedTuple):
@@ -127,13 +127,13 @@ class Crc(Checksum):
         if length > _LONGEST_TABLE:
             whole = np.ascontiguousarray(rows).reshape(-1)
             return self.of_spans(whole, np.arange(count, dtype=np.intp) * length, np.full(count, length, dtype=np.intp))
-        table, offsets, start = self._tables_of(length)
-        out = np.empty(len(rows), dtype=table.dtype)
-        for at in range(0, len(rows), _ROWS_AT_ONCE):
-            index = rows[at : at + _ROWS_AT_ONCE] + offsets
-            np.bitwise_xor.reduce(table.take(index, mode="clip"), axis=1, out=out[at : at + _ROWS_AT_ONCE])
-        out ^= start
-        return out
+        table, offsets = self._tables_of(length)
+        values = np.empty(count, dtype=table.dtype)
+        for at in range(0, count, _ROWS_AT_ONCE):
+            # One row of the index for each place: the registers of all messages are then taken together step by step.
+            index = np.add(rows[at : at + _ROWS_AT_ONCE].T, offsets, order="C")
+            np.bitwise_xor.reduce(table.take(index, mode="clip"), axis=0, out=values[at : at + _ROWS_AT_ONCE])
+        return values
 
     def _spans(self, span: _Ragged, lengths: Positions) -> Values:
         pad = -lengths % self._pad_to
@@ -144,7 +144,7 @@ class Crc(Checksum):
         )
 
     def _tables_of(self, length: int) -> _Tables:
-        """Return the flat table, the place of each column in it and the constant part for messages of one length."""
+        """Return the flat table and the place of each column in it for messages of one length."""
         found = self._by_length.get(length)
         if found is None:
             padded = length + -length % self._pad_to
@@ -154,8 +154,8 @@ class Crc(Checksum):
             flat: NDArray[np.unsignedinteger] = self._left[:padded, :_START][::-1][:length].ravel().astype(kind)
             if len(self._by_length) >= _TABLES_KEPT:
                 self._by_length.clear()
-            constant = kind(int(self._left[padded, _START]) ^ self._final)
-            found = self._by_length[length] = _Tables(flat, np.arange(length, dtype=np.intp) * 256, constant)
+            flat[:_START] ^= kind(int(self._left[padded, _START]) ^ self._final)
+            found = self._by_length[length] = _Tables(flat, np.arange(length, dtype=np.intp)[:, np.newaxis] * 256)
         return found
 
     def _grow(self, length: int) -> None:
@@ -197,7 +197,8 @@ class Sum(Checksum):
     def of_rows(self, rows: Bytes) -> Values:
         """Return the checksum of each row, as the base class has it."""
         if self.size == 1:
-            return self._finish(np.add.reduce(rows, axis=1, dtype=np.uint8).astype(np.uint64))
+            total8 = np.add.reduce(rows, axis=1, dtype=np.uint8)
+            return np.asarray(np.negative(total8) if self._negated else total8)
         total = rows.sum(axis=1, dtype=np.uint64)
         if self._words:
             total += np.uint64(255) * rows[:, 1::2].sum(axis=1, dtype=np.uint64)
@@ -221,7 +222,7 @@ class Xor(Checksum):
 
     def of_rows(self, rows: Bytes) -> Values:
         """Return the checksum of each row, as the base class has it."""
-        return np.asarray(np.bitwise_xor.reduce(rows, axis=1), dtype=np.uint64)
+        return np.asarray(np.bitwise_xor.reduce(rows, axis=1))
 
     def _spans(self, span: _Ragged, lengths: Positions) -> Values:  # noqa: ARG002  an XOR needs no length
         return np.bitwise_xor.reduceat(span.values, span.first).astype(np.uint64)
@@ -234,12 +235,11 @@ class Fletcher(Checksum):
 
     def of_rows(self, rows: Bytes) -> Values:
         """Return the checksum of each row, as the base class has it."""
-        weights = np.arange(rows.shape[1], 0, -1, dtype=np.uint64)
         if rows.shape[1] <= _EXACT_IN_SINGLE:
-            both = np.ones((len(weights), 2), dtype=np.float32)
-            both[:, 1] = weights
-            sums = (rows.astype(np.float32) @ both).astype(np.uint64)
-            return self._join(sums[:, 0], sums[:, 1])
+            sums = rows.astype(np.float32) @ _fletcher_weights(rows.shape[1])
+            # Kept to their lowest bytes and read as one number.
+            return sums.astype(np.int32).astype(np.uint8).view(">u2")[:, 0]
+        weights = np.arange(rows.shape[1], 0, -1, dtype=np.uint64)
         return self._join(rows.sum(axis=1, dtype=np.uint64), (rows * weights).sum(axis=1, dtype=np.uint64))
 
     def _spans(self, span: _Ragged, lengths: Positions) -> Values:  # noqa: ARG002  the weights say it
@@ -252,6 +252,14 @@ class Fletcher(Checksum):
     def _join(first: Values, second: Values) -> Values:
         low = np.uint64(0xFF)
         return (first & low) << np.uint64(8) | (second & low)
+
+
+@cache
+def _fletcher_weights(length: int) -> NDArray[np.float32]:
+    """Return how often each byte of a message enters the first and the second sum, shape (length, 2)."""
+    weights = np.ones((length, 2), dtype=np.float32)
+    weights[:, 1] = np.arange(length, 0, -1)
+    return weights
 
 
 _PLAIN = {

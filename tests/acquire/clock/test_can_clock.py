@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from imufield.acquire.clock.can_clock import CanClock
+from imufield.acquire.clock.can_clock import CanClock, _minimum_ahead
 from imufield.acquire.clock.clock import Arrivals
 from imufield.acquire.clock.stamp_clock import DeviceClock
 from imufield.acquire.decode.assembly import RawBlock
@@ -376,3 +376,12 @@ def test_a_counter_that_stands_still_numbers_nothing_and_time_runs_on() -> None:
     assert len(got) == 300
     assert np.diff(got.time_s).min() > 0
     assert got.time_s[-1] - got.time_s[0] == pytest.approx(2.99, abs=0.05)
+
+
+@pytest.mark.parametrize("window_s", [0.003, 0.2, 5.0])
+@pytest.mark.parametrize("count", [1, 40, 300])
+def test_the_least_value_ahead_is_that_of_each_window(window_s: float, count: int) -> None:
+    rng = np.random.default_rng(count)
+    values, stamp_s = rng.normal(size=300), np.cumsum(rng.exponential(0.001, 300))
+    wanted = [values[at:][stamp_s[at:] <= stamp_s[at] + window_s].min() for at in range(count)]
+    assert _minimum_ahead(values, stamp_s, window_s, count).tolist() == wanted

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from imufield.acquire.decode.assembly import NO_FRAME, RawBlock, frame_table, join
@@ -36,3 +38,13 @@ def test_the_last_frame_given_of_a_kind_stays() -> None:
     assert frame_table(kinds, sample, places, shape=(2, 3)).tolist() == [[0, 2, NO_FRAME], [3, NO_FRAME, 4]]
     backwards = frame_table(kinds[::-1], sample[::-1], places[::-1], shape=(2, 3))
     assert backwards.tolist() == [[0, 1, NO_FRAME], [3, NO_FRAME, 4]]
+
+
+def test_frames_without_temperatures_of_the_axes_have_none_of_them_among_others() -> None:
+    with_own = replace(bus_block(3, 2), sensor_temperature_degc=np.full((2, 6), 21.0))
+    for blocks, lacking in (([bus_block(0, 3), with_own], slice(0, 3)), ([with_own, bus_block(0, 3)], slice(2, 5))):
+        own_degc = join(blocks).sensor_temperature_degc
+        assert own_degc.shape == (5, 6)
+        assert np.isnan(own_degc[lacking]).all()
+        assert np.count_nonzero(own_degc == 21.0) == 12
+    assert join([bus_block(0, 3), bus_block(3, 4)]).sensor_temperature_degc.shape == (0,)

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from imufield.acquire.protocol.layout import Bits, Field, Layout
+from imufield.acquire.protocol.layout import NUMBER_BYTES, Bits, Field, FieldPair, Frames, Layout
 
 RNG = np.random.default_rng(6)
 
@@ -23,7 +23,7 @@ def test_integers(kind: str, code: str, big_endian: bool) -> None:
     rows = RNG.integers(0, 256, (20, 3 * size + 5), dtype=np.uint8)
     field = Field(name="f", type=kind, at=5, count=3, size=3 * size, big_endian=big_endian)
     wanted = [struct.unpack_from((">" if big_endian else "<") + "3" + code, row.tobytes(), 5) for row in rows]
-    assert field.raw(rows).tolist() == [list(row) for row in wanted]
+    assert field.raw(Frames.of(rows)).tolist() == [list(row) for row in wanted]
 
 
 @pytest.mark.parametrize("big_endian", [True, False])
@@ -37,8 +37,8 @@ def test_three_byte_integers_also_at_both_ends(kind: str, big_endian: bool, at: 
         [int.from_bytes(row[at + 3 * i : at + 3 * i + 3].tobytes(), order, signed=kind == "i24") for i in range(3)]
         for row in rows
     ]
-    assert field.raw(rows).tolist() == wanted
-    assert Field(name="f", type=kind, at=at, count=1, size=3, big_endian=big_endian).raw(rows).tolist() == [
+    assert field.raw(Frames.of(rows)).tolist() == wanted
+    assert Field(name="f", type=kind, at=at, count=1, size=3, big_endian=big_endian).raw(Frames.of(rows)).tolist() == [
         row[0] for row in wanted
     ]
 
@@ -52,7 +52,7 @@ def test_floats_and_scaling(big_endian: bool) -> None:
             b"\x93" + values.astype(f"{order}f{kind[1:]}".replace("f32", "f4").replace("f64", "f8")).tobytes(), np.uint8
         )
         field = Field(name="f", type=kind, at=1, count=3, size=len(row) - 1, big_endian=big_endian, factor=2.0, offset=1.0)
-        np.testing.assert_allclose(field.values(row.reshape(1, -1)), values * 2 + 1, rtol=1e-6)
+        np.testing.assert_allclose(field.values(Frames.of(row.reshape(1, -1))), values * 2 + 1, rtol=1e-6)
 
 
 def test_text_and_bits_are_described() -> None:
@@ -80,3 +80,23 @@ def test_text_and_bits_are_described() -> None:
     assert Bits("low", 0, 2, ("a", "b")).of(3) is None
     assert layout.field("flags") is not None
     assert layout.field("none") is None
+
+
+@pytest.mark.parametrize("big_endian", [True, False])
+@pytest.mark.parametrize("kind", ["u8", "i16", "u24", "i24", "f32", "f64"])
+@pytest.mark.parametrize("is_reversed", [False, True])
+def test_two_fields_at_once_are_as_one_after_the_other(kind: str, big_endian: bool, is_reversed: bool) -> None:
+    size = 3 * NUMBER_BYTES[kind]
+    rows = RNG.integers(0, 256, (9, 2 * size + 5), dtype=np.uint8)
+    fields = [Field(name="f", type=kind, at=at, count=3, size=size, big_endian=big_endian) for at in (1, size + 3)]
+    first, second = fields[::-1] if is_reversed else fields
+    assert FieldPair.fits(first, second, rows.shape[1])
+    frames = Frames.of(rows)
+    # Bits may be no number, which equals nothing.
+    np.testing.assert_array_equal(FieldPair(first, second).raw(frames), [first.raw(frames), second.raw(frames)])
+
+
+def test_a_field_whose_neighbour_is_missing_is_read_alone() -> None:
+    first, second = (Field(name="f", type="u24", at=at, count=3, size=9) for at in (0, 9))
+    assert not FieldPair.fits(first, second, 18)
+    assert FieldPair.fits(first, second, 19)
