@@ -13,9 +13,10 @@ import threading
 import time
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import TypeVar
 
+from imufield.dataclass import dataclass
 from imufield.sentences import printable
 
 AnItem = TypeVar("AnItem")

@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 import re
 import tomllib
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
+from imufield.dataclass import dataclass
 from imufield.errors import UsageError
 from imufield.files import Origin, read_small_file
 from imufield.samples import AXES, FloatArray

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 
+from imufield.dataclass import dataclass
 from imufield.guide.events import RefusalCode, Rejected
 from imufield.sentences import Sentence, Sentences
 

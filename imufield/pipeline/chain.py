@@ -7,7 +7,7 @@ session. It reads no clock: arrival times come with the bytes.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, field, replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from imufield.acquire.protocol.protocol import Protocol, parse_protocol
 from imufield.acquire.recording.reader import Damage, PartStart, RecordedBlock, RecordedEvent, read_blocks, read_session
 from imufield.acquire.recording.session import SETTINGS_FILE, Session
 from imufield.calibrate.model.observations import Observations
+from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError, ProtocolError, Reason, RecordingError, SettingError
 from imufield.files import Origin
 from imufield.guide.events import Event, LinkLost

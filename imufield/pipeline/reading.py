@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.calibrate.gyroscope.moves import MoveCollector, Moves, Slots, cut_moves, join_stills, no_slots
 from imufield.calibrate.model.observations import Observations, join_observations
+from imufield.dataclass import dataclass
 from imufield.deliver.report.trace import TraceCells, TraceCollector
 from imufield.guide.events import Event, Rejected, Turned
 from imufield.guide.lead.turns import VERTICAL

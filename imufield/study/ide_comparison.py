@@ -8,7 +8,7 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -16,6 +16,7 @@ import numpy as np
 from imufield.calibrate.solvers.base import Solver
 from imufield.calibrate.solvers.registry import load_solver
 from imufield.calibrate.solvers.triad_costs import TriadProblem, TurnsProblem, unit_diagonal_matrices
+from imufield.dataclass import dataclass
 from imufield.deliver.navigation.drift import Drift
 from imufield.samples import FloatArray
 from imufield.study import figures

@@ -8,13 +8,14 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 
 from imufield.calibrate.solvers.evolution import solve_ide
 from imufield.calibrate.solvers.triad_costs import TriadProblem, TurnsProblem
+from imufield.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.study import figures
 from imufield.study.context import StudyContext

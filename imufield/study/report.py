@@ -11,7 +11,7 @@ import re
 import string
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from imufield.dataclass import dataclass
 from imufield.deliver.parameters.numbers import WIDTH, hanging
 from imufield.drawing.style import figure, plot_style, title
 from imufield.files import typed_write_errors, write_atomically

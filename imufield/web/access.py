@@ -11,9 +11,11 @@ import hmac
 import secrets
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from enum import Enum
 from http import HTTPStatus
+
+from imufield.dataclass import dataclass
 
 PROTOCOL = "imufield"
 """The subprotocol that the server answers with: the token is never sent back."""

@@ -12,7 +12,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import IO, Any, cast
@@ -22,6 +22,7 @@ import numpy as np
 from imufield.acquire.formats import array_file_reader
 from imufield.acquire.formats.array_file_reader import Array, Arrays
 from imufield.acquire.formats.table_columns import named_column
+from imufield.dataclass import dataclass
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.files import open_to_read
 from imufield.samples import AXES, FloatArray

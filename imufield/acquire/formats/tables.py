@@ -8,7 +8,7 @@ Whatever the files do not state is assumed aloud: ``ImportedTable.assumptions`` 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -32,6 +32,7 @@ from imufield.acquire.formats.table_file import File, file_of, is_empty, meaning
 from imufield.acquire.formats.table_join import join
 from imufield.acquire.formats.table_text import TextTable
 from imufield.acquire.link.serial import Chunk
+from imufield.dataclass import dataclass
 from imufield.errors import UsageError
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, NO_COUNTER, FloatArray, IntArray, Samples
 from imufield.sentences import Sentences

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, field
 from pathlib import Path
 
 from imufield.acquire.driver import Driver, Message, Wire
@@ -15,6 +15,7 @@ from imufield.acquire.instrument.listen import Say
 from imufield.acquire.link.background import BackgroundLink, ReopenableLink
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.protocol import Protocol
+from imufield.dataclass import dataclass
 from imufield.errors import LinkError, Reason
 from imufield.sentences import Sentences, printable
 

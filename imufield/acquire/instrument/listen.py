@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from itertools import chain, zip_longest
 
 from imufield.acquire.driver import Driver, Wire
@@ -13,6 +12,7 @@ from imufield.acquire.link.host_clock import HostClock, patience_s
 from imufield.acquire.link.serial import Chunk, SerialLink, open_link
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.acquire.registry import driver_names, load_driver
+from imufield.dataclass import dataclass
 from imufield.errors import LinkError, LinkTimeoutError, ProtocolError, Reason, SettingError
 from imufield.files import real_path
 from imufield.sentences import Sentences

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, field, replace
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from imufield.acquire.decoder import Decoder
 from imufield.acquire.driver import Driver, Message
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.protocol import Protocol
+from imufield.dataclass import dataclass
 from imufield.earth import MICRO_G_M_S2
 from imufield.errors import ProtocolError
 from imufield.samples import Samples

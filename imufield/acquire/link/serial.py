@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import os
 import select
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Protocol
 
 import serial
 
 from imufield.acquire.link.host_clock import HostClock, SystemClock
 from imufield.acquire.link.link_errors import OPEN_FAILURES, baud_refused, open_error
+from imufield.dataclass import dataclass
 from imufield.errors import LinkError, LinkTimeoutError, Reason
 from imufield.sentences import Sentences
 

@@ -12,7 +12,7 @@ import json
 import math
 import os
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Protocol
 
@@ -23,6 +23,7 @@ from imufield.acquire.link.serial import Chunk
 from imufield.acquire.recording.mcap_format import ARRIVAL, EVENTS_CHANNEL, LINK_CHANNEL, DamageError, messages
 from imufield.acquire.recording.part_file import Damage as Damage  # noqa: PLC0414  (handed on)
 from imufield.acquire.recording.part_file import PartFile, open_part
+from imufield.dataclass import dataclass
 from imufield.errors import LinkError, Reason, UsageError
 from imufield.json_files import parse_json
 from imufield.progress import Task, task

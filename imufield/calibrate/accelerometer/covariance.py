@@ -6,7 +6,7 @@ them together. What the positions cannot show enters by what is typical (``unsho
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from imufield.calibrate.model.higher import HigherTerms
 from imufield.calibrate.model.models import PARAMETERS
 from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS, parameter_scale
 from imufield.calibrate.model.uncertainty import SPARE_POSITIONS, gravity_sensitivity
+from imufield.dataclass import dataclass
 from imufield.earth import Gravity
 from imufield.samples import FloatArray
 

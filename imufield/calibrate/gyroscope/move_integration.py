@@ -14,12 +14,13 @@ Vectors of parameters ``x`` hold A row by row (9), b (3), H row by row (9).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from imufield.calibrate.gyroscope.moves import Moves
 from imufield.calibrate.model.rotation import cross, exponential, matrix, right_jacobian, running_turns
+from imufield.dataclass import dataclass
 from imufield.samples import FloatArray
 
 PARAMETERS = 21

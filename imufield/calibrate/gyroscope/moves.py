@@ -30,7 +30,7 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from enum import IntFlag
 from itertools import pairwise
 
@@ -38,6 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.calibrate.model.rotation import cross
+from imufield.dataclass import dataclass
 from imufield.samples import LARGEST_OUTPUT, FloatArray, IntArray, Samples, SampleUnits, Status, concatenate
 from imufield.sentences import Sentence, Sentences
 

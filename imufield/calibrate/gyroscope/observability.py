@@ -7,8 +7,6 @@ the preset and named.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from imufield.calibrate.gyroscope.fit import first_scatter
@@ -16,6 +14,7 @@ from imufield.calibrate.gyroscope.move_integration import INVERSE, PARAMETERS, S
 from imufield.calibrate.gyroscope.residual_covariance import Scatter, covariances
 from imufield.calibrate.gyroscope.residuals import GyroscopeData, evaluate
 from imufield.calibrate.model.observability import unexplained_lengths
+from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray, IntArray
 from imufield.sentences import Sentences

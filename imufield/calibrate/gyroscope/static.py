@@ -30,7 +30,6 @@ References
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -39,6 +38,7 @@ from imufield.calibrate.gyroscope.residual_covariance import Covariances, Scatte
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import GyroscopeCalibration, GyroscopeParameters
 from imufield.calibrate.model.uncertainty import block_diagonal
+from imufield.dataclass import dataclass
 from imufield.earth import EARTH_RATE_RAD_S
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentence, Sentences

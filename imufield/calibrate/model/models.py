@@ -30,7 +30,7 @@ References
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -38,6 +38,7 @@ import numpy as np
 from imufield.calibrate.model.higher import HigherTerms, higher_columns
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters, QuadraticAxes
 from imufield.calibrate.model.temperature import TriadTemperature
+from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentences

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import csv
 import re
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from imufield.calibrate.model.observations import Observations
+from imufield.dataclass import dataclass
 from imufield.errors import Reason, RecordingError
 from imufield.files import read_small_file
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, LARGEST_OUTPUT, FloatArray, SampleUnits

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from imufield.dataclass import dataclass
 from imufield.errors import UsageError
 from imufield.samples import FloatArray, SampleUnits
 from imufield.sentences import Sentences

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Literal
 
 import numpy as np
@@ -11,6 +11,7 @@ from imufield.calibrate.model.budget import Share
 from imufield.calibrate.model.higher import HigherTerms
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.temperature import TriadTemperature
+from imufield.dataclass import dataclass
 from imufield.earth import Gravity
 from imufield.samples import FloatArray
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from imufield.calibrate.noise.allan import (
     degrees_of_freedom,
 )
 from imufield.calibrate.noise.noise_fit import NoiseFigure, NoiseModel, identify
+from imufield.dataclass import dataclass
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import CalibrationError, Reason, RecordingError
 from imufield.samples import AXES, FloatArray, Samples, SampleUnits

@@ -9,7 +9,7 @@ import importlib
 import math
 import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, cast
 
 from imufield.calibrate.solvers.base import Solver
 from imufield.calibrate.solvers.costs import CostName
+from imufield.dataclass import dataclass
 from imufield.errors import UsageError
 from imufield.sentences import Sentences
 

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -46,6 +46,7 @@ from imufield.calibrate.temperature.scatter import (
     shares_of,
     whitened,
 )
+from imufield.dataclass import dataclass
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray

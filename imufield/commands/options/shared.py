@@ -6,7 +6,7 @@ and annotations are not postponed, because the command line is made from them.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self
@@ -15,6 +15,7 @@ import typer
 
 from imufield.commands.configuration import parse_settings
 from imufield.commands.options import completion
+from imufield.dataclass import dataclass
 from imufield.errors import UsageError
 from imufield.limits import BAUD_RANGE, RATE_RANGE_HZ, TARGET_RANGE
 from imufield.sentences import Sentences

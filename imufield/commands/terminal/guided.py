@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -28,6 +28,7 @@ from imufield.commands.options.acquire_commands import CaptureOptions, ViewName
 from imufield.commands.terminal.output import echo, say
 from imufield.commands.terminal.page import SHOWN_EVERY_S, serve_page
 from imufield.commands.terminal.views import View, make_view
+from imufield.dataclass import dataclass
 from imufield.deliver.parameters.file import load
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import CalibrationError, ImufieldError, RecordingError, UsageError

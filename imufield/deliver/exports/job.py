@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from imufield.acquire.protocol.units import nominal_scale
+from imufield.dataclass import dataclass
 from imufield.deliver.exports.conventions import (
     Correction,
     Corrections,

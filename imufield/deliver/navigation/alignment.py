@@ -26,10 +26,9 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from imufield.dataclass import dataclass
 from imufield.earth import EARTH_RATE_RAD_S
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.samples import FloatArray

@@ -22,12 +22,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from itertools import pairwise
 
 import numpy as np
 
 from imufield.calibrate.model.result import Calibration
+from imufield.dataclass import dataclass
 from imufield.deliver.navigation.alignment import Alignment, cross_matrix, earth_rate
 from imufield.deliver.navigation.drift import QUANTITIES, Drift
 from imufield.deliver.navigation.uncertain import DrawnParameters, draw_parameters

@@ -15,11 +15,11 @@ References
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from imufield.dataclass import dataclass
 from imufield.deliver.navigation.alignment import NoiseDensity
 from imufield.samples import FloatArray
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import UTC, datetime
 
 import numpy as np
 
+from imufield.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.version import __version__
 

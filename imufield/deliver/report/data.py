@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from imufield.calibrate.gyroscope.result import angle_errors_deg
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration, GyroscopeParameters, without_drift
 from imufield.calibrate.solvers.registry import load_solver
+from imufield.dataclass import dataclass
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.schema import Document
 from imufield.deliver.report.trace import Trace

@@ -11,11 +11,12 @@ import json
 import math
 import textwrap
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, field
 from pathlib import Path
 
 import numpy as np
 
+from imufield.dataclass import dataclass
 from imufield.deliver.navigation.check import NavigationResult
 from imufield.deliver.navigation.drift import QUANTITIES
 from imufield.deliver.parameters.context import SOFTWARE, now_text

@@ -19,11 +19,12 @@ from __future__ import annotations
 import itertools
 import math
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from imufield.calibrate.model.rotation import conjugate, cross, exponential, rotate, running_turns
+from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError, Reason
 from imufield.guide import refusals
 from imufield.guide.cross_checks.centre import centred

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Protocol
 
@@ -25,6 +25,7 @@ from imufield.calibrate.model.grades import Grade
 from imufield.calibrate.model.models import PARAMETERS, norm_derivatives
 from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS, observe
 from imufield.calibrate.model.uncertainty import gravity_sensitivity
+from imufield.dataclass import dataclass
 from imufield.earth import MICRO_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity
 from imufield.errors import CalibrationError
 from imufield.guide.stillness.scale import RoughScale

@@ -24,12 +24,12 @@ noise floor, does not fall and is added.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imufield.calibrate.model.rotation import cross, exponential, logarithm, matrix, multiply, running_turns
+from imufield.dataclass import dataclass
 from imufield.guide.hold.triad_delay import TriadDelay, triad_delay
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import FloatArray, Samples

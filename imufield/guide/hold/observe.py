@@ -20,12 +20,12 @@ References
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imufield.calibrate.model.observations import Observations
+from imufield.dataclass import dataclass
 from imufield.guide.hold.hand_mean import HandMean
 from imufield.guide.hold.output import HoldOutput
 from imufield.guide.stillness.cells import Cells, cells_in

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from imufield.dataclass import dataclass
 from imufield.guide.hold.observe import Observation
 from imufield.guide.positions import Position, Scheme, angle_deg
 from imufield.samples import FloatArray

@@ -8,10 +8,11 @@ angle from the samples between the times of the event.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
+from imufield.dataclass import dataclass
 from imufield.guide import refusals
 from imufield.guide.events import Turn, Turned
 from imufield.guide.hold.observe import Observation, observe, trim_stretch

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from imufield.calibrate.model.observations import Observations
+from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError, Reason
 from imufield.guide.cross_checks.axes import AxesCheck, MoveLog, check_axes, check_while_waiting
 from imufield.guide.cross_checks.centre import centred

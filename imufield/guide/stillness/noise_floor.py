@@ -10,11 +10,11 @@ session starts after N cells; a clearly quieter stretch found later lowers it.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from imufield.dataclass import dataclass
 from imufield.guide.stillness.cells import CELL_S, Cells
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import FloatArray

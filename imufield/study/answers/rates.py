@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from imufield.calibrate.model.gauge import change_gauge, turn_gyroscope
 from imufield.calibrate.model.grades import GRADES
 from imufield.calibrate.model.models import predict_gyroscope, to_vector
 from imufield.calibrate.model.result import GyroscopeParameters
+from imufield.dataclass import dataclass
 from imufield.guide.positions import scheme
 from imufield.samples import FloatArray
 from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
