@@ -126,7 +126,7 @@ def _parameter(of: Parameter) -> inspect.Parameter:
         more["parser"] = _saying_why(more["parser"])
     made = typer.Argument(**more) if option.is_argument else typer.Option(*option.names, **more)
     default = inspect.Parameter.empty if of.default is MISSING else of.default
-    annotation = Annotated.__class_getitem__((get_args(of.annotation)[0], made))
+    annotation: object = Annotated[get_args(of.annotation)[0], made]
     return inspect.Parameter(of.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
 
 
