@@ -34,6 +34,7 @@ from imufield.acquire.formats.table_text import TextTable
 from imufield.acquire.link.serial import Chunk
 from imufield.dataclass import dataclass
 from imufield.errors import UsageError
+from imufield.median import median
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, NO_COUNTER, FloatArray, IntArray, Samples
 from imufield.sentences import Sentences
 
@@ -94,7 +95,7 @@ class ImportedTable:
     @property
     def rate_hz(self) -> float:
         """Median sample rate."""
-        return float(1.0 / np.median(np.diff(self.rows[:, 0])))
+        return float(1.0 / median(np.diff(self.rows[:, 0])))
 
 
 class ChunkWriter(Protocol):

@@ -44,12 +44,14 @@ def skew(vector: FloatArray) -> FloatArray:
 
 def multiply(left: FloatArray, right: FloatArray) -> FloatArray:
     """Return the quaternion product, shape (..., 4)."""
-    (lw, *lv), (rw, *rv) = (np.moveaxis(factor, -1, 0) for factor in (left, right))
-    product = np.empty(np.broadcast_shapes(left.shape, right.shape))
-    product[..., 0] = lw * rw - (lv[0] * rv[0] + lv[1] * rv[1] + lv[2] * rv[2])
+    lw, *lv = (left[..., k] for k in range(4))
+    rw, *rv = (right[..., k] for k in range(4))
+    scalar = lw * rw - (lv[0] * rv[0] + lv[1] * rv[1] + lv[2] * rv[2])
+    made = np.empty((*scalar.shape, 4))
+    made[..., 0] = scalar
     for i, j, k in _CYCLES:
-        product[..., 1 + i] = lw * rv[i] + rw * lv[i] + (lv[j] * rv[k] - lv[k] * rv[j])
-    return product
+        made[..., 1 + i] = lw * rv[i] + rw * lv[i] + (lv[j] * rv[k] - lv[k] * rv[j])
+    return made
 
 
 def exponential(rotation_rad: FloatArray) -> FloatArray:
@@ -141,6 +143,15 @@ def right_jacobian(rotation_rad: FloatArray) -> FloatArray:
         result[..., i, j] = product + turn
         result[..., j, i] = product - turn
     return result
+
+
+def product(quaternion: FloatArray) -> FloatArray:
+    """Return the turn of each whole chain of intervals, shape (..., k, 4) to (..., 4)."""
+    # Neighbours in pairs: a few passes, each over half as many as the one before.
+    while (count := quaternion.shape[-2]) > 1:
+        pairs = multiply(quaternion[..., : count - 1 : 2, :], quaternion[..., 1::2, :])
+        quaternion = np.concatenate([pairs, quaternion[..., count - count % 2 :, :]], axis=-2)
+    return np.asarray(quaternion[..., 0, :] / np.linalg.norm(quaternion[..., 0, :], axis=-1, keepdims=True))
 
 
 def running_turns(quaternion: FloatArray, first: IntArray) -> FloatArray:

@@ -29,6 +29,7 @@ from imufield.dataclass import dataclass
 from imufield.earth import MICRO_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity
 from imufield.errors import CalibrationError
 from imufield.guide.stillness.scale import RoughScale
+from imufield.median import median
 from imufield.samples import FloatArray
 
 FEWEST = 4  # Fewer observations leave every residual to the priors.
@@ -194,7 +195,7 @@ class RunningFit:
         s = STANDARD_GRAVITY_M_S2 * directions @ _axes(self.vector).T
         raw = self.vector[:3] * (s + self.vector[3:6]) + self.vector[12:] * s**2
         rows = norm_derivatives(self.vector, raw).jacobian[:, LOWER_GAUGE_COLUMNS]
-        sigma = float(np.median(self.sigma_m_s2))
+        sigma = float(median(self.sigma_m_s2))
         gain: FloatArray = np.log1p(np.einsum("ni,ij,nj->n", rows, self.covariance, rows) / sigma**2)
         return gain
 
@@ -300,7 +301,7 @@ def _sigma(residual: FloatArray, jacobian: FloatArray, expected: FloatArray, pri
     there are few. The median keeps one bad position from raising the sigma of all.
     """
     spare = np.maximum(1 - _leverage(jacobian, expected, prior), _LEAST_FREEDOM)
-    shown = float(np.median(residual**2 / spare)) / _MEDIAN_OF_SQUARES
+    shown = float(median(residual**2 / spare)) / _MEDIAN_OF_SQUARES
     within = float(np.mean(expected**2)) - EXPECTED_SCATTER_M_S2**2
     return _with_scatter(expected, max(shown - within, 0.0))
 
