@@ -24,11 +24,11 @@ from typing import Any
 import numpy as np
 
 from imufield.acquire.link.serial import Chunk
-from imufield.acquire.recording.recorder import Recorder
+from imufield.acquire.recording.recorder import Recorder, part_metadata
 from imufield.acquire.recording.session import Session
 from imufield.acquire.registry import load_driver
 from imufield.guide.positions import scheme
-from imufield.pipeline.chain import part_metadata, session_samples
+from imufield.pipeline.chain import session_samples
 from imufield.pipeline.kept import KEPT_FILE
 from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
 from imufield.simulate.instruments.stim300 import Stim300Device

@@ -271,17 +271,6 @@ def require_gravity(protocol: Protocol) -> None:
         raise CalibrationError(corrected, Reason.GRAVITY)
 
 
-def part_metadata(protocol: Protocol, extra: Mapping[str, object]) -> dict[str, object]:
-    """Return what a part must hold to be decoded without the outside."""
-    return {
-        **extra,
-        "protocol": protocol.name,
-        "protocol_text": protocol.text,
-        "protocol_sha256": protocol.sha256,
-        "settings": {name: setting.value for name, setting in protocol.settings.items()},
-    }
-
-
 def recorded_protocol(metadata: Mapping[str, object], session: Session) -> Protocol:
     """Return the protocol a part was recorded with; the session's own where the part's start is damaged.
 

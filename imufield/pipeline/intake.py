@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from imufield.acquire.instrument.same_stream import SameStream
-from imufield.acquire.link.serial import Chunk
+from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.recording.recorder import Recorder
 from imufield.dataclass import dataclass
 from imufield.guide.events import Event

@@ -17,11 +17,11 @@ import numpy as np
 from imufield.acquire.decode.statistics import remarks
 from imufield.acquire.instrument.connected import Connected
 from imufield.acquire.instrument.same_stream import SameStream
+from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.link.host_clock import HostClock, ScaledClock, patience_s
 from imufield.acquire.link.reconnect import ReconnectingLink
-from imufield.acquire.link.serial import Chunk
 from imufield.acquire.recording.reader import Damage
-from imufield.acquire.recording.recorder import Recorder
+from imufield.acquire.recording.recorder import Recorder, part_metadata
 from imufield.acquire.recording.session import Session, create_session
 from imufield.acquire.recording.session_record import GuideRecord
 from imufield.commands.options.acquire_commands import CaptureOptions, ViewName
@@ -45,7 +45,6 @@ from imufield.pipeline.chain import (
     ROTATIONS,
     Chain,
     ReadingPlan,
-    part_metadata,
     replay_into,
     require_gravity,
 )
