@@ -37,8 +37,6 @@ sentence = Sentences(__package__)
 
 MARK = "mark"
 """Name of a recorded event: what the operator said, to be said again on replay."""
-REVISIT_FROM = 12
-"""Schemes with at least this many positions end with the first one again, as a check for drift; a quick one does without."""
 ROTATIONS = {"rolled": HORIZONTAL, "table": VERTICAL}
 """Kinds of whole turns, as ``--rotations`` names them, and the axis they are about."""
 UNPLUGGED = "unplugged"

@@ -34,14 +34,13 @@ from imufield.deliver.parameters.numbers import beside
 from imufield.errors import CalibrationError, ImufieldError, RecordingError, UsageError
 from imufield.files import read_small_file, typed_write_errors, write_atomically
 from imufield.guide.events import Advice, Event, Topic
-from imufield.guide.positions import SCHEME_FILE, SCHEMES, scheme
+from imufield.guide.positions import DEFAULT_SCHEME, REVISIT_FROM, SCHEME_FILE, SCHEMES, scheme
 from imufield.guide.view.marks import AGAIN_WITHIN_S, KEYS
 from imufield.guide.view.plain import known_words, words
 from imufield.guide.view.terminal import Keyboard
 from imufield.pipeline.calibration import FEWEST_CHECKED, one_of
 from imufield.pipeline.chain import (
     MARK,
-    REVISIT_FROM,
     ROTATIONS,
     Chain,
     ReadingPlan,
@@ -61,7 +60,6 @@ if TYPE_CHECKING:
 
 sentence = Sentences(__package__)
 
-DEFAULT_SCHEME = "paper24"  # What the README promises: 24 positions, hand-held.
 SILENCE_S = 2.0
 """Real time without a byte after which the screen says so: the slowest instruments send ten times a second."""
 REFRESH_EVERY_S = 0.1  # Ten pictures a second: a person sees a turn without delay, and the decoder keeps its time.
