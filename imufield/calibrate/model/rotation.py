@@ -44,14 +44,12 @@ def skew(vector: FloatArray) -> FloatArray:
 
 def multiply(left: FloatArray, right: FloatArray) -> FloatArray:
     """Return the quaternion product, shape (..., 4)."""
-    lw, *lv = (left[..., k] for k in range(4))
-    rw, *rv = (right[..., k] for k in range(4))
-    scalar = lw * rw - (lv[0] * rv[0] + lv[1] * rv[1] + lv[2] * rv[2])
-    made = np.empty((*scalar.shape, 4))
-    made[..., 0] = scalar
+    (lw, *lv), (rw, *rv) = (np.moveaxis(factor, -1, 0) for factor in (left, right))
+    product = np.empty(np.broadcast_shapes(left.shape, right.shape))
+    product[..., 0] = lw * rw - (lv[0] * rv[0] + lv[1] * rv[1] + lv[2] * rv[2])
     for i, j, k in _CYCLES:
-        made[..., 1 + i] = lw * rv[i] + rw * lv[i] + (lv[j] * rv[k] - lv[k] * rv[j])
-    return made
+        product[..., 1 + i] = lw * rv[i] + rw * lv[i] + (lv[j] * rv[k] - lv[k] * rv[j])
+    return product
 
 
 def exponential(rotation_rad: FloatArray) -> FloatArray:
@@ -145,7 +143,7 @@ def right_jacobian(rotation_rad: FloatArray) -> FloatArray:
     return result
 
 
-def product(quaternion: FloatArray) -> FloatArray:
+def total_turn(quaternion: FloatArray) -> FloatArray:
     """Return the turn of each whole chain of intervals, shape (..., k, 4) to (..., 4)."""
     # Neighbours in pairs: a few passes, each over half as many as the one before.
     while (count := quaternion.shape[-2]) > 1:

@@ -23,7 +23,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from imufield.calibrate.model.rotation import conjugate, cross, exponential, product, rotate
+from imufield.calibrate.model.rotation import conjugate, cross, exponential, rotate, total_turn
 from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError, Reason
 from imufield.guide import refusals
@@ -268,7 +268,7 @@ def _misfit(moves: list[MoveBetweenStills], permutations: FloatArray, scales: Fl
     before, after = (np.array([getattr(move, name) for move in moves]) for name in ("up_before", "up_after"))
     turned = exponential(rates * (CELL_S / scales)[:, None, None, None])
     # A permutation P of determinant d gives exp(P w) = P exp(d w) P^T, so all 48 need two chains of turns: of w and of -w.
-    chains = np.stack([product(turned), product(conjugate(turned))], axis=1)
+    chains = np.stack([total_turn(turned), total_turn(conjugate(turned))], axis=1)
     mirrored = np.linalg.det(permutations) < 0
     back = conjugate(chains)[:, mirrored.astype(int)]
     up = np.einsum("pij,spmj->spmi", permutations, rotate(back, np.einsum("pji,mj->pmi", permutations, before)))

@@ -193,5 +193,7 @@ class Tracker:
         before = self.stretch.mean
         if not before:
             return 0.0
-        ratio = [(new - old) * weight for new, old, weight in zip(mean, before, self.standard.change_weight, strict=True)]
-        return max(math.hypot(*ratio[:3]), math.hypot(*ratio[3:]))
+        weight = self.standard.change_weight
+        accelerometer = math.hypot(*((mean[i] - before[i]) * weight[i] for i in range(3)))
+        gyroscope = math.hypot(*((mean[i] - before[i]) * weight[i] for i in range(3, 6)))
+        return max(accelerometer, gyroscope)

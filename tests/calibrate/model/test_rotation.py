@@ -14,10 +14,10 @@ from imufield.calibrate.model.rotation import (
     matrix,
     multiply,
     one_rotation_matrix,
-    product,
     right_jacobian,
     running_turns,
     skew,
+    total_turn,
 )
 
 pytestmark = pytest.mark.numerical
@@ -72,12 +72,12 @@ def test_running_turns_of_chains_of_any_length(longest: int) -> None:
         for k in range(start, start + length):
             turned = multiply(turned, turns[k])
             assert running[k] == pytest.approx(turned, abs=1e-12)
-        assert product(turns[start : start + length]) == pytest.approx(turned, abs=1e-12)
+        assert total_turn(turns[start : start + length]) == pytest.approx(turned, abs=1e-12)
 
 
 def test_products_of_many_chains_at_once() -> None:
     turns = exponential(RNG.standard_normal((2, 3, 7, 3)))
-    assert product(turns)[1, 2] == pytest.approx(product(turns[1, 2]), abs=1e-14)
+    assert total_turn(turns)[1, 2] == pytest.approx(total_turn(turns[1, 2]), abs=1e-14)
 
 
 def test_one_rotation_matrix_is_that_of_its_quaternion() -> None:
