@@ -1,7 +1,7 @@
 """Cache of a replayed recording (``Reading``) beside it, so that the next ``solve`` need not replay hours of samples.
 
 ``capture`` keeps it as soon as it has seen all of the recording, else who replays it first. It is believed only under a digest
-of the recording, of what ``session.toml`` says, and of this program's own code, with a secret of this user: what came with the
+of the recording, of what ``session.toml`` says, and of this program's version and files, with a secret of this user: what came with the
 session of another, who could write anything there, is read anew. Nothing is said of it: the result is the same.
 """
 
@@ -31,6 +31,7 @@ from imufield.guide.positions import SCHEME_FILE
 from imufield.json_files import parse_json
 from imufield.pipeline.reading import Reading
 from imufield.samples import SampleUnits
+from imufield.version import __version__
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -103,8 +104,8 @@ def _secret() -> bytes:
 
 @cache
 def _code_sha256() -> str:
-    """Return the hash of this program's files, by size and time: a version number stays while they are worked on."""
-    digest = hashlib.sha256()
+    """Return the hash of this program's version, and of its files by size and time: the number stays while they are edited."""
+    digest = hashlib.sha256(__version__.encode())
     # By their content it would take as long as all else that is done for what is kept.
     for folder, _, names in sorted(os.walk(Path(__file__).parent.parent)):
         for path in (f"{folder}/{name}" for name in sorted(names) if name.endswith((".py", ".toml"))):
