@@ -1,8 +1,8 @@
 """Cache of a replayed recording (``Reading``) beside it, so that the next ``solve`` need not replay hours of samples.
 
 ``capture`` keeps it as soon as it has seen all of the recording, else who replays it first. It is believed only under a digest
-of the recording, of what ``session.toml`` says, and of this program's version and files, with a secret of this user: what came with the
-session of another, who could write anything there, is read anew. Nothing is said of it: the result is the same.
+of the recording, of what ``session.toml`` says, and of this program's version and files, with a secret of this user: what came
+with the session of another, who could write anything there, is read anew. Nothing is said of it: the result is the same.
 """
 
 from __future__ import annotations
