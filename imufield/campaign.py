@@ -22,8 +22,8 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from imufield.dataclass import dataclass
 from imufield.errors import LinkError, LinkTimeoutError, Reason, UsageError
+from imufield.lean.dataclass import dataclass
 from imufield.progress import Task, task
 from imufield.sentences import Sentences
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import math
 
-from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError, Reason, UsageError
+from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)

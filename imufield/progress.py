@@ -16,7 +16,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import field
 from typing import TypeVar
 
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.sentences import printable
 
 AnItem = TypeVar("AnItem")

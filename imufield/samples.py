@@ -13,8 +13,8 @@ from enum import IntFlag
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.dataclass import dataclass
 from imufield.errors import Reason, RecordingError
+from imufield.lean.dataclass import dataclass
 from imufield.limits import TEMPERATURE_RANGE_DEGC
 from imufield.sentences import Sentences
 

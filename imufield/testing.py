@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences
 
 if TYPE_CHECKING:

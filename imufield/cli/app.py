@@ -6,7 +6,7 @@ import inspect
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import MISSING
 from functools import partial
-from typing import Annotated, Any, cast, get_args
+from typing import Annotated, cast, get_args
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -122,15 +122,17 @@ def _parameter(of: Parameter) -> inspect.Parameter:
     more["readable"] = False
     if option.check is not None:
         more["callback"] = _saying_why(option.check)
-    if "parser" in more:
-        more["parser"] = _saying_why(more["parser"])
-    made = typer.Argument(**more) if option.is_argument else typer.Option(*option.names, **more)
+    if callable(parser := more.get("parser")):
+        more["parser"] = _saying_why(parser)
+    # What typer knows of them is checked by it.
+    make = cast("Callable[..., object]", typer.Argument if option.is_argument else typer.Option)
+    made = make(*option.names, **more)
     default = inspect.Parameter.empty if of.default is MISSING else of.default
     annotation: object = Annotated[get_args(of.annotation)[0], made]
     return inspect.Parameter(of.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
 
 
-def _saying_why(check: Callable[[Any], object]) -> Callable[[object], object]:
+def _saying_why(check: Callable[..., object]) -> Callable[[object], object]:
     """Return the check of a value whose refusal is one of typer."""
 
     def checked(value: object) -> object:

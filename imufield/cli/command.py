@@ -9,7 +9,7 @@ from typing import Annotated, get_args, get_origin
 
 from imufield.cli.table import COMMANDS
 from imufield.commands.options.shared import Converted, Group, Option
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.progress import shown
 
 

@@ -17,8 +17,8 @@ from typing import get_args, get_origin
 
 from imufield.cli.command import Command, Parameter, parameters
 from imufield.commands.options.shared import UnfitValueError
-from imufield.dataclass import dataclass
 from imufield.errors import UsageError
+from imufield.lean.dataclass import dataclass
 
 _INTEGER = re.compile(r"[+-]?[0-9]{1,18}")
 _NUMBER = re.compile(r"[+-]?[0-9]+(?:\.[0-9]*)?(?:[eE][+-]?[0-9]{1,3})?")

@@ -18,9 +18,9 @@ from imufield.acquire.link.host_clock import HostClock
 from imufield.acquire.link.ports import serial_ports
 from imufield.commands.options.acquire_commands import ProbeOptions
 from imufield.commands.terminal.output import echo, host_clock, say
-from imufield.dataclass import dataclass
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import ImufieldError, LinkError, Reason
+from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences, printable
 
 sentence = Sentences(__package__)

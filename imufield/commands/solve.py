@@ -19,7 +19,6 @@ from imufield.acquire.recording.session import Session
 from imufield.commands.options.result_commands import SolveOptions
 from imufield.commands.terminal.output import echo, say, tell_written
 from imufield.console import PlainTextConsole
-from imufield.dataclass import dataclass
 from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, json_ready, write_document
 from imufield.deliver.parameters.numbers import WIDTH, hanging
 from imufield.deliver.parameters.schema import Document
@@ -28,6 +27,7 @@ from imufield.deliver.report.summary import Outcome, print_summary
 from imufield.earth import MICRO_G_M_S2
 from imufield.errors import ImufieldError, UsageError
 from imufield.files import real_path, refuse_overwriting
+from imufield.lean.dataclass import dataclass
 from imufield.pipeline.same_recording import RecordingMarks
 from imufield.pipeline.solving import lost_by_replacing, solve_observations, solve_session
 from imufield.samples import FloatArray

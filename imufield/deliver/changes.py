@@ -20,10 +20,10 @@ from imufield.calibrate.sessions.changes import FEWEST, MOST, DatedNumbers, Judg
 from imufield.calibrate.sessions.forecast import Forecast, forecast
 from imufield.calibrate.sessions.kinds import PPM, kind_of
 from imufield.calibrate.sessions.repeatability import Repeatability
-from imufield.dataclass import dataclass
 from imufield.deliver.family import Change, compare, family_of, typical_turn_on
 from imufield.deliver.history import STALE_DAYS, Entry, History, InstrumentHistory
 from imufield.deliver.parameters.gauge_free import Number, unit_of
+from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)

@@ -14,10 +14,10 @@ import numpy as np
 
 from imufield.calibrate.sessions.changes import LargestChange
 from imufield.calibrate.sessions.kinds import kind_of
-from imufield.dataclass import dataclass
 from imufield.deliver.changes import JudgedHistory
 from imufield.deliver.parameters.gauge_free import unit_of
 from imufield.drawing.style import BLUE, INK, ORANGE, figure, plot_style, title, to_svg
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 

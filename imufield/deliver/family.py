@@ -28,10 +28,10 @@ import numpy as np
 from imufield.calibrate.model.grades import Grade
 from imufield.calibrate.sessions.draws import FAMILY_CHANCE, symmetric_root, variance_share
 from imufield.calibrate.sessions.kinds import kind_of
-from imufield.dataclass import dataclass
 from imufield.deliver.parameters.gauge_free import GaugeFree, Number
 from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S
 from imufield.earth import MILLI_G_M_S2
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 _DRAWS = 20_000  # They tell the limit to 0.3 % and the chance to 0.15 %.

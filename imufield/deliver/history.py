@@ -18,12 +18,12 @@ from pathlib import Path
 
 import numpy as np
 
-from imufield.dataclass import dataclass
 from imufield.deliver.family import Shared
 from imufield.deliver.parameters.file import Parameters, load_found
 from imufield.deliver.parameters.gauge_free import GaugeFree, Number
 from imufield.errors import ImufieldError, ParameterFileError, Reason, UsageError
 from imufield.files import Origin, open_to_read, write_atomically
+from imufield.lean.dataclass import dataclass
 from imufield.progress import one_by_one
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences

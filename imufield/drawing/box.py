@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import AXES, FloatArray
 
 HALF_SIZE = (1.0, 0.72, 0.42)

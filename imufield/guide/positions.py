@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from imufield.dataclass import dataclass
 from imufield.errors import UsageError
 from imufield.files import Origin, read_small_file
+from imufield.lean.dataclass import dataclass
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentence, Sentences, printable
 from imufield.toml_files import decode_toml, parse_toml

@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import fields, replace
 
-from imufield.dataclass import dataclass
 from imufield.guide.events import RefusalCode, Rejected
+from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)

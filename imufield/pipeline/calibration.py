@@ -23,11 +23,11 @@ from imufield.calibrate.model.models import recover_vectors, to_vector
 from imufield.calibrate.model.observations import Observations, join_observations
 from imufield.calibrate.model.result import Calibration, Gauge, ModelChoice, PositionResult, without_drift
 from imufield.calibrate.solvers.agreement import LEAST_SQUARES
-from imufield.dataclass import dataclass
 from imufield.deliver.parameters.clock import clock_words
 from imufield.deliver.parameters.file import Context, Parameters, from_document, to_document
 from imufield.earth import MILLI_G_M_S2, Gravity
 from imufield.errors import CalibrationError, Reason, UsageError
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 

@@ -18,7 +18,6 @@ from imufield.acquire.protocol.protocol import Protocol, parse_protocol
 from imufield.acquire.recording.reader import Damage, PartStart, RecordedBlock, RecordedEvent, read_blocks, read_session
 from imufield.acquire.recording.session import SETTINGS_FILE, Session
 from imufield.calibrate.model.observations import Observations
-from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError, ProtocolError, Reason, RecordingError, SettingError
 from imufield.files import Origin
 from imufield.guide.events import Event, LinkLost
@@ -28,6 +27,7 @@ from imufield.guide.lead.turns import HORIZONTAL, VERTICAL
 from imufield.guide.lead.unguided import StillIntervalFinder, StillIntervals
 from imufield.guide.positions import SCHEME_FILE, SCHEMES, scheme
 from imufield.guide.stillness.scale import RoughScale
+from imufield.lean.dataclass import dataclass
 from imufield.pipeline.damage import require_samples
 from imufield.pipeline.site import SiteOptions
 from imufield.samples import FloatArray, Samples, Status, concatenate, no_samples

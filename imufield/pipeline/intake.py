@@ -5,8 +5,8 @@ from __future__ import annotations
 from imufield.acquire.instrument.same_stream import SameStream
 from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.recording.recorder import Recorder
-from imufield.dataclass import dataclass
 from imufield.guide.events import Event
+from imufield.lean.dataclass import dataclass
 from imufield.pipeline.chain import UNPLUGGED, Chain
 
 

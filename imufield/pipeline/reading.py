@@ -9,10 +9,10 @@ import numpy as np
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.calibrate.gyroscope.moves import MoveCollector, Moves, Slots, cut_moves, join_stills, no_slots
 from imufield.calibrate.model.observations import Observations, join_observations
-from imufield.dataclass import dataclass
 from imufield.deliver.report.trace import TraceCells, TraceCollector
 from imufield.guide.events import Event, Rejected, Turned
 from imufield.guide.lead.turns import VERTICAL
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, Samples, concatenate
 
 _AT_ONCE = 1024  # Samples that are summed at once: a live link brings them by tens, each time at the price of hundreds.

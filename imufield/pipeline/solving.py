@@ -20,7 +20,6 @@ from imufield.acquire.recording.session import Session
 from imufield.calibrate.gyroscope.whole_turns import stops_at
 from imufield.calibrate.model.observation_files import parse_observations, read_content
 from imufield.calibrate.model.observations import Observations, count_repeats_once, join_observations, leave_out
-from imufield.dataclass import dataclass
 from imufield.deliver.parameters.clock import best_rate, clock_facts
 from imufield.deliver.parameters.file import Context, InstrumentFacts, Parameters, SessionFacts, load_found
 from imufield.earth import Gravity
@@ -31,6 +30,7 @@ from imufield.guide.events import RefusalCode, Rejected
 from imufield.guide.lead.guide import Guide
 from imufield.guide.refusals import Refusal
 from imufield.guide.view.marks import with_keys
+from imufield.lean.dataclass import dataclass
 from imufield.pipeline.calibration import FEWEST_POSITIONS, Measured, SolveSettings, calibrate
 from imufield.pipeline.chain import Chain, ReadingPlan, SamplesListener, replay_into
 from imufield.pipeline.damage import naming_damage, without_end_under_way

@@ -15,11 +15,11 @@ from imufield.calibrate.temperature.fit import Evidence, SessionPoints, Temperat
 from imufield.calibrate.temperature.one_pose import gyroscope_sentence, pose_sentence
 from imufield.calibrate.temperature.points import accelerometer_points, gyroscope_points
 from imufield.calibrate.temperature.ramp import RampWindows, cut_ramp, in_one_pose, ramp_sentences, turns
-from imufield.dataclass import dataclass
 from imufield.deliver.parameters.context import TemperatureSource
 from imufield.deliver.parameters.file import Parameters, from_document
 from imufield.deliver.parameters.temperature import add_temperature
 from imufield.errors import CalibrationError, Reason
+from imufield.lean.dataclass import dataclass
 from imufield.pipeline.calibration import SolveSettings
 from imufield.pipeline.chain import session_samples
 from imufield.pipeline.same_recording import RecordingMarks, without_copies

@@ -18,11 +18,11 @@ from imufield.calibrate.model.grades import find_grade
 from imufield.calibrate.sessions.joint import FEWEST, FEWEST_WITHOUT_PRIOR, Joint, SessionNumbers, adjust
 from imufield.calibrate.sessions.kinds import kind_of
 from imufield.campaign import run_campaign
-from imufield.dataclass import dataclass
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.gauge_free import GaugeFree, unit_of
 from imufield.deliver.parameters.joined import JoinedFrom, joined_parameters, numbers_of, prior_scales
 from imufield.errors import CalibrationError, ImufieldError, Reason, UsageError
+from imufield.lean.dataclass import dataclass
 from imufield.pipeline.calibration import SolveSettings
 from imufield.pipeline.chain import session_protocol
 from imufield.pipeline.same_recording import RecordingMarks, without_copies

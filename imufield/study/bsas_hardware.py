@@ -19,9 +19,9 @@ import numpy as np
 from imufield.calibrate.accelerometer.whitening import whitened_problem
 from imufield.calibrate.model.models import SCALE, from_vector, predict, recover
 from imufield.calibrate.solvers.beetles import solve_bsas
-from imufield.dataclass import dataclass
 from imufield.deliver.navigation.drift import Drift
 from imufield.earth import MICRO_G_M_S2
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.study import figures
 from imufield.study.context import StudyContext

@@ -17,8 +17,8 @@ from imufield.calibrate.model.models import PARAMETERS
 from imufield.calibrate.solvers.beetles import BasSettings, BsasSettings, solve_bas, solve_bsas
 from imufield.calibrate.solvers.costs import NormProblem
 from imufield.calibrate.solvers.staged import PAPER_CATEGORIES, solve_bsas_staged, solve_stages
-from imufield.dataclass import dataclass
 from imufield.earth import MICRO_G_M_S2
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.study import figures
 from imufield.study.context import StudyContext

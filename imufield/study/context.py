@@ -6,7 +6,7 @@ import zlib
 from collections.abc import Sequence
 
 from imufield.campaign import Argument, Result, Run, run_campaign
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

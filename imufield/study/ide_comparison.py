@@ -16,8 +16,8 @@ import numpy as np
 from imufield.calibrate.solvers.base import Solver
 from imufield.calibrate.solvers.registry import load_solver
 from imufield.calibrate.solvers.triad_costs import TriadProblem, TurnsProblem, unit_diagonal_matrices
-from imufield.dataclass import dataclass
 from imufield.deliver.navigation.drift import Drift
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.study import figures
 from imufield.study.context import StudyContext

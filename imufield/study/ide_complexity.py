@@ -17,7 +17,7 @@ from itertools import product
 import numpy as np
 
 from imufield.calibrate.solvers.registry import load_solver
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.study import figures
 from imufield.study.context import StudyContext

@@ -15,7 +15,7 @@ import numpy as np
 
 from imufield.calibrate.solvers.evolution import solve_ide
 from imufield.calibrate.solvers.triad_costs import TriadProblem, TurnsProblem
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.study import figures
 from imufield.study.context import StudyContext

@@ -13,11 +13,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from imufield.dataclass import dataclass
 from imufield.deliver.navigation.alignment import coarse_attitude
 from imufield.deliver.navigation.drift import Drift
 from imufield.deliver.navigation.mechanise import integrate, load_pyins
 from imufield.earth import MICRO_G_M_S2
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.study.report import CsvTable
 

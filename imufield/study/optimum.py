@@ -31,7 +31,7 @@ from imufield.calibrate.model.result import QuadraticAxes
 from imufield.calibrate.solvers.base import Problem, Solver, SolverResult
 from imufield.calibrate.solvers.costs import NormProblem
 from imufield.calibrate.solvers.least_squares import solve_least_squares
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 INTRINSIC_NAMES = tuple(

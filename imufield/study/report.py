@@ -20,10 +20,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from imufield.dataclass import dataclass
 from imufield.deliver.parameters.numbers import WIDTH, hanging
 from imufield.drawing.style import figure, plot_style, title
 from imufield.files import typed_write_errors, write_atomically
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.study import instruments
 

@@ -15,7 +15,7 @@ from dataclasses import field
 from enum import Enum
 from http import HTTPStatus
 
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 
 PROTOCOL = "imufield"
 """The subprotocol that the server answers with: the token is never sent back."""

@@ -11,9 +11,9 @@ import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from imufield.dataclass import dataclass
 from imufield.errors import UsageError
 from imufield.files import real_path
+from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences, printable
 
 sentence = Sentences(__package__)

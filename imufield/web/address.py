@@ -10,8 +10,8 @@ import socket
 import ifaddr
 import segno
 
-from imufield.dataclass import dataclass
 from imufield.errors import UsageError
+from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)

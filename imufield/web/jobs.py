@@ -13,8 +13,8 @@ from contextlib import suppress
 from dataclasses import asdict, field
 from typing import IO
 
-from imufield.dataclass import dataclass
 from imufield.errors import EXIT_INTERRUPTED, UsageError
+from imufield.lean.dataclass import dataclass
 from imufield.progress import ERASE
 from imufield.sentences import Sentences, printable
 from imufield.web.board import Json

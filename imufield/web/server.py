@@ -29,7 +29,7 @@ from websockets.http11 import Request, Response
 from websockets.sync.server import ServerConnection, serve
 from websockets.typing import Subprotocol
 
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.web.access import BEFORE_TOKEN, PROTOCOL, Access, Role
 from imufield.web.board import Board, Json
 

@@ -16,9 +16,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import BinaryIO
 
-from imufield.dataclass import dataclass
 from imufield.errors import ImufieldError, UsageError
 from imufield.files import Origin, make_beside, new_mode, open_to_read, publish_beside_others, typed_write_errors
+from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences
 from imufield.web.actions import UPLOADS, Sessions
 from imufield.web.board import Json

@@ -31,7 +31,7 @@ from imufield.acquire.clock.clock import Arrivals, Clock, filled_in
 from imufield.acquire.decode.assembly import RawBlock, join
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, IntArray, Samples, SampleUnits, Status, concatenate
 
 _WINDOW_S = 0.25  # Longer than the delays of a busy host, as for serial ports.

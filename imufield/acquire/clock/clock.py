@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from imufield.acquire.decode.assembly import RawBlock, Ticks
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, IntArray, Samples, SampleUnits
 
 

@@ -46,7 +46,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.acquire.decode.assembly import RawBlock
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, Status
 
 _BUCKET_S = 0.25

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from imufield.acquire.protocol.frame_schema import JoinRule
 from imufield.acquire.protocol.layout import MessageValue
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import INSTRUMENT_STATUS_SHIFT, FloatArray, IntArray
 
 Flags = NDArray[np.bool_]

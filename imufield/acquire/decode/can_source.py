@@ -18,7 +18,7 @@ from imufield.acquire.protocol.can_frame import ERROR, EXTENDED, REMOTE
 from imufield.acquire.protocol.can_frames import CanFrames, Unpacker
 from imufield.acquire.protocol.can_protocol import ANY_ADDRESS, TEMPERATURE, CanKind, CanRule, Column
 from imufield.acquire.protocol.samples_and_clock import FlagRule
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import NO_COUNTER, FloatArray, IntArray, Status
 
 _Flag = tuple[CanSignal, FlagRule]

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from imufield.acquire.decode.frame_check import INVALID, NO_SHAPE, FrameCheck, spaced_rows
 from imufield.acquire.protocol.frame_schema import FrameRule
 from imufield.acquire.protocol.layout import Layout
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import every
 
 Bytes = NDArray[np.uint8]

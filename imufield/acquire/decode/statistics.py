@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, field, fields, replace
 
 from imufield.acquire.protocol.protocol import Protocol
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import Status
 from imufield.sentences import Sentence, Sentences, shortened
 

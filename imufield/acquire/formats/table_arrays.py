@@ -22,9 +22,9 @@ import numpy as np
 from imufield.acquire.formats import array_file_reader
 from imufield.acquire.formats.array_file_reader import Array, Arrays
 from imufield.acquire.formats.table_columns import named_column
-from imufield.dataclass import dataclass
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.files import open_to_read
+from imufield.lean.dataclass import dataclass
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentences, printable, shortened
 

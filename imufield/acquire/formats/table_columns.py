@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from imufield.dataclass import dataclass
 from imufield.errors import UsageError
-from imufield.median import median
+from imufield.lean.dataclass import dataclass
+from imufield.lean.median import median
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, LARGEST_OUTPUT, SAMPLE_COLUMNS, FloatArray
 from imufield.sentences import Sentences, shortened
 

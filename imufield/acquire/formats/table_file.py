@@ -22,8 +22,8 @@ from imufield.acquire.formats.table_columns import (
     columns_by_user,
 )
 from imufield.acquire.formats.table_text import TextTable, open_table
-from imufield.dataclass import dataclass
 from imufield.errors import Reason, RecordingError
+from imufield.lean.dataclass import dataclass
 from imufield.limits import TEMPERATURE_RANGE_DEGC
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, FloatArray, Status, is_possible_degc
 from imufield.sentences import Sentences

@@ -10,7 +10,7 @@ import numpy as np
 from imufield.acquire.formats.table_columns import TIME, choose_time_scale
 from imufield.acquire.formats.table_file import Fields, File
 from imufield.errors import UsageError
-from imufield.median import median
+from imufield.lean.median import median
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 

@@ -16,9 +16,9 @@ from typing import BinaryIO, cast
 import numpy as np
 
 from imufield.acquire.formats.array_file_reader import SoundGzip
-from imufield.dataclass import dataclass
 from imufield.errors import Reason, RecordingError
 from imufield.files import open_to_read
+from imufield.lean.dataclass import dataclass
 from imufield.progress import task
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences, printable, shortened

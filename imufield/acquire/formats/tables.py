@@ -32,9 +32,9 @@ from imufield.acquire.formats.table_file import File, file_of, is_empty, meaning
 from imufield.acquire.formats.table_join import join
 from imufield.acquire.formats.table_text import TextTable
 from imufield.acquire.link.chunk import Chunk
-from imufield.dataclass import dataclass
 from imufield.errors import UsageError
-from imufield.median import median
+from imufield.lean.dataclass import dataclass
+from imufield.lean.median import median
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, NO_COUNTER, FloatArray, IntArray, Samples
 from imufield.sentences import Sentences
 

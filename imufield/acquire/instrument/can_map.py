@@ -20,9 +20,9 @@ from imufield.acquire.protocol.can_protocol import dbc_table
 from imufield.acquire.protocol.protocol import DBC_LIMIT_BYTES, Protocol, decode_dbc, load_protocol, parse_protocol
 from imufield.acquire.protocol.toml import near
 from imufield.acquire.registry import load_driver
-from imufield.dataclass import dataclass
 from imufield.errors import ProtocolError, Reason, UsageError
 from imufield.files import read_start
+from imufield.lean.dataclass import dataclass
 from imufield.samples import AXES
 from imufield.sentences import Sentences
 

@@ -32,8 +32,8 @@ from imufield.acquire.link.host_clock import HostClock, patience_s
 from imufield.acquire.protocol.can_frame import ERROR
 from imufield.acquire.protocol.can_frames import unpack_frames
 from imufield.acquire.protocol.protocol import parse_protocol
-from imufield.dataclass import dataclass
 from imufield.errors import LinkError, LinkTimeoutError, Reason, UsageError
+from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)

@@ -15,8 +15,8 @@ from imufield.acquire.instrument.listen import Say
 from imufield.acquire.link.background import BackgroundLink, ReopenableLink
 from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.protocol.protocol import Protocol
-from imufield.dataclass import dataclass
 from imufield.errors import LinkError, Reason
+from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences, printable
 
 sentence = Sentences(__package__)

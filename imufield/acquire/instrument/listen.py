@@ -13,9 +13,9 @@ from imufield.acquire.link.host_clock import HostClock, patience_s
 from imufield.acquire.link.serial import SerialLink, open_link
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.acquire.registry import driver_names, load_driver
-from imufield.dataclass import dataclass
 from imufield.errors import LinkError, LinkTimeoutError, ProtocolError, Reason, SettingError
 from imufield.files import real_path
+from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)

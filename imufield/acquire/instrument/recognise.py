@@ -19,9 +19,9 @@ from imufield.acquire.decoder import Decoder
 from imufield.acquire.driver import Driver, Message
 from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.protocol.protocol import Protocol
-from imufield.dataclass import dataclass
 from imufield.earth import MICRO_G_M_S2
 from imufield.errors import ProtocolError
+from imufield.lean.dataclass import dataclass
 from imufield.samples import Samples
 from imufield.sentences import Sentences
 

@@ -21,7 +21,7 @@ from imufield.acquire.instrument.recognise import CERTAIN_SAMPLES, FEWEST_SAMPLE
 from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.acquire.protocol.units import nominal_scale
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, LARGEST_OUTPUT, FloatArray
 from imufield.sentences import Sentences
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from imufield.acquire.link.serial import *  # noqa: F403  the names are listed below
@@ -12,8 +12,9 @@ __all__ = ["COLLECT_S", "READ_LIMIT_BYTES", "WAIT_S", "WRITE_TIMEOUT_S", "Chunk"
 __all__ += ["SerialLink", "SerialSettings", "not_taken", "open_link"]  # noqa: F405
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     """Hand on the names that stood here when this was a module; imported on first use, as most commands have no port."""
     if name in __all__:
-        return getattr(importlib.import_module("imufield.acquire.link.serial"), name)
+        found: object = getattr(importlib.import_module("imufield.acquire.link.serial"), name)
+        return found
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

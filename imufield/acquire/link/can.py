@@ -43,8 +43,8 @@ from imufield.acquire.protocol.can_frame import (
 )
 from imufield.acquire.protocol.can_frames import unpack_frames
 from imufield.acquire.protocol.toml import near
-from imufield.dataclass import dataclass
 from imufield.errors import LinkError, Reason, UsageError
+from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from serial.tools import list_ports
 
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 
 _NETWORK = Path("/sys/class/net")
 _TYPE_CAN = "280"  # ARPHRD_CAN of Linux, ``if_arp.h``.

@@ -18,8 +18,8 @@ import serial
 from imufield.acquire.link.chunk import Chunk as Chunk  # noqa: PLC0414  (where drivers of others know it)
 from imufield.acquire.link.host_clock import HostClock, SystemClock
 from imufield.acquire.link.link_errors import OPEN_FAILURES, baud_refused, open_error
-from imufield.dataclass import dataclass
 from imufield.errors import LinkError, LinkTimeoutError, Reason
+from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)

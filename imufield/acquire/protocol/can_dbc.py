@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from imufield.acquire.protocol.can_frame import EXTENDED, ID_MASK, MOST_DATA
 from imufield.acquire.protocol.layout import MessageValue, Numbers
 from imufield.acquire.protocol.toml import LARGEST, LEAST_SCALE, near
-from imufield.dataclass import dataclass
 from imufield.errors import ProtocolError, Reason
+from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences, shortened
 
 sentence = Sentences(__package__)

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import struct
 
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 
 UNIT_BYTES = 24
 MARK = 0xCA4E

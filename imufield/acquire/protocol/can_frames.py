@@ -17,7 +17,7 @@ from imufield.acquire.protocol.can_frame import (
     UNIT_BYTES,
     Frame,
 )
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, IntArray
 
 _MARK_BYTES = MARK.to_bytes(2, "little")

@@ -26,8 +26,8 @@ from imufield.acquire.protocol.samples_and_clock import (
 )
 from imufield.acquire.protocol.toml import LARGEST, Table, near
 from imufield.acquire.protocol.units import TO_SI, UNITS_OF, unit_name
-from imufield.dataclass import dataclass
 from imufield.errors import ProtocolError, Reason
+from imufield.lean.dataclass import dataclass
 from imufield.limits import BAUD_RANGE
 from imufield.samples import SampleUnits
 from imufield.sentences import Sentences

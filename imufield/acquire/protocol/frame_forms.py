@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from imufield.acquire.protocol.checksum import Checksum
 from imufield.acquire.protocol.layout import Field, Layout
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 
 Bytes = NDArray[np.uint8]
 Positions = NDArray[np.intp]

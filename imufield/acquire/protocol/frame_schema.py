@@ -12,7 +12,7 @@ from imufield.acquire.protocol.frame_forms import FieldsRule, FrameForm, LengthR
 from imufield.acquire.protocol.layout import NUMBER_BYTES, TEXT_TYPES, Bits, Field, Layout
 from imufield.acquire.protocol.samples_and_clock import read_checksum
 from imufield.acquire.protocol.toml import Table
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)

@@ -30,9 +30,9 @@ from imufield.acquire.protocol.samples_and_clock import (
 from imufield.acquire.protocol.settings import Setting, SettingRule, choose_settings, read_rules
 from imufield.acquire.protocol.toml import FILE_LIMIT_BYTES, LEAST_SCALE, Source, Table, near
 from imufield.acquire.protocol.units import SI_UNITS, TO_SI, UNITS_OF
-from imufield.dataclass import dataclass
 from imufield.errors import ProtocolError, Reason, UnknownNameError
 from imufield.files import Origin, read_start
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, SampleUnits
 from imufield.sentences import Sentences, printable
 from imufield.toml_files import decode_toml

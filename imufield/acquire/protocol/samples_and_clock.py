@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from imufield.acquire.protocol.checksum import Checksum, make_checksum
 from imufield.acquire.protocol.toml import Table
-from imufield.dataclass import dataclass
 from imufield.errors import ProtocolError
+from imufield.lean.dataclass import dataclass
 from imufield.limits import RATE_RANGE_HZ
 from imufield.samples import INSTRUMENT_STATUS_SHIFT, IntArray, SampleUnits, Status
 from imufield.sentences import Sentences

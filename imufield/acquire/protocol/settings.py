@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import Literal, cast
 
 from imufield.acquire.protocol.toml import LARGEST, Source, Table, near, spell
-from imufield.dataclass import dataclass
 from imufield.errors import ProtocolError, Reason, SettingError
+from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)

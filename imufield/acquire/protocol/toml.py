@@ -16,8 +16,8 @@ from dataclasses import field
 from functools import lru_cache
 from typing import Self, TypeVar
 
-from imufield.dataclass import dataclass
 from imufield.errors import ProtocolError, Reason
+from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentence, Sentences, shortened
 from imufield.toml_files import Place, line_of, parse_toml
 

@@ -25,9 +25,9 @@ from imufield.acquire.recording.mcap_format import (
     read_metadata,
     unpack_chunk,
 )
-from imufield.dataclass import dataclass
 from imufield.errors import Reason, RecordingError
 from imufield.files import Origin, open_to_read
+from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)

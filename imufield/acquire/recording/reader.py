@@ -23,9 +23,9 @@ from imufield.acquire.link.host_clock import HostClock, SystemClock
 from imufield.acquire.recording.mcap_format import ARRIVAL, EVENTS_CHANNEL, LINK_CHANNEL, DamageError, messages
 from imufield.acquire.recording.part_file import Damage as Damage  # noqa: PLC0414  (handed on)
 from imufield.acquire.recording.part_file import PartFile, open_part
-from imufield.dataclass import dataclass
 from imufield.errors import LinkError, Reason, UsageError
 from imufield.json_files import parse_json
+from imufield.lean.dataclass import dataclass
 from imufield.progress import Task, task
 from imufield.samples import FloatArray, IntArray
 from imufield.sentences import Sentences

@@ -11,10 +11,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from imufield.dataclass import dataclass
 from imufield.earth import GRAVITY_RANGE_M_S2, HEIGHT_RANGE_M, MEASURED_GRAVITY_SIGMA_M_S2
 from imufield.errors import Reason, RecordingError
 from imufield.files import utf8_text
+from imufield.lean.dataclass import dataclass
 from imufield.limits import BAUD_RANGE, HOLD_RANGE_S, RATE_RANGE_HZ, TARGET_RANGE
 from imufield.samples import ACCELEROMETER_COLUMNS, LARGEST_OUTPUT
 from imufield.sentences import Sentences, printable

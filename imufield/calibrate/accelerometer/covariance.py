@@ -21,8 +21,8 @@ from imufield.calibrate.model.higher import HigherTerms
 from imufield.calibrate.model.models import PARAMETERS
 from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS, parameter_scale
 from imufield.calibrate.model.uncertainty import SPARE_POSITIONS, gravity_sensitivity
-from imufield.dataclass import dataclass
 from imufield.earth import Gravity
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 # A number that takes more than this share (in scaled coordinates) of a parameter that was not fitted has no sigma.

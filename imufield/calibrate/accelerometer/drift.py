@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from imufield.calibrate.model.observations import Observations
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 MOST_CONFUSION = 2.0

@@ -35,7 +35,7 @@ import numpy as np
 from imufield.calibrate.accelerometer.fit import Fit
 from imufield.calibrate.model.distributions import f_tail
 from imufield.calibrate.model.models import BIAS, PARAMETERS
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 Term = Literal["quadratic", "drift"]

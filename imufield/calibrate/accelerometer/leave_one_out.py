@@ -10,7 +10,7 @@ from itertools import combinations
 
 import numpy as np
 
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 NOT_LEFT_OUT = 1 - 1e-6

@@ -37,7 +37,7 @@ from imufield.calibrate.solvers.base import Callback
 from imufield.calibrate.solvers.costs import CostName, NormProblem
 from imufield.calibrate.solvers.least_squares import solve_least_squares
 from imufield.calibrate.solvers.registry import find_method, load_solver
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 

@@ -27,9 +27,9 @@ from imufield.calibrate.model.models import MISALIGNMENT, PARAMETERS, QUADRATIC,
 from imufield.calibrate.model.observability import WEAKEST_COLUMN, Observability, observe, require_scale_and_bias
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, ModelChoice
-from imufield.dataclass import dataclass
 from imufield.earth import MILLI_G_M_S2
 from imufield.errors import CalibrationError, Reason
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.sentences import Sentence, Sentences
 

@@ -14,8 +14,8 @@ from __future__ import annotations
 import numpy as np
 
 from imufield.calibrate.model.models import MISALIGNMENT, MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS, PARAMETERS
-from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError, Reason
+from imufield.lean.dataclass import dataclass
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentences
 

@@ -12,7 +12,7 @@ from imufield.calibrate.model.distributions import NORMAL_FACTOR_95, f_tail, stu
 from imufield.calibrate.model.grades import Grade
 from imufield.calibrate.model.higher import KINDS, TERMS, HigherTerms, higher_scale
 from imufield.calibrate.model.models import PARAMETERS
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 

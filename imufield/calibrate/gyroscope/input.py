@@ -16,9 +16,9 @@ from imufield.calibrate.gyroscope.whole_turns import Stop
 from imufield.calibrate.model.models import recover
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration, GyroscopeParameters
-from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError, Reason
-from imufield.median import median
+from imufield.lean.dataclass import dataclass
+from imufield.lean.median import median
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentences
 

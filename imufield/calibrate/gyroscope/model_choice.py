@@ -48,8 +48,8 @@ from imufield.calibrate.model.distributions import NORMAL_FACTOR_95, f_limit_95,
 from imufield.calibrate.model.grades import Grade
 from imufield.calibrate.model.rotation import skew
 from imufield.calibrate.model.uncertainty import told_apart
-from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError, Reason
+from imufield.lean.dataclass import dataclass
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentence, Sentences
 

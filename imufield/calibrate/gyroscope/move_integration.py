@@ -20,8 +20,8 @@ import numpy as np
 
 from imufield.calibrate.gyroscope.moves import Moves
 from imufield.calibrate.model.rotation import cross, exponential, matrix, right_jacobian, running_turns
-from imufield.dataclass import dataclass
-from imufield.median import median
+from imufield.lean.dataclass import dataclass
+from imufield.lean.median import median
 from imufield.samples import FloatArray
 
 PARAMETERS = 21

@@ -38,8 +38,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.calibrate.model.rotation import cross
-from imufield.dataclass import dataclass
-from imufield.median import median
+from imufield.lean.dataclass import dataclass
+from imufield.lean.median import median
 from imufield.samples import LARGEST_OUTPUT, FloatArray, IntArray, Samples, SampleUnits, Status, concatenate
 from imufield.sentences import Sentence, Sentences
 

@@ -14,8 +14,8 @@ from imufield.calibrate.gyroscope.move_integration import INVERSE, PARAMETERS, S
 from imufield.calibrate.gyroscope.residual_covariance import Scatter, covariances
 from imufield.calibrate.gyroscope.residuals import GyroscopeData, evaluate
 from imufield.calibrate.model.observability import unexplained_lengths
-from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError, Reason
+from imufield.lean.dataclass import dataclass
 from imufield.samples import AXES, FloatArray, IntArray
 from imufield.sentences import Sentences
 

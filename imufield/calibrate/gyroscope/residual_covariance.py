@@ -36,7 +36,7 @@ from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, GRAVITY_NAME, AccelerometerParameters, Calibration
 from imufield.calibrate.model.rotation import skew
 from imufield.calibrate.model.uncertainty import rms
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 # Relative step for the derivative of the specific force by the accelerometer's parameters; it is nearly linear in them.

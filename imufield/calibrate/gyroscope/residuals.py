@@ -30,7 +30,7 @@ from imufield.calibrate.gyroscope.move_integration import BIAS, INVERSE, PARAMET
 from imufield.calibrate.gyroscope.moves import Moves
 from imufield.calibrate.gyroscope.turntable import TableRows, no_table
 from imufield.calibrate.model.rotation import cross, from_matrix, logarithm, matrix, one_rotation_matrix, skew
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, IntArray
 
 VERTICAL = PARAMETERS

@@ -29,7 +29,7 @@ from imufield.calibrate.model.result import (
     GyroscopeParameters,
 )
 from imufield.calibrate.model.uncertainty import bounded_cross_covariance, rms
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentence, Sentences
 

@@ -38,9 +38,9 @@ from imufield.calibrate.gyroscope.residual_covariance import Covariances, Scatte
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import GyroscopeCalibration, GyroscopeParameters
 from imufield.calibrate.model.uncertainty import block_diagonal
-from imufield.dataclass import dataclass
 from imufield.earth import EARTH_RATE_RAD_S
-from imufield.median import median
+from imufield.lean.dataclass import dataclass
+from imufield.lean.median import median
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentence, Sentences
 

@@ -19,8 +19,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError, Reason
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 

@@ -17,8 +17,8 @@ import numpy as np
 
 from imufield.calibrate.gyroscope.residuals import Evaluation, GyroscopeData
 from imufield.calibrate.model.rotation import from_matrix, logarithm
-from imufield.dataclass import dataclass
 from imufield.errors import UsageError
+from imufield.lean.dataclass import dataclass
 from imufield.samples import AXES, FloatArray, IntArray
 from imufield.sentences import Sentence, Sentences
 

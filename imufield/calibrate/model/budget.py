@@ -21,7 +21,7 @@ from typing import Literal
 
 import numpy as np
 
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 Kind = Literal["A", "B"]

@@ -39,8 +39,8 @@ from imufield.calibrate.model.models import (
 )
 from imufield.calibrate.model.observability import generators
 from imufield.calibrate.model.result import AccelerometerParameters, Gauge, GyroscopeParameters, Intrinsic, QuadraticAxes
-from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError, Reason, UsageError
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 

@@ -14,9 +14,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
-from imufield.dataclass import dataclass
 from imufield.earth import MICRO_G_M_S2, STANDARD_GRAVITY_M_S2
 from imufield.errors import UsageError
+from imufield.lean.dataclass import dataclass
 from imufield.samples import SampleUnits
 from imufield.sentences import Sentences
 

@@ -25,7 +25,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 TERMS = 12

@@ -38,8 +38,8 @@ import numpy as np
 from imufield.calibrate.model.higher import HigherTerms, higher_columns
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters, QuadraticAxes
 from imufield.calibrate.model.temperature import TriadTemperature
-from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError, Reason
+from imufield.lean.dataclass import dataclass
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentences
 

@@ -31,8 +31,8 @@ from imufield.calibrate.model.models import (
     alignment_matrix,
 )
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES
-from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError, Reason
+from imufield.lean.dataclass import dataclass
 from imufield.samples import AXES, LARGEST_OUTPUT, FloatArray
 from imufield.sentences import Sentences
 

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from imufield.calibrate.model.observations import Observations
-from imufield.dataclass import dataclass
 from imufield.errors import Reason, RecordingError
 from imufield.files import read_small_file
+from imufield.lean.dataclass import dataclass
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, LARGEST_OUTPUT, FloatArray, SampleUnits
 from imufield.sentences import Sentences, printable
 

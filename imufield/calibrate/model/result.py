@@ -11,8 +11,8 @@ from imufield.calibrate.model.budget import Share
 from imufield.calibrate.model.higher import HigherTerms
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.temperature import TriadTemperature
-from imufield.dataclass import dataclass
 from imufield.earth import Gravity
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 Gauge = Literal["preset", "lower", "upper", "symmetric"]

@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from imufield.dataclass import dataclass
 from imufield.errors import Reason, UsageError
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, IntArray
 from imufield.sentences import Sentences
 

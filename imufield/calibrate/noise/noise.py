@@ -22,9 +22,9 @@ from imufield.calibrate.noise.allan import (
     degrees_of_freedom,
 )
 from imufield.calibrate.noise.noise_fit import NoiseFigure, NoiseModel, identify
-from imufield.dataclass import dataclass
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import CalibrationError, Reason, RecordingError
+from imufield.lean.dataclass import dataclass
 from imufield.samples import AXES, FloatArray, Samples, SampleUnits
 from imufield.sentences import Sentence, Sentences
 

@@ -26,7 +26,7 @@ import math
 import numpy as np
 
 from imufield.calibrate.model.distributions import NORMAL_FACTOR_95
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 FLICKER = 2 * math.log(2) / math.pi

@@ -25,7 +25,7 @@ import numpy as np
 
 from imufield.calibrate.sessions.changes import DatedNumbers, Judged, KindTest
 from imufield.calibrate.sessions.joint import FEWEST_WITHOUT_PRIOR
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 _DRAWS = 4000  # They tell the ends of the interval to a few percent.

@@ -32,7 +32,7 @@ from imufield.calibrate.sessions.repeatability import (
     repeatability,
     studentised,
 )
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 FEWEST = 2

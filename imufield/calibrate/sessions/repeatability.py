@@ -32,7 +32,7 @@ import math
 
 import numpy as np
 
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 _CHANCE = 0.05  # Of 95 % intervals.

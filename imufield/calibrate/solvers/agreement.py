@@ -13,7 +13,7 @@ import numpy as np
 
 from imufield.calibrate.solvers.costs import CostName
 from imufield.calibrate.solvers.registry import find_method
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 

@@ -39,7 +39,7 @@ from imufield.calibrate.model.models import (
 )
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, QuadraticAxes
 from imufield.calibrate.solvers.triad_costs import inverse_matrices, unit_diagonal_matrices
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 CostName = Literal["absolute", "squares", "weighted"]

@@ -23,8 +23,8 @@ import numpy as np
 
 from imufield.calibrate.solvers.base import Callback, Problem, SolverResult
 from imufield.calibrate.solvers.population import Record, check_finite_bounds, relative_spread
-from imufield.dataclass import dataclass
 from imufield.errors import UsageError
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 

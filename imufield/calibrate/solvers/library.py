@@ -10,8 +10,8 @@ import numpy as np
 
 from imufield.calibrate.solvers.base import Callback, Problem, SolverResult
 from imufield.calibrate.solvers.population import Record, check_finite_bounds
-from imufield.dataclass import dataclass
 from imufield.errors import Reason, UsageError
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 

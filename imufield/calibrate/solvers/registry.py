@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, cast
 
 from imufield.calibrate.solvers.base import Solver
 from imufield.calibrate.solvers.costs import CostName
-from imufield.dataclass import dataclass
 from imufield.errors import UsageError
+from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences
 
 if TYPE_CHECKING:

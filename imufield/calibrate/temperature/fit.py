@@ -46,9 +46,9 @@ from imufield.calibrate.temperature.scatter import (
     shares_of,
     whitened,
 )
-from imufield.dataclass import dataclass
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import CalibrationError, Reason
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from imufield.calibrate.model.temperature import HIGHEST_ORDER
 from imufield.calibrate.temperature.fit import SAME_TEMPERATURE_DEGC, RampBlocks
-from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError, Reason
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 

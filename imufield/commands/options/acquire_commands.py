@@ -27,9 +27,9 @@ from imufield.commands.options.shared import (
     option,
     unknown_site,
 )
-from imufield.dataclass import dataclass
 from imufield.errors import UsageError
 from imufield.files import DEFAULT_ROOT
+from imufield.lean.dataclass import dataclass
 from imufield.limits import BAUD_RANGE, HOLD_RANGE_S, PORT_RANGE, RATE_RANGE_HZ, TARGET_RANGE
 from imufield.sentences import Sentences
 

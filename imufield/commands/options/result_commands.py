@@ -21,8 +21,8 @@ from imufield.commands.options.shared import (
     session_argument,
     unknown_site,
 )
-from imufield.dataclass import dataclass
 from imufield.files import DEFAULT_ROOT
+from imufield.lean.dataclass import dataclass
 from imufield.limits import TARGET_RANGE
 from imufield.sentences import Sentences
 

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 
 from imufield.commands.configuration import parse_settings
 from imufield.commands.options import completion
-from imufield.dataclass import dataclass
 from imufield.errors import UsageError
+from imufield.lean.dataclass import dataclass
 from imufield.limits import BAUD_RANGE, RATE_RANGE_HZ, TARGET_RANGE
 from imufield.sentences import Sentences
 
@@ -51,8 +51,8 @@ class Option:
 
     names: tuple[str, ...] = ()
     is_argument: bool = False
-    check: Callable[[Any], Any] | None = None
-    more: Mapping[str, Any]
+    check: Callable[..., object] | None = None
+    more: Mapping[str, object]
 
 
 @dataclass(frozen=True, slots=True)

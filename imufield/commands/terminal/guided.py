@@ -28,7 +28,6 @@ from imufield.commands.options.acquire_commands import CaptureOptions, ViewName
 from imufield.commands.terminal.output import echo, say
 from imufield.commands.terminal.page import SHOWN_EVERY_S, serve_page
 from imufield.commands.terminal.views import View, make_view
-from imufield.dataclass import dataclass
 from imufield.deliver.parameters.file import load
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import CalibrationError, ImufieldError, RecordingError, UsageError
@@ -38,6 +37,7 @@ from imufield.guide.positions import DEFAULT_SCHEME, REVISIT_FROM, SCHEME_FILE, 
 from imufield.guide.view.marks import AGAIN_WITHIN_S, KEYS
 from imufield.guide.view.plain import known_words, words
 from imufield.guide.view.terminal import Keyboard
+from imufield.lean.dataclass import dataclass
 from imufield.pipeline.calibration import FEWEST_CHECKED, one_of
 from imufield.pipeline.chain import (
     MARK,

@@ -10,7 +10,6 @@ from datetime import UTC, date, datetime
 
 import numpy as np
 
-from imufield.dataclass import dataclass
 from imufield.deliver.parameters.context import JoinedSession
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.numbers import with_sigma
@@ -28,6 +27,7 @@ from imufield.deliver.report.budget import (
 )
 from imufield.earth import STANDARD_GRAVITY_M_S2, height_words
 from imufield.files import source_date, utf8_text
+from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentence, Sentences, printable
 from imufield.version import __version__
 

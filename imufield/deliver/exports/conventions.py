@@ -30,9 +30,9 @@ import numpy as np
 from imufield.calibrate.model.gauge import change_gauge
 from imufield.calibrate.model.models import MISALIGNMENT, to_vector
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration, GyroscopeParameters
-from imufield.dataclass import dataclass
 from imufield.deliver.parameters.apply import correction_matrix
 from imufield.errors import ParameterFileError, Reason
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 

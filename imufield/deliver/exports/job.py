@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 
 from imufield.acquire.protocol.units import nominal_scale
-from imufield.dataclass import dataclass
 from imufield.deliver.exports.conventions import (
     Correction,
     Corrections,
@@ -23,6 +22,7 @@ from imufield.deliver.exports.target import Exported, ExportOptions, Target
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.numbers import to_ascii
 from imufield.errors import ParameterFileError, Reason, UsageError
+from imufield.lean.dataclass import dataclass
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentences
 

@@ -20,10 +20,10 @@ from dataclasses import fields
 import numpy as np
 
 from imufield.calibrate.model.gauge import turn_accelerometer
-from imufield.dataclass import dataclass
 from imufield.deliver.exports.conventions import Corrections, rotation_to
 from imufield.deliver.exports.job import Draft, Job, sentence
 from imufield.deliver.exports.text import comment, row, rows, text_file
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 

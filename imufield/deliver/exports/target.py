@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import field
 from typing import Literal
 
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 
 # Not "preset": a preset is not in the file.
 ExportGauge = Literal["lower", "upper", "symmetric"]

@@ -9,10 +9,10 @@ from importlib.resources import files
 import numpy as np
 
 from imufield.calibrate.model.gauge import turn_accelerometer
-from imufield.dataclass import dataclass
 from imufield.deliver.exports.conventions import linear_corrections, rotation_to
 from imufield.deliver.exports.job import Job, frame_note, sentence
 from imufield.errors import UsageError
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 

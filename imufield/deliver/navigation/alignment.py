@@ -28,9 +28,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from imufield.dataclass import dataclass
 from imufield.earth import EARTH_RATE_RAD_S
 from imufield.errors import Reason, RecordingError, UsageError
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 

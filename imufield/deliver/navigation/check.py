@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.calibrate.model.result import Calibration
-from imufield.dataclass import dataclass
 from imufield.deliver.navigation.alignment import Alignment, Heading, RestMeans, align
 from imufield.deliver.navigation.drift import Drift
 from imufield.deliver.navigation.forecast import RUNS, Forecast, RandomErrors, Scene, forecast
@@ -24,6 +23,7 @@ from imufield.deliver.navigation.mechanise import Mechanisation, load_pyins
 from imufield.deliver.navigation.rest import SECOND_S, IntervalMeans, RestNoise, fill_gaps, measure_noise, moving_seconds
 from imufield.deliver.parameters.file import Corrected
 from imufield.errors import ImufieldError, Reason, RecordingError, UsageError
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, Samples, TemperatureHold
 from imufield.sentences import Sentences
 

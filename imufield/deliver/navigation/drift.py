@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 NAUTICAL_MILE_M = 1852.0  # By definition (International Hydrographic Conference, 1929).

@@ -28,10 +28,10 @@ from itertools import pairwise
 import numpy as np
 
 from imufield.calibrate.model.result import Calibration
-from imufield.dataclass import dataclass
 from imufield.deliver.navigation.alignment import Alignment, cross_matrix, earth_rate
 from imufield.deliver.navigation.drift import QUANTITIES, Drift
 from imufield.deliver.navigation.uncertain import DrawnParameters, draw_parameters
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 RUNS = 1000  # The 95 % limit has 50 runs above it and is known to 3 %.

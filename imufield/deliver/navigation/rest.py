@@ -19,8 +19,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.dataclass import dataclass
 from imufield.deliver.navigation.alignment import NoiseDensity
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 SECOND_S = 1.0

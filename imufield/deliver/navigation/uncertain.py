@@ -13,7 +13,7 @@ import numpy as np
 
 from imufield.calibrate.model.models import predict, predict_gyroscope, recover_vectors, to_vector
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, Calibration
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import AXES, FloatArray
 
 _GYROSCOPE_FIELDS = ("scale", "misalignment_rad", "bias", "g_sensitivity")

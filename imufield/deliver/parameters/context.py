@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.version import __version__
 

@@ -17,7 +17,6 @@ from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration, GyroscopeParameters
 from imufield.calibrate.model.temperature import TriadTemperature
 from imufield.calibrate.temperature.at_temperature import calibration_at
-from imufield.dataclass import dataclass
 from imufield.deliver.parameters.apply import (
     at_reference,
     correct_accelerometer,
@@ -32,6 +31,7 @@ from imufield.deliver.parameters.schema import Document, json_ready, parameter_s
 from imufield.deliver.parameters.write import EDITED, to_toml, write_document, write_parameters
 from imufield.errors import ParameterFileError, Reason
 from imufield.files import Origin
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, Samples, Status, TemperatureHold
 from imufield.sentences import Sentences
 

@@ -40,9 +40,9 @@ from imufield.calibrate.model.result import ACCELEROMETER_NAMES, GRAVITY_NAME, C
 from imufield.calibrate.model.uncertainty import without_gravity
 from imufield.calibrate.sessions.kinds import PPM, SCALES, kind_of
 from imufield.calibrate.solvers.costs import NormProblem
-from imufield.dataclass import dataclass
 from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S
 from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2, STANDARD_GRAVITY_M_S2
+from imufield.lean.dataclass import dataclass
 from imufield.samples import AXES, FloatArray
 
 # Places of the numbers, in the order of the file.

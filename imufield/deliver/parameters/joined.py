@@ -32,7 +32,6 @@ from imufield.calibrate.model.result import (
 from imufield.calibrate.model.uncertainty import rms
 from imufield.calibrate.sessions.joint import Joint, SessionNumbers
 from imufield.calibrate.sessions.kinds import PPM, SCALES, kind_of, of_gyroscope
-from imufield.dataclass import dataclass
 from imufield.deliver.parameters.context import Context, DayToDay, JoinedSession, SessionFacts, Together, now_text
 from imufield.deliver.parameters.file import Parameters, from_document, to_document
 from imufield.deliver.parameters.gauge_free import (
@@ -47,6 +46,7 @@ from imufield.deliver.parameters.gauge_free import (
 )
 from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S
 from imufield.earth import MILLI_G_M_S2
+from imufield.lean.dataclass import dataclass
 from imufield.samples import AXES, FloatArray, SampleUnits
 from imufield.sentences import Sentences
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from imufield.calibrate.model.result import GRAVITY_NAME, Calibration
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 # Names of the file, in the words of a drawing.

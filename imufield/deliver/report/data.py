@@ -13,11 +13,11 @@ from imufield.calibrate.gyroscope.result import angle_errors_deg
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration, GyroscopeParameters, without_drift
 from imufield.calibrate.solvers.registry import load_solver
-from imufield.dataclass import dataclass
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.schema import Document
 from imufield.deliver.report.trace import Trace
 from imufield.errors import CalibrationError
+from imufield.lean.dataclass import dataclass
 from imufield.progress import task
 from imufield.samples import FloatArray, SampleUnits
 

@@ -8,11 +8,11 @@ from imufield.acquire.protocol.units import nominal_scale
 from imufield.calibrate.model.models import recover
 from imufield.calibrate.model.result import AccelerometerParameters
 from imufield.calibrate.model.uncertainty import rms
-from imufield.dataclass import dataclass
 from imufield.deliver.parameters.file import Parameters, json_ready
 from imufield.deliver.parameters.schema import Document
 from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2
 from imufield.errors import CalibrationError
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.sentences import Sentence, Sentences
 

@@ -9,10 +9,10 @@ import numpy as np
 from imufield.calibrate.model.distributions import NORMAL_FACTOR_95, student_factor
 from imufield.calibrate.model.temperature import TriadTemperature
 from imufield.calibrate.sessions.kinds import PPM
-from imufield.dataclass import dataclass
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S
 from imufield.earth import MILLI_G_M_S2
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 _STEPS = 81  # Over the range: a polynomial of order 5 bends four times.

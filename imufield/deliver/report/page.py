@@ -10,7 +10,6 @@ from types import ModuleType
 import numpy as np
 
 from imufield.calibrate.model.result import Calibration
-from imufield.dataclass import dataclass
 from imufield.deliver.parameters.numbers import acceleration_unit, with_sigma
 from imufield.deliver.parameters.schema import Document
 from imufield.deliver.parameters.write import content_sha256
@@ -27,6 +26,7 @@ from imufield.deliver.report.together import HEADINGS, session_rows, together_ro
 from imufield.deliver.verification.result import duration_words
 from imufield.drawing.style import missing_package, plot_style
 from imufield.earth import MICRO_G_M_S2, height_words
+from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences, folded, printable
 
 sentence = Sentences(__package__)

@@ -19,7 +19,6 @@ from rich.text import Text
 from imufield.calibrate.model.distributions import degrees_of_freedom
 from imufield.calibrate.model.result import Calibration, Quality
 from imufield.console import PlainTextConsole
-from imufield.dataclass import dataclass
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.numbers import (
     ARC_MINUTE_RAD,
@@ -33,6 +32,7 @@ from imufield.deliver.parameters.numbers import (
 from imufield.deliver.report.gain import gain
 from imufield.deliver.report.rows import GAUGE_WORDS, VERDICT_WORDS, Quantity, quantities
 from imufield.earth import MICRO_G_M_S2, height_words
+from imufield.lean.dataclass import dataclass
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentence, Sentences, folded, printable
 

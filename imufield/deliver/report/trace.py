@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from imufield.dataclass import dataclass
 from imufield.deliver.navigation.rest import IntervalMeans
 from imufield.deliver.parameters.file import Parameters
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, Samples, TemperatureHold
 
 CELL_S = 0.5

@@ -11,13 +11,13 @@ from contextlib import suppress
 from pathlib import Path
 
 from imufield.acquire.protocol.protocol import Protocol
-from imufield.dataclass import dataclass
 from imufield.deliver.samples.export_csv import float_texts, write_csv
 from imufield.deliver.samples.export_ros2 import write_ros2
 from imufield.deliver.samples.export_tables import write_hdf5, write_parquet
 from imufield.deliver.samples.overview import overview
 from imufield.errors import RecordingError
 from imufield.files import make_beside, typed_write_errors, usual_mode
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, Samples, concatenate
 
 _ROWS_IN_A_BLOCK = 1 << 16  # 5 MB: a good size for the pieces of a Parquet file.

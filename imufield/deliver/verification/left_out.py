@@ -41,9 +41,9 @@ from imufield.calibrate.model.result import (
 )
 from imufield.calibrate.model.uncertainty import known_covariance, within_variance
 from imufield.calibrate.solvers.agreement import AGREEMENT_SIGMA
-from imufield.dataclass import dataclass
 from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2, Gravity
 from imufield.errors import CalibrationError, Reason, UsageError
+from imufield.lean.dataclass import dataclass
 from imufield.progress import one_by_one
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences

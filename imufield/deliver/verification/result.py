@@ -16,7 +16,6 @@ from pathlib import Path
 
 import numpy as np
 
-from imufield.dataclass import dataclass
 from imufield.deliver.navigation.check import NavigationResult
 from imufield.deliver.navigation.drift import QUANTITIES
 from imufield.deliver.parameters.context import SOFTWARE, now_text
@@ -29,6 +28,7 @@ from imufield.earth import MICRO_G_M_S2
 from imufield.errors import UsageError
 from imufield.files import Origin, read_small_file, typed_write_errors, write_atomically
 from imufield.json_files import parse_json
+from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences, folded, printable_values
 
 sentence = Sentences(__package__)

@@ -24,7 +24,6 @@ from dataclasses import replace
 import numpy as np
 
 from imufield.calibrate.model.rotation import conjugate, cross, exponential, rotate, total_turn
-from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError, Reason
 from imufield.guide import refusals
 from imufield.guide.cross_checks.centre import centred
@@ -34,7 +33,8 @@ from imufield.guide.stillness.cells import CELL_S
 from imufield.guide.stillness.detector import LONGEST_WAIT_S, StillnessDetector
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import Judgement, Phase
-from imufield.median import median
+from imufield.lean.dataclass import dataclass
+from imufield.lean.median import median
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentences
 

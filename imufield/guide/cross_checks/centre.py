@@ -23,7 +23,7 @@ import numpy as np
 
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.guide.stillness.scale import RoughScale
-from imufield.median import median
+from imufield.lean.median import median
 from imufield.samples import FloatArray
 
 _UNKNOWNS = 4

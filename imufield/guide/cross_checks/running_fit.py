@@ -25,11 +25,11 @@ from imufield.calibrate.model.grades import Grade
 from imufield.calibrate.model.models import PARAMETERS, norm_derivatives
 from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS, observe
 from imufield.calibrate.model.uncertainty import gravity_sensitivity
-from imufield.dataclass import dataclass
 from imufield.earth import MICRO_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity
 from imufield.errors import CalibrationError
 from imufield.guide.stillness.scale import RoughScale
-from imufield.median import median
+from imufield.lean.dataclass import dataclass
+from imufield.lean.median import median
 from imufield.samples import FloatArray
 
 FEWEST = 4  # Fewer observations leave every residual to the priors.

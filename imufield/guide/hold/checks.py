@@ -10,7 +10,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from imufield.dataclass import dataclass
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.guide import refusals
 from imufield.guide.hold.hand_mean import HandMean
@@ -20,6 +19,7 @@ from imufield.guide.stillness.cells import Cells
 from imufield.guide.stillness.limits import Limits
 from imufield.guide.stillness.noise_floor import NoiseFloor
 from imufield.guide.stillness.scale import RoughScale
+from imufield.lean.dataclass import dataclass
 from imufield.samples import AXES, FloatArray, Status
 
 # The norm may be off g by this share where the stills have shown the offset: scales reach 0.1, a wrong unit or range gives 0.5.

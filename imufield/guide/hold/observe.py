@@ -25,12 +25,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.calibrate.model.observations import Observations
-from imufield.dataclass import dataclass
 from imufield.guide.hold.hand_mean import HandMean
 from imufield.guide.hold.output import HoldOutput
 from imufield.guide.stillness.cells import Cells, cells_in
 from imufield.guide.stillness.limits import Limits, scatter_of_variance
-from imufield.median import median
+from imufield.lean.dataclass import dataclass
+from imufield.lean.median import median
 from imufield.samples import FloatArray, SampleUnits
 
 _GUARD_S = 0.3  # Cut off at both ends of a stretch: the hand that leaves, the hand that comes.

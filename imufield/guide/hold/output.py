@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.dataclass import dataclass
 from imufield.guide.stillness.cells import Cells
 from imufield.guide.stillness.noise_floor import measure_floor
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, IntArray
 
 

@@ -25,7 +25,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 USUAL_S = 0.002  # 1 sigma of the delays that instruments have: group delays of their filters differ by up to 2 ms.

@@ -13,7 +13,6 @@ import numpy as np
 
 from imufield.calibrate.accelerometer.drift import MOST_CONFUSION, order_confusion
 from imufield.calibrate.model.grades import DEFAULT_GRADE, find_grade
-from imufield.dataclass import dataclass
 from imufield.earth import MILLI_G_M_S2
 from imufield.guide.cross_checks.axes import GOOD_DEG, AxesCheck
 from imufield.guide.cross_checks.centre import LEAST_OFFSET_M_S2
@@ -30,6 +29,7 @@ from imufield.guide.lead.session_time import SessionTime, is_met, next_best, ses
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.stillness.noise_floor import NoiseFloor
 from imufield.guide.stillness.scale import RoughScale
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 

@@ -13,7 +13,6 @@ from collections.abc import Iterator
 import numpy as np
 
 from imufield.calibrate.model.observations import Observations
-from imufield.dataclass import dataclass
 from imufield.guide.cross_checks.axes import AxesCheck
 from imufield.guide.events import Event, Marked, RefusalCode, Vector, vector
 from imufield.guide.hold.observe import gather
@@ -26,6 +25,7 @@ from imufield.guide.stillness.cells import CELL_S, CellBuilder, Cells, slots_of
 from imufield.guide.stillness.limits import Activity
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import Judgement, Phase
+from imufield.lean.dataclass import dataclass
 from imufield.samples import Samples, SampleUnits
 from imufield.sentences import Sentences
 

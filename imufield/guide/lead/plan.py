@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from imufield.dataclass import dataclass
 from imufield.guide.hold.observe import Observation
 from imufield.guide.positions import Position, Scheme, angle_deg
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 # Error of placement that the schemes allow: it costs 1 to 9 % of the uncertainty (docs/maths.md, positions).

@@ -17,7 +17,6 @@ import numpy as np
 
 from imufield.calibrate.accelerometer.drift import MOST_CONFUSION, order_confusion
 from imufield.calibrate.model.grades import Grade
-from imufield.dataclass import dataclass
 from imufield.earth import Gravity
 from imufield.guide.cross_checks.running_fit import FEWEST, SHOWS_SCATTER, RunningFit, running_fit
 from imufield.guide.hold.hold_time import LONGEST_S, SHORTEST_S, HoldTarget
@@ -25,6 +24,7 @@ from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.positions import SCHEMES, Scheme
 from imufield.guide.positions import scheme as shipped
 from imufield.guide.stillness.scale import RoughScale
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.sentences import Sentence, Sentences
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from imufield.dataclass import dataclass
 from imufield.earth import Gravity, choose_gravity
 from imufield.guide.hold.hold_time import LONGEST_S, HoldTarget
+from imufield.lean.dataclass import dataclass
 
 # A unit that moved for less than both was not lifted: it rests where it was.
 MOVED_S = 1.0

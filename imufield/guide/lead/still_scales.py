@@ -11,10 +11,10 @@ import math
 from collections.abc import Collection, Iterable, Mapping
 
 from imufield.acquire.protocol.units import nominal_scale
-from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError
 from imufield.guide.lead.unguided import StillIntervalFinder
 from imufield.guide.stillness.scale import RoughScale
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, Samples
 from imufield.sentences import Sentence, Sentences
 

@@ -12,7 +12,6 @@ from dataclasses import field
 
 import numpy as np
 
-from imufield.dataclass import dataclass
 from imufield.guide import refusals
 from imufield.guide.events import Turn, Turned
 from imufield.guide.hold.observe import Observation, observe, trim_stretch
@@ -22,6 +21,7 @@ from imufield.guide.stillness.cells import CELL_S, cells_in
 from imufield.guide.stillness.detector import StillnessDetector
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import Judgement
+from imufield.lean.dataclass import dataclass
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentences
 

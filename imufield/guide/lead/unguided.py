@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from imufield.calibrate.model.observations import Observations
-from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError, Reason
 from imufield.guide.cross_checks.axes import AxesCheck, MoveLog, check_axes, check_while_waiting
 from imufield.guide.cross_checks.centre import centred
@@ -22,6 +21,7 @@ from imufield.guide.stillness.detector import StillnessDetector
 from imufield.guide.stillness.noise_floor import FLOOR_S, MAX_FLOOR_M_S2, NoiseFloor
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import Phase, Stretch
+from imufield.lean.dataclass import dataclass
 from imufield.samples import Samples, SampleUnits
 from imufield.sentences import Sentences
 

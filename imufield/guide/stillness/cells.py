@@ -17,7 +17,7 @@ from dataclasses import fields
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import UNUSABLE, FloatArray, IntArray, Samples, Status, concatenate, every
 
 # Short against a turn (0.5 s and more), long against the tremor of a hand (8 to 12 Hz).

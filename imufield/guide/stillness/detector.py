@@ -49,7 +49,7 @@ from imufield.guide.stillness.noise_floor import (
 )
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import JudgedCell, Judgement, Phase, Standard, Stretch, Tracker
-from imufield.median import median
+from imufield.lean.median import median
 
 # No more than this of a stretch is kept: beyond the minimum of the Allan deviation a hold gains nothing.
 LONGEST_S = 60.0

@@ -19,7 +19,7 @@ import numpy as np
 
 from imufield.guide.stillness.cells import Cells
 from imufield.guide.stillness.turn_fit import REACH, cells_of_turn, sway_of
-from imufield.median import median
+from imufield.lean.median import median
 from imufield.samples import FloatArray
 
 # Cells at either end of a stretch that may be of a turn and do not count for the standard; a third of a short stretch.

@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
-from imufield.dataclass import dataclass
 from imufield.guide.refusals import Refusal, RefusalKind
 from imufield.guide.stillness.cells import Cells
 from imufield.guide.stillness.noise_floor import NoiseFloor
 from imufield.guide.stillness.scale import RoughScale
+from imufield.lean.dataclass import dataclass
 from imufield.samples import AXES, FloatArray
 
 # Multiples of the noise floor. A variance scatters by chance, hence ``scatter_of_variance`` where cells hold few samples.

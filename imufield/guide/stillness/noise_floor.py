@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imufield.dataclass import dataclass
 from imufield.guide.stillness.cells import CELL_S, Cells
 from imufield.guide.stillness.scale import RoughScale
-from imufield.median import median
+from imufield.lean.dataclass import dataclass
+from imufield.lean.median import median
 from imufield.samples import FloatArray
 
 # Length of the quiet stretch that sets the noise floor: no hand keeps still for so long, and 30 cells tell a variance.

@@ -8,8 +8,8 @@ import numpy as np
 
 from imufield.acquire.protocol.protocol import Nominal
 from imufield.acquire.protocol.units import nominal_scale
-from imufield.dataclass import dataclass
 from imufield.earth import STANDARD_GRAVITY_M_S2
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, SampleUnits
 
 

@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imufield.dataclass import dataclass
 from imufield.earth import MILLI_G_M_S2
 from imufield.guide import events
 from imufield.guide.events import Event, RefusalCode
@@ -25,6 +24,7 @@ from imufield.guide.refusals import quantities
 from imufield.guide.stillness.limits import Activity
 from imufield.guide.view.marks import NAMES, with_keys
 from imufield.guide.view.plain import said_once, suspect_words, words
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 

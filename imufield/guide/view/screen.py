@@ -18,7 +18,6 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from imufield.dataclass import dataclass
 from imufield.drawing.box import turn_shortest
 from imufield.guide.lead.guide import Snapshot
 from imufield.guide.lead.state_table import State
@@ -27,6 +26,7 @@ from imufield.guide.view.instruction import Screen, instruct, stillness_words
 from imufield.guide.view.pictures import ROWS, big_lines, draw_box
 from imufield.guide.view.plain import KNOWN_UNITS, NOT_TOLD, known_words
 from imufield.guide.view.traces import draw_signals, signals_title
+from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)

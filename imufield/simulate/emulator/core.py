@@ -18,8 +18,8 @@ from typing import Protocol, Self
 
 import numpy as np
 
-from imufield.dataclass import dataclass
 from imufield.errors import UsageError
+from imufield.lean.dataclass import dataclass
 from imufield.samples import Samples, Status
 from imufield.sentences import Sentences
 from imufield.simulate.emulator.faults import Chances

@@ -18,10 +18,10 @@ from imufield.acquire.driver import Driver
 from imufield.acquire.protocol.protocol import Protocol, load_protocol
 from imufield.acquire.registry import load_driver
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters
-from imufield.dataclass import dataclass
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import UsageError
 from imufield.files import typed_write_errors, write_atomically
+from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences
 from imufield.simulate.emulator.core import EmulatorCore, EmulatorSettings
 from imufield.simulate.emulator.faults import CanFaults, Faults, WireFaults

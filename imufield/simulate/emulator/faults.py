@@ -12,8 +12,8 @@ from dataclasses import fields, replace
 import numpy as np
 
 from imufield.acquire.protocol.can_frame import ERROR, Frame
-from imufield.dataclass import dataclass
 from imufield.errors import UsageError
+from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences
 from imufield.simulate.wire.frames import Bytes
 

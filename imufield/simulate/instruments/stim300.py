@@ -15,7 +15,7 @@ import numpy as np
 from crccheck.crc import Crc8Smbus
 
 from imufield.calibrate.model.grades import GRADES
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import Samples, Status
 from imufield.simulate.instruments.device import Answer, Device, Frames
 from imufield.simulate.wire.stim300 import Stim300Encoder, Stim300Format, close_datagrams

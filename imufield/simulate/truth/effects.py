@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from imufield.dataclass import dataclass
 from imufield.earth import STANDARD_GRAVITY_M_S2
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, IntArray
 
 

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.calibrate.model.models import predict, predict_gyroscope
-from imufield.dataclass import dataclass
 from imufield.errors import UsageError
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, Samples, Status, no_samples
 from imufield.sentences import Sentences
 from imufield.simulate.truth.drift import BiasDrift

@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from imufield.calibrate.model.rotation import conjugate, exponential, logarithm, multiply, rotate
-from imufield.dataclass import dataclass
 from imufield.earth import EARTH_RATE_RAD_S, normal_gravity
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from imufield.calibrate.model.rotation import conjugate, exponential, logarithm, multiply, rotate
-from imufield.dataclass import dataclass
 from imufield.errors import UsageError
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 from imufield.simulate.truth.motion import Site, TrueMotion, sample_motion, shortest_turn, up_direction

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from imufield.calibrate.model.rotation import exponential, multiply
-from imufield.dataclass import dataclass
 from imufield.guide.stillness.turn_fit import minimum_jerk
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 RING_DECAYS = 12.0

@@ -12,8 +12,8 @@ from dataclasses import field
 
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.protocol.toml import Source, Table, near, spell
-from imufield.dataclass import dataclass
 from imufield.errors import UsageError
+from imufield.lean.dataclass import dataclass
 from imufield.limits import RATE_RANGE_HZ
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS
 from imufield.sentences import Sentences

@@ -8,8 +8,8 @@ import numpy as np
 
 from imufield.acquire.formats.table_columns import quantity_of
 from imufield.acquire.protocol.protocol import Protocol
-from imufield.dataclass import dataclass
 from imufield.errors import UsageError
+from imufield.lean.dataclass import dataclass
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, FloatArray, IntArray, Samples
 from imufield.sentences import Sentences
 from imufield.simulate.wire.forms import WireFrame, number_template

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from imufield.acquire.protocol.checksum import make_checksum
-from imufield.dataclass import dataclass
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import UsageError
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, IntArray, Samples, Status
 from imufield.sentences import Sentences
 from imufield.simulate.wire.frames import Bytes, bytes_of

@@ -17,9 +17,9 @@ from imufield.calibrate.model.gauge import intrinsic
 from imufield.calibrate.model.models import predict, to_vector
 from imufield.calibrate.model.observations import Observations, leave_out
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration
-from imufield.dataclass import dataclass
 from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2, Gravity
 from imufield.guide.positions import scheme
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, SampleUnits
 from imufield.simulate.truth.grades import TrueInstrument
 

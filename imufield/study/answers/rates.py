@@ -15,8 +15,8 @@ from imufield.calibrate.model.gauge import change_gauge, turn_gyroscope
 from imufield.calibrate.model.grades import GRADES
 from imufield.calibrate.model.models import predict_gyroscope, to_vector
 from imufield.calibrate.model.result import GyroscopeParameters
-from imufield.dataclass import dataclass
 from imufield.guide.positions import scheme
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
 from imufield.simulate.truth.effects import Effects

@@ -12,7 +12,7 @@ from dataclasses import field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.study import figures
 from imufield.study.context import StudyContext

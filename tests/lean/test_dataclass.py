@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from imufield.dataclass import dataclass
+from imufield.lean.dataclass import dataclass
 
 Decorator = Callable[..., Callable[[type], Any]]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imufield.median import median
+from imufield.lean.median import median
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 8, 501])

@@ -11,12 +11,15 @@ import dataclasses
 from collections.abc import Callable
 from functools import partial
 from reprlib import recursive_repr
-from typing import TYPE_CHECKING, Any
+from types import FunctionType, MethodType
+from typing import TYPE_CHECKING, cast
 
 __all__ = ["dataclass"]
 
 if TYPE_CHECKING:
     from dataclasses import dataclass
+
+    from _typeshed import DataclassInstance
 else:
 
     def dataclass(kind=None, /, *, frozen=False, eq=True, slots=False, kw_only=False):
@@ -48,12 +51,12 @@ class _Init:
         self._kind, self._frozen = kind, frozen
 
     def __get__(self, instance: object, owner: type) -> Callable[..., None]:
-        made: Any = _compiled_init(self._kind, frozen=self._frozen)
+        made = _compiled_init(self._kind, frozen=self._frozen)
         self._kind.__init__ = made  # type: ignore[misc]  # in place of this
-        return made if instance is None else made.__get__(instance, owner)  # type: ignore[no-any-return]
+        return made if instance is None else MethodType(made, instance)
 
 
-def _compiled_init(kind: Any, *, frozen: bool) -> Callable[..., None]:
+def _compiled_init(kind: type[DataclassInstance], *, frozen: bool) -> Callable[..., None]:
     fields = dataclasses.fields(kind)
     known: dict[str, object] = {"_set": object.__setattr__, "_absent": dataclasses.MISSING}
     known |= {f"_default_{field.name}": field.default for field in fields}
@@ -69,10 +72,10 @@ def _compiled_init(kind: Any, *, frozen: bool) -> Callable[..., None]:
     if hasattr(kind, "__post_init__"):
         lines.append("self.__post_init__()")
     exec("\n ".join(lines), known)  # noqa: S102  (names of fields, as the standard library does)
-    init: Any = known["__init__"]
+    init = cast("FunctionType", known["__init__"])
     init.__qualname__ = f"{kind.__qualname__}.__init__"
     init.__annotations__ = {**{field.name: field.type for field in fields}, "return": None}
-    return init  # type: ignore[no-any-return]
+    return init
 
 
 def _parameter(field: dataclasses.Field[object]) -> str:
@@ -81,29 +84,29 @@ def _parameter(field: dataclasses.Field[object]) -> str:
     return field.name if field.default_factory is dataclasses.MISSING else f"{field.name}=_absent"
 
 
-def _values(self: Any) -> list[object]:
+def _values(self: DataclassInstance) -> list[object]:
     return [getattr(self, field.name) for field in dataclasses.fields(self)]
 
 
-def _set_values(self: Any, values: list[object]) -> None:
+def _set_values(self: DataclassInstance, values: list[object]) -> None:
     for field, value in zip(dataclasses.fields(self), values, strict=True):
         object.__setattr__(self, field.name, value)
 
 
-def _compared(self: Any) -> tuple[object, ...]:
+def _compared(self: DataclassInstance) -> tuple[object, ...]:
     return tuple(getattr(self, field.name) for field in dataclasses.fields(self) if field.compare)
 
 
-def _eq(self: object, other: object) -> bool:
+def _eq(self: DataclassInstance, other: object) -> bool:
     return _compared(self) == _compared(other) if type(other) is type(self) else NotImplemented
 
 
-def _hash(self: object) -> int:
+def _hash(self: DataclassInstance) -> int:
     return hash(_compared(self))
 
 
 @recursive_repr()
-def _repr(self: Any) -> str:
+def _repr(self: DataclassInstance) -> str:
     shown = (f"{field.name}={getattr(self, field.name)!r}" for field in dataclasses.fields(self) if field.repr)
     return f"{type(self).__qualname__}({', '.join(shown)})"
 
