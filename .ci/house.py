@@ -23,7 +23,7 @@ CODE = ("imufield", "drivers")
 
 # From the lowest room to the highest: an import may point to a room above it in this list, or into its own.
 ROOMS = (
-    ("version", "lean", "sentences", "limits"),
+    ("version", "sentences", "limits"),
     ("errors",),
     ("progress",),
     ("samples", "earth", "files", "toml_files", "console", "campaign"),

@@ -17,13 +17,12 @@ import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
 import numpy as np
 
 from imufield.errors import LinkError, LinkTimeoutError, Reason, UsageError
-from imufield.lean.dataclass import dataclass
 from imufield.progress import Task, task
 from imufield.sentences import Sentences
 

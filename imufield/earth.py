@@ -9,9 +9,9 @@ References
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from imufield.errors import CalibrationError, Reason, UsageError
-from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)

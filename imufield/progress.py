@@ -13,10 +13,9 @@ import threading
 import time
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import TypeVar
 
-from imufield.lean.dataclass import dataclass
 from imufield.sentences import printable
 
 AnItem = TypeVar("AnItem")

@@ -7,14 +7,13 @@ instrument sent them (``SampleUnits`` says in what unit, and whether a value is 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from enum import IntFlag
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imufield.errors import Reason, RecordingError
-from imufield.lean.dataclass import dataclass
 from imufield.limits import TEMPERATURE_RANGE_DEGC
 from imufield.sentences import Sentences
 

@@ -79,7 +79,6 @@ def test_every_command_starts_fast(modules: list[Any]) -> None:
 def test_options_are_light(modules: list[Any]) -> None:
     """Every start of the program reads them: of imufield they import nothing that imports NumPy."""
     light = (
-        "imufield.lean.dataclass",
         "imufield.errors",
         "imufield.sentences",
         "imufield.files",

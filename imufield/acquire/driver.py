@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import KW_ONLY
+from dataclasses import KW_ONLY, dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from imufield.errors import UsageError
-from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences
 
 if TYPE_CHECKING:  # Whoever lists instruments should not wait for NumPy.

@@ -10,7 +10,7 @@ import os
 import re
 from collections import deque
 from collections.abc import Collection, Mapping
-from dataclasses import MISSING
+from dataclasses import MISSING, dataclass
 from pathlib import Path
 from types import NoneType
 from typing import get_args, get_origin
@@ -18,7 +18,6 @@ from typing import get_args, get_origin
 from imufield.cli.command import Command, Parameter, parameters
 from imufield.commands.options.shared import UnfitValueError
 from imufield.errors import UsageError
-from imufield.lean.dataclass import dataclass
 
 _INTEGER = re.compile(r"[+-]?[0-9]{1,18}")
 _NUMBER = re.compile(r"[+-]?[0-9]+(?:\.[0-9]*)?(?:[eE][+-]?[0-9]{1,3})?")

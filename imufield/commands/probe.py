@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import asdict, field
+from dataclasses import asdict, dataclass, field
 from functools import partial
 
 from imufield.acquire.instrument.connected import read_identity
@@ -20,7 +20,6 @@ from imufield.commands.options.acquire_commands import ProbeOptions
 from imufield.commands.terminal.output import echo, host_clock, say
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import ImufieldError, LinkError, Reason
-from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences, printable
 
 sentence = Sentences(__package__)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +27,6 @@ from imufield.deliver.report.summary import Outcome, print_summary
 from imufield.earth import MICRO_G_M_S2
 from imufield.errors import ImufieldError, UsageError
 from imufield.files import real_path, refuse_overwriting
-from imufield.lean.dataclass import dataclass
 from imufield.pipeline.same_recording import RecordingMarks
 from imufield.pipeline.solving import lost_by_replacing, solve_observations, solve_session
 from imufield.samples import FloatArray

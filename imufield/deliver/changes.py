@@ -10,7 +10,7 @@ import csv
 import io
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 
 import numpy as np
@@ -23,7 +23,6 @@ from imufield.calibrate.sessions.repeatability import Repeatability
 from imufield.deliver.family import Change, compare, family_of, typical_turn_on
 from imufield.deliver.history import STALE_DAYS, Entry, History, InstrumentHistory
 from imufield.deliver.parameters.gauge_free import Number, unit_of
-from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)

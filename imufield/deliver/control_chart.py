@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import datetime
 
 import numpy as np
@@ -17,7 +18,6 @@ from imufield.calibrate.sessions.kinds import kind_of
 from imufield.deliver.changes import JudgedHistory
 from imufield.deliver.parameters.gauge_free import unit_of
 from imufield.drawing.style import BLUE, INK, ORANGE, figure, plot_style, title, to_svg
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 

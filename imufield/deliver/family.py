@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -31,7 +32,6 @@ from imufield.calibrate.sessions.kinds import kind_of
 from imufield.deliver.parameters.gauge_free import GaugeFree, Number
 from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S
 from imufield.earth import MILLI_G_M_S2
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 _DRAWS = 20_000  # They tell the limit to 0.3 % and the chance to 0.15 %.

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 import tomllib
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -16,7 +17,6 @@ import numpy as np
 
 from imufield.errors import UsageError
 from imufield.files import Origin, read_small_file
-from imufield.lean.dataclass import dataclass
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentence, Sentences, printable
 from imufield.toml_files import decode_toml, parse_toml

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 
 from imufield.guide.events import RefusalCode, Rejected
-from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)

@@ -7,7 +7,7 @@ session. It reads no clock: arrival times come with the bytes.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -27,7 +27,6 @@ from imufield.guide.lead.turns import HORIZONTAL, VERTICAL
 from imufield.guide.lead.unguided import StillIntervalFinder, StillIntervals
 from imufield.guide.positions import SCHEME_FILE, SCHEMES, scheme
 from imufield.guide.stillness.scale import RoughScale
-from imufield.lean.dataclass import dataclass
 from imufield.pipeline.damage import require_samples
 from imufield.pipeline.site import SiteOptions
 from imufield.samples import FloatArray, Samples, Status, concatenate, no_samples

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,7 +13,6 @@ from imufield.calibrate.model.observations import Observations, join_observation
 from imufield.deliver.report.trace import TraceCells, TraceCollector
 from imufield.guide.events import Event, Rejected, Turned
 from imufield.guide.lead.turns import VERTICAL
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, Samples, concatenate
 
 _AT_ONCE = 1024  # Samples that are summed at once: a live link brings them by tens, each time at the price of hundreds.

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 
 from imufield.acquire.recording.session_record import SiteRecord
 from imufield.earth import Gravity, choose_gravity, recorded_sigma
 from imufield.errors import UsageError
-from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +30,6 @@ from imufield.guide.events import RefusalCode, Rejected
 from imufield.guide.lead.guide import Guide
 from imufield.guide.refusals import Refusal
 from imufield.guide.view.marks import with_keys
-from imufield.lean.dataclass import dataclass
 from imufield.pipeline.calibration import FEWEST_POSITIONS, Measured, SolveSettings, calibrate
 from imufield.pipeline.chain import Chain, ReadingPlan, SamplesListener, replay_into
 from imufield.pipeline.damage import naming_damage, without_end_under_way

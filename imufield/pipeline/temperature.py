@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from imufield.deliver.parameters.context import TemperatureSource
 from imufield.deliver.parameters.file import Parameters, from_document
 from imufield.deliver.parameters.temperature import add_temperature
 from imufield.errors import CalibrationError, Reason
-from imufield.lean.dataclass import dataclass
 from imufield.pipeline.calibration import SolveSettings
 from imufield.pipeline.chain import session_samples
 from imufield.pipeline.same_recording import RecordingMarks, without_copies

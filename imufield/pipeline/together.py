@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +22,6 @@ from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.gauge_free import GaugeFree, unit_of
 from imufield.deliver.parameters.joined import JoinedFrom, joined_parameters, numbers_of, prior_scales
 from imufield.errors import CalibrationError, ImufieldError, Reason, UsageError
-from imufield.lean.dataclass import dataclass
 from imufield.pipeline.calibration import SolveSettings
 from imufield.pipeline.chain import session_protocol
 from imufield.pipeline.same_recording import RecordingMarks, without_copies

@@ -12,6 +12,7 @@ References
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import cache, partial
 
 import numpy as np
@@ -21,7 +22,6 @@ from imufield.calibrate.model.models import SCALE, from_vector, predict, recover
 from imufield.calibrate.solvers.beetles import solve_bsas
 from imufield.deliver.navigation.drift import Drift
 from imufield.earth import MICRO_G_M_S2
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.study import figures
 from imufield.study.context import StudyContext

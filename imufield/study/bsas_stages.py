@@ -8,7 +8,7 @@ References
 
 from __future__ import annotations
 
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 
 import numpy as np
@@ -18,7 +18,6 @@ from imufield.calibrate.solvers.beetles import BasSettings, BsasSettings, solve_
 from imufield.calibrate.solvers.costs import NormProblem
 from imufield.calibrate.solvers.staged import PAPER_CATEGORIES, solve_bsas_staged, solve_stages
 from imufield.earth import MICRO_G_M_S2
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.study import figures
 from imufield.study.context import StudyContext

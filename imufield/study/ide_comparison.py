@@ -8,7 +8,7 @@ References
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -17,7 +17,6 @@ from imufield.calibrate.solvers.base import Solver
 from imufield.calibrate.solvers.registry import load_solver
 from imufield.calibrate.solvers.triad_costs import TriadProblem, TurnsProblem, unit_diagonal_matrices
 from imufield.deliver.navigation.drift import Drift
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.study import figures
 from imufield.study.context import StudyContext

@@ -11,6 +11,7 @@ References
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,7 +20,6 @@ from imufield.calibrate.model.result import QuadraticAxes
 from imufield.calibrate.solvers.triad_costs import TriadProblem, TurnsProblem, unit_diagonal_matrices
 from imufield.earth import EARTH_RATE_RAD_S, MICRO_G_M_S2, normal_gravity
 from imufield.guide.positions import scheme
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 HARBIN_LATITUDE_DEG = 45.77

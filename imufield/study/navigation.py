@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,7 +18,6 @@ from imufield.deliver.navigation.alignment import coarse_attitude
 from imufield.deliver.navigation.drift import Drift
 from imufield.deliver.navigation.mechanise import integrate, load_pyins
 from imufield.earth import MICRO_G_M_S2
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.study.report import CsvTable
 

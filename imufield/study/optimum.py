@@ -19,6 +19,7 @@ References
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
@@ -31,7 +32,6 @@ from imufield.calibrate.model.result import QuadraticAxes
 from imufield.calibrate.solvers.base import Problem, Solver, SolverResult
 from imufield.calibrate.solvers.costs import NormProblem
 from imufield.calibrate.solvers.least_squares import solve_least_squares
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 INTRINSIC_NAMES = tuple(

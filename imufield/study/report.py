@@ -11,7 +11,7 @@ import re
 import string
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -23,7 +23,6 @@ from numpy.typing import ArrayLike
 from imufield.deliver.parameters.numbers import WIDTH, hanging
 from imufield.drawing.style import figure, plot_style, title
 from imufield.files import typed_write_errors, write_atomically
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.study import instruments
 

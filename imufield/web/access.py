@@ -11,11 +11,9 @@ import hmac
 import secrets
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 from enum import Enum
 from http import HTTPStatus
-
-from imufield.lean.dataclass import dataclass
 
 PROTOCOL = "imufield"
 """The subprotocol that the server answers with: the token is never sent back."""

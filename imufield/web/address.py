@@ -6,12 +6,12 @@ import errno
 import io
 import ipaddress
 import socket
+from dataclasses import dataclass
 
 import ifaddr
 import segno
 
 from imufield.errors import UsageError
-from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)

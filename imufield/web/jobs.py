@@ -10,11 +10,10 @@ import sys
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import asdict, field
+from dataclasses import asdict, dataclass, field
 from typing import IO
 
 from imufield.errors import EXIT_INTERRUPTED, UsageError
-from imufield.lean.dataclass import dataclass
 from imufield.progress import ERASE
 from imufield.sentences import Sentences, printable
 from imufield.web.board import Json

@@ -12,13 +12,13 @@ import secrets
 import threading
 import time
 from contextlib import suppress
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import BinaryIO
 
 from imufield.errors import ImufieldError, UsageError
 from imufield.files import Origin, make_beside, new_mode, open_to_read, publish_beside_others, typed_write_errors
-from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences
 from imufield.web.actions import UPLOADS, Sessions
 from imufield.web.board import Json

@@ -22,7 +22,7 @@ are whole wraps. A time stamp of the instrument replaces all of this.
 from __future__ import annotations
 
 import math
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -31,7 +31,6 @@ from imufield.acquire.clock.clock import Arrivals, Clock, filled_in
 from imufield.acquire.decode.assembly import RawBlock, join
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, IntArray, Samples, SampleUnits, Status, concatenate
 
 _WINDOW_S = 0.25  # Longer than the delays of a busy host, as for serial ports.

@@ -11,6 +11,7 @@ the output rate), always at a fixed place in the sequence of samples, so that it
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -20,7 +21,6 @@ from imufield.acquire.clock.clock import Arrivals, Clock, filled_in
 from imufield.acquire.decode.assembly import NO_TICKS, RawBlock, Ticks, join
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, IntArray, Samples, SampleUnits, Status, every
 
 LEARN_FROM = 8

@@ -12,7 +12,7 @@ came: ``can_assembly`` goes by that, and by counters. Both end in one table, ``f
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import field, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from operator import attrgetter
 from typing import Protocol
 
@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from imufield.acquire.protocol.frame_schema import JoinRule
 from imufield.acquire.protocol.layout import MessageValue
-from imufield.lean.dataclass import dataclass
 from imufield.samples import INSTRUMENT_STATUS_SHIFT, FloatArray, IntArray
 
 Flags = NDArray[np.bool_]

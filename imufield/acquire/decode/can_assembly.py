@@ -15,13 +15,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imufield.acquire.decode.assembly import NO_FRAME, frame_table
 from imufield.acquire.protocol.can_protocol import AssemblyRule
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, IntArray
 
 _LEARN_FRAMES = 24  # Frames of sample kinds from which the order is learned; 0.12 s of two messages at 100 Hz.

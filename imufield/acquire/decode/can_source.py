@@ -7,6 +7,8 @@ they are read, not joined afterwards as those of serial frames are: on a bus eve
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,7 +20,6 @@ from imufield.acquire.protocol.can_frame import ERROR, EXTENDED, REMOTE
 from imufield.acquire.protocol.can_frames import CanFrames, Unpacker
 from imufield.acquire.protocol.can_protocol import ANY_ADDRESS, TEMPERATURE, CanKind, CanRule, Column
 from imufield.acquire.protocol.samples_and_clock import FlagRule
-from imufield.lean.dataclass import dataclass
 from imufield.samples import NO_COUNTER, FloatArray, IntArray, Status
 
 _Flag = tuple[CanSignal, FlagRule]

@@ -17,7 +17,7 @@ bytes for a clean stream, for noise, and for anything between.
 
 from __future__ import annotations
 
-from dataclasses import field
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 from imufield.acquire.decode.frame_check import INVALID, NO_SHAPE, FrameCheck, spaced_rows
 from imufield.acquire.protocol.frame_schema import FrameRule
 from imufield.acquire.protocol.layout import Layout
-from imufield.lean.dataclass import dataclass
 from imufield.samples import every
 
 Bytes = NDArray[np.uint8]

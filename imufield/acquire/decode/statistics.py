@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 
 from imufield.acquire.protocol.protocol import Protocol
-from imufield.lean.dataclass import dataclass
 from imufield.samples import Status
 from imufield.sentences import Sentence, Sentences, shortened
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +23,6 @@ from imufield.acquire.formats.table_columns import (
 )
 from imufield.acquire.formats.table_text import TextTable, open_table
 from imufield.errors import Reason, RecordingError
-from imufield.lean.dataclass import dataclass
 from imufield.limits import TEMPERATURE_RANGE_DEGC
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, FloatArray, Status, is_possible_degc
 from imufield.sentences import Sentences

@@ -10,6 +10,7 @@ import gzip
 import re
 import zlib
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, cast
 
@@ -18,7 +19,6 @@ import numpy as np
 from imufield.acquire.formats.array_file_reader import SoundGzip
 from imufield.errors import Reason, RecordingError
 from imufield.files import open_to_read
-from imufield.lean.dataclass import dataclass
 from imufield.progress import task
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences, printable, shortened

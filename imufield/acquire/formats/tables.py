@@ -8,7 +8,7 @@ Whatever the files do not state is assumed aloud: ``ImportedTable.assumptions`` 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -33,8 +33,6 @@ from imufield.acquire.formats.table_join import join
 from imufield.acquire.formats.table_text import TextTable
 from imufield.acquire.link.chunk import Chunk
 from imufield.errors import UsageError
-from imufield.lean.dataclass import dataclass
-from imufield.lean.median import median
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, NO_COUNTER, FloatArray, IntArray, Samples
 from imufield.sentences import Sentences
 
@@ -95,7 +93,7 @@ class ImportedTable:
     @property
     def rate_hz(self) -> float:
         """Median sample rate."""
-        return float(1.0 / median(np.diff(self.rows[:, 0])))
+        return float(1.0 / np.median(np.diff(self.rows[:, 0])))
 
 
 class ChunkWriter(Protocol):

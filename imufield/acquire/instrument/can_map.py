@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import tomli_w
@@ -22,7 +23,6 @@ from imufield.acquire.protocol.toml import near
 from imufield.acquire.registry import load_driver
 from imufield.errors import ProtocolError, Reason, UsageError
 from imufield.files import read_start
-from imufield.lean.dataclass import dataclass
 from imufield.samples import AXES
 from imufield.sentences import Sentences
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 
 from imufield.acquire.decode.statistics import LEFT_OUT
 from imufield.acquire.driver import Message
@@ -33,7 +34,6 @@ from imufield.acquire.protocol.can_frame import ERROR
 from imufield.acquire.protocol.can_frames import unpack_frames
 from imufield.acquire.protocol.protocol import parse_protocol
 from imufield.errors import LinkError, LinkTimeoutError, Reason, UsageError
-from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from imufield.acquire.driver import Driver, Message, Wire
@@ -16,7 +16,6 @@ from imufield.acquire.link.background import BackgroundLink, ReopenableLink
 from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.errors import LinkError, Reason
-from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences, printable
 
 sentence = Sentences(__package__)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, field, replace
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 
@@ -21,7 +21,6 @@ from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.earth import MICRO_G_M_S2
 from imufield.errors import ProtocolError
-from imufield.lean.dataclass import dataclass
 from imufield.samples import Samples
 from imufield.sentences import Sentences
 

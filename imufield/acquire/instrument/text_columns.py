@@ -11,7 +11,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,7 +21,6 @@ from imufield.acquire.instrument.recognise import CERTAIN_SAMPLES, FEWEST_SAMPLE
 from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.acquire.protocol.units import nominal_scale
-from imufield.lean.dataclass import dataclass
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, LARGEST_OUTPUT, FloatArray
 from imufield.sentences import Sentences
 

@@ -19,7 +19,7 @@ import logging
 import re
 import socket
 import time
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Any
 
 import can
@@ -44,7 +44,6 @@ from imufield.acquire.protocol.can_frame import (
 from imufield.acquire.protocol.can_frames import unpack_frames
 from imufield.acquire.protocol.toml import near
 from imufield.errors import LinkError, Reason, UsageError
-from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 import select
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import serial
@@ -19,7 +19,6 @@ from imufield.acquire.link.chunk import Chunk as Chunk  # noqa: PLC0414  (where 
 from imufield.acquire.link.host_clock import HostClock, SystemClock
 from imufield.acquire.link.link_errors import OPEN_FAILURES, baud_refused, open_error
 from imufield.errors import LinkError, LinkTimeoutError, Reason
-from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)

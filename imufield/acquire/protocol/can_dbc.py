@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import Self
 
 import cantools
@@ -21,7 +22,6 @@ from imufield.acquire.protocol.can_frame import EXTENDED, ID_MASK, MOST_DATA
 from imufield.acquire.protocol.layout import MessageValue, Numbers
 from imufield.acquire.protocol.toml import LARGEST, LEAST_SCALE, near
 from imufield.errors import ProtocolError, Reason
-from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences, shortened
 
 sentence = Sentences(__package__)

@@ -17,8 +17,7 @@ A frame is one unit of 24 bytes, little-endian; a CAN FD frame of more than 8 by
 from __future__ import annotations
 
 import struct
-
-from imufield.lean.dataclass import dataclass
+from dataclasses import dataclass
 
 UNIT_BYTES = 24
 MARK = 0xCA4E

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,6 @@ from imufield.acquire.protocol.can_frame import (
     UNIT_BYTES,
     Frame,
 )
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, IntArray
 
 _MARK_BYTES = MARK.to_bytes(2, "little")

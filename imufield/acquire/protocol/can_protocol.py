@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import TypeVar
 
 from imufield.acquire.protocol.can_dbc import CanMessage, CanSignal, DbcFile, Selectors
@@ -27,7 +27,6 @@ from imufield.acquire.protocol.samples_and_clock import (
 from imufield.acquire.protocol.toml import LARGEST, Table, near
 from imufield.acquire.protocol.units import TO_SI, UNITS_OF, unit_name
 from imufield.errors import ProtocolError, Reason
-from imufield.lean.dataclass import dataclass
 from imufield.limits import BAUD_RANGE
 from imufield.samples import SampleUnits
 from imufield.sentences import Sentences

@@ -6,12 +6,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 Rows = NDArray[np.uint8]

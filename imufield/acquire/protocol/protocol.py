@@ -9,7 +9,7 @@ import hashlib
 import importlib
 import re
 from collections.abc import Mapping
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -32,7 +32,6 @@ from imufield.acquire.protocol.toml import FILE_LIMIT_BYTES, LEAST_SCALE, Source
 from imufield.acquire.protocol.units import SI_UNITS, TO_SI, UNITS_OF
 from imufield.errors import ProtocolError, Reason, UnknownNameError
 from imufield.files import Origin, read_start
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, SampleUnits
 from imufield.sentences import Sentences, printable
 from imufield.toml_files import decode_toml

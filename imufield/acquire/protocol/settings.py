@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Literal, cast
 
 from imufield.acquire.protocol.toml import LARGEST, Source, Table, near, spell
 from imufield.errors import ProtocolError, Reason, SettingError
-from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)

@@ -12,12 +12,11 @@ from __future__ import annotations
 import copy
 import difflib
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Self, TypeVar
 
 from imufield.errors import ProtocolError, Reason
-from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentence, Sentences, shortened
 from imufield.toml_files import Place, line_of, parse_toml
 

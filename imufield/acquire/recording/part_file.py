@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from dataclasses import dataclass
 from io import BufferedReader
 from pathlib import Path
 from types import TracebackType
@@ -27,7 +28,6 @@ from imufield.acquire.recording.mcap_format import (
 )
 from imufield.errors import Reason, RecordingError
 from imufield.files import Origin, open_to_read
-from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)

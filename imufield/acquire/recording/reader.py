@@ -12,7 +12,7 @@ import json
 import math
 import os
 from collections.abc import Iterable, Iterator
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
@@ -25,7 +25,6 @@ from imufield.acquire.recording.part_file import Damage as Damage  # noqa: PLC04
 from imufield.acquire.recording.part_file import PartFile, open_part
 from imufield.errors import LinkError, Reason, UsageError
 from imufield.json_files import parse_json
-from imufield.lean.dataclass import dataclass
 from imufield.progress import Task, task
 from imufield.samples import FloatArray, IntArray
 from imufield.sentences import Sentences

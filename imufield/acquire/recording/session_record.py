@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, field, fields, is_dataclass
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from datetime import UTC, datetime
 from enum import Enum
 from pathlib import Path, PurePath
@@ -14,7 +14,6 @@ import numpy as np
 from imufield.earth import GRAVITY_RANGE_M_S2, HEIGHT_RANGE_M, MEASURED_GRAVITY_SIGMA_M_S2
 from imufield.errors import Reason, RecordingError
 from imufield.files import utf8_text
-from imufield.lean.dataclass import dataclass
 from imufield.limits import BAUD_RANGE, HOLD_RANGE_S, RATE_RANGE_HZ, TARGET_RANGE
 from imufield.samples import ACCELEROMETER_COLUMNS, LARGEST_OUTPUT
 from imufield.sentences import Sentences, printable

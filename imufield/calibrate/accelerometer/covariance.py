@@ -6,7 +6,7 @@ them together. What the positions cannot show enters by what is typical (``unsho
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,6 @@ from imufield.calibrate.model.models import PARAMETERS
 from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS, parameter_scale
 from imufield.calibrate.model.uncertainty import SPARE_POSITIONS, gravity_sensitivity
 from imufield.earth import Gravity
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 # A number that takes more than this share (in scaled coordinates) of a parameter that was not fitted has no sigma.

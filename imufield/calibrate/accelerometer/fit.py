@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,7 +14,6 @@ from imufield.calibrate.model.uncertainty import SPARE_POSITIONS, between_positi
 from imufield.calibrate.solvers.base import SolverResult
 from imufield.calibrate.solvers.costs import NormProblem
 from imufield.calibrate.solvers.least_squares import Loss, solve_least_squares
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 _REWEIGHTINGS = 4  # At most; where tau has not settled by then, the last weights count.

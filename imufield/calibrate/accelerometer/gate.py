@@ -26,7 +26,7 @@ References
 from __future__ import annotations
 
 import math
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Literal
 
@@ -35,7 +35,6 @@ import numpy as np
 from imufield.calibrate.accelerometer.fit import Fit
 from imufield.calibrate.model.distributions import f_tail
 from imufield.calibrate.model.models import BIAS, PARAMETERS
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 Term = Literal["quadratic", "drift"]

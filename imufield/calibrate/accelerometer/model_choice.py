@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -29,7 +29,6 @@ from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, ModelChoice
 from imufield.earth import MILLI_G_M_S2
 from imufield.errors import CalibrationError, Reason
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.sentences import Sentence, Sentences
 
@@ -72,7 +71,7 @@ class ChosenModel:
     quadratic: bool
     is_quadratic_tested: bool = False
     drift: DriftForm | None = None
-    choice: Choice = Choice()
+    choice: Choice = Choice()  # noqa: RUF009 - frozen, so one default may be shared
     """What choosing the model makes of the covariance."""
     confusion: float = 1.0
     """How much less sure the bias is because quadratic term and drift are told apart; 1 where none is admitted."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,7 +20,6 @@ from imufield.calibrate.model.result import ACCELEROMETER_NAMES, Quality
 from imufield.calibrate.model.uncertainty import SPARE_POSITIONS, rms
 from imufield.earth import MEASURED_GRAVITY_SIGMA_M_S2, MILLI_G_M_S2, Gravity, contradiction
 from imufield.errors import CalibrationError, Reason
-from imufield.lean.dataclass import dataclass
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentences
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,7 +14,6 @@ from imufield.calibrate.model.distributions import NORMAL_FACTOR_95, f_tail, stu
 from imufield.calibrate.model.grades import Grade
 from imufield.calibrate.model.higher import KINDS, TERMS, HigherTerms, higher_scale
 from imufield.calibrate.model.models import PARAMETERS
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 

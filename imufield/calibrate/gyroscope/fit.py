@@ -6,6 +6,8 @@ prior knowledge. The two scatters of S are estimated along the way. Half of a st
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from imufield.calibrate.gyroscope.move_integration import PARAMETERS
@@ -14,7 +16,6 @@ from imufield.calibrate.gyroscope.residuals import FIRST_HORIZONTAL, VERTICAL, E
 from imufield.calibrate.solvers.base import SolverResult, SolverStatus
 from imufield.earth import EARTH_RATE_RAD_S
 from imufield.errors import CalibrationError, Reason
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, IntArray
 from imufield.sentences import Sentences
 

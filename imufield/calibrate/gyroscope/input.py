@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,8 +18,6 @@ from imufield.calibrate.model.models import recover
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration, GyroscopeParameters
 from imufield.errors import CalibrationError, Reason
-from imufield.lean.dataclass import dataclass
-from imufield.lean.median import median
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentences
 
@@ -112,7 +111,7 @@ def make_data(given: GyroscopeInput) -> GyroscopeData:
     parameters = given.calibration.accelerometer
     rest = given.rest_raw
     covariance = observations.gyroscope_covariance_raw
-    density = np.sqrt(median(np.diagonal(covariance, 0, 1, 2) * observations.duration_s[:, None], axis=0))
+    density = np.sqrt(np.median(np.diagonal(covariance, 0, 1, 2) * observations.duration_s[:, None], axis=0))
     duration = np.maximum(moves.slots.duration_s, 1e-9)[:, None]  # a slot of a clock that stood lasts nothing
     return GyroscopeData(
         rate_raw=observations.gyroscope_mean_raw - rest,

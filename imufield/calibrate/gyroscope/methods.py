@@ -20,7 +20,7 @@ unit,
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -41,7 +41,6 @@ from imufield.calibrate.solvers.agreement import CROSS_CHECKED, LEAST_SQUARES, A
 from imufield.calibrate.solvers.base import SolverResult, SolverStatus
 from imufield.calibrate.solvers.costs import Coordinates, CostName
 from imufield.calibrate.solvers.registry import find_method, load_solver
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, IntArray
 from imufield.sentences import Sentences
 

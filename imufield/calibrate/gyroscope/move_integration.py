@@ -14,14 +14,12 @@ Vectors of parameters ``x`` hold A row by row (9), b (3), H row by row (9).
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imufield.calibrate.gyroscope.moves import Moves
 from imufield.calibrate.model.rotation import cross, exponential, matrix, right_jacobian, running_turns
-from imufield.lean.dataclass import dataclass
-from imufield.lean.median import median
 from imufield.samples import FloatArray
 
 PARAMETERS = 21
@@ -154,7 +152,7 @@ def rough_inverse(moves: Moves, window_s: float = 0.1) -> FloatArray:
     change = (force[2:] - force[:-2])[same]
     middle, gained = force[1:-1][same], ((turn[:-2] + turn[2:]) / 2 + turn[1:-1])[same]
     # Windows in which the hand accelerates the unit count less.
-    weight = 1 / (1 + np.abs(np.linalg.norm(middle, axis=1) - median(np.linalg.norm(middle, axis=1))))
+    weight = 1 / (1 + np.abs(np.linalg.norm(middle, axis=1) - np.median(np.linalg.norm(middle, axis=1))))
     rows = np.zeros((len(middle), 3, 9))
     for axis in range(3):
         # (a x e_axis) turn_j multiplies A[axis, j].

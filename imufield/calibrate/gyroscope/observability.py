@@ -7,6 +7,8 @@ the preset and named.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from imufield.calibrate.gyroscope.fit import first_scatter
@@ -15,7 +17,6 @@ from imufield.calibrate.gyroscope.residual_covariance import Scatter, covariance
 from imufield.calibrate.gyroscope.residuals import GyroscopeData, evaluate
 from imufield.calibrate.model.observability import unexplained_lengths
 from imufield.errors import CalibrationError, Reason
-from imufield.lean.dataclass import dataclass
 from imufield.samples import AXES, FloatArray, IntArray
 from imufield.sentences import Sentences
 

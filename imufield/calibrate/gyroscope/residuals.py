@@ -22,7 +22,7 @@ Parameters ``p`` of a fit: the 21 of ``move_integration``, then ``v``, then ``h`
 
 from __future__ import annotations
 
-from dataclasses import field
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -30,7 +30,6 @@ from imufield.calibrate.gyroscope.move_integration import BIAS, INVERSE, PARAMET
 from imufield.calibrate.gyroscope.moves import Moves
 from imufield.calibrate.gyroscope.turntable import TableRows, no_table
 from imufield.calibrate.model.rotation import cross, from_matrix, logarithm, matrix, one_rotation_matrix, skew
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, IntArray
 
 VERTICAL = PARAMETERS

@@ -16,12 +16,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 Kind = Literal["A", "B"]

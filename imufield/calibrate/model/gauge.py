@@ -22,7 +22,7 @@ References
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -40,7 +40,6 @@ from imufield.calibrate.model.models import (
 from imufield.calibrate.model.observability import generators
 from imufield.calibrate.model.result import AccelerometerParameters, Gauge, GyroscopeParameters, Intrinsic, QuadraticAxes
 from imufield.errors import CalibrationError, Reason, UsageError
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 

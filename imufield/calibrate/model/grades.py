@@ -11,12 +11,12 @@ import math
 import sys
 import tomllib
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from imufield.earth import MICRO_G_M_S2, STANDARD_GRAVITY_M_S2
 from imufield.errors import UsageError
-from imufield.lean.dataclass import dataclass
 from imufield.samples import SampleUnits
 from imufield.sentences import Sentences
 
@@ -86,7 +86,7 @@ class Grade:
     """Nominal raw unit per m/s^2."""
     gyroscope_scale: float = 1.0
     """Nominal raw unit per rad/s."""
-    units: SampleUnits = SampleUnits()
+    units: SampleUnits = SampleUnits()  # noqa: RUF009 - frozen, so one default may be shared
 
 
 # Units of the file: factor to SI, and what it is divided by afterwards.

@@ -17,6 +17,8 @@ its length.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from imufield.calibrate.model.models import (
@@ -32,7 +34,6 @@ from imufield.calibrate.model.models import (
 )
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES
 from imufield.errors import CalibrationError, Reason
-from imufield.lean.dataclass import dataclass
 from imufield.samples import AXES, LARGEST_OUTPUT, FloatArray
 from imufield.sentences import Sentences
 

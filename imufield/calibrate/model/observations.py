@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imufield.errors import UsageError
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, SampleUnits
 from imufield.sentences import Sentences
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -12,7 +12,6 @@ from imufield.calibrate.model.higher import HigherTerms
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.temperature import TriadTemperature
 from imufield.earth import Gravity
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 Gauge = Literal["preset", "lower", "upper", "symmetric"]

@@ -15,12 +15,12 @@ jump back begin a new run of rows.
 from __future__ import annotations
 
 import importlib
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from imufield.errors import Reason, UsageError
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, IntArray
 from imufield.sentences import Sentences
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -24,7 +24,6 @@ from imufield.calibrate.noise.allan import (
 from imufield.calibrate.noise.noise_fit import NoiseFigure, NoiseModel, identify
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import CalibrationError, Reason, RecordingError
-from imufield.lean.dataclass import dataclass
 from imufield.samples import AXES, FloatArray, Samples, SampleUnits
 from imufield.sentences import Sentence, Sentences
 

@@ -29,10 +29,10 @@ References
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 _CHANCE = 0.05  # Of 95 % intervals.

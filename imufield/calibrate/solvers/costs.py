@@ -23,6 +23,7 @@ References
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -39,7 +40,6 @@ from imufield.calibrate.model.models import (
 )
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, QuadraticAxes
 from imufield.calibrate.solvers.triad_costs import inverse_matrices, unit_diagonal_matrices
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 CostName = Literal["absolute", "squares", "weighted"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+from dataclasses import dataclass
 from functools import partial
 from types import ModuleType
 
@@ -11,7 +12,6 @@ import numpy as np
 from imufield.calibrate.solvers.base import Callback, Problem, SolverResult
 from imufield.calibrate.solvers.population import Record, check_finite_bounds
 from imufield.errors import Reason, UsageError
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 

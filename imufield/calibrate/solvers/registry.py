@@ -9,7 +9,7 @@ import importlib
 import math
 import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, cast
 from imufield.calibrate.solvers.base import Solver
 from imufield.calibrate.solvers.costs import CostName
 from imufield.errors import UsageError
-from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences
 
 if TYPE_CHECKING:

@@ -19,12 +19,12 @@ References
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 _OFF_DIAGONAL = 3 * MISALIGNMENT_ROWS + MISALIGNMENT_COLUMNS  # Places of the off-diagonals in a flattened matrix.

@@ -1,6 +1,6 @@
 """Options of commands that get samples: ``capture``, ``plan``, ``record``, ``import``, ``replay``, ``emulate`` and others."""
 
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -29,7 +29,6 @@ from imufield.commands.options.shared import (
 )
 from imufield.errors import UsageError
 from imufield.files import DEFAULT_ROOT
-from imufield.lean.dataclass import dataclass
 from imufield.limits import BAUD_RANGE, HOLD_RANGE_S, PORT_RANGE, RATE_RANGE_HZ, TARGET_RANGE
 from imufield.sentences import Sentences
 

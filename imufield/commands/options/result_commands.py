@@ -1,6 +1,6 @@
 """Options of commands that compute from samples or use results: ``solve``, ``report``, ``verify``, ``history`` and others."""
 
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, get_args
 
@@ -22,7 +22,6 @@ from imufield.commands.options.shared import (
     unknown_site,
 )
 from imufield.files import DEFAULT_ROOT
-from imufield.lean.dataclass import dataclass
 from imufield.limits import TARGET_RANGE
 from imufield.sentences import Sentences
 

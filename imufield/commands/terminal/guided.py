@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -37,7 +37,6 @@ from imufield.guide.positions import DEFAULT_SCHEME, REVISIT_FROM, SCHEME_FILE, 
 from imufield.guide.view.marks import AGAIN_WITHIN_S, KEYS
 from imufield.guide.view.plain import known_words, words
 from imufield.guide.view.terminal import Keyboard
-from imufield.lean.dataclass import dataclass
 from imufield.pipeline.calibration import FEWEST_CHECKED, one_of
 from imufield.pipeline.chain import (
     MARK,

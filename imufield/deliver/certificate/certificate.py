@@ -6,6 +6,7 @@ import math
 import re
 from calendar import monthrange
 from collections.abc import Iterator
+from dataclasses import dataclass
 from datetime import UTC, date, datetime
 
 import numpy as np
@@ -27,7 +28,6 @@ from imufield.deliver.report.budget import (
 )
 from imufield.earth import STANDARD_GRAVITY_M_S2, height_words
 from imufield.files import source_date, utf8_text
-from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentence, Sentences, printable
 from imufield.version import __version__
 

@@ -22,7 +22,7 @@ terms of the norm have no mean there. Cutting the diagonal out of ``M`` in a tri
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -32,7 +32,6 @@ from imufield.calibrate.model.models import MISALIGNMENT, to_vector
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration, GyroscopeParameters
 from imufield.deliver.parameters.apply import correction_matrix
 from imufield.errors import ParameterFileError, Reason
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 

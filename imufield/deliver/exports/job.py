@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,7 +22,6 @@ from imufield.deliver.exports.target import Exported, ExportOptions, Target
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.numbers import to_ascii
 from imufield.errors import ParameterFileError, Reason, UsageError
-from imufield.lean.dataclass import dataclass
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentences
 

@@ -15,7 +15,7 @@ large again.
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -23,7 +23,6 @@ from imufield.calibrate.model.gauge import turn_accelerometer
 from imufield.deliver.exports.conventions import Corrections, rotation_to
 from imufield.deliver.exports.job import Draft, Job, sentence
 from imufield.deliver.exports.text import comment, row, rows, text_file
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 

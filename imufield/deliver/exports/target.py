@@ -6,10 +6,8 @@ Nothing here imports NumPy: a list of targets is to appear at once.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Literal
-
-from imufield.lean.dataclass import dataclass
 
 # Not "preset": a preset is not in the file.
 ExportGauge = Literal["lower", "upper", "symmetric"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from functools import cache
 from importlib.resources import files
 
@@ -12,7 +12,6 @@ from imufield.calibrate.model.gauge import turn_accelerometer
 from imufield.deliver.exports.conventions import linear_corrections, rotation_to
 from imufield.deliver.exports.job import Job, frame_note, sentence
 from imufield.errors import UsageError
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 

@@ -10,7 +10,7 @@ accelerometer remains left-out positions (``imufield.deliver.verification.left_o
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,6 @@ from imufield.deliver.navigation.mechanise import Mechanisation, load_pyins
 from imufield.deliver.navigation.rest import SECOND_S, IntervalMeans, RestNoise, fill_gaps, measure_noise, moving_seconds
 from imufield.deliver.parameters.file import Corrected
 from imufield.errors import ImufieldError, Reason, RecordingError, UsageError
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, Samples, TemperatureHold
 from imufield.sentences import Sentences
 

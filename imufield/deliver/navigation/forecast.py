@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -31,7 +31,6 @@ from imufield.calibrate.model.result import Calibration
 from imufield.deliver.navigation.alignment import Alignment, cross_matrix, earth_rate
 from imufield.deliver.navigation.drift import QUANTITIES, Drift
 from imufield.deliver.navigation.uncertain import DrawnParameters, draw_parameters
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 RUNS = 1000  # The 95 % limit has 50 runs above it and is known to 3 %.

@@ -15,12 +15,12 @@ References
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imufield.deliver.navigation.alignment import NoiseDensity
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 SECOND_S = 1.0

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import field
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
 import numpy as np
 
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.version import __version__
 

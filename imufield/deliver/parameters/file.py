@@ -6,7 +6,7 @@ The format is docs/parameter-file.md; ``parameters.schema.json`` beside this fil
 from __future__ import annotations
 
 import math
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, overload
 
@@ -31,7 +31,6 @@ from imufield.deliver.parameters.schema import Document, json_ready, parameter_s
 from imufield.deliver.parameters.write import EDITED, to_toml, write_document, write_parameters
 from imufield.errors import ParameterFileError, Reason
 from imufield.files import Origin
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, Samples, Status, TemperatureHold
 from imufield.sentences import Sentences
 

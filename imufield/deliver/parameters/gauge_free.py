@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -42,7 +42,6 @@ from imufield.calibrate.sessions.kinds import PPM, SCALES, kind_of
 from imufield.calibrate.solvers.costs import NormProblem
 from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S
 from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2, STANDARD_GRAVITY_M_S2
-from imufield.lean.dataclass import dataclass
 from imufield.samples import AXES, FloatArray
 
 # Places of the numbers, in the order of the file.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -46,7 +46,6 @@ from imufield.deliver.parameters.gauge_free import (
 )
 from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S
 from imufield.earth import MILLI_G_M_S2
-from imufield.lean.dataclass import dataclass
 from imufield.samples import AXES, FloatArray, SampleUnits
 from imufield.sentences import Sentences
 

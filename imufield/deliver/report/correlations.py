@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from imufield.calibrate.model.result import GRAVITY_NAME, Calibration
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 # Names of the file, in the words of a drawing.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.schema import Document
 from imufield.deliver.report.trace import Trace
 from imufield.errors import CalibrationError
-from imufield.lean.dataclass import dataclass
 from imufield.progress import task
 from imufield.samples import FloatArray, SampleUnits
 

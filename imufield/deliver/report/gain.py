@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from imufield.acquire.protocol.units import nominal_scale
@@ -12,7 +14,6 @@ from imufield.deliver.parameters.file import Parameters, json_ready
 from imufield.deliver.parameters.schema import Document
 from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2
 from imufield.errors import CalibrationError
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.sentences import Sentence, Sentences
 

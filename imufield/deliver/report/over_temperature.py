@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,7 +13,6 @@ from imufield.calibrate.sessions.kinds import PPM
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S
 from imufield.earth import MILLI_G_M_S2
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 _STEPS = 81  # Over the range: a polynomial of order 5 bends four times.

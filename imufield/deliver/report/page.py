@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from types import ModuleType
 
 import numpy as np
@@ -26,7 +27,6 @@ from imufield.deliver.report.together import HEADINGS, session_rows, together_ro
 from imufield.deliver.verification.result import duration_words
 from imufield.drawing.style import missing_package, plot_style
 from imufield.earth import MICRO_G_M_S2, height_words
-from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences, folded, printable
 
 sentence = Sentences(__package__)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,7 +11,6 @@ from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.numbers import acceleration_unit, decimals
 from imufield.drawing.box import turn_shortest, visible_faces
 from imufield.drawing.style import INK
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 _SIZE = 100.0  # Of a picture, in units of its own.

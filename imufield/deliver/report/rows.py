@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,7 +13,6 @@ from imufield.calibrate.model.result import Calibration, GyroscopeCalibration
 from imufield.deliver.parameters.document import gyroscope_bias_rad_s
 from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S, decimals, with_sigma
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2
-from imufield.lean.dataclass import dataclass
 from imufield.samples import AXES, FloatArray
 
 VERDICT_WORDS = {

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from imufield.deliver.navigation.rest import IntervalMeans
 from imufield.deliver.parameters.file import Parameters
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, Samples, TemperatureHold
 
 CELL_S = 0.5

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 from imufield.acquire.protocol.protocol import Protocol
@@ -17,7 +18,6 @@ from imufield.deliver.samples.export_tables import write_hdf5, write_parquet
 from imufield.deliver.samples.overview import overview
 from imufield.errors import RecordingError
 from imufield.files import make_beside, typed_write_errors, usual_mode
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, Samples, concatenate
 
 _ROWS_IN_A_BLOCK = 1 << 16  # 5 MB: a good size for the pieces of a Parquet file.

@@ -21,7 +21,7 @@ have the stated noise and nothing else go through the same steps, in the lineari
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +43,6 @@ from imufield.calibrate.model.uncertainty import known_covariance, within_varian
 from imufield.calibrate.solvers.agreement import AGREEMENT_SIGMA
 from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2, Gravity
 from imufield.errors import CalibrationError, Reason, UsageError
-from imufield.lean.dataclass import dataclass
 from imufield.progress import one_by_one
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences

@@ -11,7 +11,7 @@ import json
 import math
 import textwrap
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +28,6 @@ from imufield.earth import MICRO_G_M_S2
 from imufield.errors import UsageError
 from imufield.files import Origin, read_small_file, typed_write_errors, write_atomically
 from imufield.json_files import parse_json
-from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences, folded, printable_values
 
 sentence = Sentences(__package__)

@@ -19,7 +19,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import deque
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,8 +33,6 @@ from imufield.guide.stillness.cells import CELL_S
 from imufield.guide.stillness.detector import LONGEST_WAIT_S, StillnessDetector
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import Judgement, Phase
-from imufield.lean.dataclass import dataclass
-from imufield.lean.median import median
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentences
 
@@ -281,7 +279,7 @@ def _find_scale(moves: list[MoveBetweenStills]) -> float:
     permutations = signed_permutations()
     turned = [float(np.linalg.norm(move.rate_raw, axis=1).sum() * CELL_S) for move in moves]
     needed = [angle_rad(move.up_before, move.up_after) for move in moves]
-    typical = max(float(median(np.array(turned) / needed)), 1e-12)
+    typical = max(float(np.median(np.array(turned) / needed)), 1e-12)
     few = sorted(moves, key=lambda move: len(move.rate_raw))[:_MOVES_FOR_SCALE]
     candidates = typical / np.geomspace(*_TURNS_OF_UP, _SCALES)
     misfit = _misfit(few, permutations, candidates)

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -28,8 +28,6 @@ from imufield.calibrate.model.uncertainty import gravity_sensitivity
 from imufield.earth import MICRO_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity
 from imufield.errors import CalibrationError
 from imufield.guide.stillness.scale import RoughScale
-from imufield.lean.dataclass import dataclass
-from imufield.lean.median import median
 from imufield.samples import FloatArray
 
 FEWEST = 4  # Fewer observations leave every residual to the priors.
@@ -195,7 +193,7 @@ class RunningFit:
         s = STANDARD_GRAVITY_M_S2 * directions @ _axes(self.vector).T
         raw = self.vector[:3] * (s + self.vector[3:6]) + self.vector[12:] * s**2
         rows = norm_derivatives(self.vector, raw).jacobian[:, LOWER_GAUGE_COLUMNS]
-        sigma = float(median(self.sigma_m_s2))
+        sigma = float(np.median(self.sigma_m_s2))
         gain: FloatArray = np.log1p(np.einsum("ni,ij,nj->n", rows, self.covariance, rows) / sigma**2)
         return gain
 
@@ -301,7 +299,7 @@ def _sigma(residual: FloatArray, jacobian: FloatArray, expected: FloatArray, pri
     there are few. The median keeps one bad position from raising the sigma of all.
     """
     spare = np.maximum(1 - _leverage(jacobian, expected, prior), _LEAST_FREEDOM)
-    shown = float(median(residual**2 / spare)) / _MEDIAN_OF_SQUARES
+    shown = float(np.median(residual**2 / spare)) / _MEDIAN_OF_SQUARES
     within = float(np.mean(expected**2)) - EXPECTED_SCATTER_M_S2**2
     return _with_scatter(expected, max(shown - within, 0.0))
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,7 +20,6 @@ from imufield.guide.stillness.cells import Cells
 from imufield.guide.stillness.limits import Limits
 from imufield.guide.stillness.noise_floor import NoiseFloor
 from imufield.guide.stillness.scale import RoughScale
-from imufield.lean.dataclass import dataclass
 from imufield.samples import AXES, FloatArray, Status
 
 # The norm may be off g by this share where the stills have shown the offset: scales reach 0.1, a wrong unit or range gives 0.5.

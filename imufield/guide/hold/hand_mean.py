@@ -24,6 +24,7 @@ noise floor, does not fall and is added.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +32,6 @@ from numpy.typing import NDArray
 from imufield.calibrate.model.rotation import cross, exponential, logarithm, matrix, multiply, running_turns
 from imufield.guide.hold.triad_delay import TriadDelay, triad_delay
 from imufield.guide.stillness.scale import RoughScale
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, Samples
 
 _STEP_S = 0.004  # Samples closer than this are averaged first: tremor of 0.1 deg turns 0.03 deg in it.

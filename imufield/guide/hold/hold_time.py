@@ -9,6 +9,7 @@ stills of this session shows where (docs/maths.md, stillness). It is pooled over
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,7 +17,6 @@ from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.guide.hold.observe import cell_means
 from imufield.guide.stillness.cells import CELL_S, Cells
 from imufield.guide.stillness.scale import RoughScale
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 SHORTEST_S = 3.0  # The scatter of a shorter hold does not tell how well its mean is known.

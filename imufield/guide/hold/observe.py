@@ -20,6 +20,7 @@ References
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +30,6 @@ from imufield.guide.hold.hand_mean import HandMean
 from imufield.guide.hold.output import HoldOutput
 from imufield.guide.stillness.cells import Cells, cells_in
 from imufield.guide.stillness.limits import Limits, scatter_of_variance
-from imufield.lean.dataclass import dataclass
-from imufield.lean.median import median
 from imufield.samples import FloatArray, SampleUnits
 
 _GUARD_S = 0.3  # Cut off at both ends of a stretch: the hand that leaves, the hand that comes.
@@ -74,16 +73,16 @@ def stand_out(cells: Cells, limits: Limits) -> FloatArray:
     Columns: vibration of the accelerometer, of the gyroscope, change of the accelerometer, of the gyroscope.
     """
     vibration = np.nan_to_num(cells.variance / limits.vibration**2)
-    centre = median(cells.mean, axis=0)
+    centre = np.median(cells.mean, axis=0)
     change = np.nan_to_num(((cells.mean - centre) / limits.change) ** 2)
     ratios = np.sqrt(
         np.stack([vibration[:, :3].mean(1), vibration[:, 3:].mean(1), change[:, :3].sum(1), change[:, 3:].sum(1)], axis=1)
     )
-    usual, middle = float(median(cells.usable)), median(ratios, axis=0)
+    usual, middle = float(np.median(cells.usable)), np.median(ratios, axis=0)
     several = cells.usable > 1
     if usual < 2 and several.any():
         # One sample shows no vibration: cells of two are compared with each other.
-        usual, middle[:2] = 2.0, median(ratios[several, :2], axis=0)
+        usual, middle[:2] = 2.0, np.median(ratios[several, :2], axis=0)
     scatter = _VIBRATION_OVER_MEDIAN * scatter_of_variance(3 * (usual - 1))
     allowed = middle * [scatter, scatter, _CHANGE_OVER_MEDIAN, _CHANGE_OVER_MEDIAN]
     result: FloatArray = ratios / np.maximum(allowed, _LEAST_RATIO)

@@ -21,11 +21,11 @@ References
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 USUAL_S = 0.002  # 1 sigma of the delays that instruments have: group delays of their filters differ by up to 2 ms.

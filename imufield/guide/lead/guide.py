@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,7 +26,6 @@ from imufield.guide.stillness.cells import CELL_S, CellBuilder, Cells, slots_of
 from imufield.guide.stillness.limits import Activity
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import Judgement, Phase
-from imufield.lean.dataclass import dataclass
 from imufield.samples import Samples, SampleUnits
 from imufield.sentences import Sentences
 

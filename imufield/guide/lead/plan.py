@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imufield.guide.hold.observe import Observation
 from imufield.guide.positions import Position, Scheme, angle_deg
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 # Error of placement that the schemes allow: it costs 1 to 9 % of the uncertainty (docs/maths.md, positions).

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,7 +24,6 @@ from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.positions import SCHEMES, Scheme
 from imufield.guide.positions import scheme as shipped
 from imufield.guide.stillness.scale import RoughScale
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.sentences import Sentence, Sentences
 

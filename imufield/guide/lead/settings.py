@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from imufield.earth import Gravity, choose_gravity
 from imufield.guide.hold.hold_time import LONGEST_S, HoldTarget
-from imufield.lean.dataclass import dataclass
 
 # A unit that moved for less than both was not lifted: it rests where it was.
 MOVED_S = 1.0
@@ -39,7 +40,7 @@ class GuideSettings:
     target_scale_ppm: float | None = None
     revisit_first: bool = False
     rotations: str | None = None
-    gravity: Gravity = choose_gravity()
+    gravity: Gravity = choose_gravity()  # noqa: RUF009 - frozen, so one default may be shared
     earlier_scale_raw: float | None = None
     earlier_scale_sigma: float = 0.0
     grade: str = ""

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
 
 from imufield.acquire.protocol.units import nominal_scale
 from imufield.errors import CalibrationError
 from imufield.guide.lead.unguided import StillIntervalFinder
 from imufield.guide.stillness.scale import RoughScale
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, Samples
 from imufield.sentences import Sentence, Sentences
 

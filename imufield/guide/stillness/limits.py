@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,7 +11,6 @@ from imufield.guide.refusals import Refusal, RefusalKind
 from imufield.guide.stillness.cells import Cells
 from imufield.guide.stillness.noise_floor import NoiseFloor
 from imufield.guide.stillness.scale import RoughScale
-from imufield.lean.dataclass import dataclass
 from imufield.samples import AXES, FloatArray
 
 # Multiples of the noise floor. A variance scatters by chance, hence ``scatter_of_variance`` where cells hold few samples.

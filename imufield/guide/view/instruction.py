@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
-from dataclasses import field
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import NamedTuple
 
@@ -24,7 +24,6 @@ from imufield.guide.refusals import quantities
 from imufield.guide.stillness.limits import Activity
 from imufield.guide.view.marks import NAMES, with_keys
 from imufield.guide.view.plain import said_once, suspect_words, words
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import re
 import textwrap
+from dataclasses import dataclass
 
 import numpy as np
 from rich.box import ROUNDED
@@ -26,7 +27,6 @@ from imufield.guide.view.instruction import Screen, instruct, stillness_words
 from imufield.guide.view.pictures import ROWS, big_lines, draw_box
 from imufield.guide.view.plain import KNOWN_UNITS, NOT_TOLD, known_words
 from imufield.guide.view.traces import draw_signals, signals_title
-from imufield.lean.dataclass import dataclass
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)

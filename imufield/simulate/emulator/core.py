@@ -12,14 +12,13 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol, Self
 
 import numpy as np
 
 from imufield.errors import UsageError
-from imufield.lean.dataclass import dataclass
 from imufield.samples import Samples, Status
 from imufield.sentences import Sentences
 from imufield.simulate.emulator.faults import Chances

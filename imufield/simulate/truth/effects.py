@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from imufield.earth import STANDARD_GRAVITY_M_S2
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, IntArray
 
 

@@ -16,6 +16,7 @@ The Coriolis term of a hand moving at 1 m/s (15 ug) is left out.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -23,7 +24,6 @@ from numpy.typing import ArrayLike
 
 from imufield.calibrate.model.rotation import conjugate, exponential, logarithm, multiply, rotate
 from imufield.earth import EARTH_RATE_RAD_S, normal_gravity
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 

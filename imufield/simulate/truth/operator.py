@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -20,7 +20,6 @@ from numpy.typing import ArrayLike
 
 from imufield.calibrate.model.rotation import conjugate, exponential, logarithm, multiply, rotate
 from imufield.errors import UsageError
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 from imufield.simulate.truth.motion import Site, TrueMotion, sample_motion, shortest_turn, up_direction

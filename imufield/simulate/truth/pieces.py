@@ -14,14 +14,13 @@ References
 from __future__ import annotations
 
 import math
-from dataclasses import field
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from imufield.calibrate.model.rotation import exponential, multiply
 from imufield.guide.stillness.turn_fit import minimum_jerk
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray
 
 RING_DECAYS = 12.0

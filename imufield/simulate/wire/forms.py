@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.protocol.toml import Source, Table, near, spell
 from imufield.errors import UsageError
-from imufield.lean.dataclass import dataclass
 from imufield.limits import RATE_RANGE_HZ
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS
 from imufield.sentences import Sentences

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from imufield.acquire.formats.table_columns import quantity_of
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.errors import UsageError
-from imufield.lean.dataclass import dataclass
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, FloatArray, IntArray, Samples
 from imufield.sentences import Sentences
 from imufield.simulate.wire.forms import WireFrame, number_template

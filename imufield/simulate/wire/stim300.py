@@ -11,6 +11,7 @@ multiple of four that are not sent; CR LF if configured.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -19,7 +20,6 @@ from numpy.typing import ArrayLike, NDArray
 from imufield.acquire.protocol.checksum import make_checksum
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import UsageError
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, IntArray, Samples, Status
 from imufield.sentences import Sentences
 from imufield.simulate.wire.frames import Bytes, bytes_of

@@ -6,7 +6,7 @@ A mean has the noise of its hold, which its covariance tells, and scatter from h
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,6 @@ from imufield.calibrate.model.observations import Observations, leave_out
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration
 from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2, Gravity
 from imufield.guide.positions import scheme
-from imufield.lean.dataclass import dataclass
 from imufield.samples import FloatArray, SampleUnits
 from imufield.simulate.truth.grades import TrueInstrument
 
