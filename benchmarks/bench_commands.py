@@ -24,11 +24,11 @@ from typing import Any
 import numpy as np
 
 from imufield.acquire.link.serial import Chunk
-from imufield.acquire.recording.recorder import Recorder
+from imufield.acquire.recording.recorder import Recorder, part_metadata
 from imufield.acquire.recording.session import Session
 from imufield.acquire.registry import load_driver
 from imufield.guide.positions import scheme
-from imufield.pipeline.chain import part_metadata, session_samples
+from imufield.pipeline.chain import session_samples
 from imufield.pipeline.kept import KEPT_FILE
 from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
 from imufield.simulate.instruments.stim300 import Stim300Device
@@ -37,6 +37,8 @@ from imufield.simulate.wire.stim300 import Stim300Format
 
 IMUFIELD = [sys.executable, "-m", "imufield"]
 REAL_DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "imu_tk"
+COMPILED = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+"""Where the program is compiled once, as pip does when it installs it; the peer of a start is compiled, too."""
 PEER_SOLVE_S = 0.47
 """C++ program on the same files, middle of 0.4 s to 0.55 s measured on a machine like this; not run here."""
 COMMANDS = ("demo", "devices", "capture", "record", "import", "replay", "solve", "export-data", "emulate")
@@ -62,7 +64,9 @@ def run_program(folder: Path, *arguments: object, until_s: float | None = None, 
     begin_s = time.perf_counter()
     with (folder / "output").open("w+") as output:
         command = [*IMUFIELD, *map(str, arguments)]
-        process = subprocess.Popen(command, cwd=folder, stdout=output, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL)
+        process = subprocess.Popen(
+            command, cwd=folder, env=COMPILED, stdout=output, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL
+        )
         if until_s is not None:
             time.sleep(until_s)
             process.send_signal(signal.SIGINT)

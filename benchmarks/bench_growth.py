@@ -13,11 +13,10 @@ from typing import Any
 
 from benchmarks.bench_commands import CHUNK_S, Ended, run_program
 from imufield.acquire.link.serial import Chunk
-from imufield.acquire.recording.recorder import Recorder
+from imufield.acquire.recording.recorder import Recorder, part_metadata
 from imufield.acquire.recording.session import Session
 from imufield.acquire.registry import load_driver
 from imufield.guide.positions import scheme
-from imufield.pipeline.chain import part_metadata
 from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
 from imufield.simulate.instruments.stim300 import Stim300Device
 from imufield.simulate.truth.operator import OperatorSettings

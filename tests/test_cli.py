@@ -8,13 +8,13 @@ import sys
 from pathlib import Path
 
 import pytest
-import typer
 from typer.main import get_command
 
 from imufield import __version__
 from imufield.cli.app import make_app
 from imufield.cli.root_help import OF_TYPER
 from imufield.cli.run import run
+from imufield.commands.terminal.output import NoAnswer
 from imufield.errors import EXIT_INTERRUPTED, ImufieldError
 
 COMMANDS = sorted(get_command(make_app()).commands)  # type: ignore[attr-defined]  # the app is a group
@@ -149,11 +149,11 @@ def test_every_error_has_its_exit_code(
 
 def test_interrupted_at_a_prompt(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     def interrupt(*arguments: object, **options: object) -> None:
-        raise typer.Abort
+        raise NoAnswer
 
     monkeypatch.setattr("imufield.commands.devices.list_devices", interrupt)
     assert run(["devices"]) == EXIT_INTERRUPTED
-    assert "interrupted" in capsys.readouterr().err
+    assert capsys.readouterr().err == "Aborted.\nimufield: interrupted.\n"
 
 
 def test_a_reader_that_goes_away(tmp_path: Path) -> None:

@@ -9,13 +9,14 @@ import importlib
 import pkgutil
 import sys
 from functools import cache
-from importlib.metadata import EntryPoint, EntryPoints, entry_points
 from typing import TYPE_CHECKING
 
 from imufield.errors import ProtocolError, Reason, UnknownNameError
 from imufield.sentences import Sentences
 
 if TYPE_CHECKING:  # A shell completes names of drivers, and should not wait for NumPy.
+    from importlib.metadata import EntryPoint, EntryPoints
+
     from imufield.acquire.driver import Driver
 
 sentence = Sentences(__package__)
@@ -40,6 +41,8 @@ def load_driver(name: str) -> type[Driver]:
     ProtocolError
         If two distributions have one of that name, or it cannot be imported.
     """
+    from importlib.metadata import EntryPoint
+
     points = tuple(_installed().select(name=name))
     shipped = name in shipped_names()
     # Which of two is meant, nobody can tell; the order of installation must not decide.
@@ -70,6 +73,8 @@ def _installed() -> EntryPoints:
 # Asking every distribution takes milliseconds, and recognising an instrument asks for one driver after another.
 @cache
 def _points_on(path: tuple[str, ...]) -> EntryPoints:  # noqa: ARG001  (where the distributions are looked for)
+    from importlib.metadata import entry_points  # as slow as all that a table needs to be imported
+
     return entry_points(group=GROUP)
 
 

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import importlib
+import inspect
 from collections.abc import Callable, Collection, Iterable
+from dataclasses import MISSING
 from functools import partial
-from typing import Annotated, cast
+from typing import Annotated, cast, get_args
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from imufield.cli.command import make_command
+from imufield.cli.command import Command, Parameter, find_command, parameters
 from imufield.cli.table import COMMANDS, NAMES
+from imufield.commands.options.shared import UnfitValueError
 from imufield.sentences import Sentences, printable_lines
 from imufield.version import __version__
 
@@ -92,9 +94,51 @@ def make_app(wanted: Collection[str] = NAMES) -> typer.Typer:
     made.callback()(_root)
     for panel, commands in COMMANDS.items():
         for name in (name for name in commands if name in wanted):
-            place, work, key = commands[name]
-            module, _, options = place.partition(".")
-            kind = getattr(importlib.import_module(f"imufield.commands.options.{module}"), options)
-            command = make_command(kind, work, told=sentence(key))
-            made.command(name, cls=_Command, rich_help_panel=panel)(command)
+            made.command(name, cls=_Command, rich_help_panel=panel)(_function(find_command(name)))
     return made
+
+
+def _function(command: Command) -> Callable[..., None]:
+    """Return the function from which typer makes a command."""
+
+    def function(context: typer.Context, **values: object) -> None:
+        # A value that was typed contradicts another; a default of file or variables steps back.
+        sources = {name: context.get_parameter_source(name) for name in values}
+        typed = frozenset(name for name, source in sources.items() if source is not None and source.name == "COMMANDLINE")
+        if code := command.run(values, typed):
+            raise typer.Exit(code)
+
+    first = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
+    given = [first, *map(_parameter, parameters(command.options))]
+    function.__doc__ = "\n\n".join([sentence(command.told), *(inspect.getdoc(command.options) or "").split("\n\n")[1:]])
+    function.__signature__ = inspect.Signature(given)  # type: ignore[attr-defined]  # what inspect and typer read
+    function.__annotations__ = {parameter.name: parameter.annotation for parameter in given}
+    return function
+
+
+def _parameter(of: Parameter) -> inspect.Parameter:
+    option, more = of.option, {**of.option.more}
+    # Files are opened by the commands, which say what is wrong with one and how to go on.
+    more["readable"] = False
+    if option.check is not None:
+        more["callback"] = _saying_why(option.check)
+    if callable(parser := more.get("parser")):
+        more["parser"] = _saying_why(parser)
+    # What typer knows of them is checked by it.
+    make = cast("Callable[..., object]", typer.Argument if option.is_argument else typer.Option)
+    made = make(*option.names, **more)
+    default = inspect.Parameter.empty if of.default is MISSING else of.default
+    annotation: object = Annotated[get_args(of.annotation)[0], made]
+    return inspect.Parameter(of.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+
+
+def _saying_why(check: Callable[..., object]) -> Callable[[object], object]:
+    """Return the check of a value whose refusal is one of typer."""
+
+    def checked(value: object) -> object:
+        try:
+            return check(value)
+        except UnfitValueError as error:
+            raise typer.BadParameter(str(error)) from error
+
+    return checked

@@ -1,24 +1,34 @@
-"""Commands of typer made from options classes: a parameter for each option, and back from what was typed to the options."""
+"""What the options of a command are, and how what was typed runs it."""
 
 from __future__ import annotations
 
 import importlib
-import inspect
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import MISSING, Field, fields
+from collections.abc import Iterator, Mapping
+from dataclasses import Field, dataclass, fields
 from typing import Annotated, get_args, get_origin
 
-import typer
-
-from imufield.commands.options.shared import Converted, Group
+from imufield.cli.table import COMMANDS
+from imufield.commands.options.shared import Converted, Group, Option
 from imufield.progress import shown
 
 
-def make_command(options: type, work: str, told: str) -> Callable[..., None]:
-    """Return the function of a command.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Parameter:
+    """An option or argument as it is typed: name of its field, ``Annotated`` type, its mark, and default (or ``MISSING``)."""
 
-    Parameters
+    name: str
+    annotation: object
+    option: Option
+    default: object
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Command:
+    """A command of the table.
+
+    Attributes
     ----------
+    name : str
     options : type
         Dataclass of its options; its docstring, from the second paragraph, goes on with the help (see
         ``commands.options.shared``).
@@ -26,26 +36,31 @@ def make_command(options: type, work: str, told: str) -> Callable[..., None]:
         "module.function" below ``imufield.commands``, imported when the command runs, and called with the options; an int that
         it returns is the exit code.
     told : str
-        What it does: the first paragraph of the help.
+        Key of what it does, the first paragraph of the help.
     """
 
-    def command(context: typer.Context, **values: object) -> None:
-        # A value that was typed contradicts another; a default of file or variables steps back.
-        sources = {name: context.get_parameter_source(name) for name in values}
-        typed = frozenset(name for name, source in sources.items() if source is not None and source.name == "COMMANDLINE")
-        module, _, function = work.rpartition(".")
-        # Packages that a command needs may be slow to import.
-        with shown(str(context.info_name)):
-            code = getattr(importlib.import_module(f"imufield.commands.{module}"), function)(_build(options, values, typed))
-        if type(code) is int:
-            raise typer.Exit(code)
+    name: str
+    options: type
+    work: str
+    told: str
 
-    context = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
-    parameters = [context, *_parameters(options)]
-    command.__doc__ = "\n\n".join([told, *(inspect.getdoc(options) or "").split("\n\n")[1:]])
-    command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # what inspect and typer read
-    command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-    return command
+    def run(self, values: Mapping[str, object], typed: frozenset[str]) -> int:
+        """Run it with the values of its parameters, and the names of those that were typed; return the exit code."""
+        module, _, function = self.work.rpartition(".")
+        # Packages that a command needs may be slow to import.
+        with shown(self.name):
+            code = getattr(importlib.import_module(f"imufield.commands.{module}"), function)(
+                _build(self.options, values, typed)
+            )
+        return code if type(code) is int else 0
+
+
+def find_command(name: str) -> Command:
+    """Return a command of the table, whose options are imported."""
+    place, work, told = next(commands[name] for commands in COMMANDS.values() if name in commands)
+    module, _, options = place.partition(".")
+    kind = getattr(importlib.import_module(f"imufield.commands.options.{module}"), options)
+    return Command(name=name, options=kind, work=work, told=told)
 
 
 def _mark(entry: Field[object]) -> object:
@@ -53,16 +68,17 @@ def _mark(entry: Field[object]) -> object:
     return get_args(entry.type)[1] if get_origin(entry.type) is Annotated else None
 
 
-def _parameters(options: type) -> Iterator[inspect.Parameter]:
+def parameters(options: type) -> Iterator[Parameter]:
+    """Yield what can be typed, in the order of the help."""
     for entry in fields(options):
         mark = _mark(entry)
         if isinstance(mark, Group):
-            yield from _parameters(mark.arguments)
+            yield from parameters(mark.arguments)
         elif isinstance(mark, Converted):
-            yield inspect.Parameter(entry.name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=mark.typed_as)
-        elif mark is not None:
-            default = inspect.Parameter.empty if entry.default is MISSING else entry.default
-            yield inspect.Parameter(entry.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=entry.type)
+            typed_as = mark.typed_as
+            yield Parameter(name=entry.name, annotation=typed_as, option=get_args(typed_as)[1], default=None)
+        elif isinstance(mark, Option):
+            yield Parameter(name=entry.name, annotation=entry.type, option=mark, default=entry.default)
 
 
 def _build(options: type, values: Mapping[str, object], typed: frozenset[str]) -> object:

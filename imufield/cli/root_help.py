@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 
-from imufield.cli.table import COMMANDS, NAMES
+from imufield.cli.table import COMMANDS, COMPLETION, NAMES
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -16,7 +16,7 @@ OF_TYPER = (
     "PY_COLORS",
     "FORCE_COLOR",
     "_TYPER_FORCE_DISABLE_TERMINAL",
-    "_IMUFIELD_COMPLETE",
+    COMPLETION,
 )
 """Typer's own switches, and its request for words to complete: where one is set, it prints its help itself."""
 _OPTIONS = (

@@ -7,11 +7,11 @@ import errno
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from types import FrameType
 from typing import TextIO
 
-from imufield.cli.table import NAMES
+from imufield.cli.table import COMPLETION, NAMES
 from imufield.errors import EXIT_INTERRUPTED, ImufieldError, Reason, RecordingError, UsageError
 from imufield.files import write_error
 from imufield.sentences import Sentences
@@ -58,19 +58,12 @@ def run(arguments: list[str]) -> int:
             _complain(sentence("run.long_name", name=str(error.filename)))
             return UsageError.exit_code
         # The reader of our output went away (`imufield ... | head`), or the terminal was closed: there is nobody to tell.
-        closed = error.errno == errno.EIO and _comes_from(error, KeyboardInterrupt, _abort())
+        closed = error.errno == errno.EIO and _comes_from(error, KeyboardInterrupt)
         if not (closed or isinstance(error, BrokenPipeError)):
             raise
         _forget(sys.stdout)
         _forget(sys.stderr)
         return EXIT_INTERRUPTED
-
-
-def _abort() -> type[Exception]:
-    """Return what typer raises for a Ctrl-C at a question; whoever asks has typer already."""
-    from typer import Abort
-
-    return Abort
 
 
 def _forget(stream: TextIO) -> None:
@@ -87,27 +80,55 @@ def _complain(message: str) -> None:
 def _run(arguments: list[str]) -> int:
     try:
         with _signals_as_interrupts():
-            if arguments in (["--help"], ["-h"]) and _help_is_printed():
-                return 0
-            # Made for the command alone that is run; all of them where none is named: help, completion, a slip of the pen.
-            wanted = arguments[:1] if arguments and arguments[0] in NAMES else NAMES
-            from imufield.cli.app import make_app
-
-            make_app(wanted)(arguments, prog_name="imufield")
+            return 0 if arguments in (["--help"], ["-h"]) and _help_is_printed() else run_line(arguments)
     except ImufieldError as error:
         _complain(error.message)
         return error.exit_code
+    except KeyboardInterrupt as interrupt:
+        return _interrupted(arguments, interrupt)
     except SystemExit as leave:
         if isinstance(leave.__context__, BrokenPipeError):
             # typer leaves with 1 then, which is kept for defects.
             raise leave.__context__ from None
-        if leave.code == EXIT_INTERRUPTED or isinstance(leave.__context__, _abort()):
-            from imufield.commands.terminal.output import say
-
-            say(f"imufield: {_interrupted_words(arguments, leave)}.", err=True)
-            return EXIT_INTERRUPTED
+        if leave.code == EXIT_INTERRUPTED:
+            return _interrupted(arguments, leave)
         return leave.code if isinstance(leave.code, int) else 0
+
+
+def run_line(arguments: list[str]) -> int:
+    """Run a command line, by typer where it does not say all itself; return the exit code.
+
+    Raises
+    ------
+    ImufieldError
+        Of the command.
+    SystemExit
+        As typer leaves.
+    """
+    # Made for the command alone that is run; all of them where none is named: help, completion, a slip of the pen.
+    wanted: Collection[str] = NAMES
+    if arguments and arguments[0] in NAMES:
+        from imufield.cli.command import find_command
+        from imufield.cli.plain import read
+        from imufield.commands.configuration import default_map
+
+        command, wanted = find_command(arguments[0]), arguments[:1]
+        found = None if os.environ.get(COMPLETION) else read(command, arguments[1:], default_map().get(command.name, {}))
+        if found is not None:
+            return command.run(*found)
+    from imufield.cli.app import make_app
+
+    make_app(wanted)(arguments, prog_name="imufield")
     return 0
+
+
+def _interrupted(arguments: list[str], interrupt: BaseException) -> int:
+    from imufield.commands.terminal.output import NoAnswer, NothingRecorded, say
+
+    if _comes_from(interrupt, NoAnswer) and not _comes_from(interrupt, NothingRecorded):
+        say("Aborted.", err=True, color="red")
+    say(f"imufield: {_interrupted_words(arguments, interrupt)}.", err=True)
+    return EXIT_INTERRUPTED
 
 
 def _help_is_printed() -> bool:
@@ -116,11 +137,11 @@ def _help_is_printed() -> bool:
     return print_help()
 
 
-def _interrupted_words(arguments: list[str], leave: BaseException) -> str:
+def _interrupted_words(arguments: list[str], interrupt: BaseException) -> str:
     from imufield.commands.terminal.output import NothingRecorded
 
     command = arguments[0] if arguments else ""
-    if _comes_from(leave, NothingRecorded):
+    if _comes_from(interrupt, NothingRecorded):
         return sentence("run.nothing_recorded")
     if command in RECORDING_COMMANDS:
         return sentence("run.recorded")

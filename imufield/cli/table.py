@@ -36,3 +36,5 @@ COMMANDS: dict[str, dict[str, tuple[str, str, str]]] = {
 }
 """Under each heading, by name: options below ``imufield.commands.options``, function below ``imufield.commands``, sentence."""
 NAMES = frozenset(name for commands in COMMANDS.values() for name in commands)
+COMPLETION = "_IMUFIELD_COMPLETE"
+"""Variable by which a shell asks typer for words to complete."""

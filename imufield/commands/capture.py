@@ -8,12 +8,12 @@ from contextlib import ExitStack
 from imufield.acquire.instrument.connect import check_options, connect
 from imufield.acquire.link.host_clock import HostClock
 from imufield.commands.options.acquire_commands import CaptureOptions
-from imufield.commands.terminal.guided import DEFAULT_SCHEME, Captured, guide_record, guided_session, new_session
+from imufield.commands.terminal.guided import Captured, guide_record, guided_session, new_session
 from imufield.commands.terminal.output import before_recording, host_clock, say, say_assumed
 from imufield.commands.terminal.page import open_page
 from imufield.commands.terminal.resume import check_instrument, check_plan, connect_as_before, find_unfinished
 from imufield.commands.terminal.site import ask_site
-from imufield.guide.positions import scheme
+from imufield.guide.positions import DEFAULT_SCHEME, scheme
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)

@@ -21,10 +21,10 @@ from imufield.commands.terminal.output import echo, replace_only, say
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import UsageError
 from imufield.files import read_small_file
-from imufield.guide.positions import named_direction, scheme
+from imufield.guide.positions import REVISIT_FROM, named_direction, scheme
 from imufield.limits import TEMPERATURE_RANGE_DEGC
 from imufield.pipeline.calibration import one_of
-from imufield.pipeline.chain import REVISIT_FROM, ROTATIONS
+from imufield.pipeline.chain import ROTATIONS
 from imufield.progress import hidden
 from imufield.sentences import Sentences
 from imufield.simulate.emulator.core import EmulatorCore, EmulatorSettings

@@ -18,12 +18,11 @@ from imufield.acquire.formats.ros_bags import is_bag
 from imufield.acquire.formats.table_columns import TIME_UNIT
 from imufield.acquire.formats.table_text import read_pieces
 from imufield.acquire.formats.tables import ROWS_PROTOCOL, ImportedTable, read_tables, write_rows
-from imufield.acquire.instrument.connected import assumed
+from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.link.host_clock import SystemClock
-from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.protocol import Protocol, load_protocol
 from imufield.acquire.recording.part_file import is_part
-from imufield.acquire.recording.recorder import Recorder
+from imufield.acquire.recording.recorder import Recorder, part_metadata
 from imufield.acquire.recording.session import LOCK_FILE, SETTINGS_FILE, Session, create_session
 from imufield.acquire.recording.session_record import SettingRecord
 from imufield.acquire.registry import load_driver
@@ -32,7 +31,6 @@ from imufield.commands.terminal.output import echo, say_each
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.guide.lead.still_scales import find_scales
-from imufield.pipeline.chain import part_metadata
 from imufield.pipeline.still_units import settings_of_stills, with_units_of_stills
 from imufield.pipeline.table_samples import refuse_endless
 from imufield.samples import Samples, require_possible_degc
@@ -151,6 +149,8 @@ def _import_tables(options: ImportOptions) -> tuple[Session, list[str]]:
 
 def _import_bytes(options: ImportOptions, protocol: Protocol) -> tuple[Session, list[str]]:
     """Put the bytes of a dump or the frames of logs into a recording as they are."""
+    from imufield.acquire.instrument.connected import assumed  # With all that listens to ports, of which a table knows nothing.
+
     losses: list[str] = []
     decoder = Decoder(protocol)
     # Decoded before anything is made of them, so that nothing is put aside for files without a sample.

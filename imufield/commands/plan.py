@@ -7,13 +7,11 @@ from dataclasses import asdict
 
 from imufield.calibrate.model.grades import DEFAULT_GRADE, find_grade, grade_by_noise
 from imufield.commands.options.acquire_commands import PlanOptions
-from imufield.commands.terminal.guided import DEFAULT_SCHEME
 from imufield.commands.terminal.output import echo, say
 from imufield.earth import MICRO_G_M_S2
 from imufield.guide.lead.session_time import session_time
 from imufield.guide.lead.settings import GuideSettings
-from imufield.guide.positions import scheme
-from imufield.pipeline.chain import REVISIT_FROM
+from imufield.guide.positions import DEFAULT_SCHEME, REVISIT_FROM, scheme
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)

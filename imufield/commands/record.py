@@ -12,14 +12,14 @@ from imufield.acquire.instrument.connected import Connected
 from imufield.acquire.instrument.same_stream import SameStream
 from imufield.acquire.link.host_clock import HostClock, patience_s
 from imufield.acquire.link.reconnect import ReconnectingLink
-from imufield.acquire.recording.recorder import Recorder
+from imufield.acquire.recording.recorder import Recorder, part_metadata
 from imufield.acquire.recording.session import Session, create_session
 from imufield.commands.options.acquire_commands import RecordOptions
 from imufield.commands.terminal.output import echo, host_clock, say, say_assumed
 from imufield.commands.terminal.ramp import RampLead
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import RecordingError
-from imufield.pipeline.chain import Chain, ReadingPlan, part_metadata
+from imufield.pipeline.chain import Chain, ReadingPlan
 from imufield.pipeline.intake import Intake
 from imufield.pipeline.windows import RAMP
 from imufield.progress import hidden

@@ -26,6 +26,9 @@ sentence = Sentences(__package__)
 _SAME_DIRECTION_DEG = 1.0  # Repeats of one direction differ by rounding, neighbours of a scheme by 30 degrees and more.
 _SAME_SIZE = 0.02  # Parts of a direction that differ by less are those of an edge or a corner.
 
+DEFAULT_SCHEME = "paper24"  # What the README promises: 24 positions, hand-held.
+REVISIT_FROM = 12
+"""Schemes with at least this many positions end with the first one again, as a check for drift; a quick one does without."""
 SCHEMES = ("paper24", "paper36", "corners24", "all26", "faces6")
 """Names of the shipped schemes."""
 MOST_POSITIONS = 300

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import TypeVar
 
 import numpy as np
@@ -122,17 +123,18 @@ def calibrate(measured: Measured, settings: SolveSettings) -> Parameters:
         grade=grade,
         seed=settings.seed,
     )
-    rng = np.random.default_rng(settings.seed)
+    # One for all that draws, made by the first of them: numpy.random is slow to import, and least squares alone draws nothing.
+    rng = cache(lambda: np.random.default_rng(settings.seed))
     sentences = list(measured.reasons)
     if settings.cross_check:
-        sentences.append(cross_check(measured.observations, calibration, rng=rng, preset=preset).sentence)
+        sentences.append(cross_check(measured.observations, calibration, rng=rng(), preset=preset).sentence)
     # Least squares comes first whatever the method: it chooses the model, and the others are held against it.
     if settings.method != LEAST_SQUARES:
         calibration = solve_with(
             settings.method,
             measured.observations,
             calibration,
-            rng=rng,
+            rng=rng(),
             preset=preset,
             polish=settings.polish,
             settings=settings.method_settings,
@@ -188,7 +190,7 @@ def _recording_left_out(calibration: Calibration, observations: Observations) ->
 
 
 def _with_gyroscope(
-    calibration: Calibration, measured: Measured, settings: SolveSettings, rng: np.random.Generator, *, grade: str
+    calibration: Calibration, measured: Measured, settings: SolveSettings, rng: Callable[[], np.random.Generator], *, grade: str
 ) -> tuple[Calibration, str]:
     """Join the gyroscope, where the session holds its output; return the verdict on it too."""
     observations = measured.observations if measured.rests is None else join_observations(measured.observations, measured.rests)
@@ -210,10 +212,12 @@ def _with_gyroscope(
     )
     try:
         result = calibrate_gyroscope(given, settings.gyroscope_model)
-        check = cross_check_gyroscope(result, rng=rng) if settings.cross_check else None
-        result, solved = solve_gyroscope_with(
-            settings.method, result, rng=rng, polish=settings.polish, settings=settings.method_settings
-        )
+        check = cross_check_gyroscope(result, rng=rng()) if settings.cross_check else None
+        solved = None
+        if settings.method != LEAST_SQUARES:
+            result, solved = solve_gyroscope_with(
+                settings.method, result, rng=rng(), polish=settings.polish, settings=settings.method_settings
+            )
         joined = result.join(calibration)
     except CalibrationError as error:
         # The accelerometer is known all the same; axes that contradict it were refused before.

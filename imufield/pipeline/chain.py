@@ -36,8 +36,6 @@ sentence = Sentences(__package__)
 
 MARK = "mark"
 """Name of a recorded event: what the operator said, to be said again on replay."""
-REVISIT_FROM = 12
-"""Schemes with at least this many positions end with the first one again, as a check for drift; a quick one does without."""
 ROTATIONS = {"rolled": HORIZONTAL, "table": VERTICAL}
 """Kinds of whole turns, as ``--rotations`` names them, and the axis they are about."""
 UNPLUGGED = "unplugged"
@@ -268,17 +266,6 @@ def require_gravity(protocol: Protocol) -> None:
     if protocol.samples.corrected:
         corrected = sentence("chain.corrected", title=protocol.title, advice=protocol.samples.advice)
         raise CalibrationError(corrected, Reason.GRAVITY)
-
-
-def part_metadata(protocol: Protocol, extra: Mapping[str, object]) -> dict[str, object]:
-    """Return what a part must hold to be decoded without the outside."""
-    return {
-        **extra,
-        "protocol": protocol.name,
-        "protocol_text": protocol.text,
-        "protocol_sha256": protocol.sha256,
-        "settings": {name: setting.value for name, setting in protocol.settings.items()},
-    }
 
 
 def recorded_protocol(metadata: Mapping[str, object], session: Session) -> Protocol:

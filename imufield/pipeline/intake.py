@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from imufield.acquire.instrument.same_stream import SameStream
-from imufield.acquire.link.serial import Chunk
+from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.recording.recorder import Recorder
 from imufield.guide.events import Event
 from imufield.pipeline.chain import UNPLUGGED, Chain

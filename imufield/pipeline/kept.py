@@ -1,8 +1,8 @@
 """Cache of a replayed recording (``Reading``) beside it, so that the next ``solve`` need not replay hours of samples.
 
 ``capture`` keeps it as soon as it has seen all of the recording, else who replays it first. It is believed only under a digest
-of the recording, of what ``session.toml`` says, and of this program's own code, with a secret of this user: what came with the
-session of another, who could write anything there, is read anew. Nothing is said of it: the result is the same.
+of the recording, of what ``session.toml`` says, and of this program's version and files, with a secret of this user: what came
+with the session of another, who could write anything there, is read anew. Nothing is said of it: the result is the same.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import hashlib
 import hmac
 import json
 import math
-import secrets
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import fields, is_dataclass
@@ -31,6 +31,7 @@ from imufield.guide.positions import SCHEME_FILE
 from imufield.json_files import parse_json
 from imufield.pipeline.reading import Reading
 from imufield.samples import SampleUnits
+from imufield.version import __version__
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -92,6 +93,8 @@ def _secret() -> bytes:
     with suppress(FileNotFoundError):
         if len(found := read_small_file(path, Origin.INSIDE)) == _DIGEST_BYTES:
             return found
+    import secrets
+
     # Nobody else may read it; writing keeps that. Of two programs that make one at once the later wins, which costs a replay.
     path.touch()
     path.chmod(0o600)
@@ -101,10 +104,13 @@ def _secret() -> bytes:
 
 @cache
 def _code_sha256() -> str:
-    """Return the hash of this program's code and tables: a version number stays while they are worked on."""
-    digest = hashlib.sha256()
-    for path in sorted(path for path in Path(__file__).parent.parent.rglob("*") if path.suffix in (".py", ".toml")):
-        digest.update(path.read_bytes())
+    """Return the hash of this program's version, and of its files by size and time: the number stays while they are edited."""
+    digest = hashlib.sha256(__version__.encode())
+    # By their content it would take as long as all else that is done for what is kept.
+    for folder, _, names in sorted(os.walk(Path(__file__).parent.parent)):
+        for path in (f"{folder}/{name}" for name in sorted(names) if name.endswith((".py", ".toml"))):
+            found = os.stat(path)  # noqa: PTH116  (a Path of each file takes longer than its time and size)
+            digest.update(f"{path} {found.st_size} {found.st_mtime_ns}\n".encode())
     return digest.hexdigest()
 
 

@@ -8,6 +8,7 @@ begins and whatever it lacks; outputs of another day have noise of their own, an
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from typing import Protocol, TypeVar
 
 import numpy as np
@@ -21,7 +22,11 @@ sentence = Sentences(__package__)
 _RUN = 16  # Rows: six outputs of at least one bit of noise make 96 bits.
 _ONE_IN = np.uint64(128)  # A minute at 100 Hz has some 50 marks.
 _SHARED = 3  # Fewer are 2 s of 100 Hz, and no day.
-_FACTORS = np.random.default_rng(0).integers(1, 2**63, size=(2, _RUN), dtype=np.uint64) * np.uint64(2) + np.uint64(1)
+
+
+@cache  # Made when they are needed: numpy.random is slow to import, and most sessions are solved alone.
+def _factors() -> UIntArray:
+    return np.random.default_rng(0).integers(1, 2**63, size=(2, _RUN), dtype=np.uint64) * np.uint64(2) + np.uint64(1)
 
 
 class RecordingMarks:
@@ -34,12 +39,12 @@ class RecordingMarks:
     def feed(self, samples: Samples) -> None:
         """Take the next samples."""
         outputs = np.ascontiguousarray(np.hstack([samples.accelerometer, samples.gyroscope]))
-        rows = _mixed(outputs.view(np.uint64) @ _FACTORS[0, : outputs.shape[1]])
+        rows = _mixed(outputs.view(np.uint64) @ _factors()[0, : outputs.shape[1]])
         rows = np.concatenate([self._rows, rows])
         # An output that stands still would be the same on every day.
         rows = rows[np.diff(rows, prepend=~rows[:1]) != 0]
         if len(rows) >= _RUN:
-            runs = _mixed(sliding_window_view(rows, _RUN) @ _FACTORS[1])
+            runs = _mixed(sliding_window_view(rows, _RUN) @ _factors()[1])
             self._marks.update(runs[runs % _ONE_IN == 0].tolist())
         self._rows = rows[-(_RUN - 1) :]
 

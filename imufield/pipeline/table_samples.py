@@ -8,7 +8,7 @@ from pathlib import Path
 
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.formats.tables import ROWS_PROTOCOL, stream_table, write_rows
-from imufield.acquire.link.serial import Chunk
+from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.pipeline.still_units import with_units_of_stills

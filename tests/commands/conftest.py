@@ -17,12 +17,12 @@ import numpy as np
 import pytest
 
 from imufield.acquire.link.serial import Chunk
-from imufield.acquire.recording.recorder import Recorder
+from imufield.acquire.recording.recorder import Recorder, part_metadata
 from imufield.acquire.recording.session import Session
 from imufield.acquire.registry import load_driver
 from imufield.cli.run import run
 from imufield.guide.positions import scheme
-from imufield.pipeline.chain import ROTATIONS, part_metadata
+from imufield.pipeline.chain import ROTATIONS
 from imufield.samples import Samples
 from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
 from imufield.simulate.instruments.stim300 import Stim300Device

@@ -17,14 +17,13 @@ import tomli_w
 
 from imufield import files
 from imufield.acquire.instrument.connected import ConnectOptions
-from imufield.acquire.recording.recorder import Recorder
+from imufield.acquire.recording.recorder import Recorder, part_metadata
 from imufield.acquire.recording.session import LOCK_FILE, Session
 from imufield.acquire.registry import load_driver
 from imufield.cli.run import run
 from imufield.commands.terminal.resume import connect_as_before
 from imufield.errors import ProtocolError, Reason, RecordingError, UsageError
 from imufield.guide.positions import SCHEME_FILE
-from imufield.pipeline.chain import part_metadata
 from tests.commands.told import fails, failure
 from tests.refused import refused
 

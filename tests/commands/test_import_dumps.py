@@ -12,11 +12,10 @@ from imufield.acquire.instrument.listen import serial_candidates
 from imufield.acquire.instrument.recognise import Listener
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.checksum import make_checksum
-from imufield.acquire.recording.recorder import Recorder
+from imufield.acquire.recording.recorder import Recorder, part_metadata
 from imufield.acquire.recording.session import Session, create_session
 from imufield.acquire.registry import load_driver
 from imufield.errors import Reason
-from imufield.pipeline.chain import part_metadata
 from tests.commands.test_import import imported, typed
 from tests.commands.told import fails, says
 from tests.simulate.accounting import Wire, random_samples

@@ -15,7 +15,7 @@ import tomli_w
 
 from imufield.acquire.formats.tables import write_rows
 from imufield.acquire.protocol.protocol import load_protocol
-from imufield.acquire.recording.recorder import Recorder
+from imufield.acquire.recording.recorder import Recorder, part_metadata
 from imufield.acquire.recording.session import Session
 from imufield.calibrate.model.gauge import intrinsic, make_intrinsic
 from imufield.calibrate.model.models import to_vector
@@ -27,7 +27,6 @@ from imufield.deliver.parameters.temperature import add_temperature
 from imufield.deliver.parameters.write import content_sha256, to_toml, write_document
 from imufield.earth import EARTH_RATE_RAD_S
 from imufield.errors import ParameterFileError, Reason, RecordingError, VerificationError
-from imufield.pipeline.chain import part_metadata
 from imufield.pipeline.site import SiteOptions
 from imufield.samples import FloatArray, Samples
 from tests.commands.told import fails, missing

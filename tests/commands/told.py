@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
-from typing import Any
 from unittest import mock
 
-from imufield.cli.app import make_app
-from imufield.cli.run import run
+from imufield.cli.run import run, run_line
 from imufield.errors import ImufieldError, Reason
 from imufield.sentences import Sentences
 
@@ -16,17 +13,14 @@ def failure(*arguments: object) -> ImufieldError:
     """Run a command line that fails and return its error, whose exit code must be that of its kind."""
     seen: list[ImufieldError] = []
 
-    def watched(wanted: Collection[str]) -> Callable[..., Any]:
-        def app(*given: Any, **options: Any) -> Any:
-            try:
-                return make_app(wanted)(*given, **options)
-            except ImufieldError as error:
-                seen.append(error)
-                raise
+    def watched(line: list[str]) -> int:
+        try:
+            return run_line(line)
+        except ImufieldError as error:
+            seen.append(error)
+            raise
 
-        return app
-
-    with mock.patch("imufield.cli.app.make_app", watched):
+    with mock.patch("imufield.cli.run.run_line", watched):
         code = run([str(one) for one in arguments])
     assert seen, f"it ended with {code}"
     assert code == seen[0].exit_code

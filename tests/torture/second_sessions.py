@@ -249,9 +249,8 @@ def _told(random: Random, part: bytes) -> tuple[str, bytes]:
 def _rewrite(folder: Path, clock: str, random: Random, foreign: bool) -> None:
     """Record the session again, with other times or with foreign bytes between."""
     from imufield.acquire.link.serial import Chunk
-    from imufield.acquire.recording.recorder import Recorder
+    from imufield.acquire.recording.recorder import Recorder, part_metadata
     from imufield.acquire.registry import load_driver
-    from imufield.pipeline.chain import part_metadata
     from tests.torture.second_links import stream_of
 
     (folder / "part-001.mcap").unlink()

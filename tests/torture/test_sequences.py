@@ -23,12 +23,12 @@ from imufield.acquire.link.background import BackgroundLink
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.can_frame import ERROR, EXTENDED, pack_frame
 from imufield.acquire.protocol.protocol import Protocol, load_protocol
-from imufield.acquire.recording.recorder import Recorder
+from imufield.acquire.recording.recorder import Recorder, part_metadata
 from imufield.acquire.recording.session import Session
 from imufield.calibrate.model.observations import Observations
 from imufield.commands.terminal.guided import QUIT, CaptureLoop
 from imufield.errors import LinkError, Reason
-from imufield.pipeline.chain import Chain, ReadingPlan, part_metadata, replay_into
+from imufield.pipeline.chain import Chain, ReadingPlan, replay_into
 from imufield.pipeline.intake import Intake
 from imufield.samples import Samples, concatenate, no_samples
 from imufield.simulate.emulator.emulate import Emulation, choose_wire, make_device

@@ -17,8 +17,9 @@ from imufield.acquire.formats.can_log_heads import CANDUMP, HEADS
 from imufield.acquire.formats.table_arrays import missing_package, start_reader
 from imufield.acquire.formats.tables import ChunkWriter
 from imufield.acquire.link.can import make_message, open_bus, pack_message, parse_bus
+from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.link.host_clock import NANOSECONDS
-from imufield.acquire.link.serial import WRITE_TIMEOUT_S, Chunk
+from imufield.acquire.link.serial import WRITE_TIMEOUT_S
 from imufield.acquire.protocol.can_frame import ERROR, MOST_DATA, SENT, Frame
 from imufield.acquire.protocol.can_frames import LATEST_S, Unpacker, unpack_frames
 from imufield.acquire.recording.reader import EndOfRecordingError, Pacer, RecordingLink

@@ -31,7 +31,7 @@ from imufield.acquire.formats.table_columns import (
 from imufield.acquire.formats.table_file import File, file_of, is_empty, meaning_of, open_source
 from imufield.acquire.formats.table_join import join
 from imufield.acquire.formats.table_text import TextTable
-from imufield.acquire.link.serial import Chunk
+from imufield.acquire.link.chunk import Chunk
 from imufield.errors import UsageError
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, NO_COUNTER, FloatArray, IntArray, Samples
 from imufield.sentences import Sentences

@@ -28,8 +28,8 @@ from imufield.acquire.instrument.listen import LISTEN_S, Say, driver_candidates,
 from imufield.acquire.instrument.recognise import CERTAIN_SAMPLES, FEWEST_SAMPLES, Candidate, Listener
 from imufield.acquire.link.background import BackgroundLink
 from imufield.acquire.link.can import CanLink, open_can_link, parse_bus
+from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.link.host_clock import HostClock, patience_s
-from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.can_frame import ERROR
 from imufield.acquire.protocol.can_frames import unpack_frames
 from imufield.acquire.protocol.protocol import parse_protocol

@@ -13,7 +13,7 @@ from imufield.acquire.driver import Driver, Message, Wire
 from imufield.acquire.instrument.instrument import Instrument
 from imufield.acquire.instrument.listen import Say
 from imufield.acquire.link.background import BackgroundLink, ReopenableLink
-from imufield.acquire.link.serial import Chunk
+from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.errors import LinkError, Reason
 from imufield.sentences import Sentences, printable

@@ -10,8 +10,9 @@ from collections.abc import Iterable
 
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.driver import Command, Message, any_message
+from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.link.host_clock import HostClock, patience_s
-from imufield.acquire.link.serial import Chunk, Link
+from imufield.acquire.link.serial import Link
 from imufield.errors import LinkError, LinkTimeoutError, Reason
 from imufield.sentences import Sentences
 

@@ -7,8 +7,9 @@ from collections.abc import Collection, Sequence
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.driver import Command, Driver, Message
 from imufield.acquire.instrument.exchange import Exchange
+from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.link.host_clock import HostClock
-from imufield.acquire.link.serial import Chunk, Link
+from imufield.acquire.link.serial import Link
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.errors import LinkError, LinkTimeoutError, Reason, UsageError
 from imufield.sentences import Sentences

@@ -9,8 +9,9 @@ from itertools import chain, zip_longest
 from imufield.acquire.driver import Driver, Wire
 from imufield.acquire.instrument.recognise import FEWEST_SAMPLES, Candidate, Listener, best
 from imufield.acquire.instrument.text_columns import LineListener, first_lines, read_lines, usual_columns
+from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.link.host_clock import HostClock, patience_s
-from imufield.acquire.link.serial import Chunk, SerialLink, open_link
+from imufield.acquire.link.serial import SerialLink, open_link
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.acquire.registry import driver_names, load_driver
 from imufield.errors import LinkError, LinkTimeoutError, ProtocolError, Reason, SettingError

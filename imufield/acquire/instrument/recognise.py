@@ -17,7 +17,7 @@ import numpy as np
 from imufield.acquire.decode.statistics import without_samples
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.driver import Driver, Message
-from imufield.acquire.link.serial import Chunk
+from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.earth import MICRO_G_M_S2
 from imufield.errors import ProtocolError

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from imufield.acquire.link.serial import Chunk
+from imufield.acquire.link.chunk import Chunk
 from imufield.errors import LinkError, Reason, UsageError
 from imufield.samples import FloatArray, Samples, Status
 from imufield.sentences import Sentences

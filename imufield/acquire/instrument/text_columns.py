@@ -18,7 +18,7 @@ import numpy as np
 from imufield.acquire.formats.table_columns import HEADERLESS, TIME, named_column
 from imufield.acquire.formats.table_text import delimiter_of, is_number, split_cells
 from imufield.acquire.instrument.recognise import CERTAIN_SAMPLES, FEWEST_SAMPLES, RATE_S, Candidate, Listener
-from imufield.acquire.link.serial import Chunk
+from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.acquire.protocol.units import nominal_scale
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, LARGEST_OUTPUT, FloatArray

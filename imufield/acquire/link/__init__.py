@@ -1,13 +1,20 @@
 """Sources of raw bytes: serial port, TCP address and CAN bus, their clocks and errors, and reconnecting."""
 
-from imufield.acquire.link.serial import COLLECT_S as COLLECT_S
-from imufield.acquire.link.serial import READ_LIMIT_BYTES as READ_LIMIT_BYTES
-from imufield.acquire.link.serial import WAIT_S as WAIT_S
-from imufield.acquire.link.serial import WRITE_TIMEOUT_S as WRITE_TIMEOUT_S
-from imufield.acquire.link.serial import Chunk as Chunk
-from imufield.acquire.link.serial import Link as Link
-from imufield.acquire.link.serial import Port as Port
-from imufield.acquire.link.serial import SerialLink as SerialLink
-from imufield.acquire.link.serial import SerialSettings as SerialSettings
-from imufield.acquire.link.serial import not_taken as not_taken
-from imufield.acquire.link.serial import open_link as open_link
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from imufield.acquire.link.serial import *  # noqa: F403  the names are listed below
+
+__all__ = ["COLLECT_S", "READ_LIMIT_BYTES", "WAIT_S", "WRITE_TIMEOUT_S", "Chunk", "Link", "Port"]  # noqa: F405
+__all__ += ["SerialLink", "SerialSettings", "not_taken", "open_link"]  # noqa: F405
+
+
+def __getattr__(name: str) -> object:
+    """Hand on the names that stood here when this was a module; imported on first use, as most commands have no port."""
+    if name in __all__:
+        found: object = getattr(importlib.import_module("imufield.acquire.link.serial"), name)
+        return found
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -12,7 +12,8 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import Protocol
 
-from imufield.acquire.link.serial import WAIT_S, Chunk, Link
+from imufield.acquire.link.chunk import Chunk
+from imufield.acquire.link.serial import WAIT_S, Link
 
 LONGEST_BACKLOG = 50 * 600
 """Chunks: ten minutes of 50 a second; beyond it the thread waits, and the system's buffer overflows as it would without."""

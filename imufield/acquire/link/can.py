@@ -24,9 +24,10 @@ from typing import Any
 
 import can
 
+from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.link.host_clock import HostClock, SystemClock
 from imufield.acquire.link.link_errors import system_errno
-from imufield.acquire.link.serial import COLLECT_S, WAIT_S, WRITE_TIMEOUT_S, Chunk, not_taken
+from imufield.acquire.link.serial import COLLECT_S, WAIT_S, WRITE_TIMEOUT_S, not_taken
 from imufield.acquire.protocol.can_frame import (
     ADAPTER_TIME,
     BIT_RATE_SWITCH,

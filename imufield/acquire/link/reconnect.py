@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from imufield.acquire.link.background import BackgroundLink
+from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.link.host_clock import HostClock
-from imufield.acquire.link.serial import Chunk
 from imufield.errors import LinkError, Reason
 
 RECONNECT_EVERY_S = 0.5  # A plug is back within seconds; opening a port takes some milliseconds.

@@ -15,6 +15,7 @@ from typing import Protocol
 
 import serial
 
+from imufield.acquire.link.chunk import Chunk as Chunk  # noqa: PLC0414  (where drivers of others know it)
 from imufield.acquire.link.host_clock import HostClock, SystemClock
 from imufield.acquire.link.link_errors import OPEN_FAILURES, baud_refused, open_error
 from imufield.errors import LinkError, LinkTimeoutError, Reason
@@ -30,24 +31,6 @@ READ_LIMIT_BYTES = 65_536
 """Most bytes of one chunk; what remains is the next chunk."""
 WRITE_TIMEOUT_S = 1.0
 """Commands to instruments are shorter than 1 kB: even at 9600 baud they are out within this time."""
-
-
-@dataclass(frozen=True, slots=True)
-class Chunk:
-    """Bytes of one read.
-
-    Attributes
-    ----------
-    data : bytes
-    monotonic_s : float
-        Host arrival of the *last* byte, monotonic clock; up to ``COLLECT_S`` late on a wire that then fell silent.
-    utc_ns : int
-        The same moment, nanoseconds since 1970-01-01 UTC.
-    """
-
-    data: bytes
-    monotonic_s: float
-    utc_ns: int
 
 
 class Link(Protocol):

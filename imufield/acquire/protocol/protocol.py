@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.resources
+import importlib
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -108,8 +108,11 @@ class Protocol:
 
 def protocol_names() -> list[str]:
     """Return the names of the protocols that ship with imufield."""
-    files = importlib.resources.files(FOLDER).iterdir()
-    return sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml"))
+    return sorted(path.stem for path in _shipped().glob("*.toml"))
+
+
+def _shipped() -> Path:
+    return Path(importlib.import_module(FOLDER).__path__[0])
 
 
 def load_protocol(
@@ -164,8 +167,7 @@ def parse_protocol(
 def _find_text(name_or_path: str | Path) -> tuple[str, str]:
     names = protocol_names()
     if str(name_or_path) in names:
-        shipped = importlib.resources.files(FOLDER) / f"{name_or_path}.toml"
-        return f"protocol {name_or_path}", shipped.read_text(encoding="utf-8")
+        return f"protocol {name_or_path}", (_shipped() / f"{name_or_path}.toml").read_text(encoding="utf-8")
     path = Path(name_or_path)
     if not (path.suffix or path.parent.name or path.exists()):
         name = str(name_or_path)
@@ -183,7 +185,7 @@ def _find_text(name_or_path: str | Path) -> tuple[str, str]:
 def _read_beside(name_or_path: str | Path, name: str) -> str:
     """Return the text of a DBC file that stands beside a protocol; most are written on Windows, in its code page."""
     if str(name_or_path) in protocol_names():
-        return decode_dbc((importlib.resources.files(FOLDER) / name).read_bytes(), name)
+        return decode_dbc((_shipped() / name).read_bytes(), name)
     # The protocol may come from somebody else, and so may what stands beside it.
     if Path(name).name != name:
         raise ProtocolError(sentence("protocol.dbc_elsewhere", path=name, protocol=name_or_path))

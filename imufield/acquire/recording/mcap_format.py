@@ -24,9 +24,7 @@ from enum import Enum
 from pathlib import PurePath
 
 import zstandard
-from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, DataEnd, Footer, Header, Metadata
 
 from imufield.files import utf8_text
 from imufield.json_files import parse_json
@@ -78,24 +76,26 @@ def start_of_part(metadata: Mapping[str, object]) -> bytes:
     """
     # Records outside of chunks have no checksum in MCAP, and without this one no byte can be decoded.
     text = to_json(metadata)
-    builder = RecordBuilder()
-    Header(profile=PROFILE, library=f"imufield {__version__}").write(builder)
-    for number, topic, encoding in ((LINK_CHANNEL, "link", "imufield-chunk"), (EVENTS_CHANNEL, "events", "json")):
-        Channel(id=number, topic=topic, message_encoding=encoding, metadata={}, schema_id=0).write(builder)
-    Metadata(
-        name=PROFILE,
-        metadata={"format": FORMAT, "version": str(VERSION), "json": text, "crc32": str(zlib.crc32(text.encode()))},
-    ).write(builder)
-    return MAGIC + _content(builder)
+    kept = {"format": FORMAT, "version": str(VERSION), "json": text, "crc32": str(zlib.crc32(text.encode()))}
+    channels = ((LINK_CHANNEL, "link", "imufield-chunk"), (EVENTS_CHANNEL, "events", "json"))
+    return b"".join(
+        [
+            MAGIC,
+            _record("Header", profile=PROFILE, library=f"imufield {__version__}"),
+            *(
+                _record("Channel", id=number, topic=topic, message_encoding=encoding, metadata={}, schema_id=0)
+                for number, topic, encoding in channels
+            ),
+            _record("Metadata", name=PROFILE, metadata=kept),
+        ]
+    )
 
 
 def end_of_part() -> bytes:
     """Return everything after the last chunk."""
-    builder = RecordBuilder()
     # Zero says "not computed": each chunk has its own, and one over all would have to be kept through a crash.
-    DataEnd(data_section_crc=0).write(builder)
-    Footer(summary_start=0, summary_offset_start=0, summary_crc=0).write(builder)
-    return _content(builder) + MAGIC
+    end = _record("DataEnd", data_section_crc=0)
+    return end + _record("Footer", summary_start=0, summary_offset_start=0, summary_crc=0) + MAGIC
 
 
 def link_message(data: bytes, monotonic_s: float, utc_ns: int, sequence: int) -> bytes:
@@ -119,16 +119,15 @@ def chunk_record(messages: Sequence[bytes]) -> bytes:
     """Return the Chunk record of some Message records, at least one."""
     times = [MESSAGE.unpack_from(message)[4] for message in messages]
     content = b"".join(messages)
-    builder = RecordBuilder()
-    Chunk(
+    return _record(
+        "Chunk",
         compression="zstd",
         data=zstandard.ZstdCompressor(level=_ZSTD_LEVEL).compress(content),
         message_start_time=min(times),
         message_end_time=max(times),
         uncompressed_crc=zlib.crc32(content),
         uncompressed_size=len(content),
-    ).write(builder)
-    return _content(builder)
+    )
 
 
 def unpack_chunk(body: bytes) -> bytes:
@@ -223,6 +222,12 @@ def _plain(value: object) -> object:
     raise TypeError(f"{type(value).__name__} has no JSON form")
 
 
-def _content(builder: RecordBuilder) -> bytes:
+def _record(kind: str, **values: object) -> bytes:
+    """Return a record as the package of the format writes it; imported here, as who only reads needs none of it."""
+    from mcap import records
+    from mcap.data_stream import RecordBuilder
+
+    builder = RecordBuilder()
+    getattr(records, kind)(**values).write(builder)
     content: bytes = builder.end()  # type: ignore[no-untyped-call]  # the mcap package leaves it out here alone
     return content

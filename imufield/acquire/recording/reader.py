@@ -18,8 +18,8 @@ from typing import Protocol
 
 import numpy as np
 
+from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.link.host_clock import HostClock, SystemClock
-from imufield.acquire.link.serial import Chunk
 from imufield.acquire.recording.mcap_format import ARRIVAL, EVENTS_CHANNEL, LINK_CHANNEL, DamageError, messages
 from imufield.acquire.recording.part_file import Damage as Damage  # noqa: PLC0414  (handed on)
 from imufield.acquire.recording.part_file import PartFile, open_part

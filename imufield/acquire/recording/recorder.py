@@ -18,8 +18,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.link.host_clock import HostClock, SystemClock
-from imufield.acquire.link.serial import Chunk
+from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.recording.mcap_format import (
     CHUNK_LIMIT_BYTES,
     chunk_record,
@@ -41,6 +42,17 @@ MESSAGE_LIMIT_BYTES = CHUNK_LIMIT_BYTES - BLOCK_BYTES
 """One message more must not lift a block over what the reader accepts."""
 
 _ADVICE = "; what was recorded more than a second before is safe, resume the session when it can be written again"
+
+
+def part_metadata(protocol: Protocol, extra: Mapping[str, object]) -> dict[str, object]:
+    """Return what a part must hold to be decoded without the outside."""
+    return {
+        **extra,
+        "protocol": protocol.name,
+        "protocol_text": protocol.text,
+        "protocol_sha256": protocol.sha256,
+        "settings": {name: setting.value for name, setting in protocol.settings.items()},
+    }
 
 
 class Recorder:

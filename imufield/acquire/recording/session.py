@@ -11,8 +11,6 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Self
 
-import tomli_w
-
 from imufield.acquire.recording.session_record import FORMAT, VERSION, SessionRecord, Table, plain_table
 from imufield.errors import Reason, RecordingError
 from imufield.files import (
@@ -241,6 +239,8 @@ class Session:
         """Write ``session.toml`` in one step; raises RecordingError."""
         path = self.folder / SETTINGS_FILE
         with typed_write_errors(path, RecordingError):
+            import tomli_w  # Only who writes needs it.
+
             write_atomically(path, tomli_w.dumps(self.metadata).encode())
 
 

@@ -39,17 +39,17 @@ def student_quantile(freedom: float, p: float) -> float:
     """Return what Student's distribution stays below with a probability p above one half."""
     if freedom >= _MANY:
         return _nearly_normal_quantile(freedom, p)
-    return _between(lambda t: _student_tail(freedom, t) > 1 - p)
+    return _positive_root(lambda t: _student_tail(freedom, t) - (1 - p))
 
 
 @cache
 def student_freedom(p: float, t: float) -> float:
     """Return the degrees of freedom for which t, which is more than that of the normal distribution, is the quantile of p."""
 
-    def is_too_few(freedom: float) -> bool:
-        return student_quantile(freedom, p) > t if freedom >= _MANY else _student_tail(freedom, t) > 1 - p
+    def excess(freedom: float) -> float:
+        return student_quantile(freedom, p) - t if freedom >= _MANY else _student_tail(freedom, t) - (1 - p)
 
-    return _between(is_too_few)
+    return _positive_root(excess)
 
 
 def f_tail(numerator: float, denominator: float, value: float) -> float:
@@ -62,7 +62,7 @@ def f_tail(numerator: float, denominator: float, value: float) -> float:
 @cache
 def f_quantile(numerator: float, denominator: float, p: float) -> float:
     """Return what the F distribution stays below with a probability."""
-    return _between(lambda value: f_tail(numerator, denominator, value) > 1 - p)
+    return _positive_root(lambda value: f_tail(numerator, denominator, value) - (1 - p))
 
 
 def chi_squared_tail(freedom: int, value: float) -> float:
@@ -130,14 +130,42 @@ def _nearly_normal_quantile(freedom: float, p: float) -> float:
     return sum(term / freedom**power for power, term in enumerate(terms))
 
 
-def _between(is_below: Callable[[float], bool]) -> float:
-    """Return the positive number at which this ceases to be true."""
-    low, high = 0.0, 1.0
-    while is_below(high):
-        low, high = high, 2 * high
-    while low < (middle := (low + high) / 2) < high:
-        low, high = (middle, high) if is_below(middle) else (low, middle)
-    return high
+def _positive_root(excess: Callable[[float], float]) -> float:
+    """Return the positive number at which a falling function is zero, by the method of Chandrupatla.
+
+    References
+    ----------
+    T. R. Chandrupatla, "A new hybrid quadratic/bisection algorithm for finding the zero of a nonlinear function without using
+    derivatives", Advances in Engineering Software 28, 1997.
+    """
+    a = b = 1.0
+    at_a = at_b = excess(b)
+    while at_a * at_b > 0:
+        a, at_a = b, at_b
+        b *= 2 if at_b > 0 else 0.5
+        at_b = excess(b)
+    c, at_c, t = a, at_a, 0.5
+    while True:
+        x, at_a_before = a + t * (b - a), at_a
+        at_x = excess(x)
+        # a is the newest point, b stands on the other side of the root, c is the one that was replaced.
+        if at_x * at_a_before > 0:
+            c, at_c = a, at_a
+        else:
+            c, at_c, b, at_b = b, at_b, a, at_a
+        a, at_a = x, at_x
+        best, at_best = (a, at_a) if abs(at_a) < abs(at_b) else (b, at_b)
+        smallest = sys.float_info.epsilon * best / abs(b - a) if b != a else 1.0
+        if at_best == 0 or smallest > 0.5:
+            return best
+        share, height = (a - b) / (c - b), (at_a - at_b) / (at_c - at_b)
+        # Only where the three points are as an inverse parabola through them needs it.
+        if 1 - math.sqrt(1 - share) < height < math.sqrt(share):
+            t = at_a / (at_b - at_a) * at_c / (at_b - at_c)
+            t += (c - a) / (b - a) * at_a / (at_c - at_a) * at_b / (at_c - at_b)
+        else:
+            t = 0.5
+        t = min(1 - smallest, max(smallest, t))
 
 
 def _beta(a: float, b: float, x: float) -> float:

@@ -143,6 +143,15 @@ def right_jacobian(rotation_rad: FloatArray) -> FloatArray:
     return result
 
 
+def total_turn(quaternion: FloatArray) -> FloatArray:
+    """Return the turn of each whole chain of intervals, shape (..., k, 4) to (..., 4)."""
+    # Neighbours in pairs: a few passes, each over half as many as the one before.
+    while (count := quaternion.shape[-2]) > 1:
+        pairs = multiply(quaternion[..., : count - 1 : 2, :], quaternion[..., 1::2, :])
+        quaternion = np.concatenate([pairs, quaternion[..., count - count % 2 :, :]], axis=-2)
+    return np.asarray(quaternion[..., 0, :] / np.linalg.norm(quaternion[..., 0, :], axis=-1, keepdims=True))
+
+
 def running_turns(quaternion: FloatArray, first: IntArray) -> FloatArray:
     """Return the turn from the start of each chain to the end of each of its intervals.
 

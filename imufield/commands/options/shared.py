@@ -1,8 +1,8 @@
 """Options that several commands share, and how options become the values that a command is handed.
 
-A field of an options class is an option where its annotation carries ``typer.Option`` or ``typer.Argument``, ``Converted`` or
-``Group``; other fields are set by programs only. Nothing heavy is imported here, because every start of the program reads it,
-and annotations are not postponed, because the command line is made from them.
+A field of an options class is an option where its annotation carries an ``Option``, ``Converted`` or ``Group``; other fields
+are set by programs only. Nothing heavy is imported here, because every start of the program reads it, and annotations are not
+postponed, because the command line is made from them.
 """
 
 from collections.abc import Callable, Mapping
@@ -10,8 +10,6 @@ from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self
-
-import typer
 
 from imufield.commands.configuration import parse_settings
 from imufield.commands.options import completion
@@ -29,6 +27,31 @@ LARGEST_SEED = 2**63 - 1
 """What a parameter file can hold."""
 # 30 years of seconds: whatever an option is in, what is larger is a slip, and its square may be no number.
 _LARGEST = 1e9
+
+
+class UnfitValueError(Exception):
+    """A value that an option does not take; the words say why."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Option:
+    """Marks an option, or an argument.
+
+    Attributes
+    ----------
+    names : tuple of str
+        As they are typed, "--rate-hz"; empty: that of the field.
+    is_argument : bool
+    check : callable or None
+        Returns the value, or raises ``UnfitValueError`` or an error of imufield.
+    more : mapping
+        What typer is handed beside: help, ``envvar``, ``parser`` and others.
+    """
+
+    names: tuple[str, ...] = ()
+    is_argument: bool = False
+    check: Callable[..., object] | None = None
+    more: Mapping[str, object]
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,19 +86,18 @@ def option(
     check: Callable[[Any], Any] | None = None,
     **more: Any,
 ) -> Any:
-    """Return ``typer.Option``; the value of a number is checked against its limits, another by ``check``, which returns it.
+    """Return the mark of an option; the value of a number is checked against its limits, another by ``check``.
 
     The limits of typer itself are printed in every help, where those of a seed leave no room for words.
     """
     if low is not None:
         within = low, high
-    # Files are opened by the commands, which say what is wrong with one and how to go on.
-    return typer.Option(*names, callback=check if within is None else _within(*within), readable=False, **more)
+    return Option(names=names, check=check if within is None else _within(*within), more=more)
 
 
 def argument(**more: Any) -> Any:
-    """Return ``typer.Argument``."""
-    return typer.Argument(readable=False, **more)
+    """Return the mark of an argument."""
+    return Option(is_argument=True, more=more)
 
 
 # Of a session's folder, which stands for its parameter file, too.
@@ -86,7 +108,7 @@ def _within(low: float, high: float) -> Callable[[Any], Any]:
     def check(value: Any) -> Any:
         # Written so that NaN is outside.
         if value is not None and not low <= value <= high:
-            raise typer.BadParameter(sentence("shared.between", value=value, low=low, high=high))
+            raise UnfitValueError(sentence("shared.between", value=value, low=low, high=high))
         return value
 
     return check
@@ -99,12 +121,12 @@ class TypedNumber(float):
     sigma_text: str
 
     def __new__(cls, text: object) -> Self:
-        """Read a number from an option, a variable or a file; raises ``typer.BadParameter``."""
+        """Read a number from an option, a variable or a file; raises ``UnfitValueError``."""
         value, _, sigma = str(text).replace("±", "+-").partition("+-")
         try:
             number = super().__new__(cls, value)
         except ValueError as error:
-            raise typer.BadParameter(sentence("shared.no_number", text=text)) from error
+            raise UnfitValueError(sentence("shared.no_number", text=text)) from error
         number.text, number.sigma_text = value.strip(), sigma.strip()
         return number
 

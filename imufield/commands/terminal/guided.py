@@ -17,11 +17,11 @@ import numpy as np
 from imufield.acquire.decode.statistics import remarks
 from imufield.acquire.instrument.connected import Connected
 from imufield.acquire.instrument.same_stream import SameStream
+from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.link.host_clock import HostClock, ScaledClock, patience_s
 from imufield.acquire.link.reconnect import ReconnectingLink
-from imufield.acquire.link.serial import Chunk
 from imufield.acquire.recording.reader import Damage
-from imufield.acquire.recording.recorder import Recorder
+from imufield.acquire.recording.recorder import Recorder, part_metadata
 from imufield.acquire.recording.session import Session, create_session
 from imufield.acquire.recording.session_record import GuideRecord
 from imufield.commands.options.acquire_commands import CaptureOptions, ViewName
@@ -33,18 +33,16 @@ from imufield.deliver.parameters.numbers import beside
 from imufield.errors import CalibrationError, ImufieldError, RecordingError, UsageError
 from imufield.files import read_small_file, typed_write_errors, write_atomically
 from imufield.guide.events import Advice, Event, Topic
-from imufield.guide.positions import SCHEME_FILE, SCHEMES, scheme
+from imufield.guide.positions import DEFAULT_SCHEME, REVISIT_FROM, SCHEME_FILE, SCHEMES, scheme
 from imufield.guide.view.marks import AGAIN_WITHIN_S, KEYS
 from imufield.guide.view.plain import known_words, words
 from imufield.guide.view.terminal import Keyboard
 from imufield.pipeline.calibration import FEWEST_CHECKED, one_of
 from imufield.pipeline.chain import (
     MARK,
-    REVISIT_FROM,
     ROTATIONS,
     Chain,
     ReadingPlan,
-    part_metadata,
     replay_into,
     require_gravity,
 )
@@ -61,7 +59,6 @@ if TYPE_CHECKING:
 
 sentence = Sentences(__package__)
 
-DEFAULT_SCHEME = "paper24"  # What the README promises: 24 positions, hand-held.
 SILENCE_S = 2.0
 """Real time without a byte after which the screen says so: the slowest instruments send ten times a second."""
 REFRESH_EVERY_S = 0.1  # Ten pictures a second: a person sees a turn without delay, and the decoder keeps its time.

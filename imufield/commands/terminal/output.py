@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sys
 import textwrap
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-
-import typer
 
 from imufield.acquire.link.host_clock import HostClock, ScaledClock, SystemClock
 from imufield.deliver.parameters.numbers import beside
@@ -27,6 +26,10 @@ class NothingRecorded(KeyboardInterrupt):
     """Ctrl-C before the first byte was written."""
 
 
+class NoAnswer(KeyboardInterrupt):
+    """The input ended where a question was asked."""
+
+
 @contextmanager
 def before_recording() -> Iterator[None]:
     """Let an interrupt say that nothing was recorded.
@@ -38,7 +41,7 @@ def before_recording() -> Iterator[None]:
     """
     try:
         yield
-    except (KeyboardInterrupt, typer.Abort) as interrupt:
+    except KeyboardInterrupt as interrupt:
         raise NothingRecorded(*interrupt.args) from interrupt
 
 
@@ -96,14 +99,14 @@ def echo(text: str = "", *, begin: str = "", end: str = "\n", err: bool = False)
     What controls a terminal in ``text`` came from somebody else and is shown instead; ``begin`` and ``end`` are ours.
     """
     with hidden():
-        typer.echo(f"{begin}{printable_lines(text)}{end}", nl=False, err=err)
+        _write(f"{begin}{printable_lines(text)}{end}", err=err)
 
 
 def echo_path(path: Path) -> None:
     """Print a path alone: a script gets what it can open, a terminal what it can show."""
     text = str(path)
     with hidden():
-        typer.echo(printable(text) if sys.stdout.isatty() else text)
+        _write(f"{printable(text) if sys.stdout.isatty() else text}\n")
 
 
 def say(line: str, *, err: bool = False, indent: int = 0, color: str | None = None) -> None:
@@ -121,7 +124,19 @@ def say(line: str, *, err: bool = False, indent: int = 0, color: str | None = No
             break_on_hyphens=False,
         )
     with hidden():
-        typer.echo(line if color is None else typer.style(line, fg=color), err=err)
+        _write(f"{line}\n", err=err, color=color)
+
+
+def _write(text: str, *, err: bool = False, color: str | None = None) -> None:
+    stream = sys.stderr if err else sys.stdout
+    if color is None and os.name == "posix" and (stream.encoding or "").lower() == "utf-8":
+        stream.write(text)
+        stream.flush()
+        return
+    # Colours, consoles of Windows and other encodings are what typer is good at; most commands need none of it.
+    import typer
+
+    typer.echo(text if color is None else typer.style(text, fg=color), nl=False, err=err)
 
 
 def say_each(sentences: Iterable[str], *, err: bool = False, indent: int = 0, begin: str = "") -> None:

@@ -8,9 +8,7 @@ import sys
 from collections.abc import Callable
 from typing import TypeVar
 
-import typer
-
-from imufield.commands.terminal.output import echo, say
+from imufield.commands.terminal.output import NoAnswer, echo, say
 from imufield.errors import ImufieldError
 from imufield.progress import hidden
 
@@ -23,12 +21,12 @@ LOOK_S = 0.1
 def ask(question: str) -> str:
     """Return what is typed to a question, without the blanks around it.
 
-    ``input``, and typer's prompt with it, loses an interrupt that comes when the question is shown but its read has not begun:
+    ``input`` loses an interrupt that comes when the question is shown but its read has not begun:
     the signal is noted, and the read waits for a line all the same. Here a read begins when the line is there.
 
     Raises
     ------
-    typer.Abort
+    NoAnswer
         At the end of the input.
     """
     with hidden():
@@ -36,7 +34,7 @@ def ask(question: str) -> str:
         _wait_for_line()
         line = sys.stdin.readline()
     if not line:
-        raise typer.Abort
+        raise NoAnswer
     return line.strip()
 
 
@@ -45,7 +43,7 @@ def ask_until(question: str, read: Callable[[str], Answer]) -> Answer:
 
     Raises
     ------
-    typer.Abort
+    NoAnswer
         At the end of the input.
     """
     while True:
@@ -60,7 +58,7 @@ def confirm(question: str) -> bool:
 
     Raises
     ------
-    typer.Abort
+    NoAnswer
         At the end of the input.
     """
     while (answer := ask(f"{question} [Y/n]").lower()) not in ("", "y", "yes", "n", "no"):

@@ -24,7 +24,7 @@ def ask_site(site: SiteOptions, root: Path) -> SiteOptions:
 
     Raises
     ------
-    typer.Abort
+    NoAnswer
         At the end of the input.
     """
     last = _last_site(root)

@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imufield.calibrate.model.rotation import conjugate, cross, exponential, rotate, running_turns
+from imufield.calibrate.model.rotation import conjugate, cross, exponential, rotate, total_turn
 from imufield.errors import CalibrationError, Reason
 from imufield.guide import refusals
 from imufield.guide.cross_checks.centre import centred
@@ -203,7 +203,7 @@ def _motionless(moves: list[MoveBetweenStills], scale: float, given: AxesCheck) 
 def _confused(unknown: AxesCheck, moves: list[MoveBetweenStills], scale: float) -> AxesCheck:
     """Return the check with a unit that is often confused with the given one, where a few moves fit it and not the given."""
     scales = scale / np.array([1.0, *(factor for factor, _ in _CONFUSED)])
-    given, *others = (math.degrees(float(_misfit(moves, np.eye(3)[None], each)[0])) for each in scales)
+    given, *others = np.degrees(_misfit(moves, np.eye(3)[None], scales)[:, 0]).tolist()
     best = int(np.argmin(others))
     if given <= GOOD_DEG or others[best] > _SURE_DEG:
         return unknown
@@ -229,7 +229,7 @@ def _contradicted(scaled: AxesCheck, given_deg: float, ratio: float) -> AxesChec
 def _arrange(moves: list[MoveBetweenStills], scale: float) -> AxesCheck:
     """Return the arrangement of axes that fits best with a scale."""
     permutations = signed_permutations()
-    misfit = _misfit(moves, permutations, scale)
+    (misfit,) = _misfit(moves, permutations, np.array([scale]))
     order = np.argsort(misfit)
     identity = int(np.flatnonzero((permutations == np.eye(3)).all(axis=(1, 2)))[0])
     best, given, second = (math.degrees(float(misfit[i])) for i in (order[0], identity, order[1]))
@@ -257,19 +257,21 @@ def signed_permutations() -> FloatArray:
     return np.array([np.eye(3)[list(order)] * np.array(sign)[:, None] for order in orders for sign in signs])
 
 
-def _misfit(moves: list[MoveBetweenStills], permutations: FloatArray, scale: float) -> FloatArray:
-    """Return the RMS angle between predicted and measured up for each permutation, rad, shape (48,)."""
-    length = np.array([len(move.rate_raw) for move in moves])
-    last = np.cumsum(length) - 1
-    turned = np.concatenate([move.rate_raw for move in moves]) * (CELL_S / scale)
+def _misfit(moves: list[MoveBetweenStills], permutations: FloatArray, scales: FloatArray) -> FloatArray:
+    """Return the RMS angle between predicted and measured up for each scale and permutation, rad, shape (n, 48)."""
+    # Filled up with cells that turn about nothing, all moves are one array.
+    rates = np.zeros((len(moves), max(len(move.rate_raw) for move in moves), 3))
+    for row, move in zip(rates, moves, strict=True):
+        row[: len(move.rate_raw)] = move.rate_raw
     before, after = (np.array([getattr(move, name) for move in moves]) for name in ("up_before", "up_after"))
+    turned = exponential(rates * (CELL_S / scales)[:, None, None, None])
     # A permutation P of determinant d gives exp(P w) = P exp(d w) P^T, so all 48 need two chains of turns: of w and of -w.
-    chains = [running_turns(exponential(side * turned), last + 1 - length)[last] for side in (1.0, -1.0)]
+    chains = np.stack([total_turn(turned), total_turn(conjugate(turned))], axis=1)
     mirrored = np.linalg.det(permutations) < 0
-    back = conjugate(np.stack(chains))[mirrored.astype(int)]
-    up = np.einsum("pij,pmj->pmi", permutations, rotate(back, np.einsum("pji,mj->pmi", permutations, before)))
-    sine = np.linalg.norm(cross(up, after), axis=2)
-    return np.asarray(np.sqrt(np.mean(np.arctan2(sine, (up * after).sum(axis=2)) ** 2, axis=1)))
+    back = conjugate(chains)[:, mirrored.astype(int)]
+    up = np.einsum("pij,spmj->spmi", permutations, rotate(back, np.einsum("pji,mj->pmi", permutations, before)))
+    sine = np.linalg.norm(cross(up, after), axis=-1)
+    return np.asarray(np.sqrt(np.mean(np.arctan2(sine, (up * after).sum(axis=-1)) ** 2, axis=-1)))
 
 
 def _find_scale(moves: list[MoveBetweenStills]) -> float:
@@ -280,12 +282,12 @@ def _find_scale(moves: list[MoveBetweenStills]) -> float:
     typical = max(float(np.median(np.array(turned) / needed)), 1e-12)
     few = sorted(moves, key=lambda move: len(move.rate_raw))[:_MOVES_FOR_SCALE]
     candidates = typical / np.geomspace(*_TURNS_OF_UP, _SCALES)
-    misfit = np.array([_misfit(few, permutations, float(scale)) for scale in candidates])
+    misfit = _misfit(few, permutations, candidates)
     row, column = np.unravel_index(int(misfit.argmin()), misfit.shape)
     step = candidates[0] / candidates[1]
     finer = candidates[row] * np.geomspace(1 / step, step, _SCALES)
     best = permutations[column : column + 1]
-    return float(finer[np.argmin([_misfit(few, best, float(scale))[0] for scale in finer])])
+    return float(finer[np.argmin(_misfit(few, best, finer))])
 
 
 def axes_words(permutation: FloatArray) -> str:

@@ -17,6 +17,7 @@ from imufield.calibrate.model.rotation import (
     right_jacobian,
     running_turns,
     skew,
+    total_turn,
 )
 
 pytestmark = pytest.mark.numerical
@@ -67,10 +68,16 @@ def test_running_turns_of_chains_of_any_length(longest: int) -> None:
     first = (np.cumsum(lengths) - lengths).astype(np.int64)
     running = running_turns(turns, first)
     for start, length in zip(first, lengths, strict=True):
-        product = np.array([1.0, 0, 0, 0])
+        turned = np.array([1.0, 0, 0, 0])
         for k in range(start, start + length):
-            product = multiply(product, turns[k])
-            assert running[k] == pytest.approx(product, abs=1e-12)
+            turned = multiply(turned, turns[k])
+            assert running[k] == pytest.approx(turned, abs=1e-12)
+        assert total_turn(turns[start : start + length]) == pytest.approx(turned, abs=1e-12)
+
+
+def test_products_of_many_chains_at_once() -> None:
+    turns = exponential(RNG.standard_normal((2, 3, 7, 3)))
+    assert total_turn(turns)[1, 2] == pytest.approx(total_turn(turns[1, 2]), abs=1e-14)
 
 
 def test_one_rotation_matrix_is_that_of_its_quaternion() -> None:

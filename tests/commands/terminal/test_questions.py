@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-import typer
 
+from imufield.commands.terminal.output import NoAnswer
 from imufield.commands.terminal.questions import ask, confirm
 
 RESCUE_S = 60.0
@@ -70,7 +70,7 @@ def test_yes_or_no(keys: int, answer: str, meant: bool) -> None:
 
 def test_the_end_of_the_input_is_no_answer(keys: int) -> None:
     os.write(keys, b"\x04")
-    with pytest.raises(typer.Abort):
+    with pytest.raises(NoAnswer):
         ask("Latitude in degrees")
 
 
@@ -81,5 +81,5 @@ def test_answers_from_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         monkeypatch.setattr("sys.stdin", file)
         assert not confirm("Go on?")
         assert ask("Latitude in degrees") == "51"
-        with pytest.raises(typer.Abort):
+        with pytest.raises(NoAnswer):
             ask("Latitude in degrees")

@@ -1,0 +1,59 @@
+"""A start loads what its command uses: by the packages, and rooms of imufield, that are slow to import."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+# All that takes longer than some milliseconds and is not used by every command.
+SLOW = {
+    *("typer", "pydantic", "rich", "numpy", "numpy.random", "scipy", "serial", "can", "cantools", "mcap.records", "zstandard"),
+    *("crccheck", "matplotlib", "jinja2", "tomli_w", "importlib.metadata", "concurrent.futures", "asyncio"),
+    *("imufield.acquire.decoder", "imufield.calibrate.gyroscope", "imufield.guide.lead.guide"),
+    *("imufield.simulate", "imufield.web", "imufield.study", "imufield.deliver.exports", "imufield.deliver.report"),
+}
+DECODING = {"numpy", "zstandard", "imufield.acquire.decoder"}
+# One chain reads every session, and judges where it is asked to.
+READING = {*DECODING, "crccheck", "imufield.guide.lead.guide", "imufield.calibrate.gyroscope"}
+SOLVING = {*READING, "imufield.deliver.report", "concurrent.futures"}
+USED = {
+    "--version": set[str](),
+    "--help": {"rich"},
+    "devices": {"serial", "importlib.metadata"},
+    "devices stim300": {"numpy", "serial", "crccheck", "importlib.metadata"},
+    "plan": {"numpy"},
+    "sessions .": {"numpy"},
+    "import table.csv --rate-hz 125 -o imported": {*DECODING, "mcap.records", "tomli_w", "imufield.calibrate.gyroscope"},
+    "solve session": {*SOLVING, "rich"},
+    "replay session": READING,
+    "export session/parameters.toml --to c -o calibration.h": {"numpy", "imufield.deliver.exports"},
+    "export-data session --to csv -o samples.csv": READING,
+    "apply session/parameters.toml session -o corrected.csv": READING,
+    "history session": {"numpy", "imufield.calibrate.gyroscope"},
+    "report session": {*SOLVING, "rich", "matplotlib", "jinja2", "importlib.metadata"},
+}
+
+
+@pytest.mark.parametrize("line", USED)
+def test_a_start_loads_what_it_uses(line: str, short_solved: Path, tmp_path: Path) -> None:
+    (tmp_path / "session").symlink_to(short_solved)
+    np.savetxt(tmp_path / "table.csv", np.ones((500, 6)), delimiter=",", header="ax,ay,az,gx,gy,gz", comments="")
+    code = f"""
+import sys
+sys.argv[1:] = {line.split()}
+from imufield.cli import main
+try:
+    main()
+finally:
+    print(sorted({SLOW - USED[line]} & set(sys.modules)), file=sys.stderr)
+"""
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("IMUFIELD_", "_TYPER", "FORCE_"))}
+    ended = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment, cwd=tmp_path
+    )
+    assert ended.stderr.splitlines()[-1] == "[]"
