@@ -120,7 +120,7 @@ class Sentences:
 
 @cache
 def _table(package: str) -> dict[str, dict[str, str]]:
-    import tomllib  # Here, as most runs of the program need no sentence.
+    import tomli  # Here, as most runs of the program need no sentence.
 
     folder = Path(__file__).parent.joinpath(*package.split(".")[1:])
-    return tomllib.loads((folder / "sentences.toml").read_text(encoding="utf-8"))
+    return tomli.loads((folder / "sentences.toml").read_text(encoding="utf-8"))

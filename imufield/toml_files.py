@@ -2,17 +2,13 @@
 
 It refuses in one sentence, with file and line, what is no UTF-8, no TOML, nested too deeply, or a whole number beyond 64 bits.
 What comes out of it can be walked through recursively, and each of its whole numbers is a float, too.
-
-Files as imufield itself lays them out, thousands of which a history reads, are read line by line; everything else, and whatever
-is wrong in the least, by ``tomllib``, which takes five times as long.
 """
 
 from __future__ import annotations
 
-import json
 import re
-import tomllib
-from collections.abc import Callable
+
+import tomli
 
 from imufield.errors import ImufieldError
 from imufield.sentences import Sentences
@@ -38,25 +34,6 @@ _TOKEN = re.compile(
     re.DOTALL,
 )
 _BRACE = re.compile("[{}]")
-# A line as imufield writes it, or an array of several lines: what stands here means the same in TOML and, but for nan and the
-# last comma, in JSON. Nothing in it can be taken back, so that no text is looked at twice.
-_NUMBER = r"(?:-?(?:0|[1-9][0-9]*+)(?:\.[0-9]++)?+(?:e[-+]?[0-9]++)?+|nan)"
-_TEXT = r'"[^"\\\x00-\x1f\x7f]*+"'
-_ROW = rf"\[(?:{_NUMBER}(?:, {_NUMBER})*+)?+\]"
-_NAME = "[a-z_][a-z0-9_]*+"
-_LINE = re.compile(
-    rf"(?:(?P<key>{_NAME}) = (?:"
-    rf"(?P<text>{_TEXT})|(?P<numbers>{_NUMBER}|{_ROW}|\[\n(?:    {_ROW},\n)++\])"
-    rf"|(?P<words>true|false|\[{_TEXT}(?:, {_TEXT})*+\]|\[\n(?:    {_TEXT},\n)++\]))"
-    rf"|\[(?P<table>{_NAME}(?:\.{_NAME})*+)\]|\[\[(?P<tables>{_NAME}(?:\.{_NAME})*+)\]\]"
-    r"|#[^\x00-\x1f\x7f]*+)?+\n"
-)
-# By group of ``_LINE``.
-_VALUES: dict[str, Callable[[str], object]] = {
-    "text": lambda value: value[1:-1],
-    "numbers": lambda value: json.loads(value.replace(",\n]", "]").replace("nan", "NaN")),
-    "words": lambda value: json.loads(value.replace(",\n]", "]")),
-}
 # More digits than Python makes a number of.
 _ENDLESS_NUMBER = re.compile("(?<![0-9_])[0-9_]{4300}")
 
@@ -87,71 +64,18 @@ def parse_toml(text: str, label: str, kind: type[ImufieldError]) -> dict[str, ob
     ImufieldError
         Of that kind.
     """
-    content = _own_layout(text)
-    if content is None:
-        content = _any_layout(text, label, kind)
-    _check_values(content, text, label, kind)
-    return content
-
-
-def _own_layout(text: str) -> dict[str, object] | None:
-    """Return the content of a file of lines that ``_LINE`` knows, None where it is another or names anything twice."""
-    content: dict[str, object] = {}
-    table = content
-    at = 0
-    while at < len(text):
-        line = _LINE.match(text, at)
-        if line is None:
-            return None
-        at = line.end()
-        kind = line.lastgroup
-        if kind in ("table", "tables"):
-            opened = _opened(content, line[kind].split("."), repeated=kind == "tables")
-            if opened is None:
-                return None
-            table = opened
-        elif kind is not None:
-            key = line["key"]
-            if key in table:
-                return None
-            try:
-                table[key] = _VALUES[kind](line[kind])
-            except ValueError:
-                return None  # a number of more digits than Python makes one of
-    return content
-
-
-def _opened(content: dict[str, object], place: list[str], *, repeated: bool) -> dict[str, object] | None:
-    """Return a new table at a place, one more of several or the only one; None where something else stands there."""
-    table: object = content
-    for part in place[:-1]:
-        table = table.get(part) if isinstance(table, dict) else None
-        # Of repeated tables the last is meant.
-        table = table[-1] if isinstance(table, list) and table else table
-    if not isinstance(table, dict):
-        return None
-    new: dict[str, object] = {}
-    if place[-1] not in table:
-        table[place[-1]] = [new] if repeated else new
-        return new
-    before = table[place[-1]]
-    if not (repeated and isinstance(before, list) and before and isinstance(before[-1], dict)):
-        return None
-    before.append(new)
-    return new
-
-
-def _any_layout(text: str, label: str, kind: type[ImufieldError]) -> dict[str, object]:
     _check_brackets(text, label, kind)
     try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        content: dict[str, object] = tomli.loads(text)
+    except tomli.TOMLDecodeError as error:
         raise kind(sentence("toml_files.no_toml", label=label, cause=error)) from error
     except ValueError as error:
         # Python's own limit on digits. Nothing else of a document can be the cause.
         digits = _ENDLESS_NUMBER.search(text)
         line = 1 + text.count("\n", 0, digits.start() if digits else 0)
         raise kind(sentence("toml_files.integer", label=label, line=line)) from error
+    _check_values(content, text, label, kind)
+    return content
 
 
 def _check_brackets(text: str, label: str, kind: type[ImufieldError]) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import random
 import time
-import tomllib
 from contextlib import suppress
 from pathlib import Path
 
@@ -19,7 +18,6 @@ from imufield.errors import ParameterFileError, ProtocolError, RecordingError, U
 from imufield.guide.positions import read_positions
 from imufield.toml_files import DEEPEST, decode_toml, parse_toml
 from tests.refused import refused
-from tests.told import key_of
 
 FUZZ_S = float(os.environ.get("IMUFIELD_FUZZ_S", "2"))
 """Of processor time for each test that has no end of its own."""
@@ -134,72 +132,6 @@ def test_any_file_gives_a_document_or_a_sentence() -> None:
             # What comes out can be walked through recursively.
             assert repr(parse_toml(text, "a.toml", ProtocolError))
             parse_protocol(text)
-
-
-OWN_LAYOUT = """# What imufield writes.
-a = "text"
-b = [1.5, -2, nan, 1e-05]
-
-[c]
-d = true
-e = [
-    "one",
-    "two, nan, ]",
-]
-
-[c.f]
-g = [
-    [1.0, nan],
-    [0.0, 3e+20],
-]
-
-[[h]]
-i = nan
-
-[[h]]
-i = 0
-
-[[h.j]]
-k = ""
-"""
-
-
-def test_files_as_imufield_writes_them_mean_what_toml_says() -> None:
-    assert str(read(OWN_LAYOUT)) == str(tomllib.loads(OWN_LAYOUT))
-    for twice in ("a = 1\na = 1\n", "[a]\n[a]\n", "[[a]]\n[a]\n", "a = 1\n[a]\n", "a = [1.0]\n[[a]]\n", "a = 1\n[a.b]\n"):
-        with refused(UsageError, None, key="toml_files.no_toml"):
-            read(twice)
-
-
-def test_damage_to_such_a_file_means_what_toml_says() -> None:
-    generator, begin = random.Random(15), time.process_time()
-    pieces = (
-        *'[]{}=.,\n"#- \t\r_0159aeinNx',
-        "nan",
-        "[[",
-        "\n\n",
-        "a = ",
-        "[c]\n",
-        "[[h]]\n",
-        "    ",
-        "-nan",
-        "1e999",
-        "9" * 20,
-    )
-    while time.process_time() - begin < FUZZ_S:
-        text = OWN_LAYOUT
-        for _ in range(generator.randint(1, 4)):
-            at = generator.randint(0, len(text))
-            text = text[:at] + generator.choice(pieces) + text[at + generator.choice((0, 0, 1, 2, 8)) :]
-        try:
-            expected = str(tomllib.loads(text))
-        except tomllib.TOMLDecodeError:
-            expected = ""
-        try:
-            found = str(read(text.encode()))
-        except UsageError as error:
-            found = expected if key_of(error.message) == "toml_files.integer" else ""
-        assert found == expected, text
 
 
 @pytest.mark.parametrize(

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import math
 import re
-import tomllib
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 import numpy as np
+import tomli
 
 from imufield.errors import UsageError
 from imufield.files import Origin, read_small_file
@@ -128,7 +128,7 @@ def nearest_cube_direction(direction: FloatArray) -> str:
 
 @cache
 def _shipped(name: str) -> tuple[Position, ...]:
-    table = tomllib.loads((Path(__file__).parent / "schemes.toml").read_text(encoding="utf-8"))
+    table = tomli.loads((Path(__file__).parent / "schemes.toml").read_text(encoding="utf-8"))
     named = [(entry, named_direction(entry)) for entry in table[name]]
     return tuple(Position(entry, direction, describe(direction)) for entry, direction in named)
 

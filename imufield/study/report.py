@@ -9,7 +9,6 @@ import csv
 import io
 import re
 import string
-import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -18,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import tomli
 from numpy.typing import ArrayLike
 
 from imufield.deliver.parameters.numbers import WIDTH, hanging
@@ -82,7 +82,7 @@ class Findings:
 @cache
 def texts() -> dict[str, dict[str, Any]]:
     """Return the words of ``texts.toml`` by study, and those of the ``instruments``."""
-    return tomllib.loads((files("imufield.study") / "texts.toml").read_text(encoding="utf-8"))
+    return tomli.loads((files("imufield.study") / "texts.toml").read_text(encoding="utf-8"))
 
 
 def make_report(name: str, findings: Findings) -> StudyReport:

@@ -32,10 +32,10 @@ USED = {
     "solve session": {*SOLVING, "rich"},
     "replay session": READING,
     "export session/parameters.toml --to c -o calibration.h": {"numpy", "imufield.deliver.exports"},
-    "export-data session --to csv -o samples.csv": READING,
-    "apply session/parameters.toml session -o corrected.csv": READING,
-    "history session": {"numpy", "imufield.calibrate.gyroscope"},
-    "report session": {*SOLVING, "rich", "matplotlib", "jinja2", "importlib.metadata"},
+    "export-data session --to csv -o samples.csv": {*READING, "concurrent.futures"},
+    "apply session/parameters.toml session -o corrected.csv": {*READING, "concurrent.futures"},
+    "history session": {"numpy", "numpy.random", "concurrent.futures", "imufield.calibrate.gyroscope"},
+    "report session": {*SOLVING, "rich", "jinja2", "importlib.metadata"},
 }
 
 

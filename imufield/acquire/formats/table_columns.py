@@ -6,12 +6,12 @@ Every assumption that the header does not state is returned as a sentence.
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import tomli
 
 from imufield.errors import UsageError
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, LARGEST_OUTPUT, SAMPLE_COLUMNS, FloatArray
@@ -30,7 +30,7 @@ COUNTER = "counter"
 SKIPPED = ("-", "_", "skip")
 
 
-_WORDS = tomllib.loads(Path(__file__).with_name("table_words.toml").read_text(encoding="utf-8"))
+_WORDS = tomli.loads(Path(__file__).with_name("table_words.toml").read_text(encoding="utf-8"))
 UNITS_OF = {
     quantity: {spelling: unit for unit, spellings in units.items() for spelling in spellings.split()}
     for quantity, units in _WORDS["units"].items()

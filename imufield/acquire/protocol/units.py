@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from pathlib import Path
 
-_TABLES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+import tomli
+
+_TABLES = tomli.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 TO_SI: dict[str, tuple[str, float]] = {name: (si, factor) for name, (si, factor) in _TABLES["to_si"].items()}
 """Units a protocol may name: what a sample holds, and by what the number is multiplied."""
 UNITS_OF: dict[str, tuple[str, ...]] = {part: tuple(units) for part, units in _TABLES["units_of"].items()}

@@ -81,7 +81,7 @@ def chi_squared_tail(freedom: int, value: float) -> float:
 @cache
 def chi_squared_quantile(freedom: int, p: float) -> float:
     """Return what a variable of chi squared stays below with a probability."""
-    return _between(lambda value: chi_squared_tail(freedom, value) > 1 - p)
+    return _positive_root(lambda value: chi_squared_tail(freedom, value) - (1 - p))
 
 
 def student_factor(degrees_of_freedom: float, of: int = 1, chance: float = 0.05) -> float:

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import math
 import sys
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
+
+import tomli
 
 from imufield.earth import MICRO_G_M_S2, STANDARD_GRAVITY_M_S2
 from imufield.errors import UsageError
@@ -114,7 +115,7 @@ def _in_si(figures: Mapping[str, Any]) -> dict[str, Any]:
     return read
 
 
-_TABLES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+_TABLES = tomli.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 GRADES = {name: Grade(name=name, **_in_si(figures)) for name, figures in _TABLES.items()}
 DEFAULT_GRADE = "mems"
 """Where nobody says which: the uncertainty is rather too large than too small."""

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import importlib
 import math
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, cast
+
+import tomli
 
 from imufield.calibrate.solvers.base import Solver
 from imufield.calibrate.solvers.costs import CostName
@@ -39,7 +40,7 @@ class Method:
     """The name of its settings in the module; empty where it has none."""
 
 
-_LISTED = tomllib.loads(Path(__file__).with_name("methods.toml").read_text(encoding="utf-8"))
+_LISTED = tomli.loads(Path(__file__).with_name("methods.toml").read_text(encoding="utf-8"))
 METHODS: Mapping[str, Method] = MappingProxyType({name: Method(name=name, **row) for name, row in _LISTED.items()})
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import importlib
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
+
+import tomli
 
 from imufield.deliver.exports.target import Exported, ExportOptions, Target
 from imufield.errors import UsageError
@@ -21,7 +22,7 @@ sentence = Sentences(__package__)
 
 TARGETS: Mapping[str, Target] = {
     name: Target(name, **facts)
-    for name, facts in tomllib.loads(Path(__file__).with_name("targets.toml").read_text(encoding="utf-8")).items()
+    for name, facts in tomli.loads(Path(__file__).with_name("targets.toml").read_text(encoding="utf-8")).items()
 }
 
 

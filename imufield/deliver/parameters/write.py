@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+
+import tomli
 
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration
@@ -48,7 +49,7 @@ def to_toml(document: Document) -> str:
     fault = first_fault(document)
     if fault is not None:
         raise ParameterFileError(sentence("write.fault", what=fault.what), fault.reason, key=fault.key)
-    comments = tomllib.loads(Path(__file__).with_name("comments.toml").read_text(encoding="utf-8"))
+    comments = tomli.loads(Path(__file__).with_name("comments.toml").read_text(encoding="utf-8"))
     # The hash last, in a table of its own: a file cut short has none.
     complete = document | {"integrity": {"sha256": content_sha256(document)}}
     return "\n".join([_comment(comments["head"]), *_table_lines(complete, "", comments["tables"])]) + "\n"

@@ -7,10 +7,11 @@ which is looked up in the new state: ``recognise`` answers ``near``, ``refused``
 
 from __future__ import annotations
 
-import tomllib
 from enum import Enum
 from pathlib import Path
 from typing import NamedTuple
+
+import tomli
 
 
 class State(Enum):
@@ -73,7 +74,7 @@ class Transition(NamedTuple):
 
 
 def _read_table() -> dict[State, dict[Input, Transition]]:
-    groups = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+    groups = tomli.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
     always = groups.pop("any")
     rows = {state: always | row if name == "running" else row for name, group in groups.items() for state, row in group.items()}
     return {

@@ -9,11 +9,11 @@ Big letters are readable from three metres: five by seven dots, two columns and 
 
 from __future__ import annotations
 
-import tomllib
 from functools import cache
 from pathlib import Path
 
 import numpy as np
+import tomli
 from numpy.typing import NDArray
 
 from imufield.drawing.box import HALF_SIZE, ONLOOKER, visible_faces
@@ -27,7 +27,7 @@ ROWS = 7
 @cache
 def _letters() -> dict[str, bytes]:
     """Return five columns of each letter, the lowest bit on top, and the gap after it."""
-    table = tomllib.loads((Path(__file__).parent / "letters.toml").read_text(encoding="utf-8"))
+    table = tomli.loads((Path(__file__).parent / "letters.toml").read_text(encoding="utf-8"))
     return {letter: bytes.fromhex(columns) + b"\0" for letter, columns in table.items()}
 
 
