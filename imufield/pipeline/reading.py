@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from imufield.acquire.decode.statistics import DecoderStatistics
-from imufield.calibrate.gyroscope.moves import MoveCollector, Moves, Slots, cut_moves, join_stills, no_slots
+from imufield.calibrate.gyroscope.moves import MoveCollector, Moves, Slots, cut_moves, no_slots
 from imufield.calibrate.model.observations import Observations, join_observations
 from imufield.deliver.report.trace import TraceCells, TraceCollector
 from imufield.guide.events import Event, Rejected, Turned
 from imufield.guide.lead.turns import VERTICAL
 from imufield.samples import FloatArray, Samples, concatenate
 
-_AT_ONCE = 1024  # Samples that are summed at once: a live link brings them by tens, each time at the price of hundreds.
+_AT_ONCE = 4096  # Samples that are summed at once: a live link brings them by tens, each time at the price of hundreds.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,7 +113,7 @@ class ReadingCollector:
             self._take()
         if self._moves is None:
             return no_slots(), np.array([[np.inf] * 3, [-np.inf] * 3])
-        slots = join_stills(self._moves.slots(), stills.start_s, stills.duration_s)
+        slots = self._moves.joined_slots(stills.start_s, stills.duration_s)
         return slots, np.array([self._moves.low, self._moves.high])
 
     def _take(self) -> None:

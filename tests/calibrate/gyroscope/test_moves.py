@@ -9,7 +9,7 @@ import pytest
 from gyroscope_sessions import collect_moves
 
 from imufield.calibrate.gyroscope.move_integration import centre, integrate, rough_inverse
-from imufield.calibrate.gyroscope.moves import MoveCollector, Moves, join_slots
+from imufield.calibrate.gyroscope.moves import MoveCollector, Moves, cut_moves, join_slots
 from imufield.calibrate.model.rotation import exponential, multiply
 from imufield.samples import FloatArray, Samples, SampleUnits, Status, make_samples
 
@@ -199,6 +199,22 @@ def test_long_recordings_are_kept_in_less() -> None:
     a, b = small.finish(START_S, DURATION_S), large.finish(START_S, DURATION_S)
     for k in range(2):
         assert between(turn_of(a, k), turn_of(b, k)) < 1e-4
+
+
+def test_slots_joined_inside_stills_leave_the_moves_alone() -> None:
+    samples = session()
+    collector = MoveCollector(samples.units)
+    # Parts that end in the middle of a cell.
+    for first in range(0, len(samples), 730):
+        collector.feed(samples[slice(first, first + 730)])
+    whole, joined = collector.slots(), collector.joined_slots(START_S, DURATION_S)
+    assert len(joined) < 0.6 * len(whole)
+    assert joined.duration_s.sum() == pytest.approx(whole.duration_s.sum(), rel=1e-12)
+    a, b = (cut_moves(slots, START_S, DURATION_S, (collector.low, collector.high)) for slots in (whole, joined))
+    assert a.start_s.tolist() == b.start_s.tolist()
+    assert len(a.slots) == len(b.slots)
+    for name in ("turn", "moment", "area", "force"):
+        assert getattr(a.slots, name) == pytest.approx(getattr(b.slots, name), rel=1e-12)
 
 
 def test_stills_are_stretched_to_where_they_end() -> None:
