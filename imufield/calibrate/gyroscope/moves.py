@@ -230,7 +230,7 @@ class MoveCollector:
     def feed(self, samples: Samples) -> None:
         """Take the next samples."""
         finite = np.abs(samples.gyroscope) <= LARGEST_OUTPUT
-        samples = samples if every(finite) else samples[finite.all(axis=1)]
+        samples = samples if every(finite) else samples[np.flatnonzero(finite.all(axis=1))]
         if not len(samples):
             return
         if self._pending is not None:
