@@ -314,7 +314,8 @@ class MoveCollector:
         turn = first + second
         # alpha in the middle of each interval: there it has turned by N_k for dt/2, and turns by N_k+1 for the other half.
         middle = np.cumsum(turn, axis=1) - turn
-        middle += first - np.repeat(middle[:, starts], np.diff(np.append(starts, len(dt))), axis=1)
+        middle -= np.repeat(middle[:, starts], np.diff(np.append(starts, len(dt))), axis=1)
+        middle += first
         # Of both halves: N_k dt/2 is what leads to the middle, so its product with either end of it is the same.
         area = cross(middle.T, turn.T).T
         moment = dt * middle + 0.5 * half * (second - first)
