@@ -97,6 +97,7 @@ INTERRUPTED_S = 1.0
 _LOST_INTERVALS = 1.5  # Between one interval, however unsteady the clock, and the two of a lost sample.
 _PLATEAU = 4  # Equal values in a row at the largest or smallest output of the session that make it a saturated axis.
 _COMPACT_AT = 1_000_000  # Slots before quiet stretches are joined: 83 minutes, 170 MB.
+_JOINED_AT_ONCE = 16  # Parts of slots that are joined at once: as much as stays in the cache.
 _SLOT_MARGIN = 1e-6  # Of a slot, or s: rounding may put a time just below the edge it stands on.
 
 
@@ -257,7 +258,7 @@ class MoveCollector:
     def joined_slots(self, start_s: FloatArray, duration_s: FloatArray) -> Slots:
         """Return the same with those inside stretched stills joined into cells; moves are cut at cells, so they stay the same.
 
-        Still intervals are given as to ``finish``. Joined part by part: all slots at once take as much memory once more.
+        Still intervals are given as to ``finish``. Some parts are joined at a time: all slots at once are as much memory again.
         """
         parts = self._all()
         if not parts or not np.isfinite(start_s).all():
@@ -268,16 +269,17 @@ class MoveCollector:
             replace(part, start_s=np.maximum.accumulate(np.maximum(part.start_s, before_s)))
             for part, before_s in zip(parts, [-np.inf, *latest_s.tolist()], strict=False)
         ]
-        of_parts = [sum_cells(part.start_s, slot_sums(part)) for part in rising]
-        cell_s, sums = sum_cells(*(np.concatenate(each) for each in zip(*of_parts, strict=True)))
+        groups = [rising[at : at + _JOINED_AT_ONCE] for at in range(0, len(rising), _JOINED_AT_ONCE)]
+        in_groups = [sum_cells(group.start_s, slot_sums(group)) for group in map(stack_slots, groups)]
+        cell_s, sums = sum_cells(*(np.concatenate(each) for each in zip(*in_groups, strict=True)))
         stills = np.stack([start_s, start_s + duration_s], axis=1)[np.argsort(start_s, kind="stable")]
         stills = stretch_stills(cell_s, sums, stills=stills)
         # The last still that begins before each cell: whole cells of it are joined.
         still = np.searchsorted(stills[:, 0], cell_s + _SLOT_MARGIN, side="right") - 1
         next_s = np.append(cell_s[1:], np.inf)
         inside = (still >= 0) & (next_s <= stills[still, 1] + _SLOT_MARGIN) if len(stills) else np.zeros(len(cell_s), np.bool_)
-        joined = stack_slots([_join_cells(part, cell_s, inside) for part in rising])
-        # Where a part ended in the middle of a cell.
+        joined = stack_slots([_join_cells(group, cell_s, inside) for group in map(stack_slots, groups)])
+        # Where a group ended in the middle of a cell.
         return _join_cells(joined, cell_s, inside)
 
     def finish(self, start_s: FloatArray, duration_s: FloatArray) -> Moves:
