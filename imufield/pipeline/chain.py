@@ -178,7 +178,9 @@ class Chain:
             self.temperature_degc = (float(np.fmin(low, known.min())), float(np.fmax(high, known.max())))
         if samples.sensor_temperature_degc is not None:
             offsets = samples.sensor_temperature_degc - samples.temperature_degc[:, np.newaxis]
-            self._offsets += [np.nansum(offsets, axis=0), np.isfinite(offsets).sum(axis=0)]
+            # Hardly any instrument has them all the time, and most never.
+            if (finite := np.isfinite(offsets)).any():
+                self._offsets += [np.nansum(offsets, axis=0), finite.sum(axis=0)]
         for listener in self._listeners:
             listener(samples)
         if self.finder is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from concurrent.futures import Executor, Future
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -96,7 +96,7 @@ class ReadingCollector:
 
     def feed(self, samples: Samples) -> None:
         """Take the next samples."""
-        self._waiting.append(samples)
+        self._waiting.append(replace(samples, sensor_temperature_degc=None))
         if sum(map(len, self._waiting)) >= _AT_ONCE:
             self._take()
 
