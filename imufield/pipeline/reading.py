@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from concurrent.futures import Executor, Future
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imufield.acquire.decode.statistics import DecoderStatistics
-from imufield.calibrate.gyroscope.moves import MoveCollector, Moves, Slots, cut_moves, join_stills, no_slots
+from imufield.calibrate.gyroscope.moves import MoveCollector, Moves, Slots, cut_moves, no_slots
 from imufield.calibrate.model.observations import Observations, join_observations
 from imufield.deliver.report.trace import TraceCells, TraceCollector
 from imufield.guide.events import Event, Rejected, Turned
 from imufield.guide.lead.turns import VERTICAL
 from imufield.samples import FloatArray, Samples, concatenate
 
-_AT_ONCE = 1024  # Samples that are summed at once: a live link brings them by tens, each time at the price of hundreds.
+_AT_ONCE = 4096  # Samples that are summed at once: a live link brings them by tens, each time at the price of hundreds.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,7 +96,7 @@ class ReadingCollector:
 
     def feed(self, samples: Samples) -> None:
         """Take the next samples."""
-        self._waiting.append(samples)
+        self._waiting.append(replace(samples, sensor_temperature_degc=None))
         if sum(map(len, self._waiting)) >= _AT_ONCE:
             self._take()
 
@@ -113,7 +114,7 @@ class ReadingCollector:
             self._take()
         if self._moves is None:
             return no_slots(), np.array([[np.inf] * 3, [-np.inf] * 3])
-        slots = join_stills(self._moves.slots(), stills.start_s, stills.duration_s)
+        slots = self._moves.joined_slots(stills.start_s, stills.duration_s)
         return slots, np.array([self._moves.low, self._moves.high])
 
     def _take(self) -> None:
@@ -122,3 +123,29 @@ class ReadingCollector:
         self._moves = self._moves or MoveCollector(samples.units)
         self._moves.feed(samples)
         self.trace.feed(samples)
+
+
+class Beside:
+    """Hands samples on to a listener that works in another thread, at most one block behind.
+
+    Parameters
+    ----------
+    listener : callable
+    threads : Executor
+        Must have a thread to spare.
+    """
+
+    def __init__(self, listener: Callable[[Samples], None], threads: Executor) -> None:
+        self._listener = listener
+        self._threads = threads
+        self._under_way: Future[None] | None = None
+
+    def feed(self, samples: Samples) -> None:
+        """Hand on the next block; raises what the listener raised at the one before."""
+        self.wait()
+        self._under_way = self._threads.submit(self._listener, samples)
+
+    def wait(self) -> None:
+        """Wait until the listener has had all blocks; raises as ``feed``."""
+        if self._under_way is not None:
+            self._under_way.result()

@@ -34,7 +34,7 @@ from imufield.pipeline.calibration import FEWEST_POSITIONS, Measured, SolveSetti
 from imufield.pipeline.chain import Chain, ReadingPlan, SamplesListener, replay_into
 from imufield.pipeline.damage import naming_damage, without_end_under_way
 from imufield.pipeline.kept import is_kept, keep, kept
-from imufield.pipeline.reading import Reading, ReadingCollector
+from imufield.pipeline.reading import Beside, Reading, ReadingCollector
 from imufield.pipeline.site import SiteOptions
 from imufield.pipeline.windows import is_ramp
 from imufield.progress import task
@@ -142,16 +142,18 @@ def read_recording(session: Session, damage: list[Damage], listeners: tuple[Samp
     """
     goes_on = session.is_being_recorded
     collected = ReadingCollector()
-    chain = Chain(ReadingPlan.of(session), listeners=(collected.feed, *listeners))
-    # Hashing leaves the interpreter to others: beside the replay it costs no time.
-    with ThreadPoolExecutor(1) as beside:
-        hashing = beside.submit(session_sha256, session)
+    # Hashing, and NumPy in long loops, leave the interpreter to others: beside the replay they cost little time.
+    with ThreadPoolExecutor(2) as threads:
+        collecting = Beside(collected.feed, threads)
+        chain = Chain(ReadingPlan.of(session), listeners=(collecting.feed, *listeners))
+        hashing = threads.submit(session_sha256, session)
         if not (goes_on or listeners) and is_kept(session):
             found = kept(session, hashing.result())
             if found is not None:
                 yield found
                 return
         replay_into(chain, session, damage, collected.hear)
+        collecting.wait()
         sha256 = hashing.result()
     if goes_on:
         damage[:] = without_end_under_way(damage, session)

@@ -42,7 +42,7 @@ from typing import Literal
 import numpy as np
 
 from imufield.calibrate.gyroscope.fit import JointFit, fit_jointly, make_prior
-from imufield.calibrate.gyroscope.move_integration import INVERSE, PARAMETERS, SENSITIVITY
+from imufield.calibrate.gyroscope.move_integration import INVERSE, PARAMETERS, SENSITIVITY, sums_at_end
 from imufield.calibrate.gyroscope.observability import Observability
 from imufield.calibrate.gyroscope.residuals import GyroscopeData
 from imufield.calibrate.model.distributions import NORMAL_FACTOR_95, f_limit_95, f_tail
@@ -214,8 +214,7 @@ def _rate_columns(data: GyroscopeData, fit: JointFit) -> tuple[FloatArray, Float
     s, s_table = slots.turn / np.maximum(T, 1e-9) / K, data.table.half_difference_raw / K
     S = np.abs(np.vstack([s, s_table])).max(axis=0)
     shape = np.hstack([np.abs(s), s**3 / S**2])
-    by_slot = now.turns.by_slot @ np.tile(A * K, 2) * (shape * T)[:, None, :]
-    by_turn = np.add.reduceat(by_slot, data.moves.first)
+    by_turn = np.einsum("mijc,jc->mic", sums_at_end(fit.p[:PARAMETERS], data.moves, shape * T), np.tile(A * K, 2))
     C, t = np.zeros((len(now.residual), 6)), len(s_table)
     C[: 2 * m] = (now.tangent @ skew(now.predicted) @ by_turn).reshape(-1, 6)
     start = 2 * m + 3 * now.stills

@@ -7,7 +7,11 @@ The gyroscope's inverse model is linear in its parameters: with ``n = N - N0`` (
 so the rotation vector of a slot is linear in ``A``, ``b`` and ``H`` but for the small coning term (see ``moves``), and with
 ``W_k`` the matrix that takes a change of the rotation vector of slot k to the frame at the end of the move,
 
-    d turn = sum_k W_k (dA turn_k - db T_k - dH velocity_k)
+    d turn = sum_k W_k (dA turn_k - db T_k - dH velocity_k),    W_k = R^T V_k,    V_k = R_k Jr_k
+
+where ``R_k`` is the turn from the start of the move to the end of slot k, ``R`` that of the whole move, and ``Jr_k`` the right
+Jacobian of the rotation vector of the slot. All that is wanted are sums over the slots of products of ``V_k`` with what the
+slots hold, so they are products of long matrices, one for each move, and ``R`` comes in afterwards.
 
 Vectors of parameters ``x`` hold A row by row (9), b (3), H row by row (9).
 """
@@ -19,7 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imufield.calibrate.gyroscope.moves import Moves
-from imufield.calibrate.model.rotation import cross, exponential, matrix, right_jacobian, running_turns
+from imufield.calibrate.model.rotation import cross, exponential, matrix, product, right_jacobian, running_turns, skew
 from imufield.samples import FloatArray
 
 PARAMETERS = 21
@@ -38,8 +42,6 @@ class Turns:
         Takes body vectors at the end to the body frame at the start, relative to inertial space.
     jacobian : ndarray, shape (m, 3, 21)
         d turn / d x, rotation vector at the end.
-    by_slot : ndarray, shape (k, 3, 3)
-        W_k of every slot.
     duration : ndarray, shape (m, 3, 3)
         Sum of W_k T_k: what a constant rate error does.
     spread : ndarray, shape (m, 3, 3)
@@ -48,7 +50,6 @@ class Turns:
 
     quaternion: FloatArray
     jacobian: FloatArray
-    by_slot: FloatArray
     duration: FloatArray
     spread: FloatArray
     net_rad: FloatArray
@@ -66,13 +67,16 @@ def centre(moves: Moves, rest_raw: FloatArray, force_m_s2: FloatArray) -> Moves:
     force_m_s2 : ndarray, shape (k, 3)
         Mean specific force of each slot.
     """
-    slots, T = moves.slots, moves.slots.duration_s[:, None]
+    slots, T = moves.slots, moves.slots.duration_s
+    # Row after row of one axis, which is how ``integrate`` reads them.
+    turn, moment = (np.ascontiguousarray(values.T) for values in (slots.turn, slots.moment))
+    swept = T * turn - 2 * moment
     centred = replace(
         slots,
-        turn=slots.turn - rest_raw * T,
-        moment=slots.moment - rest_raw * T**2 / 2,  # a constant over the slot has the moment T^2 / 2
-        area=slots.area + cross(T * slots.turn - 2 * slots.moment, rest_raw),
-        force=force_m_s2 * T,
+        turn=(turn - rest_raw[:, None] * T).T,
+        moment=(moment - rest_raw[:, None] * T**2 / 2).T,  # a constant over the slot has the moment T^2 / 2
+        area=(slots.area.T + cross(swept.T, rest_raw).T).T,
+        force=(force_m_s2.T * T).T,
     )
     return replace(moves, slots=centred)
 
@@ -88,47 +92,81 @@ def integrate(x: FloatArray, moves: Moves, noise_density_raw: FloatArray) -> Tur
     noise_density_raw : ndarray, shape (3,)
         Raw unit per sqrt(Hz), for ``spread``.
     """
-    A, b, H = x[INVERSE].reshape(3, 3), x[BIAS], x[SENSITIVITY].reshape(3, 3)
-    slots, first, length = moves.slots, moves.first, moves.length
-    T = slots.duration_s[:, None]
-    M = np.linalg.inv(A)
-    # cof(A) = det(A) A^-T, see moves: A x x A y = cof(A) (x x y)
-    cofactor = np.linalg.det(A) * M.T
-    coning = slots.area + cross(T * slots.turn - 2 * slots.moment, M @ b)
-    vectors = np.asarray(slots.turn @ A.T - b * T - slots.force @ H.T + 0.5 * coning @ cofactor.T)
-    running = running_turns(exponential(vectors), first)
-    last = first + length - 1
-    end = running[last]
-    C = matrix(running)
-    # W_k = (turn from slot k to the end)^T Jr(vector of slot k)
-    to_end = np.swapaxes(np.repeat(C[last], length, axis=0), 1, 2) @ C
-    W = to_end @ right_jacobian(vectors)
-
-    def products(left: FloatArray, right: FloatArray) -> FloatArray:
-        """Return the sum of left^T right over the slots of each move: one product of long matrices a move."""
-        ends = zip(first * left.shape[1], (last + 1) * left.shape[1], strict=True)
-        rows, others = (factor.reshape(-1, factor.shape[-1]) for factor in (left, right))
-        sums = np.array([rows[begin:end].T @ others[begin:end] for begin, end in ends])
-        return sums.reshape(-1, left.shape[2], right.shape[2])  # also of no move at all
-
-    by_all = products(W.reshape(-1, 1, 9), np.hstack([slots.turn, slots.force, T])[:, None])
-    by_inverse, by_force = (by_all[:, :, columns].reshape(-1, 3, 9) for columns in (slice(3), slice(3, 6)))
-    duration = by_all[:, :, 6].reshape(-1, 3, 3)
+    slots, T, A = moves.slots, moves.slots.duration_s, x[INVERSE].reshape(3, 3)
+    at = _AlongMoves.of(x, moves)
+    by_held = at.end_sums(at.held)
+    by_turn, by_force = (by_held[..., columns].reshape(-1, 3, 9) for columns in (slice(3), slice(3, 6)))
+    duration = by_held[..., 6]
     # White noise of density n gives each slot the variance n^2 T.
-    noise = np.swapaxes(W @ (A * noise_density_raw), 1, 2) * np.sqrt(T)[:, :, None]
-    spread = products(noise, noise)
+    spread = at.spread(T, (A * noise_density_raw**2) @ A.T)
     if slots.bridge.any():
         # A rate that changes anywhere in a gap, evenly likely: a third of the square of the largest error.
-        bridged = np.swapaxes(W @ A, 1, 2) * np.sqrt(slots.bridge / 3)[:, None, None]
-        spread += products(bridged, bridged)
+        spread += at.spread(slots.bridge / 3, A @ A.T)
     return Turns(
-        quaternion=end,
-        jacobian=np.concatenate([by_inverse, -duration, -by_force], axis=2),
-        by_slot=W,
+        quaternion=at.end,
+        jacobian=np.concatenate([by_turn, -duration, -by_force], axis=2),
         duration=duration,
         spread=spread,
-        net_rad=np.add.reduceat((to_end @ vectors[:, :, None])[:, :, 0], first, axis=0),
+        # Jr leaves its own vector as it is.
+        net_rad=np.einsum("mijc,jc->mi", by_held, at.to_vectors),
     )
+
+
+def sums_at_end(x: FloatArray, moves: Moves, values: FloatArray) -> FloatArray:
+    """Return the sums of W_k times each of q values of the slots, shape (k, q) to (m, 3, 3, q)."""
+    return _AlongMoves.of(x, moves).end_sums(np.ascontiguousarray(values.T))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _AlongMoves:
+    """The slots of moves at one parameter vector. Arrays have a row for each component: NumPy's loops along them are long."""
+
+    spans: list[slice]
+    """Slots of each move."""
+    held: FloatArray
+    """Turn, force, duration and coning of the slots, shape (10, k)."""
+    to_vectors: FloatArray
+    """What makes their rotation vectors of it, shape (3, 10)."""
+    end: FloatArray
+    """Quaternion of each move, shape (m, 4)."""
+    entries: FloatArray
+    """V_k, shape (9, k)."""
+
+    @classmethod
+    def of(cls, x: FloatArray, moves: Moves) -> _AlongMoves:
+        A, b, H = x[INVERSE].reshape(3, 3), x[BIAS], x[SENSITIVITY].reshape(3, 3)
+        slots, first, T, M = moves.slots, moves.first, moves.slots.duration_s, np.linalg.inv(A)
+        # cof(A) = det(A) A^-T, see moves: A x x A y = cof(A) (x x y)
+        cofactor = np.linalg.det(A) * M.T
+        coning = 0.5 * cofactor @ (slots.area.T - skew(M @ b) @ (T * slots.turn.T - 2 * slots.moment.T))
+        held = np.vstack([slots.turn.T, slots.force.T, T, coning])
+        to_vectors = np.column_stack([A, -H, -b, np.eye(3)])
+        vectors = (to_vectors @ held).T
+        running = running_turns(exponential(vectors), first)
+        last = first + moves.length - 1
+        return cls(
+            spans=[slice(begin, end + 1) for begin, end in zip(first.tolist(), last.tolist(), strict=True)],
+            held=held,
+            to_vectors=to_vectors,
+            end=running[last],
+            entries=product(matrix(running), right_jacobian(vectors)).reshape(-1, 9).T,
+        )
+
+    def end_sums(self, values: FloatArray) -> FloatArray:
+        """Return the sums of W_k times values of the slots, shape (q, k) to (m, 3, 3, q)."""
+        sums = self._sums(self.entries, values)
+        return (np.swapaxes(matrix(self.end), 1, 2) @ sums.reshape(-1, 3, 3 * len(values))).reshape(-1, 3, 3, len(values))
+
+    def spread(self, weight: FloatArray, covariance: FloatArray) -> FloatArray:
+        """Return the weighted sum of W_k covariance W_k^T, shape (m, 3, 3)."""
+        squares = self._sums(self.entries * weight, self.entries).reshape(-1, 3, 3, 3, 3)
+        R = matrix(self.end)
+        return np.asarray(np.swapaxes(R, 1, 2) @ np.einsum("mijkl,jl->mik", squares, covariance) @ R)
+
+    def _sums(self, factors: FloatArray, others: FloatArray) -> FloatArray:
+        """Return the sums of products over the slots of each move, shape (p, k) and (q, k) to (m, p, q)."""
+        each = [factors[:, span] @ others[:, span].T for span in self.spans]
+        return np.array(each).reshape(-1, len(factors), len(others))  # also of no move at all
 
 
 def rough_inverse(moves: Moves, window_s: float = 0.1) -> FloatArray:

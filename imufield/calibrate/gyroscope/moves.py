@@ -30,7 +30,7 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from enum import IntFlag
 from itertools import pairwise
 
@@ -38,7 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.calibrate.model.rotation import cross
-from imufield.samples import LARGEST_OUTPUT, FloatArray, IntArray, Samples, SampleUnits, Status, concatenate
+from imufield.samples import LARGEST_OUTPUT, FloatArray, IntArray, Samples, SampleUnits, Status, concatenate, every
 from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
@@ -51,28 +51,17 @@ _SIGMAS = 5.0  # Of the cells inside the still; what is further off looks like m
 _FEWEST = 5  # Cells inside a still that tell its scatter.
 
 
-def stretch_stills(
-    slot_start_s: FloatArray, duration_s: FloatArray, turn: FloatArray, force: FloatArray, *, stills: FloatArray
-) -> FloatArray:
+def stretch_stills(cell_s: FloatArray, sums: FloatArray, *, stills: FloatArray) -> FloatArray:
     """Return begin and end of each still, stretched, shape (s, 2).
 
     Parameters
     ----------
-    slot_start_s, duration_s : ndarray, shape (k,)
-        Slots of the session, in time order.
-    turn, force : ndarray, shape (k, 3)
-        Integrals over them.
+    cell_s, sums : ndarray, shape (m,), (m, 7)
+        Begin of each cell of the session and ``slot_sums`` in it, in time order.
     stills : ndarray, shape (s, 2)
         Begin and end, in time order.
     """
-    if not len(slot_start_s):
-        return stills
-    # Cells: where each begins, and its mean outputs, shape (m, 6).
-    number: IntArray = np.floor(slot_start_s / CELL_S + 1e-6).astype(np.int64)
-    starts = np.concatenate(([0], np.flatnonzero(np.diff(number)) + 1))
-    total = np.maximum(np.add.reduceat(duration_s, starts), 1e-9)
-    cell_s = slot_start_s[starts]
-    cells = np.add.reduceat(np.concatenate([turn, force], axis=1), starts) / total[:, None]
+    cells = sums[:, 1:] / np.maximum(sums[:, :1], 1e-9)
     low = np.searchsorted(cell_s, stills[:, 0])
     high = np.searchsorted(cell_s, stills[:, 1] - CELL_S)
     stretched = stills.copy()
@@ -108,6 +97,7 @@ INTERRUPTED_S = 1.0
 _LOST_INTERVALS = 1.5  # Between one interval, however unsteady the clock, and the two of a lost sample.
 _PLATEAU = 4  # Equal values in a row at the largest or smallest output of the session that make it a saturated axis.
 _COMPACT_AT = 1_000_000  # Slots before quiet stretches are joined: 83 minutes, 170 MB.
+_JOINED_AT_ONCE = 16  # Parts of slots that are joined at once: as much as stays in the cache.
 _SLOT_MARGIN = 1e-6  # Of a slot, or s: rounding may put a time just below the edge it stands on.
 
 
@@ -119,6 +109,13 @@ class SlotFlag(IntFlag):
     CLOCK_JUMP = 4
     SATURATED = 8
     INVALID = 16
+
+
+# What the status of a sample says of the intervals beside it.
+_OF_STATUS = {
+    Status.GYROSCOPE_SATURATED: SlotFlag.SATURATED,
+    Status.GYROSCOPE_INVALID | Status.INSTRUMENT_FAULT: SlotFlag.INVALID,
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -189,6 +186,27 @@ def join_slots(slots: Slots, starts: IntArray) -> Slots:
     )
 
 
+def slot_sums(slots: Slots) -> FloatArray:
+    """Return duration, turn and force of each slot, shape (k, 7): what cells are made of."""
+    return np.column_stack([slots.duration_s, slots.turn, slots.force])
+
+
+def sum_cells(start_s: FloatArray, sums: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return begin and sums of the cells that rows in time order belong to, of slots or of parts of cells."""
+    starts = _run_starts(_cell_of(start_s))
+    return start_s[starts], np.add.reduceat(sums, starts)
+
+
+def _cell_of(start_s: FloatArray) -> IntArray:
+    cell: IntArray = np.floor(start_s / CELL_S + _SLOT_MARGIN).astype(np.int64)
+    return cell
+
+
+def _run_starts(number: IntArray) -> IntArray:
+    """Return where runs of one number begin, the first included."""
+    return np.append(0, np.flatnonzero(number[1:] != number[:-1]) + 1)
+
+
 class MoveCollector:
     """Collects the moves of a recording from a stream of samples, as slots; the still intervals are given at the end.
 
@@ -212,8 +230,8 @@ class MoveCollector:
 
     def feed(self, samples: Samples) -> None:
         """Take the next samples."""
-        finite = (np.abs(samples.gyroscope) <= LARGEST_OUTPUT).all(axis=1)
-        samples = samples if finite.all() else samples[np.flatnonzero(finite)]
+        finite = np.abs(samples.gyroscope) <= LARGEST_OUTPUT
+        samples = samples if every(finite) else samples[np.flatnonzero(finite.all(axis=1))]
         if not len(samples):
             return
         if self._pending is not None:
@@ -223,11 +241,10 @@ class MoveCollector:
         if self.interval_s is None:
             self._pending = samples
             return
-        slot = self._slot_of(samples.time_s[:-1])
-        changes = np.flatnonzero(np.diff(slot)) + 1
-        cut = int(changes[-1]) if len(changes) else 0  # the last slot may go on in the next block
+        starts = self._slot_starts(samples)
+        cut = int(starts[-1])  # the last slot may go on in the next block
         if cut:
-            self._parts.append(self._measure(samples[: cut + 1], slot[:cut]))
+            self._parts.append(self._measure(samples[: cut + 1], starts[:-1]))
             self._count += len(self._parts[-1])
             if self._count > self._compact_at:
                 self._compact()
@@ -235,76 +252,120 @@ class MoveCollector:
 
     def slots(self) -> Slots:
         """Return the slots of all samples so far."""
-        parts = self._parts
-        if self._pending is not None and len(self._pending) > 1 and self.interval_s:
-            # The unfinished slot is the last one.
-            parts = [*parts, self._measure(self._pending, self._slot_of(self._pending.time_s[:-1]))]
+        parts = self._all()
         return stack_slots(parts) if parts else no_slots()
+
+    def joined_slots(self, start_s: FloatArray, duration_s: FloatArray) -> Slots:
+        """Return the same with those inside stretched stills joined into cells; moves are cut at cells, so they stay the same.
+
+        Still intervals are given as to ``finish``. Some parts are joined at a time: all slots at once are as much memory again.
+        """
+        parts = self._all()
+        if not parts or not np.isfinite(start_s).all():
+            return self.slots()
+        latest_s = np.maximum.accumulate([part.start_s.max() for part in parts])
+        # A clock that jumps back must not hide what lies behind the jump.
+        rising = [
+            replace(part, start_s=np.maximum.accumulate(np.maximum(part.start_s, before_s)))
+            for part, before_s in zip(parts, [-np.inf, *latest_s.tolist()], strict=False)
+        ]
+        groups = [rising[at : at + _JOINED_AT_ONCE] for at in range(0, len(rising), _JOINED_AT_ONCE)]
+        in_groups = [sum_cells(group.start_s, slot_sums(group)) for group in map(stack_slots, groups)]
+        cell_s, sums = sum_cells(*(np.concatenate(each) for each in zip(*in_groups, strict=True)))
+        stills = np.stack([start_s, start_s + duration_s], axis=1)[np.argsort(start_s, kind="stable")]
+        stills = stretch_stills(cell_s, sums, stills=stills)
+        # The last still that begins before each cell: whole cells of it are joined.
+        still = np.searchsorted(stills[:, 0], cell_s + _SLOT_MARGIN, side="right") - 1
+        next_s = np.append(cell_s[1:], np.inf)
+        inside = (still >= 0) & (next_s <= stills[still, 1] + _SLOT_MARGIN) if len(stills) else np.zeros(len(cell_s), np.bool_)
+        joined = stack_slots([_join_cells(group, cell_s, inside) for group in map(stack_slots, groups)])
+        # Where a group ended in the middle of a cell.
+        return _join_cells(joined, cell_s, inside)
 
     def finish(self, start_s: FloatArray, duration_s: FloatArray) -> Moves:
         """Return the moves between still intervals (sample clock, shape (s,), in any order)."""
-        slots = self.slots()
-        return cut_moves(slots, start_s, duration_s, (self.low, self.high))
+        return cut_moves(self.slots(), start_s, duration_s, (self.low, self.high))
+
+    def _all(self) -> list[Slots]:
+        if self._pending is None or len(self._pending) < 2 or not self.interval_s:
+            return self._parts
+        # The unfinished slot is the last one.
+        return [*self._parts, self._measure(self._pending, self._slot_starts(self._pending))]
 
     def _slot_of(self, time_s: FloatArray) -> IntArray:
         slot: IntArray = np.floor(time_s / SLOT_S + _SLOT_MARGIN).astype(np.int64)
         return slot
 
-    def _measure(self, samples: Samples, slot: IntArray) -> Slots:
-        """Return the slots of n intervals between n + 1 samples."""
-        starts = np.concatenate(([0], np.flatnonzero(np.diff(slot)) + 1))
-        N, a, dt = samples.gyroscope_rate(), samples.accelerometer_rate(), np.diff(samples.time_s)
-        interval_s = self.interval_s or 0.0
-        flags = np.zeros(len(dt), dtype=np.uint8)
+    def _slot_starts(self, samples: Samples) -> IntArray:
+        """Return in which of the intervals between the samples a slot begins, the first included."""
+        return _run_starts(self._slot_of(samples.time_s[:-1]))
+
+    def _measure(self, samples: Samples, starts: IntArray) -> Slots:
+        """Return the slots that begin at ``starts`` of n intervals between n + 1 samples."""
+        # One row for each axis: loops of NumPy over three numbers cost more than the numbers.
+        N, a = (np.ascontiguousarray(values.T) for values in (samples.gyroscope_rate(), samples.accelerometer_rate()))
+        dt, interval_s = np.diff(samples.time_s), self.interval_s or 0.0
+        flags, bridge = self._flags(samples.status, dt), np.zeros(len(dt))
         lost = dt > _LOST_INTERVALS * interval_s
-        flags[lost] |= np.uint8(SlotFlag.BRIDGED)
+        if lost.any():
+            # Over a loss the rate changed; when it did so is unknown, and moves the turn by up to half of this.
+            bridge[lost] = np.sum(np.diff(N, axis=1)[:, lost] ** 2, axis=0) * dt[lost] ** 2 / 16
+        dt = np.where(flags & np.uint8(SlotFlag.CLOCK_JUMP), 0.0, dt)
+        half = 0.5 * dt
+        first, second, force = half * N[:, :-1], half * N[:, 1:], half * (a[:, :-1] + a[:, 1:])
+        turn = first + second
+        # alpha in the middle of each interval: there it has turned by N_k for dt/2, and turns by N_k+1 for the other half.
+        middle = np.cumsum(turn, axis=1) - turn
+        middle -= np.repeat(middle[:, starts], np.diff(np.append(starts, len(dt))), axis=1)
+        middle += first
+        # Of both halves: N_k dt/2 is what leads to the middle, so its product with either end of it is the same.
+        area = cross(middle.T, turn.T).T
+        moment = dt * middle + 0.5 * half * (second - first)
+        sums = np.add.reduceat(np.vstack([dt, turn, moment, area, force]), starts, axis=1).T.copy()
+        self.low, self.high = np.minimum(self.low, N.min(axis=1)), np.maximum(self.high, N.max(axis=1))
+        return Slots(
+            start_s=samples.time_s[starts],
+            duration_s=sums[:, 0],
+            turn=sums[:, 1:4],
+            moment=sums[:, 4:7],
+            area=sums[:, 7:10],
+            force=sums[:, 10:],
+            bridge=np.add.reduceat(bridge, starts),
+            flags=np.bitwise_or.reduceat(flags, starts),
+            plateau=self._plateau(N, starts),
+        )
+
+    def _flags(self, status: NDArray[np.uint32], dt: FloatArray) -> NDArray[np.uint8]:
+        """Return the flags of the intervals ``dt`` between samples of this status."""
+        interval_s, flags = self.interval_s or 0.0, np.zeros(len(dt), dtype=np.uint8)
+        flags[dt > _LOST_INTERVALS * interval_s] |= np.uint8(SlotFlag.BRIDGED)
         flags[dt > max(BRIDGED_S, BRIDGED_INTERVALS * interval_s)] |= np.uint8(SlotFlag.LOST)
         flags[dt <= 0] |= np.uint8(SlotFlag.CLOCK_JUMP)
-        # Over a loss the rate changed; when it did so is unknown, and moves the turn by up to half of this.
-        bridge = np.where(lost, np.sum(np.diff(N, axis=0) ** 2, axis=1) * dt**2 / 16, 0.0)
-        dt = np.where(flags & np.uint8(SlotFlag.CLOCK_JUMP), 0.0, dt)
-        half = 0.5 * dt[:, None]
-        turn = half * (N[:-1] + N[1:])
         # An interval has the flags of both of its samples.
-        saturated = (samples.status & np.uint32(Status.GYROSCOPE_SATURATED)) != 0
-        invalid = (samples.status & np.uint32(Status.GYROSCOPE_INVALID | Status.INSTRUMENT_FAULT)) != 0
-        either = saturated * np.uint8(SlotFlag.SATURATED) + invalid * np.uint8(SlotFlag.INVALID)
-        flags |= (either[:-1] | either[1:]).astype(np.uint8)
-        force = half * (a[:-1] + a[1:])
-        # Product of the two half turns: area of a step of N_k for dt/2, then N_k+1 for dt/2.
-        area, moment = half**2 * cross(N[:-1], N[1:]), half**2 * (3 * N[:-1] + N[1:]) / 2
-        single = Slots(
-            start_s=samples.time_s[:-1],
-            duration_s=dt,
-            turn=turn,
-            moment=moment,
-            area=area,
-            force=force,
-            bridge=bridge,
-            flags=flags,
-            plateau=self._plateau(N),
-        )
-        self.low, self.high = np.minimum(self.low, N.min(axis=0)), np.maximum(self.high, N.max(axis=0))
-        return join_slots(single, starts)
+        for what, flag in _OF_STATUS.items():
+            seen = (status & np.uint32(what)) != 0
+            if seen.any():
+                flags[seen[:-1] | seen[1:]] |= np.uint8(flag)
+        return flags
 
-    def _plateau(self, N: FloatArray) -> FloatArray:
-        """Return outputs that were repeated often enough, one row for each interval, NaN elsewhere."""
-        equal = np.diff(N, axis=0) == 0
-        result = np.full(equal.shape, np.nan)
-        for axis in np.flatnonzero(equal.any(axis=0)):
-            place = np.arange(1, len(equal) + 1)
-            last_change = np.maximum.accumulate(np.where(equal[:, axis], 0, place))
+    def _plateau(self, N: FloatArray, starts: IntArray) -> FloatArray:
+        """Return the largest output (of shape (3, n + 1)) in each slot that was repeated often enough, NaN elsewhere."""
+        equal = N[:, 1:] == N[:, :-1]
+        result = np.full((len(starts), 3), np.nan)
+        for axis in np.flatnonzero(equal.any(axis=1)):
+            place = np.arange(1, equal.shape[1] + 1)
+            last_change = np.maximum.accumulate(np.where(equal[axis], 0, place))
             run = place - last_change + np.where(last_change == 0, self._flat[axis], 0)
-            result[run >= _PLATEAU - 1, axis] = N[1:][run >= _PLATEAU - 1, axis]
+            result[:, axis] = np.fmax.reduceat(np.where(run >= _PLATEAU - 1, N[axis, 1:], np.nan), starts)
             self._flat[axis] = run[-1]
-        self._flat[~equal[-1]] = 0
+        self._flat[~equal[:, -1]] = 0
         return result
 
     def _compact(self) -> None:
         """Join the slots of the quieter half of the recording into cells of 0.1 s."""
         slots = stack_slots(self._parts)
         cell = self._slot_of(slots.start_s) // QUIET_SLOTS
-        cell_starts = np.concatenate(([0], np.flatnonzero(np.diff(cell)) + 1))
+        cell_starts = _run_starts(cell)
         rate = slots.turn / np.maximum(slots.duration_s, 1e-9)[:, None]
         swing = np.max(np.maximum.reduceat(rate, cell_starts) - np.minimum.reduceat(rate, cell_starts), axis=1)
         quiet = swing <= 2 * np.median(swing[swing > 0]) if np.any(swing > 0) else np.ones(len(swing), dtype=np.bool_)
@@ -359,7 +420,8 @@ def cut_moves(
     # A clock that jumps back must not hide what lies behind the jump; the move with the jump is dropped.
     rising_s = np.maximum.accumulate(slots.start_s)
     stills = np.stack([start_s, start_s + duration_s], axis=1)[order]
-    stills = stretch_stills(rising_s, slots.duration_s, slots.turn, slots.force, stills=stills)
+    if len(slots):
+        stills = stretch_stills(*sum_cells(rising_s, slot_sums(slots)), stills=stills)
     kept: list[tuple[int, int, float, float, IntArray]] = []  # Stills before and after, begin and end, rows of the slots.
     dropped: list[Sentence] = []
     for k, (before, after) in enumerate(pairwise(order)):
@@ -383,22 +445,11 @@ def cut_moves(
     )
 
 
-def join_stills(slots: Slots, start_s: FloatArray, duration_s: FloatArray) -> Slots:
-    """Return the slots with those inside stretched stills joined into cells; moves are cut at cells, so they stay the same."""
-    if not len(slots) or not np.isfinite(start_s).all():
-        return slots
-    stills = np.stack([start_s, start_s + duration_s], axis=1)[np.argsort(start_s, kind="stable")]
-    rising_s = np.maximum.accumulate(slots.start_s)
-    stills = stretch_stills(rising_s, slots.duration_s, slots.turn, slots.force, stills=stills)
-    number = np.floor(rising_s / CELL_S + _SLOT_MARGIN).astype(np.int64)
-    starts = np.concatenate(([0], np.flatnonzero(np.diff(number)) + 1))
-    length = np.diff(np.append(starts, len(slots)))
-    cell_s, next_s = rising_s[starts], np.append(rising_s[starts[1:]], -np.inf)
-    # The last still that begins before each cell: whole cells of it are joined.
-    still = np.searchsorted(stills[:, 0], cell_s + _SLOT_MARGIN, side="right") - 1
-    inside = (still >= 0) & (next_s <= stills[still, 1] + _SLOT_MARGIN) if len(stills) else np.zeros(len(starts), np.bool_)
-    keep = ~np.repeat(inside & (next_s > cell_s), length)
-    keep[starts] = True
+def _join_cells(slots: Slots, cell_s: FloatArray, which: NDArray[np.bool_]) -> Slots:
+    """Return slots with those in some of the cells, which begin at ``cell_s``, joined."""
+    cell = _cell_of(slots.start_s)
+    keep = ~which[np.searchsorted(_cell_of(cell_s), cell)]
+    keep[_run_starts(cell)] = True
     return join_slots(slots, np.flatnonzero(keep))
 
 

@@ -34,6 +34,7 @@ from imufield.samples import FloatArray, IntArray
 
 VERTICAL = PARAMETERS
 FIRST_HORIZONTAL = PARAMETERS + 1
+_REMEMBERED = 32  # Turns at so many parameter vectors: all of a session's fits, and not all of a search with thousands.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,6 +115,16 @@ class GyroscopeData:
     stops: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     stop_sigma_rad: FloatArray = field(default_factory=lambda: np.empty(0))
     table: TableRows = field(default_factory=no_table)
+    _known: dict[bytes, Turns] = field(default_factory=dict)
+
+    def turns(self, x: FloatArray) -> Turns:
+        """Return the turns of all moves at ``x``, shape (21,); remembered, as each fit begins where another began or ended."""
+        found = self._known.get(key := x.tobytes())
+        if found is None:
+            if len(self._known) >= _REMEMBERED:
+                del self._known[next(iter(self._known))]
+            found = self._known[key] = integrate(x, self.moves, self.noise_density_raw)
+        return found
 
     @property
     def up(self) -> FloatArray:
@@ -172,7 +183,7 @@ def evaluate(p: FloatArray, data: GyroscopeData) -> Evaluation:
     x, v = p[:PARAMETERS], p[VERTICAL]
     h = p[FIRST_HORIZONTAL:].reshape(-1, 2)
     A, b, H = x[INVERSE].reshape(3, 3), x[BIAS], x[SENSITIVITY].reshape(3, 3)
-    turns = integrate(x, data.moves, data.noise_density_raw)
+    turns = data.turns(x)
     up = data.up
     Q, carry = carry_azimuth(data, turns, v, h)
     # move: u_after - R^T exp([w_e T]) u_before, at right angles to u_after

@@ -8,7 +8,7 @@ import numpy as np
 
 from imufield.deliver.navigation.rest import IntervalMeans
 from imufield.deliver.parameters.file import Parameters
-from imufield.samples import FloatArray, Samples, TemperatureHold
+from imufield.samples import FloatArray, Samples, TemperatureHold, every
 
 CELL_S = 0.5
 """Of the stillness trace: short against a hold, long against the interval between samples."""
@@ -61,17 +61,21 @@ class TraceCollector:
         # Before any is left out: its temperature may be the last one known.
         samples = self._temperature.fill(samples)
         # One sample that is not finite would make a whole cell NaN.
-        kept = samples.usable & np.isfinite(samples.accelerometer).all(axis=1)
-        samples = samples if kept.all() else samples[kept]
+        finite, usable = np.isfinite(samples.accelerometer), samples.usable
+        samples = samples if every(finite) and every(usable) else samples[usable & finite.all(axis=1)]
         if not len(samples):
             return
-        gyroscope = np.nan_to_num(samples.gyroscope_rate())
-        values = np.column_stack([samples.accelerometer_rate(), gyroscope, samples.temperature_degc])
+        # One row for each column of the means: loops of NumPy along a row are long.
+        values = np.empty((13, len(samples)))
+        values[:3], values[3:6] = samples.accelerometer_rate().T, np.nan_to_num(samples.gyroscope_rate()).T
+        values[6] = samples.temperature_degc
         if self._means is None:
             self._means = IntervalMeans(float(samples.time_s[0]), 13, CELL_S)
-            self._centre = np.append(values[0, :6], 0.0)  # squares of what is left lose no digits
-        values -= self._centre
-        self._means.feed(samples.time_s, np.hstack([values, values[:, _FIRST] * values[:, _SECOND]]))
+            self._centre = np.append(values[:6, 0], 0.0)  # squares of what is left lose no digits
+        values[:7] -= self._centre[:, np.newaxis]
+        for row, (first, second) in enumerate(zip(_FIRST, _SECOND, strict=True), 7):
+            np.multiply(values[first], values[second], out=values[row])
+        self._means.feed(samples.time_s, values.T)
 
     def finish(self) -> TraceCells:
         """Return the cells; none without a sample."""

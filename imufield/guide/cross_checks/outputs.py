@@ -43,7 +43,7 @@ from imufield.guide.hold.observe import Observation
 from imufield.guide.hold.output import HoldOutput
 from imufield.guide.refusals import Refusal
 from imufield.guide.stillness.cells import CELL_S, Cells
-from imufield.samples import AXES
+from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
@@ -68,14 +68,40 @@ class Outputs:
         self._low = np.full(6, np.nan)
         self._high = np.full(6, np.nan)
         self._step = np.full(6, np.inf)
+        self._noted: tuple[Cells, int, int] | None = None  # Rows that these do not know yet: first and behind the last.
         self._holds: deque[HoldOutput] = deque(maxlen=_HOLDS_KEPT)
         self._shown: tuple[list[float], set[_End]] | None = None  # What they show, until there is another.
 
     def follow(self, cells: Cells, rows: slice = slice(None)) -> None:
         """Add cells, still or not."""
-        self._low = np.fmin(self._low, np.fmin.reduce(cells.low[rows]))
-        self._high = np.fmax(self._high, np.fmax.reduce(cells.high[rows]))
-        self._step = np.minimum(self._step, np.minimum.reduce(cells.step[rows]))
+        begin, end, _ = rows.indices(len(cells))
+        noted = self._noted
+        if noted is not None and noted[0] is cells and noted[2] == begin:
+            self._noted = cells, noted[1], end
+        else:
+            self._work_out()
+            self._noted = cells, begin, end
+
+    def _work_out(self) -> None:
+        """Take the extremes and steps of what was noted: cell by cell they would cost as much as those of a block."""
+        if self._noted is not None:
+            cells, begin, end = self._noted
+            self._low = np.fmin(self._low, np.fmin.reduce(cells.low[begin:end]))
+            self._high = np.fmax(self._high, np.fmax.reduce(cells.high[begin:end]))
+            self._step = np.minimum(self._step, np.minimum.reduce(cells.step[begin:end]))
+            self._noted = None
+
+    @property
+    def extremes(self) -> tuple[FloatArray, FloatArray]:
+        """Smallest and largest output so far, shape (6,) each; NaN without one."""
+        self._work_out()
+        return self._low, self._high
+
+    @property
+    def step(self) -> FloatArray:
+        """Smallest step of each output so far, shape (6,); inf where none was seen."""
+        self._work_out()
+        return self._step
 
     def add(self, hold: HoldOutput, *, again: bool = False) -> None:
         """Add a hold, whether it counts or not; ``again``: in place of the one before, where the unit still is."""
@@ -96,7 +122,7 @@ class Outputs:
             return refusals.FROZEN.refusal(hold.run_of_all * CELL_S, 0.0)
         for column in range(6):
             if _stalls(int(hold.run[column]), noise[column], hold) and not _is_rounded_off(column, hold):
-                reading, sigma = float(hold.commonest[column]), float(noise[column] * self._step[column])
+                reading, sigma = float(hold.commonest[column]), float(noise[column] * self.step[column])
                 return refusals.STUCK.refusal(0.0, sigma, axis=AXES[column % 3], triad=_triad(column), reading=reading)
         for end, count, _ in _ends(hold):
             share = count / hold.samples
@@ -108,7 +134,7 @@ class Outputs:
     def with_resolution(self, observation: Observation) -> Observation:
         """Return an observation whose outputs that stood still are known to the step that the session shows."""
         # An output that never changed has the step of the others of its triad.
-        triads = np.where(np.isfinite(self._step), self._step, 0.0).reshape(2, 3)
+        triads = np.where(np.isfinite(self.step), self.step, 0.0).reshape(2, 3)
         step = np.where(triads > 0, triads, triads.max(axis=1, keepdims=True)).ravel()
         least = np.where(observation.output.still, step**2 / 12, 0.0)
         force, rate = observation.covariance_raw, observation.gyroscope_covariance_raw
@@ -127,7 +153,7 @@ class Outputs:
                     continue
                 share = count / hold.cells
                 limit = max(_COMMON * _most_common(noise[column]), _LEAST_COMMON)
-                at_an_end = value in (self._low[column], self._high[column])
+                at_an_end = value in [end[column] for end in self.extremes]
                 if not at_an_end and share > limit and hold.cells * _entropy(share, limit) > -math.log(_UNLIKELY):
                     worst[column] = max(worst.get(column, (0.0, 0.0, 0.0)), (share, limit, value))
         return tuple(
@@ -152,12 +178,12 @@ class Outputs:
     def _noise_steps(self, column: int) -> float:
         # A hold in which the output mostly stood still shows none.
         sigma = [float(hold.sigma[column]) for hold in self._holds if hold.sigma[column] > 0]
-        quiet = float(np.quantile(sigma, _QUIET, method="lower") / self._step[column]) if sigma else 0.0
+        quiet = float(np.quantile(sigma, _QUIET, method="lower") / self.step[column]) if sigma else 0.0
         return math.sqrt(quiet**2 - 1 / 12) if quiet > _LEAST_NOISE else 0.0
 
     def _is_outermost(self, end: _End) -> bool:
         axis, is_high, value = end
-        return bool(value == (self._high if is_high else self._low)[axis])
+        return bool(value == self.extremes[is_high][axis])
 
 
 def _ends(hold: HoldOutput) -> Iterator[tuple[_End, int, int]]:

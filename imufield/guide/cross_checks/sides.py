@@ -18,7 +18,6 @@ from imufield.guide import refusals
 from imufield.guide.cross_checks.axes import axes_words, signed_permutations
 from imufield.guide.positions import angle_deg, nearest_cube_direction
 from imufield.guide.refusals import Refusal
-from imufield.guide.stillness.cells import Cells
 from imufield.guide.stillness.noise_floor import NoiseFloor
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import AXES, FloatArray
@@ -32,32 +31,28 @@ _NEAR_DEG = 25.0  # Placement of 15 degrees, and the error of an uncalibrated ac
 
 
 class DeadAxis:
-    """Follows the range of each axis of the accelerometer."""
+    """Follows the still stretches for an axis of the accelerometer that never changes."""
 
     def __init__(self) -> None:
-        self._low = np.full(3, np.inf)
-        self._high = np.full(3, -np.inf)
         self._sides = 0
         self._told = False
 
-    def follow(self, cells: Cells, row: int) -> None:
-        """Add a cell."""
-        self._low = np.fmin(self._low, cells.low[row, :3])
-        self._high = np.fmax(self._high, cells.high[row, :3])
-
-    def leave_side(self, floor: NoiseFloor | None, scale: RoughScale) -> Refusal | None:
-        """Add the end of a still stretch; return the refusal of a dead axis, once."""
+    def leave_side(
+        self, extremes: tuple[FloatArray, FloatArray], floor: NoiseFloor | None, scale: RoughScale
+    ) -> Refusal | None:
+        """Add the end of a still stretch, with the extremes of all outputs so far; return the refusal of a dead axis, once."""
         self._sides += 1
         if self._told or self._sides < _SIDES_FOR_A_DEAD_AXIS or floor is None or not scale.accelerometer:
             return None
-        span = self._high - self._low
+        low, high = (end[:3] for end in extremes)
+        span = high - low
         dead = np.flatnonzero(span == 0)
         # Without noise an axis may stay at one step of the output for all turns about it.
         noise = np.delete(floor.sigma[:3], dead)
         if len(dead) != 1 or not (noise > 0).all() or not span.max() > _TURNED_M_S2 * scale.accelerometer:
             return None
         self._told = True
-        reading = float(self._low[dead[0]] + 0.0)  # Minus zero reads as zero.
+        reading = float(low[dead[0]] + 0.0)  # Minus zero reads as zero.
         axis = AXES[int(dead[0])]
         return refusals.DEAD_AXIS.refusal(0.0, float(noise.min()), axis=axis, reading=reading, sides=self._sides)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -143,6 +143,8 @@ class Guide:
         if self.state is State.LOST:
             self._handle(Input.LINK_BACK)
         self.time_s = float(samples.time_s[-1])
+        # Of the axes' own thermometers nothing is asked here, and samples are kept and joined.
+        samples = replace(samples, sensor_temperature_degc=None)
         self._feed.hear(samples)
         self._actions.hold.history.add(samples)
         cells = self._builder.feed(samples)

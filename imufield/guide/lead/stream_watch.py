@@ -101,7 +101,6 @@ class StreamWatch:
         """Count cells with missing or unusable samples; unless ``silent``, tell when several follow each other."""
         self.warmth.follow(cells, row)
         self.outputs.follow(cells, slice(row, row + 1))
-        self._dead_axis.follow(cells, row)
         self._watch_clock(cells, row)
         floor = self._detector.floor
         usual = cells.count[row] if floor is None else floor.samples_per_cell
@@ -148,7 +147,8 @@ class StreamWatch:
     def leave_side(self, still: Stretch) -> None:
         """Add a still stretch that has ended, and tell that an axis is dead, once."""
         self._stills.append(still.mean[:3])
-        self._speaker.reject(self._dead_axis.leave_side(self._detector.floor, self._detector.scale))
+        dead = self._dead_axis.leave_side(self.outputs.extremes, self._detector.floor, self._detector.scale)
+        self._speaker.reject(dead)
 
     def centre(self, more: Sequence[float] = ()) -> None:
         """Count from the centre of the still stretches so far, and of one more that has not ended, where they show it."""

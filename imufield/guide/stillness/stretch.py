@@ -47,7 +47,13 @@ class Stretch:
             self.mean = list(mean)
             return
         share = 1 / min(self.judged, _MEAN_CELLS)
-        self.mean = [old if math.isnan(new) else old + share * (new - old) for old, new in zip(self.mean, mean, strict=True)]
+        moved = [old + share * (new - old) for old, new in zip(self.mean, mean, strict=True)]
+        # What an axis that is missing in this cell had before, it keeps.
+        self.mean = (
+            [old if math.isnan(now) else now for old, now in zip(self.mean, moved, strict=True)]
+            if math.isnan(sum(moved))
+            else moved
+        )
 
     def cells(self) -> Cells:
         """Return the kept cells; at least one was added."""
@@ -193,7 +199,7 @@ class Tracker:
         before = self.stretch.mean
         if not before:
             return 0.0
-        weight = self.standard.change_weight
-        accelerometer = math.hypot(*((mean[i] - before[i]) * weight[i] for i in range(3)))
-        gyroscope = math.hypot(*((mean[i] - before[i]) * weight[i] for i in range(3, 6)))
-        return max(accelerometer, gyroscope)
+        x, y, z, p, q, r = [
+            (new - old) * weight for new, old, weight in zip(mean, before, self.standard.change_weight, strict=True)
+        ]
+        return max(math.hypot(x, y, z), math.hypot(p, q, r))

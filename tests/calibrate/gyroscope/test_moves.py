@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from gyroscope_sessions import collect_moves
 
-from imufield.calibrate.gyroscope.move_integration import centre, integrate, rough_inverse
-from imufield.calibrate.gyroscope.moves import MoveCollector, Moves, join_slots
-from imufield.calibrate.model.rotation import exponential, multiply
+from imufield.calibrate.gyroscope.move_integration import centre, integrate, rough_inverse, sums_at_end
+from imufield.calibrate.gyroscope.moves import MoveCollector, Moves, cut_moves, join_slots
+from imufield.calibrate.model.rotation import exponential, matrix, multiply, right_jacobian
 from imufield.samples import FloatArray, Samples, SampleUnits, Status, make_samples
 
 pytestmark = pytest.mark.numerical
@@ -99,6 +99,32 @@ def test_sensitivity_is_the_derivative() -> None:
         inverse = turns.quaternion * [1, -1, -1, -1]
         change = multiply(inverse, integrate(x + step, centred, np.ones(3)).quaternion)
         assert 2 * change[:, 1:] == pytest.approx((turns.jacobian @ step[:, None])[:, :, 0], rel=2e-3, abs=1e-8)
+
+
+def test_sums_over_slots_are_those_of_one_slot_after_the_other() -> None:
+    moves = collect_moves([session(lose(3.0, 3.01))], START_S, DURATION_S)
+    centred = centre(moves, REST, moves.slots.force / moves.slots.duration_s[:, None])
+    x, density = np.concatenate([A.ravel(), [1e-3, -2e-3, 1e-3], 1e-4 * np.arange(9)]), np.array([1.0, 2.0, 3.0])
+    turns, slots = integrate(x, centred, density), centred.slots
+    values = np.random.default_rng(2).standard_normal((len(slots), 2))
+    summed = sums_at_end(x, centred, values)
+    coning = slots.area + np.cross(slots.duration_s[:, None] * slots.turn - 2 * slots.moment, np.linalg.solve(A, x[9:12]))
+    vectors = slots.turn @ A.T - x[9:12] * slots.duration_s[:, None] - slots.force @ x[12:].reshape(3, 3).T
+    vectors += 0.5 * coning @ (np.linalg.det(A) * np.linalg.inv(A))
+    assert slots.bridge.any()
+    for k in range(2):
+        own = range(centred.first[k], centred.first[k] + centred.length[k])
+        to_end, spread, net, of_values = np.eye(3), np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3, 2))
+        for slot in reversed(own):
+            W = to_end @ right_jacobian(vectors[slot])
+            spread += W @ A @ np.diag(density**2 * slots.duration_s[slot] + slots.bridge[slot] / 3) @ A.T @ W.T
+            net += to_end @ vectors[slot]
+            of_values += W[:, :, None] * values[slot]
+            to_end = to_end @ matrix(exponential(vectors[slot])).T
+        assert matrix(turns.quaternion[k]) == pytest.approx(to_end.T, abs=1e-12)
+        assert turns.spread[k] == pytest.approx(spread, rel=1e-9, abs=1e-9 * spread.max())
+        assert turns.net_rad[k] == pytest.approx(net, abs=1e-12)
+        assert summed[k] == pytest.approx(of_values, abs=1e-10)
 
 
 def test_a_scale_is_found_from_nothing() -> None:
@@ -199,6 +225,22 @@ def test_long_recordings_are_kept_in_less() -> None:
     a, b = small.finish(START_S, DURATION_S), large.finish(START_S, DURATION_S)
     for k in range(2):
         assert between(turn_of(a, k), turn_of(b, k)) < 1e-4
+
+
+def test_slots_joined_inside_stills_leave_the_moves_alone() -> None:
+    samples = session()
+    collector = MoveCollector(samples.units)
+    # Parts that end in the middle of a cell.
+    for first in range(0, len(samples), 730):
+        collector.feed(samples[slice(first, first + 730)])
+    whole, joined = collector.slots(), collector.joined_slots(START_S, DURATION_S)
+    assert len(joined) < 0.6 * len(whole)
+    assert joined.duration_s.sum() == pytest.approx(whole.duration_s.sum(), rel=1e-12)
+    a, b = (cut_moves(slots, START_S, DURATION_S, (collector.low, collector.high)) for slots in (whole, joined))
+    assert a.start_s.tolist() == b.start_s.tolist()
+    assert len(a.slots) == len(b.slots)
+    for name in ("turn", "moment", "area", "force"):
+        assert getattr(a.slots, name) == pytest.approx(getattr(b.slots, name), rel=1e-12)
 
 
 def test_stills_are_stretched_to_where_they_end() -> None:

@@ -14,6 +14,7 @@ from imufield.calibrate.model.rotation import (
     matrix,
     multiply,
     one_rotation_matrix,
+    product,
     right_jacobian,
     running_turns,
     skew,
@@ -33,6 +34,12 @@ def test_matrices_agree_with_scipy() -> None:
 def test_product_is_that_of_the_matrices() -> None:
     a, b = exponential(VECTORS[:20]), exponential(VECTORS[20:40])
     assert matrix(multiply(a, b)) == pytest.approx(matrix(a) @ matrix(b), abs=1e-14)
+
+
+def test_product_of_matrices_is_that_of_numpy() -> None:
+    left, right = np.random.default_rng(7).standard_normal((2, 5, 4, 3, 3))
+    assert product(left, right) == pytest.approx(left @ right, rel=1e-12, abs=1e-12)
+    assert product(left, right[0, 0]) == pytest.approx(left @ right[0, 0], rel=1e-12, abs=1e-12)
 
 
 def test_logarithm_and_from_matrix_come_back() -> None:
