@@ -100,10 +100,23 @@ def judge_history(instrument: InstrumentHistory) -> JudgedHistory:
     return JudgedHistory(instrument, sessions, judge(sessions))
 
 
+def in_one_model(entries: Sequence[Entry]) -> tuple[Entry, ...]:
+    """Return calibrations in the linear model where those from the same positions have different ones.
+
+    A quadratic term is there on all days, whether it was fitted or not: in one model it moves all numbers alike. And sigma is
+    too small beside a drift that was fitted by chance.
+    """
+    setups: dict[str, set[str]] = {}
+    for entry in entries:
+        setups.setdefault(entry.linear_setup, set()).add(entry.setup)
+    return tuple(entry.in_linear_model() if len(setups[entry.linear_setup]) > 1 else entry for entry in entries)
+
+
 def dated_numbers(entries: Sequence[Entry]) -> tuple[DatedNumbers, ...]:
     """Return the numbers of calibrations for a test, in the units of ``unit_of``: scales against those of the newest."""
-    newest = {number.name: number for number in entries[-1].numbers}
-    return tuple(_dated(entry, newest) for entry in entries[-MOST:])
+    judged = in_one_model(entries[-MOST:])
+    newest = {number.name: number for number in judged[-1].numbers}
+    return tuple(_dated(entry, newest) for entry in judged)
 
 
 def _dated(entry: Entry, newest: Mapping[str, Number]) -> DatedNumbers:
@@ -127,6 +140,7 @@ def _dated(entry: Entry, newest: Mapping[str, Number]) -> DatedNumbers:
 
 def _changes_between(old: Entry, new: Entry, daily: Mapping[str, float]) -> tuple[Change, ...]:
     """Return the change of every number that both have, in the same unit; its sigma has in it what days do."""
+    old, new = in_one_model((old, new))
     numbers = {number.name: number for number in new.numbers}
     return tuple(
         replace(change, sigma=math.hypot(change.sigma, math.sqrt(2) * _day_change(daily, numbers[change.name])))
@@ -239,6 +253,7 @@ def _forecast(history: JudgedHistory, kind: str, accuracy: float) -> Iterator[Se
 
 def _differences(old: Entry, new: Entry) -> Iterator[Sentence]:
     """Yield what differs between two calibrations, many of one kind in one sentence, or one that nothing does."""
+    old, new = in_one_model((old, new))
     family = family_of(old.gauge_free, new.gauge_free, new.shared_with(old))
     since = _moment(old, new)
     grade = GRADES.get(new.grade) or grade_by_noise("gyroscope", new.gyroscope_noise_rad_s_per_root_hz)

@@ -11,7 +11,8 @@ and sigma is itself found from few residuals. So the whole family is tested at o
 Behrens and Fisher, with estimated variances in place of true ones.
 
 What both sessions share is no part of it: gravity where both took the same (where not, each adds its own, common to all its
-scales), and, where positions and model are the same, what the model leaves out.
+scales), and, where positions and model are the same, what the model leaves out. So sessions of the same positions are compared
+in the linear model where their own models differ.
 
 References
 ----------

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import dataclass, field, fields
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -16,7 +17,7 @@ import numpy as np
 from imufield.deliver.family import Shared
 from imufield.deliver.history_index import Index, Row, State, UnsoundIndexError, with_index
 from imufield.deliver.parameters.file import Parameters, load_found
-from imufield.deliver.parameters.gauge_free import GaugeFree, Number
+from imufield.deliver.parameters.gauge_free import GaugeFree, LinearFit, Number, linear_places
 from imufield.errors import ImufieldError, ParameterFileError, Reason, UsageError
 from imufield.files import Origin
 from imufield.progress import task
@@ -65,6 +66,8 @@ class Entry:
     scatter: tuple[float, ...]
     edited: bool = False
     """Whether somebody changed the file by hand."""
+    linear: tuple[float, ...] = ()
+    """Of ``LinearFit``: degrees of freedom, change, and the upper triangle of scatter; empty where there is none."""
 
     @classmethod
     def of(cls, path: str, parameters: Parameters) -> Entry:
@@ -73,8 +76,7 @@ class Entry:
         positions = parameters.document["position"]
         found = parameters.gauge_free()
         names = " ".join(sorted(position["name"] for position in positions))
-        # A drift shows in the number of parameters.
-        model = f"{calibration.model} {calibration.quality.parameters_fitted}"
+        linear, parameters_fitted = found.linear, calibration.quality.parameters_fitted
         noise = np.inf if context.noise is None else context.noise.gyroscope_density_rad_s_per_sqrt_hz
         return cls(
             path=path,
@@ -89,10 +91,12 @@ class Entry:
             grade=context.instrument.stated_grade,
             gyroscope_noise_rad_s_per_root_hz=float(np.max(np.nan_to_num(noise, nan=np.inf))),
             numbers=found.numbers,
-            setup=f"{model} {names}",
+            # A drift shows in the number of parameters.
+            setup=f"{calibration.model} {parameters_fitted} {names}",
             error=_triangle(found.error),
             scatter=_triangle(found.scatter),
             edited=parameters.edited,
+            linear=() if linear is None else (linear.freedom, *linear.change.tolist(), *_triangle(linear.scatter)),
         )
 
     @property
@@ -113,7 +117,7 @@ class Entry:
         numbers = values["numbers"]
         if not isinstance(numbers, list):
             raise TypeError("numbers")
-        triangles = {key: tuple(map(float, values[key])) for key in ("error", "scatter")}  # type: ignore[call-overload]
+        triangles = {key: tuple(map(float, values[key])) for key in ("error", "scatter", "linear")}  # type: ignore[call-overload]
         made = {"numbers": tuple(Number(**number) for number in numbers), **triangles}
         entry = cls(**values | made)  # type: ignore[arg-type]  # checked next
         records: tuple[Entry | Number, ...] = (entry, *entry.numbers)
@@ -123,8 +127,9 @@ class Entry:
                     raise TypeError(each.name)
         # What is no date, or half a matrix, is none of ours, either.
         _ = entry.time
-        size = len(entry.numbers) * (len(entry.numbers) + 1) // 2
-        if (len(entry.error), len(entry.scatter)) != (size, size):
+        size = _half(len(entry.numbers))
+        own = len(linear_places(entry.numbers))
+        if (len(entry.error), len(entry.scatter)) != (size, size) or len(entry.linear) not in (0, 1 + own + _half(own)):
             raise ValueError("error")
         return entry
 
@@ -136,7 +141,28 @@ class Entry:
     @property
     def gauge_free(self) -> GaugeFree:
         """The numbers, and how their errors hang together."""
-        return GaugeFree(self.numbers, *(_square(triangle, len(self.numbers)) for triangle in (self.error, self.scatter)))
+        error, scatter = (_square(triangle, len(self.numbers)) for triangle in (self.error, self.scatter))
+        linear, count = None, len(linear_places(self.numbers))
+        if self.linear:
+            freedom, *rest = self.linear
+            linear = LinearFit(change=np.array(rest[:count]), scatter=_square(rest[count:], count), freedom=freedom)
+        return GaugeFree(self.numbers, error, scatter, linear)
+
+    @property
+    def linear_setup(self) -> str:
+        """The setup in the linear model."""
+        if not self.linear:
+            return self.setup
+        _, parameters, names = self.setup.split(" ", 2)
+        own = self.numbers[linear_places(self.numbers)[0]]
+        # What the residuals gain is what is fitted no more.
+        return f"linear {int(parameters) - round(self.linear[0] - own.scatter_freedom)} {names}"
+
+    def in_linear_model(self) -> Entry:
+        """Return the same as the linear model has it."""
+        found = self.gauge_free.in_linear_model()
+        error, scatter = _triangle(found.error), _triangle(found.scatter)
+        return replace(self, numbers=found.numbers, setup=self.linear_setup, error=error, scatter=scatter, linear=())
 
     def shared_with(self, other: Entry) -> Shared:
         """Return what both sessions have in common."""
@@ -149,7 +175,12 @@ def _triangle(square: FloatArray) -> tuple[float, ...]:
     return tuple(float(f"{value:.6g}") for value in square[np.triu_indices(len(square))])
 
 
-def _square(triangle: tuple[float, ...], size: int) -> FloatArray:
+def _half(size: int) -> int:
+    """Return how many values an upper triangle has."""
+    return size * (size + 1) // 2
+
+
+def _square(triangle: Sequence[float], size: int) -> FloatArray:
     upper = np.zeros((size, size))
     upper[np.triu_indices(size)] = triangle
     return np.asarray(upper + np.triu(upper, 1).T)

@@ -22,7 +22,7 @@ Found = TypeVar("Found")
 State = tuple[int, int]
 """Size of a file in bytes, and time of its last change in ns: what tells that it is still the one that was read."""
 
-INDEX_VERSION = 11  # Of the index alone, which is made anew when it changes.
+INDEX_VERSION = 12  # Of the index alone, which is made anew when it changes.
 _IN_THIS_RUN = Path(":memory:")  # What SQLite calls a database that is never written.
 # Texts of entries are apart, so that names and states of all files are few pages.
 _TABLES = """

@@ -462,12 +462,12 @@ def test_a_number_of_one_calibration_alone_is_not_drawn(tmp_path: Path, write) -
     kept = [k for k, number in enumerate(first.numbers) if not number.name.startswith("angle")]
     parts = (getattr(first.gauge_free, part)[np.ix_(kept, kept)] for part in ("error", "scatter"))
     error, scatter = (tuple(part[np.triu_indices(len(kept))].tolist()) for part in parts)
-    without = replace(first, numbers=tuple(first.numbers[k] for k in kept), error=error, scatter=scatter)
+    without = replace(first, numbers=tuple(first.numbers[k] for k in kept), error=error, scatter=scatter, linear=())
     drawn = plot_history(judge_history(replace(instrument, entries=(without, second)))).decode()
     assert ">bias x, mg<" in drawn
     assert ">angle" not in drawn
     assert "STIM300" in drawn
-    nothing = tuple(replace(entry, numbers=(), error=(), scatter=()) for entry in instrument.entries)
+    nothing = tuple(replace(entry, numbers=(), error=(), scatter=(), linear=()) for entry in instrument.entries)
     assert plot_history(judge_history(replace(instrument, entries=nothing))).decode().startswith("<svg")
 
 

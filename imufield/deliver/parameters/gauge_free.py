@@ -10,7 +10,8 @@ column of gravity in C. Much of that is the same in every session of an instrume
 differ: what a term that was not fitted may hide, a prior. What differs is the covariance of the fit alone, rebuilt from the
 positions: ``(r^T W r / n) (A^T W A)^-1`` with A the Jacobian of the norms, that of a fitted drift with it, W their weights, r
 the residuals and n their degrees of freedom. Scaled by its own residuals it is Student's with n; a sigma that may not fall
-below the noise of a hold would be right on the average only.
+below the noise of a hold would be right on the average only. Where a quadratic term or a drift was fitted, the numbers of the
+linear model are told, too: sessions of which only one has such a term are compared in that.
 
 The way back, into the gauge "lower": there the unit sensing axes u_i are lower triangular, and follow from the cosines between
 them, with c = -sin(angle)
@@ -26,6 +27,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -82,6 +84,7 @@ UNITS = {
 """Of a kind of numbers in an adjustment: its unit for people and that unit in SI, of scales relative."""
 _GYROSCOPE = 12  # Where the numbers of the gyroscope begin.
 _ACCELEROMETER_NAMES = frozenset(NAMES[:_GYROSCOPE])
+_LINEAR_NAMES = frozenset(NAMES[:9])  # Those that the linear model has.
 _ROUNDING = 1e-9  # Of a drift: what of three axes is smaller than the largest by this is no form of it.
 _TINY = np.finfo(np.float64).tiny
 # Of the whole over its part: what choosing counts are other residuals, with a third of the variance at least.
@@ -119,6 +122,17 @@ class Number:
         return PPM * self.value if self.is_scale else 1.0
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinearFit:
+    """What the linear model makes of the accelerometer's k numbers where a quadratic term or a drift was fitted."""
+
+    change: FloatArray
+    """Of the numbers, shape (k,)."""
+    scatter: FloatArray
+    """Their covariance by that fit alone, shape (k, k)."""
+    freedom: float
+
+
 @dataclass(frozen=True, slots=True)
 class GaugeFree:
     """The gauge-free numbers of a calibration, n of them."""
@@ -128,6 +142,27 @@ class GaugeFree:
     """Covariance of their errors for a known gravity, in their units, shape (n, n)."""
     scatter: FloatArray
     """The part of it that another session with the same positions and model draws anew, shape (n, n)."""
+    linear: LinearFit | None = None
+    """None where the model is linear, or its residuals do not tell."""
+
+    def in_linear_model(self) -> GaugeFree:
+        """Return the numbers that the linear model makes of the session; those of its own model where they are the same."""
+        if self.linear is None:
+            return self
+        kept = [k for k, number in enumerate(self.numbers) if kind_of(number.name) != "quadratic"]
+        numbers = [self.numbers[k] for k in kept]
+        own = linear_places(numbers)
+        change = np.zeros(len(kept))
+        change[own] = self.linear.change
+        for place in own:
+            value = numbers[place].value + float(change[place])
+            numbers[place] = replace(numbers[place], value=value, scatter_freedom=self.linear.freedom)
+        error, scatter = (part[np.ix_(kept, kept)] for part in (self.error, self.scatter))
+        # The gyroscope's numbers hang on the frame of the other fit.
+        scatter[own] = scatter[:, own] = 0.0
+        scatter[np.ix_(own, own)] = self.linear.scatter
+        # A term that is there and is not fitted moves the numbers by as much.
+        return GaugeFree(tuple(numbers), error + np.outer(change, change), scatter)
 
     def against(self, reference: Mapping[str, Number], rows: Sequence[int]) -> GaugeFree:
         """Return some of the numbers as an adjustment takes them: scales as their deviation from those of a reference."""
@@ -146,6 +181,11 @@ class GaugeFree:
         )
         error, scatter = (part[np.ix_(rows, rows)] / np.outer(sizes, sizes) for part in (self.error, self.scatter))
         return GaugeFree(tuple(adjusted), error, scatter)
+
+
+def linear_places(numbers: Sequence[Number]) -> list[int]:
+    """Return which of the numbers are the accelerometer's in the linear model."""
+    return [k for k, number in enumerate(numbers) if number.name in _LINEAR_NAMES]
 
 
 def unit_of(name: str) -> str:
@@ -177,16 +217,16 @@ def gauge_free(calibration: Calibration, mean_raw: FloatArray, sigma_raw: FloatA
     numbers = (*_accelerometer(calibration), *_gyroscope(calibration, values[_GYROSCOPE:], sigma[_GYROSCOPE:]))
     error = J @ without_gravity(names, C) @ J.T
     scatter = error.copy()
-    fitted = _fit_covariance(calibration, lower.vector, mean_raw, sigma_raw)
+    fitted = _fitted(calibration, lower.vector, mean_raw, sigma_raw)
     if fitted is not None:
-        freedom = float(calibration.quality.degrees_of_freedom)
         numbers = tuple(
-            replace(number, scatter_freedom=freedom) if number.name in _ACCELEROMETER_NAMES else number for number in numbers
+            replace(number, scatter_freedom=fitted.freedom) if number.name in _ACCELEROMETER_NAMES else number
+            for number in numbers
         )
         # A part is no larger than the whole: correlations between the axes of a mean are not in the file.
-        ratio = np.diag(error)[:_GYROSCOPE] / np.maximum(np.diag(fitted), _TINY)
+        ratio = np.diag(error)[:_GYROSCOPE] / np.maximum(np.diag(fitted.covariance), _TINY)
         size = np.sqrt(np.where(ratio < _LEAST_RATIO, ratio, 1.0))
-        scatter[:_GYROSCOPE, :_GYROSCOPE] = fitted * np.outer(size, size)
+        scatter[:_GYROSCOPE, :_GYROSCOPE] = fitted.covariance * np.outer(size, size)
     places = [NAMES.index(number.name) for number in numbers]
     stated = np.sqrt([max(number.sigma**2 - number.common**2, 0.0) for number in numbers])
     own = np.sqrt(np.maximum(np.diag(error)[places], 0.0))
@@ -196,15 +236,33 @@ def gauge_free(calibration: Calibration, mean_raw: FloatArray, sigma_raw: FloatA
     # What the covariance does not hold stands by itself.
     alone = np.flatnonzero(own == 0)
     error[alone, alone] = scatter[alone, alone] = stated[alone] ** 2
-    return GaugeFree(numbers, error, scatter)
+    linear = _fitted(calibration, lower.vector, mean_raw, sigma_raw, linear=True)
+    if linear is None:
+        return GaugeFree(numbers, error, scatter)
+    own_places = linear_places(numbers)
+    size, rows = unit[own_places], [places[k] for k in own_places]
+    of_fit = linear.covariance[np.ix_(rows, rows)] * np.outer(size, size)
+    fit = LinearFit(change=linear.change[rows] * size, scatter=of_fit, freedom=linear.freedom)
+    return GaugeFree(numbers, error, scatter, fit)
 
 
-def _fit_covariance(
-    calibration: Calibration, vector: FloatArray, mean_raw: FloatArray, sigma_raw: FloatArray
-) -> FloatArray | None:
-    """Return the covariance of the accelerometer's values by the fit alone, shape (12, 12); ``vector`` is in the lower gauge.
+class _Fitted(NamedTuple):
+    """What a fit alone says of the accelerometer's values."""
 
-    None where the residuals do not tell the weights, or the file does not say which parameters were fitted.
+    change: FloatArray
+    """From those of the calibration, shape (12,)."""
+    covariance: FloatArray
+    """Shape (12, 12)."""
+    freedom: float
+
+
+def _fitted(
+    calibration: Calibration, vector: FloatArray, mean_raw: FloatArray, sigma_raw: FloatArray, *, linear: bool = False
+) -> _Fitted | None:
+    """Return the fit that the calibration comes from, or the same without its quadratic term and drift.
+
+    ``vector`` is in the lower gauge.
+    None where the residuals do not tell the weights, the file does not say which parameters were fitted, or it had neither.
     """
     used, quality, positions = calibration.accelerometer, calibration.quality, calibration.positions
     columns = tuple(
@@ -227,15 +285,29 @@ def _fit_covariance(
         quadratic_axes=used.quadratic_axes,
         drift=forms if forms.size else None,
     )
-    derivatives, jacobian = problem.derivatives(np.concatenate([np.zeros(len(columns)), (forms.T @ drift).ravel()]))
+    coordinates = np.concatenate([np.zeros(len(columns)), (forms.T @ drift).ravel()])
+    derivatives, jacobian = problem.derivatives(coordinates)
     within = np.sum((derivatives.raw_gradient * np.nan_to_num(sigma_raw[rows])) ** 2, axis=1)
     variance = within + quality.between_position_sigma_m_s2**2
     if jacobian.shape[1] != quality.parameters_fitted or quality.degrees_of_freedom < 1 or not np.all(variance > 0):
         return None
-    A = jacobian / np.sqrt(variance)[:, None]
+    out = [k for k in range(len(coordinates)) if k >= len(columns) or columns[k] >= QUADRATIC.start] if linear else []
+    if linear and not out:
+        return None
+    stays = np.setdiff1d(np.arange(len(coordinates)), out)
+    A, residual = jacobian / np.sqrt(variance)[:, None], positions.residual_m_s2[rows] / np.sqrt(variance)
+    step = np.zeros_like(coordinates)
+    if linear:
+        # To terms of zero, in the linearisation of the fit: what bends beyond it goes with their squares.
+        terms = coordinates + vector @ np.linalg.pinv(problem.basis).T
+        step[out] = -terms[out]
+        step[stays] = -np.linalg.lstsq(A[:, stays], residual + A @ step, rcond=None)[0]
+        residual = residual + A @ step
     J = _accelerometer_values(vector, used.quadratic_axes)[1] @ problem.basis
-    birge = float(np.sum(positions.residual_m_s2[rows] ** 2 / variance)) / quality.degrees_of_freedom
-    return np.asarray(birge * J @ np.linalg.inv(A.T @ A) @ J.T)
+    freedom = quality.degrees_of_freedom + len(out)
+    birge = float(np.sum(residual**2)) / freedom
+    to_values, A = J[:, stays], A[:, stays]
+    return _Fitted(J @ step, birge * to_values @ np.linalg.inv(A.T @ A) @ to_values.T, float(freedom))
 
 
 def _accelerometer(calibration: Calibration) -> Iterator[Number]:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from imufield.calibrate.model.distributions import student_factor
 from imufield.calibrate.model.temperature import TriadTemperature
-from imufield.calibrate.temperature.fit import Evidence, RampBlocks, SessionPoints, fit_orders
+from imufield.calibrate.temperature.fit import Evidence, RampBlocks, SessionPoints, fit_orders, fit_temperature
 from imufield.samples import FloatArray
 
 pytestmark = pytest.mark.numerical
@@ -60,18 +61,37 @@ def test_a_new_day_is_inside_as_often_as_stated(sessions: int, days: float, rho:
         model = model_of(found)
         assert model.new_day is not None
         # Each axis has two unknowns; the error of the reference is in part that of the residuals, which counts in favour.
-        freedom = np.array([model.new_day.bias_freedom, model.new_day.scale_freedom])
-        assert np.all(freedom > 3 * (sessions - 2))
-        new_degc = rng.uniform(-10.0, 50.0)
-        there = truth(np.array([new_degc]))[0] + days * DAY * rng.standard_normal((3, 2))
-        factor, base = model.change_at(new_degc)
-        off = np.column_stack([found.bias[found.reference] + base, found.scale[found.reference] + factor - 1]) - there
-        sigma = np.column_stack(model.sigma_there(new_degc, np.full(3, SIGMA[0]), np.full(3, SIGMA[1])))
-        inside.append(np.abs(off) <= [student_factor(each) for each in freedom] * sigma)
+        assert min(model.new_day.bias_freedom, model.new_day.scale_freedom) > 3 * (sessions - 2)
+        inside.append(is_new_day_inside(found, model, days * DAY, rng))
     shares = np.mean(inside, axis=(0, 1))
     # Without a change from day to day the variance that is at least zero makes it safe.
     assert np.all(shares >= 0.93)
     assert days == 0.0 or np.all(shares <= 0.97)
+
+
+def test_days_that_differ_by_more_than_the_slope_choose_no_order_of_small_scatter() -> None:
+    """With a choice the share was 0.92: where the scatter about a line was small by luck, the line was taken."""
+    rng, inside = np.random.default_rng(9), []
+    for _ in range(400):
+        found = points(np.array([-10.0, 20.0, 50.0]), rng, 40 * DAY)
+        model = fit_temperature(Evidence(reference_degc=REFERENCE_DEGC, points=found)).temperature
+        assert (model.bias.order, model.scale.order) == (1, 1)
+        inside.append(is_new_day_inside(found, model, 40 * DAY, rng))
+    assert np.all(np.abs(np.mean(inside, axis=(0, 1)) - 0.95) < 0.02)
+
+
+def is_new_day_inside(
+    found: SessionPoints, model: TriadTemperature, day: FloatArray, rng: np.random.Generator
+) -> NDArray[np.bool_]:
+    """Return whether bias and scale of each axis on a new day are inside their stated 95 %, shape (3, 2)."""
+    assert model.new_day is not None
+    new_degc = rng.uniform(-10.0, 50.0)
+    there = truth(np.array([new_degc]))[0] + day * rng.standard_normal((3, 2))
+    factor, base = model.change_at(new_degc)
+    off = np.column_stack([found.bias[found.reference] + base, found.scale[found.reference] + factor - 1]) - there
+    sigma = np.column_stack(model.sigma_there(new_degc, np.full(3, SIGMA[0]), np.full(3, SIGMA[1])))
+    freedom = model.new_day.bias_freedom, model.new_day.scale_freedom
+    return np.asarray(np.abs(off) <= [student_factor(each) for each in freedom] * sigma)
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.8])
