@@ -70,7 +70,7 @@ class Replayed:
         return self.solve()
 
     def solve(self, **options: Any) -> Parameters:
-        """Solve with fields of ``commands.options.results.SolveOptions``, and ``gravity_m_s2`` or ``latitude_deg``."""
+        """Solve with fields of ``commands.options.result_commands.SolveOptions``, and ``gravity_m_s2`` or ``latitude_deg``."""
         from imufield.commands.options.result_commands import SolveOptions
         from imufield.pipeline.site import SiteOptions
         from imufield.pipeline.solving import solve_session

@@ -308,7 +308,7 @@ def _states(folder: Path) -> tuple[dict[str, State], list[str]]:
             except OSError as error:
                 leave_out(error)
                 continue
-            states[name if place == Path() else f"{place.as_posix()}/{name}"] = (state.st_size, state.st_mtime_ns)
+            states[name if place == Path() else f"{place.as_posix()}/{name}"] = f"{state.st_size} {state.st_mtime_ns}"
     return states, unread
 
 
@@ -319,6 +319,8 @@ def _read_new(index: Index, folder: Path, states: dict[str, State], workers: int
         return 0
     from imufield.campaign import run_campaign  # late: mostly nothing is new, and processes take time to import
 
+    # What is wrong with a file is said with its path, later perhaps from another folder.
+    folder = folder.resolve()
     with task("reading", len(new)) as reading:
 
         def count(_: Row) -> None:

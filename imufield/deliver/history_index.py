@@ -19,17 +19,29 @@ from typing import NamedTuple, TypeVar
 from imufield.files import Origin, open_to_read
 
 Found = TypeVar("Found")
-State = tuple[int, int]
+State = str
 """Size of a file in bytes, and time of its last change in ns: what tells that it is still the one that was read."""
 
-INDEX_VERSION = 12  # Of the index alone, which is made anew when it changes.
+INDEX_VERSION = 12  # Of the index alone, in its name: programs of two versions have one each.
 _IN_THIS_RUN = Path(":memory:")  # What SQLite calls a database that is never written.
+_WAIT_S = 1.0  # For another program that writes the index; to put some thousands of rows takes less.
 # Texts of entries are apart, so that names and states of all files are few pages.
 _TABLES = """
-    CREATE TABLE IF NOT EXISTS file (name TEXT PRIMARY KEY, size INTEGER, changed_ns INTEGER, fault TEXT, serial_number TEXT);
-    CREATE TABLE IF NOT EXISTS entry (name TEXT PRIMARY KEY, text TEXT);
+    CREATE TABLE IF NOT EXISTS file
+        (name TEXT PRIMARY KEY NOT NULL, state TEXT NOT NULL, fault TEXT NOT NULL, serial_number TEXT NOT NULL);
+    CREATE TABLE IF NOT EXISTS entry (name TEXT PRIMARY KEY NOT NULL, text TEXT NOT NULL);
     CREATE INDEX IF NOT EXISTS instrument ON file (serial_number);
 """
+# What stands in the way of an index that may be sound; whatever else SQLite says, it is damaged.
+_IN_THE_WAY = {
+    sqlite3.SQLITE_BUSY,
+    sqlite3.SQLITE_LOCKED,
+    sqlite3.SQLITE_READONLY,
+    sqlite3.SQLITE_CANTOPEN,
+    sqlite3.SQLITE_FULL,
+    sqlite3.SQLITE_IOERR,
+}
+_PRIMARY = 0xFF  # Bits of an error code of SQLite without its details.
 
 
 class UnsoundIndexError(Exception):
@@ -55,15 +67,16 @@ class Index:
     def unread(self, states: Mapping[str, State]) -> dict[str, State]:
         """Return the files that were not read in the state they are in; those that are no more are forgotten."""
         left, gone = dict(states), []
-        for stored, *state in self._connection.execute("SELECT name, size, changed_ns FROM file"):
-            name = json.loads(stored)
+        for stored, state in self._connection.execute("SELECT name, state FROM file"):
+            name = _plain(stored)
             if name not in states:
                 gone.append((stored,))
-            elif states[name] == (state[0], state[1]):
+            elif states[name] == state:
                 del left[name]
-        with self._connection:
-            for table in ("file", "entry"):
-                self._connection.executemany(f"DELETE FROM {table} WHERE name = ?", gone)  # noqa: S608 - ours
+        if gone:
+            with self._connection:
+                self._connection.executemany("DELETE FROM file WHERE name = ?", gone)
+                self._connection.executemany("DELETE FROM entry WHERE name = ?", gone)
         return left
 
     def put(self, rows: Iterable[tuple[str, State, Row]]) -> None:
@@ -72,8 +85,8 @@ class Index:
         with self._connection:
             for name, state, row in rows:
                 stored = json.dumps(name)
-                file = (stored, *state, json.dumps(row.fault), json.dumps(row.serial_number))
-                self._connection.execute("REPLACE INTO file VALUES (?, ?, ?, ?, ?)", file)
+                file = (stored, state, json.dumps(row.fault), json.dumps(row.serial_number))
+                self._connection.execute("REPLACE INTO file VALUES (?, ?, ?, ?)", file)
                 self._connection.execute("DELETE FROM entry WHERE name = ?", (stored,))
                 if row.entry is not None:
                     self._connection.execute("INSERT INTO entry VALUES (?, ?)", (stored, row.entry))
@@ -90,11 +103,21 @@ class Index:
     def faults(self) -> dict[str, str]:
         """Return what is wrong with files, by name."""
         found = self._connection.execute("SELECT name, fault FROM file WHERE fault != ?", (json.dumps(""),))
-        return {json.loads(name): str(json.loads(fault)) for name, fault in found}
+        return {_plain(name): _plain(fault) for name, fault in found}
 
     def __len__(self) -> int:
         """Return the number of entries."""
         return int(self._connection.execute("SELECT count(*) FROM entry").fetchone()[0])
+
+
+def _plain(stored: str) -> str:
+    try:
+        text = json.loads(stored)
+    except (ValueError, TypeError) as error:
+        raise UnsoundIndexError(stored) from error
+    if not isinstance(text, str):
+        raise UnsoundIndexError(stored)
+    return text
 
 
 def index_file(folder: Path) -> Path:
@@ -102,20 +125,20 @@ def index_file(folder: Path) -> Path:
     import platformdirs  # Only here.
 
     name = hashlib.sha256(os.fsencode(folder.resolve())).hexdigest()
-    return platformdirs.user_cache_path("imufield") / "history" / f"{name[:32]}.sqlite"
+    return platformdirs.user_cache_path("imufield") / "history" / f"{name[:32]}-{INDEX_VERSION}.sqlite"
 
 
 def with_index(folder: Path, work: Callable[[Index], Found]) -> Found:
     """Return what ``work`` finds by the index of a folder, which is of this run alone where none can be written."""
     path = index_file(folder)
-    with suppress(OSError, sqlite3.OperationalError):
+    with suppress(OSError, sqlite3.DatabaseError):
         for _ in range(2):
             try:
                 with closing(_connected(path)) as connection:
                     return work(Index(connection))
-            except sqlite3.OperationalError:
-                raise
-            except (sqlite3.DatabaseError, UnsoundIndexError):
+            except (sqlite3.DatabaseError, UnsoundIndexError) as error:
+                if getattr(error, "sqlite_errorcode", 0) & _PRIMARY in _IN_THE_WAY:
+                    raise
                 path.unlink()
     with closing(_connected(_IN_THIS_RUN)) as connection:
         return work(Index(connection))
@@ -127,12 +150,11 @@ def _connected(path: Path) -> sqlite3.Connection:
         with suppress(FileNotFoundError):
             # SQLite would follow a link to another program's database, and wait at a pipe for ever.
             open_to_read(path, Origin.INSIDE).close()
-    connection = sqlite3.connect(path)
+    connection = sqlite3.connect(path, timeout=_WAIT_S)
     try:
-        version = connection.execute("PRAGMA user_version").fetchone()[0]
-        if version not in (0, INDEX_VERSION):
-            raise UnsoundIndexError(version)
-        connection.executescript(f"{_TABLES} PRAGMA user_version = {INDEX_VERSION};")
+        # An index that is up to date is only read: also from where nothing can be written.
+        if not connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
+            connection.executescript(_TABLES)
     except BaseException:
         connection.close()
         raise

@@ -64,14 +64,17 @@ class Scale:
         return np.asarray((values - low) / (high - low), dtype=np.float64)
 
     def ticks(self, most: int) -> Iterator[tuple[float, str]]:
-        """Yield round numbers, and how they are written; decades of a logarithmic scale, others ``most`` at most."""
+        """Yield round numbers as they are written: of a logarithmic scale decades, of a short or other one ``most`` at most."""
         if self.is_logarithmic:
             lowest, highest = math.floor(math.log10(self.low)), math.ceil(math.log10(self.high))
             parts = (1, 2, 5) if self.high < self.low * 10.0**FEW_DECADES else (1,)
             every = 1 + (highest - lowest) // _MOST_DECADES
             numbers = [part * 10.0**decade for decade in range(lowest, highest + 1, every) for part in parts]
-            yield from ((number, f"{number:g}") for number in numbers if self.low <= number <= self.high)
-            return
+            shown = [number for number in numbers if self.low <= number <= self.high]
+            # A range so short that it holds fewer is nearly linear.
+            if len(shown) > 1:
+                yield from ((number, f"{number:g}") for number in shown)
+                return
         least = (self.high - self.low) / most
         decade = 10.0 ** math.floor(math.log10(least))
         step = next(part * decade for part in (1, 2, 5, 10) if part * decade >= least)

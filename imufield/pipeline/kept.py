@@ -79,8 +79,10 @@ def _digest(session: Session, sha256: str, body: bytes) -> bytes:
     """Return the keyed hash of all that a reading hangs on, and of the reading itself."""
     digest = hmac.new(_secret(), f"{sha256} {_code_sha256()} {np.__version__}\n".encode(), "sha256")
     for name in (SETTINGS_FILE, SCHEME_FILE):
+        found = bytes(_DIGEST_BYTES)  # Of a file that is not there: what follows always begins at the same place.
         with suppress(FileNotFoundError):
-            digest.update(hashlib.sha256(read_small_file(session.folder / name, Origin.INSIDE)).digest())
+            found = hashlib.sha256(read_small_file(session.folder / name, Origin.INSIDE)).digest()
+        digest.update(found)
     digest.update(body)
     return digest.digest()
 

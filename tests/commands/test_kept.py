@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
 from collections.abc import Callable
@@ -15,6 +16,7 @@ from imufield.acquire.recording.session import SETTINGS_FILE, Session
 from imufield.cli.run import run
 from imufield.commands.options.result_commands import ReportOptions
 from imufield.commands.report import gather
+from imufield.guide.positions import SCHEME_FILE
 from imufield.pipeline import kept, solving
 from imufield.pipeline.calibration import SolveSettings
 from imufield.pipeline.solving import solve_session
@@ -77,7 +79,19 @@ def forge(path: Path) -> None:
         kept.keep(session, reading)
 
 
-@pytest.mark.parametrize("spoil", [flip, edit, forge, lambda path: path.write_bytes(path.read_bytes()[:-9])])
+def move_on(path: Path) -> None:
+    """Take a file away that was hashed, and let what is kept begin with its hash."""
+    scheme, content = path.with_name(SCHEME_FILE), path.read_bytes()
+    scheme.write_text("# none of the session's\n", encoding="utf-8")
+    session = Session.open(path.parent)
+    body = content[32:]
+    signed = kept._digest(session, solving.session_sha256(session), body)
+    scheme_hash = hashlib.sha256(scheme.read_bytes()).digest()
+    scheme.unlink()
+    path.write_bytes(signed + scheme_hash + body)
+
+
+@pytest.mark.parametrize("spoil", [flip, edit, forge, move_on, lambda path: path.write_bytes(path.read_bytes()[:-9])])
 def test_what_does_not_fit_is_read_anew(folder: Path, spoil: Callable[[Path], None], monkeypatch: pytest.MonkeyPatch) -> None:
     cold, path = solved(folder), folder / kept.KEPT_FILE
     before = path.read_bytes()

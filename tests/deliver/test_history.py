@@ -348,7 +348,6 @@ def test_names_of_any_bytes_are_read_once(tmp_path: Path, write) -> None:  # typ
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("version", 99),
         ("created", "yesterday"),
         ("numbers", 1),
         ("numbers", [{"name": "bias x"}]),
@@ -358,21 +357,66 @@ def test_names_of_any_bytes_are_read_once(tmp_path: Path, write) -> None:  # typ
         ("more", 1),
     ],
 )
-def test_an_index_of_another_version_or_program_is_made_anew(  # type: ignore[no-untyped-def]
+def test_an_index_of_another_program_is_made_anew(  # type: ignore[no-untyped-def]
     tmp_path: Path, write, key: str, value: object
 ) -> None:
     write("a", "2026-03-04")
     before = read_history(tmp_path)
     with closing(sqlite3.connect(index_file(tmp_path))) as index, index:
-        if key == "version":
-            index.execute(f"PRAGMA user_version = {value}")
-        else:
-            ((text,),) = index.execute("SELECT text FROM entry").fetchall()
-            index.execute("UPDATE entry SET text = ?", (json.dumps(json.loads(text) | {key: value}),))
+        ((text,),) = index.execute("SELECT text FROM entry").fetchall()
+        index.execute("UPDATE entry SET text = ?", (json.dumps(json.loads(text) | {key: value}),))
     again = read_history(tmp_path)
     assert again.read == 1
     assert again.instruments == before.instruments
     assert read_history(tmp_path).read == 0
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        "UPDATE file SET name = 'zzz'",
+        "UPDATE file SET name = '[1]'",
+        "UPDATE file SET fault = 'zzz'",
+        "UPDATE file SET name = CAST(x'ff' AS TEXT)",
+        "UPDATE entry SET text = CAST(x'ff' AS TEXT)",
+        "ALTER TABLE file DROP COLUMN state",
+        "DROP TABLE entry",
+    ],
+)
+def test_a_damaged_index_is_made_anew(tmp_path: Path, write, damage: str) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2026-03-04")
+    before = read_history(tmp_path)
+    with closing(sqlite3.connect(index_file(tmp_path))) as index, index:
+        index.execute(damage)
+    again = read_history(tmp_path)
+    assert (again.read, again.instruments) == (1, before.instruments)
+    assert read_history(tmp_path).read == 0
+
+
+def test_a_question_writes_nothing(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2026-03-04")
+    read_history(tmp_path)
+    with closing(sqlite3.connect(index_file(tmp_path))) as other:
+        # Another program writes meanwhile.
+        other.execute("BEGIN IMMEDIATE")
+        assert read_history(tmp_path).read == 0
+
+
+def test_a_file_of_a_far_day_is_read_once(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    path = write("a", "2026-03-04")
+    far_ns = 10_413_792_000 * 10**9  # The year 2300: more than SQLite holds in a whole number.
+    os.utime(path, ns=(far_ns, far_ns))
+    assert [read_history(tmp_path).read for _ in range(2)] == [1, 0]
+
+
+def test_a_fault_names_its_file_from_any_folder(tmp_path: Path, write, monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2026-03-04")
+    broken = tmp_path / "a" / "broken.toml"
+    broken.write_text('format = "imufield-parameters"\nversion = 1\n')
+    monkeypatch.chdir(tmp_path)
+    for folder in (Path("a"), tmp_path / "a"):
+        (fault,) = read_history(folder).faults
+        assert str(broken) in fault
 
 
 def test_several_processes_find_what_one_finds(tmp_path: Path, write, monkeypatch) -> None:  # type: ignore[no-untyped-def]

@@ -18,6 +18,7 @@ from imufield.drawing.svg import Axes, Picture, Scale
         (Scale(0.0, 0.19), ["0.00", "0.05", "0.10", "0.15"]),
         (Scale(0.0, 1e5), ["0", "20000", "40000", "60000", "80000", "100000"]),
         (Scale(1.5, 60.0, is_logarithmic=True), ["2", "5", "10", "20", "50"]),
+        (Scale(2.2, 4.0, is_logarithmic=True), ["2.5", "3.0", "3.5", "4.0"]),
         (Scale(0.001, 200.0, is_logarithmic=True), ["0.001", "0.01", "0.1", "1", "10", "100"]),
         (Scale(1e-10, 1e10, is_logarithmic=True), ["1e-10", "1e-07", "0.0001", "0.1", "100", "100000", "1e+08"]),
     ],

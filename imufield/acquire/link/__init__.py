@@ -14,7 +14,12 @@ __all__ += ["SerialLink", "SerialSettings", "not_taken", "open_link"]  # noqa: F
 
 def __getattr__(name: str) -> object:
     """Hand on the names that stood here when this was a module; imported on first use, as most commands have no port."""
-    if name in __all__:
-        found: object = getattr(importlib.import_module("imufield.acquire.link.serial"), name)
+    if name in ("serial", *__all__):
+        serial = importlib.import_module("imufield.acquire.link.serial")
+        found: object = serial if name == "serial" else getattr(serial, name)
         return found
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *__all__]

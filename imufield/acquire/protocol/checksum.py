@@ -35,7 +35,7 @@ Positions = NDArray[np.intp]
 _EXACT_IN_SINGLE = 361
 # Longest message with a table of its own, 2 MiB; what instruments send all the time has a few hundred bytes.
 _LONGEST_TABLE = 2048
-_TABLES_KEPT = 32  # Noise makes false frames of any length, each with its table.
+_TABLES_KEPT = 8  # Noise makes false frames of any length, each with its table: the oldest goes.
 # Rows looked up together: keeps the index array (8 bytes for each byte of a frame) in the second-level cache.
 _ROWS_AT_ONCE = 1024
 _START = 256  # Column of the start value in the table of what each byte value leaves.
@@ -124,6 +124,8 @@ class Crc(Checksum):
     def of_rows(self, rows: Bytes) -> Values:
         """Return the checksum of each row, as the base class has it."""
         count, length = rows.shape
+        if length == 0:
+            return np.full(count, self._left[0, _START] ^ np.uint64(self._final))
         if length > _LONGEST_TABLE:
             whole = np.ascontiguousarray(rows).reshape(-1)
             return self.of_spans(whole, np.arange(count, dtype=np.intp) * length, np.full(count, length, dtype=np.intp))
@@ -153,7 +155,7 @@ class Crc(Checksum):
             kind = np.uint32 if self._width <= 32 else np.uint64
             flat: NDArray[np.unsignedinteger] = self._left[:padded, :_START][::-1][:length].ravel().astype(kind)
             if len(self._by_length) >= _TABLES_KEPT:
-                self._by_length.clear()
+                del self._by_length[next(iter(self._by_length))]
             flat[:_START] ^= kind(int(self._left[padded, _START]) ^ self._final)
             found = self._by_length[length] = _Tables(flat, np.arange(length, dtype=np.intp)[:, np.newaxis] * 256)
         return found

@@ -284,7 +284,7 @@ class MoveCollector:
 
     def finish(self, start_s: FloatArray, duration_s: FloatArray) -> Moves:
         """Return the moves between still intervals (sample clock, shape (s,), in any order)."""
-        return cut_moves(self.slots(), start_s, duration_s, (self.low, self.high))
+        return cut_moves(self.joined_slots(start_s, duration_s), start_s, duration_s, (self.low, self.high))
 
     def _all(self) -> list[Slots]:
         if self._pending is None or len(self._pending) < 2 or not self.interval_s:

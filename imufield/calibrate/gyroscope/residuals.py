@@ -115,7 +115,8 @@ class GyroscopeData:
     stops: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     stop_sigma_rad: FloatArray = field(default_factory=lambda: np.empty(0))
     table: TableRows = field(default_factory=no_table)
-    _known: dict[bytes, Turns] = field(default_factory=dict)
+    # Not handed on to a copy, whose moves may be others.
+    _known: dict[bytes, Turns] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def turns(self, x: FloatArray) -> Turns:
         """Return the turns of all moves at ``x``, shape (21,); remembered, as each fit begins where another began or ended."""

@@ -67,15 +67,12 @@ def f_quantile(numerator: float, denominator: float, p: float) -> float:
 
 def chi_squared_tail(freedom: int, value: float) -> float:
     """Return the probability that a variable of chi squared is above ``value``."""
-    half = value / 2
-    odd = freedom % 2
-    # (value / 2)^k exp(-value / 2) / gamma(k + 1), k from 0 or 1/2 in steps of one up to freedom / 2 - 1.
-    term = 2 * math.sqrt(half / math.pi) * math.exp(-half) if odd else math.exp(-half)
-    tail = math.erfc(math.sqrt(half)) if odd else 0.0
-    for k in range(freedom // 2):
-        tail += term
-        term *= half / (k + 1 + odd / 2)
-    return tail
+    half, odd = value / 2, freedom % 2
+    # (value / 2)^k exp(-value / 2) / gamma(k + 1), k from 0 or 1/2 in steps of one up to freedom / 2 - 1; by logarithms, as one
+    # factor alone may be beyond all numbers.
+    orders = (k + odd / 2 for k in range(freedom // 2))
+    terms = (math.exp(k * math.log(half) - half - math.lgamma(k + 1)) for k in orders)
+    return math.fsum(terms) + (math.erfc(math.sqrt(half)) if odd else 0.0)
 
 
 @cache

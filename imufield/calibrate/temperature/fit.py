@@ -153,7 +153,7 @@ class Evidence:
         if self.points is not None:
             seen = distinct(self.points.temperature_degc[np.isfinite(self.points.scale).all(axis=1)])
             # Where a ramp sees both, it checks what two sessions say of each.
-            scale = _most(seen + self._ramps_feel)
+            scale = _most(seen + self.ramps_feel)
         if len(self.ramps) > 1 and np.all(np.ptp([ramp.specific_force_m_s2 for ramp in self.ramps], axis=0) > _OTHER_POSE_M_S2):
             scale = max(scale, bias)
         return Orders(max(bias, 0), min(max(scale, 0), HIGHEST_ORDER))
@@ -161,10 +161,10 @@ class Evidence:
     @property
     def separates_scale(self) -> bool:
         """Whether no drift of the scale can pose as one of the bias: it does in ramps, by the specific force of their pose."""
-        return not self._ramps_feel or self.highest_orders().scale > 0
+        return not self.ramps_feel or self.highest_orders().scale > 0
 
     @property
-    def _ramps_feel(self) -> bool:
+    def ramps_feel(self) -> bool:
         """Whether ramps show the scale beside the bias: those of a gyroscope at rest do not."""
         return any(np.any(ramp.specific_force_m_s2) for ramp in self.ramps)
 
@@ -217,8 +217,9 @@ def _chosen_orders(evidence: Evidence) -> Orders:
     scatter = scatter_of(full)
     white = [whitened(each, scatter.variances) for each in full]
     rows = sum(len(each.values) for each in white)
-    # A ramp shows both.
-    is_open = scatter.freedom + scatter.freedom[RAMP] >= _FEWEST_TO_CHOOSE
+    # A ramp shows the bias, and of an accelerometer the scale beside it.
+    by_ramps = scatter.freedom[RAMP] * np.array([1, evidence.ramps_feel])
+    is_open = scatter.freedom[[BIAS, SCALE]] + by_ramps >= _FEWEST_TO_CHOOSE
     criteria: dict[Orders, float] = {}
     for bias in range(0 if is_open[BIAS] else most_bias, most_bias + 1):
         for scale in range(0 if is_open[SCALE] else most_scale, most_scale + 1):

@@ -29,6 +29,7 @@ def test_every_crc_of_the_catalogue_agrees_with_the_library(name: str) -> None:
     library = next(c for c in crccheck.crc.ALLCRCCLASSES if name in c._names)
     wanted = [library.calc(data[s : s + n].tobytes()) for s, n in zip(starts, lengths, strict=True)]
     assert found.tolist() == wanted
+    assert int(make_checksum(name).of(b"")) == library.calc(b"")
     rows = np.frombuffer(b"123456789" * 2, dtype=np.uint8).reshape(2, 9)
     assert make_checksum(name).of_rows(rows).tolist() == [library._check_result] * 2
 

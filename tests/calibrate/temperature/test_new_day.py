@@ -80,6 +80,25 @@ def test_days_that_differ_by_more_than_the_slope_choose_no_order_of_small_scatte
     assert np.all(np.abs(np.mean(inside, axis=(0, 1)) - 0.95) < 0.02)
 
 
+def test_a_ramp_that_shows_no_scale_opens_no_choice_of_its_order() -> None:
+    """As of a gyroscope at rest."""
+    rng, orders = np.random.default_rng(10), []
+    at_degc = np.linspace(-10.0, 50.0, 61)
+    for _ in range(20):
+        ramp = RampBlocks(
+            temperature_degc=at_degc,
+            output=truth(at_degc)[:, :1] + 1e-5 * rng.standard_normal((61, 3)),
+            sigma=np.full((61, 3), 1e-5),
+            direction=np.ones(61),
+            specific_force_m_s2=np.zeros(3),
+        )
+        found = points(np.array([-10.0, 20.0, 50.0]), rng, 40 * DAY)
+        orders.append(
+            fit_temperature(Evidence(reference_degc=REFERENCE_DEGC, points=found, ramps=[ramp])).temperature.scale.order
+        )
+    assert orders == [1] * 20
+
+
 def is_new_day_inside(
     found: SessionPoints, model: TriadTemperature, day: FloatArray, rng: np.random.Generator
 ) -> NDArray[np.bool_]:
