@@ -84,12 +84,14 @@ def join(blocks: Sequence[RawBlock]) -> RawBlock:
     """Join at least one block."""
     if len(blocks) == 1:
         return blocks[0]
-    *columns, own_degc = map(list, zip(*map(_parts_of, blocks), strict=True))
-    # Frames of some kinds only have the temperatures of the axes.
+    columns = [list(parts) for parts in zip(*map(_parts_of, blocks), strict=True)]
+    # Frames of some kinds only have the temperatures of the axes, the last column.
+    own_degc = columns[-1]
     if any(part.ndim > 1 for part in own_degc):
-        own_degc = [part if part.ndim > 1 else unknown((len(block), 6)) for part, block in zip(own_degc, blocks, strict=True)]
+        missing = (unknown((len(block), 6)) for block in blocks)
+        columns[-1] = [part if part.ndim > 1 else other for part, other in zip(own_degc, missing, strict=True)]
     # Of one wire: what else the first block lacks no other has.
-    return RawBlock(*[np.concatenate(parts) if len(parts[0]) else parts[0] for parts in (*columns, own_degc)])
+    return RawBlock(*[np.concatenate(parts) if len(parts[0]) else parts[0] for parts in columns])
 
 
 class Source(Protocol):
