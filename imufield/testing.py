@@ -80,7 +80,8 @@ class Replayed:
             latitude_deg=options.pop("latitude_deg", None),
             height_m=options.pop("height_m", None),
         )
-        return solve_session(self.session, SolveOptions(**options).settings(), site)
+        # A recording that tests replay lies in a repository.
+        return solve_session(self.session, SolveOptions(**options).settings(), site, keeps=False)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

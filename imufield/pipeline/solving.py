@@ -68,6 +68,8 @@ def solve_session(
     settings: SolveSettings,
     site: SiteOptions | None = None,
     listeners: tuple[SamplesListener, ...] = (),
+    *,
+    keeps: bool = True,
 ) -> Parameters:
     """Replay a session and solve it.
 
@@ -79,6 +81,8 @@ def solve_session(
         What was typed of the place.
     listeners : sequence of callable
         Each is given every block of samples, in order.
+    keeps : bool
+        Whether what was read is kept beside the recording.
 
     Raises
     ------
@@ -86,7 +90,7 @@ def solve_session(
         Recording unreadable, calibration impossible or refused.
     """
     damage: list[Damage] = []
-    with read_recording(session, damage, listeners) as reading, naming_damage(session, damage), task("solving"):
+    with read_recording(session, damage, listeners, keeps=keeps) as reading, naming_damage(session, damage), task("solving"):
         observations, left_out = leave_out(reading.observations, settings.without)
         between, best = reading.between(observations), reading.best
         is_import = session.record.kind == "import"
@@ -120,7 +124,9 @@ def solve_session(
 
 
 @contextmanager
-def read_recording(session: Session, damage: list[Damage], listeners: tuple[SamplesListener, ...] = ()) -> Iterator[Reading]:
+def read_recording(
+    session: Session, damage: list[Damage], listeners: tuple[SamplesListener, ...] = (), *, keeps: bool = True
+) -> Iterator[Reading]:
     """Replay a session, or take what is kept of an earlier replay where nobody listens.
 
     What was read is kept when the block ends well: a command that is refused writes nothing.
@@ -132,6 +138,8 @@ def read_recording(session: Session, damage: list[Damage], listeners: tuple[Samp
         Receives what could not be read.
     listeners : sequence of callable
         Each is given every block of samples, in order.
+    keeps : bool
+        Whether what was read is kept beside the recording.
 
     Raises
     ------
@@ -161,7 +169,7 @@ def read_recording(session: Session, damage: list[Damage], listeners: tuple[Samp
     with naming_damage(session, damage), task("solving"):
         reading = reading_of(session, chain, collected, damage, sha256=sha256)
     yield reading
-    if not (goes_on or damage):
+    if keeps and not (goes_on or damage):
         keep(session, reading)
 
 
