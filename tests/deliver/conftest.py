@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,6 +25,7 @@ from imufield.calibrate.model.result import (
     SolverSummary,
 )
 from imufield.deliver.parameters.context import Context, InstrumentFacts, Noise, SessionFacts
+from imufield.deliver.parameters.file import write_parameters
 from imufield.earth import Gravity
 from imufield.samples import SampleUnits
 
@@ -153,3 +156,26 @@ def context() -> Context:
         created="2025-03-01T10:55:00Z",
         software="imufield 0.1.0",
     )
+
+
+@pytest.fixture
+def write(tmp_path: Path, calibration: Calibration, observations: Observations, context: Context):  # type: ignore[no-untyped-def]
+    """Return a writer of calibrations: date, bias y moved by so many sigma, and facts of the instrument."""
+
+    def writer(name: str, created: str, moved: float = 0.0, session: str = "", **who: str) -> Path:
+        found = calibration.intrinsic
+        raw = found.bias_raw + moved * found.bias_raw_sigma * np.array([0.0, 1.0, 0.0])
+        K = calibration.accelerometer.scale
+        moved_to = replace(calibration.accelerometer, bias_m_s2=raw / K)
+        changed = replace(calibration, accelerometer=moved_to, intrinsic=replace(found, bias_raw=raw))
+        seen = replace(observations, mean_raw=observations.mean_raw + raw - found.bias_raw)
+        facts = replace(context.session, sha256=session or hashlib.sha256(name.encode()).hexdigest())
+        moment = created if "T" in created else f"{created}T10:00:00Z"
+        instrument = replace(context.instrument, **{"serial_number": "N1", **who})
+        where = replace(context, created=moment, instrument=instrument, session=facts)
+        path = tmp_path / name / "parameters.toml"
+        path.parent.mkdir(exist_ok=True)
+        write_parameters(path, changed, seen, where)
+        return path
+
+    return writer
