@@ -29,7 +29,7 @@ class _UnclearError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class _Type:
-    """Type of a value, whether there are several, and what reads it if it is no plain type."""
+    """Type of a value, and whether there are several."""
 
     of_one: object
     is_list: bool
@@ -50,7 +50,7 @@ def read(command: Command, words: list[str], defaults: Collection[str]) -> tuple
     if any(parameter.name in defaults or os.environ.get(_variable(parameter)) for parameter in known):
         return None
     try:
-        found = _sorted(known, deque(words))
+        found = _typed(known, deque(words))
         values = {parameter.name: _value(parameter, found.get(parameter.name)) for parameter in known}
     except (_UnclearError, UnfitValueError, UsageError):
         return None
@@ -61,7 +61,7 @@ def _variable(parameter: Parameter) -> str:
     return str(parameter.option.more.get("envvar", ""))
 
 
-def _sorted(known: list[Parameter], words: deque[str]) -> dict[str, list[str | bool]]:
+def _typed(known: list[Parameter], words: deque[str]) -> dict[str, list[str | bool]]:
     """Return the words of each parameter that was typed."""
     found: dict[str, list[str | bool]] = {}
     switches = {name: (parameter, is_on) for parameter in known for name, is_on in _names(parameter).items()}
