@@ -94,9 +94,9 @@ def integrate(x: FloatArray, moves: Moves, noise_density_raw: FloatArray) -> Tur
     """
     slots, T, A = moves.slots, moves.slots.duration_s, x[INVERSE].reshape(3, 3)
     at = _AlongMoves.of(x, moves)
-    by_held = at.end_sums(at.held)
-    by_turn, by_force = (by_held[..., columns].reshape(-1, 3, 9) for columns in (slice(3), slice(3, 6)))
-    duration = by_held[..., 6]
+    by_integrals = at.end_sums(at.integrals)
+    by_turn, by_force = (by_integrals[..., columns].reshape(-1, 3, 9) for columns in (slice(3), slice(3, 6)))
+    duration = by_integrals[..., 6]
     # White noise of density n gives each slot the variance n^2 T.
     spread = at.spread(T, (A * noise_density_raw**2) @ A.T)
     if slots.bridge.any():
@@ -108,7 +108,7 @@ def integrate(x: FloatArray, moves: Moves, noise_density_raw: FloatArray) -> Tur
         duration=duration,
         spread=spread,
         # Jr leaves its own vector as it is.
-        net_rad=np.einsum("mijc,jc->mi", by_held, at.to_vectors),
+        net_rad=np.einsum("mijc,jc->mi", by_integrals, at.to_vectors),
     )
 
 
@@ -123,7 +123,7 @@ class _AlongMoves:
 
     spans: list[slice]
     """Slots of each move."""
-    held: FloatArray
+    integrals: FloatArray
     """Turn, force, duration and coning of the slots, shape (10, k)."""
     to_vectors: FloatArray
     """What makes their rotation vectors of it, shape (3, 10)."""
@@ -139,14 +139,14 @@ class _AlongMoves:
         # cof(A) = det(A) A^-T, see moves: A x x A y = cof(A) (x x y)
         cofactor = np.linalg.det(A) * M.T
         coning = 0.5 * cofactor @ (slots.area.T - skew(M @ b) @ (T * slots.turn.T - 2 * slots.moment.T))
-        held = np.vstack([slots.turn.T, slots.force.T, T, coning])
+        integrals = np.vstack([slots.turn.T, slots.force.T, T, coning])
         to_vectors = np.column_stack([A, -H, -b, np.eye(3)])
-        vectors = (to_vectors @ held).T
+        vectors = (to_vectors @ integrals).T
         running = running_turns(exponential(vectors), first)
         last = first + moves.length - 1
         return cls(
             spans=[slice(begin, end + 1) for begin, end in zip(first.tolist(), last.tolist(), strict=True)],
-            held=held,
+            integrals=integrals,
             to_vectors=to_vectors,
             end=running[last],
             entries=product(matrix(running), right_jacobian(vectors)).reshape(-1, 9).T,
