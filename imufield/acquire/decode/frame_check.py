@@ -14,7 +14,6 @@ from imufield.acquire.protocol.frame_schema import FrameRule
 from imufield.acquire.protocol.layout import Frames, Layout, Rows
 from imufield.samples import every
 
-
 INVALID = 0
 VALID = 1
 INCOMPLETE = 2
