@@ -1,4 +1,4 @@
-"""Run the tests marked ``numerical`` with other kernels than those this processor takes by itself.
+"""Run the tests marked ``numerical`` and not ``statistical`` with other kernels than those this processor takes by itself.
 
 ``python .ci/numerical.py``: once under each OpenBLAS core type that the processor can run, and once with NumPy's choice of
 kernels switched off; those that it takes by itself are left to ``make test``. That a kernel was taken is read from the
@@ -133,7 +133,7 @@ def do(run: Run, room: str, files: list[str]) -> bool:
         "-q",
         "--tb=short",
         "-m",
-        "numerical",
+        "numerical and not statistical",
         "-p",
         "no:cacheprovider",
         "-p",

@@ -52,6 +52,7 @@ def terms(calibration: Calibration) -> tuple[FloatArray, FloatArray, FloatArray,
     return found.cubic * G**2, found.cross * G, sigma.cubic * G**2, sigma.cross * G
 
 
+@pytest.mark.statistical
 def test_stated_intervals_hold_large_terms() -> None:
     """100 sessions with cubic terms of 2 mg/g^3 and cross terms of 1 mg/g^2: of both, and of all numbers, 95 % are inside."""
     rng = np.random.default_rng(31)

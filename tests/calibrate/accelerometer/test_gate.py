@@ -183,7 +183,7 @@ def test_an_order_that_confounds_is_named() -> None:
     assert told(quality.warnings, "quality.confounded")
 
 
-@pytest.mark.numerical
+@pytest.mark.statistical
 def test_an_order_that_confounds_costs_a_clean_session_its_good_once_in_a_hundred() -> None:
     """The gate admits a term in 5 % of them: then the order is named all the same, and its cost is in sigma."""
     session = Session(directions=faces_first())

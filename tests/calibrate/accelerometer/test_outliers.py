@@ -105,7 +105,7 @@ def test_a_hold_that_alone_shows_a_parameter_is_not_taken_out() -> None:
     assert [outlier.position for outlier in found] == [7]
 
 
-@pytest.mark.numerical
+@pytest.mark.statistical
 def test_clean_sessions_have_none() -> None:
     """1 % is what the level says: five of 120 would come by chance in less than 1 % of such tests."""
     found = [

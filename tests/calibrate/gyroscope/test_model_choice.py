@@ -150,6 +150,7 @@ def test_one_rate_shows_neither(plain: Session) -> None:
     assert np.degrees(found.calibration.range_rad_s) == pytest.approx(50.0, rel=0.02)
 
 
+@pytest.mark.statistical
 def test_false_alarms_are_rare_in_linear_data(result: GyroscopeResult) -> None:
     """Residuals drawn from the stated covariance are named in one of a hundred, by both tests together."""
     solution = solution_of(result)
@@ -163,6 +164,7 @@ def test_false_alarms_are_rare_in_linear_data(result: GyroscopeResult) -> None:
     assert 0.001 < np.mean(named) < 0.025
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize("grade", ["navigation", "mems"])
 def test_typical_terms_are_covered_as_stated(result: GyroscopeResult, grade: str) -> None:
     """Terms drawn from what is typical and residuals from the stated covariance: by error and truth of the linear model."""

@@ -73,6 +73,7 @@ def test_a_drift_is_told_from_a_step() -> None:
     assert abs(change.size - 0.02) < 3 * change.sigma
 
 
+@pytest.mark.statistical
 def test_unchanged_histories_are_called_changed_in_five_percent() -> None:
     runs = 120
     called = sum(bool(judge(history(drawn(np.random.default_rng(k)))).news) for k in range(runs))

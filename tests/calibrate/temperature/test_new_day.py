@@ -50,6 +50,7 @@ def model_of(found: SessionPoints) -> TriadTemperature:
     return fit_orders(Evidence(reference_degc=REFERENCE_DEGC, points=found), 1, 1).temperature
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize("sessions", [3, 5])
 @pytest.mark.parametrize("days", [0.0, 1.0])
 @pytest.mark.parametrize("rho", [0.0, 0.8])
@@ -69,6 +70,7 @@ def test_a_new_day_is_inside_as_often_as_stated(sessions: int, days: float, rho:
     assert days == 0.0 or np.all(shares <= 0.97)
 
 
+@pytest.mark.statistical
 def test_days_that_differ_by_more_than_the_slope_choose_no_order_of_small_scatter() -> None:
     """With a choice the share was 0.92: where the scatter about a line was small by luck, the line was taken."""
     rng, inside = np.random.default_rng(9), []
@@ -113,6 +115,7 @@ def is_new_day_inside(
     return np.asarray(np.abs(off) <= [student_factor(each) for each in freedom] * sigma)
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize("rho", [0.0, 0.8])
 def test_the_change_from_day_to_day_is_none_of_the_errors_within_sessions(rho: float) -> None:
     """Bias and scale of a session may be correlated as they like: how much days differ is found on the average."""

@@ -38,7 +38,7 @@ def test_noise_alone_has_no_step_of_six_sigma() -> None:
     assert largest_step(np.ones((6, 3)))[1] == np.inf
 
 
-@pytest.mark.numerical
+@pytest.mark.statistical
 def test_no_hold_is_refused_for_its_noise() -> None:
     """2000 holds of 4 s of a cheap chip, 0.08 m/s^2 at 50 Hz: of 4 sigma one in 1500 has a drift beyond the limit."""
     rng, scale, rows = np.random.default_rng(5), RoughScale(1.0, 1.0), 2000 * 200
