@@ -33,7 +33,7 @@ from typing import Literal
 import numpy as np
 
 from imufield.calibrate.accelerometer.fit import Fit
-from imufield.calibrate.model.distributions import f_tail
+from imufield.calibrate.model.distributions import f_tail, sigma_about
 from imufield.calibrate.model.models import BIAS, PARAMETERS
 from imufield.samples import FloatArray
 
@@ -151,19 +151,23 @@ class Gate:
         counted = [terms for terms in self._parts if "quadratic" not in self.all - kept or "quadratic" in terms]
         log_odds = np.array([self._log_odds(terms) for terms in counted])
         weights = np.exp(log_odds - log_odds.max())
-        total, variance, freedom = np.zeros_like(own.covariance), 0.0, 0.0
+        within, shift, variance, freedom = np.zeros_like(own.covariance), np.zeros_like(own.covariance), 0.0, 0.0
         for weight, terms in zip(weights / weights.sum(), counted, strict=True):
             part = self._drawn(terms, math.inf if "quadratic" in kept else typical_quadratic_m_s2)
             change = part.change - own.change
-            total += weight * (part.covariance * self._variance(part) + np.outer(change, change))
+            within += weight * part.covariance * self._variance(part)
+            shift += weight * np.outer(change, change)
             variance += weight * self._variance(part)
             freedom += weight * part.freedom
-        more = total - own.covariance * variance
+        total, least = within + shift, np.finfo(float).tiny
+        size = np.sqrt(np.maximum(np.diag(total), least))
+        held = np.maximum(sigma_about(np.sqrt(np.diag(shift)), np.sqrt(np.diag(within))), math.sqrt(least))
         # As correlations: parameters differ in unit by ten powers of ten.
-        size = np.sqrt(np.maximum(np.diag(total), np.finfo(float).tiny))
-        values, vectors = np.linalg.eigh(more / np.outer(size, size))
+        correlation = total / np.outer(size, size)
+        more = correlation - own.covariance * variance / np.outer(held, held)
+        values, vectors = np.linalg.eigh(more)
         return Choice(
-            root=size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)),
+            root=held[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)),
             variance_ratio=variance / self._variance(own),
             freedom_ratio=freedom / own.freedom,
         )

@@ -111,6 +111,21 @@ def f_limit_95(numerator: int, denominator: int) -> float:
     return f_quantile(float(numerator), float(denominator), 0.95) if denominator > 0 else float("inf")
 
 
+def sigma_about(shift: FloatArray, sigma: FloatArray) -> FloatArray:
+    """Return what normal numbers have for 1 sigma about values they are shifted from: their 95 % limit about these over 1.96.
+
+    For a large shift a limit of ``shift + 1.64 sigma`` holds them: less than 1.96 times the root of the sum of squares.
+    """
+    return np.array([_limit_about(abs(d), s) / NORMAL_FACTOR_95 for d, s in zip(shift.tolist(), sigma.tolist(), strict=True)])
+
+
+def _limit_about(shift: float, sigma: float) -> float:
+    if not sigma > 0:
+        return shift
+    normal, d = NormalDist(), shift / sigma
+    return sigma * _positive_root(lambda limit: normal.cdf(d - limit) + normal.cdf(-d - limit) - 0.05)
+
+
 def _student_tail(freedom: float, t: float) -> float:
     return _beta(freedom / 2, 0.5, freedom / (freedom + t * t)) / 2
 

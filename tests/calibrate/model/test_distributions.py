@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 import scipy.special
+import scipy.stats
 
 from imufield.calibrate.model.distributions import (
     chi_squared_quantile,
@@ -14,6 +15,7 @@ from imufield.calibrate.model.distributions import (
     f_limit_95,
     f_quantile,
     f_tail,
+    sigma_about,
     student_factor,
     student_freedom,
     student_quantile,
@@ -47,6 +49,16 @@ def test_chi_squared(freedom: int) -> None:
         assert chi_squared_tail(freedom, value) == pytest.approx(expected, rel=1e-9, abs=1e-290)
     for p in (0.025, 0.5, 0.975):
         assert chi_squared_quantile(freedom, p) == pytest.approx(float(scipy.special.chdtri(freedom, 1 - p)), rel=1e-12)
+
+
+def test_limits_about_a_shifted_value_hold_95_percent() -> None:
+    shift, sigma = np.array([0.0, 0.3, 2.0, -40.0, 3.0, 0.0]), np.array([1.5, 1.0, 1.0, 2.0, 0.0, 0.0])
+    about = sigma_about(shift, sigma)
+    normal, limits = scipy.stats.norm(shift[:4], sigma[:4]), 1.959964 * about[:4]
+    np.testing.assert_allclose(normal.cdf(limits) - normal.cdf(-limits), 0.95, rtol=1e-6)
+    # Without a shift its own sigma, far from the value one side of it.
+    np.testing.assert_allclose(about[[0, 3]], [1.5, (40 + 1.644854 * 2) / 1.959964], rtol=1e-6)
+    np.testing.assert_allclose(about[4:], [3 / 1.959964, 0.0], rtol=1e-6)
 
 
 def test_where_there_is_no_chance() -> None:
