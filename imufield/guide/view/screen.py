@@ -214,12 +214,17 @@ def _pictures(screen: Screen, snapshot: Snapshot, cable: str | None, size: tuple
         between = "->" if shows_goal and row == height // 2 else "  "
         left, right = now[row].ljust(width), goal[row].ljust(width)
         if row == 0:
-            # In the corner, where nothing is drawn there.
-            left = left if left[:4].strip() else f"now {left[4:]}"
-            right = right if right[:4].strip() else f"goal{right[4:]}"
+            left, right = _in_corner(left, "now "), _in_corner(right, "goal")
         text.append(left).append(between, style="bold").append(right if shows_goal else "", style="cyan")
         text.append("\n" if row < height - 1 else "")
     return text
+
+
+def _in_corner(row: str, word: str) -> str:
+    """Return a row with a word in the left corner, or in the right one where something is drawn in the left."""
+    if not row[: len(word)].strip():
+        return word + row[len(word) :]
+    return row if row[-len(word) :].strip() else row[: -len(word)] + word
 
 
 def _bars(screen: Screen, snapshot: Snapshot, width: int) -> RenderableType:

@@ -32,7 +32,7 @@ from imufield.guide.view.instruction import Screen, instruct
 from imufield.guide.view.marks import with_keys
 from imufield.guide.view.pictures import big_lines
 from imufield.guide.view.plain import JsonLinesView, PlainView, line
-from imufield.guide.view.screen import HEIGHT, WIDTH, LinkState, draw, draw_big, draw_small
+from imufield.guide.view.screen import HEIGHT, WIDTH, LinkState, _in_corner, draw, draw_big, draw_small
 from imufield.guide.view.terminal import TerminalView
 
 
@@ -268,6 +268,13 @@ def test_a_small_window_says_what_to_do_and_is_not_cut(session: Any, width: int,
     assert lines[-1].startswith("r retake s skip u undo")
     assert any("now " in line for line in lines) == (height == 20)
     assert not any("…" in line for line in lines if "Hz" not in line)
+
+
+@pytest.mark.parametrize(
+    ("row", "shown"), [("      ⡠⠤⡄   ", "goal  ⡠⠤⡄   "), ("cable⣀⠤⡄    ", "cable⣀⠤⡄goal"), ("cable⣀⠤⡄⠤⡄  ", "cable⣀⠤⡄⠤⡄  ")]
+)
+def test_what_a_picture_is_stands_in_a_corner_that_is_free(row: str, shown: str) -> None:
+    assert _in_corner(row, "goal") == shown
 
 
 LONG = (
