@@ -49,6 +49,8 @@ HoldS = Annotated[
 ]
 WebPort = Annotated[int | None, option(help="Port of the page (default: 8777 or the next free one).", within=PORT_RANGE)]
 ViewName = Literal["auto", "plain", "json"]
+VIRTUAL_SEED = 2
+"""Of the virtual instrument that a first session meets."""
 # Signs are part of the name: `--cable=-x` needs its equals sign, or the parser takes -x for an option.
 SIDES = ("+x", "-x", "+y", "-y", "+z", "-z")
 
@@ -68,7 +70,7 @@ class DemoOptions:
     Example: imufield demo --temperature
     """
 
-    seed: Annotated[int, option(help="Seed of the simulated instrument and operator.", low=0, high=LARGEST_SEED)] = 2
+    seed: Annotated[int, option(help="Seed of the simulated instrument and operator.", low=0, high=LARGEST_SEED)] = VIRTUAL_SEED
     speed: Annotated[float, option(help="Speed relative to real time, e.g. 8 is eight times as fast.", low=1)] = (
         8.0  # What a small machine keeps up with.
     )
@@ -335,7 +337,7 @@ class EmulateOptions:
     ] = None
     speed: Annotated[float, option(help="Speed relative to real time, e.g. 8 is eight times as fast.", low=0.1)] = 1.0
     grade: Annotated[str, option(help="navigation, tactical, industrial or mems.")] = "tactical"
-    seed: Annotated[int, option(help="Seed of instrument, operator and faults.", low=0, high=LARGEST_SEED)] = 1
+    seed: Annotated[int, option(help="Seed of instrument, operator and faults.", low=0, high=LARGEST_SEED)] = VIRTUAL_SEED
     day: Annotated[
         int,
         option(

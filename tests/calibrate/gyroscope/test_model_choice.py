@@ -136,6 +136,8 @@ def test_a_turntable_of_several_rates_shows_it_best(plain: Session, asymmetry: f
     runs = table(plain, (25.0, 50.0, 100.0, 200.0), asymmetry=asymmetry, cubic=cubic)
     found = calibrate_gyroscope(replace(plain.given, turntable=runs))
     assert [sentence.key for sentence in solution_of(found).linearity.sentences] == ([key] if key else [])
+    # Beside what is there it does not say what was not found.
+    assert len(told(found.reasons, "result.range_of_named" if key else "result.range")) == 1
     for named in solution_of(found).linearity.sentences:
         true_ppm = 2e6 * asymmetry + 1e6 * cubic * found.calibration.range_rad_s.max() ** 2
         assert named.values["size_ppm"] == pytest.approx(true_ppm, rel=0.3)
