@@ -29,6 +29,7 @@ class FormCheck:
 
     def __init__(self, form: FrameForm) -> None:
         self.form = form
+        self.header = form.header
         layouts = dict(sorted(form.layouts.items()))
         self._keys = np.array(list(layouts), dtype=np.int64)
         self._lengths = np.array([layout.length for layout in layouts.values()], dtype=np.intp)
@@ -38,7 +39,7 @@ class FormCheck:
             self._by_byte = np.zeros(256, dtype=np.intp)
             self._by_byte[self._keys] = self._lengths
         self._tail = form.tail
-        self._shortest = form.header + form.tail
+        self._shortest = self.header + form.tail
         self._checksum = form.checksum
         # The type of number that the checksum is sent as; None where NumPy has none of that size.
         size = form.checksum.size if form.checksum else 0
@@ -55,7 +56,7 @@ class FormCheck:
 
     def lengths(self, buffer: Bytes, starts: Positions) -> Positions:
         """Return the lengths of frames whose sync bytes stand at ``starts``; ``NONE`` or ``MORE`` where there is none."""
-        readable = starts + self.form.header <= len(buffer)
+        readable = starts + self.header <= len(buffer)
         if readable.all():
             return self._lengths_of(buffer, starts)
         found = np.full(len(starts), MORE, dtype=np.intp)
@@ -70,7 +71,7 @@ class FormCheck:
     def length_at(self, buffer: Bytes, at: int, head: bytes) -> int:
         """Return the length of the one frame at ``at`` by its header, 0 where there is none or it is cut."""
         form, rule = self.form, self.form.length
-        if len(head) < form.header:
+        if len(head) < self.header:
             return 0
         if self._by_byte is not None:
             return int(self._by_byte[head[form.key_at]])
@@ -92,7 +93,7 @@ class FormCheck:
 
     def are_alike(self, rows: Rows) -> bool:
         """Whether all rows have the header of the first one, and so its key and its length; False where that is not simple."""
-        header = self.form.header
+        header = self.header
         return self.has_plain_length(rows.shape[1]) and every(rows[:, :header] == rows[0, :header])
 
     def has_plain_length(self, length: int) -> bool:

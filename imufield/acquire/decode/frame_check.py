@@ -45,15 +45,14 @@ class Stencil:
     repeated: bytes = b""
     """The same, as often as there were frames at once."""
 
-    def fits(self, frames: Frames, place: int) -> bool:
-        """Tell whether all of these frames are good, of these shapes from a place of the cycle on, and have their trailers."""
+    def matches(self, frames: Frames, place: int) -> bool:
+        """Tell whether all of these frames have these shapes, from a place of the cycle on, and their trailers."""
         size = len(self.mask)
         begin, end = place * size, (place + frames.count) * size
         if len(self.repeated) < end:
             self.repeated = self.values.tobytes() * (frames.count // len(self.shapes) + 2)
         # As bytes, which are compared at half of the price of arrays.
-        known = (frames.columns(0, size) & self.mask).tobytes()
-        return known == self.repeated[begin:end] and every(self.form.sums_fit(frames))
+        return (frames.columns(0, size) & self.mask).tobytes() == self.repeated[begin:end]
 
     def may_become(self, rest: Bytes, place: int) -> bool:
         """Tell whether these bytes are the beginning of one more such frame, of that place of the cycle."""
@@ -104,7 +103,7 @@ class FrameCheck:
         if not self._can_begin[buffer[at]]:
             return 0
         for form in self._forms:
-            head = buffer[at : at + form.form.header].tobytes()
+            head = buffer[at : at + form.header].tobytes()
             if head.startswith(form.form.sync) or form.form.sync.startswith(head):
                 return form.length_at(buffer, at, head)
         return 0
@@ -126,15 +125,16 @@ class FrameCheck:
                 found[mine] = form.lengths(buffer, starts[mine])
         return found
 
-    def judge(self, buffer: Bytes, starts: Positions, last: bool) -> NDArray[np.int8]:
-        """Return for each candidate whether it is a frame, none, or one that may still be completed."""
+    def judge(self, buffer: Bytes, starts: Positions, last: bool) -> tuple[NDArray[np.int8], Positions]:
+        """Return for each candidate whether it is a frame, none, or one that may still be completed; and where it would end."""
         lengths = self.lengths(buffer, starts)
         judged = np.full(len(starts), INVALID if last else INCOMPLETE, dtype=np.int8)
         judged[lengths == NONE] = INVALID
-        complete = (lengths > 0) & (starts + lengths <= len(buffer))
+        ends = starts + np.maximum(lengths, 0)
+        complete = (lengths > 0) & (ends <= len(buffer))
         fitting = self.fit(buffer, starts[complete], lengths[complete]) != NO_SHAPE
         judged[complete] = np.where(fitting, VALID, INVALID)
-        return judged
+        return judged, ends
 
     def run_fits(self, frames: Frames) -> tuple[NDArray[np.bool_], int]:
         """Return which frames of one length are good, shape (n,), and the shape they have in common.
@@ -162,7 +162,7 @@ class FrameCheck:
     def stencil(self, frames: Frames, shapes: NDArray[np.int64], trailer: bytes) -> Stencil | None:
         """Return what recognises more frames like these, whose shapes come in cycles; None where they do not."""
         rows = frames.rows
-        header = self._form_of_row(rows[0]).form.header
+        header = self._form_of_row(rows[0]).header
         size = cycle_length(shapes)
         if not size or not every(rows[size:, :header] == rows[:-size, :header]):
             return None
@@ -177,7 +177,7 @@ class FrameCheck:
         # Frames of one length whose parts differ have one shape, if they are good at all.
         structure = self._shapes[shapes[0]].mask
         mask[: len(structure)] = structure
-        mask[: form.form.header] = mask[length - len(form.form.end) :] = 255
+        mask[: form.header] = mask[length - len(form.form.end) :] = 255
         trailers = np.tile(np.frombuffer(trailer, dtype=np.uint8), (len(rows), 1))
         values = np.bitwise_and(np.hstack([rows, trailers]), mask)
         size = int(np.flatnonzero(mask)[-1]) + 1 if mask.any() else 0
@@ -217,8 +217,7 @@ class FrameCheck:
                 rows, fitting = frames.rows, form.fits(frames)
                 if every(fitting) and (form.are_alike(rows) or every(form.have_first_key(rows))):
                     found[group] = self._match(form, self._family(form, rows), rows)
-                else:
-                    good = group[fitting]
+                elif len(good := group[fitting]):
                     found[good] = self.shapes(buffer, starts[good], lengths[good])
         return found
 

@@ -122,6 +122,7 @@ class _Found:
     skipped_before: list[tuple[Positions, NDArray[np.int64]]] = field(default_factory=list)
     # Offsets of headers that were none, and where the frames that they promised would have ended.
     promises: list[tuple[Positions, Positions]] = field(default_factory=list)
+    run: tuple[Frames, NDArray[np.int64]] | None = None  # The last one without a bad frame, and its shapes.
 
 
 class Framer:
@@ -167,15 +168,17 @@ class Framer:
         """
         joined = self._rest + data if self._rest else data
         buffer: Bytes = np.frombuffer(joined, dtype=np.uint8)
-        if not last and (again := self._as_before(buffer)) is not None:
+        if self._check.forget():
+            self._stencil, self._sequence = None, []
+        again = None if last else self._as_before(buffer)
+        if isinstance(again, tuple):
             block, until = again
             self._rest = joined[until:]
             self._origin += until
             return block
-        if self._check.forget():
-            self._stencil, self._sequence = None, []
         found = _Found()
-        at, self._cut_at = 0, -1
+        at = 0 if again is None else self._take_broken_run(buffer, again, found)
+        self._cut_at = -1
         while at < len(buffer):
             start = self._pass_trailer(joined, at, last)
             if start is None:
@@ -192,6 +195,7 @@ class Framer:
             if at == self._cut_at and not last:
                 break
         self._rest = joined[at:]
+        self._learn(buffer, found)
         block = self._block(buffer, found)
         self._origin += at
         return block
@@ -224,16 +228,18 @@ class Framer:
         if every(good) and every(trailers):
             self._run = min(2 * self._run, _LONGEST_RUN)
             shapes = self._run_shapes(buffer, starts, length, shape)
-            self._stencil = self._check.stencil(frames, shapes, trailer[: step - length])
-            self._place = count % len(self._stencil.shapes) if self._stencil else 0
+            found.run = frames, shapes
             return self._accept(found, starts, shapes, length)
         joined = np.append(trailers.all(axis=1), True)
         return self._take_broken_run(
             buffer, _Run(starts=starts, length=length, step=step, shape=shape, good=good, joined=joined), found
         )
 
-    def _as_before(self, buffer: Bytes) -> tuple[FrameBlock | EvenBlock, int] | None:
-        """Return the frames of a feed that is nothing but frames like those before, and where they end; None if it is not."""
+    def _as_before(self, buffer: Bytes) -> tuple[FrameBlock | EvenBlock, int] | _Run | None:
+        """Return the frames of a feed that is nothing but frames like those before, and where they end.
+
+        A run if their checksums alone are not all good, None if it is anything else.
+        """
         is_waiting = self._behind_frame and self._rule.trailer
         if self._skipped_here or self._seen_until > self._origin or is_waiting:
             return None
@@ -241,11 +247,17 @@ class Framer:
             return self._sequence_again(buffer, self._sequence) if self._sequence else None
         return self._run_again(buffer, self._stencil) if self._stencil else None
 
-    def _run_again(self, buffer: Bytes, stencil: Stencil) -> tuple[EvenBlock, int] | None:
+    def _run_again(self, buffer: Bytes, stencil: Stencil) -> tuple[EvenBlock, int] | _Run | None:
         count, rest = divmod(len(buffer), stencil.step)
         frames, size = Frames(buffer, 0, stencil.step, count, stencil.length), len(stencil.shapes)
-        if count < size or not stencil.fits(frames, self._place):
+        if count < size or not stencil.matches(frames, self._place):
             return None
+        good = stencil.form.sums_fit(frames)
+        if not every(good):
+            starts = np.arange(0, count * stencil.step, stencil.step, dtype=np.intp)
+            shape = stencil.shapes[0] if size == 1 else NO_SHAPE
+            joined = np.ones(count, dtype=np.bool_)
+            return _Run(starts=starts, length=stencil.length, step=stencil.step, shape=shape, good=good, joined=joined)
         following = (self._place + count) % size
         if rest and not stencil.may_become(buffer[-rest:], following):
             return None
@@ -263,7 +275,8 @@ class Framer:
         starts = ends[:count] - np.resize(lengths, count)
         shapes = np.resize([stencil.shapes[0] for stencil in sequence], count)
         for shape, stencil in {stencil.shapes[0]: stencil for stencil in sequence}.items():
-            if not stencil.fits(frames_at(buffer, starts[shapes == shape], stencil.length), 0):
+            frames = frames_at(buffer, starts[shapes == shape], stencil.length)
+            if not stencil.matches(frames, 0) or not every(stencil.form.sums_fit(frames)):
                 return None
         until, following = int(ends[count - 1]), count % len(sequence)
         if not sequence[following].may_become(buffer[until:], 0):
@@ -274,11 +287,11 @@ class Framer:
 
     def _take_broken_run(self, buffer: Bytes, run: _Run, found: _Found) -> int:
         """Take the good frames of a run up to where it ends, single bad ones between them left out."""
-        limit = self._end_of_run(buffer, run, found)
-        taken = np.flatnonzero(run.good[:limit])
-        if not run.good[0] or len(taken) == 0:
+        if not run.good[0]:
             self._run = _FIRST_RUN
             return int(run.starts[0])
+        limit = self._end_of_run(buffer, run, found)
+        taken = np.flatnonzero(run.good[:limit])
         if limit < len(run.good):
             self._run = _FIRST_RUN
             # Frames of another length follow: from now on headers are followed from one to the next.
@@ -323,8 +336,16 @@ class Framer:
         self._is_mixed = count < _SAME_AGAIN or bool((lengths[:count] != lengths[0]).any())
         behind = self._accept(found, starts[:count], shapes[:count], int(lengths[count - 1]))
         self._cut_at = behind if behind in cut else -1
-        self._sequence = self._sequence_of(buffer, starts[:count], shapes[:count])
         return behind
+
+    def _learn(self, buffer: Bytes, found: _Found) -> None:
+        """Keep what the last frames have in common: once for each feed, as only the next one asks for it."""
+        if found.run is not None:
+            frames, shapes = found.run
+            self._stencil = self._check.stencil(frames, shapes, self._rule.trailer[: frames.step - frames.length])
+            self._place = frames.count % len(self._stencil.shapes) if self._stencil else 0
+        if self._is_mixed and found.starts:
+            self._sequence = self._sequence_of(buffer, found.starts[-1], found.shapes[-1])
 
     def _sequence_of(self, buffer: Bytes, starts: Positions, shapes: NDArray[np.int64]) -> list[Stencil]:
         """Return what recognises the frames to come if those so far came in cycles; empty if they did not."""
@@ -350,9 +371,10 @@ class Framer:
         gaps = run.starts[:limit][bad[:limit], None] + np.arange(run.step)
         loose = run.starts[: max(limit - 1, 0)][~run.joined[: max(limit - 1, 0)], None] + np.arange(run.length, run.step)
         inside = self._check.candidates(buffer, np.concatenate([gaps.ravel(), loose.ravel()]))
-        judged = self._check.judge(buffer, inside, last=False)
-        self._note_promises(buffer, inside[judged == INVALID], found)
-        others = inside[judged != INVALID]
+        judged, ends = self._check.judge(buffer, inside, last=False)
+        is_none = judged == INVALID
+        found.promises.append((inside[is_none], ends[is_none]))
+        others = inside[~is_none]
         if self._rule.trailer and run.step == run.length:
             # A stream that sends no trailers does not begin a bad frame with one; leave such a place to the search.
             others = np.concatenate([others, gaps[buffer[gaps[:, 0]] == self._rule.trailer[0], 0]])
@@ -369,22 +391,19 @@ class Framer:
         found.shapes.append(shapes)
         return int(starts[-1]) + last_length
 
-    def _note_promises(self, buffer: Bytes, rejected: Positions, found: _Found) -> None:
-        if len(rejected):
-            found.promises.append((rejected, rejected + np.maximum(self._check.lengths(buffer, rejected), 0)))
-
     def _search(self, buffer: Bytes, at: int, found: _Found, *, last: bool) -> int:
         """Go to the next position that is a frame or may become one, at most to the end of the window."""
         until = min(at + self._window, len(buffer))
         candidates = self._check.headers(buffer, at, until)
-        judged = self._check.judge(buffer, candidates, last)
-        hits = candidates[judged != INVALID]
+        judged, ends = self._check.judge(buffer, candidates, last)
+        hits = np.flatnonzero(judged)
+        rejected = slice(int(hits[0]) if len(hits) else None)
         if len(hits):
             self._window = _FIRST_WINDOW
-            until = int(hits[0])
+            until = int(candidates[hits[0]])
         else:
             self._window = min(2 * self._window, _LONGEST_WINDOW)
-        self._note_promises(buffer, candidates[candidates < until], found)
+        found.promises.append((candidates[rejected], ends[rejected]))
         if until > at:
             if self._skipped_here == 0 and self._check.length_at(buffer, at):
                 self.frames_bad_checksum += 1
@@ -416,9 +435,10 @@ class Framer:
         if not found.promises and self._seen_until <= self._origin:
             return None
         until = np.full(len(starts) + 1, self._seen_until, dtype=np.int64)
-        for offsets, ends in found.promises:
+        if found.promises:
+            offsets, ends = (np.concatenate(parts) for parts in zip(*found.promises, strict=True))
             np.maximum.at(until, np.searchsorted(starts, offsets), ends + self._origin)
-        until = np.maximum.accumulate(until) if found.promises else until
+            until = np.maximum.accumulate(until)
         self._seen_until = int(until[-1])
         return until[:-1]
 
