@@ -20,7 +20,10 @@ INCOMPLETE = 2
 NO_SHAPE = -1
 _SHAPES_TRIED = 16  # Known shapes that are compared with many frames at once; an instrument sends one to ten of one length.
 _SHAPES_KEPT = 1024
-_GROUPS_OF_LENGTHS = 8  # Frames of so many lengths are checked length by length; more (candidates in noise) all at once.
+# Frames of one length are checked together, several times faster, but what each length adds costs as much as some frames:
+# up to so many lengths, and one more for so many frames; above, all are checked at once.
+_GROUPS_OF_LENGTHS = 3
+_FRAMES_OF_ONE_LENGTH = 50
 _LONGEST_CYCLE = 8  # Frames after which an instrument begins anew with the first kind.
 _FEW = 256  # Numbers up to which a set is faster than a sort.
 _LENGTH_BITS = 17
@@ -207,7 +210,7 @@ class FrameCheck:
         for form, mine in self._by_form(buffer, starts):
             ordered = lengths[mine]
             different = distinct(ordered)
-            if len(different) > _GROUPS_OF_LENGTHS:
+            if len(different) > _GROUPS_OF_LENGTHS + len(mine) // _FRAMES_OF_ONE_LENGTH:
                 good = mine[form.fit_spans(buffer, starts[mine], ordered)]
                 found[good] = self.shapes(buffer, starts[good], lengths[good])
                 continue

@@ -25,7 +25,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.acquire.decode.frame_check import INVALID, NO_SHAPE, FrameCheck, Stencil, cycle_length, frames_at
+from imufield.acquire.decode.frame_check import INVALID, NO_SHAPE, VALID, FrameCheck, Stencil, cycle_length, frames_at
 from imufield.acquire.protocol.frame_schema import FrameRule
 from imufield.acquire.protocol.layout import Frames, Layout
 from imufield.samples import every
@@ -34,11 +34,11 @@ Bytes = NDArray[np.uint8]
 Positions = NDArray[np.intp]
 
 # Frames checked together: the first guess after a disturbance, and the bound on memory (8 bytes for each byte checked).
-_FIRST_RUN = 32
+_FIRST_RUN = 128
 _LONGEST_RUN = 8192
 # Positions searched together: about three frames after a disturbance, many in noise.
 _FIRST_WINDOW = 128
-_LONGEST_WINDOW = 8192
+_LONGEST_WINDOW = 1 << 15
 # Bytes in which headers are followed from one to the next.
 _FIRST_CHAIN = 1 << 10
 _LONGEST_CHAIN = 1 << 16
@@ -168,14 +168,14 @@ class Framer:
         """
         joined = self._rest + data if self._rest else data
         buffer: Bytes = np.frombuffer(joined, dtype=np.uint8)
-        if self._check.forget():
-            self._stencil, self._sequence = None, []
         again = None if last else self._as_before(buffer)
         if isinstance(again, tuple):
             block, until = again
             self._rest = joined[until:]
             self._origin += until
             return block
+        if self._check.forget():
+            again, self._stencil, self._sequence = None, None, []
         found = _Found()
         at = 0 if again is None else self._take_broken_run(buffer, again, found)
         self._cut_at = -1
@@ -399,8 +399,10 @@ class Framer:
         hits = np.flatnonzero(judged)
         rejected = slice(int(hits[0]) if len(hits) else None)
         if len(hits):
-            self._window = _FIRST_WINDOW
             until = int(candidates[hits[0]])
+        # What may become a frame, at the end of the bytes, is no sign that the noise is over.
+        if len(hits) and judged[hits[0]] == VALID:
+            self._window = _FIRST_WINDOW
         else:
             self._window = min(2 * self._window, _LONGEST_WINDOW)
         found.promises.append((candidates[rejected], ends[rejected]))

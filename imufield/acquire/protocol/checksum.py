@@ -33,9 +33,8 @@ Positions = NDArray[np.intp]
 
 # Longest message whose weighted sum, at most 255 n (n + 1) / 2, stays below 2^24, so that single precision is exact.
 _EXACT_IN_SINGLE = 361
-# Longest message with a table of its own, 2 MiB; what instruments send all the time has a few hundred bytes.
+# Longest message that is looked up in the flat table, 2 MiB; what instruments send all the time has a few hundred bytes.
 _LONGEST_TABLE = 2048
-_TABLES_KEPT = 8  # Noise makes false frames of any length, each with its table: the oldest goes.
 # Rows looked up together: keeps the index array (8 bytes for each byte of a frame) in the second-level cache.
 _ROWS_AT_ONCE = 1024
 _START = 256  # Column of the start value in the table of what each byte value leaves.
@@ -44,9 +43,9 @@ _START = 256  # Column of the start value in the table of what each byte value l
 class _Tables(NamedTuple):
     """What the CRC of messages of one length is looked up in."""
 
-    # Flat: what each byte value leaves at each place; at the first one also what start value and final XOR leave.
-    left: NDArray[np.unsignedinteger]
+    left: NDArray[np.unsignedinteger]  # Flat: what each byte value leaves at each place. A view.
     offsets: NDArray[np.intp]  # Where the part of each place begins, shape (length, 1).
+    start: np.unsignedinteger  # What start value and final XOR leave.
 
 
 class _Ragged(NamedTuple):
@@ -119,6 +118,8 @@ class Crc(Checksum):
         alone = [parameters.calc(bytes([value]), 0) for value in range(256)]
         # Row d: what each byte value, and last the start value, leaves when d bytes follow. The final XOR is no part of it.
         self._left = np.array([[*alone, parameters(start).final()]], dtype=np.uint64) ^ np.uint64(parameters.xor_output())
+        # Half the size where it will do: what the frames of an instrument need stays in cache.
+        self._flat: NDArray[np.unsignedinteger] = np.empty(0, dtype=np.uint32 if self._width <= 32 else np.uint64)
         self._by_length: dict[int, _Tables] = {}
 
     def of_rows(self, rows: Bytes) -> Values:
@@ -129,12 +130,13 @@ class Crc(Checksum):
         if length > _LONGEST_TABLE:
             whole = np.ascontiguousarray(rows).reshape(-1)
             return self.of_spans(whole, np.arange(count, dtype=np.intp) * length, np.full(count, length, dtype=np.intp))
-        table, offsets = self._tables_of(length)
+        table, offsets, start = self._tables_of(length)
         values = np.empty(count, dtype=table.dtype)
         for at in range(0, count, _ROWS_AT_ONCE):
             # One row of the index for each place: the registers of all messages are then taken together step by step.
             index = np.add(rows[at : at + _ROWS_AT_ONCE].T, offsets, order="C")
-            np.bitwise_xor.reduce(table.take(index, mode="clip"), axis=0, out=values[at : at + _ROWS_AT_ONCE])
+            left = table.take(index, mode="clip")
+            np.bitwise_xor.reduce(left, axis=0, initial=start, out=values[at : at + _ROWS_AT_ONCE])
         return values
 
     def _spans(self, span: _Ragged, lengths: Positions) -> Values:
@@ -146,18 +148,18 @@ class Crc(Checksum):
         )
 
     def _tables_of(self, length: int) -> _Tables:
-        """Return the flat table and the place of each column in it for messages of one length."""
+        """Return what messages of one length need: all share one table, as they end at the same place of it."""
         found = self._by_length.get(length)
         if found is None:
             padded = length + -length % self._pad_to
             self._grow(padded)
-            # Half the size where it will do: the tables of a frame stay in cache.
-            kind = np.uint32 if self._width <= 32 else np.uint64
-            flat: NDArray[np.unsignedinteger] = self._left[:padded, :_START][::-1][:length].ravel().astype(kind)
-            if len(self._by_length) >= _TABLES_KEPT:
-                del self._by_length[next(iter(self._by_length))]
-            flat[:_START] ^= kind(int(self._left[padded, _START]) ^ self._final)
-            found = self._by_length[length] = _Tables(flat, np.arange(length, dtype=np.intp)[:, np.newaxis] * 256)
+            if len(self._flat) < 256 * padded:
+                self._flat = self._left[: max(padded, _LONGEST_TABLE), :_START][::-1].astype(self._flat.dtype).ravel()
+                self._by_length.clear()
+            begin = len(self._flat) - 256 * padded
+            offsets = np.arange(length, dtype=np.intp)[:, np.newaxis] * 256
+            start = self._flat.dtype.type(int(self._left[padded, _START]) ^ self._final)
+            found = self._by_length[length] = _Tables(self._flat[begin : begin + 256 * length], offsets, start)
         return found
 
     def _grow(self, length: int) -> None:
