@@ -77,17 +77,19 @@ class StepRule:
         inexact = np.zeros(len(steps), dtype=np.bool_)
         at = 0
         while at < len(steps) and self.step > 0:
-            odd = np.abs(steps[at:] - self.step) > (self._jitter if self._allowed else 2 * _TOLERANCE * self.step)
-            if not np.count_nonzero(odd):
+            tolerance = self._jitter if self._allowed else 2 * _TOLERANCE * self.step
+            odd = np.flatnonzero(np.abs(steps[at:] - self.step) > tolerance) + at
+            if not len(odd):
                 self._run_length = 0
                 break
-            until, learned = self._relearn(steps, at + np.flatnonzero(odd))
-            part = slice(at, until)
-            ratio = steps[part] / self.step
-            lost[part] = np.where(odd[: until - at], np.maximum(np.rint(ratio) - 1, 0), 0)
-            irregular[part] = odd[: until - at] & ((lost[part] > 0) | bool(self._allowed))
-            whole = np.abs(ratio - np.rint(ratio)) * self.step <= self._jitter * np.maximum(np.rint(ratio), 1)
-            inexact[part] = irregular[part] & ~whole & bool(self._allowed)
+            until, learned = self._relearn(steps, odd)
+            odd = odd[odd < until]
+            ratio = steps[odd] / self.step
+            whole = np.rint(ratio)
+            lost[odd] = np.maximum(whole - 1, 0)
+            irregular[odd] = (lost[odd] > 0) | bool(self._allowed)
+            if self._allowed:
+                inexact[odd] = np.abs(ratio - whole) * self.step > self._jitter * np.maximum(whole, 1)
             if learned:
                 self.step, self._run_length = self._run_value, 0
             at = until

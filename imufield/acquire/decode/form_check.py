@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -150,8 +151,10 @@ class FormCheck:
         covered = ends - form.checksum.size - starts - form.checksum_from
         good &= covered > 0
         places = np.flatnonzero(good)
-        batch = np.cumsum(covered[places]) // _BYTES_CHECKED_AT_ONCE
-        for part in np.split(places, np.flatnonzero(np.diff(batch)) + 1):
+        batch = covered[places].cumsum() // _BYTES_CHECKED_AT_ONCE
+        cuts = np.flatnonzero(batch[1:] != batch[:-1]) + 1
+        for begin, end in pairwise((0, *cuts.tolist(), len(places))):
+            part = places[begin:end]
             values = form.checksum.of_spans(buffer, starts[part] + form.checksum_from, covered[part])
             tails = buffer[(ends[part] - form.checksum.size)[:, None] + np.arange(form.checksum.size)]
             good[part] = values == _numbers_of_rows(tails, form.checksum_big_endian)

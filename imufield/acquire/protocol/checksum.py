@@ -84,11 +84,11 @@ class Checksum(ABC):
         """Return the values of n messages of different lengths (all at least 1) inside ``data``, shape (n,)."""
         if len(starts) == 0:
             return np.empty(0, dtype=np.uint64)
-        ends = np.cumsum(lengths)
+        ends = lengths.cumsum()
         first = ends - lengths
-        within = np.arange(int(ends[-1])) - np.repeat(first, lengths)
-        following = np.repeat(lengths, lengths) - 1 - within
-        return self._spans(_Ragged(data[within + np.repeat(starts, lengths)], following, first), lengths)
+        place = np.arange(int(ends[-1]))
+        values = data.take(place + (starts - first).repeat(lengths))
+        return self._spans(_Ragged(values, (ends - 1).repeat(lengths) - place, first), lengths)
 
     @abstractmethod
     def _spans(self, span: _Ragged, lengths: Positions) -> Values: ...
@@ -142,7 +142,7 @@ class Crc(Checksum):
     def _spans(self, span: _Ragged, lengths: Positions) -> Values:
         pad = -lengths % self._pad_to
         self._grow(int((lengths + pad).max()))
-        left = self._left[span.following + np.repeat(pad, lengths), span.values]
+        left = self._left.take((span.following + pad.repeat(lengths)) * self._left.shape[1] + span.values)
         return np.asarray(
             np.bitwise_xor.reduceat(left, span.first) ^ self._left[lengths + pad, _START] ^ np.uint64(self._final)
         )
