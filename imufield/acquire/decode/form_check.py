@@ -16,7 +16,7 @@ Bytes = NDArray[np.uint8]
 Positions = NDArray[np.intp]
 
 # Bytes of frames of many lengths checked together: bounds memory to some 20 MB, 40 bytes for each.
-_BYTES_CHECKED_AT_ONCE = 1 << 19
+BYTES_CHECKED_AT_ONCE = 1 << 19
 _NUMBER_SIZES = (1, 2, 4, 8)
 
 
@@ -49,10 +49,12 @@ class FormCheck:
     def matches(self, buffer: Bytes, starts: Positions) -> NDArray[np.bool_]:
         """Return where the sync bytes stand, as far as the buffer reaches. Shape (n,)."""
         found = np.ones(len(starts), dtype=np.bool_)
-        last = len(buffer) - 1
+        size = len(buffer)
+        may_be_cut = len(starts) > 0 and int(starts.max()) + len(self.form.sync) > size
         for offset, byte in enumerate(self.form.sync):
             places = starts + offset
-            found &= (buffer[np.minimum(places, last)] == byte) | (places > last)
+            same = buffer.take(places, mode="clip") == byte
+            found &= same | (places >= size) if may_be_cut else same
         return found
 
     def lengths(self, buffer: Bytes, starts: Positions) -> Positions:
@@ -151,7 +153,7 @@ class FormCheck:
         covered = ends - form.checksum.size - starts - form.checksum_from
         good &= covered > 0
         places = np.flatnonzero(good)
-        batch = covered[places].cumsum() // _BYTES_CHECKED_AT_ONCE
+        batch = covered[places].cumsum() // BYTES_CHECKED_AT_ONCE
         cuts = np.flatnonzero(batch[1:] != batch[:-1]) + 1
         for begin, end in pairwise((0, *cuts.tolist(), len(places))):
             part = places[begin:end]

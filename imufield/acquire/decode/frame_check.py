@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.acquire.decode.form_check import Bytes, FormCheck, Positions
+from imufield.acquire.decode.form_check import BYTES_CHECKED_AT_ONCE, Bytes, FormCheck, Positions
 from imufield.acquire.protocol.frame_forms import NONE, Shape
 from imufield.acquire.protocol.frame_schema import FrameRule
 from imufield.acquire.protocol.layout import Frames, Layout, Rows
@@ -210,7 +210,9 @@ class FrameCheck:
         for form, mine in self._by_form(buffer, starts):
             ordered = lengths[mine]
             different = distinct(ordered)
-            if len(different) > _GROUPS_OF_LENGTHS + len(mine) // _FRAMES_OF_ONE_LENGTH:
+            # Candidates overlap: frames of one length, copied one behind another, may be many times the bytes they come from.
+            has_few_of_each = len(different) > _GROUPS_OF_LENGTHS + len(mine) // _FRAMES_OF_ONE_LENGTH
+            if has_few_of_each or int(ordered.sum()) > BYTES_CHECKED_AT_ONCE:
                 good = mine[form.fit_spans(buffer, starts[mine], ordered)]
                 found[good] = self.shapes(buffer, starts[good], lengths[good])
                 continue
@@ -218,10 +220,14 @@ class FrameCheck:
                 group = mine if len(different) == 1 else mine[ordered == length]
                 frames = frames_at(buffer, starts[group], length)
                 rows, fitting = frames.rows, form.fits(frames)
-                if every(fitting) and (form.are_alike(rows) or every(form.have_first_key(rows))):
+                if not every(fitting):
+                    group, rows = group[fitting], rows[fitting]
+                if len(group) == 0:
+                    continue
+                if form.are_alike(rows) or every(form.have_first_key(rows)):
                     found[group] = self._match(form, self._family(form, rows), rows)
-                elif len(good := group[fitting]):
-                    found[good] = self.shapes(buffer, starts[good], lengths[good])
+                else:
+                    found[group] = self.shapes(buffer, starts[group], lengths[group])
         return found
 
     def shapes(self, buffer: Bytes, starts: Positions, lengths: Positions) -> NDArray[np.int64]:
