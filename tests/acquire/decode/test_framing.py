@@ -139,6 +139,32 @@ def test_a_frame_inside_a_damaged_one_is_found(finish: Callable[[bytes], bytes],
     assert frames_of(data, range(len(data)))[0] == wanted
 
 
+@pytest.mark.parametrize("frames_a_read", [7, 20])
+@pytest.mark.parametrize("keys", [b"\x91", b"\x91\x92"])
+def test_bad_frames_in_reads_like_those_before(
+    finish: Callable[[bytes], bytes], slow_frames: SlowFrames, keys: bytes, frames_a_read: int
+) -> None:
+    rng = np.random.default_rng(3)
+    frames = [bytearray(finish(keys[i % len(keys)].to_bytes() + rng.bytes(23))) for i in range(140)]
+    length = len(frames[0])
+    # Alone, two in a row, the first of a read and the last of one.
+    for bad in (45, 50, 51, 80, 84, 119):
+        frames[bad][12] ^= 4
+    data = b"".join(frames)
+    wanted = slow_frames(data)
+    assert len(wanted) == 134
+    assert RULE is not None
+    framer = Framer(RULE)
+    found: list[tuple[int, str]] = []
+    for begin in range(0, len(data), frames_a_read * length):
+        block = framer.feed(data[begin : begin + frames_a_read * length])
+        places = (block.starts + begin + frames_a_read * length - len(block.data)).tolist()
+        found += zip(places, [framer.layout(shape).kind for shape in block.shapes.tolist()], strict=True)
+    assert found == [(start, f"0x{data[start]:02X}") for start in wanted]
+    assert framer.bytes_skipped == 6 * length
+    assert framer.frames_bad_checksum == 5
+
+
 def test_half_a_trailer_at_the_end_of_a_read(datagram: MakeDatagram) -> None:
     data = datagram(1) + datagram(2, crlf=False) + b"\r" + datagram(3)
     starts, framer = frames_of(data, range(len(data)))
