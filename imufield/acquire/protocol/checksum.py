@@ -35,6 +35,8 @@ Positions = NDArray[np.intp]
 _EXACT_IN_SINGLE = 361
 # Longest message that is looked up in the flat table, 2 MiB; what instruments send all the time has a few hundred bytes.
 _LONGEST_TABLE = 2048
+# Where the part of each place begins in that table, from the first byte of a message on, shape (n, 1).
+_OFFSETS = np.arange(_LONGEST_TABLE, dtype=np.intp)[:, np.newaxis] * 256
 # Rows looked up together: keeps the index array (8 bytes for each byte of a frame) in the second-level cache.
 _ROWS_AT_ONCE = 1024
 _START = 256  # Column of the start value in the table of what each byte value leaves.
@@ -44,7 +46,7 @@ class _Tables(NamedTuple):
     """What the CRC of messages of one length is looked up in."""
 
     left: NDArray[np.unsignedinteger]  # Flat: what each byte value leaves at each place. A view.
-    offsets: NDArray[np.intp]  # Where the part of each place begins, shape (length, 1).
+    offsets: NDArray[np.intp]  # Where the part of each place begins, shape (length, 1). A view.
     start: np.unsignedinteger  # What start value and final XOR leave.
 
 
@@ -157,9 +159,8 @@ class Crc(Checksum):
                 self._flat = self._left[: max(padded, _LONGEST_TABLE), :_START][::-1].astype(self._flat.dtype).ravel()
                 self._by_length.clear()
             begin = len(self._flat) - 256 * padded
-            offsets = np.arange(length, dtype=np.intp)[:, np.newaxis] * 256
             start = self._flat.dtype.type(int(self._left[padded, _START]) ^ self._final)
-            found = self._by_length[length] = _Tables(self._flat[begin : begin + 256 * length], offsets, start)
+            found = self._by_length[length] = _Tables(self._flat[begin : begin + 256 * length], _OFFSETS[:length], start)
         return found
 
     def _grow(self, length: int) -> None:
