@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.recording.reader import Damage
-from imufield.acquire.recording.session import open_or_newest
+from imufield.acquire.recording.session import Session, open_or_newest
 from imufield.acquire.recording.session_record import SiteRecord
 from imufield.calibrate.model.observations import leave_out
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters
@@ -19,7 +20,7 @@ from imufield.console import PlainTextConsole
 from imufield.deliver.navigation.alignment import Heading
 from imufield.deliver.navigation.check import SHORTEST_S, Apply, CheckSettings, NavigationResult, StaticNavigation
 from imufield.deliver.parameters.apply import correct_accelerometer, correct_gyroscope
-from imufield.deliver.parameters.file import Corrected, json_ready, load
+from imufield.deliver.parameters.file import PARAMETER_FILE, Corrected, json_ready, load
 from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S, to_ascii
 from imufield.deliver.samples.apply_session import TemperatureFlags
 from imufield.deliver.verification.left_out import LeftOutPositions, check_positions, contradiction, cross_validate
@@ -62,10 +63,11 @@ class _Task:
     def __init__(self, options: VerifyOptions) -> None:
         self.options = options
         self.limits = parse_requirements(options.require)
-        self.parameters = load(options.parameters)
+        given = options.parameters or Session.newest().folder
+        self.parameters = load(given)
         self.preset = None if options.preset is None else load(options.preset)
         # A folder stands for the parameters in it: alone it is the session as well.
-        its_own = options.parameters if options.parameters.is_dir() else None
+        its_own = given if given.is_dir() else None
         self.session = open_or_newest(options.session or its_own)
         for checked in filter(None, (self.parameters, self.preset)):
             checked.check_instrument(self.session.serial_number)
@@ -107,7 +109,7 @@ def run_verify(options: VerifyOptions) -> Verification:
         If a file or the session cannot be used.
     """
     task = _Task(options)
-    parameters = task.parameters.path or options.parameters
+    parameters = task.parameters.path or Path(PARAMETER_FILE)
     output = options.output or verification_path(parameters)
     # Before the replay: hours of navigation should not end at a file that is not to be written.
     refuse_overwriting(output, [parameters, *task.session.parts, *filter(None, [options.preset])])

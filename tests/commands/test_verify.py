@@ -27,6 +27,7 @@ from imufield.deliver.parameters.temperature import add_temperature
 from imufield.deliver.parameters.write import content_sha256, to_toml, write_document
 from imufield.earth import EARTH_RATE_RAD_S
 from imufield.errors import ParameterFileError, Reason, RecordingError, VerificationError
+from imufield.files import DEFAULT_ROOT
 from imufield.pipeline.site import SiteOptions
 from imufield.samples import FloatArray, Samples
 from tests.commands.told import fails, missing
@@ -98,6 +99,19 @@ def test_own_session_is_cross_validated(solved: Path, tmp_path: Path, capsys: py
     assert found.navigation is None
     assert capsys.readouterr().out
     assert json.loads(output.read_text())["positions"]["as_forecast"]
+
+
+def test_alone_it_takes_the_newest_session_and_its_parameters(
+    solved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    newest = tmp_path / DEFAULT_ROOT / "20260301T101500Z-newest"
+    shutil.copytree(solved, newest, ignore=shutil.ignore_patterns("*.json"))
+    monkeypatch.chdir(tmp_path)
+    assert run(["verify"]) == 0
+    named = run_verify(VerifyOptions(parameters=solved / "parameters.toml", session=solved, output=tmp_path / "named.json"))
+    kept = json.loads((newest / "parameters.verification.json").read_text())["positions"]
+    assert named.left_out is not None
+    assert kept["misfit"] == pytest.approx(named.left_out.misfit, rel=1e-12)
 
 
 def test_another_session_of_36_positions_proves_the_parameters(

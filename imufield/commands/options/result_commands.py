@@ -256,7 +256,9 @@ class VerifyOptions:
     Example: imufield verify parameters.toml standstill-5h --require nav-nmi-per-h=1
     """
 
-    parameters: Annotated[Path, session_argument(help="Parameter file under test.")]
+    parameters: Annotated[
+        Path | None, session_argument(help="Parameter file under test (default: that of the newest session).")
+    ] = None
     session: Annotated[Path | None, session_argument(help="Session to check them on (default: the newest).")] = None
     preset: Annotated[Path | None, option(help="Parameter file to compare with (default: no correction).")] = None
     hold_out: Annotated[

@@ -277,6 +277,8 @@ def _position_lines(left_out: LeftOutPositions) -> Iterator[str]:
     yield f"  {'RMS':<{width}} " + " ".join(f"{_cell(figure / size, ''):>10}" for figure in figures)
     if left_out.words:
         yield from _wrapped(f"  {left_out.words}")
+    if np.isfinite(left_out.misfit):
+        yield from _wrapped(f"  {sentence('result.correlated')}")
     if with_before:
         yield from _wrapped(f"  {sentence('result.columns')}")
 

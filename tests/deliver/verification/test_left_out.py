@@ -62,6 +62,15 @@ def test_residuals_of_fresh_positions_are_as_forecast_in_most_seeds() -> None:
     assert np.sqrt(np.mean(normalised**2)) == pytest.approx(1.0, abs=0.15)
 
 
+def test_the_misfit_counts_what_positions_share() -> None:
+    """Errors of the parameters move all positions: the mean square differs from that of each position by itself."""
+    found = check_positions(calibrated(), observe(100, "paper36"), GRAVITY)
+    alone = float(np.mean((found.residual_m_s2 / found.sigma_m_s2) ** 2))
+    assert found.misfit > 1.02 * alone
+    # As nearly as the forecast of all positions is one: what the two RMS in the table say.
+    assert alone == pytest.approx((found.rms_m_s2 / found.forecast_rms_m_s2) ** 2, rel=0.05)
+
+
 def test_the_error_of_gravity_cancels_at_one_place() -> None:
     # True gravity differs by 2e-3 from what both sessions were told: nothing is seen, as it must be.
     calibration = calibrate_accelerometer(observe(1, g=9.812), GRAVITY, model="linear")

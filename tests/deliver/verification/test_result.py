@@ -30,6 +30,7 @@ from imufield.deliver.verification.result import (
     write_verification,
 )
 from imufield.errors import Reason, UsageError
+from tests.commands.told import says
 from tests.refused import refused
 from tests.told import key_of
 
@@ -117,6 +118,7 @@ def test_text_has_the_verdict_last(loaded: Parameters, left_out: LeftOutPosition
     )
     assert text.endswith("Requirement residual-ug <= 30: 40, NOT MET\nVerdict: FAIL\n")
     assert "0.80" in text
+    assert says(text, "deliver.verification", "result.correlated")
     assert "drift after: 0.216 nmi/h" in text
     assert max(map(len, text.splitlines())) <= 80
 
