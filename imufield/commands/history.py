@@ -110,7 +110,7 @@ def _print(histories: Sequence[JudgedHistory], options: HistoryOptions, now: dat
         changes = {change.name: change for change in history.changes()}
         # One calibration has nothing to compare, and its numbers are in its file.
         numbers = history.entries[-1].numbers if changes else ()
-        headings = [("parameter", "value ± sigma", "unit", "since the one before")] if numbers else []
+        headings = [("parameter", "value ± sigma", "unit", "newest vs. previous")] if numbers else []
         for line in _table(headings + [_cells(number, changes.get(number.name)) for number in numbers]):
             echo(line)
         if any(number.name.startswith("angle") for number in numbers):

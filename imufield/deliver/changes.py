@@ -216,17 +216,25 @@ def _judged(history: JudgedHistory) -> Iterator[Sentence]:
         if change.first_after is None:
             yield sentence("changes.drift", size=change.size * _DAYS_A_YEAR, limit_sigma=change.limit_sigma, **told)
         else:
-            before, after = entries[change.first_after - 1], entries[change.first_after]
-            days = {"before": _moment(before, after), "after": _moment(after, before)}
+            days = _around(entries, change.first_after)
             yield sentence("changes.step", size=change.size, limit_sigma=change.limit_sigma, **days, **told)
     if judged.changes and not judged.news:
         largest = max(judged.changes, key=_share_of_limit)
-        told = {"numbers": len(judged.changes), "name": names[largest.name], "in_sigma": abs(largest.in_sigma)}
+        name, first_after = names[largest.name], largest.first_after
+        a_drift = sentence("changes.a_drift", name=name)
+        what = a_drift if first_after is None else sentence("changes.a_step", name=name, **_around(entries, first_after))
+        told = {"numbers": len(judged.changes), "change": what, "in_sigma": abs(largest.in_sigma)}
         yield sentence("changes.none", sessions=len(entries), limit_sigma=largest.limit_sigma, **told)
     for kind, found in judged.repeatability.items():
         key = "changes.daily" if found.sigma > 0 else "changes.daily_unseen"
         figures = {"sigma": found.sigma, "low": found.low, "high": found.high}
         yield sentence(key, kind=kind, unit=unit_of(f"{kind} x"), **figures)
+
+
+def _around(entries: Sequence[Entry], first_after: int) -> dict[str, str]:
+    """Return between which calibrations a step lies."""
+    before, after = entries[first_after - 1], entries[first_after]
+    return {"before": _moment(before, after), "after": _moment(after, before)}
 
 
 def _share_of_limit(change: LargestChange) -> float:

@@ -128,7 +128,7 @@ def test_the_table_has_headings_and_scales_as_errors(folder: Path, capsys: pytes
     assert run(["history", str(folder)]) == 0
     lines = capsys.readouterr().out.splitlines()
     (heading,) = [line for line in lines if "parameter " in line]
-    assert heading.split() == ["parameter", "value", "±", "sigma", "unit", "since", "the", "one", "before"]
+    assert heading.split() == ["parameter", "value", "±", "sigma", "unit", "newest", "vs.", "previous"]
     (scale,) = [line for line in lines if line.startswith("    scale error x")]
     truth = load(folder / "two.toml").calibration.intrinsic.scale[0]
     assert scale.split()[3] == f"{(truth - 1) * 1e6:+.0f}"

@@ -156,6 +156,10 @@ def test_what_days_do_is_no_news(tmp_path: Path, write) -> None:  # type: ignore
     history = judge_history(read_history(tmp_path).instruments[0])
     told = list(sentences(history, NOW))
     assert keys(told)[:2] == ["changes.none", "changes.daily"]
+    # The test of the whole history says what it found and where: it is not what the table compares.
+    largest = max(history.judged.changes, key=lambda change: abs(change.in_sigma) / change.limit_sigma)
+    assert key_of(told[0].values["change"]) == ("changes.a_drift" if largest.first_after is None else "changes.a_step")
+    assert told[0].values["in_sigma"] == pytest.approx(abs(largest.in_sigma))
     number = next(number for number in history.entries[0].numbers if number.name == "bias y")
     # One axis of three changes.
     assert history.repeatability["bias"].sigma == pytest.approx(moves.std(ddof=1) * number.sigma / np.sqrt(3), rel=0.05)
