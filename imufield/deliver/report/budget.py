@@ -306,13 +306,15 @@ class BudgetTable:
     places: tuple[str, ...]
     rows: tuple[BudgetRow, ...]
     sums: tuple[tuple[str, ...], ...]
-    """Name, then the text of each parameter: combined uncertainties, degrees of freedom, k, U, value."""
+    """Name, then the text of each parameter: combined uncertainties, degrees of freedom, k, U."""
+    values: tuple[str, ...]
+    """Rounded as U."""
 
     @property
     def results(self) -> tuple[tuple[str, ...], ...]:
         """Place, value, U, k and effective degrees of freedom of each parameter."""
-        *_, freedom, factor, expanded, value = (texts for _, *texts in self.sums)
-        return tuple(zip(self.places, value, expanded, factor, freedom, strict=True))
+        *_, freedom, factor, expanded = (texts for _, *texts in self.sums)
+        return tuple(zip(self.places, self.values, expanded, factor, freedom, strict=True))
 
 
 def budget_tables(parameters: Parameters) -> tuple[BudgetTable, ...]:
@@ -354,10 +356,10 @@ def _table(group: Group, calibration: Calibration) -> BudgetTable:
         (sentence("budget.effective_freedom"), *(freedom_words(parameter.degrees_of_freedom) for parameter, _ in pairs)),
         (sentence("budget.coverage_factor"), *(f"{parameter.coverage_factor:.2f}" for parameter, _ in pairs)),
         (sentence("budget.expanded"), *(short(parameter.expanded / abs(size)) for parameter, size in pairs)),
-        (sentence("budget.value"), *(_value_words(parameter, size, group, calibration) for parameter, size in pairs)),
     )
+    values = tuple(_value_words(parameter, size, group, calibration) for parameter, size in pairs)
     places = tuple(parameter.place for parameter in group.parameters)
-    return BudgetTable(title=group.title, unit=unit, places=places, rows=tuple(rows), sums=sums)
+    return BudgetTable(title=group.title, unit=unit, places=places, rows=tuple(rows), sums=sums, values=values)
 
 
 def _shown(group: Group, calibration: Calibration) -> tuple[str, Sequence[float]]:

@@ -272,6 +272,8 @@ def test_tables_name_each_share(solved: Parameters) -> None:
         assert len(table.rows) == len(group.shares)
         assert [key_of(row.words) for row in table.rows] == [f"shares.{share.name}" for share in group.shares]
         assert len(table.results) == len(group.parameters)
+        # The values stand in another table, of the certificate or the report, rounded as there.
+        assert key_of(table.sums[-1][0]) == "budget.expanded"
 
 
 def test_a_scale_that_only_the_maker_knows_has_its_own_unit(calibration: Calibration, observations: Observations) -> None:
