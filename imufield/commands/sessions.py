@@ -13,6 +13,7 @@ from imufield.calibrate.model.result import VERDICTS
 from imufield.commands.options.acquire_commands import SessionsOptions
 from imufield.commands.terminal.output import echo, say
 from imufield.deliver.parameters.file import PARAMETER_FILE
+from imufield.deliver.parameters.numbers import WIDTH
 from imufield.errors import ImufieldError, ParameterFileError, RecordingError, UsageError
 from imufield.files import DEFAULT_ROOT, Origin, read_small_file, real_path
 from imufield.guide.positions import SCHEME_FILE, SCHEMES, scheme
@@ -46,7 +47,10 @@ def list_sessions(options: SessionsOptions) -> None:
         echo(json.dumps({"folder": str(folder), "sessions": found}))
         return
     for row in found:
-        echo(f"{_line(row)}\n  {row['folder']}")
+        line, who = _line(row), _who(row)
+        # Folded between its columns: a terminal of 80 columns would break it in a word.
+        echo(line if len(line) <= WIDTH else f"{line.removesuffix(who).rstrip()}\n  {who}")
+        echo(f"  {row['folder']}")
         if row["fault"]:
             say(f"  {row['fault']}", indent=2)
     if not found:
@@ -102,5 +106,9 @@ def _line(row: Row) -> str:
     """Return all but folder and fault."""
     state = f"{row['state']}, not solved" if row["verdict"] is None else row["verdict"].upper()
     complete = "" if row["positions"] is None else f"{row['positions']} of {row['planned'] or '?'} positions"
-    when, who = (row["created"] or "")[:16].replace("T", " "), f"{row['instrument'] or ''} {row['serial_number'] or ''}"
-    return f"{when:<16}  {state:<22}  {complete:<18}  {who}".rstrip()
+    when = (row["created"] or "")[:16].replace("T", " ")
+    return f"{when:<16}  {state:<22}  {complete:<18}  {_who(row)}".rstrip()
+
+
+def _who(row: Row) -> str:
+    return f"{row['instrument'] or ''} {row['serial_number'] or ''}".strip()

@@ -83,6 +83,16 @@ def test_a_person_sees_the_same(folder: Path, capsys: pytest.CaptureFixture[str]
     assert not missing(shown, "unfinished, not solved", "finished, not solved", "damaged", "broken/session.toml")
 
 
+def test_a_long_name_does_not_leave_80_columns(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    long = "84167-4400003-321 K N25581846020020"
+    Session.open(folder / "20260301T101500Z-solved").update({"instrument": {"driver": "stim300", "serial_number": long}})
+    assert run(["sessions", "--find", "solved GOOD"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert lines[0].endswith("24 of 24 positions")
+    assert lines[1].endswith(long)
+
+
 @pytest.mark.parametrize(
     ("words", "names"), [("unfinished", "stopped"), ("n1 GOOD", "solved"), ("2026-03-02", "raw"), ("broken", "broken")]
 )
