@@ -55,6 +55,27 @@ def test_sentences_of_the_guide_name_marks_and_no_keys() -> None:
     assert not [key for key, text in of_guide.items() if re.search(r"\bpress\b|\btap\b", text)]
 
 
+def test_degrees_of_freedom_are_counted() -> None:
+    """As "1 degree" where it is one."""
+    assert not [key for key, text in sentences() if re.search(r"\} degrees of freedom", text)]
+
+
+def test_of_a_move_nothing_is_asked_that_nobody_can_do() -> None:
+    """It is found in a recording and has no name: positions and sessions can be repeated, a move cannot."""
+    of_moves = {
+        key: text for key, text in sentences() if key.startswith("calibrate/gyroscope") and re.search(r"\bmove\b", text)
+    }
+    assert of_moves
+    assert not [key for key, text in of_moves.items() if re.search(r"repeat it\b", text)]
+
+
+def test_a_torn_end_may_be_that_of_a_recording_under_way() -> None:
+    of_parts = {key: text for key, text in sentences() if key.startswith("acquire/recording: part_file.")}
+    torn = [text for text in of_parts.values() if "cut off" in text]
+    assert len(torn) == 2
+    assert all("or is still" in text for text in torn)
+
+
 def test_no_private_words() -> None:
     found = [f"{key}: {text}" for key, text in sentences() if PRIVATE.search(text)]
     assert not found, "\n".join(found)

@@ -130,7 +130,7 @@ def _facts(data: ReportData) -> Document:
         "verdict": quality.verdict,
         "verdict_words": VERDICT_WORDS[quality.verdict],
         "edited": parameters.edited,
-        "reasons": folded([*quality.reasons[:1], *quality.warnings, *data.notes]),
+        "reasons": folded([*quality.warnings, *quality.reasons[:1], *data.notes]),
         "notes": folded(quality.details),
         "triads": {"accelerometer": quality.accelerometer_verdict, "gyroscope": quality.gyroscope_verdict},
         "sigma": sigma_words(quality),
@@ -226,7 +226,7 @@ def _quality(calibration: Calibration) -> Iterator[tuple[str, str]]:
     yield "Residual, largest", f"{_short(quality.residual_max_m_s2 / size)} {unit}"
     if math.isfinite(quality.leave_one_out_rms_m_s2):
         yield "Leave-one-out, RMS", f"{_short(quality.leave_one_out_rms_m_s2 / size)} {unit}"
-    yield "Scatter between positions", f"{_short(quality.between_position_sigma_m_s2 / size)} {unit}"
+    yield "Scatter between positions, chosen model", f"{_short(quality.between_position_sigma_m_s2 / size)} {unit}"
     yield "Degrees of freedom of the fit", str(quality.degrees_of_freedom)
     if math.isfinite(quality.condition):
         yield "Condition number", f"{quality.condition:.1f}"

@@ -232,7 +232,7 @@ def _verdict(parameters: Parameters) -> RenderableType:
     if quality.gyroscope_verdict:
         words = {"accelerometer": quality.accelerometer_verdict, "gyroscope": quality.gyroscope_verdict}
         line.append(f" ({', '.join(f'{triad} {_loud(verdict)}' for triad, verdict in words.items())})", style="not bold")
-    return Group(line, *_bullets((*quality.reasons[:1], *quality.warnings)))
+    return Group(line, *_bullets((*quality.warnings, *quality.reasons[:1])))
 
 
 def _loud(verdict: str) -> str:

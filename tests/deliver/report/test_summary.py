@@ -99,6 +99,13 @@ def test_poor_says_what_to_do(
     assert sentence(advice) in " ".join(text.split())
 
 
+def test_below_the_verdict_warnings_come_first(calibration: Calibration, observations: Observations, context: Context) -> None:
+    quality = calibration.quality.lowered("usable", "look at this first")
+    text = " ".join(made(replace(calibration, quality=quality), observations, context).split())
+    verdict = text.partition("Verdict:")[2]
+    assert 0 < verdict.index("look at this first") < verdict.index(quality.reasons[0])
+
+
 def test_gyroscope_of_unknown_scale_and_of_full_calibration(
     calibration: Calibration, observations: Observations, context: Context, gyroscope: GyroscopeCalibration
 ) -> None:
