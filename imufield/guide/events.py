@@ -291,6 +291,8 @@ class LinkLost(Event, kind="link_lost"):
     accepted: int
     planned: int
     words: str = field(default_factory=lambda: sentence("events.link_lost"))
+    resumed: bool = False
+    """No link was lost: the operator had stopped the session, and goes on with it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -138,7 +138,8 @@ class Chain:
         events = self._start_decoder(protocol)
         # Whoever stopped and goes on wanted the pause: to call it a lost link would alarm for nothing.
         return [
-            replace(event, words=sentence("chain.part_begins")) if isinstance(event, LinkLost) else event for event in events
+            replace(event, words=sentence("chain.part_begins"), resumed=True) if isinstance(event, LinkLost) else event
+            for event in events
         ]
 
     def feed_block(self, block: RecordedBlock) -> list[Event]:

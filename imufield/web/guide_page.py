@@ -11,7 +11,7 @@ from queue import Empty, SimpleQueue
 import numpy as np
 
 from imufield.earth import MILLI_G_M_S2
-from imufield.guide.events import Accepted, Event, Rejected
+from imufield.guide.events import Accepted, Event, LinkLost, Rejected
 from imufield.guide.lead.guide import Snapshot
 from imufield.guide.lead.state_table import State
 from imufield.guide.positions import Scheme
@@ -119,8 +119,6 @@ class GuidePage:
             "side": now.side,
             "mood": now.mood.value,
             "marks": list(snapshot.marks),
-            "target": snapshot.target,
-            "position": snapshot.position,
             "fraction": _number(snapshot.fraction) if holding else None,
             "remaining_s": _number(screen.remaining_s) if holding else None,
             "angle_deg": _number(screen.angle_deg) if snapshot.state is State.TURNING else None,
@@ -147,6 +145,8 @@ class GuidePage:
             "suspects": list(snapshot.suspects),
             "skipped": list(snapshot.skipped),
             "again": list(snapshot.again),
+            "target": snapshot.target,
+            "position": snapshot.position,
             "forecasts": [[done, *values] for done, values in self._forecasts.items()],
         }
         log, self._log = self._log, []
@@ -172,7 +172,8 @@ def _kind(event: Event) -> str:
     """Return what a line of the log is: the event's name, but for those that are worse or better than others of that name."""
     if isinstance(event, Accepted) and event.suspect:
         return "suspect"
-    return "told" if isinstance(event, Rejected) and event.reason in MILD_REFUSALS else event.kind
+    is_mild = isinstance(event, Rejected) and event.reason in MILD_REFUSALS
+    return "told" if is_mild or (isinstance(event, LinkLost) and event.resumed) else event.kind
 
 
 def _number(value: float) -> float | None:

@@ -20,6 +20,7 @@ from imufield.commands.terminal.output import NothingRecorded
 from imufield.deliver.exports import export_parameters
 from imufield.errors import ParameterFileError, Reason
 from imufield.guide.events import LinkLost
+from imufield.guide.view.sound import heard
 from imufield.pipeline.chain import Chain, ReadingPlan, replay_into
 from imufield.samples import Samples, Status
 from imufield.sentences import Sentences
@@ -139,6 +140,8 @@ def test_a_session_that_goes_on_does_not_speak_of_a_link_that_is_gone(make_sessi
     assert chain.protocol is not None
     said = [event for event in chain.start_part(chain.protocol) if isinstance(event, LinkLost)]
     assert [event.words for event in said] == [Sentences("imufield.pipeline")("chain.part_begins")]
+    # Nothing is wrong: no alarm sounds.
+    assert [heard(event) for event in said] == [(None, None)]
     assert said[0].accepted == 3
 
 

@@ -54,7 +54,8 @@ class StagedSession:
         )
         self._directions = {position.name: np.array(position.direction) for position in positions.positions}
         self._source = make_virtual_imu(options)
-        self.guide = Guide(positions, self._source.imu.instrument.grade.units, settings=GuideSettings(hold_s=4.0))
+        settings = GuideSettings(hold_s=4.0, revisit_first=True)
+        self.guide = Guide(positions, self._source.imu.instrument.grade.units, settings=settings)
         self.page = GuidePage(
             positions, session="2026-03-14-workshop", instrument=instrument, cable="-x", replay_speed=replay_speed
         )
@@ -92,8 +93,18 @@ class StagedSession:
         self._run(lambda now: now.state is State.TURNING and len(now.accepted) == 18)
         self._events += [self.guide.asked_to_finish()]
         yield self._shown("finish asked")
+        self._run(lambda now: now.revisiting is not None and now.state is State.TURNING and _moves(now))
+        yield self._shown("drift check")
         self._run(lambda now: now.state is State.DONE)
         yield self._shown("done")
+
+    def hold_another(self) -> str:
+        """Hold the last of the positions, whichever is asked for; show it, and return its name."""
+        *_, name = self._directions
+        self._directions = dict.fromkeys(self._directions, self._directions[name])
+        self._run(lambda now: now.position == name and now.target != name)
+        self._shown("")
+        return name
 
     def mark(self, action: str) -> None:
         """Make a mark, and show what came of it."""

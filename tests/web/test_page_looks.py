@@ -15,7 +15,7 @@ import pytest
 
 pytest.importorskip("websockets", reason="the page needs websockets")
 
-from imufield.guide.events import Marked
+from imufield.guide.events import LinkLost, Marked
 from imufield.guide.positions import angle_deg
 from tests.web.browser import Screens
 from tests.web.guide_stages import ENDED, STAND_STILL, StagedSession
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 AXE = Path(__file__).parent / "scripts" / "node_modules" / "axe-core" / "axe.min.js"
 SIZES = ((390, 844), (320, 568), (844, 390), (768, 1024), (1280, 800))
-STAGES = 14
+STAGES = 15
 # Beside what a page of its own scrolls by, nothing may stick out.
 WIDER = """() => [...document.querySelectorAll("body *")]
     .filter((element) => element.getBoundingClientRect().right > innerWidth + 1 && element.checkVisibility())
@@ -50,12 +50,14 @@ class Findings:
     words: list[str] = field(default_factory=list)
     angles: list[tuple[str, float]] = field(default_factory=list)
     """As the page shows it, and by the guide's own directions, both in degrees."""
+    headlines: dict[str, str] = field(default_factory=dict)
     console: list[str] = field(default_factory=list)
 
 
 def find(page: Page, stage: str, found: Findings) -> None:
     """Note what is wrong with a state."""
     found.stages.append(stage)
+    found.headlines[stage] = page.locator("#headline").inner_text()
     shown = page.locator("body").inner_text()
     found.words += [f"{stage}: {line}" for line in shown.splitlines() if NOT_OURS.search(line)]
     for width, height in SIZES:
@@ -95,7 +97,7 @@ def findings(browser: Browser) -> Iterator[Findings]:
         found.console = list(screens.console)
         server.end(ENDED)
     page.locator("#headline", has_text="FINISHED").wait_for()
-    assert page.locator("#positions .next").count() == 0
+    assert page.locator("#positions :is(.next, .here)").count() == 0
     assert not [shown for shown in page.locator("#positions .off").all_inner_texts() if shown in ("+0.00", "\u22120.00")]
     find(page, "ended", found)
     yield found
@@ -111,6 +113,42 @@ def test_every_state_fits_every_screen(findings: Findings) -> None:
 
 def test_sentences_name_what_the_page_has(findings: Findings) -> None:
     assert not findings.words, "\n".join(findings.words)
+
+
+def test_the_repeat_of_the_first_position_is_announced(findings: Findings) -> None:
+    assert findings.headlines["drift check"] == "CHECK: TURN"
+
+
+def test_where_the_instrument_is_looks_other_than_what_comes_next(screens: Screens) -> None:
+    staged = StagedSession()
+    stages = staged.stages()
+    next(stages)
+    with staged.served() as (_, url):
+        page = screens.open(url)
+        page.evaluate(STAND_STILL)
+        staged.wait_for(page, next(stages))
+        other = staged.hold_another()
+        target = staged.guide.snapshot().target
+        staged.wait_for(page, "")
+        rows = {kind: page.locator(f"#positions .{kind}") for kind in ("here", "next")}
+        names = {kind: row.locator(".name").all_inner_texts() for kind, row in rows.items()}
+        assert names == {"here": [other], "next": [target]}
+        signs = {kind: row.locator(".sign").inner_text() for kind, row in rows.items()}
+        assert signs["here"] != signs["next"]
+        legend = page.locator("#legend").inner_text()
+        assert all(f"{sign}\u00a0{kind}" in legend for kind, sign in signs.items())
+
+
+def test_good_news_is_not_in_the_colour_of_an_error(screens: Screens) -> None:
+    staged = StagedSession()
+    staged.page.show([LinkLost(0.0, 1, 24, "reconnect the cable"), LinkLost(0.0, 1, 24, "all is saved", resumed=True)])
+    next(staged.stages())
+    with staged.served() as (_, url):
+        page = screens.open(url)
+        lines = page.locator("#log li")
+        places = (lines.filter(has_text="cable"), lines.filter(has_text="saved"), page.locator("body"))
+        error, good, plain = (place.evaluate("(shown) => getComputedStyle(shown).color") for place in places)
+    assert error != good == plain
 
 
 def test_the_angle_to_the_goal_is_the_guide_s(findings: Findings) -> None:

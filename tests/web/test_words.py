@@ -17,7 +17,7 @@ IMPORTED = re.compile(r'from "\./(\w+\.js)"')
 TEXT = re.compile(r"\btext\(([^()]*)")
 NAME = re.compile(r'"(\w+)"')
 # Of positions, marks and the end: their names come from the program.
-BY_STATE = {"accepted", "next", "open", "suspect", "again", "skipped", "tap", "named"}
+BY_STATE = {"accepted", "next", "here", "open", "suspect", "again", "skipped", "tap", "named"}
 BY_STATE |= {f"{outcome}{then}" for outcome in ("finished", "stopped", "replayed") for then in ("", "_next", "_back")}
 BY_RESULT = {"good", "usable", "poor", "named"}
 PAGES = {"index.html": ("guide.js", BY_STATE), "workbench.html": ("workbench.js", BY_RESULT)}

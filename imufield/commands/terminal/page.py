@@ -84,14 +84,16 @@ class ServedPage:
 
     Attributes
     ----------
+    url : str
+        Its address.
     notice : str
         What the terminal shows in place of the guide until the first page is there or a key is pressed: the address, and its
         picture for a phone's camera.
     """
 
-    def __init__(self, page: GuidePage, server: PageServer, notice: str) -> None:
+    def __init__(self, page: GuidePage, server: PageServer, url: str, notice: str) -> None:
         self.show, self.read, self.end = page.show, page.read, server.end
-        self.notice = notice
+        self.url, self.notice = url, notice
         self._page, self._server = page, server
 
     def refresh(self, snapshot: Snapshot, *, silent: bool = False, samples_lost: int) -> None:
@@ -152,4 +154,4 @@ def serve_page(
             if not place.is_in_network:
                 show_in_browser(f"{place.url}#token={access.once(Role.MARK if takes_marks else Role.WATCH)}")
         notice = "\n".join([*lines, sentence("page.any_key"), "", qr_code(url)]) if place.is_in_network else ""
-        yield ServedPage(page, server, notice)
+        yield ServedPage(page, server, url, notice)

@@ -55,7 +55,9 @@ class View:
         """Draw the state between events, asked for only then; lines draw nothing, but say when the wire falls silent."""
         if self._pictures is not None:
             events, self._events = self._events, []
-            self._pictures.notice = "" if self.page is None else self.page.notice
+            if self.page is not None:
+                self._pictures.notice = self.page.notice
+                self._pictures.page = self.page.url
             self._pictures.show(events, snapshot(), samples_lost, silent=silent)
         # Once for each silence: a line ten times a second would push away what was said before.
         elif isinstance(self._lines, PlainView) and silent and not self._was_silent:

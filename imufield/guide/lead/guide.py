@@ -49,6 +49,8 @@ class Snapshot:
         Part of the hold that is done.
     suspects, again : tuple of str
         Measured positions that the others contradict, and those to be measured once more.
+    revisiting : str or None
+        Measured position asked for once more at the end, as a check for drift.
     activity : Activity or None
         Stillness of the latest cell against its limit; without a link nobody knows.
     rate_hz : float
@@ -79,6 +81,7 @@ class Snapshot:
     skipped: tuple[str, ...]
     suspects: tuple[str, ...]
     again: tuple[str, ...]
+    revisiting: str | None
     planned: int
     direction: Vector | None
     target_direction: Vector | None
@@ -228,6 +231,7 @@ class Guide:
             skipped=tuple(plan.position(i).name for i in sorted(plan.skipped)),
             suspects=self.adviser.suspect_names,
             again=tuple(plan.position(i).name for i in plan.wanted_again),
+            revisiting=None if plan.revisiting is None else plan.position(plan.revisiting).name,
             planned=len(plan.scheme),
             direction=vector(up) if np.isfinite(up).all() else None,
             target_direction=None if target is None else vector(plan.position(target).direction),

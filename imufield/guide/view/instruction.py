@@ -105,15 +105,20 @@ class Screen:
     _waits: set[str] = field(default_factory=set)
 
     def tell(self, text: str) -> None:
-        """Add a message that is no event."""
-        self.messages.append(text)
-        self.message_number += 1
+        """Add a message that is no event; where it stands already, it only becomes the newest."""
+        if text in self.messages:
+            self.messages.remove(text)
+        self._add(text)
 
     def follow(self, events: list[Event]) -> None:
         """Update the screen with events in order."""
         for event in said_once(events):
             self._update(event)
             self._update_messages(event)
+
+    def _add(self, text: str) -> None:
+        self.messages.append(text)
+        self.message_number += 1
 
     def _update(self, event: Event) -> None:
         if isinstance(event, _ANSWERS):
@@ -137,7 +142,7 @@ class Screen:
 
     def _update_messages(self, event: Event) -> None:
         if not isinstance(event, _NO_MESSAGE):
-            self.tell(self.say(_accepted(event) if isinstance(event, events.Accepted) else words(event)))
+            self._add(self.say(_accepted(event) if isinstance(event, events.Accepted) else words(event)))
         if isinstance(event, events.Rejected) and event.reason in _WAITS:
             self._waits.add(self.messages[-1])
         elif isinstance(event, (events.Hold, events.Accepted)) and self._waits:
@@ -203,16 +208,18 @@ def _instruct(screen: Screen, snapshot: Snapshot) -> Instruction:
     if (now := _BY_STATE.get(state)) is not None:
         finished = screen.finished if state is State.DONE else None
         return now._replace(details=sentence(now.details) if finished is None else finished.words)
-    target, side = (f"{screen.move.position}: {screen.move.words}", screen.move.position) if screen.move else (": ", "")
+    checks_drift = snapshot.revisiting is not None and snapshot.revisiting == (snapshot.position or snapshot.target)
+    target, side = _place(screen.move, checks_drift=checks_drift), screen.move.position if screen.move else ""
     if snapshot.target_direction is not None:
         side = nearest_cube_direction(np.array(snapshot.target_direction))
     if refused is not None and state in (State.RESTING, State.TURNING, State.ROLLING):
         key, mood, big = MILD_REFUSALS.get(refused.reason, ("headline.not_taken", Mood.WRONG, "AGAIN"))
         return Instruction(key, f"{refused.words}; {refused.remedy}", mood, (big, side), side)
     if state is State.HOLDING:
-        place = f"{hold.position}: {hold.words}" if hold else ": "
+        place = _place(hold, checks_drift=checks_drift)
         left = f"{screen.remaining_s:.0f}" if math.isfinite(screen.remaining_s) else ""
-        return Instruction("headline.hold", place + " (in the hand)" * snapshot.in_hand, Mood.CARE, ("HOLD", left))
+        key = "headline.check_hold" if checks_drift else "headline.hold"
+        return Instruction(key, place + " (in the hand)" * snapshot.in_hand, Mood.CARE, ("HOLD", left))
     if state is State.ROLLING and turn is not None:
         return Instruction("headline.roll", turn.words, Mood.MOVE, ("ROLL", f"{'+' if turn.sense > 0 else '-'}{turn.axis}"))
     if state is State.RESTING and (accepted := screen.accepted) is not None:
@@ -220,8 +227,16 @@ def _instruct(screen: Screen, snapshot: Snapshot) -> Instruction:
             off_mg = (accepted.leave_one_out_m_s2 or 0.0) / MILLI_G_M_S2
             details = sentence("instruction.suspect", position=accepted.position, off_mg=off_mg, target=target)
             return Instruction("headline.suspect", details, Mood.WRONG, ("PRESS", NAMES["retake"].upper()))
-        return Instruction("headline.good", target, Mood.GOOD, ("GOOD", side), side)
-    return Instruction("headline.turn", target, Mood.MOVE, ("TURN", side), side)
+        key = "headline.check_turn" if checks_drift else "headline.good"
+        return Instruction(key, target, Mood.GOOD, ("GOOD", side), side)
+    key = "headline.check_turn" if checks_drift else "headline.turn"
+    return Instruction(key, target, Mood.MOVE, ("TURN", side), side)
+
+
+def _place(shown: events.Move | events.Hold | None, *, checks_drift: bool) -> str:
+    """Return the position of an event and its words, and why it is shown once more."""
+    place = f"{shown.position}: {shown.words}" if shown else ": "
+    return sentence("instruction.check", place=place) if checks_drift else place
 
 
 def stillness_words(activity: Activity) -> str:

@@ -63,6 +63,8 @@ class LinkState:
     """The port is there, but nothing arrives."""
     cable: str | None = None
     """Face of the unit where the cable leaves, "-x"; None where it is not known."""
+    page: str = ""
+    """Address of the page, where there is one: this screen covers what was printed of it."""
 
 
 def draw(
@@ -79,24 +81,26 @@ def draw(
     wide = columns >= _WIDE
     right_width = min(int(_LOG_SHARE * columns), _LOG_WIDTH) if wide else _MAP_WIDTH
     left_width = columns - right_width if wide else WIDTH - right_width
+    link_lines = _link_lines(screen, snapshot, link, columns)
     traces = 0 if lines < _TRACES_FROM[not wide] else 6 * max(lines // _LINES_FOR_TRACE_ROW, 2) + 2
-    guide_height = lines - 2 - traces if wide else _PANEL_HEIGHT
+    height = lines - len(link_lines) - 1
+    guide_height = height - traces if wide else _PANEL_HEIGHT
     title = f"{scheme.name}: {_done(snapshot)}"
     picture = _pictures_and_bars(screen, snapshot, link.cable, (left_width - 4, guide_height - 2), ascii_only=ascii_only)
     map_height = _map_shape(scheme)[0] + 6 if wide else guide_height
     positions = Group(_map(snapshot, scheme), _dim("screen.legend"), _dim("screen.legend_again"), *_known(snapshot.forecast))
     left, right = [_panel(picture, title, guide_height)], [_panel(positions, "positions", map_height)]
-    below: list[RenderableType] = [_link_line(screen, snapshot, link, columns)]
+    below: list[RenderableType] = [*link_lines]
     signals: list[RenderableType] = []
     if traces:
         drawn = _traces(snapshot, (left_width if wide else WIDTH) - 4, traces - 2, ascii_only=ascii_only)
         signals = [_panel(drawn, signals_title(snapshot.signals), traces)]
     if wide:
         left += signals
-        log = _messages(screen, lines - 4 - map_height, right_width - 4)
-        right.append(_panel(Group(*log), "log", lines - 2 - map_height))
+        log = _messages(screen, height - 2 - map_height, right_width - 4)
+        right.append(_panel(Group(*log), "log", height - map_height))
     else:
-        below += [*_messages(screen, lines - guide_height - traces - 2, columns), *signals]
+        below += [*_messages(screen, height - guide_height - traces, columns), *signals]
     middle = Table.grid(padding=0, expand=False)
     middle.add_column(width=left_width)
     middle.add_column(width=right_width)
@@ -146,14 +150,15 @@ def draw_big(screen: Screen, snapshot: Snapshot, link: LinkState, size: tuple[in
     now = instruct(screen, snapshot)
     times = max(1, min(width // WIDTH, (height - HEIGHT) // (2 * ROWS) + 1))
     first, second = (big_lines(word, width, times) for word in now.big)
-    messages = _BIG_MESSAGES + height - HEIGHT - 2 * ROWS * (times - 1)
+    link_lines = _link_lines(screen, snapshot, link, width)
+    messages = _BIG_MESSAGES + height - HEIGHT - 2 * ROWS * (times - 1) - len(link_lines) + 1
     return Group(
         *(Text(line, style=now.style, no_wrap=True) for line in (*first, "", *second)),
         Text(),
         Text(_whole(f"{now.headline}: {now.details}", width, 1)[0], no_wrap=True, overflow="crop"),
         Text.assemble(" still ", _stillness_bar(snapshot), "  hold ", bar(snapshot.fraction, "green"), f"  {_done(snapshot)}"),
         Text(),
-        _link_line(screen, snapshot, link, width),
+        *link_lines,
         *_messages(screen, messages, width),
         _keys(width),
     )
@@ -169,8 +174,9 @@ def draw_small(
         Text(now.headline, style=now.style, no_wrap=True),
         *(Text(line, no_wrap=True) for line in textwrap.wrap(now.details, width, break_on_hyphens=False)),
         Text(_done(snapshot)),
-        _link_line(screen, snapshot, link, width),
     ]
+    above_link = len(lines)
+    lines += _link_lines(screen, snapshot, link, width)
     # What to do and the newest words stand whole before there are bars, and these before there are pictures.
     room = height - len(lines) - 1
     needed = len(messages[0] if messages else [])
@@ -178,7 +184,7 @@ def draw_small(
         lines.append(_bars(screen, snapshot, _BAR_WIDTH))
         room -= _BAR_ROWS
     if room >= _PICTURE_SIZE[1] + needed and width >= 2 * _PICTURE_SIZE[0] + 2:
-        lines.insert(-2, _pictures(screen, snapshot, link.cable, _PICTURE_SIZE, ascii_only=ascii_only))
+        lines.insert(above_link, _pictures(screen, snapshot, link.cable, _PICTURE_SIZE, ascii_only=ascii_only))
         room -= _PICTURE_SIZE[1]
     newest = _newest(messages, room)[: max(room, 0)]
     newest += [""] * (room - len(newest))
@@ -308,8 +314,8 @@ def _natural(name: str) -> tuple[int, str, int]:
     return (0, turn[1], int(turn[2])) if turn else (len(name.split(maxsplit=1)[0]), name, 0)
 
 
-def _link_line(screen: Screen, snapshot: Snapshot, state: LinkState, width: int) -> Text:
-    """Return the state of the link, from the left as much as there is room for."""
+def _link_lines(screen: Screen, snapshot: Snapshot, state: LinkState, width: int) -> list[Text]:
+    """Return the state of the link, from the left as much as there is room for; below it the address of the page in full."""
     arrives = screen.link and not state.silent
     rate = f"{snapshot.rate_hz:.0f} Hz" if arrives and math.isfinite(snapshot.rate_hz) else "- Hz"
     lost = f"{state.lost_samples} samples lost" if state.lost_samples is not None else f"{snapshot.lost_cells} gaps"
@@ -320,7 +326,12 @@ def _link_line(screen: Screen, snapshot: Snapshot, state: LinkState, width: int)
     text = f" {link}"
     for part in (rate, lost, warmth):
         text += f"   {part}" if len(text) + 3 + len(part) <= width else ""
-    return Text(text, style="bold" if arrives else "bold red", no_wrap=True)
+    page = (
+        textwrap.wrap(sentence("screen.page", url=state.page), width, initial_indent=" ", break_on_hyphens=False)
+        if state.page
+        else []
+    )
+    return [Text(text, style="bold" if arrives else "bold red", no_wrap=True), *(Text(line, no_wrap=True) for line in page)]
 
 
 def _messages(screen: Screen, count: int, width: int) -> list[Text]:

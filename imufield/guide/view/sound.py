@@ -100,6 +100,8 @@ def heard(event: Event) -> tuple[Cue | None, str | None]:
         return Cue.REFUSED, None
     if isinstance(event, events.Accepted) and event.suspect:
         return Cue.REFUSED, "suspect, again"
+    if isinstance(event, events.LinkLost) and event.resumed:
+        return None, None
     return _HEARD.get(type(event), (None, None))
 
 

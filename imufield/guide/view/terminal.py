@@ -93,6 +93,7 @@ class TerminalView:
         self._cable = cable
         self.big = big  # Big letters instead of pictures.
         self.notice = ""  # Shown instead of either, as long as there is one.
+        self.page = ""  # Address of the page, as ``LinkState`` has it.
         self._scheme = scheme
         self._screen = Screen()
         self._live = Live(
@@ -116,7 +117,7 @@ class TerminalView:
         ``silent`` says that the port is there, but nothing arrives.
         """
         self._screen.follow(events)
-        link = LinkState(lost_samples, silent, self._cable)
+        link = LinkState(lost_samples, silent, self._cable, self.page)
         width, height = self._live.console.size
         ascii_only = self._live.console.options.ascii_only
         picture: RenderableType

@@ -7,8 +7,12 @@ const AXES = "xyz";
 const UNITS = ["m/s²", "°/s", "°C"];
 const FORECAST_UNITS = ["µg", "ppm", "µrad"];
 const LEAST = [0.5, 2, 0.5]; // Of each unit: what is smaller is noise.
-const LABEL = 92;
+const LABEL = 92; // Least width of the names.
+const ENDS = 40; // Least width of the numbers beside a line.
+const GAP = 8; // Behind either.
 const EDGE = 10;
+const NAMES = "13px system-ui, sans-serif";
+const NUMBERS = "11px system-ui, sans-serif";
 const AXIS = 18; // Below all strips.
 
 /** @typedef {[number, number][]} Points share of the width and of the height */
@@ -22,16 +26,21 @@ const AXIS = 18; // Below all strips.
 function drawStrips(canvas, strips, across) {
   const { context, width, height } = prepare(canvas);
   const strip = (height - AXIS) / strips.length;
-  context.font = "11px system-ui, sans-serif";
+  /** Width of a column of words; more than the least is rare, so that it hardly changes. @param {string[]} words @param {number} least */
+  const column = (words, least) => Math.max(least, ...words.map((each) => context.measureText(each).width + GAP));
+  context.font = NAMES;
+  const label = column(strips.flatMap(({ name, value }) => [name, value]), LABEL);
+  context.font = NUMBERS;
+  const left = label + column(strips.flatMap(({ ends }) => ends), ENDS);
   context.textBaseline = "middle";
   context.fillStyle = colour("faint");
-  context.fillText(across[0], LABEL, height - AXIS / 2);
+  context.fillText(across[0], left, height - AXIS / 2);
   context.textAlign = "right";
   context.fillText(across[1], width, height - AXIS / 2);
   context.textAlign = "left";
   strips.forEach(({ name, value, ink, points, ends, dots }, row) => {
     const [top, middle] = [strip * row, strip * (row + 0.5)];
-    context.font = "13px system-ui, sans-serif";
+    context.font = NAMES;
     context.fillStyle = colour("faint");
     context.fillText(name, 0, middle - 8);
     context.fillStyle = colour("text");
@@ -39,7 +48,7 @@ function drawStrips(canvas, strips, across) {
     context.strokeStyle = colour("line");
     context.lineWidth = 1;
     context.beginPath();
-    context.moveTo(LABEL, top + strip - 0.5);
+    context.moveTo(left, top + strip - 0.5);
     context.lineTo(width, top + strip - 0.5);
     context.stroke();
     context.strokeStyle = colour(ink);
@@ -48,7 +57,7 @@ function drawStrips(canvas, strips, across) {
     context.beginPath();
     let isDown = false;
     for (const [across, up] of points) {
-      const [x, y] = [LABEL + across * (width - LABEL - EDGE), top + strip * (0.9 - 0.8 * up)];
+      const [x, y] = [left + across * (width - left - EDGE), top + strip * (0.9 - 0.8 * up)];
       if (!Number.isFinite(y)) isDown = false;
       else if (isDown) context.lineTo(x, y);
       else {
@@ -57,21 +66,16 @@ function drawStrips(canvas, strips, across) {
       }
     }
     context.stroke();
-    // Above the line: a number that is crossed out is none.
-    context.font = "11px system-ui, sans-serif";
-    context.strokeStyle = colour("panel");
-    context.lineWidth = 3;
+    context.font = NUMBERS;
     context.fillStyle = colour("faint");
-    ends.forEach((words, k) => {
-      const y = top + strip * (k ? 0.2 : 0.8);
-      context.strokeText(words, LABEL, y);
-      context.fillText(words, LABEL, y);
-    });
+    context.textAlign = "right";
+    ends.forEach((words, k) => context.fillText(words, left - GAP, top + strip * (k ? 0.2 : 0.8)));
+    context.textAlign = "left";
     context.fillStyle = colour(ink);
     const last = points[points.length - 1];
     if (!dots || !last) return;
     context.beginPath();
-    context.arc(LABEL + last[0] * (width - LABEL - EDGE), top + strip * (0.9 - 0.8 * last[1]), 4, 0, 2 * Math.PI);
+    context.arc(left + last[0] * (width - left - EDGE), top + strip * (0.9 - 0.8 * last[1]), 4, 0, 2 * Math.PI);
     context.fill();
   });
 }

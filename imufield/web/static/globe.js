@@ -51,7 +51,7 @@ export function drawGlobe(canvas, positions, up) {
       context.lineTo(x + 5, y + 5);
       context.moveTo(x + 5, y - 5);
       context.lineTo(x - 5, y + 5);
-    } else context.arc(x, y, state === "next" ? POINT + 4 : POINT, 0, 2 * Math.PI);
+    } else context.arc(x, y, state === "next" || state === "here" ? POINT + 4 : POINT, 0, 2 * Math.PI);
     if (state === "accepted" || state === "suspect") context.fill();
     else context.stroke();
     if (state !== "next") continue;

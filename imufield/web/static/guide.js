@@ -14,7 +14,7 @@ import { signed, text, withMarks, withSigns } from "./texts.js";
 const QUIET_MS = 10000; // The guide tells its state many times a second; opening a port again takes some seconds.
 const ROUND = 2 * Math.PI * 52;
 /** @type {Record<string, string>} */
-const SIGNS = { accepted: "●", next: "◉", open: "○", suspect: "■", again: "↻", skipped: "×" };
+const SIGNS = { accepted: "●", next: "◉", here: "@", open: "○", suspect: "■", again: "↻", skipped: "×" };
 
 /** @param {string} words as a terminal can show them, marks by their names @returns {string} */
 const pretty = (words) =>
@@ -32,7 +32,7 @@ let head = { positions: [] };
 /** @type {any} */
 let state = null;
 /** @type {any} */
-let map = { accepted: {}, suspects: [], skipped: [], again: [], forecasts: [] };
+let map = { accepted: {}, suspects: [], skipped: [], again: [], target: null, position: null, forecasts: [] };
 /** @type {(number | null)[][]} */
 let blocks = [];
 let role = "watch";
@@ -174,12 +174,14 @@ function showStillness() {
 
 /** @returns {{name: string, up: any, words: string, state: string, leaveOneOut: number | null}[]} */
 function positions() {
+  const isOver = state.state === "done" || document.body.dataset.state === "ended";
   return head.positions.map((/** @type {any} */ position) => {
     const { name } = position;
     const accepted = map.accepted[name];
     // The first that applies, as in the terminal.
     const kinds = [
-      ["next", state.state !== "done" && document.body.dataset.state !== "ended" && (name === state.position || name === state.target)],
+      ["here", !isOver && name === map.position],
+      ["next", !isOver && name === map.target],
       ["skipped", map.skipped.includes(name)],
       ["again", map.again.includes(name)],
       ["suspect", map.suspects.includes(name)],

@@ -190,6 +190,40 @@ def test_the_picture_for_a_phone_stands_in_place_of_the_guide_until_one_looks(pr
         terminal.close()
 
 
+@pytest.mark.parametrize("size", [(60, 20), (80, 24), (120, 40)])
+def test_the_address_and_one_answer_to_a_key_stay_on_the_screen(program: Program, size: tuple[int, int]) -> None:
+    """As on a machine without a desktop, where nothing opens the page; the guide covers what was printed."""
+    capture = program.capture(program.show("+x"), "--web", "--latitude", 48, "--quiet")
+    terminal = Terminal(program, *capture, size=size)
+
+    def frame() -> str:
+        """Return a whole picture that is shown from now on, from its one line of the link to the next."""
+        begin = terminal.expect("link ok", after=len(terminal.text))
+        end = terminal.expect("link ok", after=begin)
+        return terminal.text[begin:end]
+
+    try:
+        terminal.expect("accepted")
+        (url,) = re.findall(r"^ page (http://127\.0\.0\.1:\S+#token=\S+) *\r?$", frame(), re.MULTILINE)
+        with opened(url) as page:
+            assert json.loads(page.recv(timeout=WAIT_S)) == {"role": "mark"}
+        # In a pause nothing else is said.
+        terminal.type("p")
+        terminal.expect("paused: ")
+        terminal.type("?x")
+        terminal.expect("does nothing")
+        terminal.type("?")
+        # It is the newest again, and stands there once.
+        while "does nothing" in (shown := frame()).partition("retake (suspect")[2] or "retake (suspect" not in shown:
+            pass
+        assert shown.count("retake (suspect") == 1
+        assert f" page {url}" in shown
+        terminal.type("q")
+        assert terminal.wait() == 0
+    finally:
+        terminal.close()
+
+
 @pytest.mark.parametrize("speed", [0, 40])
 def test_a_recorded_session_is_shown_at_any_speed(program: Program, make_session: Callable[..., Session], speed: float) -> None:
     folder = make_session("faces6", hold_s=6.0).folder

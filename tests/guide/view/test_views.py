@@ -361,6 +361,50 @@ def test_every_window_is_filled_and_nothing_is_cut(session: Any, size: tuple[int
     assert (" log " in text) == (size[0] >= 100)
 
 
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("big", [False, True])
+def test_the_address_of_the_page_is_whole_in_every_window(session: Any, size: tuple[int, int], *, big: bool) -> None:
+    url = f"http://127.0.0.1:8777/#token={22 * 'x'}"
+    screen, guide = followed(session, 6.8)
+    drawn = open_nothing()
+    console = Console(width=size[0], height=size[1], file=drawn, force_terminal=True, color_system=None)
+    with TerminalView(scheme("faces6"), console, big=big) as view:
+        view._screen = screen
+        view.page = url
+        view.show([], guide.snapshot())
+    lines = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", drawn.getvalue()).splitlines()
+    assert [line.strip() for line in lines if url in line] == [f"page {url}"]
+    assert len(lines) <= size[1]
+    assert any("q quit" in line for line in lines[-2:])
+    assert size[0] < WIDTH or big or len(lines) == size[1]
+
+
+def test_an_answer_to_a_key_stands_once_in_the_log() -> None:
+    screen = Screen()
+    for words in ("keys", "accepted +x", "accepted +y", "keys", "keys"):
+        screen.tell(words)
+    assert list(screen.messages) == ["accepted +x", "accepted +y", "keys"]
+
+
+def test_the_first_position_once_more_is_called_a_drift_check(make_path: Any) -> None:
+    path = make_path(100.0)
+    directions = list(scheme("corners24").directions())
+    for up in [*directions, directions[0]]:
+        path.hold(up, 5).turn(up, 0.1)
+    samples = path.samples()
+    guide = Guide(scheme("corners24"), samples.units, settings=GuideSettings(hold_s=3.0, revisit_first=True))
+    screen, headlines, details = Screen(), list[str](), list[str]()
+    for start in range(0, len(samples), 10):
+        screen.follow(guide.feed(samples[start : start + 10]))
+        snapshot = guide.snapshot()
+        now = instruct(screen, snapshot)
+        if len(snapshot.accepted) == 24 and now.headline not in headlines:
+            headlines.append(now.headline)
+            details.append(now.details)
+    assert headlines == ["CHECK: TURN", "CHECK: HOLD", "DONE"]
+    assert all("drift" in words for words in details[:2])
+
+
 def test_the_pictures_grow_with_the_window(session: Any) -> None:
     screen, guide = followed(session, 6.8)
     dots = []
