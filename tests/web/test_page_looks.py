@@ -35,6 +35,29 @@ CUT = """() => [...document.querySelectorAll("#headline, #side, #details, #marks
     .map((element) => element.textContent)"""
 # Of the terminal, or a mark that was not named.
 NOT_OURS = re.compile(r"\bpress\b|\bkey\b|\[[a-z ]+\]|\bundefined\b|\bNaN\b")
+# All words and all points of lines that the pages' canvases get: the box of each, the place of each.
+WATCH_PLOTS = """
+const plots = window.plots = {forecast: {words: [], points: []}, trace: {words: [], points: []}};
+const canvas = CanvasRenderingContext2D.prototype;
+const {clearRect, fillText, lineTo, moveTo} = canvas;
+canvas.clearRect = function (...given) {
+    if (plots[this.canvas.id]) plots[this.canvas.id] = {words: [], points: []};
+    return clearRect.apply(this, given);
+};
+canvas.fillText = function (words, x, y) {
+    const wide = this.measureText(words).width;
+    const left = this.textAlign === "right" ? x - wide : x;
+    if (words) plots[this.canvas.id]?.words.push([left, left + wide, y - 5, y + 5]);
+    return fillText.apply(this, [words, x, y]);
+};
+for (const [name, draw] of Object.entries({lineTo, moveTo}))
+    canvas[name] = function (x, y) {
+        plots[this.canvas.id]?.points.push([x, y]);
+        return draw.apply(this, [x, y]);
+    };"""
+CROSSED = """() => Object.values(plots).map(({words, points}) => [words.length, points.length,
+    words.filter(([left, right, top, bottom]) =>
+        points.some(([x, y]) => x > left - 4 && x < right + 4 && y > top && y < bottom)).length])"""
 RUN_AXE = """async () => (await axe.run()).violations
     .filter(({impact}) => ["serious", "critical"].includes(impact))
     .map(({id, nodes}) => `${id}: ${nodes.map(({target, failureSummary}) => `${target} ${failureSummary}`).join("; ")}`)"""
@@ -149,6 +172,23 @@ def test_good_news_is_not_in_the_colour_of_an_error(screens: Screens) -> None:
         places = (lines.filter(has_text="cable"), lines.filter(has_text="saved"), page.locator("body"))
         error, good, plain = (place.evaluate("(shown) => getComputedStyle(shown).color") for place in places)
     assert error != good == plain
+
+
+def test_no_words_of_a_plot_lie_on_its_lines_or_touch_its_axis(screens: Screens) -> None:
+    staged = StagedSession()
+    assert "rejected" in iter(staged.stages())
+    with staged.served() as (_, url):
+        page = screens.open("about:blank")
+        page.add_init_script(WATCH_PLOTS)
+        page.goto(url)
+        page.evaluate(STAND_STILL)
+        for width, height in SIZES:
+            page.set_viewport_size({"width": width, "height": height})
+            staged.wait_for(page, "")
+            for words, points, crossed in page.evaluate(CROSSED):
+                assert words >= 10
+                assert points > 5
+                assert not crossed
 
 
 def test_the_angle_to_the_goal_is_the_guide_s(findings: Findings) -> None:
