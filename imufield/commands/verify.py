@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from imufield.console import PlainTextConsole
 from imufield.deliver.navigation.alignment import Heading
 from imufield.deliver.navigation.check import SHORTEST_S, Apply, CheckSettings, NavigationResult, StaticNavigation
 from imufield.deliver.parameters.apply import correct_accelerometer, correct_gyroscope
-from imufield.deliver.parameters.file import PARAMETER_FILE, Corrected, json_ready, load
+from imufield.deliver.parameters.file import Corrected, json_ready, load
 from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S, to_ascii
 from imufield.deliver.samples.apply_session import TemperatureFlags
 from imufield.deliver.verification.left_out import LeftOutPositions, check_positions, contradiction, cross_validate
@@ -64,7 +63,7 @@ class _Task:
         self.options = options
         self.limits = parse_requirements(options.require)
         given = options.parameters or Session.newest().folder
-        self.parameters = load(given)
+        self.parameters, self.path = load(given), given
         self.preset = None if options.preset is None else load(options.preset)
         # A folder stands for the parameters in it: alone it is the session as well.
         its_own = given if given.is_dir() else None
@@ -109,7 +108,7 @@ def run_verify(options: VerifyOptions) -> Verification:
         If a file or the session cannot be used.
     """
     task = _Task(options)
-    parameters = task.parameters.path or Path(PARAMETER_FILE)
+    parameters = task.parameters.path or task.path
     output = options.output or verification_path(parameters)
     # Before the replay: hours of navigation should not end at a file that is not to be written.
     refuse_overwriting(output, [parameters, *task.session.parts, *filter(None, [options.preset])])

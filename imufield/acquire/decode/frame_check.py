@@ -20,8 +20,8 @@ INCOMPLETE = 2
 NO_SHAPE = -1
 _SHAPES_TRIED = 16  # Known shapes that are compared with many frames at once; an instrument sends one to ten of one length.
 _SHAPES_KEPT = 1024
-# Frames of one length are checked together, several times faster, but what each length adds costs as much as some frames:
-# up to so many lengths, and one more for so many frames; above, all are checked at once.
+# Frames of one length are checked together, several times faster, but each length costs as much as some frames: frames are
+# checked length by length up to 3 lengths, plus one for each 50 frames; above, all at once.
 _GROUPS_OF_LENGTHS = 3
 _FRAMES_OF_ONE_LENGTH = 50
 _LONGEST_CYCLE = 8  # Frames after which an instrument begins anew with the first kind.

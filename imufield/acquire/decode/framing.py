@@ -124,6 +124,11 @@ class _Found:
     promises: list[tuple[Positions, Positions]] = field(default_factory=list)
     run: tuple[Frames, NDArray[np.int64]] | None = None  # The last one without a bad frame, and its shapes.
 
+    def promise(self, rejected: Positions, ends: Positions) -> None:
+        """Note headers that were none, if there are any."""
+        if len(rejected):
+            self.promises.append((rejected, ends))
+
 
 class Framer:
     """Turns bytes into frames. Holds the bytes of a frame that is not complete yet, never more than the longest frame.
@@ -366,14 +371,14 @@ class Framer:
     def _end_of_run(self, buffer: Bytes, run: _Run, found: _Found) -> int:
         """Return how many frames of the run to look at: up to two bad ones in a row, or to another frame in a bad one."""
         bad = ~run.good
-        ends = np.flatnonzero(bad & np.append(bad[1:], True))
-        limit = int(ends[0]) if len(ends) else len(bad)
+        two = np.flatnonzero(bad & np.append(bad[1:], True))
+        limit = int(two[0]) if len(two) else len(bad)
         gaps = run.starts[:limit][bad[:limit], None] + np.arange(run.step)
         loose = run.starts[: max(limit - 1, 0)][~run.joined[: max(limit - 1, 0)], None] + np.arange(run.length, run.step)
         inside = self._check.candidates(buffer, np.concatenate([gaps.ravel(), loose.ravel()]))
         judged, ends = self._check.judge(buffer, inside, last=False)
         is_none = judged == INVALID
-        found.promises.append((inside[is_none], ends[is_none]))
+        found.promise(inside[is_none], ends[is_none])
         others = inside[~is_none]
         if self._rule.trailer and run.step == run.length:
             # A stream that sends no trailers does not begin a bad frame with one; leave such a place to the search.
@@ -396,7 +401,7 @@ class Framer:
         until = min(at + self._window, len(buffer))
         candidates = self._check.headers(buffer, at, until)
         judged, ends = self._check.judge(buffer, candidates, last)
-        hits = np.flatnonzero(judged)
+        hits = np.flatnonzero(judged != INVALID)
         rejected = slice(int(hits[0]) if len(hits) else None)
         if len(hits):
             until = int(candidates[hits[0]])
@@ -405,7 +410,7 @@ class Framer:
             self._window = _FIRST_WINDOW
         else:
             self._window = min(2 * self._window, _LONGEST_WINDOW)
-        found.promises.append((candidates[rejected], ends[rejected]))
+        found.promise(candidates[rejected], ends[rejected])
         if until > at:
             if self._skipped_here == 0 and self._check.length_at(buffer, at):
                 self.frames_bad_checksum += 1

@@ -33,7 +33,7 @@ from typing import Literal
 import numpy as np
 
 from imufield.calibrate.accelerometer.fit import Fit
-from imufield.calibrate.model.distributions import f_tail, sigma_about
+from imufield.calibrate.model.distributions import f_tail, sigma_of_mixture
 from imufield.calibrate.model.models import BIAS, PARAMETERS
 from imufield.samples import FloatArray
 
@@ -151,25 +151,23 @@ class Gate:
         counted = [terms for terms in self._parts if "quadratic" not in self.all - kept or "quadratic" in terms]
         log_odds = np.array([self._log_odds(terms) for terms in counted])
         weights = np.exp(log_odds - log_odds.max())
-        within, shift, variance, freedom = np.zeros_like(own.covariance), np.zeros_like(own.covariance), 0.0, 0.0
-        for weight, terms in zip(weights / weights.sum(), counted, strict=True):
-            part = self._drawn(terms, math.inf if "quadratic" in kept else typical_quadratic_m_s2)
-            change = part.change - own.change
-            within += weight * part.covariance * self._variance(part)
-            shift += weight * np.outer(change, change)
-            variance += weight * self._variance(part)
-            freedom += weight * part.freedom
-        total, least = within + shift, np.finfo(float).tiny
-        size = np.sqrt(np.maximum(np.diag(total), least))
-        held = np.maximum(sigma_about(np.sqrt(np.diag(shift)), np.sqrt(np.diag(within))), math.sqrt(least))
+        weights /= weights.sum()
+        parts = [self._drawn(terms, math.inf if "quadratic" in kept else typical_quadratic_m_s2) for terms in counted]
+        variances = np.array([self._variance(part) for part in parts])
+        shift = np.array([part.change - own.change for part in parts])
+        covariance = np.array([part.covariance for part in parts]) * variances[:, None, None]
+        total = np.tensordot(weights, covariance + shift[:, :, None] * shift[:, None, :], axes=1)
+        smallest = math.sqrt(np.finfo(float).tiny)
+        size = np.maximum(np.sqrt(np.diag(total)), smallest)
+        limit = np.maximum(sigma_of_mixture(weights, shift, np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))), smallest)
+        variance = float(weights @ variances)
         # As correlations: parameters differ in unit by ten powers of ten.
-        correlation = total / np.outer(size, size)
-        more = correlation - own.covariance * variance / np.outer(held, held)
+        more = total / np.outer(size, size) - own.covariance * variance / np.outer(limit, limit)
         values, vectors = np.linalg.eigh(more)
         return Choice(
-            root=held[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)),
+            root=limit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)),
             variance_ratio=variance / self._variance(own),
-            freedom_ratio=freedom / own.freedom,
+            freedom_ratio=float(weights @ [part.freedom for part in parts]) / own.freedom,
         )
 
     def _drawn(self, terms: Terms, typical_m_s2: float) -> _Part:

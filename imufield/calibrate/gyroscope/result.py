@@ -362,8 +362,8 @@ def _reasons(solution: JointSolution, moves: MoveReport, turns: tuple[Sentence, 
     linearity = solution.linearity
     found_from = dict(zip(("asymmetry", "nonlinearity"), _FOUND_SIGMAS * linearity.sigma * [2, 1], strict=True))
     key = "result.range" if max(found_from.values()) < _FOUND else "result.range_not_shown"
-    if linearity.sentences:
-        key = "result.range_of_named"  # Beside a term that is there, what would have been found says nothing.
+    if linearity.sentences and key == "result.range":
+        key = "result.range_of_named"  # A limit of detection says nothing beside a term that was found.
     not_shown = " and ".join(kind for kind, size in found_from.items() if not size < _FOUND)
     rates_deg_s = np.degrees(linearity.range_rad_s).tolist()
     sentences: list[str] = [sentence(key, rates_deg_s=rates_deg_s, not_shown=not_shown, **found_from)]

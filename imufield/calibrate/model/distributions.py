@@ -30,6 +30,7 @@ _NORMAL_NEARLY = 1.9602  # A Student factor below it stands for more than 10,000
 _MANY = 1000  # Degrees of freedom from which the terms of [2] left out are below 1e-11.
 _TERMS = 1000  # Of the continued fraction; it takes some root of the larger argument.
 _SMALLEST = 1e-300
+_EXACTLY = 1e-9  # 1 sigma of a number that is known, in units of those beside it.
 # Nearer to one than a product that swings by an ulp or two; what is left out is of the size of rounding.
 _EXACT = 4 * sys.float_info.epsilon
 
@@ -111,19 +112,27 @@ def f_limit_95(numerator: int, denominator: int) -> float:
     return f_quantile(float(numerator), float(denominator), 0.95) if denominator > 0 else float("inf")
 
 
-def sigma_about(shift: FloatArray, sigma: FloatArray) -> FloatArray:
-    """Return what normal numbers have for 1 sigma about values they are shifted from: their 95 % limit about these over 1.96.
+def sigma_of_mixture(weight: FloatArray, shift: FloatArray, sigma: FloatArray) -> FloatArray:
+    """Return the sigma whose 1.96-fold is the 95 % limit of each |x|, x normal about one of some shifts.
 
-    For a large shift a limit of ``shift + 1.64 sigma`` holds them: less than 1.96 times the root of the sum of squares.
+    For one large shift d that limit is d + 1.64 sigma, less than 1.96 times the root of the sum of squares.
+
+    Parameters
+    ----------
+    weight : ndarray, shape (k,)
+        Probabilities of the shifts.
+    shift, sigma : ndarray, shape (k, n)
     """
-    return np.array([_limit_about(abs(d), s) / NORMAL_FACTOR_95 for d, s in zip(shift.tolist(), sigma.tolist(), strict=True)])
+    size = np.sqrt(weight @ (shift**2 + sigma**2))
+    limits = [_limit_of_mixture(weight, shift[:, i] / own, sigma[:, i] / own) if own > 0 else 0.0 for i, own in enumerate(size)]
+    return np.asarray(size * limits / NORMAL_FACTOR_95)
 
 
-def _limit_about(shift: float, sigma: float) -> float:
-    if not sigma > 0:
-        return shift
-    normal, d = NormalDist(), shift / sigma
-    return sigma * _positive_root(lambda limit: normal.cdf(d - limit) + normal.cdf(-d - limit) - 0.05)
+def _limit_of_mixture(weight: FloatArray, shift: FloatArray, sigma: FloatArray) -> float:
+    cdf = NormalDist().cdf
+    # A term that a model leaves out is exactly zero there.
+    parts = list(zip(weight.tolist(), shift.tolist(), np.maximum(sigma, _EXACTLY).tolist(), strict=True))
+    return _positive_root(lambda limit: sum(w * (cdf((d - limit) / s) + cdf((-d - limit) / s)) for w, d, s in parts) - 0.05)
 
 
 def _student_tail(freedom: float, t: float) -> float:

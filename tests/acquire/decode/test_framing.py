@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from imufield.acquire.decode.framing import Framer
 from imufield.acquire.protocol.protocol import load_protocol, parse_protocol
@@ -142,10 +143,14 @@ def test_a_frame_inside_a_damaged_one_is_found(finish: Callable[[bytes], bytes],
 @pytest.mark.parametrize("frames_a_read", [7, 20])
 @pytest.mark.parametrize("keys", [b"\x91", b"\x91\x92"])
 def test_bad_frames_in_reads_like_those_before(
-    finish: Callable[[bytes], bytes], slow_frames: SlowFrames, keys: bytes, frames_a_read: int
+    finish: Callable[[bytes], bytes],
+    slow_frames: SlowFrames,
+    monkeypatch: pytest.MonkeyPatch,
+    keys: bytes,
+    frames_a_read: int,
 ) -> None:
     rng = np.random.default_rng(3)
-    frames = [bytearray(finish(keys[i % len(keys)].to_bytes() + rng.bytes(23))) for i in range(140)]
+    frames = [bytearray(finish(keys[i % len(keys)].to_bytes() + rng.bytes(23)) + b"\r\n") for i in range(140)]
     length = len(frames[0])
     # Alone, two in a row, the first of a read and the last of one.
     for bad in (45, 50, 51, 80, 84, 119):
@@ -154,12 +159,20 @@ def test_bad_frames_in_reads_like_those_before(
     wanted = slow_frames(data)
     assert len(wanted) == 134
     assert RULE is not None
-    framer = Framer(RULE)
+    framer, again = Framer(RULE), []
+
+    def watched(buffer: NDArray[np.uint8]) -> object:
+        again.append(Framer._as_before(framer, buffer))
+        return again[-1]
+
+    monkeypatch.setattr(framer, "_as_before", watched)
     found: list[tuple[int, str]] = []
     for begin in range(0, len(data), frames_a_read * length):
         block = framer.feed(data[begin : begin + frames_a_read * length])
         places = (block.starts + begin + frames_a_read * length - len(block.data)).tolist()
         found += zip(places, [framer.layout(shape).kind for shape in block.shapes.tolist()], strict=True)
+    # Neither all good nor nothing like before: what is tested here.
+    assert sum(each is not None and not isinstance(each, tuple) for each in again) >= 2
     assert found == [(start, f"0x{data[start]:02X}") for start in wanted]
     assert framer.bytes_skipped == 6 * length
     assert framer.frames_bad_checksum == 5

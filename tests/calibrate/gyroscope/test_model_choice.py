@@ -152,6 +152,14 @@ def test_one_rate_shows_neither(plain: Session) -> None:
     assert np.degrees(found.calibration.range_rad_s) == pytest.approx(50.0, rel=0.02)
 
 
+def test_what_is_not_shown_is_said_beside_what_is_named(plain: Session) -> None:
+    stills = cut_moves(no_slots(), plain.given.observations.start_s, plain.given.observations.duration_s)
+    runs = table(plain, (50.0, 55.0), cubic=0.01)
+    found = calibrate_gyroscope(replace(plain.given, moves=stills, turntable=runs))
+    assert [named.key for named in solution_of(found).linearity.sentences] == [NAMED[1]]
+    assert [said.values["not_shown"] for said in told(found.reasons, "result.range_not_shown")] == ["asymmetry"]
+
+
 @pytest.mark.statistical
 def test_false_alarms_are_rare_in_linear_data(result: GyroscopeResult) -> None:
     """Residuals drawn from the stated covariance are named in one of a hundred, by both tests together."""

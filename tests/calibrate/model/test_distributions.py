@@ -15,7 +15,7 @@ from imufield.calibrate.model.distributions import (
     f_limit_95,
     f_quantile,
     f_tail,
-    sigma_about,
+    sigma_of_mixture,
     student_factor,
     student_freedom,
     student_quantile,
@@ -51,14 +51,22 @@ def test_chi_squared(freedom: int) -> None:
         assert chi_squared_quantile(freedom, p) == pytest.approx(float(scipy.special.chdtri(freedom, 1 - p)), rel=1e-12)
 
 
-def test_limits_about_a_shifted_value_hold_95_percent() -> None:
-    shift, sigma = np.array([0.0, 0.3, 2.0, -40.0, 3.0, 0.0]), np.array([1.5, 1.0, 1.0, 2.0, 0.0, 0.0])
-    about = sigma_about(shift, sigma)
-    normal, limits = scipy.stats.norm(shift[:4], sigma[:4]), 1.959964 * about[:4]
-    np.testing.assert_allclose(normal.cdf(limits) - normal.cdf(-limits), 0.95, rtol=1e-6)
-    # Without a shift its own sigma, far from the value one side of it.
-    np.testing.assert_allclose(about[[0, 3]], [1.5, (40 + 1.644854 * 2) / 1.959964], rtol=1e-6)
-    np.testing.assert_allclose(about[4:], [3 / 1.959964, 0.0], rtol=1e-6)
+def test_the_limit_of_a_mixture_holds_95_percent() -> None:
+    weight, rng = np.array([0.3, 0.6, 0.1]), np.random.default_rng(3)
+    size = 10.0 ** rng.uniform(-8, 3, 20)
+    shift, sigma = size * rng.uniform(-4, 4, (3, 20)), size * rng.uniform(0.1, 2, (3, 20))
+    limit = 1.959964 * sigma_of_mixture(weight, shift, sigma)
+    inside = weight @ (scipy.stats.norm.cdf(limit, shift, sigma) - scipy.stats.norm.cdf(-limit, shift, sigma))
+    np.testing.assert_allclose(inside, 0.95, rtol=1e-6)
+
+
+def test_the_limit_of_one_shift_and_of_known_numbers() -> None:
+    shift, sigma = np.array([[0.0, 3.0, -40.0, 3.0, 0.0]]), np.array([[1.5, 0.0, 2.0, 1e-3, 0.0]])
+    expected = [1.5, 3 / 1.959964, (40 + 1.644854 * 2) / 1.959964, (3 + 1.644854e-3) / 1.959964, 0.0]
+    np.testing.assert_allclose(sigma_of_mixture(np.ones(1), shift, sigma)[:], expected, rtol=1e-6)
+    # One in ten is zero exactly, as a term that a model leaves out: the others have to make up for it.
+    found = sigma_of_mixture(np.array([0.1, 0.9]), np.zeros((2, 1)), np.array([[0.0], [1.0]]))[0]
+    assert 2 * scipy.stats.norm.sf(1.959964 * found) == pytest.approx(0.05 / 0.9)
 
 
 def test_where_there_is_no_chance() -> None:
