@@ -15,7 +15,7 @@ help:
 	@echo "make demo    the whole chain on a virtual instrument, about a minute"
 	@echo "make test    the tests"
 	@echo "make bench   speed, memory and accuracy, measured"
-	@echo "make study   the papers' tables and figures, and the answers, in full: an hour of one core; writes docs/study.md, docs/answers.md"
+	@echo "make study   the papers' tables and figures, and the answers, in full: some two hours of one core; writes docs/study.md, docs/answers.md"
 	@echo "make fuzz    a minute of random and damaged bytes for every instrument"
 	@echo "make lint    style, types"
 	@echo "make scripts  types of the page's scripts, by tools that npm installs; make test then looks for barriers, too"

@@ -12,7 +12,8 @@ and a change may not hide behind the scatter that it makes. With r the rest of `
     s^2 = (sum w_j r_j^2 - part of e) / (part of delta for s = 1),    not below zero,    s_0^2 of restricted maximum likelihood
 
 The largest |t| of each kind in an unchanged history is drawn, days and sessions with their covariances, and estimated
-variances by chi squared with their degrees of freedom, one draw for all numbers of a triad in a session. The limits of kinds
+variances by chi squared with their degrees of freedom, one draw for all numbers of a triad in a session; days differ in the
+draws where the interval of s leaves out zero, as limits drawn with an s that is noise let only 3 % pass. The limits of kinds
 are passed with one chance each, such that any of them is passed in 5 % (balanced, the first step of [1]_): three numbers with
 few degrees of freedom do not set the limit of all others.
 
@@ -222,6 +223,13 @@ class KindTest:
         """s_0^2; zero of a kind that days do not change."""
         return reml_variance(contrasts(self.y, self.axes, self.covariance)) if self.is_daily else 0.0
 
+    @property
+    def shown_variance(self) -> float:
+        """s_0^2 where its 95 % interval leaves out zero: days that do not differ seem to in half of the histories."""
+        if not self.variance:
+            return 0.0
+        return self.variance if repeatability(contrasts(self.y, self.axes, self.covariance)).low > 0 else 0.0
+
     @cached_property
     def whitening(self) -> FloatArray:
         """What makes whitened contrasts of values, shape (m, n)."""
@@ -368,7 +376,7 @@ def _drawn(session: DatedNumbers, draws: int, rng: np.random.Generator) -> tuple
 
 def _drawn_groups(test: KindTest, draws: int, rng: np.random.Generator) -> FloatArray:
     """Return what days, setups and sites add to the values of a kind, shape (draws, m)."""
-    added = math.sqrt(test.variance) * rng.standard_normal((draws, len(test.y)))
+    added = math.sqrt(test.shown_variance) * rng.standard_normal((draws, len(test.y)))
     if test.groups.any():
         added += rng.standard_normal((draws, len(test.y))) @ symmetric_root(test.groups)
     return np.asarray(added)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from imufield.calibrate.sessions.changes import DatedNumbers, Judged, day_to_day, judge
+from imufield.calibrate.sessions.changes import DatedNumbers, Judged, KindTest, day_to_day, judge
 from imufield.calibrate.sessions.forecast import Forecast, NoForecast, forecast
 from imufield.samples import FloatArray
 
@@ -79,6 +79,17 @@ def test_unchanged_histories_are_called_changed_in_five_percent() -> None:
     called = sum(bool(judge(history(drawn(np.random.default_rng(k)))).news) for k in range(runs))
     # 5 % of 120 are 6, +-2.4: more than 16 are four sigma above, and none at all comes up once in 470 times.
     assert 0 < called <= 16
+
+
+@pytest.mark.parametrize(("excess", "is_shown"), [(0.9, False), (1.2, False), (1.55, False), (1.65, True), (9.0, True)])
+def test_days_that_noise_alone_explains_make_no_limit_wider(excess: float, is_shown: bool) -> None:
+    """By chi squared: 27 contrasts of the sigma that is stated have a mean square of 43.2 / 27 in 1 of 40 histories."""
+    values = drawn(np.random.default_rng(5))
+    values -= values.mean(axis=0)
+    test = KindTest.of(history(values * 0.1 * math.sqrt(27 * excess / np.sum(values**2))), "bias")
+    assert test is not None
+    assert test.variance == pytest.approx(0.1**2 * max(excess - 1, 0.0), abs=1e-9)
+    assert test.shown_variance == (test.variance if is_shown else 0.0)
 
 
 def test_two_sessions_say_nothing_and_days_need_three() -> None:
