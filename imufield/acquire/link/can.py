@@ -178,7 +178,8 @@ def open_bus(address: BusAddress, bit_rate: int | None = None) -> can.BusABC:
         if key == "can.absent" and address.interface == "socketcan":
             key = "can.absent_link"
         raise LinkError(sentence(key, bus=name, channel=address.channel, cause=cause), reason) from error
-    # Serial and virtual buses have no socket, and a system that refuses the larger buffer still has its usual one.
+    # NotImplementedError: serial and virtual buses have no socket.
+    # OSError: a system that refuses the larger buffer still has its usual one.
     with contextlib.suppress(OSError, NotImplementedError):
         channel = socket.socket(fileno=bus.fileno())
         try:

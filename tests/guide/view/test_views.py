@@ -1,7 +1,5 @@
-"""Plain lines, JSON lines and the screen, on the events of one simulated session."""
+"""The screen, on the events of one simulated session."""
 
-import json
-import math
 import re
 from dataclasses import replace
 from functools import partial
@@ -12,13 +10,10 @@ import pytest
 from rich.console import Console
 
 from imufield.guide.events import (
-    EVENT_VERSION,
-    EVENTS,
     Accepted,
     Done,
     Hold,
     LinkBack,
-    LinkLost,
     Marked,
     RefusalCode,
     Rejected,
@@ -31,25 +26,9 @@ from imufield.guide.positions import SCHEMES, scheme
 from imufield.guide.view.instruction import Screen, instruct
 from imufield.guide.view.marks import with_keys
 from imufield.guide.view.pictures import big_lines
-from imufield.guide.view.plain import JsonLinesView, PlainView, line
+from imufield.guide.view.plain import line
 from imufield.guide.view.screen import HEIGHT, WIDTH, LinkState, _in_corner, draw, draw_big, draw_small
 from imufield.guide.view.terminal import TerminalView
-
-
-@pytest.fixture
-def session(make_path: Any) -> Any:
-    """A guide fed in 20 ms blocks: yields events and the guide after each."""
-    path = make_path(100.0).hold([0, 0, 1], 6).turn([1, 0, 0], 1.5).hold([1, 0, 0], 2).turn([1, 1, 0], 1).hold([1, 1, 0], 3)
-    samples = path.samples()
-    guide = Guide(scheme("faces6"), samples.units, settings=GuideSettings(hold_s=3.0))
-
-    def play(until_s: Any = math.inf) -> Any:
-        for start in range(0, len(samples), 2):
-            if samples.time_s[start] >= until_s:
-                return
-            yield guide.feed(samples[start : start + 2]), guide
-
-    return play
 
 
 def picture(screen: Any, guide: Any, **options: Any) -> Any:
@@ -73,49 +52,6 @@ def followed(session: Any, until_s: Any) -> Any:
 
 def shown(session: Any, until_s: Any) -> Any:
     return picture(*followed(session, until_s))
-
-
-def test_every_event_has_a_line_and_a_dictionary(session: Any) -> None:
-    events = [event for some, _ in session() for event in some]
-    events.append(LinkLost(1.0, 2, 6))
-    kinds = {event.kind for event in events}
-    assert {"noise_floor", "move", "turning", "hold", "holding", "accepted", "rejected", "link_lost"} <= kinds <= set(EVENTS)
-    for event in events:
-        told = event.to_dict()
-        assert told["version"] == EVENT_VERSION
-        assert told["event"] == event.kind
-        assert len(line(event)) > 15
-        assert "\n" not in line(event)
-
-
-def test_a_lost_link_says_what_to_do_wherever_it_is_told() -> None:
-    lost = LinkLost(1.0, 2, 6)
-    assert "reconnect" in line(lost)
-    assert "reconnect" in str(lost.to_dict()["words"])
-
-
-def test_json_lines_are_strict_json(session: Any) -> None:
-    lines: list[str] = []
-    JsonLinesView(lines.append).show([event for some, _ in session() for event in some])
-    told = [json.loads(one, parse_constant=pytest.fail) for one in lines]
-    assert [one["event"] for one in told[:2]] == ["noise_floor", "move"]
-    accepted = next(one for one in told if one["event"] == "accepted")
-    assert accepted["position"] == "+z"
-    assert accepted["residual_m_s2"] is None
-    assert accepted["temperature_degc"] is None
-    assert [one["reason"] for one in told if one["event"] == "rejected"] == ["moved", "not_near"]
-
-
-def test_plain_lines_tell_progress_now_and_then(session: Any) -> None:
-    lines: list[str] = []
-    view = PlainView(lines.append)
-    for events, _ in session():
-        view.show(events)
-    text = "\n".join(lines)
-    assert "accepted +z: 3.0 s" in text
-    assert "refused: none of the open positions is near" in text
-    assert sum("turning:" in one for one in lines) <= 3
-    assert not re.search(r"\x1b", text)
 
 
 @pytest.mark.parametrize(
@@ -241,13 +177,6 @@ def test_the_panel_says_what_is_not_known_yet(session: Any) -> None:
         console.print(draw(Screen(), replace(guide.snapshot(), forecast=forecast), guide.plan.scheme, LinkState(0)))
         text = console.export_text()
         assert all(words in text for words in told), text
-
-
-def test_plain_lines_count_from_the_first_sample(session: Any) -> None:
-    written: list[str] = []
-    events = [replace(event, time_s=event.time_s + 26000) for some, _ in session(6.0) for event in some]
-    PlainView(written.append, origin_s=lambda: 26000.0).show(events)
-    assert all(float(one.split(" s  ")[0]) < 6.5 for one in written)
 
 
 @pytest.mark.parametrize(("width", "height"), [(60, 20), (40, 12)])
