@@ -12,10 +12,11 @@ and a change may not hide behind the scatter that it makes. With r the rest of `
     s^2 = (sum w_j r_j^2 - part of e) / (part of delta for s = 1),    not below zero,    s_0^2 of restricted maximum likelihood
 
 The largest |t| of each kind in an unchanged history is drawn, days and sessions with their covariances, and estimated
-variances by chi squared with their degrees of freedom, one draw for all numbers of a triad in a session; days differ in the
-draws only where Q(0) of ``repeatability`` is large, as an s that is noise makes all limits too wide. The limits of kinds
-are passed with one chance each, such that any of them is passed in 5 % (balanced, the first step of [1]_): three numbers with
-few degrees of freedom do not set the limit of all others.
+variances by chi squared with their degrees of freedom, one draw for all numbers of a triad in a session. Days differ in the
+draws only where Q(0) of ``repeatability`` is large, as an s that is noise makes all limits too wide; then s is drawn too:
+s_0^2 and the mean of l, together, over chi squared with n degrees of freedom. The limits of kinds are passed with one chance
+each, such that any of them is passed in 5 % (balanced, the first step of [1]_): three numbers with few degrees of freedom do
+not set the limit of all others.
 
 References
 ----------
@@ -227,12 +228,14 @@ class KindTest:
         """s_0^2; zero of a kind that days do not change."""
         return reml_variance(contrasts(self.y, self.axes, self.covariance)) if self.is_daily else 0.0
 
-    @property
-    def shown_variance(self) -> float:
-        """s_0^2 where the contrasts scatter more than their own errors mostly do, else zero."""
+    def drawn_variance(self, draws: int, rng: np.random.Generator) -> FloatArray:
+        """Draw s^2 as the contrasts leave it open; zero where they scatter no more than their own errors mostly do."""
         found = contrasts(self.y, self.axes, self.covariance)
-        limit = chi_squared_quantile(len(found.u), 1 - _EXCESS_CHANCE)
-        return self.variance if float(np.sum(found.u**2 / found.own_variance)) > limit else 0.0
+        n, own = len(found.u), float(np.mean(found.own_variance))
+        excess = float(np.sum(found.u**2 / found.own_variance))
+        if not self.is_daily or excess <= chi_squared_quantile(n, 1 - _EXCESS_CHANCE):
+            return np.zeros(draws)
+        return np.maximum((self.variance + own) * n / rng.chisquare(n, draws) - own, 0.0)
 
     @cached_property
     def whitening(self) -> FloatArray:
@@ -380,7 +383,7 @@ def _drawn(session: DatedNumbers, draws: int, rng: np.random.Generator) -> tuple
 
 def _drawn_groups(test: KindTest, draws: int, rng: np.random.Generator) -> FloatArray:
     """Return what days, setups and sites add to the values of a kind, shape (draws, m)."""
-    added = math.sqrt(test.shown_variance) * rng.standard_normal((draws, len(test.y)))
+    added = np.sqrt(test.drawn_variance(draws, rng))[:, None] * rng.standard_normal((draws, len(test.y)))
     if test.groups.any():
         added += rng.standard_normal((draws, len(test.y))) @ symmetric_root(test.groups)
     return np.asarray(added)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy.stats import norm
+from scipy.stats import chi2, norm
 
 from imufield.calibrate.sessions.changes import DatedNumbers, Judged, KindTest, day_to_day, judge
 from imufield.calibrate.sessions.forecast import Forecast, NoForecast, forecast
@@ -89,7 +89,11 @@ def test_days_that_noise_alone_explains_make_no_limit_wider(excess: float, is_sh
     test = KindTest.of(history(values * 0.1 * math.sqrt(27 * excess / np.sum(values**2))), "bias")
     assert test is not None
     assert test.variance == pytest.approx(0.1**2 * max(excess - 1, 0.0), abs=1e-9)
-    assert test.shown_variance == (test.variance if is_shown else 0.0)
+    days = test.drawn_variance(10_000, np.random.default_rng(1))
+    # The median of the posterior, by scipy: what scatters in all is n / chi squared times what was found.
+    expected = excess * 27 / chi2.median(27) - 1 if is_shown else 0.0
+    assert np.median(days) == pytest.approx(0.1**2 * expected, abs=0.001)
+    assert days.any() == is_shown
 
 
 def test_two_sessions_say_nothing_and_days_need_three() -> None:
