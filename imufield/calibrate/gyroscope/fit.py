@@ -146,6 +146,7 @@ class _Step:
     change: FloatArray
     covariance: FloatArray
     gain: FloatArray
+    whitening: FloatArray  # L^-1 of S = L L^T.
     cost: float
     size: float  # Change in sigma, squared.
 
@@ -161,18 +162,18 @@ def _gauss_newton(
 ) -> JointFit:
     now = evaluate(p, data)
     scatter = scatter or first_scatter(now)
-    status, count = SolverStatus.ITERATION_LIMIT, 1
+    status, count, size = SolverStatus.ITERATION_LIMIT, 1, 0.0
     parts = covariances(now, p[:PARAMETERS], data)
     for _ in range(_ITERATIONS):
         step = _linear_step(now, parts, scatter, p, free=free, prior=prior)
         # Take the step, or the half of it that first lowers the cost.
-        L, share, trial = _root(parts.total(scatter)), 1.0, p
+        share, trial = 1.0, p
         for tried in range(1, _HALVINGS + 1):
             trial = p.copy()
             trial[free] += step.change * share
             now = evaluate(trial, data)
             prior_residual, _ = prior.rows(trial, free)
-            cost = float(np.sum(np.linalg.solve(L, now.residual) ** 2) + prior_residual @ prior_residual)
+            cost = float(np.sum((step.whitening @ now.residual) ** 2) + prior_residual @ prior_residual)
             count += 1
             if cost <= step.cost * (1 + 1e-9) + 1e-9 or tried == _HALVINGS:
                 break
@@ -180,12 +181,15 @@ def _gauss_newton(
         p = trial
         parts = covariances(now, p[:PARAMETERS], data)
         before, scatter = scatter, _next_scatter(scatter, now, free, parts)
+        last = before
         for _ in range(_ITERATIONS if step.size < _NEAR * len(free) else 0):
             # The turns hardly change any more, and they cost most of a step: the scatters settle at these.
-            last, scatter = scatter, _next_scatter(scatter, now, free, parts)
             if _is_same(last, scatter):
                 break
-        if step.size < settled * len(free) and (_is_same(before, scatter) or settled > _SETTLED):
+            last, scatter = scatter, _next_scatter(scatter, now, free, parts)
+        # The next step would be as much smaller as this one is than the last.
+        left, size = step.size**2 / max(step.size, size, 1e-300), step.size
+        if left < settled * len(free) and (_is_same(before, scatter) or settled > _SETTLED):
             status = SolverStatus.CONVERGED
             break
     step = _linear_step(now, parts, scatter, p, free=free, prior=prior)
@@ -237,8 +241,8 @@ def _next_scatter(scatter: Scatter, now: Evaluation, free: IntArray, parts: Cova
     return following
 
 
-def _root(covariance: FloatArray) -> FloatArray:
-    """Return the Cholesky factor of the covariance of all residuals.
+def _whitening(covariance: FloatArray) -> FloatArray:
+    """Return the inverse of the Cholesky factor of the covariance of all residuals.
 
     Raises
     ------
@@ -246,7 +250,7 @@ def _root(covariance: FloatArray) -> FloatArray:
         If the scatter that explains the residuals has grown past all noise: the moves do not fit the model at all.
     """
     try:
-        return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), dtype=np.float64)
     except np.linalg.LinAlgError as error:
         raise CalibrationError(sentence("fit.contradiction"), Reason.NOT_CONVERGED) from error
 
@@ -254,8 +258,8 @@ def _root(covariance: FloatArray) -> FloatArray:
 def _linear_step(
     now: Evaluation, parts: Covariances, scatter: Scatter, p: FloatArray, *, free: IntArray, prior: _Prior
 ) -> _Step:
-    L = _root(parts.total(scatter))
-    whitened = np.linalg.solve(L, np.column_stack([now.residual, now.jacobian[:, free]]))
+    whitening = _whitening(parts.total(scatter))
+    whitened = whitening @ np.column_stack([now.residual, now.jacobian[:, free]])
     prior_residual, prior_jacobian = prior.rows(p, free)
     residual = np.concatenate([whitened[:, 0], prior_residual])
     jacobian = np.vstack([whitened[:, 1:], prior_jacobian])
@@ -263,11 +267,11 @@ def _linear_step(
     size = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
     inverse = np.linalg.pinv(jacobian / size) / size[:, None]
     change = -inverse @ residual
-    gain = inverse[:, : len(whitened)] @ np.linalg.inv(L)
     return _Step(
         change=change,
         covariance=inverse @ inverse.T,
-        gain=gain,
+        gain=inverse[:, : len(whitened)] @ whitening,
+        whitening=whitening,
         cost=float(residual @ residual),
         size=float(np.sum((jacobian @ change) ** 2)),
     )

@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -122,7 +123,7 @@ _INPUT_UNITS = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Covariances:
     """Parts of S, in the order of ``Evaluation.residual``."""
 
@@ -134,9 +135,13 @@ class Covariances:
     with_accelerometer: FloatArray
     """Covariance of the residuals with the 15 accelerometer parameters and gravity, shape (2 m + 3 s, 16)."""
 
+    @cached_property
+    def _all_known(self) -> FloatArray:
+        return np.asarray(np.sum([*self.known.values()], axis=0))
+
     def total(self, scatter: Scatter) -> FloatArray:
         """Return S."""
-        S: FloatArray = np.sum([*self.known.values()], axis=0)
+        S = self._all_known.copy()
         for size, part in zip(scatter, (self.drift, self.wander, self.turn), strict=True):
             if size > 0:
                 S += size**2 * part
@@ -158,17 +163,15 @@ def covariances(evaluation: Evaluation, x: FloatArray, data: GyroscopeData) -> C
     to_up = (np.eye(3) - data.up[:, :, None] * data.up[:, None, :]) / np.linalg.norm(data.force, axis=1)[:, None, None]
     # d residual / d specific force of each still, and / d its drift in rad/s: a move has the mean of the biases of its two.
     by_force, drift = np.zeros((rows, s, 3)), np.zeros((rows, 3 * s))
-    half_turn = to_tangent @ evaluation.turns.duration / 2
-    for k, (i, j) in enumerate(zip(data.moves.before, data.moves.after, strict=True)):
-        place = slice(2 * k, 2 * k + 2)
-        by_force[place, j] += evaluation.tangent[k] @ to_up[j]
-        by_force[place, i] -= evaluation.tangent[k] @ evaluation.carry[k] @ to_up[i]
-        for still in (i, j):
-            drift[place, 3 * still : 3 * still + 3] += half_turn[k]
-    for k in range(s):
-        by_force[2 * m + 3 * k : 2 * m + 3 * k + 3, k] = -H
+    moves, before, after = np.arange(m), data.moves.before, data.moves.after
+    of_moves, drift_of_moves = (part[: 2 * m].reshape(m, 2, s, 3) for part in (by_force, drift))
+    of_moves[moves, :, after] += evaluation.tangent @ to_up[after]
+    of_moves[moves, :, before] -= evaluation.tangent @ evaluation.carry @ to_up[before]
+    for stills in (before, after):
+        drift_of_moves[moves, :, stills] += to_tangent @ evaluation.turns.duration / 2
+    by_force[2 * m : 2 * m + 3 * s].reshape(s, 3, s, 3)[range(s), :, range(s)] = -H
     drift[2 * m : 2 * m + 3 * s] = np.eye(3 * s)
-    by_parameters = np.einsum("rsi,sip->rp", by_force, errors.by_parameters)
+    by_parameters = by_force.reshape(rows, -1) @ errors.by_parameters.reshape(-1, 15)
     by_raw = np.einsum("rsi,sij->rsj", by_force, errors.by_noise) + np.einsum("rp,spj->rsj", by_parameters, errors.gain)
     noisy = np.einsum("rsi,sij->rsj", by_raw, errors.noise).reshape(rows, -1)
     rest = by_parameters @ (errors.rest - errors.by_gravity) @ by_parameters.T

@@ -22,19 +22,30 @@ Parameters ``p`` of a fit: the 21 of ``move_integration``, then ``v``, then ``h`
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from imufield.calibrate.gyroscope.move_integration import BIAS, INVERSE, PARAMETERS, SENSITIVITY, Turns, integrate
 from imufield.calibrate.gyroscope.moves import Moves
 from imufield.calibrate.gyroscope.turntable import TableRows, no_table
-from imufield.calibrate.model.rotation import cross, from_matrix, logarithm, matrix, one_rotation_matrix, skew
+from imufield.calibrate.model.rotation import (
+    cross,
+    exponential,
+    from_matrix,
+    logarithm,
+    matrix,
+    multiply,
+    one_rotation_matrix,
+    skew,
+)
 from imufield.samples import FloatArray, IntArray
 
 VERTICAL = PARAMETERS
 FIRST_HORIZONTAL = PARAMETERS + 1
 _REMEMBERED = 32  # Turns at so many parameter vectors: all of a session's fits, and not all of a search with thousands.
+_LINEAR_RAD = 1e-5  # Change of a turn whose square, 1e-10 rad, is nothing beside the noise of any gyroscope over a move.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,12 +130,14 @@ class GyroscopeData:
     _known: dict[bytes, Turns] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def turns(self, x: FloatArray) -> Turns:
-        """Return the turns of all moves at ``x``, shape (21,); remembered, as each fit begins where another began or ended."""
-        found = self._known.get(key := x.tobytes())
-        if found is None:
-            if len(self._known) >= _REMEMBERED:
-                del self._known[next(iter(self._known))]
-            found = self._known[key] = integrate(x, self.moves, self.noise_density_raw)
+        """Return the turns of all moves at ``x``, shape (21,); those near turns that were integrated follow from these."""
+        for key, known in reversed(self._known.items()):
+            change = known.jacobian @ (x - np.frombuffer(key))
+            if np.abs(change).max(initial=0.0) < _LINEAR_RAD:
+                return replace(known, quaternion=multiply(known.quaternion, exponential(change)))
+        if len(self._known) >= _REMEMBERED:
+            del self._known[next(iter(self._known))]
+        found = self._known[x.tobytes()] = integrate(x, self.moves, self.noise_density_raw)
         return found
 
     @property
@@ -234,6 +247,7 @@ def evaluate(p: FloatArray, data: GyroscopeData) -> Evaluation:
 def carry_azimuth(data: GyroscopeData, turns: Turns, v: float, h: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the horizontal axes at each still, shape (s, 3, 2), and R^T exp([w_e T]) of each move, shape (m, 3, 3)."""
     up = data.up
+    across = skew(up)
     Q = np.swapaxes(_tangent(up), 1, 2).copy()
     back = np.swapaxes(matrix(turns.quaternion), 1, 2)
     carry = np.empty_like(back)
@@ -244,8 +258,8 @@ def carry_azimuth(data: GyroscopeData, turns: Turns, v: float, h: FloatArray) ->
         # The carried axes are made orthonormal again, and at right angles to up.
         axis = (carry[k] @ Q[i])[:, 0]
         first = axis - up[j] * (up[j] @ axis)
-        first /= np.linalg.norm(first)
-        Q[j] = np.stack([first, cross(up[j], first)], axis=1)
+        Q[j, :, 0] = first / math.sqrt(first @ first)
+        Q[j, :, 1] = across[j] @ Q[j, :, 0]
     return Q, carry
 
 

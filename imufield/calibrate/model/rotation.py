@@ -44,7 +44,7 @@ def skew(vector: FloatArray) -> FloatArray:
 
 def multiply(left: FloatArray, right: FloatArray) -> FloatArray:
     """Return the quaternion product, shape (..., 4)."""
-    (lw, *lv), (rw, *rv) = (np.moveaxis(factor, -1, 0) for factor in (left, right))
+    (lw, *lv), (rw, *rv) = ([factor[..., k] for k in range(4)] for factor in (left, right))
     result = _components(np.broadcast_shapes(left.shape, right.shape), 1)
     result[..., 0] = lw * rw - (lv[0] * rv[0] + lv[1] * rv[1] + lv[2] * rv[2])
     for i, j, k in _CYCLES:
@@ -64,7 +64,8 @@ def product(left: FloatArray, right: FloatArray) -> FloatArray:
 
 def _components(shape: tuple[int, ...], axes: int) -> FloatArray:
     """Return an array to be filled, the numbers of each component (its last axes) beside each other in memory."""
-    return np.moveaxis(np.empty((*shape[-axes:], *shape[:-axes])), range(axes), range(-axes, 0))
+    order = (*range(axes, len(shape)), *range(axes))
+    return np.empty((*shape[-axes:], *shape[:-axes])).transpose(order)
 
 
 def exponential(rotation_rad: FloatArray) -> FloatArray:
@@ -100,7 +101,7 @@ def rotate(quaternion: FloatArray, vector: FloatArray) -> FloatArray:
 
 def matrix(quaternion: FloatArray) -> FloatArray:
     """Return rotation matrices, shape (..., 4) -> (..., 3, 3)."""
-    w, *v = np.moveaxis(quaternion, -1, 0)
+    w, *v = (quaternion[..., k] for k in range(4))
     result = _components((*quaternion.shape[:-1], 3, 3), 2)
     common = w**2 - (v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
     for i, j, k in _CYCLES:
@@ -145,7 +146,7 @@ def one_rotation_matrix(rotation_rad: FloatArray) -> FloatArray:
 
 def right_jacobian(rotation_rad: FloatArray) -> FloatArray:
     """Return Jr of rotation vectors, shape (..., 3) -> (..., 3, 3)."""
-    p = np.moveaxis(rotation_rad, -1, 0)
+    p = [rotation_rad[..., k] for k in range(3)]
     angle = np.linalg.norm(rotation_rad, axis=-1)
     small = angle < _SMALL_RAD
     safe = np.where(small, 1.0, angle)

@@ -396,7 +396,7 @@ def test_a_fit_that_does_not_end_makes_the_whole_usable_at_most(monkeypatch: pyt
 
 def test_residuals_that_no_noise_explains_are_refused() -> None:
     with refused(CalibrationError, Reason.NOT_CONVERGED, key="fit.contradiction"):
-        fit._root(np.array([[4.0, 5.0], [5.0, 4.0]]))
+        fit._whitening(np.array([[4.0, 5.0], [5.0, 4.0]]))
 
 
 @pytest.mark.parametrize(
