@@ -22,7 +22,7 @@ from imufield.sentences import Sentences
 sentence = Sentences(__package__)
 
 _ITERATIONS = 60  # Steps before it says that it did not converge; the scatters settle last.
-_SETTLED = 1e-8  # Sum of squared changes in sigma at which it stops: a ten-thousandth of a sigma.
+_SETTLED = 1e-8  # Sum of squared changes in sigma still to come at which it stops: a ten-thousandth of a sigma.
 _NEAR = 1.0  # The same from which on only the scatters are left to be found, and the Earth's heading is seen or not: a sigma.
 _SCATTER_SETTLED = 1e-3  # Relative change of each scatter at which it stops: 24 stills tell a scatter to a tenth.
 _HALVINGS = 6  # Shares of a step that are tried, 1 to 1/32; the last is taken as it is, and the next step is another.

@@ -13,7 +13,7 @@ from imufield.calibrate.accelerometer.accelerometer import calibrate_acceleromet
 from imufield.calibrate.gyroscope import fit, residual_covariance
 from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
 from imufield.calibrate.gyroscope.input import GyroscopeInput, make_data
-from imufield.calibrate.gyroscope.move_integration import rough_inverse
+from imufield.calibrate.gyroscope.move_integration import integrate, rough_inverse
 from imufield.calibrate.gyroscope.residual_covariance import Covariances, Scatter
 from imufield.calibrate.gyroscope.residuals import evaluate
 from imufield.calibrate.gyroscope.result import (
@@ -143,8 +143,23 @@ def test_residual_derivatives(session: Session) -> None:
     now = evaluate(p, data)
     step = np.zeros(data.parameters)
     step[:21] = 1e-6 * rng.standard_normal(21)
-    change = (evaluate(p + step, data).residual - evaluate(p - step, data).residual) / 2
+    # Copies remember no turns: each is integrated.
+    after, before = (evaluate(p + sign * step, replace(data)).residual for sign in (1, -1))
+    change = (after - before) / 2
     assert change == pytest.approx(now.jacobian @ step, abs=2e-9)
+
+
+def test_turns_near_integrated_ones_are_those_of_an_integration(session: Session) -> None:
+    data = make_data(session.given)
+    x = vector(session.truth)
+    data.turns(x)
+    # A millionth of each parameter, over turns of up to 3 rad.
+    beside = x * (1 + 1e-6 * np.random.default_rng(0).standard_normal(len(x)))
+    near, anew = data.turns(beside), integrate(beside, data.moves, data.noise_density_raw)
+    assert 1e-7 < np.abs(near.quaternion - data.turns(x).quaternion).max() < 1e-5
+    assert np.abs(near.quaternion - anew.quaternion).max() < 1e-10
+    far = data.turns(1.01 * x)
+    assert np.array_equal(far.quaternion, integrate(1.01 * x, data.moves, data.noise_density_raw).quaternion)
 
 
 def test_model_is_chosen_by_significance(session: Session) -> None:
