@@ -19,10 +19,10 @@ from imufield.deliver.control_chart import plot_history
 from imufield.deliver.family import Change
 from imufield.deliver.history import History, InstrumentHistory, as_utc, one_instrument, read_history
 from imufield.deliver.parameters.gauge_free import Number, unit_of
-from imufield.deliver.parameters.numbers import WIDTH, hanging, to_ascii, with_sigma
+from imufield.deliver.parameters.numbers import beside, hanging, to_ascii, with_sigma
 from imufield.errors import UsageError
 from imufield.files import refuse_overwriting, utf8_text
-from imufield.sentences import Sentence, Sentences, counted, folded, printable
+from imufield.sentences import Sentence, Sentences, counted, folded
 
 sentence = Sentences(__package__)
 
@@ -103,10 +103,7 @@ def _print(histories: Sequence[JudgedHistory], options: HistoryOptions, now: dat
         entries = history.instrument.entries
         echo(f"{history.instrument.title}: {len(entries)} calibration{'s' if len(entries) > 1 else ''}")
         for entry in entries:
-            path = printable(entry.path)
-            line = f"  {entry.created[:10]}  {entry.verdict:<7} {path}"
-            # A path that is broken in two cannot be copied.
-            echo(line if len(line) <= WIDTH else f"{line.removesuffix(path).rstrip()}\n    {path}")
+            echo(beside(f"  {entry.created[:10]}  {entry.verdict:<7}", entry.path, indent=4))
         changes = {change.name: change for change in history.changes()}
         # One calibration has nothing to compare, and its numbers are in its file.
         numbers = history.entries[-1].numbers if changes else ()

@@ -13,11 +13,11 @@ from imufield.calibrate.model.result import VERDICTS
 from imufield.commands.options.acquire_commands import SessionsOptions
 from imufield.commands.terminal.output import echo, say
 from imufield.deliver.parameters.file import PARAMETER_FILE
-from imufield.deliver.parameters.numbers import WIDTH
+from imufield.deliver.parameters.numbers import beside
 from imufield.errors import ImufieldError, ParameterFileError, RecordingError, UsageError
 from imufield.files import DEFAULT_ROOT, Origin, read_small_file, real_path
 from imufield.guide.positions import SCHEME_FILE, SCHEMES, scheme
-from imufield.sentences import Sentences
+from imufield.sentences import Sentences, printable
 from imufield.toml_files import decode_toml, parse_toml
 
 sentence = Sentences(__package__)
@@ -42,15 +42,14 @@ def list_sessions(options: SessionsOptions) -> None:
         raise UsageError(sentence("sessions.no_folder", folder=folder))
     listed = [_row(path.parent, folder) for path in folder.glob(f"*/{SETTINGS_FILE}")]
     listed.sort(key=lambda row: (row["created"] or "", row["folder"]), reverse=True)
-    found = [row for row in listed if all(word in f"{_line(row)} {row['folder']}".lower() for word in words)]
+    found = [row for row in listed if all(word in f"{_what(row)} {_who(row)} {row['folder']}".lower() for word in words)]
     if options.as_json:
         echo(json.dumps({"folder": str(folder), "sessions": found}))
         return
     for row in found:
-        line, who = _line(row), _who(row)
         # Folded between its columns: a terminal of 80 columns would break it in a word.
-        echo(line if len(line) <= WIDTH else f"{line.removesuffix(who).rstrip()}\n  {who}")
-        echo(f"  {row['folder']}")
+        echo(beside(_what(row), _who(row), indent=2).rstrip())
+        echo(f"  {printable(row['folder'])}")
         if row["fault"]:
             say(f"  {row['fault']}", indent=2)
     if not found:
@@ -102,12 +101,12 @@ def _planned(session: Session) -> int | None:
     return None
 
 
-def _line(row: Row) -> str:
-    """Return all but folder and fault."""
+def _what(row: Row) -> str:
+    """Return all but instrument, folder and fault."""
     state = f"{row['state']}, not solved" if row["verdict"] is None else row["verdict"].upper()
     complete = "" if row["positions"] is None else f"{row['positions']} of {row['planned'] or '?'} positions"
     when = (row["created"] or "")[:16].replace("T", " ")
-    return f"{when:<16}  {state:<22}  {complete:<18}  {_who(row)}".rstrip()
+    return f"{when:<16}  {state:<22}  {complete:<18} "
 
 
 def _who(row: Row) -> str:

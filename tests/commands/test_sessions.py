@@ -14,6 +14,7 @@ from imufield.acquire.recording.session import Session
 from imufield.cli.run import run
 from imufield.errors import Reason
 from imufield.files import DEFAULT_ROOT
+from imufield.sentences import printable
 from tests.commands.told import fails, missing, says
 
 
@@ -91,6 +92,26 @@ def test_a_long_name_does_not_leave_80_columns(folder: Path, capsys: pytest.Capt
     assert max(map(len, lines)) <= 80
     assert lines[0].endswith("24 of 24 positions")
     assert lines[1].endswith(long)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no such names there")
+def test_names_from_outside_keep_to_their_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    hostile = "x\nforged\x1b[2J"
+    (folder / "20260302T101500Z-raw").rename(folder / hostile)
+    Session.open(folder / hostile).update({"model": hostile, "instrument": {"driver": hostile, "serial_number": hostile}})
+    assert run(["sessions"]) == 0
+    shown = capsys.readouterr().out
+    assert shown.count(printable(hostile)) >= 2
+    assert not [line for line in shown.splitlines() if line.startswith("forged")]
+    assert "\x1b" not in shown
+
+
+def test_wide_characters_take_two_columns(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    name = "慣性計測装置慣性計測"  # 10 characters in 20 columns; 18 are left.
+    Session.open(folder / "20260301T101500Z-solved").update({"model": "", "instrument": {"serial_number": name}})
+    assert run(["sessions", "--find", "solved GOOD"]) == 0
+    first, second, _ = capsys.readouterr().out.splitlines()
+    assert (first.split()[-1], second) == ("positions", f"  {name}")
 
 
 @pytest.mark.parametrize(

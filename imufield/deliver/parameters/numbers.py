@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import textwrap
+from unicodedata import east_asian_width
 
 from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2
 from imufield.sentences import printable
@@ -56,11 +57,13 @@ def hanging(start: str, sentence: str) -> str:
     )
 
 
-def beside(words: str, path: object) -> str:
+def beside(words: str, path: object, indent: int = 0) -> str:
     """Return words and a path, the path on a line of its own where both are too long for one: broken it cannot be copied."""
     shown = printable(str(path))
     line = f"{words} {shown}"
-    return line if len(line) <= WIDTH else f"{words.rstrip()}\n{shown}"
+    # Chinese and Japanese characters take two columns.
+    columns = sum(1 + (east_asian_width(character) in "WF") for character in line)
+    return line if columns <= WIDTH else f"{words.rstrip()}\n{' ' * indent}{shown}"
 
 
 def bar(share: float, width: int) -> str:

@@ -87,3 +87,10 @@ def test_long_sentences_hang_and_keep_their_words() -> None:
 def test_a_path_is_not_broken() -> None:
     assert beside("written to", "a/b") == "written to a/b"
     assert beside("written to", "x" * 75) == f"written to\n{'x' * 75}"
+    assert beside("written to ", "x" * 75, indent=2) == f"written to\n  {'x' * 75}"
+
+
+def test_a_wide_character_takes_two_columns() -> None:
+    # "written to " and 34 of them are 79 columns, 35 are 81.
+    assert beside("written to", "東" * 34) == f"written to {'東' * 34}"
+    assert beside("written to", "東" * 35) == f"written to\n{'東' * 35}"
