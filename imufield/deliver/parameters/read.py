@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import NamedTuple
 
@@ -37,7 +38,10 @@ def read_document(path: Path | str, origin: Origin = Origin.TYPED) -> VersionedD
     try:
         text = decode_toml(read_small_file(path, origin), where, ParameterFileError)
     except OSError as error:
-        raise ParameterFileError(sentence("read.not_there", where=where, cause=error.strerror), Reason.FOREIGN) from error
+        # A file that nobody named is missing because the session was not solved.
+        key = "read.not_solved" if origin is Origin.INSIDE and isinstance(error, FileNotFoundError) else "read.not_there"
+        refused = sentence(key, where=where, cause=error.strerror, folder=shlex.quote(str(Path(path).parent)))
+        raise ParameterFileError(refused, Reason.FOREIGN) from error
     return parse_document(text, where)
 
 

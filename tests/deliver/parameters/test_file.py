@@ -347,8 +347,12 @@ def test_any_flipped_byte_gives_the_same_parameters_or_the_error(file: Path, dat
 
 
 def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
-    assert refusal(tmp_path / "none.toml").reason is Reason.FOREIGN
-    assert refusal(tmp_path).reason is Reason.FOREIGN
+    typed = refusal(tmp_path / "none.toml")
+    assert (typed.reason, key_of(typed.message)) == (Reason.FOREIGN, "read.not_there")
+    # A folder stands for the file that solving makes.
+    not_solved = refusal(tmp_path)
+    assert (not_solved.reason, key_of(not_solved.message)) == (Reason.FOREIGN, "read.not_solved")
+    assert f"imufield solve {tmp_path}" in not_solved.message
     (tmp_path / "b.toml").write_bytes(b"\xff\xfe\x00")
     assert "b.toml" in refusal(tmp_path / "b.toml").message
     assert key_of(refusal(tmp_path / "b.toml").message) == "toml_files.no_text"
