@@ -16,6 +16,7 @@ import numpy as np
 from rich.box import ROUNDED
 from rich.console import Group, RenderableType
 from rich.panel import Panel
+from rich.style import Style
 from rich.table import Table
 from rich.text import Text
 
@@ -326,12 +327,15 @@ def _link_lines(screen: Screen, snapshot: Snapshot, state: LinkState, width: int
     text = f" {link}"
     for part in (rate, lost, warmth):
         text += f"   {part}" if len(text) + 3 + len(part) <= width else ""
-    page = (
-        textwrap.wrap(sentence("screen.page", url=state.page), width, initial_indent=" ", break_on_hyphens=False)
-        if state.page
-        else []
-    )
-    return [Text(text, style="bold" if arrives else "bold red", no_wrap=True), *(Text(line, no_wrap=True) for line in page)]
+    return [Text(text, style="bold" if arrives else "bold red", no_wrap=True), *_page_lines(state.page, width)]
+
+
+def _page_lines(url: str, width: int) -> list[Text]:
+    """Return the address of the page in one line; where it has no room in one, in more that are one link in a terminal."""
+    fits = len(url) <= width
+    words = sentence("screen.page", url=url) if url else ""
+    lines = textwrap.wrap(words, width, initial_indent=" ", break_long_words=not fits, break_on_hyphens=False)
+    return [Text(line, style=Style(link=None if fits else url), no_wrap=True) for line in lines]
 
 
 def _messages(screen: Screen, count: int, width: int) -> list[Text]:

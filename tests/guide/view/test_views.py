@@ -290,6 +290,21 @@ def test_every_window_is_filled_and_nothing_is_cut(session: Any, size: tuple[int
     assert (" log " in text) == (size[0] >= 100)
 
 
+@pytest.mark.parametrize("columns", [40, 50, 54, 60])
+def test_the_address_of_the_page_is_one_link_in_a_narrow_window(session: Any, columns: int) -> None:
+    url = f"http://127.0.0.1:8777/#token={22 * 'x'}"
+    screen, guide = followed(session, 6.8)
+    drawn = open_nothing()
+    console = Console(width=columns, height=20, file=drawn, force_terminal=True, color_system="standard")
+    console.print(draw_small(screen, guide.snapshot(), LinkState(0, page=url), width=columns, height=20))
+    links = re.findall(r"\x1b\]8;id=[^;]*;([^;]+)\x1b\\([^\x1b]*)\x1b\]8;;\x1b", drawn.getvalue())
+    shown = re.sub(r"\x1b\]8;[^\x1b]*\x1b\\|\x1b\[[0-9;]*m", "", drawn.getvalue())
+    # With "page" before it, alone, or in pieces of which each opens the whole.
+    assert (url in shown) == (columns >= len(url))
+    assert {target for target, _ in links} == ({url} if columns < len(url) else set())
+    assert columns >= len(url) or "".join(text.strip() for _, text in links).removeprefix("page").strip() == url
+
+
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("big", [False, True])
 def test_the_address_of_the_page_is_whole_in_every_window(session: Any, size: tuple[int, int], *, big: bool) -> None:
