@@ -31,7 +31,6 @@ from imufield.guide.events import Event
 from imufield.guide.positions import scheme
 from imufield.guide.view.plain import JsonLinesView, PlainView
 from imufield.pipeline.chain import Chain, Items, ReadingPlan, replay_into, session_protocol
-from imufield.pipeline.damage import without_end_under_way
 from imufield.sentences import Sentences
 
 if TYPE_CHECKING:
@@ -62,17 +61,13 @@ def run_replay(options: ReplayOptions) -> None:
         _replay_to_others(session, options)
         return
     damage: list[Damage] = []
-    # Asked before reading: a recording that ends meanwhile was read while it went on.
-    goes_on = session.is_being_recorded
     chain = Chain(ReadingPlan.of(session))
     view = JsonLinesView(echo) if options.as_json else PlainView(say, origin_s=chain.origin_s)
     if options.web:
         _replay_to_page(session, options, chain, view.show, damage)
     else:
         replay_into(chain, session, damage, view.show)
-    say_each((entry.what for entry in (without_end_under_way(damage, session) if goes_on else damage)), err=True)
-    if goes_on:
-        say(sentence("replay.goes_on"), err=True)
+    say_each((entry.what for entry in damage), err=True)
     # JSON lines are for programs, which count for themselves.
     if not options.as_json:
         _tell(chain)

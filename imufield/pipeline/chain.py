@@ -27,7 +27,7 @@ from imufield.guide.lead.turns import HORIZONTAL, VERTICAL
 from imufield.guide.lead.unguided import StillIntervalFinder, StillIntervals
 from imufield.guide.positions import SCHEME_FILE, SCHEMES, scheme
 from imufield.guide.stillness.scale import RoughScale
-from imufield.pipeline.damage import require_samples
+from imufield.pipeline.damage import name_recording, require_samples
 from imufield.pipeline.site import SiteOptions
 from imufield.samples import FloatArray, Samples, Status, concatenate, no_samples
 from imufield.sentences import Sentences
@@ -357,6 +357,8 @@ def _replayed(
     chain: Chain, session: Session, damage: list[Damage], *, ended: bool = True, items: Items | None = None
 ) -> Iterator[list[Event]]:
     """Yield the events of each step of a replay; raises as ``replay_into``."""
+    # Asked before reading: a recording that ends meanwhile was read while it went on.
+    goes_on = ended and session.is_being_recorded
     for item in items or read_blocks(session, damage, block_bytes=_BLOCK_BYTES, span_s=_BLOCK_SPAN_S):
         if isinstance(item, PartStart):
             events = chain.start_part(recorded_protocol(item.metadata, session))
@@ -366,6 +368,8 @@ def _replayed(
         else:
             events = chain.feed_block(item)
         yield events
+    if goes_on:
+        name_recording(damage, session)
     # Where a capture goes on, what the decoder holds back is completed by what comes, and no sample yet is no fault.
     if ended:
         yield chain.finish()
@@ -393,7 +397,7 @@ def session_outline(session: Session, damage: list[Damage]) -> Iterator[Samples]
     if every <= 1 or session.record.kind == "import":
         yield from session_samples(session, damage)
         return
-    protocol, number, begun = session_protocol(session), 0, None
+    protocol, number, begun, goes_on = session_protocol(session), 0, None, session.is_being_recorded
     for item in read_blocks(session, damage):
         if isinstance(item, PartStart):
             protocol = recorded_protocol(item.metadata, session)
@@ -405,6 +409,8 @@ def session_outline(session: Session, damage: list[Damage]) -> Iterator[Samples]
                 begun = begun or (item.utc_ns, float(samples.time_s[-1]))
                 last_s = begun[1] + (item.utc_ns - begun[0]) / 1e9
                 yield replace(samples, time_s=samples.time_s - samples.time_s[-1] + last_s)
+    if goes_on:
+        name_recording(damage, session)
 
 
 def _alone(block: RecordedBlock, protocol: Protocol) -> Samples:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 
 from imufield.acquire.decode.statistics import DecoderStatistics, without_samples
 from imufield.acquire.protocol.protocol import Protocol
@@ -59,9 +60,11 @@ def _damage_clause(damage: Sequence[Damage]) -> str:
     return "".join(f", {what}" for what in named)
 
 
-def without_end_under_way(damage: Sequence[Damage], session: Session) -> list[Damage]:
-    """Return the damage of a session that is being recorded: the end of the part under way is none."""
-    return [entry for entry in damage if not (entry.torn_end and entry.path == session.parts[-1])]
+def name_recording(damage: list[Damage], session: Session) -> None:
+    """Name the missing end of a session that is being recorded as what it is."""
+    for place, entry in enumerate(damage):
+        if entry.torn_end and entry.path == session.parts[-1]:
+            damage[place] = replace(entry, what=sentence("damage.goes_on", path=entry.path))
 
 
 @contextmanager

@@ -32,7 +32,7 @@ from imufield.guide.refusals import Refusal
 from imufield.guide.view.marks import with_keys
 from imufield.pipeline.calibration import FEWEST_POSITIONS, Measured, SolveSettings, calibrate
 from imufield.pipeline.chain import Chain, ReadingPlan, SamplesListener, replay_into
-from imufield.pipeline.damage import naming_damage, without_end_under_way
+from imufield.pipeline.damage import naming_damage
 from imufield.pipeline.kept import is_kept, keep, kept
 from imufield.pipeline.reading import Beside, Reading, ReadingCollector
 from imufield.pipeline.site import SiteOptions
@@ -163,9 +163,6 @@ def read_recording(
         replay_into(chain, session, damage, collected.hear)
         collecting.wait()
         sha256 = hashing.result()
-    if goes_on:
-        damage[:] = without_end_under_way(damage, session)
-        chain.notes.append(sentence("solving.goes_on"))
     with naming_damage(session, damage), task("solving"):
         reading = reading_of(session, chain, collected, damage, sha256=sha256)
     yield reading

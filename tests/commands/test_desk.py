@@ -82,11 +82,12 @@ def test_a_session_that_is_still_being_recorded_is_called_that(program: Program,
     assert any("cut off" in reason or "no end marker" in reason for reason in cut)
     with Session.open(whole).lock():
         reasons = document(program, "whole")["quality"]["reasons"]
-        replayed = program.run("replay", "whole")
-    assert says(replayed.stderr, "commands", "replay.goes_on")
-    assert "cut off" not in replayed.stderr
+        others = [program.run("replay", "whole"), program.run("export-data", "whole")]
+    for ended in others:
+        assert says(ended.stderr, "pipeline", "damage.goes_on", path="whole/part-001.mcap")
+        assert "cut off" not in ended.stderr
     assert "cut off" in program.run("replay", "whole").stderr
-    assert Sentences("imufield.pipeline")("solving.goes_on") in reasons
+    assert Sentences("imufield.pipeline")("damage.goes_on", path="whole/part-001.mcap") in reasons
     assert not any("cut off" in reason or "end marker" in reason for reason in reasons)
 
 
@@ -248,11 +249,11 @@ def test_emulate_says_that_it_is_fast_and_that_its_reader_has_left(program: Prog
 def test_emulate_says_where_and_how(program: Program) -> None:
     process = program.start("emulate", "stim300", "--speed", 4, "--link", "imu")
     assert process.stdout is not None
-    lines = [process.stdout.readline() for _ in range(4)]
+    lines = [process.stdout.readline() for _ in range(5)]
     assert "stim300 at 2000 Hz, 4 times real time, on imu" in lines[0]
     assert "imufield capture --port imu" in lines[2]
-    assert lines[2].endswith(" --clock-speed 4\n")
-    assert lines[3] == "it begins when a program opens the port; Ctrl-C ends it\n"
+    assert (lines[2][-2:], lines[3]) == ("\\\n", "    --clock-speed 4\n")
+    assert lines[4] == "it begins when a program opens the port; Ctrl-C ends it\n"
     process.send_signal(signal.SIGINT)
     assert process.wait(120) == 130
     assert not (program.folder / "imu").is_symlink()

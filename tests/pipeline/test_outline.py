@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
 from imufield.pipeline import chain
 from imufield.pipeline.chain import session_outline, session_samples
 from imufield.samples import concatenate
 from tests.commands.conftest import simulated_session
+from tests.told import key_of
 
 EVERY = 5
 CHUNK_S = 0.1  # More than a read of the simulated session: a time by arrival is that uncertain.
@@ -31,6 +33,24 @@ def test_some_seconds_of_all_parts_are_read_at_their_times(tmp_path: Path, monke
     # No second of the recording is farther than that from one that is shown.
     assert np.diff(some.time_s).max() < EVERY + 1
     assert full.time_s[-1] - some.time_s[-1] < EVERY + 1
+
+
+@pytest.mark.parametrize("limit", [1 << 40, 1])
+def test_a_recording_under_way_is_said_to_be_that(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: int) -> None:
+    """Whatever reads it, whole or in part: the end that its last part still lacks is no damage."""
+    session = simulated_session(tmp_path / "here", "faces6")
+    part = session.parts[-1]
+    part.write_bytes(part.read_bytes()[:-8])
+    monkeypatch.setattr(chain, "OUTLINE_BYTES", limit)
+    for read in (session_samples, session_outline):
+        cut: list[Damage] = []
+        count = len(concatenate(list(read(session, cut))))
+        with session.lock():
+            found: list[Damage] = []
+            assert len(concatenate(list(read(session, found)))) == count
+        assert [key_of(entry.what) for entry in found] == ["damage.goes_on"]
+        assert [(entry.path, entry.offset, entry.torn_end) for entry in found] == [(part, cut[0].offset, True)]
+        assert key_of(cut[0].what).startswith("part_file.")
 
 
 @pytest.mark.parametrize(("limit", "kind"), [(1 << 40, "capture"), (1, "import")])
