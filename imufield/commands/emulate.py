@@ -7,6 +7,7 @@ import math
 import re
 import shlex
 import sys
+import textwrap
 from collections.abc import Iterable, Iterator
 from dataclasses import fields
 from pathlib import Path
@@ -18,7 +19,7 @@ from imufield.acquire.protocol.toml import spell
 from imufield.acquire.registry import driver_names, load_driver
 from imufield.commands.options.acquire_commands import EmulateOptions
 from imufield.commands.terminal.output import echo, replace_only, say
-from imufield.deliver.parameters.numbers import beside
+from imufield.deliver.parameters.numbers import WIDTH, beside
 from imufield.errors import UsageError
 from imufield.files import read_small_file
 from imufield.guide.positions import REVISIT_FROM, named_direction, scheme
@@ -223,16 +224,26 @@ def _announce(options: EmulateOptions, emulation: Emulation, emulator: EmulatorC
     form = f" ({wire.form.name})" if wire.form and wire.form.name not in ("", "default") else ""
     echo(beside(f"{options.driver}{form} at {rate_hz:.0f} Hz, {options.speed:g} times real time, on", address))
     # Slower than real time the host needs no other clock.
-    clock = "" if options.speed <= 1 else f" --clock-speed {options.speed:g}"
+    clock = [] if options.speed <= 1 else [f"--clock-speed {options.speed:g}"]
     # The right place matters: the scale of the accelerometer is as good as the gravity it is given, which is that of height 0.
     place = f"--latitude {emulation.site.latitude_deg:g} --height 0"
     # A protocol file of the user's own is no driver that another command knows by name.
     which = f"{'--driver' if wire.driver else '--protocol'} {options.driver}"
-    told = "".join(f"--set {name}={spell(value)} " for name, value in wire.settings.items())
+    told = [f"--set {name}={spell(value)}" for name, value in wire.settings.items()]
     if options.truth is not None:
         echo(beside("truth in", options.truth))
     echo("read it with:")
-    echo(f"  imufield capture --{kind} {shlex.quote(address)} {which} {told}{place}{clock}")
+    words = ("imufield capture", f"--{kind} {shlex.quote(address)}", which, *told, place, *clock)
+    # Folded as a shell reads it, between options alone: broken by a terminal it cannot be copied.
+    folded = textwrap.wrap(
+        " ".join(word.replace(" ", "\0") for word in words),
+        WIDTH - len(" \\"),
+        initial_indent="  ",
+        subsequent_indent="    ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+    echo(" \\\n".join(folded).replace("\0", " "))
     if rate_hz * options.speed > SAFE_RATE_HZ:
         remedies = _slower(options, rate_hz)
         say(sentence("emulate.fast", rate_hz=rate_hz * options.speed, limit=SAFE_RATE_HZ, remedies=remedies), err=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -54,9 +55,30 @@ def captured(program: Program, who: list[str], how: list[str]) -> Session:
 
 def test_the_command_that_is_told_knows_the_place(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["emulate", "stim300", "--duration-s", "0.1", "--positions", "none"]) == 0
-    (told,) = (line.split() for line in capsys.readouterr().out.splitlines() if "imufield capture" in line)
+    told = shell_words(capsys.readouterr().out)
     place = {name: float(told[told.index(name) + 1]) for name in ("--latitude", "--height")}
     assert Site().gravity_m_s2 == normal_gravity(place["--latitude"], place["--height"])
+
+
+def shell_words(out: str) -> list[str]:
+    """Return the words of the command that is told, as a shell reads its lines."""
+    return shlex.split(out[out.index("imufield capture") :].replace("\\\n", " ").partition("\n")[0])
+
+
+@pytest.mark.parametrize("length", [0, 60])
+def test_the_command_that_is_told_is_not_broken_in_a_word(
+    length: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    link = "imu" + "x" * length
+    typed = ["emulate", "stim300", "--rate-hz", "500", "--duration-s", "0.1", "--positions", "none", "--link", link]
+    assert run([*typed, "--speed", "4"]) == 0
+    out = capsys.readouterr().out
+    assert max(map(len, out.splitlines())) <= 80
+    command, _, *options = shell_words(out)
+    assert command == "imufield"
+    expected = {"--port": link, "--driver": "stim300", "--latitude": "45", "--height": "0", "--clock-speed": "4"}
+    assert dict(zip(options[::2], options[1::2], strict=True)) == expected
 
 
 def test_the_logger_of_the_page(program: Program) -> None:
