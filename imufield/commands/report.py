@@ -17,7 +17,7 @@ from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session, open_or_newest
 from imufield.calibrate.model.observations import join_observations
 from imufield.commands.options.result_commands import ReportOptions
-from imufield.commands.terminal.output import write_output
+from imufield.commands.terminal.output import say, write_output
 from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, load
 from imufield.deliver.parameters.write import content_sha256
 from imufield.deliver.report.data import (
@@ -77,6 +77,7 @@ def run_report(options: ReportOptions) -> tuple[Path, ...]:
     for number, path in enumerate(pages):
         with task(f"writing {path.name}"):
             write_output(path, texts[number].encode() if number < len(texts) else to_pdf(texts[number - len(texts)]))
+    say(sentence("report.record", record=pages[1].name))
     return pages
 
 

@@ -137,8 +137,9 @@ def _verify(task: _Task) -> Verification:
     problems: list[ImufieldError] = []
     damage: list[Damage] = []
     navigation, flags = _Navigation(task, problems), TemperatureFlags(task.parameters)
+    is_guided = navigation.is_off
     # Positions alone are all in what is kept of an earlier replay.
-    only_positions = navigation.is_off and not task.parameters.temperature_models
+    only_positions = is_guided and not task.parameters.temperature_models
     reading = kept(task.session, task.sha256) if only_positions else None
     chain = Chain(ReadingPlan.of(task.session), (flags.count, navigation.feed))
     if reading is None:
@@ -153,7 +154,9 @@ def _verify(task: _Task) -> Verification:
     # With requirements the last of them is an objection.
     about_file = (parameters.edited_note, parameters.gyroscope_note, "" if task.limits else doubt(parameters))
     found = () if left_out is None else (*_gravity_notes(task, left_out), *_instrument_notes(task))
-    read = (*(entry.what for entry in damage), *(error.message for error in problems))
+    why_not = "verify.guided" if parameters.gyroscope_is_complete else "verify.no_gyroscope"
+    untried = (sentence(why_not, path=parameters.path, least_s=task.options.align_s + SHORTEST_S),) if is_guided else ()
+    read = (*(entry.what for entry in damage), *(error.message for error in problems), *untried)
     return Verification(
         parameters=parameters,
         session=task.session.name,

@@ -17,6 +17,7 @@ from imufield.deliver.parameters.file import load
 from imufield.earth import MICRO_G_M_S2
 from imufield.errors import ParameterFileError, Reason
 from imufield.pipeline.chain import Chain, ReadingPlan, replay_into
+from tests.commands.told import says
 from tests.refused import refused
 
 MIB = 2**20
@@ -31,7 +32,9 @@ def solved(solved_session: Path, tmp_path: Path) -> Path:
 def test_pages_are_written_into_the_session(solved: Path, capsys: pytest.CaptureFixture[str]) -> None:
     report, record = run_report(ReportOptions(session=solved, operator="A. Person"))
     assert (report, record) == (solved / "report.html", solved / "calibration-record.html")
-    assert capsys.readouterr().out.count("written to") == 2
+    shown = capsys.readouterr().out
+    assert shown.count("written to") == 2
+    assert says(shown, "commands", "report.record", record="calibration-record.html")
     assert report.stat().st_size < 3 * MIB
     text = report.read_text(encoding="utf-8")
     for title in ("Residual on the sphere", "Residual by position", "Stillness", "Gyroscope closure"):

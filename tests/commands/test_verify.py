@@ -22,6 +22,7 @@ from imufield.calibrate.model.models import to_vector
 from imufield.cli.run import run
 from imufield.commands.options.result_commands import VerifyOptions
 from imufield.commands.verify import run_verify
+from imufield.deliver.navigation.check import SHORTEST_S
 from imufield.deliver.parameters.file import from_document, load
 from imufield.deliver.parameters.temperature import add_temperature
 from imufield.deliver.parameters.write import content_sha256, to_toml, write_document
@@ -97,7 +98,9 @@ def test_own_session_is_cross_validated(solved: Path, tmp_path: Path, capsys: py
     assert "4" in found.left_out.how.split()
     assert found.left_out.before_rms_m_s2 > 3 * found.left_out.rms_m_s2
     assert found.navigation is None
-    assert capsys.readouterr().out
+    (why,) = told(found.notes, "verify.guided")
+    assert why.values["least_s"] == VerifyOptions().align_s + SHORTEST_S
+    assert not missing(capsys.readouterr().out, "imufield record")
     assert json.loads(output.read_text())["positions"]["as_forecast"]
 
 
