@@ -176,7 +176,7 @@ class CaptureOptions:
     ] = None
     web: Annotated[bool, option("--web", help="Show the guide in a browser on this machine, too.")] = False
     web_lan: Annotated[
-        str | None, option(help="Show the guide to phones: this machine's address in their network, or auto.")
+        str | None, option(help="Show the guide on phones, too; give this machine's address in their network, or auto.")
     ] = None
     web_port: WebPort = None
     clock_speed: ClockSpeed = 1.0
@@ -336,7 +336,7 @@ class EmulateOptions:
         float | None, option(help="Sample rate (default: the instrument's usual one).", low=1, high=RATE_RANGE_HZ[1])
     ] = None
     speed: Annotated[float, option(help="Speed relative to real time, e.g. 8 is eight times as fast.", low=0.1)] = 1.0
-    grade: Annotated[str, option(help="navigation, tactical, industrial or mems.")] = "tactical"
+    grade: Annotated[str, option(help="Instrument grade: navigation, tactical, industrial or mems.")] = "tactical"
     seed: Annotated[int, option(help="Seed of instrument, operator and faults.", low=0, high=LARGEST_SEED)] = VIRTUAL_SEED
     day: Annotated[
         int,
@@ -359,7 +359,7 @@ class EmulateOptions:
             help="File of poses to use instead of --positions, one per line, e.g. z+135 or roll 30; `-` reads the keyboard."
         ),
     ] = None
-    style: Annotated[str, option(help="placed (on a surface) or held (in the hand).")] = "placed"
+    style: Annotated[str, option(help="How it is kept still: placed (on a surface) or held (in the hand).")] = "placed"
     rotations: Annotated[
         str | None,
         option(help="Whole turns after the positions: rolled (edge over edge) or table (flat on the table)."),

@@ -78,9 +78,9 @@ class SolveOptions:
     ] = None
     without: Annotated[list[str] | None, option(help="Name of a position to leave out; may be repeated.")] = None
     clock_sigma_ppm: Annotated[
-        float | None, option(help="Uncertainty of the sample period, 1 sigma, ppm (default: by kind of clock).", low=0)
+        float | None, option(help="Uncertainty of the sample period, 1 sigma, ppm (default: depends on the clock).", low=0)
     ] = None
-    method: Annotated[str, option(help="least-squares, bsas, ide and others, see docs/study.md.")] = "least-squares"
+    method: Annotated[str, option(help="Solver: least-squares, bsas, ide and others (docs/study.md).")] = "least-squares"
     method_settings: MethodSettings = field(default_factory=dict)
     polish: Annotated[bool, option(help="If --method is not least-squares, refine its result by least squares.")] = True
     cross_check: Annotated[
@@ -99,7 +99,7 @@ class SolveOptions:
             "states, else mems). Sigma includes its typical errors where a session cannot measure them."
         ),
     ] = None
-    seed: Annotated[int, option(help="Seed of everything random.", low=0, high=LARGEST_SEED)] = 0
+    seed: Annotated[int, option(help="Seed of all random numbers.", low=0, high=LARGEST_SEED)] = 0
     workers: Workers = None
     scheduler: Scheduler = None
     together: Annotated[
@@ -159,7 +159,7 @@ class NoiseOptions:
     """
 
     session: NewestSession = None
-    to: Annotated[str, option(help="Form of --output: kalibr, openvins, vins or ros2.")] = "kalibr"
+    to: Annotated[str, option(help="Format of --output: kalibr, openvins, vins or ros2.")] = "kalibr"
     output: Annotated[Path | None, option("-o", "--output", help="YAML for a navigation filter.")] = None
     plot: Annotated[Path | None, option(help="Draw the Allan deviation into this file (needs matplotlib).")] = None
     parameters: Annotated[
@@ -242,7 +242,7 @@ class ExportDataOptions:
     to: Annotated[
         str,
         option(
-            help="csv, parquet, hdf5, ros2 (MCAP), overview (least, mean and largest of each "
+            help="Format: csv, parquet, hdf5, ros2 (MCAP), overview (least, mean and largest of each "
             "interval, for plots), outline (like overview, from a few seconds of each minute; faster).",
         ),
     ] = "csv"
@@ -309,7 +309,7 @@ class ReportOptions:
     parameters: Annotated[Path | None, option(help="Parameter file (default: SESSION/parameters.toml).")] = None
     preset: Annotated[Path | None, option(help="Previous parameter file, to compare with.")] = None
     operator: Annotated[str, option(help="Person who calibrated; printed on the calibration record.")] = ""
-    output: Annotated[Path | None, option("-o", "--output", help="Page (default: SESSION/report.html).")] = None
+    output: Annotated[Path | None, option("-o", "--output", help="Report page (default: SESSION/report.html).")] = None
     record: Annotated[Path | None, option(help="Calibration record (default: SESSION/calibration-record.html).")] = None
     pdf: Annotated[bool, option("--pdf", help="Write both as PDF, too, beside them (takes some seconds).")] = False
 
