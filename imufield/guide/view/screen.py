@@ -52,7 +52,7 @@ _BIG_MESSAGES = 3  # Below the big letters.
 
 
 _KEYS = "r retake  s skip  u undo  p pause  f finish  ? keys  q quit (resume later)"
-_NARROW_KEYS = "r retake s skip u undo p pause f finish q quit ? keys"
+_NARROW_KEYS = "? keys q quit r retake s skip u undo p pause f finish"  # What is cut off on the right, ? shows.
 
 
 @dataclass(frozen=True, slots=True)

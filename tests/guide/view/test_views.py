@@ -194,7 +194,7 @@ def test_a_small_window_says_what_to_do_and_is_not_cut(session: Any, width: int,
     assert any(line.startswith("stillness") for line in lines)
     assert any("of 6 done" in line for line in lines)
     # Keys stay; the picture where there is room for it.
-    assert lines[-1].startswith("r retake s skip u undo")
+    assert lines[-1].startswith("? keys q quit r retake")
     assert any("now " in line for line in lines) == (height == 20)
     assert not any("…" in line for line in lines if "Hz" not in line)
 
