@@ -19,8 +19,9 @@ from dataclasses import replace
 import numpy as np
 
 from imufield.acquire.clock.clock import Arrival, Arrivals, Clock
-from imufield.acquire.clock.loss_watch import LossWatch, TimedBlock
-from imufield.acquire.clock.stamp_clock import LEARN_FROM, StampClock, Stamped, StepRule, steps_between
+from imufield.acquire.clock.host_lag import LossWatch, TimedBlock
+from imufield.acquire.clock.missing_samples import LEARN_FROM, StepRule
+from imufield.acquire.clock.stamp_clock import StampClock, Stamped, steps_between
 from imufield.acquire.decode.assembly import NO_TICKS, RawBlock, join
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule

@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from imufield.acquire.clock.loss_watch import HostBaseline
+from imufield.acquire.clock.host_lag import HostBaseline
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.formats.table_columns import choose_unit
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imufield.acquire.clock.loss_watch import HostBaseline
+from imufield.acquire.clock.host_lag import HostBaseline
 
 
 def test_nothing_known_means_no_lag() -> None:

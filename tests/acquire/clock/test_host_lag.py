@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from imufield.acquire.clock.loss_watch import LossWatch, TimedBlock
+from imufield.acquire.clock.host_lag import LossWatch, TimedBlock
 from imufield.acquire.decode.assembly import RawBlock
 
 WRAP_S = 0.128

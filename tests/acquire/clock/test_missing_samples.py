@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imufield.acquire.clock.stamp_clock import StepRule
+from imufield.acquire.clock.missing_samples import StepRule
 
 
 def test_the_most_frequent_allowed_step_is_learned() -> None:

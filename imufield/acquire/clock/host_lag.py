@@ -1,4 +1,4 @@
-"""Losses that only the host clock shows: whole wraps of a counter, or any where there is no counter.
+"""Lag of the sample clock behind the host, and the losses that it alone shows: wraps of a counter, or any without a counter.
 
 Such a loss makes the sample clock fall behind arrival by the loss, and stay behind by just that. Much else makes it fall
 behind, too, with nothing missing: a host that stood still and hands over old data late, a cable or network that is slower
