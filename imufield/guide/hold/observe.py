@@ -153,12 +153,14 @@ def correlation_factor(deviation: FloatArray) -> float:
     energy = float(deviation @ deviation)
     if m < 4 or energy == 0:
         return 1.0
-    lags = max(m // 4, 2)
-    correlation = np.array([float(deviation[: m - lag] @ deviation[lag:]) / energy for lag in range(lags)])
-    pairs = correlation[: lags // 2 * 2].reshape(-1, 2).sum(axis=1)
-    negative = np.flatnonzero(pairs <= 0)
-    kept = pairs[: negative[0]] if len(negative) else pairs
-    factor = max(2 * float(kept.sum()) - 1, 1.0)
+    kept = 0.0
+    for lag in range(0, max(m // 4, 2) - 1, 2):
+        # Lag by lag, as of a hold without tremor the first pair or two are all.
+        pair = float(deviation[: m - lag] @ deviation[lag:] + deviation[: m - lag - 1] @ deviation[lag + 1 :]) / energy
+        if pair <= 0:
+            break
+        kept += pair
+    factor = max(2 * kept - 1, 1.0)
     # Deviations from the series' own mean miss the variance of that mean, the share factor / m.
     return factor / max(1 - factor / m, 0.5)
 
