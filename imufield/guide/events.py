@@ -20,6 +20,10 @@ sentence = Sentences(__package__)
 
 EVENT_VERSION = 1
 
+HORIZONTAL = "horizontal"
+VERTICAL = "vertical"
+"""What an axis of whole turns is."""
+
 Vector = tuple[float, float, float]
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,17 +20,18 @@ from imufield.acquire.recording.session import SETTINGS_FILE, Session
 from imufield.calibrate.model.observations import Observations
 from imufield.errors import CalibrationError, ProtocolError, Reason, RecordingError, SettingError
 from imufield.files import Origin
-from imufield.guide.events import Event, LinkLost
-from imufield.guide.lead.guide import Guide
+from imufield.guide.events import HORIZONTAL, VERTICAL, Event, LinkLost
 from imufield.guide.lead.settings import GuideSettings
-from imufield.guide.lead.turns import HORIZONTAL, VERTICAL
-from imufield.guide.lead.unguided import StillIntervalFinder, StillIntervals
 from imufield.guide.positions import SCHEME_FILE, SCHEMES, scheme
 from imufield.guide.stillness.scale import RoughScale
 from imufield.pipeline.damage import name_recording, require_samples
 from imufield.pipeline.site import SiteOptions
 from imufield.samples import FloatArray, Samples, Status, concatenate, no_samples
 from imufield.sentences import Sentences
+
+if TYPE_CHECKING:
+    from imufield.guide.lead.guide import Guide
+    from imufield.guide.lead.unguided import StillIntervalFinder, StillIntervals
 
 sentence = Sentences(__package__)
 
@@ -128,19 +129,27 @@ class Chain:
             require_gravity(protocol)
         # Not before the first part: the judge needs the units and the rough scale, which its protocol tells.
         if self._judging and self.guide is None and self.finder is None:
-            nominal = protocol.nominal
-            scale = RoughScale(nominal.accelerometer_scale, nominal.gyroscope_scale, self.raw_zero(protocol))
-            if self.plan.scheme is None:
-                self.finder = StillIntervalFinder(protocol.units, scale)
-            else:
-                settings = replace(self.plan.guide, grade=nominal.grade)
-                self.guide = Guide(scheme(self.plan.scheme, Origin.INSIDE), protocol.units, scale=scale, settings=settings)
+            self._begin_to_judge(protocol)
         events = self._start_decoder(protocol)
         # Whoever stopped and goes on wanted the pause: to call it a lost link would alarm for nothing.
         return [
             replace(event, words=sentence("chain.part_begins"), resumed=True) if isinstance(event, LinkLost) else event
             for event in events
         ]
+
+    def _begin_to_judge(self, protocol: Protocol) -> None:
+        # Each imported here: samples alone need neither of them, and what nobody guided needs no guide.
+        nominal = protocol.nominal
+        scale = RoughScale(nominal.accelerometer_scale, nominal.gyroscope_scale, self.raw_zero(protocol))
+        if self.plan.scheme is None:
+            from imufield.guide.lead.unguided import StillIntervalFinder
+
+            self.finder = StillIntervalFinder(protocol.units, scale)
+        else:
+            from imufield.guide.lead.guide import Guide
+
+            settings = replace(self.plan.guide, grade=nominal.grade)
+            self.guide = Guide(scheme(self.plan.scheme, Origin.INSIDE), protocol.units, scale=scale, settings=settings)
 
     def feed_block(self, block: RecordedBlock) -> list[Event]:
         """Take many recorded reads at once, as if they came one by one."""

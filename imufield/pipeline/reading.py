@@ -12,8 +12,7 @@ from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.calibrate.gyroscope.moves import MoveCollector, Moves, Slots, cut_moves, no_slots
 from imufield.calibrate.model.observations import Observations, join_observations
 from imufield.deliver.report.trace import TraceCells, TraceCollector
-from imufield.guide.events import Event, Rejected, Turned
-from imufield.guide.lead.turns import VERTICAL
+from imufield.guide.events import VERTICAL, Event, Rejected, Turned
 from imufield.samples import FloatArray, Samples, concatenate
 
 _AT_ONCE = 4096  # Samples that are summed at once: a live link brings them by tens, each time at the price of hundreds.

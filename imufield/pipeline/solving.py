@@ -11,6 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,7 +28,6 @@ from imufield.errors import CalibrationError, ImufieldError, Reason
 from imufield.files import Origin, utf8_text
 from imufield.guide.cross_checks.axes import AxesCheck
 from imufield.guide.events import RefusalCode, Rejected
-from imufield.guide.lead.guide import Guide
 from imufield.guide.refusals import Refusal
 from imufield.guide.view.marks import with_keys
 from imufield.pipeline.calibration import FEWEST_POSITIONS, Measured, SolveSettings, calibrate
@@ -39,6 +39,9 @@ from imufield.pipeline.site import SiteOptions
 from imufield.pipeline.windows import is_ramp
 from imufield.progress import task
 from imufield.sentences import Sentences, printable
+
+if TYPE_CHECKING:
+    from imufield.guide.lead.guide import Guide
 
 sentence = Sentences(__package__)
 

@@ -19,9 +19,9 @@ SLOW = {
     *("imufield.simulate", "imufield.web", "imufield.study", "imufield.deliver.exports", "imufield.deliver.report"),
 }
 DECODING = {"numpy", "zstandard", "imufield.acquire.decoder"}
-# One chain reads every session, and judges where it is asked to.
-READING = {*DECODING, "crccheck", "imufield.guide.lead.guide", "imufield.calibrate.gyroscope"}
-SOLVING = {*READING, "imufield.deliver.report", "concurrent.futures"}
+READING = {*DECODING, "crccheck"}
+# What is kept of a session needs no guide.
+SOLVING = {*READING, "imufield.calibrate.gyroscope", "imufield.deliver.report", "concurrent.futures"}
 USED = {
     "--version": set[str](),
     "--help": {"rich"},
@@ -31,7 +31,7 @@ USED = {
     "sessions .": {"numpy"},
     "import table.csv --rate-hz 125 -o imported": {*DECODING, "mcap.records", "tomli_w", "imufield.calibrate.gyroscope"},
     "solve session": {*SOLVING, "rich"},
-    "replay session": READING,
+    "replay session": {*READING, "imufield.guide.lead.guide", "imufield.calibrate.gyroscope"},
     "export session/parameters.toml --to c -o calibration.h": {"numpy", "imufield.deliver.exports"},
     "export-data session --to csv -o samples.csv": {*READING, "concurrent.futures"},
     "apply session/parameters.toml session -o corrected.csv": {*READING, "concurrent.futures"},

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imufield.guide import refusals
-from imufield.guide.events import Turn, Turned
+from imufield.guide.events import HORIZONTAL, VERTICAL, Turn, Turned
 from imufield.guide.hold.observe import Observation, observe, trim_stretch
 from imufield.guide.positions import angle_deg
 from imufield.guide.refusals import Refusal
@@ -26,8 +26,6 @@ from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
 
-HORIZONTAL = "horizontal"
-VERTICAL = "vertical"
 _NOT_A_TURN_DEG = 180.0  # A move that turned by less is the way to another side.
 # Largest distance from whole turns: an uncalibrated scale and a bad stop; the solver decides on the exact angle.
 _WHOLE_DEG = 45.0
