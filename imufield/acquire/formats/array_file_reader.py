@@ -15,7 +15,6 @@ import gzip
 import importlib
 import io
 import json
-import logging
 import mmap
 import signal
 import sqlite3
@@ -368,6 +367,8 @@ def write_frames(suffix: str, path: Path) -> None:
 
 def _write_each_frame(suffix: str, path: Path) -> Mapping[str, object]:
     """Write a line for each frame, and return what there is to say of the end."""
+    import logging
+
     import can
     from can.io.blf import BLFParseError
 

@@ -9,13 +9,12 @@ from __future__ import annotations
 import json
 import os
 import re
-import subprocess
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import IO, Any, cast
+from typing import IO, TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -26,6 +25,9 @@ from imufield.errors import Reason, RecordingError, UsageError
 from imufield.files import open_to_read
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentences, printable, shortened
+
+if TYPE_CHECKING:
+    import subprocess
 
 sentence = Sentences(__package__)
 
@@ -145,6 +147,8 @@ def unread(path: Path, error: Exception, damaged: str) -> RecordingError:
 
 def start_reader(kind: str, path: Path, *topic: str, **environment: str) -> subprocess.Popen[bytes]:
     """Start ``array_file_reader``, which ends by itself where a file makes it take too much."""
+    import subprocess  # late: text is read without it
+
     # -P: what stands in the present folder is nothing to import.
     command = [sys.executable, "-P", array_file_reader.__file__, kind, str(path), *topic]
     quiet = subprocess.DEVNULL

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import sys
-import webbrowser
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
@@ -68,6 +67,8 @@ def bind_page(stack: ExitStack, lan: str | None = None, port: int | None = None)
 def show_in_browser(url: str) -> None:
     """Open a page where there is a display: without one the module falls back to browsers of the terminal."""
     if sys.platform != "linux" or {"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys():
+        import webbrowser  # late: it runs programs, and nothing else here does
+
         webbrowser.open(url)
 
 
