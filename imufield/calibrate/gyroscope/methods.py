@@ -28,7 +28,6 @@ from imufield.calibrate.gyroscope.fit import make_prior
 from imufield.calibrate.gyroscope.move_integration import PARAMETERS
 from imufield.calibrate.gyroscope.residuals import evaluate
 from imufield.calibrate.gyroscope.result import (
-    GYROSCOPE_NAMES,
     GyroscopeResult,
     JointSolution,
     StaticSolution,
@@ -37,6 +36,7 @@ from imufield.calibrate.gyroscope.result import (
     static_norm_result,
 )
 from imufield.calibrate.gyroscope.static import linearise_static
+from imufield.calibrate.model.result import GYROSCOPE_NAMES
 from imufield.calibrate.solvers.agreement import CROSS_CHECKED, LEAST_SQUARES, Attempt, CrossCheck, compare
 from imufield.calibrate.solvers.base import SolverResult, SolverStatus
 from imufield.calibrate.solvers.costs import Coordinates, CostName

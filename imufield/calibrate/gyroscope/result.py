@@ -16,7 +16,7 @@ from imufield.calibrate.gyroscope.move_integration import BIAS, INVERSE, PARAMET
 from imufield.calibrate.gyroscope.observability import Observability
 from imufield.calibrate.gyroscope.residual_covariance import gyroscope_share, input_sigmas
 from imufield.calibrate.gyroscope.residuals import Evaluation, GyroscopeData, evaluate
-from imufield.calibrate.gyroscope.static import GYROSCOPE_BIAS_NAMES, StaticData, StaticFit, latitude_words
+from imufield.calibrate.gyroscope.static import StaticData, StaticFit, latitude_words
 from imufield.calibrate.gyroscope.whole_turns import find_whole_turns
 from imufield.calibrate.model.budget import Share, joined_shares, picked, root_of
 from imufield.calibrate.model.distributions import degrees_of_freedom
@@ -24,23 +24,17 @@ from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_R
 from imufield.calibrate.model.result import (
     ACCELEROMETER_NAMES,
     GRAVITY_NAME,
+    GYROSCOPE_BIAS_NAMES,
+    GYROSCOPE_NAMES,
     Calibration,
     GyroscopeCalibration,
     GyroscopeParameters,
 )
 from imufield.calibrate.model.uncertainty import bounded_cross_covariance, rms
-from imufield.samples import AXES, FloatArray
+from imufield.samples import FloatArray
 from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
-
-GYROSCOPE_NAMES = (
-    *(f"gyroscope.scale.{axis}" for axis in AXES),
-    *(f"gyroscope.misalignment_rad.{pair}" for pair in ("xy", "xz", "yx", "yz", "zx", "zy")),
-    *GYROSCOPE_BIAS_NAMES,
-    *(f"gyroscope.g_sensitivity.{row}{column}" for row in AXES for column in AXES),
-)
-"""The 21 gyroscope parameters in the order of every vector and covariance matrix."""
 
 # Share of the angle error before that is left where a fit has gained little; a session of placed positions leaves 0.12.
 _HARDLY_BETTER = 0.8

@@ -40,13 +40,10 @@ from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import GyroscopeCalibration, GyroscopeParameters
 from imufield.calibrate.model.uncertainty import block_diagonal
 from imufield.earth import EARTH_RATE_RAD_S
-from imufield.samples import AXES, FloatArray
+from imufield.samples import FloatArray
 from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
-
-GYROSCOPE_BIAS_NAMES = tuple(f"gyroscope.bias.{axis}" for axis in AXES)
-"""Names of the static gyroscope parameters in the joint covariance, raw unit."""
 
 
 def static_bias(

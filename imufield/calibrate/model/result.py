@@ -12,22 +12,31 @@ from imufield.calibrate.model.higher import HigherTerms
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.temperature import TriadTemperature
 from imufield.earth import Gravity
-from imufield.samples import FloatArray
+from imufield.samples import AXES, FloatArray
 
 Gauge = Literal["preset", "lower", "upper", "symmetric"]
 QuadraticAxes = Literal["sensing", "body"]
 ModelChoice = Literal["linear", "quadratic", "extended", "auto"]
 
 ACCELEROMETER_NAMES = (
-    *(f"accelerometer.scale.{axis}" for axis in "xyz"),
-    *(f"accelerometer.bias_m_s2.{axis}" for axis in "xyz"),
+    *(f"accelerometer.scale.{axis}" for axis in AXES),
+    *(f"accelerometer.bias_m_s2.{axis}" for axis in AXES),
     *(f"accelerometer.misalignment_rad.{pair}" for pair in ("xy", "xz", "yx", "yz", "zx", "zy")),
-    *(f"accelerometer.quadratic.{axis}" for axis in "xyz"),
+    *(f"accelerometer.quadratic.{axis}" for axis in AXES),
 )
 """The 15 accelerometer parameters in the order of every vector and covariance matrix.
 
 ``misalignment_rad.xy`` is row x, column y of T - I.
 """
+GYROSCOPE_BIAS_NAMES = tuple(f"gyroscope.bias.{axis}" for axis in AXES)
+"""Names of the static gyroscope parameters, raw unit."""
+GYROSCOPE_NAMES = (
+    *(f"gyroscope.scale.{axis}" for axis in AXES),
+    *(f"gyroscope.misalignment_rad.{pair}" for pair in ("xy", "xz", "yx", "yz", "zx", "zy")),
+    *GYROSCOPE_BIAS_NAMES,
+    *(f"gyroscope.g_sensitivity.{row}{column}" for row in AXES for column in AXES),
+)
+"""The 21 gyroscope parameters in the order of every vector and covariance matrix."""
 GRAVITY_NAME = "gravity_m_s2"
 VERDICTS = ("good", "usable", "poor")
 """From the best to the worst."""

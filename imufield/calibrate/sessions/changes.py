@@ -43,7 +43,7 @@ FEWEST = 3
 """Sessions whose scatter from day to day is known at all."""
 MOST = 50
 """Sessions, the newest, that are enough: the work grows with their square."""
-_DRAWS = 10_000  # They tell the chance to 0.2 %.
+_DRAWS = 5_000  # They tell the chance to 0.3 %.
 # That errors alone scatter so much. Of simulated histories (ten sessions, three axes, 15 degrees of freedom) 4.2 % are called
 # changed if days do not differ, 5.6 % if they do by 0.8 sigma; with 2.5 % here 4.8 and 7.2 %, always with s_0^2 2.8 and 4.8 %.
 _EXCESS_CHANCE = 0.07

@@ -32,7 +32,6 @@ from typing import NamedTuple
 import numpy as np
 
 from imufield.calibrate.accelerometer.fit import column_basis
-from imufield.calibrate.gyroscope.result import GYROSCOPE_NAMES
 from imufield.calibrate.model.distributions import degrees_of_freedom
 from imufield.calibrate.model.gauge import GaugeChange, change_gauge, intrinsic, turn_gyroscope
 from imufield.calibrate.model.models import PARAMETERS, QUADRATIC, to_vector
@@ -40,6 +39,7 @@ from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS
 from imufield.calibrate.model.result import (
     ACCELEROMETER_NAMES,
     GRAVITY_NAME,
+    GYROSCOPE_NAMES,
     Calibration,
     GyroscopeParameters,
     QuadraticAxes,

@@ -17,7 +17,6 @@ from imufield.calibrate.gyroscope.move_integration import integrate, rough_inver
 from imufield.calibrate.gyroscope.residual_covariance import Covariances, Scatter
 from imufield.calibrate.gyroscope.residuals import evaluate
 from imufield.calibrate.gyroscope.result import (
-    GYROSCOPE_NAMES,
     GyroscopeResult,
     JointSolution,
     MoveReport,
@@ -28,7 +27,7 @@ from imufield.calibrate.gyroscope.turntable import TurntableRun
 from imufield.calibrate.gyroscope.whole_turns import Stop
 from imufield.calibrate.model.budget import combined_sigma
 from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS
-from imufield.calibrate.model.result import ACCELEROMETER_NAMES, GRAVITY_NAME, GyroscopeParameters
+from imufield.calibrate.model.result import ACCELEROMETER_NAMES, GRAVITY_NAME, GYROSCOPE_NAMES, GyroscopeParameters
 from imufield.earth import Gravity
 from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.guide.stillness.scale import RoughScale

@@ -9,13 +9,13 @@ import pytest
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
 from imufield.calibrate.accelerometer.methods import restart
-from imufield.calibrate.gyroscope.result import GYROSCOPE_NAMES
 from imufield.calibrate.model.gauge import change_gauge, turn_accelerometer, turn_gyroscope
 from imufield.calibrate.model.models import from_vector, to_vector
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import (
     ACCELEROMETER_NAMES,
     GRAVITY_NAME,
+    GYROSCOPE_NAMES,
     AccelerometerParameters,
     Calibration,
     GyroscopeCalibration,
