@@ -139,7 +139,7 @@ def test_sentences_name_what_the_page_has(findings: Findings) -> None:
 
 
 def test_the_repeat_of_the_first_position_is_announced(findings: Findings) -> None:
-    assert findings.headlines["drift check"] == "CHECK: TURN"
+    assert findings.headlines["drift check"] == "DRIFT CHECK: TURN"
 
 
 def test_where_the_instrument_is_looks_other_than_what_comes_next(screens: Screens) -> None:

@@ -99,10 +99,13 @@ def judge(evidence: Evidence) -> Quality:
     fitted, freedom = evidence.fitted, evidence.fitted.degrees_of_freedom
     residual_rms, without = rms(fitted.residual_m_s2), rms(evidence.leave_one_out_m_s2)
     parameters = fitted.basis.shape[1]
+    of_model = len(evidence.chosen.free)
+    parts = "" if evidence.chosen.drift is None else sentence("quality.parts", of_model=of_model, of_drift=parameters - of_model)
     summary = sentence(
         "quality.summary" if np.isfinite(without) else "quality.summary_none_to_spare",
         positions=len(evidence.observations),
         parameters=parameters,
+        parts=parts,
         spare=freedom,
         residual_mg=residual_rms / MILLI_G_M_S2,
         left_out_mg=without / MILLI_G_M_S2,
@@ -254,8 +257,12 @@ def _sigma_sentences(evidence: Evidence) -> list[str]:
     reasons: list[str] = []
     # Written so that NaN (no uncertainty at all) counts as too large.
     if not np.all(relative <= USABLE_SCALE_SIGMA) and evidence.gravity.source != "assumed":
-        key = "quality.scale_sigma" if np.isfinite(relative).all() else "quality.no_scale_sigma"
-        reasons.append(sentence(key, sigma_ppm=relative.max() * 1e6, limit_ppm=USABLE_SCALE_SIGMA * 1e6))
+        by_gravity = evidence.gravity.sigma_m_s2 / evidence.gravity.gravity_m_s2
+        # Half of the variance: more positions leave that as it is.
+        key = "quality.scale_sigma_by_gravity" if 2 * by_gravity**2 > relative.max() ** 2 else "quality.scale_sigma"
+        key = key if np.isfinite(relative).all() else "quality.no_scale_sigma"
+        sizes_ppm = {"sigma_ppm": relative.max() * 1e6, "gravity_ppm": by_gravity * 1e6, "limit_ppm": USABLE_SCALE_SIGMA * 1e6}
+        reasons.append(sentence(key, **sizes_ppm))
     if not np.all(bias <= USABLE_BIAS_SIGMA_M_S2):
         key = "quality.bias_sigma" if np.isfinite(bias).all() else "quality.no_bias_sigma"
         limit_mg = USABLE_BIAS_SIGMA_M_S2 / MILLI_G_M_S2

@@ -369,8 +369,10 @@ def _reasons(solution: JointSolution, moves: MoveReport, turns: tuple[Sentence, 
     if len(moves.after_deg):
         before_deg, after_deg = moves.rms_before_deg, moves.rms_after_deg
         key = "result.angle_errors" if np.isfinite(before_deg) else "result.angle_error"
-        told = sentence(key, moves=len(moves.after_deg), before_deg=before_deg, after_deg=after_deg)
-        gained = little_gained(moves)
+        given = solution.given
+        earlier = sentence("result.preset" if parameters_before(given) is given.preset else "result.nominal")
+        told = sentence(key, moves=len(moves.after_deg), before_deg=before_deg, after_deg=after_deg, earlier=earlier)
+        gained = little_gained(moves, earlier)
         sentences.append(f"{told}: {gained}" if gained else told)
     if solution.observability.hidden:
         sentences.append(sentence("result.hidden", names=solution.observability.hidden_names))
@@ -385,9 +387,9 @@ def _reasons(solution: JointSolution, moves: MoveReport, turns: tuple[Sentence, 
     return tuple(sentences)
 
 
-def little_gained(report: MoveReport) -> Sentence | None:
-    """Return what to add where the moves agree hardly better, or worse, than with the parameters in force before."""
+def little_gained(report: MoveReport, earlier: str) -> Sentence | None:
+    """Return what to add where the moves agree hardly better, or worse, than with the earlier parameters, named in words."""
     before, after = report.rms_before_deg, report.rms_after_deg
     if not after > _HARDLY_BETTER * before:
         return None
-    return sentence("result.worse" if after > before * _WORSE else "result.hardly_better")
+    return sentence("result.worse" if after > before * _WORSE else "result.hardly_better", earlier=earlier)

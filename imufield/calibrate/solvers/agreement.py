@@ -38,6 +38,11 @@ class MethodDifference:
     parameter: str
     methods: tuple[str, str]
 
+    @property
+    def words(self) -> str:
+        """The parameter as people read it: "bias x" for "intrinsic.bias_raw.x"."""
+        return " ".join(part.removesuffix("_raw").removesuffix("_rad") for part in self.parameter.split(".")[1:])
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CrossCheck:

@@ -108,10 +108,10 @@ class Activity:
 
     @property
     def motion(self) -> str:
-        """What it is in one word."""
+        """What it is in words."""
         if self.kind == "vibration":
             return "vibration"
-        return "tilt" if self.triad == "accelerometer" else "rotation"
+        return "slow change" if self.triad == "accelerometer" else "rotation"
 
 
 def noise_limits(floor: NoiseFloor, scale: RoughScale, allowances: Allowances = ON_TABLE) -> Limits:

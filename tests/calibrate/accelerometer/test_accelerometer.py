@@ -231,6 +231,23 @@ def test_assumed_gravity_is_said_loudly() -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("sigma_m_s2", "between_m_s2", "cause"),
+    [(0.03, 0.0, "quality.scale_sigma_by_gravity"), (1e-9, 0.05, "quality.scale_sigma"), (0.003, 0.05, "quality.scale_sigma")],
+)
+def test_what_makes_the_scale_unsure_is_named(sigma_m_s2: float, between_m_s2: float, cause: str) -> None:
+    """Gravity's share of the variance by a second route: what is left of it with exact gravity."""
+    rng = np.random.default_rng(10)
+    observations = campaign(random_parameters(rng), rng, between_m_s2=between_m_s2)
+    exact = calibrate_accelerometer(observations, EXACT, model="linear")
+    found = calibrate_accelerometer(observations, replace(EXACT, sigma_m_s2=sigma_m_s2), model="linear")
+    (remedy,) = [one for key in ("scale_sigma", "scale_sigma_by_gravity") for one in told(found.quality.reasons, f"quality.{key}")]
+    assert key_of(remedy) == cause
+    own, whole = ((one.accelerometer_sigma.scale / one.accelerometer.scale).max() for one in (exact, found))
+    assert (own**2 < whole**2 / 2) == (cause == "quality.scale_sigma_by_gravity")
+    assert remedy.values["sigma_ppm"] == pytest.approx(1e6 * whole)
+
+
 @pytest.mark.parametrize(("factor", "outcome"), [(1.0, "same"), (1.05, "said"), (9.8, "refused"), (0.1, "refused")])
 def test_common_scale_is_held_against_the_preset(factor: float, outcome: str) -> None:
     rng = np.random.default_rng(11)

@@ -225,3 +225,5 @@ def test_a_drift_that_leaves_four_positions_is_not_good() -> None:
     assert (whole.quality.verdict, whole.quality.degrees_of_freedom) == ("good", 6)
     assert (fewer.quality.verdict, fewer.quality.degrees_of_freedom) == ("usable", 4)
     assert told(fewer.quality.warnings, "quality.few_to_spare")
+    (summary,) = told(whole.quality.reasons, "quality.summary")
+    assert summary.values["parts"].values == {"of_model": 12, "of_drift": summary.values["parameters"] - 12}

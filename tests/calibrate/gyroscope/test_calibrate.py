@@ -424,7 +424,7 @@ def test_residuals_that_no_noise_explains_are_refused() -> None:
 )
 def test_little_gained_by_a_fit_is_said(before_deg: float, after_deg: float, said: str | None) -> None:
     report = MoveReport(before_deg=np.full(6, before_deg), after_deg=np.full(6, after_deg), sigma=np.ones(6))
-    assert getattr(little_gained(report), "key", None) == said
+    assert getattr(little_gained(report, "the preset"), "key", None) == said
 
 
 def test_scatter_that_overflows_is_a_contradiction(monkeypatch: pytest.MonkeyPatch, session: Session) -> None:

@@ -345,7 +345,7 @@ def test_the_first_position_once_more_is_called_a_drift_check(make_path: Any) ->
         if len(snapshot.accepted) == 24 and now.headline not in headlines:
             headlines.append(now.headline)
             details.append(now.details)
-    assert headlines == ["CHECK: TURN", "CHECK: HOLD", "DONE"]
+    assert headlines == ["DRIFT CHECK: TURN", "DRIFT CHECK: HOLD", "DONE"]
     assert all("drift" in words for words in details[:2])
 
 
