@@ -100,7 +100,9 @@ def judge(evidence: Evidence) -> Quality:
     residual_rms, without = rms(fitted.residual_m_s2), rms(evidence.leave_one_out_m_s2)
     parameters = fitted.basis.shape[1]
     of_model = len(evidence.chosen.free)
-    parts = "" if evidence.chosen.drift is None else sentence("quality.parts", of_model=of_model, of_drift=parameters - of_model)
+    parts = (
+        "" if evidence.chosen.drift is None else sentence("quality.parts", of_model=of_model, of_drift=parameters - of_model)
+    )
     summary = sentence(
         "quality.summary" if np.isfinite(without) else "quality.summary_none_to_spare",
         positions=len(evidence.observations),

@@ -241,7 +241,9 @@ def test_what_makes_the_scale_unsure_is_named(sigma_m_s2: float, between_m_s2: f
     observations = campaign(random_parameters(rng), rng, between_m_s2=between_m_s2)
     exact = calibrate_accelerometer(observations, EXACT, model="linear")
     found = calibrate_accelerometer(observations, replace(EXACT, sigma_m_s2=sigma_m_s2), model="linear")
-    (remedy,) = [one for key in ("scale_sigma", "scale_sigma_by_gravity") for one in told(found.quality.reasons, f"quality.{key}")]
+    (remedy,) = [
+        one for key in ("scale_sigma", "scale_sigma_by_gravity") for one in told(found.quality.reasons, f"quality.{key}")
+    ]
     assert key_of(remedy) == cause
     own, whole = ((one.accelerometer_sigma.scale / one.accelerometer.scale).max() for one in (exact, found))
     assert (own**2 < whole**2 / 2) == (cause == "quality.scale_sigma_by_gravity")
