@@ -7,7 +7,6 @@ import math
 import re
 import shlex
 import sys
-import textwrap
 from collections.abc import Iterable, Iterator
 from dataclasses import fields
 from pathlib import Path
@@ -228,22 +227,17 @@ def _announce(options: EmulateOptions, emulation: Emulation, emulator: EmulatorC
     # The right place matters: the scale of the accelerometer is as good as the gravity it is given, which is that of height 0.
     place = f"--latitude {emulation.site.latitude_deg:g} --height 0"
     # A protocol file of the user's own is no driver that another command knows by name.
-    which = f"{'--driver' if wire.driver else '--protocol'} {options.driver}"
-    told = [f"--set {name}={spell(value)}" for name, value in wire.settings.items()]
+    which = f"{'--driver' if wire.driver else '--protocol'} {shlex.quote(options.driver)}"
+    told = [f"--set {shlex.quote(f'{name}={spell(value)}')}" for name, value in wire.settings.items()]
     if options.truth is not None:
         echo(beside("truth in", options.truth))
     echo("read it with:")
-    words = ("imufield capture", f"--{kind} {shlex.quote(address)}", which, *told, place, *clock)
     # Folded as a shell reads it, between options alone: broken by a terminal it cannot be copied.
-    folded = textwrap.wrap(
-        " ".join(word.replace(" ", "\0") for word in words),
-        WIDTH - len(" \\"),
-        initial_indent="  ",
-        subsequent_indent="    ",
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
-    echo(" \\\n".join(folded).replace("\0", " "))
+    lines = ["  imufield capture"]
+    for option in (f"--{kind} {shlex.quote(address)}", which, *told, place, *clock):
+        fits = len(f"{lines[-1]} {option} \\") <= WIDTH
+        lines[-1:] = [f"{lines[-1]} {option}"] if fits else [lines[-1], f"    {option}"]
+    echo(" \\\n".join(lines))
     if rate_hz * options.speed > SAFE_RATE_HZ:
         remedies = _slower(options, rate_hz)
         say(sentence("emulate.fast", rate_hz=rate_hz * options.speed, limit=SAFE_RATE_HZ, remedies=remedies), err=True)

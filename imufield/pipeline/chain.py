@@ -367,7 +367,7 @@ def _replayed(
 ) -> Iterator[list[Event]]:
     """Yield the events of each step of a replay; raises as ``replay_into``."""
     # Asked before reading: a recording that ends meanwhile was read while it went on.
-    goes_on = ended and session.is_being_recorded
+    under_way = session.part_under_way if ended else None
     for item in items or read_blocks(session, damage, block_bytes=_BLOCK_BYTES, span_s=_BLOCK_SPAN_S):
         if isinstance(item, PartStart):
             events = chain.start_part(recorded_protocol(item.metadata, session))
@@ -377,8 +377,7 @@ def _replayed(
         else:
             events = chain.feed_block(item)
         yield events
-    if goes_on:
-        name_recording(damage, session)
+    name_recording(damage, under_way)
     # Where a capture goes on, what the decoder holds back is completed by what comes, and no sample yet is no fault.
     if ended:
         yield chain.finish()
@@ -406,7 +405,7 @@ def session_outline(session: Session, damage: list[Damage]) -> Iterator[Samples]
     if every <= 1 or session.record.kind == "import":
         yield from session_samples(session, damage)
         return
-    protocol, number, begun, goes_on = session_protocol(session), 0, None, session.is_being_recorded
+    protocol, number, begun, under_way = session_protocol(session), 0, None, session.part_under_way
     for item in read_blocks(session, damage):
         if isinstance(item, PartStart):
             protocol = recorded_protocol(item.metadata, session)
@@ -418,8 +417,7 @@ def session_outline(session: Session, damage: list[Damage]) -> Iterator[Samples]
                 begun = begun or (item.utc_ns, float(samples.time_s[-1]))
                 last_s = begun[1] + (item.utc_ns - begun[0]) / 1e9
                 yield replace(samples, time_s=samples.time_s - samples.time_s[-1] + last_s)
-    if goes_on:
-        name_recording(damage, session)
+    name_recording(damage, under_way)
 
 
 def _alone(block: RecordedBlock, protocol: Protocol) -> Samples:

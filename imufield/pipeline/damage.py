@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 
 from imufield.acquire.decode.statistics import DecoderStatistics, without_samples
 from imufield.acquire.protocol.protocol import Protocol
@@ -60,10 +61,10 @@ def _damage_clause(damage: Sequence[Damage]) -> str:
     return "".join(f", {what}" for what in named)
 
 
-def name_recording(damage: list[Damage], session: Session) -> None:
-    """Name the missing end of a session that is being recorded as what it is."""
+def name_recording(damage: list[Damage], under_way: Path | None) -> None:
+    """Name the missing end of the part that was being recorded as what it is."""
     for place, entry in enumerate(damage):
-        if entry.torn_end and entry.path == session.parts[-1]:
+        if entry.torn_end and entry.path == under_way:
             damage[place] = replace(entry, what=sentence("damage.goes_on", path=entry.path))
 
 

@@ -231,6 +231,11 @@ class Session:
         finally:
             os.close(file)
 
+    @property
+    def part_under_way(self) -> Path | None:
+        """The part that a program writes now."""
+        return next(reversed(self.parts), None) if self.is_being_recorded else None
+
     def _numbered_parts(self) -> list[tuple[int, str]]:
         found = ((_PART.fullmatch(path.name), path.name) for path in self.folder.iterdir())
         return [(int(match.group(1)), name) for match, name in found if match]

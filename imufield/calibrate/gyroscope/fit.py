@@ -22,7 +22,9 @@ from imufield.sentences import Sentences
 sentence = Sentences(__package__)
 
 _ITERATIONS = 60  # Steps before it says that it did not converge; the scatters settle last.
-_SETTLED = 1e-8  # Sum of squared changes in sigma still to come at which it stops: a ten-thousandth of a sigma.
+_SETTLED = 1e-8  # Sum of squared changes in sigma at which it stops: a ten-thousandth of a sigma.
+# The same below which a step is taken whole: derivatives of first order miss the least cost by a hundredth of a sigma.
+_WHOLE = 1e-4
 _NEAR = 1.0  # The same from which on only the scatters are left to be found, and the Earth's heading is seen or not: a sigma.
 _SCATTER_SETTLED = 1e-3  # Relative change of each scatter at which it stops: 24 stills tell a scatter to a tenth.
 _HALVINGS = 6  # Shares of a step that are tried, 1 to 1/32; the last is taken as it is, and the next step is another.
@@ -162,7 +164,7 @@ def _gauss_newton(
 ) -> JointFit:
     now = evaluate(p, data)
     scatter = scatter or first_scatter(now)
-    status, count, size = SolverStatus.ITERATION_LIMIT, 1, 0.0
+    status, count = SolverStatus.ITERATION_LIMIT, 1
     parts = covariances(now, p[:PARAMETERS], data)
     for _ in range(_ITERATIONS):
         step = _linear_step(now, parts, scatter, p, free=free, prior=prior)
@@ -175,21 +177,20 @@ def _gauss_newton(
             prior_residual, _ = prior.rows(trial, free)
             cost = float(np.sum((step.whitening @ now.residual) ** 2) + prior_residual @ prior_residual)
             count += 1
-            if cost <= step.cost * (1 + 1e-9) + 1e-9 or tried == _HALVINGS:
+            helps = cost <= step.cost * (1 + 1e-9) + 1e-9
+            if helps or tried == _HALVINGS or step.size < _WHOLE * len(free):
                 break
             share /= 2
         p = trial
         parts = covariances(now, p[:PARAMETERS], data)
         before, scatter = scatter, _next_scatter(scatter, now, free, parts)
-        last = before
+        last = before  # a step of the scatters ago
         for _ in range(_ITERATIONS if step.size < _NEAR * len(free) else 0):
             # The turns hardly change any more, and they cost most of a step: the scatters settle at these.
             if _is_same(last, scatter):
                 break
             last, scatter = scatter, _next_scatter(scatter, now, free, parts)
-        # The next step would be as much smaller as this one is than the last.
-        left, size = step.size**2 / max(step.size, size, 1e-300), step.size
-        if left < settled * len(free) and (_is_same(before, scatter) or settled > _SETTLED):
+        if step.size < settled * len(free) and (_is_same(before, scatter) or settled > _SETTLED):
             status = SolverStatus.CONVERGED
             break
     step = _linear_step(now, parts, scatter, p, free=free, prior=prior)

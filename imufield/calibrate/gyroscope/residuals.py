@@ -45,7 +45,9 @@ from imufield.samples import FloatArray, IntArray
 VERTICAL = PARAMETERS
 FIRST_HORIZONTAL = PARAMETERS + 1
 _REMEMBERED = 32  # Turns at so many parameter vectors: all of a session's fits, and not all of a search with thousands.
-_LINEAR_RAD = 1e-5  # Change of a turn whose square, 1e-10 rad, is nothing beside the noise of any gyroscope over a move.
+# Change of a turn whose square, 1e-10 rad, is nothing beside the noise of any gyroscope over a move. Of whole turns a bias
+# across the axis cancels in first order, but other moves and stills tell it.
+_LINEAR_RAD = 1e-5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,7 +132,7 @@ class GyroscopeData:
     _known: dict[bytes, Turns] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def turns(self, x: FloatArray) -> Turns:
-        """Return the turns of all moves at ``x``, shape (21,); those near turns that were integrated follow from these."""
+        """Return the turns of all moves at ``x``, shape (21,), to 1e-10 rad: near integrated ones they follow from these."""
         for key, known in reversed(self._known.items()):
             change = known.jacobian @ (x - np.frombuffer(key))
             if np.abs(change).max(initial=0.0) < _LINEAR_RAD:

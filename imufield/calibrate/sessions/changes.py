@@ -13,8 +13,8 @@ and a change may not hide behind the scatter that it makes. With r the rest of `
 
 The largest |t| of each kind in an unchanged history is drawn, days and sessions with their covariances, and estimated
 variances by chi squared with their degrees of freedom, one draw for all numbers of a triad in a session. Days differ in the
-draws only where Q(0) of ``repeatability`` is large, as an s that is noise makes all limits too wide; then s is drawn too:
-s_0^2 and the mean of l, together, over chi squared with n degrees of freedom. The limits of kinds are passed with one chance
+draws only where Q(0) of ``repeatability`` is large, as an s that is noise makes all limits too wide. Then s is drawn, too, by
+the sum of s_0^2 and the mean of l over chi squared with n degrees of freedom. The limits of kinds are passed with one chance
 each, such that any of them is passed in 5 % (balanced, the first step of [1]_): three numbers with few degrees of freedom do
 not set the limit of all others.
 
@@ -230,10 +230,12 @@ class KindTest:
 
     def drawn_variance(self, draws: int, rng: np.random.Generator) -> FloatArray:
         """Draw s^2 as the contrasts leave it open; zero where they scatter no more than their own errors mostly do."""
+        if not self.is_daily:
+            return np.zeros(draws)
         found = contrasts(self.y, self.axes, self.covariance)
         n, own = len(found.u), float(np.mean(found.own_variance))
         excess = float(np.sum(found.u**2 / found.own_variance))
-        if not self.is_daily or excess <= chi_squared_quantile(n, 1 - _EXCESS_CHANCE):
+        if excess <= chi_squared_quantile(n, 1 - _EXCESS_CHANCE):
             return np.zeros(draws)
         return np.maximum((self.variance + own) * n / rng.chisquare(n, draws) - own, 0.0)
 

@@ -30,8 +30,9 @@ from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_R
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, GRAVITY_NAME, GYROSCOPE_NAMES, GyroscopeParameters
 from imufield.earth import Gravity
 from imufield.errors import CalibrationError, Reason, UsageError
+from imufield.guide.positions import scheme
 from imufield.guide.stillness.scale import RoughScale
-from imufield.samples import FloatArray, Samples, SampleUnits, make_samples
+from imufield.samples import FloatArray, IntArray, Samples, SampleUnits, make_samples
 from imufield.sentences import Sentences
 from imufield.simulate.truth.motion import Site
 from tests.guide.guided import find_still_intervals
@@ -159,6 +160,26 @@ def test_turns_near_integrated_ones_are_those_of_an_integration(session: Session
     assert np.abs(near.quaternion - anew.quaternion).max() < 1e-10
     far = data.turns(1.01 * x)
     assert np.array_equal(far.quaternion, integrate(1.01 * x, data.moves, data.noise_density_raw).quaternion)
+
+
+@pytest.mark.parametrize(("seed", "count"), [(21, 7), (22, 9), (24, 7)])
+def test_a_fit_ends_where_the_next_step_is_small(monkeypatch: pytest.MonkeyPatch, seed: int, count: int) -> None:
+    """Few positions, some directions stiff and some loose: a small step does not tell that the next one is smaller."""
+    directions, steps = scheme("paper24").directions(), []
+    original = fit._linear_step
+
+    def kept(*given: object, free: IntArray, **named: object) -> object:
+        step = original(*given, free=free, **named)  # type: ignore[arg-type]  # handed on as it is
+        steps.append(step.size / len(free))
+        return step
+
+    monkeypatch.setattr(fit, "_linear_step", kept)
+    shown = directions[np.random.default_rng(seed).permutation(24)[:count]]
+    few = simulate(seed, rate_hz=25.0, grade="navigation", positions=shown, hold_s=4.0)
+    for latitude_deg in (45.0, None):
+        calibrate_gyroscope(replace(few.given, latitude_deg=latitude_deg), "basic")
+        # The last is computed at the end, and not taken.
+        assert steps[-1] < 1e-8
 
 
 def test_model_is_chosen_by_significance(session: Session) -> None:
