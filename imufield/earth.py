@@ -116,8 +116,8 @@ def recorded_sigma(gravity_m_s2: float | None, sigma_m_s2: float | None) -> floa
 
 
 def height_words(gravity: Gravity) -> str:
-    """Return the height of a place, in words where it is not known."""
-    return "height not known" if gravity.height_m is None else f"height {gravity.height_m:g} m"
+    """Return the height of a place, in words where it is not given."""
+    return "height not given" if gravity.height_m is None else f"height {gravity.height_m:g} m"
 
 
 def contradiction(gravity: Gravity) -> str:

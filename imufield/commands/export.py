@@ -39,7 +39,7 @@ def run_export(options: ExportOptions) -> None:
     if options.parameters is None:
         raise UsageError(sentence("export.which", to=target(options.to).name))
     parameters = load(options.parameters)
-    exported = export_parameters(parameters, options.to, export_options(dict(options.settings)))
+    exported = export_parameters(parameters, options.to, export_options(dict(options.settings), options.to))
     written = write_exported(exported, options.output, inputs=[options.parameters])
     notes = [*filter(None, (parameters.edited_note, parameters.gyroscope_note)), *exported.notes]
     # What the target cannot hold is part of the answer: a program must not take the file for all there is.

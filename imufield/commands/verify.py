@@ -164,6 +164,7 @@ def _verify(task: _Task) -> Verification:
         navigation=navigated,
         requirements=judge(task.limits, left_out, navigated),
         notes=(*filter(None, about_file), *(chain if reading is None else reading).notes, *flags.notes(), *found, *read),
+        has_preset=task.preset is not None,
     )
 
 

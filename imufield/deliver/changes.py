@@ -195,6 +195,8 @@ def sentences(
     edited = [entry.path for entry in entries if entry.edited]
     if edited:
         yield sentence("changes.edited", paths=edited)
+    if instrument.not_listed:
+        yield sentence("changes.not_listed", files=instrument.not_listed)
     if len(entries) >= 2 and entries[-2].time == entries[-1].time:
         yield sentence("changes.same_time", first=entries[-2].path, second=entries[-1].path)
     if len(entries) == FEWEST - 1:
@@ -225,10 +227,12 @@ def _judged(history: JudgedHistory) -> Iterator[Sentence]:
         what = a_drift if first_after is None else sentence("changes.a_step", name=name, **_around(entries, first_after))
         told = {"numbers": len(judged.changes), "change": what, "in_sigma": abs(largest.in_sigma)}
         yield sentence("changes.none", sessions=len(entries), limit_sigma=largest.limit_sigma, **told)
+    is_one_day = len({entry.time.date() for entry in entries}) == 1
+    between = sentence("changes.between_sessions" if is_one_day else "changes.between_days")
     for kind, found in judged.repeatability.items():
         key = "changes.daily" if found.sigma > 0 else "changes.daily_unseen"
         figures = {"sigma": found.sigma, "low": found.low, "high": found.high}
-        yield sentence(key, kind=kind, unit=unit_of(f"{kind} x"), **figures)
+        yield sentence(key, kind=kind, between=between, unit=unit_of(f"{kind} x"), **figures)
 
 
 def _around(entries: Sequence[Entry], first_after: int) -> dict[str, str]:
@@ -291,6 +295,8 @@ def _in_sigma(change: Change) -> float:
 
 
 def _moment(one: Entry, other: Entry) -> str:
-    """Return the day of one, with the time where both are of the same day."""
-    time = f", {one.time:%H:%M} UTC" if one.time.date() == other.time.date() else ""
-    return f"{one.time.day} {one.time:%B %Y}{time}"
+    """Return the day of one, with the time where both are of the same day, to the second where they are of one minute."""
+    if one.time.date() != other.time.date():
+        return f"{one.time.day} {one.time:%B %Y}"
+    is_one_minute = f"{one.time:%H:%M}" == f"{other.time:%H:%M}"
+    return f"{one.time.day} {one.time:%B %Y}, {one.time:{'%H:%M:%S' if is_one_minute else '%H:%M'}} UTC"

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from datetime import UTC, datetime
@@ -193,6 +194,8 @@ class InstrumentHistory:
     instrument: str
     serial_number: str
     entries: tuple[Entry, ...]
+    not_listed: int = 0
+    """Files of the same recordings, of which newer solutions count."""
 
     @property
     def title(self) -> str:
@@ -272,7 +275,8 @@ def read_history(folder: Path, serial_number: str | None = None, workers: int = 
         If there is no such folder, or nothing in it is a parameter file.
     """
     if not folder.is_dir():
-        raise ParameterFileError(sentence("history.no_folder", folder=str(folder)), Reason.FOREIGN)
+        key = "history.not_a_folder" if folder.exists() else "history.no_folder"
+        raise ParameterFileError(sentence(key, folder=str(folder)), Reason.FOREIGN)
     states, unread = _states(folder)
 
     def look(index: Index) -> tuple[list[Entry], dict[str, str], int, int]:
@@ -284,7 +288,7 @@ def read_history(folder: Path, serial_number: str | None = None, workers: int = 
     faults = (*(faulty[name] for name in sorted(faulty, key=lambda name: name.split("/"))), *unread)
     if not entries:
         key = "history.none" if serial_number is None else "history.none_of_serial"
-        first = sentence("history.first_fault", fault=faults[0]) if faults else ""
+        first = sentence("history.first_fault", count=len(faults), fault=faults[0]) if faults else ""
         told = {"folder": str(folder), "serial_number": serial_number, "found": found, "first_fault": first}
         raise ParameterFileError(sentence(key, **told), Reason.FOREIGN)
     return History(folder, _by_instrument(entries), faults, read)
@@ -355,8 +359,14 @@ def _by_instrument(entries: list[Entry]) -> tuple[InstrumentHistory, ...]:
     alone is not enough, because makers count from one as well.
     """
     groups: dict[tuple[str, str], dict[str, Entry]] = {}
+    files = Counter[tuple[str, str]]()
     for entry in sorted(entries, key=lambda entry: (entry.created, entry.path)):
         key = (entry.instrument.split(" ")[0] if entry.serial_number else entry.instrument, entry.serial_number)
         groups.setdefault(key, {})[entry.session or entry.path] = entry
-    ordered = [sorted(group.values(), key=lambda entry: (entry.created, entry.path)) for _, group in sorted(groups.items())]
-    return tuple(InstrumentHistory(group[-1].instrument, group[-1].serial_number, tuple(group)) for group in ordered)
+        files[key] += 1
+    histories = []
+    for key, group in sorted(groups.items()):
+        ordered = sorted(group.values(), key=lambda entry: (entry.created, entry.path))
+        newest, not_listed = ordered[-1], files[key] - len(ordered)
+        histories.append(InstrumentHistory(newest.instrument, newest.serial_number, tuple(ordered), not_listed))
+    return tuple(histories)

@@ -310,12 +310,11 @@ def _check_count(count: int, refusals: Sequence[Rejected | Refusal]) -> None:
     ((code, _),) = Counter(refusal.reason for refusal in refusals).most_common(1)
     last = next(refusal for refusal in reversed(refusals) if refusal.reason is code)
     too_few = sentence(
-        "solving.too_few",
+        "solving.too_few" if len(refusals) > 1 else "solving.too_few_one",
         positions=count,
         are="is" if count == 1 else "are",
         limit=FEWEST_POSITIONS,
         refused=len(refusals),
-        were="was" if len(refusals) == 1 else "were",
         words=last.words,
         remedy=with_keys(last.remedy),
     )

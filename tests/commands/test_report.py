@@ -37,7 +37,7 @@ def test_pages_are_written_into_the_session(solved: Path, capsys: pytest.Capture
     assert says(shown, "commands", "report.record", record="calibration-record.html")
     assert report.stat().st_size < 3 * MIB
     text = report.read_text(encoding="utf-8")
-    for title in ("Residual on the sphere", "Residual by position", "Stillness", "Gyroscope closure"):
+    for title in ("Residual on the sphere", "Residual by position", "Stillness", "Gyroscope closing error"):
         assert f"<h3>{title}" in text
     assert "<h3>Convergence" not in text
     assert "A. Person" in record.read_text(encoding="utf-8")

@@ -48,7 +48,9 @@ def test_two_sessions_cannot_tell_a_change_from_a_turn_on(tmp_path: Path, write)
     assert key_of(told) == "changes.differs_as_turn_on"
     assert told.values["turn_on"] == 0.75
     write("b", "2026-08-01", moved=900.0, session="b" * 64)
-    (told,) = sentences(judge_history(read_history(tmp_path).instruments[0]), NOW)
+    # The file that stood there before is kept beside it.
+    not_listed, told = sentences(judge_history(read_history(tmp_path).instruments[0]), NOW)
+    assert (key_of(not_listed), not_listed.values["files"]) == ("changes.not_listed", 1)
     assert key_of(told) == "changes.moved"
 
 
@@ -91,7 +93,7 @@ def test_the_grade_of_the_file_goes_before_its_noise(tmp_path: Path, write) -> N
     assert told.values["turn_on"] == pytest.approx(3.0)
     # One that nobody stated tells nothing of the instrument.
     write("b", "2026-08-01", moved=900.0, session="b" * 64, grade="mems", grade_source="assumed")
-    (told,) = sentences(judge_history(read_history(tmp_path).instruments[0]), NOW)
+    _, told = sentences(judge_history(read_history(tmp_path).instruments[0]), NOW)
     assert key_of(told) == "changes.moved"
 
 
@@ -268,6 +270,9 @@ def test_empty_and_missing_folders_are_refused(tmp_path: Path) -> None:
         read_history(tmp_path)
     with refused(ParameterFileError, Reason.FOREIGN, "nowhere", key="history.no_folder"):
         read_history(tmp_path / "nowhere")
+    (tmp_path / "file").touch()
+    with refused(ParameterFileError, Reason.FOREIGN, "file", key="history.not_a_folder"):
+        read_history(tmp_path / "file")
 
 
 def test_table_has_a_row_for_every_number(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]

@@ -65,20 +65,21 @@ def export_parameters(parameters: Parameters, target_name: str, options: ExportO
     return run(module.export, parameters, chosen, options or ExportOptions())
 
 
-def export_options(settings: Mapping[str, str]) -> ExportOptions:
-    """Return options from text, as in ``--set instance=1``.
+def export_options(settings: Mapping[str, str], target_name: str) -> ExportOptions:
+    """Return options of a target from text, as in ``--set instance=1``.
 
     Raises
     ------
     UsageError
-        If a name is not known or a value does not fit.
+        If there is no such target, it has no such option, or a value does not fit.
     """
-    known = {item.name: str(item.type) for item in fields(ExportOptions)}
+    names = target(target_name).option_names
+    types = {item.name: str(item.type) for item in fields(ExportOptions)}
     values: dict[str, object] = {}
     for name, text in settings.items():
-        if name not in known:
-            raise UsageError(sentence("registry.option", name=name, known=list(known)))
-        values[name] = _value(name, known[name], text)
+        if name not in names:
+            raise UsageError(sentence("registry.option", target=target_name, name=name, known=names))
+        values[name] = _value(name, types[name], text)
     return ExportOptions(**values)  # type: ignore[arg-type]  # each value was made by its field's type
 
 

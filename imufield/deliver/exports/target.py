@@ -5,7 +5,7 @@ Nothing here imports NumPy: a list of targets is to appear at once.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -23,10 +23,17 @@ class Target:
     """What of the model it can express, in words."""
     module: str
     """Module of this package whose ``export(job)`` writes it."""
+    takes: Sequence[str] = ()
+    """Options that have an effect, beside the temperature."""
     asks: Mapping[str, str] = field(default_factory=dict)
     """Options that nobody but its user knows and without which it does not use the file, each with what it is there."""
     over_temperature: bool = False
     """Whether it takes bias over temperature; all others get the values at one."""
+
+    @property
+    def option_names(self) -> tuple[str, ...]:
+        """Fields of ``ExportOptions`` that have an effect."""
+        return (*self.takes, *(() if self.over_temperature else ("temperature_degc",)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

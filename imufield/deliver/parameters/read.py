@@ -39,8 +39,14 @@ def read_document(path: Path | str, origin: Origin = Origin.TYPED) -> VersionedD
         text = decode_toml(read_small_file(path, origin), where, ParameterFileError)
     except OSError as error:
         # A file that nobody named is missing because the session was not solved.
-        key = "read.not_solved" if origin is Origin.INSIDE and isinstance(error, FileNotFoundError) else "read.not_there"
-        refused = sentence(key, where=where, cause=error.strerror, folder=shlex.quote(str(Path(path).parent)))
+        key, folder = "read.not_there", Path(path).parent
+        if origin is Origin.INSIDE and isinstance(error, FileNotFoundError):
+            from imufield.acquire.recording.session import SETTINGS_FILE  # late: a file that is there needs no session
+
+            key = "read.not_solved" if (folder / SETTINGS_FILE).exists() else "read.no_session"
+        # Quoted where it is to be typed.
+        shown_folder = shlex.quote(str(folder)) if key == "read.not_solved" else str(folder)
+        refused = sentence(key, where=where, cause=error.strerror, folder=shown_folder)
         raise ParameterFileError(refused, Reason.FOREIGN) from error
     return parse_document(text, where)
 

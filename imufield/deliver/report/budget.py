@@ -345,17 +345,17 @@ def _table(group: Group, calibration: Calibration) -> BudgetTable:
             )
         )
     pairs = [*zip(group.parameters, sizes, strict=True)]
-    combined, both = "budget.combined", []
+    combined, expanded, both = "budget.combined", "budget.expanded", []
     if any(share.name == _TIME_BASE for share in group.shares):
         by_clock = (short(parameter.sigma_by_clock / abs(size)) for parameter, size in pairs)
         both = [(sentence("budget.combined_by_clock"), *by_clock)]
-        combined = "budget.combined_true_seconds"
+        combined, expanded = "budget.combined_true_seconds", "budget.expanded_true_seconds"
     sums = (
         *both,
         (sentence(combined), *(short(parameter.sigma / abs(size)) for parameter, size in pairs)),
         (sentence("budget.effective_freedom"), *(freedom_words(parameter.degrees_of_freedom) for parameter, _ in pairs)),
         (sentence("budget.coverage_factor"), *(f"{parameter.coverage_factor:.2f}" for parameter, _ in pairs)),
-        (sentence("budget.expanded"), *(short(parameter.expanded / abs(size)) for parameter, size in pairs)),
+        (sentence(expanded), *(short(parameter.expanded / abs(size)) for parameter, size in pairs)),
     )
     values = tuple(_value_words(parameter, size, group, calibration) for parameter, size in pairs)
     places = tuple(parameter.place for parameter in group.parameters)

@@ -11,8 +11,8 @@ from imufield.samples import FloatArray
 
 # Names of the file, in the words of a drawing.
 _SHORT = (
-    ("accelerometer.", "a "),
-    ("gyroscope.", "g "),
+    ("accelerometer.", "acc "),
+    ("gyroscope.", "gyro "),
     ("bias_m_s2.", "bias "),
     ("misalignment_rad.", "misalignment "),
     ("g_sensitivity.", "g-sensitivity "),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -32,6 +33,8 @@ class Gain:
     """By the parameters in force before; where there were none by the nominal scale, or one scale that fits. Shape (m,)."""
     after_m_s2: FloatArray
     """With each position left out of the fit where others are left to check it, else the residual. Shape (m,)."""
+    by: Literal["preset", "nominal", "fitted"] = "nominal"
+    """What gave the error before: the parameters in force, the nominal scale, or one scale that fits."""
 
     @property
     def words(self) -> Sentence:
@@ -40,7 +43,7 @@ class Gain:
         factor = before_m_s2 / max(after_m_s2, _ROUNDING_M_S2)
         errors = {"before_mg": before_m_s2 / MILLI_G_M_S2, "after_mg": after_m_s2 / MILLI_G_M_S2}
         key = "gain.better" if factor > _LEAST_FACTOR else "gain.not_better"
-        return sentence(key, **errors, times=f"{factor:.0f}" if factor >= 10 else f"{factor:.1f}")
+        return sentence(key, **errors, by=sentence(f"gain.by_{self.by}"), times=f"{factor:.0f}" if factor >= 10 else f"{factor:.1f}")
 
 
 def gain(parameters: Parameters, preset: Parameters | None = None) -> Gain | None:
@@ -53,20 +56,25 @@ def gain(parameters: Parameters, preset: Parameters | None = None) -> Gain | Non
     accelerometer, gravity = calibration.accelerometer, calibration.gravity.gravity_m_s2
     used, results = calibration.positions.used, calibration.positions
     raw = np.array([table["mean_raw"] for table in tables], dtype=np.float64)
+    by: Literal["preset", "nominal", "fitted"] = "preset"
     before = None if preset is None else _norms(preset.calibration.accelerometer, raw)
     if before is None:
         outputs = np.linalg.norm(raw - accelerometer.raw_zero, axis=1)
-        before = outputs / (nominal_scale(calibration.accelerometer_raw_unit) or float(np.mean(outputs)) / gravity)
+        nominal = nominal_scale(calibration.accelerometer_raw_unit)
+        by = "nominal" if nominal else "fitted"
+        before = outputs / (nominal or float(np.mean(outputs)) / gravity)
     left_out = results.leave_one_out_m_s2[used]
     after = left_out if np.isfinite(left_out).all() else results.residual_m_s2[used]
-    return Gain(tuple(table["name"] for table in tables), before - gravity, after)
+    return Gain(tuple(table["name"] for table in tables), before - gravity, after, by)
 
 
 def document_with_gain(parameters: Parameters) -> Document:
     """Return the content of a parameter file for JSON, and beside it what the summary says of it in one line."""
     gained = gain(parameters)
-    more = {} if gained is None else {"error_at_rest": {"words": gained.words, **gained.words.values}}
-    return {**json_ready(parameters.document), **more}
+    if gained is None:
+        return json_ready(parameters.document)
+    figures = {key: value for key, value in gained.words.values.items() if key != "by"}
+    return {**json_ready(parameters.document), "error_at_rest": {"words": gained.words, **figures}}
 
 
 def _norms(parameters: AccelerometerParameters, raw: FloatArray) -> FloatArray | None:

@@ -146,6 +146,8 @@ def _facts(data: ReportData) -> Document:
         "gyroscope_path": "not calibrated" if calibration.gyroscope is None else calibration.gyroscope.path,
         "frame": f"{GAUGE_WORDS[calibration.gauge]} (gauge {calibration.gauge})",
         "equation": calibration.equation,
+        "symbols": sentence("page.symbols") + (sentence("page.symbols_extended") if "h(" in calibration.equation else ""),
+        "approximate": sentence("page.approximate") if math.isfinite(factor) and calibration.covariance_names else "",
         "together": [*together_rows(parameters)],
         "together_headings": HEADINGS,
         "sessions": [*session_rows(parameters)],
@@ -206,7 +208,10 @@ def _identity(data: ReportData) -> Iterator[tuple[str, str]]:
         place = f"latitude {gravity.latitude_deg:g}°, {height_words(gravity)}"
     yield "Place", place
     value = with_sigma(gravity.gravity_m_s2, gravity.sigma_m_s2)
-    yield "Gravity", f"{value} m/s², {gravity.source_words}"
+    source: str = gravity.source_words
+    if gravity.source == "typed" and gravity.latitude_deg is not None:
+        source = sentence("page.gravity_given", source=source)
+    yield "Gravity", f"{value} m/s², {source}"
     low, high = session.temperature_degc
     yield "Temperature", f"{low:.1f} to {high:.1f} °C" if math.isfinite(low + high) else UNKNOWN
     yield "Session", session.name or UNKNOWN
@@ -307,10 +312,11 @@ def _figures(data: ReportData) -> Iterator[Figure]:
     if data.convergence:
         keys = {run.method: "page.converged" if run.converged else "page.not_converged" for run in data.convergence}
         ended = " ".join(sentence(key, method=method) for method, key in keys.items())
-        caption = sentence("page.convergence", ended=ended)
+        caption = sentence("page.convergence", methods=[*keys], ended=ended)
         yield Figure("Convergence", plots.convergence(data.convergence), caption, "Cost over iterations", is_detail=True)
     if data.closure is not None and len(data.closure.after_deg):
-        yield Figure("Gyroscope closure", plots.closure(data.closure), sentence("page.closure"), "Angle error of each move")
+        caption = sentence("page.closure")
+        yield Figure("Gyroscope closing error", plots.closure(data.closure), caption, "Closing error of each move")
     for curves in temperature_curves(data.parameters):
         caption = sentence(
             "page.temperature_day" if curves.is_of_new_day else "page.temperature", reference=curves.reference_degc

@@ -247,7 +247,7 @@ def closure(moves: Closure) -> str:
     shown = [moves.after_deg, *([moves.before_deg] if with_before else [])]
     # From zero: the height of a mark is to be read as the error itself.
     axes = Axes(picture=drawn, x=Scale.over(minutes), y=Scale.over(*shown, low=0.0))
-    axes.frame("minutes, start of the move", "angle error, °")
+    axes.frame("minutes, start of the move", "closing error, °")
     if with_before:
         axes.stems(minutes, moves.before_deg, moves.after_deg)
         axes.marks(minutes, moves.before_deg, "s", ORANGE, is_filled=False)

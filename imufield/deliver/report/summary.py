@@ -157,7 +157,7 @@ def _facts(calibration: Calibration) -> Table:
     elif gravity.source == "normal" and gravity.latitude_deg is not None:
         source = sentence("summary.normal", latitude_deg=gravity.latitude_deg, height=height_words(gravity))
     table.add_row("Gravity", f"{with_sigma(gravity.gravity_m_s2, gravity.sigma_m_s2)} m/s², {source}")
-    table.add_row("Frame", f"gauge {calibration.gauge}: {GAUGE_WORDS[calibration.gauge]}")
+    table.add_row("Frame", f"{GAUGE_WORDS[calibration.gauge]} (gauge {calibration.gauge})")
     table.add_row("Sigma", sigma_words(quality))
     return table
 

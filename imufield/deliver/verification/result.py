@@ -65,6 +65,8 @@ class Verification:
     navigation: NavigationResult | None = None
     requirements: tuple[Requirement, ...] = ()
     notes: tuple[str, ...] = field(default=())
+    has_preset: bool = False
+    """Whether a preset gave the residuals before; else the nominal scale."""
 
     @property
     def passed(self) -> bool | None:
@@ -242,7 +244,7 @@ def verification_text(verification: Verification) -> str:
     lines: list[str] = []
     left_out = verification.left_out
     if left_out is not None:
-        lines += [*_position_lines(left_out), ""]
+        lines += [*_position_lines(left_out, has_preset=verification.has_preset), ""]
     if verification.navigation is not None:
         lines += [*_navigation_lines(verification.navigation), ""]
     for note in folded(verification.notes):
@@ -263,8 +265,9 @@ def _wrapped(text: str) -> list[str]:
     return textwrap.wrap(text, _WIDTH, subsequent_indent="  ")
 
 
-def _position_lines(left_out: LeftOutPositions) -> Iterator[str]:
-    yield from _wrapped(f"Held-out positions: {left_out.how}")
+def _position_lines(left_out: LeftOutPositions, *, has_preset: bool) -> Iterator[str]:
+    is_held_out = left_out.is_own and not left_out.objection
+    yield from _wrapped(f"{'Held-out positions' if is_held_out else 'Positions'}: {left_out.how}")
     with_before = bool(np.isfinite(left_out.before_m_s2).all())
     largest = np.nanmax(np.abs([left_out.residual_m_s2, left_out.sigma_m_s2]), initial=0.0)
     unit, size = acceleration_unit(float(largest))
@@ -280,7 +283,8 @@ def _position_lines(left_out: LeftOutPositions) -> Iterator[str]:
     if np.isfinite(left_out.misfit):
         yield from _wrapped(f"  {sentence('result.correlated')}")
     if with_before:
-        yield from _wrapped(f"  {sentence('result.columns')}")
+        before_words = sentence("result.by_preset" if has_preset else "result.by_nominal")
+        yield from _wrapped(f"  {sentence('result.columns', before=before_words)}")
 
 
 def _cell(value: float, sign: str = "+") -> str:

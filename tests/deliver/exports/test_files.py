@@ -227,24 +227,48 @@ def test_noise_that_is_not_known_is_asked_for() -> None:
 
 
 def test_options_from_text() -> None:
-    options = export_options(
-        {"instance": "1", "accelerometer_id": "0x1F", "gauge": "upper", "gyroscope_nominal": "16.4", "name": "a"}
-    )
-    assert options == ExportOptions(instance=1, accelerometer_id=31, gauge="upper", gyroscope_nominal=16.4, name="a")
+    options = export_options({"instance": "1", "accelerometer_id": "0x1F", "gyroscope_nominal": "16.4"}, "px4")
+    assert options == ExportOptions(instance=1, accelerometer_id=31, gyroscope_nominal=16.4)
+    assert export_options({"gauge": "upper", "name": "a"}, "c") == ExportOptions(gauge="upper", name="a")
+    assert export_options({"temperature_degc": "20"}, "imu_tk") == ExportOptions(temperature_degc=20.0)
+
+
+class _Read:
+    """Options that note which of them were read."""
+
+    def __init__(self, options: ExportOptions) -> None:
+        self._options = options
+        self.names: set[str] = set()
+
+    def __getattr__(self, name: str) -> object:
+        self.names.add(name)
+        return getattr(self._options, name)
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_a_target_has_the_options_that_it_reads(target: str) -> None:
+    read = _Read(ExportOptions())
+    export_parameters(made_up(21), target, read)  # type: ignore[arg-type]
+    # Where the frame or the temperatures are those of the target, another is refused.
+    fixed = {"gauge"} if target in ONE_FRAME else set[str]()
+    fixed |= {"temperature_degc"} if TARGETS[target].over_temperature else set()
+    assert set(TARGETS[target].option_names) == read.names - fixed
 
 
 @pytest.mark.parametrize(
-    ("settings", "key"),
+    ("target", "settings", "key"),
     [
-        ({"colour": "red"}, "option"),
-        ({"instance": "one"}, "number"),
-        ({"gauge": "left"}, "choice"),
-        ({"model": "vins"}, "choice"),
+        ("c", {"colour": "red"}, "option"),
+        ("c", {"instance": "1"}, "option"),
+        ("px4", {"gauge": "upper"}, "option"),
+        ("px4", {"instance": "one"}, "number"),
+        ("c", {"gauge": "left"}, "choice"),
+        ("openvins", {"model": "vins"}, "choice"),
     ],
 )
-def test_options_that_make_no_sense(settings: dict[str, str], key: str) -> None:
+def test_options_that_make_no_sense(target: str, settings: dict[str, str], key: str) -> None:
     with refused(UsageError, Reason.USAGE, *settings, key=f"registry.{key}"):
-        export_options(settings)
+        export_options(settings, target)
 
 
 def test_unknown_target() -> None:

@@ -350,6 +350,9 @@ def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
     typed = refusal(tmp_path / "none.toml")
     assert (typed.reason, key_of(typed.message)) == (Reason.FOREIGN, "read.not_there")
     # A folder stands for the file that solving makes.
+    no_session = refusal(tmp_path)
+    assert (no_session.reason, key_of(no_session.message)) == (Reason.FOREIGN, "read.no_session")
+    (tmp_path / "session.toml").touch()
     not_solved = refusal(tmp_path)
     assert (not_solved.reason, key_of(not_solved.message)) == (Reason.FOREIGN, "read.not_solved")
     assert f"imufield solve {tmp_path}" in not_solved.message

@@ -19,7 +19,7 @@ def test_correlations_are_those_of_the_joint_covariance(calibration: Calibration
     i, j = names.index("accelerometer.bias_m_s2.x"), names.index("accelerometer.quadratic.x")
     draws = rng.multivariate_normal(np.zeros(len(names)), calibration.covariance, 20000, method="eigh")
     expected = np.corrcoef(draws[:, i], draws[:, j])[0, 1]
-    value = found.matrix[found.names.index("a bias x"), found.names.index("a quadratic x")]
+    value = found.matrix[found.names.index("acc bias x"), found.names.index("acc quadratic x")]
     assert value == pytest.approx(expected, abs=0.03)
 
 
@@ -28,7 +28,7 @@ def test_what_is_known_exactly_has_no_correlation(calibration: Calibration) -> N
     covariance[0] = covariance[:, 0] = 0.0
     found = correlations(replace(calibration, covariance=covariance))
     assert len(found.names) == len(correlations(calibration).names) - 1
-    assert "a scale x" not in found.names
+    assert "acc scale x" not in found.names
 
 
 def test_the_strongest_come_first() -> None:

@@ -113,7 +113,7 @@ def test_page_says_who_when_where_and_how_good(data: ReportData) -> None:
         "fit for use",
     ):
         assert expected in words
-    for title in ("Residual on the sphere", "Correlations", "Stillness", "Convergence", "Gyroscope closure"):
+    for title in ("Residual on the sphere", "Correlations", "Stillness", "Convergence", "Gyroscope closing error"):
         assert title in words
     assert "a" * 64 in words
 
@@ -143,7 +143,7 @@ def test_without_a_position_to_spare_nothing_is_claimed(data: ReportData) -> Non
     words = " ".join(Page(render_report(few)).text)
     for title in ("Error at rest", "Before and after", "Residual on the sphere"):
         assert title not in words
-    assert words.index("Residual by position") < words.index("Who, when, where") < words.index("Gyroscope closure")
+    assert words.index("Residual by position") < words.index("Who, when, where") < words.index("Gyroscope closing error")
     assert not re.search(r"\de-\d", words[words.index("How good it is") : words.index("Details of the method")])
 
 
