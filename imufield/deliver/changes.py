@@ -35,6 +35,7 @@ _OF_MANY = {
     "changes.differs_as_turn_on": "changes.differs_as_turn_on_many",
 }
 _DAYS_A_YEAR = 365.25
+_SAME_DEGC = 10.0  # Rooms and instruments that warm up differ by less; more is a chamber, or the weather.
 CSV_COLUMNS = (
     "instrument",
     "serial_number",
@@ -199,6 +200,9 @@ def sentences(
         yield sentence("changes.not_listed", files=instrument.not_listed)
     if len(entries) >= 2 and entries[-2].time == entries[-1].time:
         yield sentence("changes.same_time", first=entries[-2].path, second=entries[-1].path)
+    known_degc = [entry.temperature_degc for entry in entries if entry.temperature_degc is not None]
+    if known_degc and max(known_degc) - min(known_degc) > _SAME_DEGC:
+        yield sentence("changes.temperatures", low=min(known_degc), high=max(known_degc))
     if len(entries) == FEWEST - 1:
         yield from _differences(*entries)
     yield from _judged(history)

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from types import NoneType
 
 import numpy as np
 
@@ -36,6 +37,7 @@ _TYPES: dict[object, type | tuple[type, ...]] = {
     "str": str,
     "bool": bool,
     "float": (int, float),
+    "float | None": (int, float, NoneType),
 }
 
 
@@ -69,6 +71,8 @@ class Entry:
     """Whether somebody changed the file by hand."""
     linear: tuple[float, ...] = ()
     """Of ``LinearFit``: degrees of freedom, change, and the upper triangle of scatter; empty where there is none."""
+    temperature_degc: float | None = None
+    """Mean over the session; None where it is not known."""
 
     @classmethod
     def of(cls, path: str, parameters: Parameters) -> Entry:
@@ -77,6 +81,7 @@ class Entry:
         positions = parameters.document["position"]
         found = parameters.gauge_free()
         names = " ".join(sorted(position["name"] for position in positions))
+        temperature_degc = float(np.mean(context.session.temperature_degc))
         linear, parameters_fitted = found.linear, calibration.quality.parameters_fitted
         noise = np.inf if context.noise is None else context.noise.gyroscope_density_rad_s_per_sqrt_hz
         return cls(
@@ -98,6 +103,7 @@ class Entry:
             scatter=_triangle(found.scatter),
             edited=parameters.edited,
             linear=() if linear is None else (linear.freedom, *linear.change.tolist(), *_triangle(linear.scatter)),
+            temperature_degc=temperature_degc if np.isfinite(temperature_degc) else None,
         )
 
     @property

@@ -16,13 +16,13 @@ from imufield.calibrate.model.result import Calibration
 from imufield.deliver.changes import judge_histories, judge_history, sentences, to_csv
 from imufield.deliver.control_chart import charts, plot_history
 from imufield.deliver.family import Shared
-from imufield.deliver.history import InstrumentHistory, find, one_instrument, read_history
+from imufield.deliver.history import Entry, InstrumentHistory, find, one_instrument, read_history
 from imufield.deliver.parameters.gauge_free import gauge_free
 from imufield.errors import ParameterFileError, Reason
 from imufield.sentences import Sentence
 from tests.parameter_files import on_purpose
 from tests.refused import refused
-from tests.told import key_of, keys
+from tests.told import key_of, keys, with_key
 
 NOW = datetime(2026, 9, 1, tzinfo=UTC)
 
@@ -138,6 +138,36 @@ def test_of_two_on_one_day_the_time_is_told(tmp_path: Path, write) -> None:  # t
     (instrument,) = read_history(tmp_path).instruments
     (told,) = sentences(judge_history(instrument), NOW)
     assert "1 August 2026, 10:00 UTC (" in told
+    first, second = instrument.entries
+    again = replace(second, created="2026-08-01T10:00:07Z")
+    (told,) = sentences(judge_history(replace(instrument, entries=(first, again))), NOW)
+    assert "1 August 2026, 10:00:00 UTC (" in told
+
+
+def test_scatter_of_one_day_is_not_that_of_days(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    for k, moved in enumerate((0.0, 30.0, -30.0)):
+        write(f"s{k}", f"2026-08-01T1{k}:00:00Z", moved=moved, session=f"{k}" * 64)
+    (instrument,) = read_history(tmp_path).instruments
+    told = with_key(sentences(judge_history(instrument), NOW), "changes.daily")
+    assert "from session to session" in told
+    days = tuple(replace(entry, created=f"2026-08-0{k + 1}T10:00:00Z") for k, entry in enumerate(instrument.entries))
+    told = with_key(sentences(judge_history(replace(instrument, entries=days)), NOW), "changes.daily")
+    assert "from day to day" in told
+
+
+def test_other_temperatures_are_told(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    for name, date in (("a", "2026-03-04"), ("b", "2026-08-01")):
+        write(name, date, session=name * 64)
+    (instrument,) = read_history(tmp_path).instruments
+    first, second = instrument.entries
+    assert first.temperature_degc == second.temperature_degc == pytest.approx(32.15, abs=0.5)
+    assert "changes.temperatures" not in keys(sentences(judge_history(instrument), NOW))
+    cold = replace(instrument, entries=(replace(first, temperature_degc=-10.0), second))
+    told = next(one for one in sentences(judge_history(cold), NOW) if key_of(one) == "changes.temperatures")
+    assert (told.values["low"], told.values["high"]) == (-10.0, second.temperature_degc)
+    assert Entry.from_text(first.text) == first
+    unknown = replace(first, temperature_degc=None)
+    assert Entry.from_text(unknown.text) == unknown
 
 
 def test_slow_drift_is_told_by_the_year(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]

@@ -21,6 +21,7 @@ from imufield.sentences import Sentence, Sentences
 sentence = Sentences(__package__)
 
 _LEAST_FACTOR = 1.1  # Less is no gain that anybody sees.
+_BY = {"preset": "gain.by_preset", "nominal": "gain.by_nominal", "fitted": "gain.by_fitted"}
 _ROUNDING_M_S2 = 1e-6 * MICRO_G_M_S2  # What is left of ideal outputs.
 
 
@@ -43,7 +44,8 @@ class Gain:
         factor = before_m_s2 / max(after_m_s2, _ROUNDING_M_S2)
         errors = {"before_mg": before_m_s2 / MILLI_G_M_S2, "after_mg": after_m_s2 / MILLI_G_M_S2}
         key = "gain.better" if factor > _LEAST_FACTOR else "gain.not_better"
-        return sentence(key, **errors, by=sentence(f"gain.by_{self.by}"), times=f"{factor:.0f}" if factor >= 10 else f"{factor:.1f}")
+        times = f"{factor:.0f}" if factor >= 10 else f"{factor:.1f}"
+        return sentence(key, **errors, by=sentence(_BY[self.by]), times=times)
 
 
 def gain(parameters: Parameters, preset: Parameters | None = None) -> Gain | None:
