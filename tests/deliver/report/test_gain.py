@@ -13,6 +13,7 @@ from imufield.deliver.parameters.context import Context
 from imufield.deliver.parameters.file import Parameters, from_document, to_document
 from imufield.deliver.report.gain import gain
 from imufield.earth import MILLI_G_M_S2
+from tests.told import key_of
 
 
 @pytest.fixture
@@ -29,6 +30,7 @@ def test_before_is_by_the_nominal_scale(solved: Parameters, observations: Observ
     before_mg = np.sqrt(np.mean(found.before_m_s2**2)) / MILLI_G_M_S2
     assert found.words.key == "gain.better"
     assert found.words.values["before_mg"] == pytest.approx(before_mg)
+    assert key_of(found.words.values["by"]) == "gain.by_nominal"
 
 
 def test_before_is_by_the_preset(solved: Parameters, residual: np.ndarray) -> None:
@@ -36,6 +38,7 @@ def test_before_is_by_the_preset(solved: Parameters, residual: np.ndarray) -> No
     assert found is not None
     np.testing.assert_allclose(found.before_m_s2, residual, atol=1e-9)
     assert found.words.key == "gain.not_better"
+    assert key_of(found.words.values["by"]) == "gain.by_preset"
 
 
 def test_nothing_is_said_where_no_position_is_left_to_tell_it(solved: Parameters) -> None:
@@ -52,4 +55,5 @@ def test_counts_without_a_nominal_scale_get_the_one_that_fits(
     found = gain(from_document(to_document(counts, replace(observations, mean_raw=1000 * observations.mean_raw), context)))
     assert found is not None
     assert np.mean(found.before_m_s2) == pytest.approx(0, abs=1e-9)
+    assert key_of(found.words.values["by"]) == "gain.by_fitted"
     assert np.ptp(found.before_m_s2) == pytest.approx(np.ptp(np.linalg.norm(observations.mean_raw, axis=1)), rel=0.01)

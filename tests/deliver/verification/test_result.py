@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -119,8 +120,18 @@ def test_text_has_the_verdict_last(loaded: Parameters, left_out: LeftOutPosition
     assert text.endswith("Requirement residual-ug <= 30: 40, NOT MET\nVerdict: FAIL\n")
     assert "0.80" in text
     assert says(text, "deliver.verification", "result.correlated")
+    # Of another session nothing is held out.
+    assert text.startswith("Positions: ")
     assert "drift after: 0.216 nmi/h" in text
     assert max(map(len, text.splitlines())) <= 80
+
+
+@pytest.mark.parametrize("has_preset", [True, False])
+def test_what_stands_before_is_named(loaded: Parameters, left_out: LeftOutPositions, has_preset: bool) -> None:
+    own = replace(left_out, is_own=True, before_m_s2=left_out.residual_m_s2)
+    text = verification_text(Verification(parameters=loaded, session="s", left_out=own, has_preset=has_preset))
+    assert text.startswith("Held-out positions: ")
+    assert ("with the preset" in text, "with the nominal scale" in text) == (has_preset, not has_preset)
 
 
 def test_file_keeps_the_other_check_of_the_same_parameters(
