@@ -36,11 +36,12 @@ class AceinnaCan(Driver):
         version  65242  18FEDAaa    major, minor, patch, stage, build; answer to a request
         ==============  ==========  ========================================================
 
-    aa is the source address, 0x80 as delivered. 0xFFxx stands for not available, 0xFExx for an error. No frame has a
+    The source address is 0x80 as delivered. 0xFFxx stands for not available, 0xFExx for an error. No frame has a
     counter, so losses show in time stamps alone. Resolution is coarse: 0.01 m/s^2 and 0.0078 deg/s. The three words are
     X, Y, Z by the DBC of the MTLT305D; OpenIMU300RI as delivered needs ``--set axes=openimu300ri``.
 
-    Layout and scale were checked against a recording of an MTLT305D; which word is which axis is not: turn it by hand.
+    Layout and scale were checked against a recording of an MTLT305D. The order of axes is not verified: turn the instrument
+    by hand and see which axis responds.
     """
 
     name = "aceinna_can"

@@ -19,7 +19,8 @@ class Kvh17xx(Driver):
     =======  ==============================================================
 
     The message does not tell whether rotation is a rate or an increment, in rad or deg: ``--set gyroscope_output=rad/s``.
-    Format A was checked on two frames, never on a stream; B and C come from the manual.
+    Written from the manual (document only). Two frames of format A from a real unit decode as the manual says; no whole
+    recording was at hand, and none of B and C.
     """
 
     name = "kvh_17xx"

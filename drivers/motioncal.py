@@ -7,7 +7,7 @@ class MotionCal(Driver):
     """Lines for the program MotionCal.
 
     A line is ``Raw:ax,ay,az,gx,gy,gz,mx,my,mz`` with CR LF, nine whole numbers of 16 bits: acceleration in 1/8192 g, rate in
-    1/16 deg/s, magnetic field in 0.1 uT. Lines that begin with ``Uni:`` say the same in decimals and are passed over. There is
+    1/16 deg/s, magnetic field in 0.1 uT. Lines beginning with ``Uni:`` repeat the data in decimals and are ignored. There is
     no checksum, no counter and no time; sketches wait 10 ms between two samples. A step is 122 ug and 0.0625 deg/s: a unit
     whose noise is smaller is better read by a sketch of one's own (driver ``text``).
     """

@@ -16,7 +16,7 @@ class SaeCan(Driver):
 
 
 class Mv5Can(SaeCan):
-    """The messages ACCS, ARI and SSI2 of SAE J1939 from source address 0xE2, as driver ``aceinna_can`` lists them.
+    """The messages ACCS (PGN 61485), ARI (61482) and SSI2 (61481) of SAE J1939, from source address 0xE2.
 
     Words are taken in SAE order: lateral, longitudinal, vertical; pitch, roll, yaw.
     """

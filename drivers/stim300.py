@@ -46,8 +46,8 @@ class Stim300(Driver):
     Status bits: 7 integrity, 6 start-up, 5 outside operating conditions, 4 overload, 3 channel error, 2..0 axis z, y, x.
     After power-up it sends part number, serial number and configuration once, before the first sample.
 
-    Datagrams were checked against recordings of a real unit (ids 0x93 and 0xAF); the special ones come from the
-    datasheet alone.
+    Datagrams of samples were checked against recordings of a real unit (ids 0x93 and 0xAF). Those of part number, serial
+    number, configuration, bias trim and extended error come from the datasheet alone.
     """
 
     name = "stim300"

@@ -4,10 +4,11 @@ from .mv5_can import SaeCan
 
 
 class TarsCan(SaeCan):
-    """The messages ACCS, ARI and SSI2 of SAE J1939 from source address 0xE2, as driver ``aceinna_can`` lists them.
+    """The messages ACCS (PGN 61485), ARI (61482) and SSI2 (61481) of SAE J1939, from source address 0xE2.
 
-    Words are taken in SAE order: lateral, longitudinal, vertical; pitch, roll, yaw. Layout and scale fit three frames of
-    a public recording (9.77 m/s^2 in the third word at rest); the order of the axes is an assumption.
+    Layout and scale were verified on three real frames of a public recording (9.77 m/s^2 in the third word at rest). The
+    order of the axes is assumed to be that of SAE: lateral, longitudinal, vertical; pitch, roll, yaw. Check it by turning the
+    instrument.
     """
 
     name = "tars_can"

@@ -7,11 +7,10 @@ class Text(Driver):
     """Anything that sends one line of numbers for each sample.
 
     A line is ``[prefix] number delimiter number ... [*XX] LF``, CR before LF allowed. XX is an NMEA checksum; lines
-    without it have none, so damage to them goes unseen. Which number is what, their units and the sample rate are settings;
-    with pulse counts per sample, as frequency-output accelerometers give, that is::
+    without it have none, so damage to them goes unseen. Which number is what, their units and the sample rate are settings.
 
-        --set columns=counter,ax,ay,az,gx,gy,gz --set accelerometer_unit=pulse --set gyroscope_unit=pulse
-        --set increments=true --set rate_hz=100
+    For pulse counts of each sample, as frequency-output accelerometers give, set columns=counter,ax,ay,az,gx,gy,gz,
+    accelerometer_unit=pulse, gyroscope_unit=pulse, increments=true and rate_hz=100, each with ``--set``.
     """
 
     name = "text"

@@ -29,7 +29,7 @@ class VectorNavBinary(VectorNav):
     last 2  CRC-16 of all but the first byte, high byte first
     ======  ==============================================================
 
-    No length is sent: a message with a bit that is not known cannot be read. z points down, so a level unit at rest shows
+    The message carries no length, so one with an unknown field in its group mask cannot be decoded. z points down, so a level unit at rest shows
     about -9.8 m/s^2 there.
     """
 

@@ -75,7 +75,8 @@ _WRITE_FAULTS: tuple[tuple[frozenset[int], Reason, str], ...] = (
     (frozenset({errno.EACCES, errno.EPERM, errno.EROFS}), Reason.NO_PERMISSION, "files.no_permission"),
     # The system gives ENOENT for a name below /proc, too, though that folder exists.
     (frozenset({errno.ENOENT, errno.ENOTDIR}), Reason.FOREIGN, "files.no_folder"),
-    (frozenset({errno.EEXIST, errno.EISDIR}), Reason.FOREIGN, "files.exists"),
+    (frozenset({errno.EISDIR}), Reason.FOREIGN, "files.folder"),
+    (frozenset({errno.EEXIST}), Reason.FOREIGN, "files.exists"),
     (frozenset({errno.ENAMETOOLONG}), Reason.USAGE, "files.long_name"),
     # Of ``open_regular``: a link, pipe or device stands where a file belongs.
     (frozenset({errno.ELOOP, errno.ENXIO}), Reason.FOREIGN, "files.no_file"),
@@ -367,8 +368,8 @@ def is_recorded(path: Path) -> bool:
 
 def refuse_what_is_no_file(path: Path) -> None:
     """Raise OSError for a folder or device, which a rename would move out of its place."""
-    if path.exists() and not path.is_file():
-        raise FileExistsError(errno.EEXIST, "it is a folder or device, not a file", str(path))
+    if path.exists():
+        _refuse_irregular(path.stat().st_mode, path)
 
 
 def usual_mode(path: Path) -> int:

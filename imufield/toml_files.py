@@ -10,7 +10,7 @@ import re
 
 import tomli
 
-from imufield.errors import ImufieldError
+from imufield.errors import ImufieldError, ParameterFileError, ProtocolError
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -19,6 +19,12 @@ DEEPEST = 32
 """Levels of tables and arrays in each other; shipped protocols have eight."""
 INTEGER_BITS = 64
 """TOML asks for as many with a sign; masks and checksums of instruments have as many without one."""
+
+# Any file can be named where one of these kinds is expected: which kind that is, is said.
+_NO_TOML: dict[type[ImufieldError], str] = {
+    ParameterFileError: "toml_files.no_parameter_file",
+    ProtocolError: "toml_files.no_protocol_file",
+}
 
 Place = tuple[str | int, ...]
 """Keys and indices of arrays, from the outermost."""
@@ -68,7 +74,7 @@ def parse_toml(text: str, label: str, kind: type[ImufieldError]) -> dict[str, ob
     try:
         content: dict[str, object] = tomli.loads(text)
     except tomli.TOMLDecodeError as error:
-        raise kind(sentence("toml_files.no_toml", label=label, cause=error)) from error
+        raise kind(sentence(_NO_TOML.get(kind, "toml_files.no_toml"), label=label, cause=error)) from error
     except ValueError as error:
         # Python's own limit on digits. Nothing else of a document can be the cause.
         digits = _ENDLESS_NUMBER.search(text)

@@ -74,13 +74,15 @@ def test_every_reader_of_such_files_refuses_the_same(
         Path(name).write_bytes(raw)
     with refused(RecordingError, None, "session.toml", "line 2", key=f"toml_files.{key}"):
         Session.open(tmp_path)
-    with refused(ParameterFileError, None, "parameters.toml", "line 2", key=f"toml_files.{key}"):
+    # Which of these files it is not, is said of those that are named on command lines.
+    own = {"no_toml": ("no_parameter_file", "no_protocol_file")}.get(key, (key, key))
+    with refused(ParameterFileError, None, "parameters.toml", "line 2", key=f"toml_files.{own[0]}"):
         read_document("parameters.toml")
     with refused(UsageError, None, "positions.toml", "line 2", key=f"toml_files.{key}"):
         read_positions(Path("positions.toml"))
     with refused(UsageError, None, "imufield.toml", "line 2", key=f"toml_files.{key}"):
         default_map()
-    with refused(ProtocolError, None, "protocol", "line 2", key=f"toml_files.{key}"):
+    with refused(ProtocolError, None, "protocol", "line 2", key=f"toml_files.{own[1]}"):
         parse_protocol(decode_toml(raw, "protocol", ProtocolError), label="protocol")
 
 

@@ -20,6 +20,7 @@ from imufield.commands.terminal.emulated import capture, emulator
 from imufield.commands.terminal.guided import Captured
 from imufield.commands.terminal.output import echo, say
 from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, write_document
+from imufield.deliver.parameters.numbers import hanging
 from imufield.deliver.report.summary import Outcome, print_summary
 from imufield.earth import MILLI_G_M_S2
 from imufield.errors import VerificationError
@@ -124,10 +125,7 @@ def _print_cost(base: Parameters, joint: Parameters, truth: dict[str, Any]) -> b
         alone, left, sigma = _left_mg(base, truth, degc), _left_mg(joint, truth, degc), _stated_mg(joint, degc)
         passed &= left <= LIMIT_SIGMA * sigma and (degc == TEMPERATURES_DEGC[0] or left < alone)
         echo(f"{degc:6.0f} degC {alone:14.3f} {left:19.3f} {sigma:15.3f}")
-    word = "as it should be" if passed else "NOT as it should be"
-    echo(f"{len(TEMPERATURES_DEGC)} sessions, seed {truth['seed']}: {word},")
-    within = "better than one session, and within" if passed else "NOT better than one session, or NOT within"
-    echo(f"{within} {LIMIT_SIGMA:g} sigma")
+    echo(hanging("", sentence("demo.better" if passed else "demo.not_better", limit=LIMIT_SIGMA, seed=truth["seed"])))
     return passed
 
 
@@ -218,9 +216,8 @@ def _print_comparison(captured: Captured, errors_in_sigma: FloatArray, seed: int
     for first in range(0, len(cells), 3):
         echo("   " + "     ".join(cells[first : first + 3]))
     largest = float(np.nanmax(np.abs(errors_in_sigma)))
-    within = "within" if largest <= LIMIT_SIGMA else "NOT within"
     passed = captured.finished and captured.accepted == captured.planned and largest <= LIMIT_SIGMA
-    word = "as it should be" if passed else "NOT as it should be"
-    echo(f"{captured.accepted} of {captured.planned} positions, seed {seed}: {word},")
-    echo(f"{within} {LIMIT_SIGMA:g} sigma of the simulator's truth: largest {largest:.1f}")
+    key = "demo.passed" if passed else "demo.missed" if largest > LIMIT_SIGMA else "demo.incomplete"
+    counts = {"accepted": captured.accepted, "planned": captured.planned, "seed": seed}
+    echo(hanging("", sentence(key, limit=LIMIT_SIGMA, largest=largest, **counts)))
     return passed

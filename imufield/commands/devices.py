@@ -59,7 +59,7 @@ def list_devices(options: DevicesOptions) -> None:
         told = ", ".join(f"{name}{'' if tried == _TRIED else '*'}" for name, tried in driver["abilities"].items())
         rate = f"{driver['default_baud']} bit/s" if driver["default_baud"] else ""
         echo(hanging(" " * width, "; ".join(filter(None, (rate, driver["status"], told)))))
-    echo(hanging("* ", sentence("devices.document_only")))
+    echo(hanging("", sentence("devices.document_only")))
     echo("\nimufield devices NAME shows one with its settings and wiring")
 
 

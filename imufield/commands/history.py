@@ -101,7 +101,7 @@ def _print_nearest(history: History, options: HistoryOptions) -> None:
 def _print(histories: Sequence[JudgedHistory], options: HistoryOptions, now: datetime) -> None:
     for history in histories:
         entries = history.instrument.entries
-        echo(f"{history.instrument.title}: {len(entries)} calibration{'s' if len(entries) > 1 else ''}")
+        echo(f"{history.instrument.title}: {counted(len(entries), 'calibration')}")
         for entry in entries:
             echo(beside(f"  {entry.created[:10]}  {entry.verdict:<7}", entry.path, indent=4))
         changes = {change.name: change for change in history.changes()}

@@ -117,7 +117,7 @@ def _write_into(path: Path, parameters: Parameters, result: NoiseResult) -> Path
 
 
 def _print(result: NoiseResult) -> None:
-    say(f"{result.source} ({result.samples} samples, {result.bridged} lost ones bridged)")
+    say(f"{result.source} ({result.samples} samples used, {result.bridged or 'none'} interpolated)")
     for name, (title, per) in _FIGURES.items():
         echo(f"{title:<18}{'value':>12}   {'95 % interval':<23} unit")
         for axis in result.axes:
@@ -131,8 +131,8 @@ def _print(result: NoiseResult) -> None:
 def _value_and_limits(figure: NoiseFigure) -> str:
     """Return the two columns of a figure, 38 characters."""
     if not math.isfinite(figure.value):
-        return f"{'not seen':>12}   {f'below {figure.high:.2g}' if math.isfinite(figure.high) else '':<23}"
-    return f"{figure.value:>12.3g}   {f'{figure.low:.2g} to {figure.high:.2g}':<23}"
+        return f"{'not seen':>12}   {f'below {figure.high:.3g}' if math.isfinite(figure.high) else '':<23}"
+    return f"{figure.value:>12.3g}   {f'{figure.low:.3g} to {figure.high:.3g}':<23}"
 
 
 def _in_short(figure: NoiseFigure) -> str:

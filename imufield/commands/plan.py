@@ -44,7 +44,10 @@ def run_plan(options: PlanOptions) -> None:
     time = session_time(positions, settings, noise=noise, grade=grade)
     sizes = {"noise_ug": noise / MICRO_G_M_S2, "scatter_ug": grade.scatter_m_s2 / MICRO_G_M_S2}
     is_known = options.noise_ug is not None or options.grade is not None
-    gravity = {"gravity_ppm": time.gravity_ppm, "source": time.gravity.source_words}
+    source = time.gravity.source_words
+    if time.gravity.source == "assumed":
+        source = sentence("plan.place_unknown" if options.site.gravity_m_s2 is None else "plan.textbook")
+    gravity = {"gravity_ppm": time.gravity_ppm, "source": source}
     assumed = sentence("plan.known" if is_known else "plan.assumed", grade=grade.name, **gravity, **sizes)
     place = f" {sentence('plan.no_place')}" if time.gravity.source == "assumed" else ""
     remedy = time.remedy if time.wanted and not time.is_met else ""

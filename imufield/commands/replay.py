@@ -31,7 +31,7 @@ from imufield.guide.events import Event
 from imufield.guide.positions import scheme
 from imufield.guide.view.plain import JsonLinesView, PlainView
 from imufield.pipeline.chain import Chain, Items, ReadingPlan, replay_into, session_protocol
-from imufield.sentences import Sentences
+from imufield.sentences import Sentences, counted
 
 if TYPE_CHECKING:
     from imufield.acquire.protocol.can_frame import Frame
@@ -56,7 +56,7 @@ def run_replay(options: ReplayOptions) -> None:
     session = open_or_newest(options.session)
     asked = {"--to-pty": options.to_pty, "--bus": options.bus is not None, "--web": options.web}
     if sum(asked.values()) > 1:
-        raise UsageError(sentence("replay.one_of", options=[name for name, is_asked in asked.items() if is_asked]))
+        raise UsageError(sentence("replay.one_of", options=" and ".join(name for name, is_asked in asked.items() if is_asked)))
     if options.bus is not None or options.to_pty:
         _replay_to_others(session, options)
         return
@@ -124,7 +124,7 @@ def _tell(chain: Chain) -> None:
     )
     if chain.finder is not None:
         found = chain.still_intervals()
-        echo(f"{len(found.observations)} still intervals, {len(found.refused)} refused")
+        echo(f"{counted(len(found.observations), 'still interval')}, {len(found.refused)} refused")
 
 
 def _tell_left_out(session: Session) -> None:

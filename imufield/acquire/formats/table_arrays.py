@@ -21,6 +21,7 @@ import numpy as np
 from imufield.acquire.formats import array_file_reader
 from imufield.acquire.formats.array_file_reader import Array, Arrays
 from imufield.acquire.formats.table_columns import named_column
+from imufield.acquire.formats.table_text import unreadable
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.files import open_to_read
 from imufield.samples import AXES, FloatArray
@@ -141,7 +142,7 @@ def read_arrays(kind: ArrayKind, path: Path) -> ArrayTable:
 def unread(path: Path, error: Exception, damaged: str) -> RecordingError:
     """Return why nothing was read: what the system says, where it was the system, else that the file is damaged."""
     if isinstance(error, OSError) and error.strerror:
-        return RecordingError(sentence("table_text.unreadable", path=str(path), cause=error.strerror), Reason.BAD_DATA)
+        return unreadable(path, error)
     return RecordingError(damaged, Reason.DAMAGED)
 
 

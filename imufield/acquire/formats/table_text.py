@@ -6,6 +6,7 @@ are examined only to name the one that is wrong.
 
 from __future__ import annotations
 
+import errno
 import gzip
 import re
 import zlib
@@ -290,7 +291,12 @@ def read_pieces(path: Path, size: int) -> Iterator[bytes]:
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise RecordingError(sentence("table_text.bad_gzip", path=str(path), cause=error), Reason.DAMAGED) from error
     except OSError as error:
-        raise _bad("table_text.unreadable", path, cause=error.strerror) from error
+        raise unreadable(path, error) from error
+
+
+def unreadable(path: Path, error: OSError) -> RecordingError:
+    """Return why the system does not let a file be read."""
+    return _bad("table_text.folder" if error.errno == errno.EISDIR else "table_text.unreadable", path, cause=error.strerror)
 
 
 def _bad(key: str, path: Path, **values: object) -> RecordingError:

@@ -121,6 +121,8 @@ def parse_bus(text: str) -> BusAddress:
     interface, _, channel = place.partition(":")
     known = sorted(can.interfaces.VALID_INTERFACES)
     if interface not in known:
+        if ":" not in place:
+            raise UsageError(sentence("can.no_colon", bus=text, known=known))
         hint = near(interface, known)
         raise UsageError(sentence("can.interface", bus=text, interface=interface, near=hint, known=known))
     if not channel:

@@ -63,10 +63,11 @@ def open_error(port: str, baud: int, error: Exception) -> ImufieldError:
     if number in _BUSY:
         return LinkError(sentence("link_errors.busy", port=port, holder=_holder(port)), Reason.PORT_BUSY)
     key = "link_errors.absent" if number == errno.ENOENT else "link_errors.cannot_open"
+    there_are = "link_errors.ports"
     if number in _NOT_A_TERMINAL:
-        key = "link_errors.no_terminal"
+        key, there_are = "link_errors.no_terminal", "link_errors.choose"
     reason = Reason.PORT_NOT_FOUND if number in _ABSENT | _NOT_A_TERMINAL else Reason.DISCONNECTED
-    return LinkError(sentence(key, port=port, cause=cause, there_are=_there_are()), reason)
+    return LinkError(sentence(key, port=port, cause=cause, there_are=_there_are(there_are)), reason)
 
 
 def check_port(port: str) -> None:
@@ -108,12 +109,12 @@ def _cause(error: BaseException) -> str:
     return os.strerror(number) if number is not None else text
 
 
-def _there_are() -> str:
+def _there_are(key: str) -> str:
     names = [port.device for port in serial_ports()]
     if not names:
         return sentence("link_errors.no_ports")
     more = ["..."] if len(names) > _PORTS_NAMED else []
-    return sentence("link_errors.ports", ports=names[:_PORTS_NAMED] + more)
+    return sentence(key, ports=names[:_PORTS_NAMED] + more)
 
 
 def _holder(port: str) -> str:

@@ -248,7 +248,7 @@ def _read_masks(top: Table, frame: Table, big_endian: bool) -> MasksRule | None:
     groups: dict[int, tuple[tuple[Field, ...], ...]] = {}
     for bit in masks.values:
         if bit not in tuple("01234567"):
-            raise masks.error(bit, sentence("frame_schema.mask_bit"))
+            raise masks.error(bit, sentence("frame_schema.mask_bit", bit=bit))
         # A bit stands for one field or for several.
         bits = [found if isinstance(found, list) else [found] for found in masks.items(bit)]
         groups[int(bit)] = tuple(

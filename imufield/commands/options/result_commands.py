@@ -37,7 +37,7 @@ ParameterFile = Annotated[Path, session_argument(help="Parameter file.")]
 class SolveOptions:
     """The options of ``solve``.
 
-    With --together, sessions of one instrument give one file, valid for a new day (one not measured).
+    With --together, sessions of one instrument give one file, whose uncertainty also covers days on which nothing was measured.
 
     Example: imufield solve --latitude 48.1 --height 520
 
@@ -45,7 +45,7 @@ class SolveOptions:
     """
 
     sessions: Annotated[
-        list[Path] | None, session_argument(metavar="[SESSION]...", help="Session folders (default: the newest).")
+        list[Path] | None, session_argument(metavar="SESSION", help="Session folders (default: the newest).")
     ] = None
     observations: Annotated[Path | None, option(help="CSV of position means instead of a session.")] = None
     site: PlaceOptions = field(default_factory=unknown_site)
@@ -323,7 +323,7 @@ class CertificateOptions:
 
     source: Annotated[
         Path | None,
-        session_argument(metavar="[SESSION]", help="Session folder, or parameter file (default: the newest session)."),
+        session_argument(metavar="SESSION", help="Session folder, or parameter file (default: the newest session)."),
     ] = None
     laboratory: Annotated[str, option(help="Laboratory that calibrates.")] = ""
     customer: Annotated[str, option(help="Who ordered the calibration.")] = ""

@@ -290,8 +290,8 @@ class Place:
         float | None,
         option(
             "--gravity",
-            help="Local gravity, m/s^2, e.g. 9.8089+-0.0001; without +-, it counts as rounded: 1 sigma is 0.29 units "
-            "of its last digit.",
+            help="Local gravity, m/s^2, e.g. 9.8089+-0.0001; without +-, 1 sigma is the rounding error: 0.29 of "
+            "the last digit.",
             envvar="IMUFIELD_GRAVITY_M_S2",
             parser=TypedNumber,
             metavar="FLOAT",

@@ -37,7 +37,7 @@ from imufield.guide.positions import DEFAULT_SCHEME, REVISIT_FROM, SCHEME_FILE, 
 from imufield.guide.view.marks import AGAIN_WITHIN_S, KEYS
 from imufield.guide.view.plain import known_words, words
 from imufield.guide.view.terminal import Keyboard
-from imufield.pipeline.calibration import FEWEST_CHECKED, one_of
+from imufield.pipeline.calibration import FEWEST_CHECKED, FEWEST_POSITIONS, one_of
 from imufield.pipeline.chain import (
     MARK,
     ROTATIONS,
@@ -422,7 +422,9 @@ def farewell(captured: Captured, view: ViewName, clock: HostClock) -> None:
     measured = f"{captured.accepted} of {captured.planned} positions measured"
     echo(beside(f"{measured}, session" if captured.can_be_solved else f"{measured} so far, all on disk in", folder))
     if captured.finished and captured.missing:
-        say(sentence("guided.missing", missing=captured.missing))
+        to_solve = FEWEST_POSITIONS - captured.accepted
+        key, missing = ("guided.too_few", to_solve) if to_solve > 0 else ("guided.missing", captured.missing)
+        say(sentence(key, missing=missing))
     echo(beside("next: " if captured.can_be_solved else "go on:", _next_command(captured, clock)))
 
 

@@ -81,7 +81,7 @@ def _check_goes_on(session: Session, *, resume: bool, retake: tuple[str, ...]) -
     guide = _guide_of(session)
     early = guide is not None and guide.finished_early
     if guide is None or not resume or not (early or retake):
-        key = "resume.finished_early" if early else "resume.finished"
+        key = "resume.unguided" if guide is None else "resume.finished_early" if early else "resume.finished"
         raise UsageError(sentence(key, folder=session.folder, quoted=shlex.quote(str(session.folder))))
     measured = guide.snapshot().accepted
     for name in retake:
@@ -153,7 +153,7 @@ def connect_as_before(options: ConnectOptions, session: Session) -> ConnectOptio
     elsewhere = options.port is not None or options.bus is not None
     # Other kinds of pyserial's addresses write files or load code: those a person types.
     if not elsewhere and (link.port or "").partition("://")[1] and not (link.port or "").startswith(_ADDRESSES):
-        raise UsageError(sentence("resume.port", folder=session.folder, port=link.port, known=_ADDRESSES))
+        raise UsageError(sentence("resume.port", folder=session.folder, port=link.port))
     same_place = (options.port, options.bus) == (link.port, link.bus)
     return replace(
         options,

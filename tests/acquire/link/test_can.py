@@ -280,7 +280,7 @@ def test_addresses(text: str, interface: str, channel: str, options: dict[str, o
     ("text", "wanted", "key"),
     [
         ("soketcan:can0", "'socketcan'", "can.interface"),
-        ("can0", "'can0'", "can.interface"),
+        ("can0", "'can0'", "can.no_colon"),
         ("socketcan", "socketcan:can0", "can.no_channel"),
         ("pcan:", "pcan:PCAN_USBBUS1", "can.no_channel"),
         ("pcan:1?bitrate", "'bitrate'", "can.option"),

@@ -114,7 +114,7 @@ def test_wrong_settings_name_what_is_allowed(given: dict[str, object], reason: R
             "frame_schema.part",
             "'inclination'",
         ),
-        ("0x92 =", "0x91 =", None, None, "toml_files.no_toml", "line "),
+        ("0x92 =", "0x91 =", None, None, "toml_files.no_protocol_file", "line "),
         ("0x92 =", "ninety =", "0x92 =", "frames.ninety", "frame_schema.key", "'ninety'"),
         (
             "CRC-32/MPEG-2",
