@@ -29,8 +29,8 @@ class VectorNavBinary(VectorNav):
     last 2  CRC-16 of all but the first byte, high byte first
     ======  ==============================================================
 
-    The message carries no length, so one with an unknown field in its group mask cannot be decoded. z points down, so a level unit at rest shows
-    about -9.8 m/s^2 there.
+    The message carries no length, so one with an unknown field in its group mask cannot be decoded. z points down, so a
+    level unit at rest shows about -9.8 m/s^2 there.
     """
 
     name = "vectornav_binary"

@@ -24,7 +24,7 @@ _UsageError = cast("type[Exception]", typer.BadParameter.__bases__[0])
 
 
 def _adapted(parameters: Iterable[object]) -> list[object]:
-    """Return the parameters; help shows no type beside those that have no value, and what has none is not converted.
+    """Return the parameters; help shows no type of those without a value, and no list; what has none is not converted.
 
     What typer converts with is slow to import, and for a command without words not needed.
     """
@@ -32,9 +32,17 @@ def _adapted(parameters: Iterable[object]) -> list[object]:
         own = vars(parameter)
         if own.get("is_flag"):
             own["metavar"] = ""
+        if own["nargs"] != 1 or own["multiple"]:
+            own["bare_type"] = partial(_type_of_one, parameter)
         if own["nargs"] == 1 and not own["multiple"] and not own["required"]:
             own["process_value"] = partial(_process_value, type(parameter).process_value, parameter)  # type: ignore[attr-defined]
     return parameters
+
+
+def _type_of_one(parameter: object) -> str:
+    """Return the type that help shows of a list: that of one value, without ``list[...]`` of Python."""
+    kind: type = get_args(parameter.type_descriptor.annotation)[0]  # type: ignore[attr-defined]  # one of typer
+    return kind.__name__.lower()
 
 
 def _process_value(process: Callable[..., object], parameter: object, context: typer.Context, value: object) -> object:

@@ -141,7 +141,7 @@ def _import_tables(options: ImportOptions) -> tuple[Session, list[str]]:
     )
     # The unit of time is spent when the rows are made; their protocol does not know it.
     of_rows = {name: value for name, value in options.settings.items() if name != TIME_UNIT}
-    protocol = load_protocol(ROWS_PROTOCOL, {**of_rows, **table.settings})
+    protocol = load_protocol(ROWS_PROTOCOL, {**of_rows, **table.settings}, label="an imported table")
     with _whole_or_nothing(_new_session(options, protocol, table), protocol) as (session, recorder):
         write_rows(recorder, table.rows, table.status, table.counter)
     return session, list(table.assumptions)

@@ -312,7 +312,7 @@ def test_what_was_finished_early_goes_on_when_it_is_named(
     screen.wait_for("1 of 6 done")
     screen.type("ff")
     assert screen.wait() == 0
-    assert says(screen.text, "commands.terminal", "guided.missing", missing=5)
+    assert says(screen.text, "commands.terminal", "guided.too_few", missing=5)
     session = newest(program)
     assert session.finished
     refused = program.run("capture", "--session", session.folder)

@@ -300,6 +300,8 @@ def test_an_import_is_replaced_when_asked_and_nothing_else_is(tmp_path: Path, ca
     assert imported("a.csv", "--replace") == 0
     once_more = ["import", str(tmp_path / "b.csv"), "-o", str(here)]
     fails(once_more, 4, Reason.UNFINISHED, "--replace", key="import_files.exists")
+    go_on = ["capture", "--resume", "--session", str(here), "--retake", "x+0"]
+    fails(go_on, 2, Reason.USAGE, f"imufield solve {here}", key="resume.unguided")
     assert imported("nowhere.csv", "--replace") == 4
     assert level() == pytest.approx(9.8, rel=1e-3)
     assert imported("b.csv", "--replace") == 0

@@ -116,7 +116,11 @@ def _shipped() -> Path:
 
 
 def load_protocol(
-    name_or_path: str | Path, settings: Mapping[str, object] | None = None, *, read: Mapping[str, object] | None = None
+    name_or_path: str | Path,
+    settings: Mapping[str, object] | None = None,
+    *,
+    read: Mapping[str, object] | None = None,
+    label: str | None = None,
 ) -> Protocol:
     """Load a protocol that ships with imufield by its name, or a user's by its path.
 
@@ -127,19 +131,21 @@ def load_protocol(
         What the user gave: values, or text as typed.
     read : mapping, optional
         What the instrument itself said. A value the user gave wins.
+    label : str, optional
+        What to call it in sentences, where its name means nothing to the user.
 
     Raises
     ------
     ProtocolError
         If there is no such protocol, the file is not understood (with line and key), or a setting is not allowed.
     """
-    label, text = _find_text(name_or_path)
+    name, text = _find_text(name_or_path)
     if _CAN_KIND.search(text):
         from imufield.acquire.protocol.can_protocol import embed_dbc
 
         # A recording keeps this text, which must hold all that decodes it.
-        text = embed_dbc(text, lambda name: _read_beside(name_or_path, name))
-    return parse_protocol(text, settings, read=read, label=label)
+        text = embed_dbc(text, lambda dbc: _read_beside(name_or_path, dbc))
+    return parse_protocol(text, settings, read=read, label=label or name)
 
 
 def parse_protocol(

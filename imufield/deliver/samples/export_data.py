@@ -125,6 +125,6 @@ FORMATS = {
     "parquet": Format("parquet", "Parquet (extra `parquet`)", write_parquet),
     "hdf5": Format("h5", "HDF5, one dataset for each column (extra `hdf5`)", write_hdf5),
     "ros2": Format("mcap", "sensor_msgs/msg/Imu for ROS 2, Foxglove, PlotJuggler", write_ros2, _LACKING),
-    "overview": Format("overview.csv", "text, least, mean and largest value of each interval, for plots of hours", _write_overview),
+    "overview": Format("overview.csv", "text, least, mean and largest value of each interval, for plots", _write_overview),
     OUTLINE: Format("outline.csv", "like overview, from a few seconds of each minute; faster", _write_overview),
 }

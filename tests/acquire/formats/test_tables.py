@@ -16,6 +16,11 @@ from tests.acquire.table_files import ACCELEROMETER, GYROSCOPE, RNG, TIME, N, te
 from tests.refused import refused
 
 
+def test_a_folder_is_called_one(tmp_path: Path) -> None:
+    with refused(RecordingError, Reason.BAD_DATA, str(tmp_path), key="table_text.folder"):
+        read_tables([tmp_path])
+
+
 def test_a_csv_with_header_says_everything_itself(tmp_path: Path) -> None:
     header = "time_ms,acc_x (m/s^2),acc_y (m/s^2),acc_z (m/s^2),gyro_x (rad/s),gyro_y (rad/s),gyro_z (rad/s)\r\n"
     path = write(tmp_path, text_of(TIME * 1e3, ACCELEROMETER, GYROSCOPE, delimiter=",", header=header, end="\r\n"))
