@@ -367,7 +367,7 @@ class Talker:
     [
         ([can.Message(is_error_frame=True, arbitration_id=8, data=bytes(8))], None, 3, "only error frames"),
         ([can.Message(arbitration_id=0x123, is_extended_id=False)], None, 3, "identifiers 123 x"),
-        ([can.Message(arbitration_id=0x123, is_extended_id=False)], "xsens_can", 3, "but not of xsens_can"),
+        ([can.Message(arbitration_id=0x123, is_extended_id=False)], "xsens_can", 3, "0 samples with xsens_can (5 needed)"),
         (
             [can.Message(arbitration_id=one, data=bytes(8)) for one in (0x08F02D80, 0x0CF02A80)],
             None,
