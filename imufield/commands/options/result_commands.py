@@ -37,7 +37,7 @@ ParameterFile = Annotated[Path, session_argument(help="Parameter file.")]
 class SolveOptions:
     """The options of ``solve``.
 
-    With --together, sessions of one instrument give one file, whose uncertainty also covers days on which nothing was measured.
+    With --together, all sessions of one instrument give one file; its uncertainty includes the change from day to day.
 
     Example: imufield solve --latitude 48.1 --height 520
 
