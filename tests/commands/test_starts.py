@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from imufield.cli.run import run
+
 # All that takes longer than some milliseconds and is not used by every command.
 SLOW = {
     *("typer", "pydantic", "rich", "numpy", "numpy.random", "scipy", "serial", "can", "cantools", "mcap.records", "zstandard"),
@@ -40,9 +42,18 @@ USED = {
 }
 
 
+@pytest.fixture(scope="module")
+def solved_here(short_session: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a session solved by this process: what another one of the tests has kept is not believed."""
+    folder = tmp_path_factory.mktemp("starts") / "session"
+    shutil.copytree(short_session, folder)
+    assert run(["solve", str(folder), "--latitude", "48"]) == 0
+    return folder
+
+
 @pytest.mark.parametrize("line", USED)
-def test_a_start_loads_what_it_uses(line: str, short_solved: Path, tmp_path: Path) -> None:
-    shutil.copytree(short_solved, tmp_path / "session")  # Others use it, too, and some commands write into it.
+def test_a_start_loads_what_it_uses(line: str, solved_here: Path, tmp_path: Path) -> None:
+    shutil.copytree(solved_here, tmp_path / "session")  # Some commands write into it.
     np.savetxt(tmp_path / "table.csv", np.ones((500, 6)), delimiter=",", header="ax,ay,az,gx,gy,gz", comments="")
     code = f"""
 import sys
