@@ -125,11 +125,11 @@ def test_a_killed_capture_goes_on_where_it_was(program: Program, terminals: list
 def unplug(terminal: Terminal, emulator: subprocess.Popen[str], link: Path) -> int:
     """Take the instrument away behind the first position; return where the screen says that it is gone."""
     place = terminal.expect("accepted")
+    # The link first: the number of its pseudo-terminal is free at once, and may be that of another test's terminal next.
+    link.unlink()
     emulator.kill()
     emulator.wait()
-    place = terminal.expect("N O   L I N K", after=place)
-    link.unlink(missing_ok=True)
-    return place
+    return terminal.expect("N O   L I N K", after=place)
 
 
 def test_unplugged_and_plugged_in_again(program: Program, terminals: list[Terminal]) -> None:
