@@ -16,7 +16,17 @@ from imufield.cli.run import run
 # All that takes longer than some milliseconds and is not used by every command.
 SLOW = {
     *("typer", "pydantic", "rich", "numpy", "numpy.random", "scipy", "serial", "can", "cantools", "mcap.records", "zstandard"),
-    *("crccheck", "matplotlib", "jinja2", "tomli_w", "importlib.metadata", "concurrent.futures", "asyncio", "subprocess"),
+    *(
+        "crccheck",
+        "matplotlib",
+        "jinja2",
+        "tomli_w",
+        "orjson",
+        "importlib.metadata",
+        "concurrent.futures",
+        "asyncio",
+        "subprocess",
+    ),
     *("imufield.acquire.decoder", "imufield.calibrate.gyroscope", "imufield.guide.lead.guide"),
     *("imufield.simulate", "imufield.web", "imufield.study", "imufield.deliver.exports", "imufield.deliver.report"),
 }
@@ -35,8 +45,8 @@ USED = {
     "solve session": {*SOLVING, "rich"},
     "replay session": {*READING, "imufield.guide.lead.guide", "imufield.calibrate.gyroscope"},
     "export session/parameters.toml --to c -o calibration.h": {"numpy", "imufield.deliver.exports"},
-    "export-data session --to csv -o samples.csv": {*READING, "concurrent.futures"},
-    "apply session/parameters.toml session -o corrected.csv": {*READING, "concurrent.futures"},
+    "export-data session --to csv -o samples.csv": {*READING, "orjson"},
+    "apply session/parameters.toml session -o corrected.csv": {*READING, "orjson"},
     "history session": {"numpy", "numpy.random", "concurrent.futures", "subprocess", "imufield.calibrate.gyroscope"},
     "report session": {*SOLVING, "rich", "jinja2", "importlib.metadata"},
 }

@@ -11,13 +11,11 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.deliver.samples.export_csv import ROWS, write_csv
 from imufield.deliver.samples.export_ros2 import write_ros2
 from imufield.deliver.samples.export_tables import write_hdf5, write_parquet
-from imufield.deliver.samples.number_text import float_cells, table_text
+from imufield.deliver.samples.number_text import float_column, table_text
 from imufield.deliver.samples.overview import overview
 from imufield.errors import RecordingError
 from imufield.files import make_beside, typed_write_errors, usual_mode
@@ -113,8 +111,7 @@ def export_csv(blocks: Iterable[Samples], path: str | Path) -> int:
 
 def _write_overview(blocks: Iterable[Samples], path: Path, facts: Mapping[str, str]) -> int:  # noqa: ARG001  (the same)
     columns, samples = overview(blocks)
-    cells = [cell for column in columns.values() for cell in float_cells(column[np.newaxis])]
-    path.write_bytes((",".join(columns) + "\n").encode() + table_text(cells))
+    path.write_bytes((",".join(columns) + "\n").encode() + table_text([*map(float_column, columns.values())]))
     return samples
 
 

@@ -1,15 +1,11 @@
-"""CSV by blocks against lines made one by one with ``repr``, and what happens when the samples or the disk end early."""
+"""CSV by blocks against lines made one by one with ``repr``."""
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import pytest
 
-from imufield.deliver.samples import export_csv
 from imufield.deliver.samples.export_csv import ROWS, write_csv
 from imufield.samples import NO_COUNTER, SAMPLE_COLUMNS, Samples, SampleUnits
 
@@ -42,25 +38,3 @@ def test_the_text_is_that_of_python(tmp_path: Path) -> None:
     blocks = [samples[start : start + ROWS] for start in range(0, len(samples), ROWS)]
     assert write_csv(blocks, tmp_path / "out.csv", {}) == len(samples)
     assert (tmp_path / "out.csv").read_bytes().decode() == ",".join(SAMPLE_COLUMNS) + "\n" + lines_of(samples)
-
-
-@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
-def test_samples_that_end_with_an_error(tmp_path: Path, error: type[BaseException]) -> None:
-    def blocks() -> Iterator[Samples]:
-        yield made(100)
-        yield made(100)
-        raise error
-
-    threads = threading.active_count()
-    with pytest.raises(error):
-        write_csv(blocks(), tmp_path / "out.csv", {})
-    assert threading.active_count() == threads
-
-
-def test_text_that_cannot_be_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(samples: Samples) -> bytes:
-        raise MemoryError(len(samples))
-
-    monkeypatch.setattr(export_csv, "rows_text", fail)
-    with pytest.raises(MemoryError, match="100"):
-        write_csv([made(100)] * 20, tmp_path / "out.csv", {})

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imufield.deliver.samples.number_text import float_cells, integer_cell, table_text
+from imufield.deliver.samples.number_text import float_column, integer_column, table_text
 from imufield.samples import FloatArray, IntArray
 
 EDGES = (
@@ -19,7 +19,7 @@ EDGES = (
 
 
 def text_of(columns: FloatArray) -> str:
-    return table_text(float_cells(columns)).decode()
+    return table_text([*map(float_column, columns)]).decode()
 
 
 def by_repr(columns: FloatArray) -> str:
@@ -73,14 +73,14 @@ def test_integers(bits: int) -> None:
     numbers[:3] = 0, -(2**bits), 2**bits - 1
     missing = np.arange(2000) % 7 == 3
     wanted = "".join(("" if gone else str(number)) + "\n" for number, gone in zip(numbers.tolist(), missing, strict=True))
-    assert table_text([integer_cell(numbers, missing)]).decode() == wanted
+    assert table_text([integer_column(numbers, missing)]).decode() == wanted
 
 
 @pytest.mark.parametrize("rows", [0, 1, 1023, 1024, 1025, 5000])
 def test_a_table_of_both_kinds(rows: int) -> None:
     times = np.arange(rows) / 2000 + 99
     numbers: IntArray = np.arange(rows)
-    cells = [*float_cells(times[np.newaxis]), integer_cell(numbers, numbers < 0), *float_cells(-times[np.newaxis])]
+    columns = [float_column(times), integer_column(numbers, numbers < 0), float_column(-times)]
     wanted = "".join(f"{time!r},{number},{-time!r}\n" for number, time in enumerate(times.tolist()))
-    # Twice: text is made of cells, and leaves them as they are.
-    assert table_text(cells).decode() == table_text(cells).decode() == wanted
+    # Twice: text is made of columns, and leaves them as they are.
+    assert table_text(columns).decode() == table_text(columns).decode() == wanted
