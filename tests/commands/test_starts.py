@@ -31,9 +31,9 @@ SLOW = {
     *("imufield.simulate", "imufield.web", "imufield.study", "imufield.deliver.exports", "imufield.deliver.report"),
 }
 DECODING = {"numpy", "zstandard", "imufield.acquire.decoder"}
-READING = {*DECODING, "crccheck"}
+READING = {*DECODING, "crccheck", "concurrent.futures"}
 # What is kept of a session needs no guide.
-SOLVING = {*READING, "imufield.calibrate.gyroscope", "imufield.deliver.report", "concurrent.futures"}
+SOLVING = {*READING, "imufield.calibrate.gyroscope", "imufield.deliver.report"}
 USED = {
     "--version": set[str](),
     "--help": {"rich"},
