@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import struct
 import zlib
@@ -287,6 +288,15 @@ def test_a_sealed_chunk_of_nonsense_is_left_out_and_named(made: MadePart, tmp_pa
     assert [entry.offset for entry in damage] == [start]
 
 
+def test_damage_is_told_in_the_order_of_the_file(made: MadePart, tmp_path: Path) -> None:
+    # The next chunk is unpacked before this one is looked through.
+    start, wrong = made.blocks[1][0], bytearray(sealed(b"garbage"))
+    wrong[-1] ^= 1
+    damage: list[Damage] = []
+    read_items(written(tmp_path, made.data[:start] + sealed(b"garbage") + wrong + made.data[start:]), damage)
+    assert [entry.offset for entry in damage] == [start, start + len(wrong)]
+
+
 def test_messages_of_other_channels_are_passed_over(made: MadePart, tmp_path: Path) -> None:
     start = made.blocks[1][0]
     damage: list[Damage] = []
@@ -394,6 +404,43 @@ def test_blocks_end_at_size_silence_and_events(tmp_path: Path) -> None:
     assert [len(item.monotonic_s) if isinstance(item, RecordedBlock) else item.event for item in items] == [3, 2, {"i": 4}, 2]
     assert [len(block.data) for block in blocks_of(session, block_bytes=20)] == [20, 10, 20, 20]
     assert [len(block.data) for block in blocks_of(session, span_s=0.0)] == [10] * 7
+
+
+def one_by_one(times_s: list[float], sizes: list[int], *, block_bytes: int, span_s: float) -> list[int]:
+    """Return how many chunks each block has, by the rule as it is said."""
+    counts: list[int] = []
+    first_s = last_s = held = 0.0
+    for time_s, size in zip(times_s, sizes, strict=True):
+        if not counts or held + size > block_bytes or time_s - first_s > span_s or abs(time_s - last_s) > 0.25:
+            counts.append(0)
+            first_s, held = time_s, 0
+        counts[-1] += 1
+        last_s, held = time_s, held + size
+    return counts
+
+
+@given(
+    steps=st.lists(st.tuples(st.sampled_from((0.0, 0.02, 0.2, 0.25, 0.3, -0.1, -5.0, np.nan)), st.integers(0, 30)), min_size=1),
+    cuts=st.sets(st.integers(0, 40)),
+    block_bytes=st.integers(1, 100),
+    span_s=st.sampled_from((0.0, 0.3, 1.0)),
+)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
+def test_blocks_are_the_same_however_chunks_were_packed(
+    tmp_path: Path, steps: list[tuple[float, int]], cuts: set[int], block_bytes: int, span_s: float
+) -> None:
+    times_s, sizes = np.nancumsum([step for step, _ in steps]), [size for _, size in steps]
+    times_s[np.isnan([step for step, _ in steps])] = np.nan
+    messages = [link_message(bytes(size), time_s, 0, 0) for time_s, size in zip(times_s.tolist(), sizes, strict=True)]
+    edges = [0, *sorted(cut for cut in cuts if 0 < cut < len(messages)), len(messages)]
+    packed = [chunk_record(messages[begin:end]) for begin, end in itertools.pairwise(edges)]
+    session = session_of(tmp_path, start_of_part(METADATA) + b"".join(packed) + end_of_part())
+    blocks = list(blocks_of(session, block_bytes=block_bytes, span_s=span_s))
+    counts = one_by_one(times_s.tolist(), sizes, block_bytes=block_bytes, span_s=span_s)
+    assert [len(block.monotonic_s) for block in blocks] == counts
+    np.testing.assert_array_equal(np.concatenate([block.monotonic_s for block in blocks]), times_s)
+    ends = [np.diff(block.end, prepend=0).tolist() for block in blocks]
+    assert list(itertools.chain.from_iterable(ends)) == sizes
 
 
 def test_a_recording_poses_as_a_link(made: MadePart, tmp_path: Path) -> None:
