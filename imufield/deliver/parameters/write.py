@@ -19,8 +19,9 @@ from imufield.deliver.parameters.context import Context
 from imufield.deliver.parameters.document import to_document
 from imufield.deliver.parameters.schema import Document, first_fault, json_ready
 from imufield.errors import ParameterFileError
-from imufield.files import typed_write_errors, write_keeping
+from imufield.files import Origin, read_small_file, typed_write_errors, write_keeping
 from imufield.sentences import Sentences
+from imufield.toml_files import decode_toml, parse_toml
 
 EDITED = "edited"
 """Stands in place of the hash where a person changed the file on purpose."""
@@ -76,9 +77,21 @@ def write_document(path: Path | str, document: Document, *, advice: str = "") ->
     """
     path = Path(path)
     # Before the file is touched: a document that breaks the rules leaves the old file where it is.
-    text = to_toml(document)
+    text = to_toml(_as_written(path, document))
     with typed_write_errors(path, advice=advice):
         return write_keeping(path, text.encode("utf-8"))
+
+
+def _as_written(path: Path, document: Document) -> Document:
+    """Return a document with the time of the file that is there, where nothing else differs: the same, solved again."""
+    try:
+        text = decode_toml(read_small_file(path, Origin.INSIDE), str(path), ParameterFileError)
+        before = parse_toml(text, str(path), ParameterFileError)
+    except (OSError, ParameterFileError):
+        return document
+    same = document | {"created": before.get("created")}
+    is_same = before.get("integrity") == {"sha256": content_sha256(same)} and first_fault(same) is None
+    return same if is_same else document
 
 
 def _table_lines(table: Document, name: str, comments: Mapping[str, str]) -> Iterator[str]:

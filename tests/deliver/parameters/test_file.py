@@ -131,10 +131,27 @@ def test_any_float_and_any_text_survive(
 
 def test_an_existing_file_is_kept(file: Path, calibration: Calibration, observations: Observations, context: Context) -> None:
     first = file.read_bytes()
-    kept = write_parameters(file, calibration, observations, replace(context, created="2025-03-02T10:55:00Z"))
+    other = replace(context, created="2025-03-02T10:55:00Z", session=replace(context.session, name="another"))
+    kept = write_parameters(file, calibration, observations, other)
     assert kept == file.with_name("parameters-1.toml")
     assert kept.read_bytes() == first
     assert load(file).context.created == "2025-03-02T10:55:00Z"
+
+
+def test_the_same_at_another_time_is_the_file_that_is_there(
+    file: Path, calibration: Calibration, observations: Observations, context: Context
+) -> None:
+    first, later = file.read_bytes(), replace(context, created="2025-03-02T10:55:00Z")
+    assert write_parameters(file, calibration, observations, later) is None
+    assert file.read_bytes() == first
+    assert list(file.parent.iterdir()) == [file]
+    # A file that somebody has changed is no such file, whatever its hash says.
+    for edited in (first.replace(b"created = ", b"erected = "), b"x = " + b"[" * 100_000, b"\xff"):
+        file.write_bytes(edited)
+        kept = write_parameters(file, calibration, observations, later)
+        assert kept is not None
+        assert kept.read_bytes() == edited
+        assert load(file).context.created == later.created
 
 
 def test_a_full_disk_leaves_the_old_file(
