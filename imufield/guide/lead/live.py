@@ -12,7 +12,7 @@ import numpy as np
 
 from imufield.guide.stillness.cells import CELL_S, Cells, cells_in, join_cells
 from imufield.guide.stillness.scale import RoughScale
-from imufield.samples import FloatArray, Samples
+from imufield.samples import FloatArray, Samples, Status
 
 _NEWEST_S = 0.02  # As long as links gather samples anyway; vibration is averaged out.
 SPAN_S = 30.0
@@ -81,15 +81,17 @@ class LiveFeed:
         """Return the six signals in the units of a scale, None before the first."""
         if not self._blocks:
             return None
-        slot = np.concatenate([block.slot for block in self._blocks])[-cells_in(SPAN_S) :]
+        slot, flags, *values = (
+            np.concatenate([getattr(block, name) for block in self._blocks])[-cells_in(SPAN_S) :]
+            for name in ("slot", "flags", "mean", "low", "high")
+        )
+        # What an instrument sends before it is ready would make the scale of a picture.
+        values = [np.where(flags[:, np.newaxis] & np.uint32(Status.START_UP), np.nan, value) for value in values]
         # A clock that was set back leaves cells of the future.
         kept = slot <= slot[-1]
         (_, force_unit, force), (_, rate_unit, rate) = scale.triads
         zero, factor = np.append(scale.raw_zero, np.zeros(3)), np.repeat([force, rate], 3)
-        mean, low, high = (
-            (np.concatenate([getattr(block, name) for block in self._blocks])[-len(slot) :][kept] - zero) / factor
-            for name in ("mean", "low", "high")
-        )
+        mean, low, high = ((value[kept] - zero) / factor for value in values)
         return Signals(
             newest_s=float(slot[-1]) * CELL_S,
             age_s=(slot[-1] - slot[kept]) * CELL_S,

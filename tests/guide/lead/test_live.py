@@ -11,7 +11,7 @@ from imufield.guide.lead.live import SPAN_S, LiveFeed
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.positions import scheme
 from imufield.guide.stillness.scale import RoughScale
-from imufield.samples import Samples, SampleUnits, concatenate
+from imufield.samples import Samples, SampleUnits, Status, concatenate
 from tests.guide.guided import cells_of
 
 SI = RoughScale(1.0, 1.0)
@@ -73,3 +73,14 @@ def test_missing_samples_leave_a_gap_and_a_clock_set_back_no_future(make_path: A
     earlier = feed_of(samples[700:], samples[:100]).signals(SI)
     assert earlier is not None
     assert len(earlier.age_s) == 10
+
+
+def test_what_an_instrument_sends_before_it_is_ready_makes_no_scale(make_path: Any) -> None:
+    samples = make_path(100.0).hold([0, 0, 1], 3).samples()
+    samples.status[:55] |= np.uint32(Status.START_UP)
+    samples.gyroscope[:55] = 8.4
+    signals = feed_of(samples).signals(SI)
+    assert signals is not None
+    assert np.isnan(signals.high[:6]).all()
+    assert np.nanmax(signals.high[:, 3:]) < 0.1
+    assert np.isfinite(signals.low[6:]).all()
