@@ -19,7 +19,7 @@ from imufield.acquire.recording.session import Session
 from imufield.commands.options.result_commands import SolveOptions
 from imufield.commands.terminal.output import echo, say, tell_written
 from imufield.console import PlainTextConsole
-from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, json_ready, write_document
+from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, as_written, json_ready, write_document
 from imufield.deliver.parameters.numbers import WIDTH, hanging
 from imufield.deliver.parameters.schema import Document
 from imufield.deliver.report.gain import document_with_gain
@@ -68,6 +68,7 @@ def run_solve(options: SolveOptions) -> int:
         solved = over_temperature(MarkedSession(base, marks), recorded, settings, options.site)
     # Asked before the file that stands there is replaced.
     lost = lost_by_replacing(path, solved)
+    solved = replace(solved, document=as_written(path, solved.document))
     kept = write_document(path, solved.document, advice=sentence("solve.elsewhere"))
     if options.as_json:
         echo(json.dumps(document_with_gain(solved) | {"notes": lost}))
@@ -194,13 +195,14 @@ def _write(outcome: SessionOutcome) -> SessionOutcome:
         return outcome
     path = outcome.session / PARAMETER_FILE
     lost = lost_by_replacing(path, outcome.found)
+    found = replace(outcome.found, document=as_written(path, outcome.found.document))
     try:
-        kept = write_document(path, outcome.found.document)
+        kept = write_document(path, found.document)
     # One folder that cannot be written must not cost the others their files.
     except ImufieldError as error:
         return replace(outcome, exit_code=error.exit_code, error=str(error.message))
     moved = () if kept is None else (sentence("solve.kept", name=kept.name),)
-    return replace(outcome, written=path, kept=kept, notes=(*moved, *lost))
+    return replace(outcome, found=found, written=path, kept=kept, notes=(*moved, *lost))
 
 
 def _print(outcomes: list[SessionOutcome]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from rich.table import Table
@@ -12,7 +13,7 @@ from imufield.acquire.recording.session import Session
 from imufield.commands.options.result_commands import SolveOptions
 from imufield.commands.terminal.output import echo, say, say_each, tell_written
 from imufield.console import PlainTextConsole
-from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, json_ready, write_document
+from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, as_written, json_ready, write_document
 from imufield.deliver.parameters.joined import shown_unit
 from imufield.deliver.parameters.numbers import WIDTH, to_ascii
 from imufield.deliver.report.together import HEADINGS, together_rows
@@ -41,6 +42,7 @@ def run_solve_together(options: SolveOptions) -> int:
     refuse_overwriting(path, parts, advice=sentence("solve.elsewhere"))
     parameters = solve_together(sessions, options.settings(), options.site, options.workers)
     lost = lost_by_replacing(path, parameters)
+    parameters = replace(parameters, document=as_written(path, parameters.document))
     kept = write_document(path, parameters.document, advice=sentence("solve.elsewhere"))
     if options.as_json:
         echo(json.dumps(json_ready(parameters.document) | {"notes": lost}))

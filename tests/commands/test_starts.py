@@ -16,24 +16,15 @@ from imufield.cli.run import run
 # All that takes longer than some milliseconds and is not used by every command.
 SLOW = {
     *("typer", "pydantic", "rich", "numpy", "numpy.random", "scipy", "serial", "can", "cantools", "mcap.records", "zstandard"),
-    *(
-        "crccheck",
-        "matplotlib",
-        "jinja2",
-        "tomli_w",
-        "orjson",
-        "importlib.metadata",
-        "concurrent.futures",
-        "asyncio",
-        "subprocess",
-    ),
+    *("crccheck", "matplotlib", "jinja2", "tomli_w", "importlib.metadata", "concurrent.futures", "asyncio", "subprocess"),
+    "orjson",
     *("imufield.acquire.decoder", "imufield.calibrate.gyroscope", "imufield.guide.lead.guide"),
     *("imufield.simulate", "imufield.web", "imufield.study", "imufield.deliver.exports", "imufield.deliver.report"),
 }
 DECODING = {"numpy", "zstandard", "imufield.acquire.decoder"}
-READING = {*DECODING, "crccheck", "concurrent.futures"}
+READING = {*DECODING, "crccheck"}
 # What is kept of a session needs no guide.
-SOLVING = {*READING, "imufield.calibrate.gyroscope", "imufield.deliver.report"}
+SOLVING = {*READING, "imufield.calibrate.gyroscope", "imufield.deliver.report", "concurrent.futures"}
 USED = {
     "--version": set[str](),
     "--help": {"rich"},

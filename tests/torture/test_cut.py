@@ -34,7 +34,7 @@ def chunks_of(part: Path, damage: list[Damage]) -> list[Chunk]:
 def block_starts(part: Path) -> list[int]:
     """Where each block starts that the recorder wrote and synced at once."""
     with PartFile(part) as file:
-        return [content.offset for content in file.contents()]
+        return [position for position, _ in file.contents()]
 
 
 @pytest.mark.timeout(3600)

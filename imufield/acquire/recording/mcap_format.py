@@ -19,7 +19,7 @@ from __future__ import annotations
 import json
 import struct
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from enum import Enum
 from pathlib import PurePath
 
@@ -154,12 +154,12 @@ def unpack_chunk(body: bytes) -> bytes:
     return content
 
 
-def messages(content: bytes) -> list[tuple[int, int, int, int]]:
-    """Return the Message records of a chunk.
+def messages(content: bytes) -> Iterator[tuple[int, int, int, int]]:
+    """Walk through the Message records of a chunk.
 
-    Returns
-    -------
-    list of (channel, utc_ns, start, end), each int
+    Yields
+    ------
+    channel, utc_ns, start, end : int
         The data of the message are ``content[start:end]``.
 
     Raises
@@ -168,17 +168,16 @@ def messages(content: bytes) -> list[tuple[int, int, int, int]]:
         If the records do not fill the chunk.
     """
     # By hand and not by the package, which makes an object of each message: hours of recording have millions.
-    found, position, size = [], 0, len(content)
+    position, size = 0, len(content)
     while position + MESSAGE.size <= size:
         opcode, length, channel, _, utc_ns, _ = MESSAGE.unpack_from(content, position)
         end = position + RECORD.size + length
         if opcode != Opcode.MESSAGE or length < _MESSAGE_CONTENT or end > size:
             raise DamageError(sentence("mcap_format.no_messages"))
-        found.append((channel, utc_ns, position + MESSAGE.size, end))
+        yield channel, utc_ns, position + MESSAGE.size, end
         position = end
     if position != size:
         raise DamageError(sentence("mcap_format.no_messages"))
-    return found
 
 
 def read_metadata(body: bytes) -> tuple[int, dict[str, object]]:

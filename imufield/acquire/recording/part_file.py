@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from io import BufferedReader
 from pathlib import Path
 from types import TracebackType
-from typing import NamedTuple, Self
+from typing import Self
 
 from mcap.opcode import Opcode
 
@@ -89,14 +89,6 @@ class Damage:
     torn_end: bool = False
 
 
-class Content(NamedTuple):
-    """The Message records of a chunk, and where it begins and ends in the file."""
-
-    offset: int
-    end: int
-    messages: bytes
-
-
 class PartFile:
     """A part opened for reading.
 
@@ -107,6 +99,8 @@ class PartFile:
     damage : list of Damage
     finished : bool
         Whether the proper end was found.
+    read_bytes : int
+        Where what was read last ends.
 
     Raises
     ------
@@ -119,6 +113,7 @@ class PartFile:
         self.metadata: dict[str, object] = {}
         self.damage: list[Damage] = []
         self.finished = False
+        self.read_bytes = 0
         self._in_head = True
         self._file = open_part(path)
         try:
@@ -135,21 +130,21 @@ class PartFile:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None) -> None:
         self._file.close()
 
-    def contents(self) -> Iterator[Content]:
-        """Yield every sound chunk."""
+    def contents(self) -> Iterator[tuple[int, bytes]]:
+        """Yield place and Message records of every sound chunk."""
         position = len(MAGIC)
         while position < self._size and not self.finished:
             self._file.seek(position)
             try:
                 opcode, body = self._record(position)
+                self.read_bytes = self._file.tell()
                 content = self._handle(opcode, body)
             except DamageError as error:
                 position = self._skip(position, error)
                 continue
-            end = position + RECORD.size + len(body)
             if content is not None:
-                yield Content(position, end, content)
-            position = end
+                yield position, content
+            position += RECORD.size + len(body)
         if not self.finished and (not self.damage or not self.damage[-1].torn_end):
             self._note("part_file.no_end", self._size, torn_end=True)
 

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import filecmp
 import itertools
+import json
 import math
 import os
 from collections.abc import Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from operator import itemgetter
 from pathlib import Path
 from typing import Protocol
 
@@ -22,8 +21,8 @@ import numpy as np
 from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.link.host_clock import HostClock, SystemClock
 from imufield.acquire.recording.mcap_format import ARRIVAL, EVENTS_CHANNEL, LINK_CHANNEL, DamageError, messages
-from imufield.acquire.recording.part_file import Content, PartFile, open_part
 from imufield.acquire.recording.part_file import Damage as Damage  # noqa: PLC0414  (handed on)
+from imufield.acquire.recording.part_file import PartFile, open_part
 from imufield.errors import LinkError, Reason, UsageError
 from imufield.json_files import parse_json
 from imufield.progress import Task, task
@@ -111,10 +110,7 @@ def read_part(path: str | Path, damage: list[Damage] | None = None) -> Iterator[
         Not a recording, a newer version, or the file cannot be read.
     """
     for item in _items_of(Path(path), damage):
-        if isinstance(item, _Reads):
-            yield from item.chunks()
-        else:
-            yield item
+        yield Chunk(*item) if isinstance(item, tuple) else item
 
 
 def read_session(session: Parts, damage: list[Damage] | None = None) -> Iterator[PartStart | Chunk | RecordedEvent]:
@@ -152,12 +148,12 @@ def _blocks(
     session: Parts, damage: list[Damage] | None, joiner: _Joiner, reading: Task
 ) -> Iterator[PartStart | RecordedBlock | RecordedEvent]:
     for path in _parts_begun(session, damage):
-        begun = reading.done
-        for item in _items_of(path, damage):
-            if isinstance(item, _Reads):
-                for block in joiner.add(item):
-                    reading.done = begun + joiner.done_bytes
-                    yield block
+        for item in _items_of(path, damage, reading):
+            if isinstance(item, tuple):
+                data, monotonic_s, utc_ns = item
+                if joiner.must_end_before(monotonic_s, len(data)):
+                    yield joiner.take()
+                joiner.add(data, monotonic_s, utc_ns)
                 continue
             # An operator's mark is about the bytes before it: they must be decoded first.
             if joiner.pieces:
@@ -165,43 +161,7 @@ def _blocks(
             yield item
         # A block never runs over the end of a part, where the decoder begins anew.
         if joiner.pieces:
-            reading.done = begun + joiner.done_bytes
             yield joiner.take()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Reads:
-    """Consecutive chunks of the link, k of them; what is read of millions makes no object of each.
-
-    Attributes
-    ----------
-    data : list of bytes
-    monotonic_s : ndarray, shape (k,)
-    utc_ns : tuple of int
-        Beyond what a signed integer of NumPy holds where a recording is damaged.
-    done_bytes : ndarray, shape (k,)
-        How far the file was read at the end of each.
-    """
-
-    data: list[bytes]
-    monotonic_s: FloatArray
-    utc_ns: tuple[int, ...]
-    done_bytes: FloatArray
-
-    def __len__(self) -> int:
-        return len(self.data)
-
-    def __getitem__(self, rows: slice) -> _Reads:
-        return _Reads(
-            data=self.data[rows],
-            monotonic_s=self.monotonic_s[rows],
-            utc_ns=self.utc_ns[rows],
-            done_bytes=self.done_bytes[rows],
-        )
-
-    def chunks(self) -> Iterator[Chunk]:
-        """Yield one after the other."""
-        return map(Chunk, self.data, self.monotonic_s.tolist(), self.utc_ns)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -210,45 +170,34 @@ class _Joiner:
 
     block_bytes: int
     span_s: float
-    pieces: list[_Reads] = field(default_factory=list)
-    done_bytes: float = 0.0
+    pieces: list[bytes] = field(default_factory=list)
+    times: list[float] = field(default_factory=list)
+    size: int = 0
+    first_utc_ns: int = 0
+    utc_ns: int = 0
 
-    def add(self, reads: _Reads) -> Iterator[RecordedBlock]:
-        """Yield the blocks that these chunks complete; the others are kept."""
-        while (rows := self._that_fit(reads)) < len(reads):
-            self._keep(reads[:rows])
-            yield self.take()
-            reads = reads[rows:]
-        self._keep(reads)
+    def must_end_before(self, monotonic_s: float, size: int) -> bool:
+        return bool(self.pieces) and (
+            self.size + size > self.block_bytes
+            or monotonic_s - self.times[0] > self.span_s
+            # Either way: a time that runs back, as in logs of other programs, must not be smoothed over.
+            or abs(monotonic_s - self.times[-1]) > SILENCE_S
+        )
 
-    def _that_fit(self, reads: _Reads) -> int:
-        """Return how many chunks belong to the block that is being collected."""
-        times_s, before = reads.monotonic_s, self.pieces
-        first_s, last_s = (before[0].monotonic_s[0], before[-1].monotonic_s[-1]) if before else (times_s[0], times_s[0])
-        size = np.cumsum(np.fromiter(map(len, reads.data), dtype=np.int64, count=len(reads)))
-        size += sum(len(data) for piece in before for data in piece.data)
-        # Either way: a time that runs back, as in logs of other programs, must not be smoothed over.
-        paused = np.abs(np.diff(times_s, prepend=last_s)) > SILENCE_S
-        ends = (size > self.block_bytes) | (times_s - first_s > self.span_s) | paused
-        # However long the first is.
-        ends[0] &= bool(before)
-        return int(np.argmax(ends)) if ends.any() else len(reads)
-
-    def _keep(self, reads: _Reads) -> None:
-        if len(reads):
-            self.pieces.append(reads)
-            self.done_bytes = float(reads.done_bytes[-1])
+    def add(self, data: bytes, monotonic_s: float, utc_ns: int) -> None:
+        if not self.pieces:
+            self.first_utc_ns = utc_ns
+        self.pieces.append(data)
+        self.times.append(monotonic_s)
+        self.size += len(data)
+        self.utc_ns = utc_ns
 
     def take(self) -> RecordedBlock:
-        pieces, self.pieces = self.pieces, []
-        data = [chunk for piece in pieces for chunk in piece.data]
-        return RecordedBlock(
-            data=b"".join(data),
-            end=np.cumsum(np.fromiter(map(len, data), dtype=np.int64, count=len(data))),
-            monotonic_s=np.concatenate([piece.monotonic_s for piece in pieces]),
-            first_utc_ns=pieces[0].utc_ns[0],
-            utc_ns=pieces[-1].utc_ns[-1],
-        )
+        ends = np.cumsum(np.fromiter(map(len, self.pieces), dtype=np.int64, count=len(self.pieces)))
+        data, times_s = b"".join(self.pieces), np.array(self.times)
+        block = RecordedBlock(data=data, end=ends, monotonic_s=times_s, first_utc_ns=self.first_utc_ns, utc_ns=self.utc_ns)
+        self.pieces, self.times, self.size = [], [], 0
+        return block
 
 
 def _parts_begun(session: Parts, damage: list[Damage] | None) -> Iterator[Path]:
@@ -284,74 +233,57 @@ def _parts_begun(session: Parts, damage: list[Damage] | None) -> Iterator[Path]:
             yield path
 
 
+# Bytes of a chunk, its arrival on the monotonic clock and in UTC: fields of ``Chunk``, an object of which costs more.
+_Chunk = tuple[bytes, float, int]
+
+
 def _size(paths: Iterable[Path]) -> int:
     """Return the bytes of files; one that is gone is missed by whoever opens it."""
     return sum(path.stat().st_size for path in paths if path.is_file())
 
 
-def _items_of(path: Path, damage: list[Damage] | None) -> Iterator[PartStart | _Reads | RecordedEvent]:
+def _items_of(
+    path: Path, damage: list[Damage] | None, reading: Task | None = None
+) -> Iterator[PartStart | _Chunk | RecordedEvent]:
     """Yield the start of a part, then what our two channels hold."""
     with PartFile(path) as part:
-        contents = _one_ahead(part.contents())
+        contents = part.contents()
         # The metadata stand before the first chunk: reading that far makes them known.
         first = next(contents, None)
         yield PartStart(path, part.metadata)
-        for content in itertools.chain([] if first is None else [first], contents):
+        begun = 0 if reading is None else reading.done
+        for offset, content in itertools.chain([] if first is None else [first], contents):
             try:
-                # All of a chunk is checked before any of it is given away: half of one would be lost samples without a trace.
-                items = _items_in(content)
+                checked = [message for message in messages(content) if _is_sound(content, message)]
             except DamageError as error:
-                part.note(content.offset, error)
+                part.note(offset, error)
                 continue
-            yield from items
+            # Nothing of a chunk is given away before all of it is checked: half of one would be lost samples without a trace.
+            for channel, utc_ns, start, end in checked:
+                if reading is not None:
+                    reading.done = begun + offset + (part.read_bytes - offset) * end / len(content)
+                if channel == EVENTS_CHANNEL:
+                    yield RecordedEvent(json.loads(content[start:end]), utc_ns)
+                else:
+                    yield content[start + ARRIVAL.size : end], ARRIVAL.unpack_from(content, start)[0], utc_ns
         if damage is not None:
-            # What cannot be used may have been noted after a place further on.
-            damage.extend(sorted(part.damage, key=lambda place: place.offset))
+            damage.extend(part.damage)
 
 
-def _one_ahead(contents: Iterator[Content]) -> Iterator[Content]:
-    """Yield what there is, a thread unpacking the next meanwhile."""
-    with ThreadPoolExecutor(1) as thread:
-        following = thread.submit(next, contents, None)
-        while (content := following.result()) is not None:
-            following = thread.submit(next, contents, None)
-            yield content
-
-
-def _items_in(content: Content) -> list[_Reads | RecordedEvent]:
-    """Return what our two channels hold in a chunk; raise DamageError where it cannot be used."""
-    items: list[_Reads | RecordedEvent] = []
-    for channel, found in itertools.groupby(messages(content.messages), key=itemgetter(0)):
-        if channel == LINK_CHANNEL:
-            items.append(_reads_in(content, *zip(*found, strict=True)))
-        elif channel == EVENTS_CHANNEL:
-            items += [RecordedEvent(_event(content.messages[start:end]), utc_ns) for _, utc_ns, start, end in found]
-    return items
-
-
-def _reads_in(
-    content: Content, _: tuple[int, ...], utc_ns: tuple[int, ...], starts: tuple[int, ...], ends: tuple[int, ...]
-) -> _Reads:
-    text, start, end = content.messages, np.array(starts), np.array(ends)
-    if (end - start).min() < ARRIVAL.size:
+def _is_sound(content: bytes, message: tuple[int, int, int, int]) -> bool:
+    """Tell whether a message is of one of our channels; raise DamageError where it is but cannot be used."""
+    channel, _, start, end = message
+    if channel == EVENTS_CHANNEL:
+        try:
+            is_object = isinstance(parse_json(content[start:end]), dict)
+        except ValueError:
+            is_object = False
+        if not is_object:
+            raise DamageError(sentence("reader.no_json"))
+        return True
+    if channel == LINK_CHANNEL and end - start < ARRIVAL.size:
         raise DamageError(sentence("reader.no_arrival"))
-    stamps = np.frombuffer(text, dtype=np.uint8)[start[:, np.newaxis] + np.arange(ARRIVAL.size)]
-    return _Reads(
-        data=[text[begin + ARRIVAL.size : stop] for begin, stop in zip(starts, ends, strict=True)],
-        monotonic_s=stamps.view("<f8")[:, 0].astype(np.float64),
-        utc_ns=utc_ns,
-        done_bytes=content.offset + (content.end - content.offset) * end / len(text),
-    )
-
-
-def _event(text: bytes) -> dict[str, object]:
-    try:
-        event = parse_json(text)
-    except ValueError:
-        event = None
-    if not isinstance(event, dict):
-        raise DamageError(sentence("reader.no_json"))
-    return event
+    return channel == LINK_CHANNEL
 
 
 class Pacer:
@@ -417,14 +349,8 @@ class RecordingLink:
     def _read(self, paths: list[Path]) -> Iterator[PartStart | Chunk | RecordedEvent]:
         with task("sending", _size(paths)) as sending:
             for path in paths:
-                begun = sending.done
-                for item in _items_of(path, self.damage):
-                    if not isinstance(item, _Reads):
-                        yield item
-                        continue
-                    for chunk, done_bytes in zip(item.chunks(), item.done_bytes.tolist(), strict=True):
-                        sending.done = begun + done_bytes
-                        yield chunk
+                for item in _items_of(path, self.damage, sending):
+                    yield Chunk(*item) if isinstance(item, tuple) else item
 
     def read(self) -> Chunk | None:
         """Return the next chunk with the arrival times of the recording.

@@ -28,7 +28,7 @@ from imufield.deliver.parameters.context import Context, InstrumentFacts, Noise,
 from imufield.deliver.parameters.document import calibration_from_document, context_from_document, to_document
 from imufield.deliver.parameters.read import read_document
 from imufield.deliver.parameters.schema import Document, json_ready, parameter_schema
-from imufield.deliver.parameters.write import EDITED, to_toml, write_document, write_parameters
+from imufield.deliver.parameters.write import EDITED, as_written, to_toml, write_document, write_parameters
 from imufield.errors import ParameterFileError, Reason
 from imufield.files import Origin
 from imufield.samples import FloatArray, Samples, Status, TemperatureHold
@@ -50,6 +50,7 @@ __all__ = [
     "Noise",
     "Parameters",
     "SessionFacts",
+    "as_written",
     "from_document",
     "json_ready",
     "load",

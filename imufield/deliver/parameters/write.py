@@ -67,6 +67,19 @@ def write_parameters(path: Path | str, calibration: Calibration, observations: O
     return write_document(path, to_document(calibration, observations, context))
 
 
+def as_written(path: Path, document: Document) -> Document:
+    """Return a document with the time of the file at ``path`` where all else is the same: solved again, and no other result."""
+    try:
+        content = read_small_file(path, Origin.INSIDE)
+        created = parse_toml(decode_toml(content, str(path), ParameterFileError), str(path), ParameterFileError).get("created")
+    except (OSError, ParameterFileError):
+        return document
+    same = document | {"created": created}
+    # What was written while the clock was ahead is put right.
+    is_earlier = isinstance(created, str) and created <= document["created"]
+    return same if is_earlier and first_fault(same) is None and to_toml(same).encode() == content else document
+
+
 def write_document(path: Path | str, document: Document, *, advice: str = "") -> Path | None:
     """Write a document as ``write_parameters`` does; ``advice`` is what else to do where it cannot be written.
 
@@ -77,21 +90,9 @@ def write_document(path: Path | str, document: Document, *, advice: str = "") ->
     """
     path = Path(path)
     # Before the file is touched: a document that breaks the rules leaves the old file where it is.
-    text = to_toml(_as_written(path, document))
+    text = to_toml(document)
     with typed_write_errors(path, advice=advice):
         return write_keeping(path, text.encode("utf-8"))
-
-
-def _as_written(path: Path, document: Document) -> Document:
-    """Return a document with the time of the file that is there, where nothing else differs: the same, solved again."""
-    try:
-        text = decode_toml(read_small_file(path, Origin.INSIDE), str(path), ParameterFileError)
-        before = parse_toml(text, str(path), ParameterFileError)
-    except (OSError, ParameterFileError):
-        return document
-    same = document | {"created": before.get("created")}
-    is_same = before.get("integrity") == {"sha256": content_sha256(same)} and first_fault(same) is None
-    return same if is_same else document
 
 
 def _table_lines(table: Document, name: str, comments: Mapping[str, str]) -> Iterator[str]:

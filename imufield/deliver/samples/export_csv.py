@@ -9,7 +9,7 @@ from imufield.deliver.samples.number_text import float_column, integer_column, t
 from imufield.samples import NO_COUNTER, SAMPLE_COLUMNS, Samples
 
 ROWS = 4096
-"""Of a block: half a megabyte of text. What is made of more would be given back to the system each time."""
+"""Rows that are written at once: half a megabyte of text. More would be given back to the system each time."""
 
 
 def write_csv(blocks: Iterable[Samples], path: Path, facts: Mapping[str, str]) -> int:  # noqa: ARG001  (CSV has no place for them)

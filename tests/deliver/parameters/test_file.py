@@ -21,6 +21,7 @@ from imufield.calibrate.model.result import AccelerometerParameters, Calibration
 from imufield.deliver.parameters.consistency import contradiction
 from imufield.deliver.parameters.context import Context
 from imufield.deliver.parameters.file import (
+    as_written,
     from_document,
     json_ready,
     load,
@@ -30,6 +31,7 @@ from imufield.deliver.parameters.file import (
     write_parameters,
 )
 from imufield.deliver.parameters.read import parse_document, read_document
+from imufield.deliver.parameters.write import write_document
 from imufield.errors import ImufieldError, ParameterFileError, Reason
 from imufield.sentences import printable
 from tests.parameter_files import edit
@@ -141,17 +143,29 @@ def test_an_existing_file_is_kept(file: Path, calibration: Calibration, observat
 def test_the_same_at_another_time_is_the_file_that_is_there(
     file: Path, calibration: Calibration, observations: Observations, context: Context
 ) -> None:
-    first, later = file.read_bytes(), replace(context, created="2025-03-02T10:55:00Z")
-    assert write_parameters(file, calibration, observations, later) is None
+    def made(created: str) -> dict[str, Any]:
+        return to_document(calibration, observations, replace(context, created=created))
+
+    first, later = file.read_bytes(), made("2099-03-02T10:55:00Z")
+    document = as_written(file, later)
+    assert document == later | {"created": context.created}
+    assert write_document(file, document) is None
     assert file.read_bytes() == first
-    assert list(file.parent.iterdir()) == [file]
-    # A file that somebody has changed is no such file, whatever its hash says.
-    for edited in (first.replace(b"created = ", b"erected = "), b"x = " + b"[" * 100_000, b"\xff"):
+    # What was written by a clock that was ahead is put right, and a changed file is another one, whatever its hash says.
+    earlier = made("1999-03-02T10:55:00Z")
+    assert as_written(file, earlier) == earlier
+    name = context.session.name.encode()
+    for edited in (
+        first.replace(name, b"x"),
+        first + b"# x\n",
+        b"x = " + b"[" * 100_000,
+        b"\xff",
+        first.replace(b"\n", b"\r\n"),
+    ):
         file.write_bytes(edited)
-        kept = write_parameters(file, calibration, observations, later)
-        assert kept is not None
-        assert kept.read_bytes() == edited
-        assert load(file).context.created == later.created
+        assert as_written(file, later) == later
+    file.unlink()
+    assert as_written(file, later) == later
 
 
 def test_a_full_disk_leaves_the_old_file(
