@@ -80,7 +80,7 @@ def bound(turn_sigma_rad: float = 0.0) -> FloatArray:
 
 def least_squares_bound(context: StudyContext) -> Findings:
     """Hold least squares against the bounds, over enough data sets that the ratio is known to 2 %."""
-    runs = context.campaign("bsas-bound", run_bound, range(context.runs(2000, 40)))
+    runs = context.campaign("bsas-bound", run_bound, range(context.runs(2000, 20)))
     known, as_preset = bound(), bound(TURN_SIGMA_RAD)
     rmse = {
         name: np.sqrt(np.mean([getattr(run, name) ** 2 for run in runs], axis=0)) for name in ("as_solved", "in_true_frame")

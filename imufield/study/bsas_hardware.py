@@ -94,7 +94,7 @@ def _on_turntable(rng: np.random.Generator) -> FloatArray:
 
 @cache
 def _recalibrations(context: StudyContext) -> list[Recalibration]:
-    return context.campaign("bsas-table5", run_recalibration, range(context.runs(200, 5)))
+    return context.campaign("bsas-table5", run_recalibration, range(context.runs(200, 3)))
 
 
 def table_5(context: StudyContext) -> Findings:
@@ -161,7 +161,7 @@ def run_navigation(number: int, rng: np.random.Generator) -> dict[str, Drift]:
 
 @cache
 def _navigations(context: StudyContext) -> list[dict[str, Drift]]:
-    return context.campaign("bsas-table6", run_navigation, range(context.runs(40, 2)))
+    return context.campaign("bsas-table6", run_navigation, range(context.runs(40, 1)))
 
 
 def table_6(context: StudyContext) -> Findings:

@@ -72,7 +72,7 @@ def run_categories(one_data_set: bool, rng: np.random.Generator) -> StagedRun:
 @cache
 def _categories(context: StudyContext, one_data_set: bool) -> list[StagedRun]:
     name = "bsas-table3 one" if one_data_set else "bsas-table3 fresh"
-    return context.campaign(name, run_categories, [one_data_set] * context.runs(50, 3))
+    return context.campaign(name, run_categories, [one_data_set] * context.runs(50, 2))
 
 
 def figure_5(context: StudyContext) -> Findings:
@@ -221,7 +221,7 @@ def run_whitened(_number: int, rng: np.random.Generator) -> WhitenedRun:
 
 @cache
 def _whitened(context: StudyContext) -> list[WhitenedRun]:
-    return context.campaign("bsas-whitened", run_whitened, range(context.runs(200, 4)))
+    return context.campaign("bsas-whitened", run_whitened, range(context.runs(200, 2)))
 
 
 def whitened(context: StudyContext) -> Findings:

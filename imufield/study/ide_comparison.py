@@ -42,7 +42,7 @@ SUCCESS = 1.1
 _NAMES = {"accelerometer": "accelerometer, L_a", "norm": "gyroscope, L_gm as printed", "vector": "gyroscope, vector form"}
 _PAPER_SUCCESS = (0.7333, 0.8667)  # Of GA and PSO on the accelerometer.
 _FLOWN = (*METHODS, "ide, vector form")
-_QUICK_GENERATIONS = 40  # Of GA and PSO in a quick study: enough to see that they work.
+_QUICK_GENERATIONS = 15  # Of GA and PSO in a quick study: enough to see that they work.
 
 
 @dataclass(frozen=True, slots=True)

@@ -66,7 +66,7 @@ def run_gyroscope(path: str, rng: np.random.Generator) -> GyroscopeRun:
 @cache
 def runs_of(context: StudyContext) -> dict[str, list[GyroscopeRun]]:
     """Return the runs of all three paths; studies of the same context share them."""
-    return dict(zip(PATHS, context.campaign_of_each("ide-table4", run_gyroscope, PATHS, context.runs(30, 3)), strict=True))
+    return dict(zip(PATHS, context.campaign_of_each("ide-table4", run_gyroscope, PATHS, context.runs(30, 2)), strict=True))
 
 
 def table_4(context: StudyContext) -> Findings:

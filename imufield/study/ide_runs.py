@@ -48,7 +48,7 @@ def run_strategy(name: str, rng: np.random.Generator) -> ComparedRun:
 
 @cache
 def _evolutions(context: StudyContext) -> dict[str, list[ComparedRun]]:
-    runs = context.runs(30, 3)
+    runs = context.runs(30, 2)
     found = dict(zip(STRATEGIES, context.campaign_of_each("ide-table2", run_strategy, STRATEGIES, runs), strict=True))
     # A campaign of its own: the others keep the data sets that they had without it.
     return found | {SLOWER: context.campaign("ide-table2 slower", run_strategy, [SLOWER] * runs)}

@@ -102,19 +102,19 @@ def test_the_whitened_swarm_ends_at_the_exact_minimum_where_the_staged_one_stall
     report_of: Callable[[str], StudyReport],
 ) -> None:
     within = {c.what: c.ours for c in report_of("bsas-whitened").comparisons}
-    assert within["runs within 1.1 times"] == "4 of 4"
-    assert within["runs that converged"] == "4 of 4"
+    assert within["runs within 1.1 times"] == "2 of 2"
+    assert within["runs that converged"] == "2 of 2"
     staged = {c.what: c.ours for c in report_of("bsas-staged").comparisons}
     assert staged["runs that claim to have converged"] == "0 of 2"
 
 
 def test_least_squares_is_efficient_in_one_frame_with_the_truth() -> None:
     rng = np.random.default_rng(0)
-    runs = [bsas_bound.run_bound(number, rng) for number in range(150)]
+    runs = [bsas_bound.run_bound(number, rng) for number in range(75)]
     assert all(run.converged for run in runs)
     ratio = np.sqrt(np.mean([run.in_true_frame**2 for run in runs], axis=0)) / bsas_bound.bound()
-    # 150 runs tell a ratio to 6 %, and the largest of twelve is three sigma off.
-    assert ratio == pytest.approx(np.ones(12), abs=0.18)
+    # 75 runs tell a ratio to 8 %, and the largest of twelve is three sigma off.
+    assert ratio == pytest.approx(np.ones(12), abs=0.25)
 
 
 def test_a_quick_run_says_how_many_runs_it_had(report_of: Callable[[str], StudyReport]) -> None:
@@ -147,7 +147,7 @@ def test_the_effort_of_evolution_is_counted(report_of: Callable[[str], StudyRepo
 
 def test_ide_ends_at_the_global_optimum(report_of: Callable[[str], StudyReport]) -> None:
     found = {c.what: c.ours for c in report_of("ide-table2").comparisons}
-    assert found["ide within 1e-6 of the global optimum"] == "3 of 3"
+    assert found["ide within 1e-6 of the global optimum"] == "2 of 2"
 
 
 def test_equation_26_is_said_to_be_rank_3(report_of: Callable[[str], StudyReport]) -> None:

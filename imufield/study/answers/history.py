@@ -138,9 +138,9 @@ _CHANGED = {
 }
 _FORECASTS = {"random walk": partial(forecasts, walks=True), "drift of one axis": partial(forecasts, walks=False)}
 judged_histories = Study(
-    Table(name="unchanged", label="history", campaign="answers-history", rows=_UNCHANGED, runs=(2000, 2)),
+    Table(name="unchanged", label="history", campaign="answers-history", rows=_UNCHANGED, runs=(2000, 1)),
     Table(name="solved", label="history", campaign="answers-history solved", rows=_SOLVED, runs=(8000, 1)),
-    Table(name="changed", label="history", campaign="answers-history changed", rows=_CHANGED, runs=(400, 2)),
+    Table(name="changed", label="history", campaign="answers-history changed", rows=_CHANGED, runs=(400, 1)),
     Table(
         name="forecasts", label="history", campaign="answers-history forecasts", rows=_FORECASTS, runs=(200, 1),
         statistics={"ratio": np.nanmedian},

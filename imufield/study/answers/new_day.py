@@ -108,7 +108,7 @@ temperatures = Study(
         label="instruments",
         campaign="answers-new-day",
         rows=_ROWS,
-        runs=(1000, 2),
+        runs=(1000, 1),
         statistics={"bias_mg": _rms, "scale_ppm": _rms},
     )
 )

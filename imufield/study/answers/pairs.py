@@ -139,7 +139,7 @@ _PAIRS = {
 }
 _GUIDED = {"tactical, guided sessions, both triads": partial(compare_guided, grade="tactical")}
 unchanged_pairs = Study(
-    Table(label="kind", campaign="answers-pairs", rows=_PAIRS, runs=(2000, 2), statistics=_COUNTED),
+    Table(label="kind", campaign="answers-pairs", rows=_PAIRS, runs=(2000, 1), statistics=_COUNTED),
     Table(label="kind", campaign="answers-pairs whole", rows=_GUIDED, runs=(400, 1), statistics=_COUNTED),
     bars=("called different", "any beyond 3 sigma", "said to have moved"),
 )

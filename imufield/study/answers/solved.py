@@ -143,10 +143,10 @@ _TERMS = {
 }
 _NONE = {order: partial(with_terms, order=order) for order in ORDERS}
 _TYPICAL = {f"{grade}, {order}": partial(with_typical_terms, grade, order) for grade in GRADES for order in ORDERS}
-typed_gravity = Study(Table(label="typed", campaign="answers-gravity", rows=_TYPED, runs=(500, 3)))
-touched_holds = Study(Table(label="touched", campaign="answers-outlier", rows=_TOUCHED, runs=(500, 3), statistics=_COUNTED))
+typed_gravity = Study(Table(label="typed", campaign="answers-gravity", rows=_TYPED, runs=(500, 1)))
+touched_holds = Study(Table(label="touched", campaign="answers-outlier", rows=_TOUCHED, runs=(500, 1), statistics=_COUNTED))
 drift_and_quadratic = Study(
     Table(name="terms", label="session", campaign="answers-terms", rows=_TERMS, runs=(100, 1), statistics=_COUNTED),
-    Table(name="gate", label="order", campaign="answers-gate", rows=_NONE, runs=(2000, 4), statistics=_COUNTED),
+    Table(name="gate", label="order", campaign="answers-gate", rows=_NONE, runs=(2000, 1), statistics=_COUNTED),
     Table(name="typical", label="grade, order", campaign="answers-typical", rows=_TYPICAL, runs=(2500, 1), statistics=_COUNTED),
 )

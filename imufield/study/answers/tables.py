@@ -44,8 +44,8 @@ class Table:
     campaign : str
         Whose random numbers these are.
     rows : mapping
-        Name to one kind of session, or several that count alike; as ``partial`` of a function of a module, which is sent to
-        other processes by its name.
+        Name to one kind of session, or several that count alike, of which a quick study takes the first and the last; as
+        ``partial`` of a function of a module, which is sent to other processes by its name.
     runs : (int, int)
         Of each kind, in full and quick.
     statistics : mapping
@@ -62,6 +62,8 @@ class Table:
     def count(self, context: StudyContext) -> dict[str, Row]:
         """Simulate all sessions and return what is counted, row by row."""
         kinds = {name: [kind] if callable(kind) else [*kind] for name, kind in self.rows.items()}
+        if context.quick:
+            kinds = {name: [*dict.fromkeys((of_row[0], of_row[-1]))] for name, of_row in kinds.items()}
         every = [kind for of_row in kinds.values() for kind in of_row]
         found = iter(context.campaign_of_each(self.campaign, _simulate, every, context.runs(*self.runs)))
         return {name: self._row([next(found) for _ in of_row]) for name, of_row in kinds.items()}

@@ -188,14 +188,14 @@ _DAYS: Rows = {
     "repeatability 1 mg, 200 ppm": partial(left_after, 1.0, 200.0),
 }
 chosen_order = Study(
-    Table(label="truth", campaign="answers-orders", rows=_ORDERS, runs=(1000, 5), statistics={"ratio_95": _percentile_95})
+    Table(label="truth", campaign="answers-orders", rows=_ORDERS, runs=(1000, 2), statistics={"ratio_95": _percentile_95})
 )
 other_poses = Study(
     Table(
         label="instrument",
         campaign="answers-poses",
         rows=_DAYS,
-        runs=(300, 3),
+        runs=(300, 1),
         statistics=dict.fromkeys(("one session", "one pose", "joint"), _rms_of_all),
     )
 )

@@ -87,5 +87,5 @@ def _inside(joint: Joint, kind: str, sigma: FloatArray, true: dict[str, FloatArr
 
 _ROWS = {f"{sessions} sessions": partial(with_days, sessions) for sessions in LENGTHS}
 histories = Study(
-    Table(label="history", campaign="answers-together", rows=_ROWS, runs=(1000, 2)), day_mg=DAY_MG, day_ppm=DAY_PPM
+    Table(label="history", campaign="answers-together", rows=_ROWS, runs=(1000, 1)), day_mg=DAY_MG, day_ppm=DAY_PPM
 )

@@ -57,19 +57,19 @@ def everything(session: Session, seed: int) -> tuple[FitData, FloatArray, FloatA
 @pytest.mark.numerical
 @pytest.mark.parametrize("directions", [proposed("paper24"), proposed("corners24"), faces_first()])
 def test_without_any_term_one_session_in_twenty_is_admitted(directions: FloatArray) -> None:
-    # 2000 sessions know a share of 5 % to 0.5 %; in the linearisation, so that they take half a second.
+    # 1000 sessions know a share of 5 % to 0.7 %; in the linearisation, so that they are quick.
     _, _, _, fitted = everything(Session(directions=directions), 3)
     weighted = fitted.jacobian / fitted.sigma_m_s2[:, None]
     inverse = np.linalg.pinv(weighted)
     outside = np.eye(len(weighted)) - weighted @ inverse
     rng = np.random.default_rng(7)
     admitted = 0
-    for _ in range(2000):
+    for _ in range(1000):
         noise = rng.standard_normal(len(weighted))
         step = inverse @ noise
         drawn = replace(fitted, residual_m_s2=outside @ noise * fitted.sigma_m_s2)
         admitted += Gate(drawn, PLACES, step).admitted() != NO_TERM
-    assert 0.04 < admitted / 2000 < 0.06
+    assert 0.03 < admitted / 1000 < 0.07
 
 
 @pytest.mark.numerical
@@ -168,14 +168,14 @@ def covered(session: Session, runs: int, seed: int) -> tuple[float, list[Calibra
 def test_stated_intervals_hold_the_truth_with_and_without_drift(order: str, warm_up_ug: float, quadratic_ug: float) -> None:
     directions = faces_first() if order == "faces first" else proposed(order)
     session = Session(directions=directions, quadratic_ug=quadratic_ug, warm_up_ug=warm_up_ug)
-    share, found = covered(session, 30, 5)
+    share, found = covered(session, 15, 5)
     # What second order leaves of a large warm-up, scale and misalignment take: then the verdict says so.
     assert share > 0.92 or not any(calibration.quality.verdict == "good" for calibration in found)
 
 
 def test_a_drift_that_follows_the_temperature_is_fitted_by_it() -> None:
     session = Session(directions=faces_first(), warm_up_ug=2000.0, has_temperature=True)
-    share, found = covered(session, 20, 5)
+    share, found = covered(session, 10, 5)
     assert share > 0.92
     drifts = [calibration.positions.bias_drift_m_s2 for calibration in found]
     assert np.mean([np.any(drift) for drift in drifts]) > 0.9
@@ -206,12 +206,12 @@ def test_an_order_that_confounds_is_named() -> None:
 def test_an_order_that_confounds_costs_a_clean_session_its_good_once_in_a_hundred() -> None:
     """The gate admits a term in 5 % of them: then the order is named all the same, and its cost is in sigma."""
     session = Session(directions=faces_first())
-    found = [calibrate_accelerometer(session.take(np.random.default_rng(seed))[0], EXACT).quality for seed in range(150)]
+    found = [calibrate_accelerometer(session.take(np.random.default_rng(seed))[0], EXACT).quality for seed in range(100)]
     named = [quality for quality in found if told(quality.reasons, "quality.confounded")]
-    assert 2 <= len(named) <= 16
-    # At 5 % all of them would lose it; 0.5 % of 150 are beyond three in 1 of 1000 such tests.
+    assert 1 <= len(named) <= 12
+    # At 5 % all of them would lose it; 0.5 % of 100 are beyond two in 1 of 70 such tests.
     lost = [quality for quality in named if quality.verdict != "good"]
-    assert len(lost) <= 3 < len(named)
+    assert len(lost) <= 2 < len(named)
     assert all(told(quality.warnings, "quality.confounded") for quality in lost)
 
 

@@ -48,10 +48,11 @@ def test_coarse_attitude_of_exact_vectors_is_exact() -> None:
 
 def test_errors_are_as_large_as_the_covariance_says() -> None:
     attitude = random_attitude(11)
-    aligned = [align(means(attitude, seed=seed), LATITUDE_DEG, NOISE) for seed in range(25)]
+    aligned = [align(means(attitude, seed=seed), LATITUDE_DEG, NOISE) for seed in range(15)]
     errors = np.array([phi_of(one.attitude, attitude) for one in aligned])
     normalised = np.sqrt(np.mean(errors**2, axis=0) / np.diag(aligned[0].covariance))
-    assert np.all((normalised > 0.65) & (normalised < 1.35))
+    # 15 seeds know a sigma to 18 %.
+    assert np.all((normalised > 0.55) & (normalised < 1.45))
 
 
 def test_heading_is_found_as_well_as_the_mean_rate_allows() -> None:
