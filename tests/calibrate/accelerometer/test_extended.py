@@ -65,7 +65,7 @@ def test_stated_intervals_hold_large_terms() -> None:
         numbers.append(answer_of(found, session.truth).inside)
         cubic_inside.append(np.abs(cubic - effects.cubic) < factor * cubic_sigma)
         cross_inside.append(np.abs(cross - effects.cross) < factor * cross_sigma)
-    # 150 cubic terms know their share to 1.8 %, 450 cross terms and as many numbers to 1 %, were those of a session independent.
+    # 150 cubic terms know their share to 1.8 %, 450 cross terms and as many numbers to 1 %, or little worse.
     assert np.mean(cubic_inside) > 0.89
     assert np.mean(cross_inside) > 0.89
     assert np.mean(numbers) > 0.91

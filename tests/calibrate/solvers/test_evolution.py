@@ -15,7 +15,6 @@ from imufield.study.optimum import squares_optimum
 from tests.refused import refused
 from tests.told import key_of
 
-
 SEEDS = range(3)
 
 
