@@ -1,4 +1,4 @@
-"""Are the stated sigmas true? 12 simulated sessions, 120 in full, from motion through stillness and guide to the fit.
+"""Are the stated sigmas true? 8 simulated sessions, 120 in full, from motion through stillness and guide to the fit.
 
 The instrument's noise, bias instability, quantisation and quadratic terms are those of its grade; the truth is what the
 simulator drew, plus the mean of its drift over the session, which a calibration sees as bias.
@@ -23,7 +23,7 @@ from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
 from imufield.simulate.truth.operator import OperatorSettings
 from tests.torture.conftest import FULL
 
-SEEDS = 120 if FULL else 12
+SEEDS = 120 if FULL else 8
 RATE_HZ = 100.0
 BLOCK = 2000
 
@@ -57,7 +57,7 @@ def error_in_sigma(grade: str, seed: int) -> FloatArray:
 def test_stated_sigmas_are_true_for_every_gauge_free_parameter(grade: str) -> None:
     errors = np.array([error_in_sigma(grade, seed) for seed in range(SEEDS)])
     rms = np.sqrt(np.mean(errors**2, axis=0))
-    # n seeds know an RMS to 1 / sqrt(2 n): 6.5 % of 120, 20 % of 12. Of twelve, the largest is three of these off.
+    # n seeds know an RMS to 1 / sqrt(2 n): 6.5 % of 120, 25 % of 8. Of twelve, the largest is three of these off.
     known = 1 / np.sqrt(2 * SEEDS)
     assert np.all(rms > 1 - 3.2 * known), rms
     assert np.all(rms < 1 + 3.8 * known), rms

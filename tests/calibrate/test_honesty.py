@@ -1,4 +1,4 @@
-"""Statistical honesty: over 240 simulated sessions error over sigma has an RMS near one for every gauge-free number."""
+"""Statistical honesty: over 80 simulated sessions error over sigma has an RMS near one for every gauge-free number."""
 
 from __future__ import annotations
 
@@ -13,9 +13,11 @@ from imufield.calibrate.model.result import Calibration, ModelChoice
 from imufield.earth import Gravity
 from imufield.samples import FloatArray
 
-SEEDS = 240
+SEEDS = 80
 EXACT = Gravity(gravity_m_s2=GRAVITY, sigma_m_s2=1e-7, source="typed")
+# n seeds know an RMS to 1 / sqrt(2 n): 80 that of one number to 8 %, and to 4.6 % that of a kind, whose three axes are alike.
 LOW, HIGH = 0.8, 1.25
+LOW_OF_ONE, HIGH_OF_ONE = 0.7, 1.4
 
 
 def ratios(model: ModelChoice, quadratic_m_s2: float, between_m_s2: float, *, known: bool = True) -> FloatArray:
@@ -40,22 +42,26 @@ def errors_in_sigma(calibration: Calibration, truth: FloatArray) -> FloatArray:
     return (values - truth) / sigma
 
 
+def assert_near_one(of_sigma: FloatArray, low: float = LOW) -> None:
+    """Check the RMS of each kind (scale, bias, angle, quadratic) over its axes, and more widely that of each number."""
+    square = np.mean(of_sigma**2, axis=0)
+    kinds, each = np.sqrt(np.mean(square.reshape(-1, 3), axis=1)), np.sqrt(square)
+    assert np.all((kinds > low) & (kinds < HIGH)), kinds
+    assert np.all((each > min(low, LOW_OF_ONE)) & (each < HIGH_OF_ONE)), each
+
+
 @pytest.mark.parametrize("between_m_s2", [0.0, 1e-3])
 @pytest.mark.parametrize(("model", "quadratic_m_s2"), [("linear", 0.0), ("quadratic", 5e-3)])
 def test_sigma_is_honest(model: ModelChoice, quadratic_m_s2: float, between_m_s2: float) -> None:
-    rms = np.sqrt(np.mean(ratios(model, quadratic_m_s2, between_m_s2) ** 2, axis=0))
-    assert np.all(rms > LOW), rms
-    assert np.all(rms < HIGH), rms
+    assert_near_one(ratios(model, quadratic_m_s2, between_m_s2))
 
 
 def test_sigma_is_honest_without_known_covariances() -> None:
-    rms = np.sqrt(np.mean(ratios("linear", 0.0, 1e-3, known=False) ** 2, axis=0))
-    assert np.all((rms > LOW) & (rms < HIGH)), rms
+    assert_near_one(ratios("linear", 0.0, 1e-3, known=False))
 
 
 @pytest.mark.parametrize(("quadratic_m_s2", "low"), [(0.0, 0.25), (1e-3, 0.5), (1e-2, LOW)])
 def test_auto_allows_for_a_term_it_could_not_find(quadratic_m_s2: float, low: float) -> None:
     # At 1e-3 m/s^2 the term is mostly below significance and still shifts the bias of a linear fit by several sigma. Where
     # there is none, nobody can know that: the bias is better than stated.
-    rms = np.sqrt(np.mean(ratios("auto", quadratic_m_s2, 3e-4) ** 2, axis=0))
-    assert np.all((rms > low) & (rms < HIGH)), rms
+    assert_near_one(ratios("auto", quadratic_m_s2, 3e-4), low)

@@ -54,10 +54,10 @@ def terms(calibration: Calibration) -> tuple[FloatArray, FloatArray, FloatArray,
 
 @pytest.mark.statistical
 def test_stated_intervals_hold_large_terms() -> None:
-    """100 sessions with cubic terms of 2 mg/g^3 and cross terms of 1 mg/g^2: of both, and of all numbers, 95 % are inside."""
+    """50 sessions with cubic terms of 2 mg/g^3 and cross terms of 1 mg/g^2: of both, and of all numbers, 95 % are inside."""
     rng = np.random.default_rng(31)
     numbers, cubic_inside, cross_inside, cubic_sigma = [], [], [], np.zeros(3)
-    for _ in range(100):
+    for _ in range(50):
         session, effects = drawn(rng, 2.0, 1.0)
         found = solved(session)
         cubic, cross, cubic_sigma, cross_sigma = terms(found)
@@ -65,8 +65,10 @@ def test_stated_intervals_hold_large_terms() -> None:
         numbers.append(answer_of(found, session.truth).inside)
         cubic_inside.append(np.abs(cubic - effects.cubic) < factor * cubic_sigma)
         cross_inside.append(np.abs(cross - effects.cross) < factor * cross_sigma)
-    for inside in (numbers, cubic_inside, cross_inside):
-        assert np.mean(inside) > 0.92
+    # 150 cubic terms know their share to 1.8 %, 450 cross terms and as many numbers to 1 %, or little worse.
+    assert np.mean(cubic_inside) > 0.89
+    assert np.mean(cross_inside) > 0.89
+    assert np.mean(numbers) > 0.91
     # What is shown of them is found: a cubic term to 0.05 mg/g^3.
     assert np.max(cubic_sigma) < 1e-4
 

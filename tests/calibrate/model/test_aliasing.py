@@ -70,7 +70,7 @@ def test_intervals_hold_instruments_of_the_grade(directions: FloatArray, has_noi
     )
     rng = np.random.default_rng(12)
     inside: list[NDArray[np.bool_]] = []
-    for _ in range(60):
+    for _ in range(30):
         observations, truth = session.take(rng, drawn(rng))
         calibration = calibrate_accelerometer(observations, EXACT, grade="mems")
         found = calibration.intrinsic
@@ -79,7 +79,8 @@ def test_intervals_hold_instruments_of_the_grade(directions: FloatArray, has_noi
         assert np.all(found.bias_raw_sigma / truth.scale < 0.02 * GRAVITY_M_S2)
         error = np.concatenate([found.scale, found.bias_raw]) - intrinsic(to_vector(truth), "sensing")[0][:6]
         inside.append(np.abs(error) < calibration.quality.student_factor_95 * sigma)
-    assert np.mean(inside) > 0.92
+    # Priors that are right on average cover more; 180 numbers know a share of 0.95 to 1.6 %.
+    assert np.mean(inside) > 0.91
 
 
 def test_the_verdict_says_what_the_priors_add() -> None:

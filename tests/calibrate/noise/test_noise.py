@@ -104,7 +104,7 @@ def test_exact_curve_gives_its_figures_back() -> None:
 def test_intervals_hold_the_truth() -> None:
     inside = []
     for seed in range(3):
-        result = measure_noise(standstill(6.0, seed))
+        result = measure_noise(standstill(2.0, seed))
         for axis, density, walk in zip(result.axes, DENSITY, WALK, strict=True):
             inside += [axis.density.low <= density <= axis.density.high, axis.walk.low <= walk <= axis.walk.high]
             assert axis.density.value == pytest.approx(density, rel=0.02)

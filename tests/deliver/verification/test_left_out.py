@@ -120,17 +120,21 @@ def scattered(seed: int, tau_m_s2: float) -> Observations:
 
 def test_chance_is_what_it_says_for_few_and_many_held_out(monkeypatch: pytest.MonkeyPatch) -> None:
     """Were it as told, a share p of sound sessions has a chance below p, whatever is held out (binomial 99.9 % bounds)."""
-    # A thousand runs know a chance of 0.05 to 0.007; more are for the rarest.
-    monkeypatch.setattr(left_out, "RUNS", 1000)
-    sessions = [scattered(seed, 5e-3) for seed in range(30)]
+    # 400 runs know a chance of 0.05 to 0.011; more are for the rarest.
+    monkeypatch.setattr(left_out, "RUNS", 400)
+    sessions = [scattered(seed, 5e-3) for seed in range(20)]
     calibrations = [calibrate_accelerometer(one, GRAVITY, model="linear") for one in sessions]
     for hold_out in (2, 6):
         chance = [cross_validate(*pair, hold_out).chance for pair in zip(calibrations, sessions, strict=True)]
-        assert sum(one < 0.05 for one in chance) <= 6
-        assert 5 <= sum(one < 0.5 for one in chance) <= 24
+        assert sum(one < 0.05 for one in chance) <= 5
+        assert 3 <= sum(one < 0.5 for one in chance) <= 17
+        # The mean of twenty is known to 0.065, better than any share.
+        assert np.mean(chance) == pytest.approx(0.5, abs=0.2)
 
 
-def test_limit_of_the_own_session_grows_with_what_is_held_out() -> None:
+def test_limit_of_the_own_session_grows_with_what_is_held_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    # They know a limit to 4 %, and one is a quarter above the other.
+    monkeypatch.setattr(left_out, "RUNS", 1000)
     observations = scattered(1, 5e-3)
     calibration = calibrate_accelerometer(observations, GRAVITY, model="linear")
     limits = [cross_validate(calibration, observations, hold_out).misfit_limit for hold_out in (1, 4, 8)]
