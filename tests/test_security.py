@@ -6,6 +6,7 @@ import ast
 import importlib
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -64,6 +65,10 @@ def names_of(tree: ast.AST) -> dict[str, str]:
     return names
 
 
+def tree_of(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
 def called(node: ast.expr, names: dict[str, str]) -> str:
     if isinstance(node, ast.Name):
         return names.get(node.id, node.id)
@@ -91,6 +96,21 @@ def breaches(tree: ast.AST) -> Iterator[str]:
                 yield from [str(option.arg)] if option.arg in BANNED_OPTIONS and not off else []
 
 
+def printing(tree: ast.AST) -> set[str]:
+    """Return the ways to print that are called as they are written, whatever was imported under that name."""
+    ways = {"print", "Console", "typer.echo", "typer.secho", "sys.stdout.write", "sys.stderr.write"}
+    calls = [node.func for node in ast.walk(tree) if isinstance(node, ast.Call)]
+    return {called(call, {}) for call in calls if isinstance(call, ast.Name | ast.Attribute)} & ways
+
+
+@cache
+def found_in(path: Path) -> tuple[list[str], bool, set[str]]:
+    """Return breaches, whether it can start programs, and ways to print; the tree, which is large, is not kept."""
+    tree = tree_of(path)
+    starts = any(one.partition(".")[0] == "subprocess" for node in ast.walk(tree) for one in imported(node))
+    return list(breaches(tree)), starts, printing(tree)
+
+
 @pytest.mark.parametrize(("text", "what"), SAMPLES.items())
 def test_the_check_finds_what_it_looks_for(text: str, what: str) -> None:
     assert what in list(breaches(ast.parse(text)))
@@ -99,16 +119,15 @@ def test_the_check_finds_what_it_looks_for(text: str, what: str) -> None:
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: path.relative_to(PROJECT).as_posix())
 def test_no_file_runs_what_it_reads(path: Path) -> None:
     name = path.relative_to(PROJECT).as_posix()
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    assert [one for one in breaches(tree) if (name, one.partition(".")[0]) not in MAY_USE] == []
-    starts = any(one.partition(".")[0] == "subprocess" for node in ast.walk(tree) for one in imported(node))
+    found, starts, _ = found_in(path)
+    assert [one for one in found if (name, one.partition(".")[0]) not in MAY_USE] == []
     assert not starts or name in MAY_START_PROGRAMS
 
 
 def test_programs_get_lists_and_nothing_of_the_wire() -> None:
     # What sound says is made of constants and axis names: `tests/guide/view/test_sound.py` feeds it hostile texts.
     for name in MAY_START_PROGRAMS:
-        tree = ast.parse((PROJECT / name).read_text(encoding="utf-8"))
+        tree = tree_of(PROJECT / name)
         names = names_of(tree)
         for node in ast.walk(tree):
             if isinstance(node, ast.Call) and called(node.func, names) in ("subprocess.run", "subprocess.Popen"):
@@ -136,7 +155,5 @@ MAY_PRINT = {
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(PROJECT)))
 def test_all_that_is_printed_goes_through_one_place(path: Path) -> None:
-    calls = [node.func for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)]
-    ways = {"print", "Console", "typer.echo", "typer.secho", "sys.stdout.write", "sys.stderr.write"}
-    found = {ast.unparse(call) for call in calls} & ways
+    found = found_in(path)[2]
     assert not found or path.relative_to(PROJECT).as_posix() in MAY_PRINT

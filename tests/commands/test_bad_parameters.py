@@ -24,9 +24,9 @@ OLD = b"what stood there before\n"
 
 
 @pytest.fixture
-def solved(solved_session: Path, tmp_path: Path) -> Path:
+def solved(short_solved: Path, tmp_path: Path) -> Path:
     """Return a solved session of one's own whose instrument told its serial number."""
-    folder = Path(shutil.copytree(solved_session, tmp_path / "solved"))
+    folder = Path(shutil.copytree(short_solved, tmp_path / "solved"))
     metadata = tomllib.loads((folder / "session.toml").read_text(encoding="utf-8"))
     metadata["instrument"]["serial_number"] = "B2"
     (folder / "session.toml").write_text(tomli_w.dumps(metadata), encoding="utf-8")

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from imufield.cli.run import run
+from imufield.commands import history
 from imufield.commands.history import run_history
 from imufield.commands.options.result_commands import HistoryOptions
 from imufield.deliver.parameters.file import load
@@ -20,8 +21,8 @@ from tests.commands.told import fails, missing
 
 
 @pytest.fixture
-def folder(solved_session: Path, tmp_path: Path) -> Path:
-    shutil.copytree(solved_session, tmp_path / "sessions" / "one")
+def folder(short_solved: Path, tmp_path: Path) -> Path:
+    shutil.copytree(short_solved, tmp_path / "sessions" / "one")
     return tmp_path / "sessions"
 
 
@@ -69,8 +70,10 @@ def test_damaged_file_is_told_and_left_out(folder: Path, capsys: pytest.CaptureF
 
 
 def test_several_instruments_are_drawn_into_a_file_each(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    # What a drawing looks like, the test above and those of the chart tell: here, whose goes where.
+    monkeypatch.setattr(history, "plot_history", lambda judged: repr(judged.instrument.serial_number).encode())
     document = load(folder / "one" / "parameters.toml").document
     document["instrument"] = document["instrument"] | {"serial_number": "X"}
     document.pop("integrity", None)
@@ -78,8 +81,9 @@ def test_several_instruments_are_drawn_into_a_file_each(
     assert run(["history", str(folder), "--csv", str(tmp_path / "x.csv"), "--plot", str(tmp_path / "x.svg")]) == 0
     assert sorted(path.name for path in tmp_path.glob("x*")) == ["x-X.svg", "x-stim300.svg", "x.csv"]
     assert str(tmp_path / "x-X.svg") in capsys.readouterr().out
+    assert [(tmp_path / name).read_text() for name in ("x-X.svg", "x-stim300.svg")] == ["'X'", "''"]
     run_history(HistoryOptions(folder=folder, serial_number="X", plot=tmp_path / "x.svg"))
-    assert (tmp_path / "x.svg").is_file()
+    assert (tmp_path / "x.svg").read_text() == "'X'"
 
 
 def test_empty_folder_is_one_sentence(tmp_path: Path) -> None:

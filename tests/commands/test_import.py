@@ -27,6 +27,7 @@ from imufield.pipeline.chain import Chain, ReadingPlan, replay_into, session_sam
 from imufield.pipeline.table_samples import table_samples
 from imufield.samples import NO_COUNTER, Samples, Status, concatenate, make_samples
 from imufield.simulate.wire.can_frames import CanEncoder
+from tests.acquire.formats.conftest import fork_readers
 from tests.commands.told import fails
 from tests.refused import refused
 
@@ -53,6 +54,11 @@ HEADS = {
     "csv": b"",
 }
 MAP = ("accelerometer.x=Front", "accelerometer.y=Left", "accelerometer.z=Up", "counter=Count")
+
+
+@pytest.fixture(autouse=True)
+def forked_readers(monkeypatch: pytest.MonkeyPatch) -> None:
+    fork_readers(monkeypatch)
 
 
 def samples_of(protocol: Protocol) -> Samples:

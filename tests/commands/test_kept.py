@@ -20,6 +20,7 @@ from imufield.guide.positions import SCHEME_FILE
 from imufield.pipeline import kept, solving
 from imufield.pipeline.calibration import SolveSettings
 from imufield.pipeline.solving import solve_session
+from tests.commands.conftest import simulated_session
 
 if TYPE_CHECKING:
     from tests.commands.conftest import Program
@@ -27,10 +28,29 @@ if TYPE_CHECKING:
 WITHOUT = SolveSettings(without=("x+90",))
 
 
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a recorded session of six faces: its result, good or not, is to stay the same."""
+    return simulated_session(tmp_path_factory.mktemp("recorded") / "session", "faces6", hold_s=5.0).folder
+
+
+@pytest.fixture(scope="module")
+def replayed(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """Return the same with what a replay keeps, and what was found; copy it before changing anything."""
+    copy = Path(shutil.copytree(recorded, tmp_path_factory.mktemp("replayed") / "session"))
+    return copy, solved(copy)
+
+
 @pytest.fixture
-def folder(whole_session: Path, tmp_path: Path) -> Path:
+def folder(recorded: Path, tmp_path: Path) -> Path:
     """Return a recorded session of which nothing is kept."""
-    copy = Path(shutil.copytree(whole_session, tmp_path / "session"))
+    return Path(shutil.copytree(recorded, tmp_path / "session"))
+
+
+@pytest.fixture
+def longer(short_session: Path, tmp_path: Path) -> Path:
+    """Return one with positions enough to leave some out."""
+    copy = Path(shutil.copytree(short_session, tmp_path / "session"))
     (copy / kept.KEPT_FILE).unlink(missing_ok=True)
     return copy
 
@@ -47,14 +67,14 @@ def refuse_replay(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(solving, "replay_into", replay)
 
 
-def test_results_are_those_of_the_replay(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (folder / kept.KEPT_FILE).mkdir()  # Nothing can be kept.
-    cold, cold_without = solved(folder), solved(folder, WITHOUT)
-    (folder / kept.KEPT_FILE).rmdir()
-    assert repr(solved(folder)) == repr(cold)
+def test_results_are_those_of_the_replay(longer: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (longer / kept.KEPT_FILE).mkdir()  # Nothing can be kept.
+    cold, cold_without = solved(longer), solved(longer, WITHOUT)
+    (longer / kept.KEPT_FILE).rmdir()
+    assert repr(solved(longer)) == repr(cold)
     refuse_replay(monkeypatch)
-    assert repr(solved(folder)) == repr(cold)
-    assert repr(solved(folder, WITHOUT)) == repr(cold_without)
+    assert repr(solved(longer)) == repr(cold)
+    assert repr(solved(longer, WITHOUT)) == repr(cold_without)
     assert repr(cold) != repr(cold_without)
 
 
@@ -92,8 +112,11 @@ def move_on(path: Path) -> None:
 
 
 @pytest.mark.parametrize("spoil", [flip, edit, forge, move_on, lambda path: path.write_bytes(path.read_bytes()[:-9])])
-def test_what_does_not_fit_is_read_anew(folder: Path, spoil: Callable[[Path], None], monkeypatch: pytest.MonkeyPatch) -> None:
-    cold, path = solved(folder), folder / kept.KEPT_FILE
+def test_what_does_not_fit_is_read_anew(
+    replayed: tuple[Path, dict[str, Any]], tmp_path: Path, spoil: Callable[[Path], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, cold = Path(shutil.copytree(replayed[0], tmp_path / "session")), replayed[1]
+    path = folder / kept.KEPT_FILE
     before = path.read_bytes()
     spoil(path)
     with monkeypatch.context() as patch:
@@ -128,31 +151,33 @@ def test_without_a_place_for_the_secret_nothing_is_kept(folder: Path, monkeypatc
     assert not (folder / kept.KEPT_FILE).exists()
 
 
-def test_other_code_reads_anew(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    solved(folder)
+def test_other_code_reads_anew(replayed: tuple[Path, dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = Path(shutil.copytree(replayed[0], tmp_path / "session"))
     monkeypatch.setattr(kept, "_code_sha256", lambda: "of another version")
     refuse_replay(monkeypatch)
     with pytest.raises(AssertionError):
         solved(folder)
 
 
-def test_a_damaged_recording_is_read_every_time(folder: Path) -> None:
+def test_a_damaged_recording_is_read_every_time(whole_session: Path, tmp_path: Path) -> None:
+    # Of several blocks, so that something is left.
+    folder = Path(shutil.copytree(whole_session, tmp_path / "session"))
     flip(folder / "part-001.mcap")
     reasons = [solve_session(Session.open(folder), SolveSettings()).calibration.quality.reasons for _ in range(2)]
     assert reasons[0] == reasons[1]
     assert not (folder / kept.KEPT_FILE).exists()
 
 
-def test_report_and_verify_need_no_replay(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert run(["solve", str(folder), "--latitude", "45"]) == 0
-    first, _ = gather(ReportOptions(session=folder))
+def test_report_and_verify_need_no_replay(longer: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert run(["solve", str(longer), "--latitude", "45"]) == 0
+    first, _ = gather(ReportOptions(session=longer))
     refuse_replay(monkeypatch)
     monkeypatch.setattr("imufield.commands.verify.replay_into", None)
-    again, _ = gather(ReportOptions(session=folder))
+    again, _ = gather(ReportOptions(session=longer))
     assert first.trace is not None
     assert again.trace is not None
     np.testing.assert_array_equal(first.trace.scatter_m_s2, again.trace.scatter_m_s2)
-    assert run(["verify", str(folder)]) == 0
+    assert run(["verify", str(longer)]) == 0
 
 
 def test_what_capture_keeps_is_what_a_replay_finds(program: Program, monkeypatch: pytest.MonkeyPatch) -> None:

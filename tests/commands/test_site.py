@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import tomllib
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from imufield.commands.options.result_commands import VerifyOptions
 from imufield.commands.verify import _Task
 from imufield.earth import choose_gravity, sigma_of_digits
 from imufield.errors import Reason
+from imufield.pipeline import solving
 from imufield.pipeline.site import SiteOptions
 from tests.commands.told import fails, missing
 
@@ -37,10 +39,31 @@ def reasons(document: dict[str, Any]) -> str:
     return " ".join(document["quality"]["reasons"])
 
 
+@pytest.fixture(scope="module")
+def read(whole_session: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a session of which the reading is kept, so that not each test reads its samples."""
+    folder = Path(shutil.copytree(whole_session, tmp_path_factory.mktemp("read") / "session"))
+    solved(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def read_nowhere(whole_session: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the same without a site."""
+    folder = Path(shutil.copytree(whole_session, tmp_path_factory.mktemp("nowhere") / "session"))
+    with_site(folder)
+    solved(folder)
+    return folder
+
+
 @pytest.fixture
-def session(whole_session: Path, tmp_path: Path) -> Path:
-    shutil.copytree(whole_session, tmp_path / "session")
-    return tmp_path / "session"
+def session(read: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(read, tmp_path / "session"))
+
+
+@pytest.fixture
+def nowhere(read_nowhere: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(read_nowhere, tmp_path / "nowhere"))
 
 
 def test_gravity_is_as_uncertain_as_its_digits(session: Path) -> None:
@@ -69,9 +92,8 @@ def test_a_plan_promises_no_scale_better_than_gravity(capsys: pytest.CaptureFixt
 
 
 @pytest.mark.parametrize("value", ["9.80665", "9.81", "9.8", "9.807"])
-def test_a_value_of_textbooks_is_an_assumed_one(session: Path, value: str) -> None:
-    without_site(session)
-    document = solved(session, "--gravity", value)
+def test_a_value_of_textbooks_is_an_assumed_one(nowhere: Path, value: str) -> None:
+    document = solved(nowhere, "--gravity", value)
     assert (document["site"]["gravity_source"], document["site"]["gravity_sigma_m_s2"]) == ("assumed", 0.018)
     assert document["site"]["gravity_m_s2"] == float(value)
     assert document["quality"]["verdict"] != "good"
@@ -80,23 +102,27 @@ def test_a_value_of_textbooks_is_an_assumed_one(session: Path, value: str) -> No
     assert all(sigma >= abs(scale) * 0.0018 for sigma, scale in zip(*scales(document), strict=True))
 
 
-def test_a_sigma_that_is_given_makes_the_same_value_a_measured_one(session: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    without_site(session)
+def test_a_sigma_that_is_given_makes_the_same_value_a_measured_one(nowhere: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     wanted = ("typed", 9.81, 0.0002)
     for given in ("9.81+-0.0002", "9.81 ± 2e-4"):
-        site = solved(session, "--gravity", given)["site"]
+        site = solved(nowhere, "--gravity", given)["site"]
         assert (site["gravity_source"], site["gravity_m_s2"], site["gravity_sigma_m_s2"]) == wanted
     # As a default in imufield.toml, and as a session keeps it.
-    monkeypatch.chdir(session.parent)
+    monkeypatch.chdir(nowhere.parent)
     Path("imufield.toml").write_text('gravity = "9.81+-0.0002"\n', encoding="utf-8")
-    site = solved(session)["site"]
+    site = solved(nowhere)["site"]
     assert (site["gravity_source"], site["gravity_m_s2"], site["gravity_sigma_m_s2"]) == wanted
     kept = SiteOptions(gravity_m_s2=9.81, gravity_sigma_m_s2=0.0002).record()
     assert SiteOptions().gravity(kept).source == "typed"
 
 
 @pytest.mark.parametrize("gravity_m_s2", [9.80665, 9.81, 9.8, 9.807])
-def test_an_older_session_kept_the_digits_of_a_textbook_as_sigma(session: Path, gravity_m_s2: float) -> None:
+def test_an_older_session_kept_the_digits_of_a_textbook_as_sigma(
+    session: Path, read_nowhere: Path, gravity_m_s2: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The samples are those read with gravity assumed; the same samples once more for each site would tell nothing more.
+    with solving.read_recording(Session.open(read_nowhere), []) as reading:
+        monkeypatch.setattr(solving, "read_recording", lambda *_, **__: nullcontext(reading))
     sigma_m_s2 = sigma_of_digits(repr(gravity_m_s2))
     with_site(session, gravity_m_s2=gravity_m_s2, gravity_sigma_m_s2=sigma_m_s2)
     document = solved(session)
@@ -168,10 +194,6 @@ def test_settings_edited_afterwards_are_said(session: Path, capsys: pytest.Captu
     fails(["solve", str(session)], 4, Reason.DAMAGED, "settings.accelerometer_range_g")
 
 
-def without_site(session: Path) -> None:
-    with_site(session)
-
-
 def with_site(session: Path, **site: float) -> None:
     path = session / "session.toml"
     metadata = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -179,21 +201,19 @@ def with_site(session: Path, **site: float) -> None:
     path.write_text(tomli_w.dumps(metadata), encoding="utf-8")
 
 
-def test_a_default_goes_before_gravity_that_was_assumed(session: Path) -> None:
-    without_site(session)
-    assert solved(session)["site"]["gravity_source"] == "assumed"
+def test_a_default_goes_before_gravity_that_was_assumed(nowhere: Path) -> None:
+    assert solved(nowhere)["site"]["gravity_source"] == "assumed"
     site = SiteOptions(latitude_deg=60.0, height_m=0.0, is_default=True)
-    task = _Task(VerifyOptions(parameters=session.parent / "solved.toml", session=session, site=site))
+    task = _Task(VerifyOptions(parameters=nowhere.parent / "solved.toml", session=nowhere, site=site))
     assert (task.gravity.source, task.latitude_deg, task.gravity.height_m) == ("normal", 60.0, 0.0)
 
 
-def test_what_was_typed_to_solve_a_session_without_a_site_goes_before_a_default(session: Path) -> None:
-    without_site(session)
-    site = solved(session, "--latitude", "10", "--height", "300")["site"]
+def test_what_was_typed_to_solve_a_session_without_a_site_goes_before_a_default(nowhere: Path) -> None:
+    site = solved(nowhere, "--latitude", "10", "--height", "300")["site"]
     assert (site["gravity_source"], site["latitude_deg"], site["height_m"]) == ("normal", 10.0, 300.0)
-    parameters = session.parent / "solved.toml"
+    parameters = nowhere.parent / "solved.toml"
     for options in (SiteOptions(), SiteOptions(latitude_deg=60.0, height_m=0.0, is_default=True)):
-        task = _Task(VerifyOptions(parameters=parameters, session=session, site=options))
+        task = _Task(VerifyOptions(parameters=parameters, session=nowhere, site=options))
         assert task.latitude_deg == 10.0
         assert task.gravity.height_m == 300.0
         assert task.gravity.gravity_m_s2 == site["gravity_m_s2"]

@@ -49,11 +49,24 @@ def sessions(tmp_path: Path, whole_session: Path) -> list[Path]:
 
 
 @pytest.fixture(scope="module")
-def alone(whole_session: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
-    """Return what each of the sessions gives when it is solved by itself."""
+def solved_alone(whole_session: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Return the sessions, each solved by itself."""
     folders = make_sessions(whole_session, tmp_path_factory.mktemp("alone"))
     assert [run(["solve", str(folder)]) for folder in folders] == [0, 0, 0]
-    return {folder.name: written(folder) for folder in folders}
+    return folders
+
+
+@pytest.fixture(scope="module")
+def alone(solved_alone: list[Path]) -> dict[str, list[str]]:
+    """Return what each of the sessions gives when it is solved by itself."""
+    return {folder.name: written(folder) for folder in solved_alone}
+
+
+@pytest.fixture
+def read_sessions(solved_alone: list[Path], tmp_path: Path) -> list[Path]:
+    """Return sessions that are as if never solved, but for what is kept of their samples."""
+    results = shutil.ignore_patterns("parameters*")
+    return [Path(shutil.copytree(folder, tmp_path / folder.name, ignore=results)) for folder in solved_alone]
 
 
 def numbers(path: Path) -> list[str]:
@@ -96,9 +109,9 @@ def test_one_that_fails_does_not_stop_the_others(program: Program, sessions: lis
 
 
 def test_nothing_is_computed_for_a_session_that_cannot_be_written(
-    sessions: list[Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    read_sessions: list[Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (sessions[0] / "parameters.toml").mkdir()
+    (read_sessions[0] / "parameters.toml").mkdir()
     solved: list[str] = []
 
     def solve(session: Session, *arguments: Any) -> Any:
@@ -106,19 +119,20 @@ def test_nothing_is_computed_for_a_session_that_cannot_be_written(
         return solve_session(session, *arguments)
 
     monkeypatch.setattr("imufield.commands.solve.solve_session", solve)
-    assert run(["solve", *map(str, sessions[:2]), "--workers", "1"]) == ParameterFileError.exit_code
+    assert run(["solve", *map(str, read_sessions[:2]), "--workers", "1"]) == ParameterFileError.exit_code
     assert solved == ["b"]
     rows = [line.split()[:2] for line in capsys.readouterr().out.splitlines()[1:3]]
     assert rows == [["a", "failed"], ["b", "good"]]
 
 
 def test_what_stood_there_is_kept_and_told(program: Program, sessions: list[Path]) -> None:
-    for folder in sessions[:2]:
+    sessions = sessions[:2]
+    for folder in sessions:
         settings = (folder / "session.toml").read_text()
         (folder / "session.toml").write_text(settings.replace("gravity_m_s2 = 9.80665\n", ""))
     assert program.run("solve", sessions[0], "--latitude", 45).returncode == 0
     before = (sessions[0] / "parameters.toml").read_bytes()
-    ended = program.run("solve", *sessions[:2], "--workers", 1)
+    ended = program.run("solve", *sessions, "--workers", 1)
     assert ended.returncode == 0, ended.stderr
     assert (sessions[0] / "parameters-1.toml").read_bytes() == before
     of = {name: [line for line in ended.stdout.splitlines() if line.startswith(f"{name}: ")] for name in ("a", "b")}
@@ -131,8 +145,8 @@ def test_what_stood_there_is_kept_and_told(program: Program, sessions: list[Path
     assert "--latitude 45" not in again.stdout
 
 
-def test_json_has_one_entry_a_session(program: Program, sessions: list[Path]) -> None:
-    ended = program.run("solve", *sessions[:2], sessions[0], "--json", "--workers", 1)
+def test_json_has_one_entry_a_session(program: Program, read_sessions: list[Path]) -> None:
+    ended = program.run("solve", *read_sessions[:2], read_sessions[0], "--json", "--workers", 1)
     assert ended.returncode == 0, ended.stderr
     entries = json.loads(ended.stdout)
     assert [Path(entry["session"]).name for entry in entries] == ["a", "b"]

@@ -21,6 +21,8 @@ from imufield.acquire.recording.session import Session
 from imufield.cli.run import run
 from imufield.guide.positions import scheme
 from tests.acquire import array_files
+from tests.acquire.formats.conftest import fork_readers, forked
+from tests.commands import forks
 from tests.commands.conftest import simulated_session
 from tests.commands.test_import import DBC, MAP, write_log
 from tests.torture.conftest import Campaign
@@ -168,6 +170,10 @@ def test_damaged_files(
     # Once in a home folder Matplotlib asks the system for its fonts and keeps the answer there: no file leads to that.
     importlib.import_module("matplotlib.font_manager")
     content = corpus.make(sound)
+    if not campaign.full:
+        # The same reader without an interpreter's start; what they are forked from starts before anybody watches.
+        forks.server("reader")
+        fork_readers(monkeypatch, forked)
     ends: list[Outcome] = []
     folder = tmp_path / "place"
 

@@ -34,7 +34,7 @@ def lines_of(samples: Samples) -> str:
 
 
 def test_the_text_is_that_of_python(tmp_path: Path) -> None:
-    samples = made(20 * ROWS + 7)
+    samples = made(5 * ROWS + 7)
     blocks = [samples[start : start + ROWS] for start in range(0, len(samples), ROWS)]
     assert write_csv(blocks, tmp_path / "out.csv", {}) == len(samples)
     assert (tmp_path / "out.csv").read_bytes().decode() == ",".join(SAMPLE_COLUMNS) + "\n" + lines_of(samples)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from imufield.acquire.formats import table_text
 from imufield.acquire.formats.tables import read_tables
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.commands.import_files import import_session
@@ -17,7 +18,13 @@ from imufield.deliver.samples.export_data import FORMATS, export_csv, export_sam
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.pipeline.chain import session_samples
 from imufield.samples import SAMPLE_COLUMNS, Samples, SampleUnits, Status, concatenate, make_samples
+from tests.acquire.formats.conftest import fork_readers
 from tests.refused import refused
+
+
+@pytest.fixture(autouse=True)
+def forked_readers(monkeypatch: pytest.MonkeyPatch) -> None:
+    fork_readers(monkeypatch)
 
 
 def block(n: int, start: int = 0) -> Samples:
@@ -76,8 +83,8 @@ def test_an_export_can_be_imported_again(tmp_path: Path) -> None:
     assert np.array_equal(rows[:, 7], samples.temperature_degc, equal_nan=True)
 
 
-def gapped(n: int = 150_000) -> Samples:
-    """Return more samples than a file takes at once, some of them without a value."""
+def gapped(n: int) -> Samples:
+    """Return samples, some of them without a value."""
     samples = block(n)
     gaps = np.arange(n) % 100 == 7
     force = np.where(gaps[:, None], np.nan, samples.accelerometer)
@@ -86,9 +93,12 @@ def gapped(n: int = 150_000) -> Samples:
 
 
 @pytest.mark.parametrize("to", ["csv", "parquet", "hdf5", "ros2"])
-def test_every_format_can_be_imported_again(tmp_path: Path, to: str) -> None:
+def test_every_format_can_be_imported_again(tmp_path: Path, to: str, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip({"csv": "numpy", "parquet": "pyarrow", "hdf5": "h5py", "ros2": "rosbags"}[to])
-    samples = gapped()
+    # More than is written, read and recorded at once, of which the first two are less than usual.
+    monkeypatch.setitem(FORMATS, to, dataclasses.replace(FORMATS[to], rows=4096))
+    monkeypatch.setattr(table_text, "BLOCK_BYTES", 1 << 19)
+    samples = gapped(20_000)
     path = tmp_path / f"out.{FORMATS[to].suffix}"
     facts = facts_of(load_protocol("rows_f64"), np.array([0.5, 0.0, -0.5]))
     assert export_samples((samples[at : at + 700] for at in range(0, len(samples), 700)), path, to, facts) == len(samples)
