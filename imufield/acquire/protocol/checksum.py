@@ -123,7 +123,7 @@ class Crc(Checksum):
         self._final = int(parameters.xor_output()) if final is None else final
         self._pad_to = pad_to
         self.size = self._width // 8
-        alone = _left_by_each(parameters)
+        alone = _left_by_each(parameters)  # type: ignore[arg-type]  # a class without types is hashable, too
         # Row d: what each byte value, and last the start value, leaves when d bytes follow. The final XOR is no part of it.
         self._left = np.array([[*alone, parameters(start).final()]], dtype=np.uint64) ^ np.uint64(parameters.xor_output())
         # Half the size where it will do: what the frames of an instrument need stays in cache.
