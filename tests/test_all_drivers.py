@@ -48,7 +48,7 @@ VECTORS = {
 """Files of test vectors by protocol; those of each format are compared value by value in tests/acquire."""
 NUMBER_OF_VECTORS = 229
 WITHOUT_VECTORS = {"text": "numbers as one writes them", "motioncal": "tests/drivers/test_motioncal.py"}
-DURATION_S = 2.0
+DURATION_S = 1.4
 
 
 @pytest.fixture(params=NAMES)

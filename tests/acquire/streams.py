@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterator
-from functools import reduce
+from functools import cache, reduce
 from operator import xor
 from pathlib import Path
 
@@ -185,6 +185,7 @@ INSTRUMENTS: dict[str, tuple[str, float, Callable[[int, float], bytes]]] = {
 """By name: driver, rate in Hz, bytes of one sample."""
 
 
+@cache
 def stream(name: str) -> tuple[bytes, float]:
     """Return bytes and how many of them come in a second."""
     _, rate_hz, sample = INSTRUMENTS[name]

@@ -28,7 +28,8 @@ from tests.acquire.plain_frames import pack_frames
 from tests.simulate.accounting import random_samples, serial_wires
 
 SECONDS = float(os.environ.get("IMUFIELD_FUZZ_S", "0"))
-ROUNDS = 2
+ROUNDS = 1
+"""Behind the first one, after which memory is looked at."""
 SAMPLES = 40
 EXAMPLES_PER_ROUND = 40
 GROWTH_LIMIT_MB = 160.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 
 import pytest
 
@@ -19,6 +20,7 @@ SHORT_WAYS = ((Framer, "_as_before"), (SampleClock, "_time_evenly"), (StampClock
 MARKED = sorted(name for name, (driver, _, _) in INSTRUMENTS.items() if load_protocol(driver, OPTIONS.get(name, {})).frame)
 
 
+@cache
 def stream(name: str) -> bytes:
     _, rate_hz, sample = INSTRUMENTS[name]
     return b"".join(sample(number, number / rate_hz) for number in range(round(SECONDS * min(rate_hz, 500))))

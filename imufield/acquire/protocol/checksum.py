@@ -96,6 +96,12 @@ class Checksum(ABC):
     def _spans(self, span: _Ragged, lengths: Positions) -> Values: ...
 
 
+@cache
+def _left_by_each(parameters: type[crccheck.crc.CrcBase]) -> list[int]:
+    """Return the CRC of each byte value alone; a protocol is read again and again, and crccheck is slow."""
+    return [parameters.calc(bytes([value]), 0) for value in range(256)]
+
+
 class Crc(Checksum):
     """A CRC of 8 to 64 bits with the parameters of one class of ``crccheck``.
 
@@ -117,7 +123,7 @@ class Crc(Checksum):
         self._final = int(parameters.xor_output()) if final is None else final
         self._pad_to = pad_to
         self.size = self._width // 8
-        alone = [parameters.calc(bytes([value]), 0) for value in range(256)]
+        alone = _left_by_each(parameters)  # type: ignore[arg-type]  # a class without types is hashable, too
         # Row d: what each byte value, and last the start value, leaves when d bytes follow. The final XOR is no part of it.
         self._left = np.array([[*alone, parameters(start).final()]], dtype=np.uint64) ^ np.uint64(parameters.xor_output())
         # Half the size where it will do: what the frames of an instrument need stays in cache.

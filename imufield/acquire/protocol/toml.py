@@ -9,7 +9,6 @@ A value may be written out, or taken from a setting::
 
 from __future__ import annotations
 
-import copy
 import difflib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -54,7 +53,14 @@ class Source:
 
     def parse(self) -> dict[str, object]:
         """Parse the text as TOML; raises ProtocolError as ``parse_toml``."""
-        return copy.deepcopy(_parsed(self.text, self.label))
+        return {key: _copy(value) for key, value in _parsed(self.text, self.label).items()}
+
+
+def _copy(value: object) -> object:
+    """Return a copy of tables and lists; what else TOML has cannot be changed."""
+    if isinstance(value, dict):
+        return {key: _copy(inner) for key, inner in value.items()}
+    return [_copy(inner) for inner in value] if isinstance(value, list) else value
 
 
 # Recognising an instrument reads each protocol several times, and reading the text is most of the work.

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -216,6 +217,8 @@ def _session_time(scheme: Scheme, settings: GuideSettings, *, noise: float, grad
     longer_s = [free_s, *(hold_s for hold_s in _LENGTHS_S.tolist() if hold_s > free_s)]
     helps_s = next((hold_s for hold_s in longer_s if _is_within(limits, forecast(len(scheme), hold_s))), LONGEST_S)
 
+    # With a margin and without it the same are tried.
+    @cache
     def taking(positions: int, hold_s: float) -> SessionTime:
         # Whoever finishes early leaves out the first position, which is otherwise asked for again at the end.
         holds = positions + int(settings.revisit_first and positions == len(scheme))

@@ -135,19 +135,19 @@ def hdf5_trap(path: Path) -> None:
 def parquet_trap(path: Path) -> None:
     zeros = pyarrow.array(np.zeros(4_000_000))
     with parquet.ParquetWriter(path, pyarrow.schema([("t", "f8"), ("ax", "f8")]), compression="zstd") as writer:
-        for _ in range(40):
+        for _ in range(16):
             writer.write_table(pyarrow.table({"t": zeros, "ax": zeros}), row_group_size=len(zeros))
 
 
 def numpy_trap(path: Path) -> None:
     head = io.BytesIO()
-    np.lib.format.write_array_header_1_0(head, {"descr": "<f8", "fortran_order": False, "shape": (50_000_000, 4)})
+    np.lib.format.write_array_header_1_0(head, {"descr": "<f8", "fortran_order": False, "shape": (32_000_000, 4)})
     with (
         zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
         archive.open("data.npy", "w", force_zip64=True) as member,
     ):
         member.write(head.getvalue())
-        for _ in range(200):
+        for _ in range(128):
             member.write(bytes(8_000_000))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -9,14 +10,20 @@ from streams import INSTRUMENTS, OTHERS, RECORDED, chunks, flipped, others, reco
 
 from imufield.acquire.driver import Driver
 from imufield.acquire.instrument.listen import serial_candidates
-from imufield.acquire.instrument.recognise import Listener, best, checked_bits
+from imufield.acquire.instrument.recognise import Candidate, Listener, best, checked_bits
 from imufield.acquire.registry import driver_names, load_driver
 
 CONDITIONS = ("clean", "flipped bits", "starting inside a frame", "everything late")
 
 
+@cache
+def candidates() -> list[Candidate]:
+    """Return all that may be heard on a port: nothing that listens changes it, and to read all protocols takes long."""
+    return serial_candidates()
+
+
 def listeners_of(data: bytes, bytes_per_s: float, *, stop: bool = True) -> list[Listener]:
-    listeners = [Listener(one) for one in serial_candidates()]
+    listeners = [Listener(one) for one in candidates()]
     for chunk in chunks(data, bytes_per_s):
         for listener in listeners:
             listener.feed(chunk)
@@ -97,7 +104,7 @@ def test_lines_in_g_are_doubted_unless_the_user_says_so() -> None:
     assert best(listeners) is None
     doubt = next(listener.finding().reason for listener in listeners if listener.candidate.name == "text")
     assert "gravity" in doubt
-    text = next(one for one in serial_candidates() if one.name == "text")
+    text = next(one for one in candidates() if one.name == "text")
     given = Listener(text, is_given=True)
     for chunk in chunks(data, len(data) / 3):
         given.feed(chunk)
@@ -106,7 +113,7 @@ def test_lines_in_g_are_doubted_unless_the_user_says_so() -> None:
 
 def test_lines_that_come_in_bursts_are_doubted() -> None:
     data, bytes_per_s = stream("lines")
-    text = Listener(next(one for one in serial_candidates() if one.name == "text"))
+    text = Listener(next(one for one in candidates() if one.name == "text"))
     for number, chunk in enumerate(chunks(data, bytes_per_s)):
         late = 0.0 if number < 50 else 20.0
         text.feed(type(chunk)(chunk.data, chunk.monotonic_s + late, 0))

@@ -93,7 +93,9 @@ def run(reads: list[tuple[RawBlock, float]], *, counter: bool = True) -> tuple[S
     return samples, statistics
 
 
-def assert_nothing_is_missing(path: Path, seconds: float = 40.0) -> None:
+def assert_nothing_is_missing(path: Path, seconds: float = 20.0) -> None:
+    # What the clock remembers of arrivals is 4 s long: it has forgotten its beginning before anything happens, and it has
+    # time to change its mind behind.
     numbers = np.arange(int(seconds * RATE_HZ))
     samples, statistics = run(read(numbers, path))
     np.testing.assert_allclose(samples.time_s, numbers / RATE_HZ, atol=1e-9)
@@ -105,31 +107,31 @@ def assert_nothing_is_missing(path: Path, seconds: float = 40.0) -> None:
 @pytest.mark.parametrize("back_after_s", [0.6, 2.0, 8.0, 100.0])
 def test_a_cable_that_becomes_slower_loses_nothing(step_s: float, back_after_s: float) -> None:
     # Bytes stay in order, so a cable that is fast again first has to give out what it holds.
-    assert_nothing_is_missing(Path(latency_steps=((10.0, step_s), (10.0 + back_after_s, -step_s))))
+    assert_nothing_is_missing(Path(latency_steps=((6.0, step_s), (6.0 + back_after_s, -step_s))))
 
 
 @pytest.mark.parametrize("drain", [1.02, 1.2, 10.0, 1e6])
 @pytest.mark.parametrize("long_s", [0.1, 0.128, 0.5, 1.0, 5.0])
 def test_a_stall_loses_nothing_however_slowly_the_rest_comes(long_s: float, drain: float) -> None:
-    assert_nothing_is_missing(Path(stalls=((10.0, long_s), (18.3, long_s / 2)), drain=drain))
+    assert_nothing_is_missing(Path(stalls=((6.0, long_s), (13.3, long_s / 2)), drain=drain))
 
 
 @pytest.mark.parametrize("batch_s", [0.016, 0.1, 0.13, 0.3])
 @pytest.mark.parametrize("drift", [0.0, 1e-4, -1e-4, 0.038, -0.03])
 def test_batches_and_drifting_clocks_lose_nothing(batch_s: float, drift: float) -> None:
-    assert_nothing_is_missing(Path(batch_s=batch_s, drift=drift, latency_steps=((20.0, 0.1),)))
+    assert_nothing_is_missing(Path(batch_s=batch_s, drift=drift, latency_steps=((10.0, 0.1),)))
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_a_fast_clock_on_a_loaded_machine_loses_nothing(seed: int) -> None:
     # Eight times as fast: a delay of 30 ms is one of 0.24 s. The machine is slow for a while, again and again.
     rng = np.random.default_rng(seed)
-    stalls = tuple((float(at_s), float(8 * rng.exponential(0.06))) for at_s in np.sort(rng.uniform(3, 55, 60)))
-    assert_nothing_is_missing(Path(stalls=stalls, drain=1.3, speed=8.0, jitter_s=0.004, seed=seed), 60.0)
+    stalls = tuple((float(at_s), float(8 * rng.exponential(0.06))) for at_s in np.sort(rng.uniform(3, 27, 28)))
+    assert_nothing_is_missing(Path(stalls=stalls, drain=1.3, speed=8.0, jitter_s=0.004, seed=seed), 30.0)
 
 
 CLEAN = Path()
-ROUGH = Path(batch_s=0.016, jitter_s=0.003, drift=1e-4, stalls=((4.0, 0.4), (22.0, 1.0)))
+ROUGH = Path(batch_s=0.016, jitter_s=0.003, drift=1e-4, stalls=((4.0, 0.4), (13.0, 1.0)))
 
 
 @pytest.mark.parametrize("wraps", [1, 2, 3, 4, 5])
@@ -137,12 +139,12 @@ ROUGH = Path(batch_s=0.016, jitter_s=0.003, drift=1e-4, stalls=((4.0, 0.4), (22.
 @pytest.mark.parametrize("path", [CLEAN, ROUGH], ids=["clean", "rough"])
 def test_every_loss_is_counted(wraps: int, rest: int, path: Path) -> None:
     lost = wraps * WRAP + rest
-    numbers = np.concatenate([np.arange(24_000), np.arange(24_000 + lost, 60_000)])
+    numbers = np.concatenate([np.arange(16_000), np.arange(16_000 + lost, 36_000)])
     samples, statistics = run(read(numbers, path))
     np.testing.assert_allclose(samples.time_s, numbers / RATE_HZ, atol=1e-9)
     assert statistics.losses_estimated == wraps * WRAP
     assert statistics.samples_lost == rest
-    assert np.flatnonzero(samples.status & GAP).tolist() == [24_000]
+    assert np.flatnonzero(samples.status & GAP).tolist() == [16_000]
 
 
 def test_two_losses_are_counted_apart() -> None:

@@ -118,6 +118,12 @@ def made() -> MadePart:
     return make_part()
 
 
+@pytest.fixture
+def short() -> MadePart:
+    """A first block, one between others and a last, where each byte of them is tried."""
+    return make_part(3)
+
+
 def written(folder: Path, data: bytes, name: str = "part-001.mcap") -> Path:
     path = folder / name
     path.write_bytes(data)
@@ -159,10 +165,10 @@ def test_the_mcap_package_reads_the_same(made: MadePart, tmp_path: Path) -> None
     assert json.loads(metadata.metadata["json"]) == METADATA
 
 
-def test_every_prefix_gives_its_complete_blocks(made: MadePart, tmp_path: Path) -> None:
-    for size in range(1, len(made.data)):
+def test_every_prefix_gives_its_complete_blocks(short: MadePart, tmp_path: Path) -> None:
+    for size in range(1, len(short.data)):
         damage: list[Damage] = []
-        assert read_items(written(tmp_path, made.data[:size]), damage) == made.items_before(size)
+        assert read_items(written(tmp_path, short.data[:size]), damage) == short.items_before(size)
         assert len(damage) == 1
         assert damage[0].torn_end
         assert damage[0].offset + damage[0].length_bytes == size
@@ -176,28 +182,28 @@ def test_a_file_cut_behind_its_last_block_says_so(made: MadePart, tmp_path: Path
 
 
 @pytest.mark.parametrize("mask", [0x01, 0x04, 0x80, 0xFF])
-def test_one_damaged_byte_costs_its_block_and_is_named(made: MadePart, tmp_path: Path, mask: int) -> None:
-    for position in range(made.head_size, made.end_start):
-        data = bytearray(made.data)
+def test_one_damaged_byte_costs_its_block_and_is_named(short: MadePart, tmp_path: Path, mask: int) -> None:
+    for position in range(short.head_size, short.end_start):
+        data = bytearray(short.data)
         data[position] ^= mask
         damage: list[Damage] = []
         items = read_items(written(tmp_path, bytes(data)), damage)
-        if items == made.items:
+        if items == short.items:
             # The times in the head of a chunk are not used; nothing was lost, so nothing is reported.
             assert damage == []
             continue
-        assert items == made.items_without(position)
-        (start,) = [start for start, end, _ in made.blocks if start <= position < end]
+        assert items == short.items_without(position)
+        (start,) = [start for start, end, _ in short.blocks if start <= position < end]
         assert [(entry.offset, entry.torn_end) for entry in damage] == [(start, False)]
         assert f"byte {start}" in damage[0].what
 
 
 @pytest.mark.parametrize("mask", [0x01, 0xFF])
-def test_damage_before_and_behind_the_blocks_costs_none_of_them(made: MadePart, tmp_path: Path, mask: int) -> None:
-    for position in (*range(made.head_size), *range(made.end_start, len(made.data))):
-        data = bytearray(made.data)
+def test_damage_before_and_behind_the_blocks_costs_none_of_them(short: MadePart, tmp_path: Path, mask: int) -> None:
+    for position in (*range(short.head_size), *range(short.end_start, len(short.data))):
+        data = bytearray(short.data)
         data[position] ^= mask
-        assert read_items(written(tmp_path, bytes(data))) == made.items
+        assert read_items(written(tmp_path, bytes(data))) == short.items
 
 
 def test_a_hole_of_any_size_costs_what_it_covers(made: MadePart, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ pytestmark = pytest.mark.numerical
 MEASURED = choose_gravity(9.80665, sigma_m_s2=MEASURED_GRAVITY_SIGMA_M_S2)
 
 
+@cache
 def said(grade: str = "tactical", positions: str = "paper24", *, gravity: Gravity = MEASURED, **settings: float) -> SessionTime:
     """Return what is said of an instrument of a grade."""
     typical = GRADES[grade]

@@ -1,5 +1,6 @@
 """The screen, on the events of one simulated session."""
 
+import copy
 import re
 from dataclasses import replace
 from functools import partial
@@ -41,13 +42,29 @@ def open_nothing() -> Any:
     return StringIO()
 
 
+FOLLOWED: dict[float, Any] = {}
+"""By time: it is the same session for every test, and many stop it at the same moments."""
+
+
 def followed(session: Any, until_s: Any) -> Any:
     """Return the screen that has followed a session until then, and its guide."""
-    screen, guide = Screen(), None
-    for events, now in session(until_s):
-        screen.follow(events)
-        guide = now
-    return screen, guide
+    if until_s not in FOLLOWED:
+        screen, guide = Screen(), None
+        for events, now in session(until_s):
+            screen.follow(events)
+            guide = now
+        FOLLOWED[until_s] = screen, guide
+    return copy.deepcopy(FOLLOWED[until_s])
+
+
+def drawn_through(session: Any, until_s: float, view: TerminalView) -> None:
+    """Draw a session as it goes on, ten times a second."""
+    waiting: list[Any] = []
+    for number, (events, guide) in enumerate(session(until_s)):
+        waiting += events
+        if number % 5 == 4:
+            view.show(waiting, guide.snapshot())
+            waiting = []
 
 
 def shown(session: Any, until_s: Any) -> Any:
@@ -334,12 +351,12 @@ def test_the_first_position_once_more_is_called_a_drift_check(make_path: Any) ->
     path = make_path(100.0)
     directions = list(scheme("corners24").directions())
     for up in [*directions, directions[0]]:
-        path.hold(up, 5).turn(up, 0.1)
+        path.hold(up, 4).turn(up, 0.1)
     samples = path.samples()
     guide = Guide(scheme("corners24"), samples.units, settings=GuideSettings(hold_s=3.0, revisit_first=True))
     screen, headlines, details = Screen(), list[str](), list[str]()
-    for start in range(0, len(samples), 10):
-        screen.follow(guide.feed(samples[start : start + 10]))
+    for start in range(0, len(samples), 20):
+        screen.follow(guide.feed(samples[start : start + 20]))
         snapshot = guide.snapshot()
         now = instruct(screen, snapshot)
         if len(snapshot.accepted) == 24 and now.headline not in headlines:
@@ -413,8 +430,7 @@ def test_live_view_draws_through_rich(session: Any) -> None:
     drawn = open_nothing()
     console = Console(width=WIDTH, height=HEIGHT, file=drawn, force_terminal=True)
     with TerminalView(scheme("faces6"), console) as view:
-        for events, guide in session(3.5):
-            view.show(events, guide.snapshot())
+        drawn_through(session, 3.5, view)
     assert "H O L D" in drawn.getvalue()
 
 
@@ -441,8 +457,7 @@ def test_the_screen_is_ascii_where_the_terminal_is(session: Any) -> None:
     drawn = TextIOWrapper(BytesIO(), encoding="ascii", errors="strict")
     console = Console(width=WIDTH, height=HEIGHT, file=drawn, force_terminal=True, color_system=None)
     with TerminalView(scheme("faces6"), console) as view:
-        for events, guide in session(7.0):
-            view.show(events, guide.snapshot())
+        drawn_through(session, 7.0, view)
     drawn.flush()
 
 
