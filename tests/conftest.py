@@ -16,11 +16,6 @@ from hypothesis import HealthCheck, settings
 for _library in ("OPENBLAS", "MKL", "OMP"):
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
-# Four processes that each compile seven hundred modules anew spend a quarter of a minute on it, and every program that a test
-# starts another second: compiled modules are kept, also where the environment says otherwise.
-sys.dont_write_bytecode = False
-os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
-
 # A shell lets what it runs in the background ignore Ctrl-C, nohup a closed terminal, and what the tests start would do the
 # same. A handler is not handed on to programs: they hear every signal, while the tests go on ignoring it.
 for _signal in (signal.SIGINT, signal.SIGHUP):
