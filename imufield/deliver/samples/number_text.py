@@ -20,21 +20,20 @@ _EMPTY = orjson.Fragment(b"")
 
 def float_column(values: FloatArray) -> list[Cell]:
     """Return the cells of doubles, empty where they are NaN."""
-    size, missing = np.abs(values), np.isnan(values)
-    cells = _cells(values, missing)
-    for row in np.flatnonzero(~((size >= _PLAIN_FROM) & (size < _PLAIN_BELOW) | (size == 0) | missing)).tolist():
-        cells[row] = orjson.Fragment(repr(cells[row]).encode())
+    size = np.abs(values)
+    # NaN and 0, too.
+    others = np.flatnonzero(~((size >= _PLAIN_FROM) & (size < _PLAIN_BELOW)))
+    if len(others) == len(values) and np.isnan(values).all():
+        return [_EMPTY] * len(values)
+    cells: list[Cell] = values.tolist()
+    for row in others.tolist():
+        if cells[row]:
+            cells[row] = orjson.Fragment(repr(cells[row]).encode()) if cells[row] == cells[row] else _EMPTY
     return cells
 
 
 def integer_column(values: IntArray, missing: NDArray[np.bool_]) -> list[Cell]:
     """Return the cells of integers, empty where they are missing."""
-    return _cells(values, missing)
-
-
-def _cells(values: IntArray | FloatArray, missing: NDArray[np.bool_]) -> list[Cell]:
-    if missing.all():
-        return [_EMPTY] * len(values)
     cells: list[Cell] = values.tolist()
     for row in np.flatnonzero(missing).tolist():
         cells[row] = _EMPTY
