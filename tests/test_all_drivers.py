@@ -48,7 +48,7 @@ VECTORS = {
 """Files of test vectors by protocol; those of each format are compared value by value in tests/acquire."""
 NUMBER_OF_VECTORS = 229
 WITHOUT_VECTORS = {"text": "numbers as one writes them", "motioncal": "tests/drivers/test_motioncal.py"}
-DURATION_S = 1.4
+DURATION_S = 1.6
 
 
 @pytest.fixture(params=NAMES)
@@ -193,9 +193,9 @@ def test_emulated_instrument_is_read_back(driver: type[Driver]) -> None:
     assert emulator.failure is None
     assert len(samples) == emulator.samples_sent == round(DURATION_S * wire.rate_hz)
     assert decoder.statistics.samples_lost == 0
-    # A busy machine may stamp the frames of one CAN sample so late that they pass for two.
+    # The first 0.3 s may be start-up, and a busy machine may stamp the frames of one CAN sample so late that they pass for two.
     usable = samples[samples.usable]
-    assert len(usable) >= 0.8 * len(samples)
+    assert len(usable) >= 0.7 * len(samples)
     assert np.linalg.norm(usable.accelerometer_rate().mean(axis=0)) == pytest.approx(9.8, abs=0.1)
     rate = usable.gyroscope_rate().mean(axis=0)
     assert np.abs(rate).max() < 0.02 or (np.isnan(rate).all() and driver.name == "bosch_mm510")
