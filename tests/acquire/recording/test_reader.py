@@ -295,12 +295,10 @@ def test_a_sealed_chunk_of_nonsense_is_left_out_and_named(made: MadePart, tmp_pa
 
 
 def test_damage_is_told_in_the_order_of_the_file(made: MadePart, tmp_path: Path) -> None:
-    # The next chunk is unpacked before this one is looked through.
-    start, wrong = made.blocks[1][0], bytearray(sealed(b"garbage"))
-    wrong[-1] ^= 1
-    damage: list[Damage] = []
-    read_items(written(tmp_path, made.data[:start] + sealed(b"garbage") + wrong + made.data[start:]), damage)
-    assert [entry.offset for entry in damage] == [start, start + len(wrong)]
+    start, unusable, damage = made.blocks[1][0], sealed(b"garbage"), list[Damage]()
+    broken = unusable[:-1] + bytes([unusable[-1] ^ 1])
+    read_items(written(tmp_path, made.data[:start] + unusable + broken + made.data[start:]), damage)
+    assert [entry.offset for entry in damage] == [start, start + len(unusable)]
 
 
 def test_messages_of_other_channels_are_passed_over(made: MadePart, tmp_path: Path) -> None:
@@ -412,10 +410,9 @@ def test_blocks_end_at_size_silence_and_events(tmp_path: Path) -> None:
     assert [len(block.data) for block in blocks_of(session, span_s=0.0)] == [10] * 7
 
 
-def one_by_one(times_s: list[float], sizes: list[int], *, block_bytes: int, span_s: float) -> list[int]:
+def one_by_one(times_s: list[float], sizes: list[int], *, block_bytes: float, span_s: float) -> list[int]:
     """Return how many chunks each block has, by the rule as it is said."""
-    counts: list[int] = []
-    first_s = last_s = held = 0.0
+    counts, first_s, last_s, held = list[int](), 0.0, 0.0, 0
     for time_s, size in zip(times_s, sizes, strict=True):
         if not counts or held + size > block_bytes or time_s - first_s > span_s or abs(time_s - last_s) > 0.25:
             counts.append(0)
@@ -428,25 +425,22 @@ def one_by_one(times_s: list[float], sizes: list[int], *, block_bytes: int, span
 @given(
     steps=st.lists(st.tuples(st.sampled_from((0.0, 0.02, 0.2, 0.25, 0.3, -0.1, -5.0, np.nan)), st.integers(0, 30)), min_size=1),
     cuts=st.sets(st.integers(0, 40)),
-    block_bytes=st.integers(1, 100),
-    span_s=st.sampled_from((0.0, 0.3, 1.0)),
+    limits=st.fixed_dictionaries({"block_bytes": st.integers(1, 100), "span_s": st.sampled_from((0.0, 0.3, 1.0))}),
 )
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
 def test_blocks_are_the_same_however_chunks_were_packed(
-    tmp_path: Path, steps: list[tuple[float, int]], cuts: set[int], block_bytes: int, span_s: float
+    tmp_path: Path, steps: list[tuple[float, int]], cuts: set[int], limits: dict[str, float]
 ) -> None:
     times_s, sizes = np.nancumsum([step for step, _ in steps]), [size for _, size in steps]
     times_s[np.isnan([step for step, _ in steps])] = np.nan
     messages = [link_message(bytes(size), time_s, 0, 0) for time_s, size in zip(times_s.tolist(), sizes, strict=True)]
     edges = [0, *sorted(cut for cut in cuts if 0 < cut < len(messages)), len(messages)]
-    packed = [chunk_record(messages[begin:end]) for begin, end in itertools.pairwise(edges)]
-    session = session_of(tmp_path, start_of_part(METADATA) + b"".join(packed) + end_of_part())
-    blocks = list(blocks_of(session, block_bytes=block_bytes, span_s=span_s))
-    counts = one_by_one(times_s.tolist(), sizes, block_bytes=block_bytes, span_s=span_s)
-    assert [len(block.monotonic_s) for block in blocks] == counts
+    packed = b"".join(chunk_record(messages[begin:end]) for begin, end in itertools.pairwise(edges))
+    session = session_of(tmp_path, start_of_part(METADATA) + packed + end_of_part())
+    blocks = list(blocks_of(session, **limits))
+    assert [len(block.monotonic_s) for block in blocks] == one_by_one(times_s.tolist(), sizes, **limits)
     np.testing.assert_array_equal(np.concatenate([block.monotonic_s for block in blocks]), times_s)
-    ends = [np.diff(block.end, prepend=0).tolist() for block in blocks]
-    assert list(itertools.chain.from_iterable(ends)) == sizes
+    assert np.concatenate([np.diff(block.end, prepend=0) for block in blocks]).tolist() == sizes
 
 
 def test_a_recording_poses_as_a_link(made: MadePart, tmp_path: Path) -> None:
