@@ -34,7 +34,6 @@ from imufield.errors import Reason
 from imufield.guide.positions import scheme
 from imufield.pipeline.chain import session_samples
 from imufield.samples import Status, concatenate
-from imufield.simulate.emulator import core
 from imufield.simulate.emulator.can import CanEmulator
 from imufield.simulate.emulator.core import EmulatorSettings
 from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
@@ -50,9 +49,6 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no pseudo-termi
 SPEED = 8.0
 DATAGRAM_SPEED = 3.0
 """Where each message counts: a datagram that finds the buffer of a busy reader full is gone, as on no real bus."""
-LISTEN_S = 2
-EMULATOR_SLICE_S = 0.03
-"""As in programs that are forked: who reads a stream at these speeds need not be woken more often."""
 NUMBERS = itertools.count()
 DBC = """VERSION ""
 NS_ :
@@ -85,7 +81,7 @@ Emulate = Callable[..., CanEmulator]
 
 
 @pytest.fixture
-def emulate(monkeypatch: pytest.MonkeyPatch) -> Iterator[Emulate]:
+def emulate() -> Iterator[Emulate]:
     """Return a function that starts an instrument: what it speaks, its bus, the positions somebody turns it to."""
     with ExitStack() as stack:
 
@@ -100,8 +96,6 @@ def emulate(monkeypatch: pytest.MonkeyPatch) -> Iterator[Emulate]:
             speed: float = SPEED,
             **more: Any,
         ) -> CanEmulator:
-            if bus == "slcan":
-                monkeypatch.setattr(core, "SLICE_S", EMULATOR_SLICE_S)
             habits = OperatorSettings(hold_s=6.0, initial_still_s=still_s)
             directions = np.tile(scheme(positions).directions(), (rounds, 1)) if positions else ()
             options = Emulation(device="text", rate_hz=100.0, grade="mems", seed=5, directions=directions, operator=habits)
@@ -298,7 +292,7 @@ def test_replay_to_a_bus_and_to_an_adapter(program: Program, emulate: Emulate, m
     assert address.startswith("slcan:/dev/")
     again = program.run(
         *("record", "--bus", f"{address}?sleep_after_open=0", "--driver", "aceinna_can", "--session", "again"),
-        *("--duration-s", 40, "--clock-speed", 4),
+        *("--duration-s", 25),
     )
     # The adapter goes away at the end, as when it is unplugged, and is waited for until the time is over.
     assert again.returncode == 3, again.stderr
@@ -315,8 +309,6 @@ def in_this_process(*arguments: object) -> int:
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
-    # Who waits for a silent bus waits the whole time, and learns no more from a longer one.
-    monkeypatch.setattr(connect_can, "LISTEN_S", LISTEN_S)
     return tmp_path
 
 
@@ -326,7 +318,7 @@ RECORD = ("record", "--clock-speed", 16, "--duration-s", 1)
 @pytest.mark.parametrize(
     ("options", "code", "words"),
     [
-        (("--bus", "virtual:nobody", "--driver", "aceinna_can"), 3, f"is silent: no frame in {LISTEN_S} s"),
+        (("--bus", "virtual:nobody", "--driver", "aceinna_can"), 3, "is silent: no frame in 5 s"),
         (("--bus", "slcan:/dev/nowhere", "--driver", "aceinna_can"), 3, "does not exist"),
         (("--bus", "slcan:/dev/nowhere"), 2, "bit rate of"),
         (("--bus", "soketcan:can0"), 2, "did you mean 'socketcan'"),
