@@ -48,7 +48,7 @@ VECTORS = {
 """Files of test vectors by protocol; those of each format are compared value by value in tests/acquire."""
 NUMBER_OF_VECTORS = 229
 WITHOUT_VECTORS = {"text": "numbers as one writes them", "motioncal": "tests/drivers/test_motioncal.py"}
-DURATION_S = 1.6
+DURATION_S = 2.0
 
 
 @pytest.fixture(params=NAMES)
@@ -191,11 +191,14 @@ def test_emulated_instrument_is_read_back(driver: type[Driver]) -> None:
         samples = read(link, decoder, emulator)
         link.close()
     assert emulator.failure is None
-    assert len(samples) == emulator.samples_sent == round(DURATION_S * wire.rate_hz)
-    assert decoder.statistics.samples_lost == 0
-    # The first 0.3 s may be start-up, and a busy machine may stamp the frames of one CAN sample so late that they pass for two.
+    assert emulator.samples_sent == round(DURATION_S * wire.rate_hz)
+    # Who sends stamps the frames of a virtual bus: where that stands still between two of a sample, they pass for others'.
+    tolerance = 2 if driver.wire == "can" else 0
+    assert len(samples) == pytest.approx(emulator.samples_sent, rel=0, abs=tolerance)
+    assert decoder.statistics.samples_lost <= tolerance
+    # A busy machine may stamp the frames of one CAN sample so late that they pass for two.
     usable = samples[samples.usable]
-    assert len(usable) >= 0.7 * len(samples)
+    assert len(usable) >= 0.8 * len(samples)
     assert np.linalg.norm(usable.accelerometer_rate().mean(axis=0)) == pytest.approx(9.8, abs=0.1)
     rate = usable.gyroscope_rate().mean(axis=0)
     assert np.abs(rate).max() < 0.02 or (np.isnan(rate).all() and driver.name == "bosch_mm510")
