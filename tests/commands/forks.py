@@ -19,6 +19,8 @@ from pathlib import Path
 from typing import Any
 
 SERVER = Path(__file__).with_name("fork_server.py")
+# As readers of other programs' files are started; libraries look when they are imported.
+AT_IMPORT = {**{f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "MKL", "OMP")}, "ARROW_DEFAULT_MEMORY_POOL": "system"}
 # Variables that an interpreter reads at its start, and libraries at their import.
 READ_AT_START = ("PYTHON", "LC_", "LANG", "OPENBLAS", "TYPER", "FORCE_COLOR", "PY_COLORS", "TERMINAL_WIDTH")
 ENDED_UNSEEN = 1 << 8
@@ -36,7 +38,7 @@ def server(program: str) -> socket.socket:
     process = subprocess.Popen(
         [sys.executable, str(SERVER), str(its.fileno()), program],
         pass_fds=[its.fileno()],
-        env={**os.environ, **{f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "MKL", "OMP")}},
+        env={**os.environ, **AT_IMPORT},
         stdin=subprocess.DEVNULL,
         start_new_session=True,
     )

@@ -127,10 +127,16 @@ def read_hdf5(path: Path) -> Content:
 
 def read_parquet(path: Path) -> Content:
     """Return the columns of a Parquet file and what its writer says of it."""
+    import pyarrow as pa
     import pyarrow.parquet as parquet
 
-    # One thread: each of them would take address space of its own.
-    table = parquet.read_table(path, use_threads=False)
+    # Each thread takes address space of its own; one that cannot start, or gets no memory, ends the process without a word.
+    pa.set_cpu_count(1)
+    pa.set_io_thread_count(1)
+    with parquet.ParquetFile(path) as file:
+        columns = file.metadata.num_columns
+        _check_sound(columns, columns * file.metadata.num_rows, size_of(path))
+        table = file.read(use_threads=False)
     metadata = table.schema.metadata or {}
     stated = {key.decode(): text.decode() for key, text in metadata.items() if key.startswith(_OWN.encode())}
     return {name: table.column(name).to_numpy() for name in table.column_names}, stated
@@ -307,7 +313,7 @@ def write_arrays(kind: str, path: Path, *topic: str) -> None:
         limit_time(size)
         arrays, stated = read(path, *topic)
         numbers = [name for name, array in arrays.items() if array.dtype.kind in NUMBERS + DATES]
-        _check_sound(arrays, numbers, size)
+        _check_sound(len(arrays), sum(arrays[name].size for name in numbers), size)
         head = {"names": numbers, "others": [name for name in arrays if name not in numbers], "stated": stated}
     except ImportError as error:
         numbers, head = [], {"missing": first_line(error)}
@@ -329,11 +335,11 @@ def _load(module: str) -> None:
         raise ImportError(first_line(error)) from error
 
 
-def _check_sound(arrays: Arrays, numbers: list[str], size: int) -> None:
+def _check_sound(arrays: int, numbers: int, size: int) -> None:
     """Refuse more arrays or numbers than a sound file has: who reads them makes float64 of all."""
-    if len(arrays) > MOST_ARRAYS:
-        raise ValueError(f"it holds {len(arrays)} arrays, the limit is {MOST_ARRAYS}")
-    memory, limit = 8 * sum(arrays[name].size for name in numbers), unpacked_limit_bytes(size)
+    if arrays > MOST_ARRAYS:
+        raise ValueError(f"it holds {arrays} arrays, the limit is {MOST_ARRAYS}")
+    memory, limit = 8 * numbers, unpacked_limit_bytes(size)
     if memory > limit:
         raise ValueError(
             f"its numbers need {memory >> 20} MiB of memory, the limit for a file of its size is {limit >> 20} MiB"

@@ -83,7 +83,6 @@ def test_a_gap_is_named_by_its_row(tmp_path: Path) -> None:
     with refused(RecordingError, Reason.BAD_DATA, "nan", "ay", "42") as caught:
         read_tables([tmp_path / "gap.npz"])
     assert caught.value.values["line"] == 42
-    assert caught.value.values["line"] == 42
 
 
 @pytest.mark.parametrize("write", WRITERS, ids=lambda write: write.__name__)
@@ -167,7 +166,7 @@ def numpy_trap_of_many(path: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux enforces RLIMIT_AS, by which a reader is limited")
-@pytest.mark.parametrize("write", [hdf5_trap, parquet_trap, numpy_trap])
+@pytest.mark.parametrize("write", [hdf5_trap, numpy_trap])
 def test_a_small_file_that_unpacks_to_gigabytes(tmp_path: Path, write: Writer) -> None:
     path = written(tmp_path, write)
     assert path.stat().st_size < 10_000_000
@@ -175,7 +174,10 @@ def test_a_small_file_that_unpacks_to_gigabytes(tmp_path: Path, write: Writer) -
         read_tables([path])
 
 
-@pytest.mark.parametrize(("write", "fact"), [(mat_trap, "MiB"), (numpy_trap_of_truth, "MiB"), (numpy_trap_of_many, "4096")])
+@pytest.mark.parametrize(
+    ("write", "fact"),
+    [(mat_trap, "MiB"), (parquet_trap, "976 MiB"), (numpy_trap_of_truth, "MiB"), (numpy_trap_of_many, "4096")],
+)
 def test_more_than_the_reader_would_hand_over(tmp_path: Path, write: Writer, fact: str) -> None:
     path = written(tmp_path, write)
     with refused(RecordingError, Reason.DAMAGED, str(path), fact, key="table_arrays.damaged"):
