@@ -47,6 +47,12 @@ def run(pytester: pytest.Pytester, code: str, *options: str) -> pytest.RunResult
     return pytester.runpytest_subprocess("-p", "no:cacheprovider", *options)
 
 
+def run_here(pytester: pytest.Pytester, code: str, *options: str) -> pytest.RunResult:
+    """Return the same of a run in this process, where how the plugin is found is not the question."""
+    pytester.makepyfile(code)
+    return pytester.runpytest_inprocess("-p", "no:cacheprovider", *options)
+
+
 def test_nothing_heavy_is_imported_before_a_fixture_is_used(pytester: pytest.Pytester) -> None:
     result = run(
         pytester,
@@ -71,10 +77,10 @@ def test_golden_results(pytester: pytest.Pytester) -> None:
     first = run(pytester, code.replace("VALUE", "2.0"))
     first.assert_outcomes(failed=1)
     assert sentence("testing.no_golden", path=pytester.path / "golden" / "scale.json") in first.stdout.str()
-    run(pytester, code.replace("VALUE", "2.0"), "--imufield-update").assert_outcomes(passed=1)
+    run_here(pytester, code.replace("VALUE", "2.0"), "--imufield-update").assert_outcomes(passed=1)
     assert (pytester.path / "golden" / "scale.json").is_file()
-    run(pytester, code.replace("VALUE", "2.000001")).assert_outcomes(passed=1)
-    changed = run(pytester, code.replace("VALUE", "2.1"))
+    run_here(pytester, code.replace("VALUE", "2.000001")).assert_outcomes(passed=1)
+    changed = run_here(pytester, code.replace("VALUE", "2.1"))
     changed.assert_outcomes(failed=1)
     told = sentence("testing.golden", name="scale", key="scale", value=[1.0, 2.1], expected=[1.0, 2.0], differing=1)
     assert told in changed.stdout.str()
@@ -133,7 +139,7 @@ def test_an_instrument_with_faults(imufield_pty: Callable[..., Any]) -> None:
 
 
 def test_instruments_are_stopped_after_the_test(pytester: pytest.Pytester) -> None:
-    result = run(
+    result = run_here(
         pytester,
         """
         import threading

@@ -1,4 +1,7 @@
-"""What Tab completes: the program asked as the shells ask it, and bash itself with the script that is installed."""
+"""What Tab completes: the program asked as the shells ask it, and bash itself with the script that is installed.
+
+The shells say what they ask for in variables: one start of the program for each shell is enough to see that it looks there.
+"""
 
 from __future__ import annotations
 
@@ -7,24 +10,46 @@ import shlex
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from imufield.acquire.registry import driver_names
+from imufield.cli.run import run
 from imufield.deliver.exports import TARGETS
 
 IMUFIELD = [sys.executable, "-m", "imufield"]
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return a working folder with sessions, one of them of somebody who wishes no good."""
     for name in ("imufield-sessions/20260301T101500Z-stim300", "my-session", "imufield-sessions/$(touch stolen)", "a b"):
         (tmp_path / name).mkdir(parents=True)
         (tmp_path / name / "session.toml").touch()
     (tmp_path / "home").mkdir()
+    monkeypatch.chdir(tmp_path)
     return tmp_path
+
+
+Answers = Callable[[dict[str, str]], str]
+
+
+@pytest.fixture
+def answered(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Answers:
+    """Return what this process writes for the variables that a shell sets."""
+
+    def answer(variables: dict[str, str]) -> str:
+        with monkeypatch.context() as patch:
+            for name, value in ({"HOME": str(folder / "home")} | variables).items():
+                patch.setenv(name, value)
+            assert run([]) == 0
+        told = capsys.readouterr()
+        assert told.err == ""
+        return told.out
+
+    return answer
 
 
 def asked(folder: Path, variables: dict[str, str]) -> str:
@@ -34,10 +59,10 @@ def asked(folder: Path, variables: dict[str, str]) -> str:
     return done.stdout
 
 
-def completed(folder: Path, words: str) -> set[str]:
+def completed(answered: Answers, words: str) -> set[str]:
     """Return what bash gets for a line; a line that ends in a blank begins another word."""
     number = len(shlex.split(words)) - (not words.endswith(" "))
-    shown = asked(folder, {"_IMUFIELD_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(number)})
+    shown = answered({"_IMUFIELD_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(number)})
     return set(shown.split("\n")) - {""}
 
 
@@ -60,8 +85,8 @@ SESSIONS = {"imufield-sessions/20260301T101500Z-stim300", "my-session"}
         ("imufield capture --target-b", {"--target-bias-ug"}),
     ],
 )
-def test_names(folder: Path, words: str, wanted: set[str]) -> None:
-    assert completed(folder, words) == wanted
+def test_names(answered: Answers, words: str, wanted: set[str]) -> None:
+    assert completed(answered, words) == wanted
 
 
 @pytest.mark.parametrize("shell", ["zsh", "fish"])
@@ -73,8 +98,8 @@ def test_other_shells_get_the_same(folder: Path, shell: str) -> None:
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_every_shell_has_a_script(folder: Path, shell: str) -> None:
-    assert "complete_" + shell in asked(folder, {"_IMUFIELD_COMPLETE": f"source_{shell}"})
+def test_every_shell_has_a_script(answered: Answers, shell: str) -> None:
+    assert "complete_" + shell in answered({"_IMUFIELD_COMPLETE": f"source_{shell}"})
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")

@@ -17,8 +17,9 @@ from tests.commands.told import fails, missing, says
 
 
 @pytest.fixture
-def session(whole_session: Path, tmp_path: Path) -> Path:
-    shutil.copytree(whole_session, tmp_path / "session")
+def session(solved_session: Path, tmp_path: Path) -> Path:
+    """Return a session that was solved with all its positions."""
+    shutil.copytree(solved_session, tmp_path / "session")
     return tmp_path / "session"
 
 
@@ -29,7 +30,6 @@ def document(path: Path) -> dict[str, Any]:
 def test_a_position_that_is_left_out_is_shown_everywhere_and_used_nowhere(
     session: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(["solve", str(session)]) == 0
     name = document(session / "parameters.toml")["position"][4]["name"]
     assert run(["solve", str(session), "--without", name]) == 0
     shown = capsys.readouterr().out
@@ -58,7 +58,6 @@ def test_a_name_that_is_not_there_is_refused_with_those_that_are(session: Path) 
 
 
 def test_a_touched_hold_is_poor_and_what_the_sentence_says_to_type_cures_it(session: Path, tmp_path: Path) -> None:
-    assert run(["solve", str(session)]) == 0
     clean = document(session / "parameters.toml")
     table, path = tmp_path / "means.csv", tmp_path / "found.toml"
     with table.open("w", newline="") as file:
