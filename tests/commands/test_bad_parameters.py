@@ -23,14 +23,21 @@ from tests.parameter_files import on_purpose
 OLD = b"what stood there before\n"
 
 
-@pytest.fixture
-def solved(short_solved: Path, tmp_path: Path) -> Path:
-    """Return a solved session of one's own whose instrument told its serial number."""
-    folder = Path(shutil.copytree(short_solved, tmp_path / "solved"))
+@pytest.fixture(scope="module")
+def told(short_solved: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a solved session whose instrument told its serial number, with what is kept of reading it so."""
+    folder = Path(shutil.copytree(short_solved, tmp_path_factory.mktemp("told") / "solved"))
     metadata = tomllib.loads((folder / "session.toml").read_text(encoding="utf-8"))
     metadata["instrument"]["serial_number"] = "B2"
     (folder / "session.toml").write_text(tomli_w.dumps(metadata), encoding="utf-8")
+    assert run(["solve", str(folder), "-o", str(folder.parent / "again.toml")]) == 0
     return folder
+
+
+@pytest.fixture
+def solved(told: Path, tmp_path: Path) -> Path:
+    """Return the same of one's own."""
+    return Path(shutil.copytree(told, tmp_path / "solved"))
 
 
 def cut(text: str) -> str:
@@ -175,6 +182,6 @@ def test_a_file_with_an_impossible_number_has_no_history(
     for name, text in (("good.toml", whole), ("bad.toml", make(whole))):
         (tmp_path / name).write_text(text, encoding="utf-8")
     assert run(["history", str(tmp_path)]) == 0
-    told = capsys.readouterr()
-    assert "bad.toml" not in told.out
-    assert not missing(told.err, "bad.toml", *facts)
+    said = capsys.readouterr()
+    assert "bad.toml" not in said.out
+    assert not missing(said.err, "bad.toml", *facts)

@@ -136,6 +136,7 @@ def test_one_command_line_gives_page_header_and_parameters(furnished: Path) -> N
     chain = next(line for line in LINE.findall((PROJECT / "README.md").read_text(encoding="utf-8")) if line.count("&&") == 3)
     assert [part.split()[1] for part in chain.split("&&")] == ["solve", "report", "export", "export"]
     # The lines above were its parts, in this folder.
+    assert (furnished / "drift.svg").read_text(encoding="utf-8").startswith("<svg")
     assert (furnished / "my-session" / "report.html").stat().st_size > 100_000
     assert "imufield_apply" in (furnished / "calibration.h").read_text(encoding="utf-8")
     assert "CAL_ACC0_XOFF" in (furnished / "imu.params").read_text(encoding="utf-8")

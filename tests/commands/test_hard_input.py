@@ -17,18 +17,28 @@ from tests.commands.told import fails
 
 
 @pytest.fixture
-def session(solved_session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    shutil.copytree(solved_session, tmp_path / "S")
+def session(short_solved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    shutil.copytree(short_solved, tmp_path / "S")
     monkeypatch.chdir(tmp_path)
     return tmp_path / "S"
 
 
-@pytest.fixture
-def rows(session: Path) -> tuple[list[str], np.ndarray]:
+@pytest.fixture(scope="module")
+def exported(short_solved: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[list[str], np.ndarray]:
     """Return header and numbers of the session as a table: an unguided one."""
-    assert run(["export-data", "S", "-o", "rows.csv"]) == 0
-    header = Path("rows.csv").read_text().splitlines()[0].split(",")
-    return header, np.genfromtxt("rows.csv", delimiter=",", skip_header=1)
+    path = tmp_path_factory.mktemp("exported") / "rows.csv"
+    assert run(["export-data", str(short_solved), "-o", str(path)]) == 0
+    header = path.read_text().splitlines()[0].split(",")
+    return header, np.loadtxt(path, delimiter=",", skiprows=1, converters=lambda text: float(text or "nan"))
+
+
+@pytest.fixture
+def rows(
+    exported: tuple[list[str], np.ndarray], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> tuple[list[str], np.ndarray]:
+    """Return the same to change, in a folder of one's own."""
+    monkeypatch.chdir(tmp_path)
+    return exported[0], exported[1].copy()
 
 
 def write(header: list[str], table: np.ndarray) -> None:
