@@ -8,12 +8,14 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
+from imufield.cli.run import run as imufield
 from imufield.guide.positions import scheme
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "replay-in-pytest.md"
 RATE_HZ = 200
-TURN_S, HOLD_S = 2, 7
+TURN_S, HOLD_S = 1, 5
 
 
 def write_capture(path: Path) -> None:
@@ -41,11 +43,12 @@ def run(*arguments: str, folder: Path) -> str:
     return answer.stdout
 
 
-def test_the_page_as_it_stands(tmp_path: Path) -> None:
+def test_the_page_as_it_stands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = PAGE.read_text(encoding="utf-8")
     write_capture(tmp_path / "bench-17.csv")
     (command,) = re.findall(r"^    imufield (import .*)$", text, flags=re.MULTILINE)
-    run("-m", "imufield", *command.split(), folder=tmp_path)
+    monkeypatch.chdir(tmp_path)
+    assert imufield(command.split()) == 0
     blocks = re.findall(r"^```python\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
     (tmp_path / "test_my_imu.py").write_text("\n\n".join(blocks), encoding="utf-8")
     run("-m", "pytest", "-q", "-k", "stays_what", "--imufield-update", folder=tmp_path)
