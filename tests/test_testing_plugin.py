@@ -48,7 +48,7 @@ def run(pytester: pytest.Pytester, code: str, *options: str) -> pytest.RunResult
 
 
 def run_here(pytester: pytest.Pytester, code: str, *options: str) -> pytest.RunResult:
-    """Return the same of a run in this process, where how the plugin is found is not the question."""
+    """Return the same of a run in this process, which forgets what it imports: the plugin is loaded and the rest is light."""
     pytester.makepyfile(code)
     return pytester.runpytest_inprocess("-p", "no:cacheprovider", *options)
 
@@ -139,7 +139,7 @@ def test_an_instrument_with_faults(imufield_pty: Callable[..., Any]) -> None:
 
 
 def test_instruments_are_stopped_after_the_test(pytester: pytest.Pytester) -> None:
-    result = run_here(
+    result = run(
         pytester,
         """
         import threading
