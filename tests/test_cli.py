@@ -193,7 +193,8 @@ def test_standard_output_on_a_full_disk(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full, which Linux has")
 @pytest.mark.parametrize(
-    ("command", "code"), [("solve nowhere", 4), ("bogus", 2), ("solve --seed x", 2), ("devices --json", 0), ("--version", 0)]
+    ("command", "code"),
+    [("export nowhere --to c", 5), ("bogus", 2), ("export nowhere --to", 2), ("devices --json", 0), ("--version", 0)],
 )
 @pytest.mark.parametrize("number", [1, 2, 3], ids=["output", "error", "both"])
 def test_a_stream_that_takes_nothing_changes_no_code(command: str, code: int, number: int, tmp_path: Path) -> None:
