@@ -32,9 +32,7 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(history, "plot_history", lambda judged: repr(judged.instrument.serial_number).encode())
 
 
-def test_history_is_printed_and_written(
-    folder: Path, drawn: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_history_is_printed_and_written(folder: Path, drawn: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     table, plot = tmp_path / "history.csv", tmp_path / "history.svg"
     run_history(HistoryOptions(folder=folder, csv=table, plot=plot), now=datetime(2100, 1, 1, tzinfo=UTC))
     text = capsys.readouterr().out

@@ -183,9 +183,7 @@ def test_a_session_keeps_the_digits() -> None:
     assert SiteOptions().gravity(record).sigma_m_s2 == pytest.approx(1e-4)
 
 
-def test_settings_edited_afterwards_are_said(
-    short_session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_settings_edited_afterwards_are_said(short_session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     session = Path(shutil.copytree(short_session, tmp_path / "session"))
     path = session / "session.toml"
     text = path.read_text()
