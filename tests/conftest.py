@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import hashlib
 import os
 import signal
 import sys
@@ -35,11 +34,15 @@ def own_places(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Keep secret and indexes of the tests out of the person's own folders."""
     for name in ("XDG_CACHE_HOME", "XDG_STATE_HOME"):
         os.environ[name] = str(tmp_path_factory.mktemp(name.lower()))
-    # One secret for all processes of a run: each believes what another one has kept of a session that they share.
-    base = tmp_path_factory.getbasetemp()
-    secret = Path(os.environ["XDG_STATE_HOME"]) / "imufield" / "secret"
-    secret.parent.mkdir()
-    secret.write_bytes(hashlib.sha256(bytes(base.parent if "PYTEST_XDIST_WORKER" in os.environ else base)).digest())
+    write_secret(Path(os.environ["XDG_STATE_HOME"]))
+
+
+def write_secret(state_home: Path) -> None:
+    """Make the secret that of all tests: what one process keeps of a replay, the others and their programs believe."""
+    path = state_home / "imufield" / "secret"
+    path.parent.mkdir(parents=True)
+    path.write_bytes(b"of the tests".ljust(32))
+    path.chmod(0o600)
 
 
 # Files of a minute and more. They begin first, or one process works on alone when the others are done.

@@ -66,3 +66,8 @@ def limit_and_measure(report: str, processor_s: int) -> None:
 def show_progress_at_once() -> None:
     """Let commands that are over in no time say what they do, as those do that take longer."""
     vars(importlib.import_module("imufield.progress"))["FIRST_S"] = -1.0
+
+
+def tell_slowness_within_a_second() -> None:
+    """Let an emulated instrument say after its first second that it is too slow, not after five of them."""
+    vars(importlib.import_module("imufield.simulate.emulator.core"))["_SLOW_FOR_S"] = 1.0

@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from imufield.acquire.registry import load_driver
 from imufield.cli.run import run
 from imufield.guide.positions import scheme
 from imufield.pipeline.chain import ROTATIONS
+from imufield.pipeline.solving import read_recording
 from imufield.samples import Samples
 from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
 from imufield.simulate.instruments.stim300 import Stim300Device
@@ -31,6 +33,7 @@ from imufield.simulate.truth.operator import OperatorSettings
 from imufield.simulate.truth.source import VirtualImu
 from imufield.simulate.wire.stim300 import Stim300Format
 from tests.commands import at_start
+from tests.conftest import write_secret
 
 IMUFIELD = [sys.executable, "-m", "imufield"]
 # Libraries leave variables behind in this process (Dask: PYTHONHASHSEED), which are nothing to the programs.
@@ -38,6 +41,8 @@ AT_START = {name: value for name, value in os.environ.items() if not name.starts
 SPEED = 16.0
 RATE_HZ = 125.0
 FACES = tuple(position.name for position in scheme("faces6").positions)
+# What these options and commands take long to import: once, before the fork.
+SLOW_IMPORTS = {"--pdf": "weasyprint", "--plot": "matplotlib.pyplot", "study": "matplotlib.pyplot"}
 LONGEST_S = 900.0  # Only a program that hangs takes so long, however busy the machine.
 CHUNK_SAMPLES = 5
 BLOCK_CHUNKS = 200  # made at once; what is recorded is the same whatever it is
@@ -88,7 +93,9 @@ class Program:
         from tests.commands.forks import Forked, can_fork
 
         if can_fork({name: value for name, value in variables.items() if AT_START.get(name) != value}, options):
-            return Forked([*arguments], cwd=self.folder, env=variables, text=True, **options)
+            words = [*arguments]
+            modules = [module for word, module in SLOW_IMPORTS.items() if word in words]
+            return Forked(words, cwd=self.folder, env=variables, text=True, modules=modules, **options)
         calls = options.pop("at_start", ())
         if calls:
             options["preexec_fn"] = lambda: at_start.do(calls)
@@ -131,7 +138,7 @@ class Program:
 
 @pytest.fixture
 def program(tmp_path: Path) -> Iterator[Program]:
-    (tmp_path / "home").mkdir()
+    write_secret(tmp_path / "home" / ".local" / "state")
     program = Program(tmp_path)
     yield program
     program.stop()
@@ -215,10 +222,16 @@ def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path],
     return shared / name
 
 
+def recorded(folder: Path, **options: Any) -> None:
+    """Record a simulated session, and keep what its replay finds, as ``capture`` does when it has seen all of it."""
+    with read_recording(simulated_session(folder / "session", **options), []):
+        pass
+
+
 @pytest.fixture(scope="session")
 def whole_session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of one finished session of 24 positions; copy it before changing anything."""
-    return made_once(tmp_path_factory, "whole", lambda folder: simulated_session(folder / "session")) / "session"
+    return made_once(tmp_path_factory, "whole", recorded) / "session"
 
 
 @pytest.fixture(scope="session")
@@ -228,10 +241,7 @@ def short_session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     Its 13 positions are enough for the linear model, and for verifying without some of them.
     """
 
-    def make(folder: Path) -> None:
-        simulated_session(folder / "session", visits=13, hold_s=5.0)
-
-    return made_once(tmp_path_factory, "short", make) / "session"
+    return made_once(tmp_path_factory, "short", partial(recorded, visits=13, hold_s=5.0)) / "session"
 
 
 def solved(session: Path, name: str, factory: pytest.TempPathFactory) -> Path:

@@ -13,6 +13,7 @@ import socket
 import struct
 import subprocess
 import sys
+import threading
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -102,8 +103,14 @@ class Forked(subprocess.Popen[str]):
         return self.pid, status
 
     def _internal_poll(self, *_: object, **__: object) -> int | None:
-        if self.returncode is None and self._report >= 0:
-            process, status = self._try_wait(os.WNOHANG)
-            if process:
-                self._handle_exitstatus(status)  # type: ignore[attr-defined]
+        # Another thread that waits for the end reads the report, and closes it.
+        lock: threading.Lock = self._waitpid_lock  # type: ignore[attr-defined]
+        if lock.acquire(blocking=False):
+            try:
+                if self.returncode is None and self._report >= 0:
+                    process, status = self._try_wait(os.WNOHANG)
+                    if process:
+                        self._handle_exitstatus(status)  # type: ignore[attr-defined]
+            finally:
+                lock.release()
         return self.returncode

@@ -257,7 +257,7 @@ def test_disk_full_while_capturing(program: Program) -> None:
     ("arguments", "code"), [("import rows.csv --rate-hz 100", 4), ("export-data whole", 4), ("solve whole", 5)]
 )
 def test_disk_full_at_a_desk(furnished: Program, arguments: str, code: int) -> None:
-    rows = np.random.default_rng(0).normal(0, 1, (20_000, 6)).round(4)
+    rows = np.random.default_rng(0).normal(0, 1, (4_000, 6)).round(4)
     np.savetxt(furnished.folder / "rows.csv", rows, fmt="%.4f", delimiter=",", header="ax,ay,az,gx,gy,gz", comments="")
     before = sorted((furnished.folder / "whole").iterdir())
     ended = furnished.run(*arguments.split(), at_start=[("limit_file_size", 10_000)])

@@ -78,10 +78,10 @@ INSTRUMENT = {"driver": "stim300", "model": HOSTILE, "serial_number": HOSTILE, "
 
 
 @pytest.fixture
-def hostile_session(program: Program, whole_session: Path) -> Path:
+def hostile_session(program: Program, short_session: Path) -> Path:
     """Return a session whose folder and whose instrument have hostile names."""
     folder = program.folder / FILE_NAME
-    shutil.copytree(whole_session, folder)
+    shutil.copytree(short_session, folder)
     edit(folder / "session.toml", instrument=INSTRUMENT, model=HOSTILE)
     return folder
 

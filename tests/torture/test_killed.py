@@ -24,7 +24,7 @@ LAST_S = 1.0
 """What may be lost, real time, beyond what the disk and a busy machine themselves took."""
 KILLS_A_SESSION = 20 if FULL else 8
 """Then it is resumed to its end and solved."""
-LONG = "paper36"
+LONG = "paper36" if FULL else "paper24"
 """So many positions that none is asked for again at the end, to see the drift, before the last kill."""
 
 
