@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imufield.errors import Reason, UsageError
 from imufield.calibrate.solvers.beetles import BasSettings, BsasSettings
+from imufield.errors import Reason, UsageError
 from imufield.study import bsas_bound, bsas_runs, bsas_stages, ide_comparison, instruments
 from imufield.study.context import StudyContext
 from imufield.study.instruments import BSAS_TRUTH, bsas_preset, static_rates_deg_s
