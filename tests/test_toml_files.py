@@ -19,7 +19,7 @@ from imufield.guide.positions import read_positions
 from imufield.toml_files import DEEPEST, decode_toml, parse_toml
 from tests.refused import refused
 
-FUZZ_S = float(os.environ.get("IMUFIELD_FUZZ_S", "2"))
+FUZZ_S = float(os.environ.get("IMUFIELD_FUZZ_S", "1"))
 """Of processor time for each test that has no end of its own."""
 
 HOSTILE = {

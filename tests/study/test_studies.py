@@ -6,14 +6,15 @@ import csv
 import re
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from imufield.calibrate.solvers.beetles import BasSettings, BsasSettings
 from imufield.errors import Reason, UsageError
-from imufield.study import bsas_bound, bsas_runs, instruments
+from imufield.study import bsas_bound, bsas_runs, bsas_stages, ide_comparison, instruments
 from imufield.study.context import StudyContext
 from imufield.study.instruments import BSAS_TRUTH, bsas_preset, static_rates_deg_s
 from imufield.study.report import Comparison, CsvTable, Findings, StudyReport, as_markdown, as_text, make_report, save
@@ -45,7 +46,13 @@ def report_of(folder: Path) -> Callable[[str], StudyReport]:
 
     @cache
     def report(name: str) -> StudyReport:
-        return next(run_study(name, QUICK, folder=folder))
+        # A fifth of the iterations fills tables and figures as well; what a number is held against below has all of them.
+        with pytest.MonkeyPatch.context() as shorter:
+            for swarming in (bsas_runs, bsas_stages):
+                shorter.setattr(swarming, "BsasSettings", partial(BsasSettings, k_max=60))
+                shorter.setattr(swarming, "BasSettings", partial(BasSettings, k_max=60))
+            shorter.setattr(ide_comparison, "_QUICK_GENERATIONS", 5)
+            return next(run_study(name, QUICK, folder=folder))
 
     return report
 

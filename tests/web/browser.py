@@ -15,8 +15,12 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, ViewportSize
 
 PROGRAMS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
-# A sandbox needs rights that a container lacks; updates and the like would take processor time and go to the network.
-ARGUMENTS = ("--no-sandbox", "--disable-background-networking", "--disable-component-update", "--disable-dev-shm-usage")
+# A sandbox needs rights that a container lacks; updates and the like would take processor time and go to the network, and
+# a graphics card is looked for in vain.
+ARGUMENTS = (
+    *("--no-sandbox", "--disable-background-networking", "--disable-component-update", "--disable-dev-shm-usage"),
+    *("--disable-gpu", "--disable-software-rasterizer"),
+)
 PHONE: ViewportSize = {"width": 390, "height": 844}
 WAIT_MS = 120_000.0  # Only a page that hangs takes so long, however busy the machine.
 

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 RATE_HZ = 100.0
 BLOCK = 10  # Samples: a cell.
+LONG_BLOCK = 50  # Where nothing is stopped at.
 LONGEST_S = 600.0  # Of the session, between two stages.
 WRONG = 1.03  # Factor of a hold that the others contradict.
 SHOCK_M_S2 = 2.0
@@ -67,7 +68,7 @@ class StagedSession:
         yield self._shown("waiting")
         self._run(lambda now: now.state is State.TURNING and len(now.accepted) == 2 and _moves(now))
         yield self._shown("turning early")
-        self._run(lambda now: len(now.accepted) == 7)
+        self._run(lambda now: len(now.accepted) == 7, block=LONG_BLOCK)
         self._run(lambda now: now.state is State.HOLDING and now.fraction > 0.3)
         self._run(lambda _: any(event.kind == "rejected" for event in self._events), self._knocked)
         yield self._shown("rejected")
@@ -79,10 +80,11 @@ class StagedSession:
         yield self._shown("silent", silent=True)
         self._events += self.guide.link_lost()
         yield self._shown("link lost")
-        self._run(lambda now: len(now.accepted) == 11)
+        self._run(lambda now: len(now.accepted) == 11, block=LONG_BLOCK)
         self._run(lambda now: len(now.accepted) == 12, self._wrong)
         yield self._shown("suspect")
-        self._run(lambda now: now.state is State.HOLDING and now.fraction > 0.6 and len(now.accepted) >= 15)
+        self._run(lambda now: len(now.accepted) == 15, block=LONG_BLOCK)
+        self._run(lambda now: now.state is State.HOLDING and now.fraction > 0.6)
         yield self._shown("holding")
         self._run(lambda now: now.state is State.RESTING)
         yield self._shown("accepted")
@@ -93,6 +95,7 @@ class StagedSession:
         self._run(lambda now: now.state is State.TURNING and len(now.accepted) == 18)
         self._events += [self.guide.asked_to_finish()]
         yield self._shown("finish asked")
+        self._run(lambda now: len(now.accepted) == 23, block=LONG_BLOCK)
         self._run(lambda now: now.revisiting is not None and now.state is State.TURNING and _moves(now))
         yield self._shown("drift check")
         self._run(lambda now: now.state is State.DONE)
@@ -125,11 +128,16 @@ class StagedSession:
         if stage == "finish asked":
             page.locator("[data-key=f]").click()
 
-    def _run(self, until: Callable[[Snapshot], bool], change: Callable[[Samples], Samples] = lambda samples: samples) -> None:
+    def _run(
+        self,
+        until: Callable[[Snapshot], bool],
+        change: Callable[[Samples], Samples] = lambda samples: samples,
+        block: int = BLOCK,
+    ) -> None:
         """Feed the guide until something is so; the operator goes where the guide asks."""
         end_s = self._source.time_s + LONGEST_S
         while True:
-            samples = self._source.next_block(BLOCK)
+            samples = self._source.next_block(block)
             samples = replace(samples, temperature_degc=0 * samples.temperature_degc + WARMTH_DEGC)
             events = self.guide.feed(change(samples))
             self._events += events

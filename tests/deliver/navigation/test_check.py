@@ -86,8 +86,8 @@ def test_a_turn_on_bias_that_is_not_given_is_the_instability() -> None:
 
 def test_turning_over_shows_the_accelerometer() -> None:
     error = (200 * MICRO_G, 200 * MICRO_G, 0)
-    turned = check(turned_over(3600, 320, force=error), replace(SETTINGS, turned=True)).drifts["after"]
-    untouched = check(recording(rotation(np.array([0, 0, 0.7])), 3600, 10.0, force=error)).drifts["after"]
+    turned = check(turned_over(1800, 320, force=error), replace(SETTINGS, turned=True)).drifts["after"]
+    untouched = check(recording(rotation(np.array([0, 0, 0.7])), 1800, 10.0, force=error)).drifts["after"]
     assert turned.position_nmi.max() > 3 * untouched.position_nmi.max()
 
 

@@ -16,6 +16,7 @@ from imufield.deliver.report.page import render_record, render_report
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 EXAMPLE = Path(__file__).resolve().parents[3] / "docs" / "exports" / "example.toml"
+WIDTHS = (390, 1366)
 pytestmark = pytest.mark.skipif(BROWSER is None, reason="install chromium to look at the pages as a browser does")
 
 
@@ -47,22 +48,29 @@ def test_pages_open_without_a_message_and_print(tmp_path: Path, name: str, sheet
     assert 1 <= count <= sheets
 
 
-@pytest.mark.parametrize("name", ["report", "record"])
-@pytest.mark.parametrize("width", [390, 1366])
-def test_nothing_is_wider_than_the_window(tmp_path: Path, width: int, name: str) -> None:
-    """A script beside the page measures it; the page itself holds none. Only drawings may be swiped, on a phone."""
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, int], tuple[int, int]]:
+    """Return how far each page reaches in windows of each width, and how wide they are: all in one run of the browser.
+
+    A script beside the pages measures them; they hold none. Only drawings may be swiped, on a phone.
+    """
     data = ReportData(parameters=load(EXAMPLE))
-    text = render_report(data) if name == "report" else render_record(data)
-    # In a frame: a window of its own has a least width of 500.
+    texts = {"report": render_report(data), "record": render_record(data)}
+    sizes = [(name, width) for width in WIDTHS for name in texts]
+    # In frames: a window of its own has a least width of 500.
+    frames = "".join(
+        f'<iframe srcdoc="{escape(texts[name])}" style="width: {width}px; height: 900px; border: 0"></iframe>'
+        for name, width in sizes
+    )
     script = """<script>
-      const frame = document.querySelector("iframe");
-      frame.onload = () => {
-        const all = [...frame.contentDocument.querySelectorAll("body *")].filter(one => !one.closest("figure"));
-        document.title = Math.ceil(Math.max(...all.map(one => one.getBoundingClientRect().right))) + " of " + frame.clientWidth;
+      onload = () => {
+        document.title = [...document.querySelectorAll("iframe")].map(frame => {
+          const all = [...frame.contentDocument.querySelectorAll("body *")].filter(one => !one.closest("figure"));
+          return Math.ceil(Math.max(...all.map(one => one.getBoundingClientRect().right))) + " of " + frame.clientWidth;
+        }).join(", ");
       };</script>"""
-    page = tmp_path / "report.html"
-    framed = f'<iframe srcdoc="{escape(text)}" style="width: {width}px; height: 900px; border: 0"></iframe>'
-    page.write_text(f'<!DOCTYPE html><meta charset="utf-8"><body style="margin: 0">{framed}{script}', encoding="utf-8")
+    page = tmp_path_factory.mktemp("frames") / "frames.html"
+    page.write_text(f'<!DOCTYPE html><meta charset="utf-8"><body style="margin: 0">{frames}{script}', encoding="utf-8")
     done = subprocess.run(
         [
             str(BROWSER),
@@ -79,6 +87,15 @@ def test_nothing_is_wider_than_the_window(tmp_path: Path, width: int, name: str)
         timeout=250,
         check=False,
     )
-    found = re.search(r"<title>(\d+) of (\d+)</title>", done.stdout)
-    assert found
-    assert int(found[1]) <= int(found[2])
+    title = re.search(r"<title>([^<]*)</title>", done.stdout)
+    assert title
+    found = [(int(right), int(width)) for right, width in re.findall(r"(\d+) of (\d+)", title[1])]
+    return dict(zip(sizes, found, strict=True))
+
+
+@pytest.mark.parametrize("name", ["report", "record"])
+@pytest.mark.parametrize("width", WIDTHS)
+def test_nothing_is_wider_than_the_window(measured: dict[tuple[str, int], tuple[int, int]], width: int, name: str) -> None:
+    right, window = measured[name, width]
+    assert window == width
+    assert 0 < right <= window
