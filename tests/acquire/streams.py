@@ -43,20 +43,30 @@ class _NovatelCrc(Crc32Base):  # type: ignore[misc]
     _check_result = 0
 
 
-def stim300(number: int, time_s: float) -> bytes:
-    time, force, rate, temperature, counter = (
-        np.array([one]) for one in (time_s, FORCE_M_S2, RATE_RAD_S, TEMPERATURE_DEGC, number)
-    )
-    one = Samples(
-        time_s=time,
-        accelerometer=force,
-        gyroscope=rate,
-        temperature_degc=temperature,
-        counter=counter,
-        status=np.zeros(1, dtype=np.uint32),
+STIM300_AT_ONCE = 250
+
+
+@cache
+def stim300_frames(first: int) -> bytes:
+    """Return the frames from one on; encoded together they take a hundredth of the time, and no byte depends on it."""
+    n = STIM300_AT_ONCE
+    several = Samples(
+        time_s=np.zeros(n),
+        accelerometer=np.tile(FORCE_M_S2, (n, 1)),
+        gyroscope=np.tile(RATE_RAD_S, (n, 1)),
+        temperature_degc=np.full(n, TEMPERATURE_DEGC),
+        counter=np.arange(first, first + n),
+        status=np.zeros(n, dtype=np.uint32),
         units=SampleUnits(),
     )
-    return Stim300Device(Stim300Format(rate_hz=500, accelerometer_range_g=30)).encode(one).data.tobytes()
+    return Stim300Device(Stim300Format(rate_hz=500, accelerometer_range_g=30)).encode(several).data.tobytes()
+
+
+def stim300(number: int, time_s: float) -> bytes:
+    place = number % STIM300_AT_ONCE
+    frames = stim300_frames(number - place)
+    size = len(frames) // STIM300_AT_ONCE
+    return frames[place * size : (place + 1) * size]
 
 
 def xsens(number: int, time_s: float) -> bytes:

@@ -31,7 +31,7 @@ SECONDS = float(os.environ.get("IMUFIELD_FUZZ_S", "0"))
 ROUNDS = 1
 """Behind the first one, after which memory is looked at."""
 SAMPLES = 40
-EXAMPLES_PER_ROUND = 40
+EXAMPLES_PER_ROUND = 25
 GROWTH_LIMIT_MB = 160.0
 """Of the process over all rounds of one driver: tables for the longest frames (16 KiB) take up to 84 MB while they are made."""
 

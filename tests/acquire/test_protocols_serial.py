@@ -425,7 +425,7 @@ def test_noise_and_mutations_never_raise(name: str, seed: int, shared_folder: Pa
     data = bytearray(b"".join(bytes.fromhex(one["hex"]) for one in vectors(shared_folder, name)) * 20)
     for place in rng.integers(0, len(data), len(data) // 50).tolist():
         data[place] = int(rng.integers(0, 256))
-    noise = bytes(data) + rng.bytes(25_000)
+    noise = bytes(data) + rng.bytes(15_000)
     if name.startswith("novatel"):
         # Vectors of many instruments make no regular time, which increments need.
         with refused(ProtocolError, Reason.UNITS, "rate_hz"):
@@ -456,9 +456,9 @@ def test_time_never_runs_backwards_whatever_comes_and_when(name: str, seed: int,
     known = json.loads((shared_folder / "wire/stim300.vectors.json").read_text()) if name == "stim300" else []
     frames = [bytes.fromhex(one["hex"]) for one in known or vectors(shared_folder, name) if not settings_of(name, one)]
     # One again and again at first: a rate learned from leaps would be refused where samples are increments.
-    data = b"".join(frames[which] for which in [0] * 20 + rng.integers(0, len(frames), 2000).tolist())
-    ends = np.append(np.sort(rng.integers(0, len(data), 200)), len(data))
-    arrival_s = 10 + ends / len(data) * 40 + rng.exponential(0.05, 201)
+    data = b"".join(frames[which] for which in [0] * 20 + rng.integers(0, len(frames), 1200).tolist())
+    ends = np.append(np.sort(rng.integers(0, len(data), 120)), len(data))
+    arrival_s = 10 + ends / len(data) * 40 + rng.exponential(0.05, 121)
     # A time without anything, all of it later; a cable that is slower from then on.
     arrival_s[(arrival_s > 20) & (arrival_s < 24)] = 24.0
     arrival_s = np.maximum.accumulate(arrival_s + np.where(arrival_s > 35, 0.3, 0.0))

@@ -15,7 +15,7 @@ from imufield.samples import Samples, concatenate
 from tests.acquire.streams import INSTRUMENTS
 from tests.acquire.test_golden_samples import OPTIONS, Run, arriving, cut, damaged, play, values_of
 
-SECONDS = 4
+SECONDS = 2.5
 SHORT_WAYS = ((Framer, "_as_before"), (SampleClock, "_time_evenly"), (StampClock, "_time_forward"))
 MARKED = sorted(name for name, (driver, _, _) in INSTRUMENTS.items() if load_protocol(driver, OPTIONS.get(name, {})).frame)
 

@@ -22,7 +22,7 @@ BY_HOST_TIME = ("vectornav_ascii", "witmotion")
 """Drivers whose streams have neither time nor counter."""
 BY_COUNTER = ("stim300", "kvh_17xx-A", "kvh_17xx-C", "aceinna_serial-S1", "aceinna_serial-S0")
 """Wires whose counter wraps within a second and that have no time."""
-DURATION_S = 6.0
+DURATION_S = 4.0
 """The slowest wires lose samples in it, the counters of the fast ones wrap several times."""
 OUTAGES_S = 12.0
 """With pauses longer than a wrap, of which some must come."""

@@ -17,7 +17,7 @@ from imufield.acquire.protocol.protocol import parse_protocol
 from imufield.errors import ImufieldError, ProtocolError, Reason
 from tests.refused import refused
 
-FUZZ_S = float(os.environ.get("IMUFIELD_FUZZ_S", "2"))
+FUZZ_S = float(os.environ.get("IMUFIELD_FUZZ_S", "1"))
 """Of processor time."""
 
 PROTOCOLS = Path(__file__).parents[3] / "protocols"

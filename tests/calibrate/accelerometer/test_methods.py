@@ -81,7 +81,7 @@ def test_every_method_gives_a_result_of_the_same_model(
 ) -> None:
     # The studies give these two all of the paper's generations; a small swarm converges in fewer, the genes never do.
     for name, settings in (
-        ("solve_ga", library.LibrarySettings(generations=60)),
+        ("solve_ga", library.LibrarySettings(generations=20)),
         ("solve_pso", library.LibrarySettings(population=25, generations=250, tolerance=1e-3)),
     ):
         monkeypatch.setattr(library, name, partial(getattr(library, name), settings=settings))
