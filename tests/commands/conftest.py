@@ -41,8 +41,6 @@ AT_START = {name: value for name, value in os.environ.items() if not name.starts
 SPEED = 16.0
 RATE_HZ = 125.0
 FACES = tuple(position.name for position in scheme("faces6").positions)
-# What these options and commands take long to import: once, before the fork.
-SLOW_IMPORTS = {"--pdf": "weasyprint", "--plot": "matplotlib.pyplot", "study": "matplotlib.pyplot"}
 LONGEST_S = 900.0  # Only a program that hangs takes so long, however busy the machine.
 CHUNK_SAMPLES = 5
 BLOCK_CHUNKS = 200  # made at once; what is recorded is the same whatever it is
@@ -93,9 +91,7 @@ class Program:
         from tests.commands.forks import Forked, can_fork
 
         if can_fork({name: value for name, value in variables.items() if AT_START.get(name) != value}, options):
-            words = [*arguments]
-            modules = [module for word, module in SLOW_IMPORTS.items() if word in words]
-            return Forked(words, cwd=self.folder, env=variables, text=True, modules=modules, **options)
+            return Forked([*arguments], cwd=self.folder, env=variables, text=True, **options)
         calls = options.pop("at_start", ())
         if calls:
             options["preexec_fn"] = lambda: at_start.do(calls)

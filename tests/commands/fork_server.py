@@ -44,10 +44,8 @@ MODULES = (
     "imufield.guide.view.terminal",
 )
 SELDOM_RUN = ("study",)
-# These need no instrument and no session; typer and rich import much of themselves only for such a line. The last reads wire
-# formats and draws samples, as most programs here do.
-INSTRUMENT = ["emulate", "stim300", "--json", "--positions", "none", "--duration-s", "0.05", "--speed", "16"]
-RUN_FIRST = (["capture", "--help"], ["devices"], ["solve", "nowhere"], INSTRUMENT)
+# These need no instrument and no session; typer and rich import much of themselves only for such a line.
+RUN_FIRST = (["capture", "--help"], ["devices"], ["solve", "nowhere"])
 
 
 def serve(channel: socket.socket, run_program: Callable[[], None]) -> None:

@@ -78,6 +78,14 @@ def test_results_are_those_of_the_replay(longer: Path, monkeypatch: pytest.Monke
     assert repr(cold) != repr(cold_without)
 
 
+def test_the_first_replay_of_a_user_is_kept(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Other tests find a secret there.
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "nothing" / "yet"))
+    first = solved(folder)
+    refuse_replay(monkeypatch)
+    assert repr(solved(folder)) == repr(first)
+
+
 def flip(path: Path) -> None:
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 1

@@ -45,7 +45,7 @@ USED = {
 
 @pytest.fixture(scope="module")
 def solved_here(short_session: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a session solved by this process: what another one of the tests has kept is not believed."""
+    """Return a session solved by this process, to be changed."""
     folder = tmp_path_factory.mktemp("starts") / "session"
     shutil.copytree(short_session, folder)
     assert run(["solve", str(folder), "--latitude", "48"]) == 0

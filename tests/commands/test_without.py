@@ -66,7 +66,15 @@ def test_a_touched_hold_is_poor_and_what_the_sentence_says_to_type_cures_it(sess
         for number, position in enumerate(clean["position"]):
             moved = 1.02 if number == 4 else 1.0
             rows.writerow([*(moved * value for value in position["mean_raw"]), *position["sigma_raw"], position["name"]])
-    arguments = ["solve", "--observations", str(table), "--gravity", "9.80665+-0.00001", "-o", str(path)]
+    arguments = [
+        "solve",
+        "--observations",
+        str(table),
+        "--gravity",
+        f"{clean['site']['gravity_m_s2']!r}+-0.00001",
+        "-o",
+        str(path),
+    ]
     assert run(arguments) == 0
     touched, option = document(path), f"--without={clean['position'][4]['name']}"
     assert touched["quality"]["verdict"] == "poor"

@@ -35,6 +35,7 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     import can
+    import pyarrow as pa
     from can.io.generic import MessageReader
     from rosbags.highlevel import AnyReader
     from rosbags.interfaces import Connection
@@ -134,12 +135,23 @@ def read_parquet(path: Path) -> Content:
     pa.set_cpu_count(1)
     pa.set_io_thread_count(1)
     with parquet.ParquetFile(path) as file:
-        columns = file.metadata.num_columns
-        _check_sound(columns, columns * file.metadata.num_rows, size_of(path))
-        table = file.read(use_threads=False)
+        names = file.schema_arrow.names
+        numbers = [name for name, kind in zip(names, file.schema_arrow.types, strict=True) if _holds_numbers(kind)]
+        _check_sound(len(names), len(numbers) * file.metadata.num_rows, size_of(path))
+        table = file.read(columns=numbers, use_threads=False)
     metadata = table.schema.metadata or {}
     stated = {key.decode(): text.decode() for key, text in metadata.items() if key.startswith(_OWN.encode())}
-    return {name: table.column(name).to_numpy() for name in table.column_names}, stated
+    # Of texts the names are enough: as objects of Python they would take many times the memory of the numbers.
+    return {name: table.column(name).to_numpy() if name in numbers else np.empty(0, "U1") for name in names}, stated
+
+
+def _holds_numbers(kind: pa.DataType) -> bool:
+    """Whether a column of Parquet is of numbers, truth values or dates."""
+    import pyarrow as pa
+
+    kind = kind.value_type if pa.types.is_dictionary(kind) else kind
+    of_numbers = (pa.types.is_integer, pa.types.is_floating, pa.types.is_boolean, pa.types.is_temporal)
+    return any(is_one(kind) for is_one in of_numbers)
 
 
 def read_numpy(path: Path) -> Content:

@@ -184,6 +184,17 @@ def test_more_than_the_reader_would_hand_over(tmp_path: Path, write: Writer, fac
         read_tables([path])
 
 
+def test_texts_of_a_parquet_file_are_named_and_not_read(tmp_path: Path) -> None:
+    # As objects of Python they would take more than the reader may.
+    numbers = {"timestamp": np.arange(500_000) * 0.001, "ax": np.full(500_000, 9.8), "ay": np.zeros(500_000)}
+    texts = {f"frame {number}": ["imu_link"] * 500_000 for number in range(12)}
+    path = tmp_path / "texts.parquet"
+    parquet.write_table(pyarrow.table({**numbers, "az": np.arange(500_000) / 3, **texts}), path, compression="zstd")
+    table = read_tables([path])
+    assert len(table.rows) == 500_000
+    assert any("frame 11" in sentence for sentence in table.assumptions)
+
+
 @pytest.mark.skipif(not hasattr(signal, "SIGPROF"), reason="Windows has no SIGPROF, by which a reader is timed")
 def test_a_reader_that_computes_for_ever(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "scipy.py").write_text("import signal\nsignal.setitimer(signal.ITIMER_PROF, 0.1)\nwhile True: pass\n")

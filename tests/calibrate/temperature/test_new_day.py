@@ -81,7 +81,7 @@ def test_days_that_differ_by_more_than_the_slope_choose_no_order_of_small_scatte
         assert (model.bias.order, model.scale.order) == (1, 1)
         inside.append(is_new_day_inside(found, model, 40 * DAY, rng))
     # 150 days of three axes know a share to 1 %.
-    assert np.all(np.abs(np.mean(inside, axis=(0, 1)) - 0.95) < 0.035)
+    assert np.all(np.abs(np.mean(inside, axis=(0, 1)) - 0.95) < 0.025)
 
 
 def test_a_ramp_that_shows_no_scale_opens_no_choice_of_its_order() -> None:
