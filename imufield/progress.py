@@ -108,6 +108,11 @@ def one_by_one(words: str, items: Collection[AnItem]) -> Iterator[AnItem]:
             counting.done += 1
 
 
+def done() -> float:
+    """Return the share that is done of the outermost task under way."""
+    return next((begun.done / begun.total for begun in _line.tasks if begun.total), 0.0)
+
+
 @contextmanager
 def hidden() -> Iterator[None]:
     """Take the line away as long as something else is written to the terminal."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from imufield.acquire.decoded_session import session_protocol
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import open_or_newest
 from imufield.commands.options.result_commands import ExportDataOptions
@@ -13,7 +14,7 @@ from imufield.deliver.parameters.numbers import beside, hanging
 from imufield.deliver.samples.export_data import FORMATS, OUTLINE, export_samples, facts_of
 from imufield.errors import RecordingError, UsageError
 from imufield.files import refuse_overwriting
-from imufield.pipeline.chain import session_outline, session_protocol, session_samples
+from imufield.pipeline.chain import session_outline, session_samples
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
+from imufield.acquire.decoded_session import session_protocol
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session, open_or_newest
 from imufield.calibrate.noise.noise import NoiseResult, measure_noise
@@ -20,7 +21,7 @@ from imufield.deliver.parameters.file import Noise, Parameters, load, write_docu
 from imufield.errors import Reason, UsageError
 from imufield.files import refuse_overwriting, source_date
 from imufield.pipeline.calibration import one_of
-from imufield.pipeline.chain import session_protocol, session_samples
+from imufield.pipeline.chain import session_samples
 from imufield.pipeline.damage import naming_damage
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentences

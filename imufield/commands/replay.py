@@ -10,6 +10,7 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from imufield.acquire.decode.statistics import combined
+from imufield.acquire.decoded_session import Items, session_protocol
 from imufield.acquire.recording.reader import (
     BLOCK_SPAN_S,
     Damage,
@@ -30,7 +31,7 @@ from imufield.files import Origin
 from imufield.guide.events import Event
 from imufield.guide.positions import scheme
 from imufield.guide.view.plain import JsonLinesView, PlainView
-from imufield.pipeline.chain import Chain, Items, ReadingPlan, replay_into, session_protocol
+from imufield.pipeline.chain import Chain, ReadingPlan, replay_into
 from imufield.sentences import Sentences, counted
 
 if TYPE_CHECKING:

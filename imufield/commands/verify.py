@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from imufield.acquire.decoded_session import session_protocol
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session, open_or_newest
@@ -36,7 +37,7 @@ from imufield.deliver.verification.result import (
 from imufield.earth import MICRO_G_M_S2
 from imufield.errors import CalibrationError, ImufieldError, ParameterFileError, Reason, UsageError, VerificationError
 from imufield.files import refuse_overwriting
-from imufield.pipeline.chain import Chain, ReadingPlan, replay_into, session_protocol
+from imufield.pipeline.chain import Chain, ReadingPlan, replay_into
 from imufield.pipeline.damage import naming_damage
 from imufield.pipeline.kept import kept
 from imufield.pipeline.reading import Reading

@@ -13,12 +13,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from imufield.acquire.decode.statistics import DecoderStatistics
+from imufield.acquire.decoded_session import (
+    Items,
+    Step,
+    decoded,
+    recorded_protocol,
+    recorded_settings,
+    session_blocks,
+    session_protocol,
+)
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.protocol.protocol import Protocol, parse_protocol
-from imufield.acquire.recording.reader import Damage, PartStart, RecordedBlock, RecordedEvent, read_blocks, read_session
+from imufield.acquire.decoding_process import session_steps
+from imufield.acquire.protocol.protocol import Protocol
+from imufield.acquire.recording.reader import Damage, PartStart, RecordedBlock, read_blocks
 from imufield.acquire.recording.session import SETTINGS_FILE, Session
+from imufield.acquire.session_decoder import SessionDecoder
 from imufield.calibrate.model.observations import Observations
-from imufield.errors import CalibrationError, ProtocolError, Reason, RecordingError, SettingError
+from imufield.errors import CalibrationError, Reason, RecordingError
 from imufield.files import Origin
 from imufield.guide.events import HORIZONTAL, VERTICAL, Event, LinkLost
 from imufield.guide.lead.settings import GuideSettings
@@ -26,7 +37,7 @@ from imufield.guide.positions import SCHEME_FILE, SCHEMES, scheme
 from imufield.guide.stillness.scale import RoughScale
 from imufield.pipeline.damage import name_recording, require_samples
 from imufield.pipeline.site import SiteOptions
-from imufield.samples import FloatArray, Samples, Status, concatenate, no_samples
+from imufield.samples import FloatArray, Samples, concatenate, no_samples
 from imufield.sentences import Sentences
 
 if TYPE_CHECKING:
@@ -39,22 +50,10 @@ MARK = "mark"
 """Name of a recorded event: what the operator said, to be said again on replay."""
 ROTATIONS = {"rolled": HORIZONTAL, "table": VERTICAL}
 """Kinds of whole turns, as ``--rotations`` names them, and the axis they are about."""
-UNPLUGGED = "unplugged"
-"""Name of a recorded event: the link was lost, and what comes behind it is read anew. Recordings that are older have only what
-the guide said of it, ``link_lost``."""
-PART_GAP_S = 1.0
-"""Least time between the samples of two parts, whatever the clocks of the host say of them."""
-
-# Of a replay that nobody watches: as much as the decoder works off at once. More would not stay in the cache, and of what comes
-# slowly a hundred samples cost as much as one.
-_BLOCK_BYTES = 1 << 18
-_BLOCK_SPAN_S = 16.0
-
 OUTLINE_BYTES = 1 << 25
 """Of a recording, decoded for a first picture of it: a second of one core at 2000 Hz."""
 
 SamplesListener = Callable[[Samples], None]
-Items = Iterator[PartStart | RecordedBlock | RecordedEvent]
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,18 +97,22 @@ class Chain:
         self._judging = judging
         self.guide: Guide | None = None
         self.finder: StillIntervalFinder | None = None
-        self.protocol: Protocol | None = None
-        self.decoder: Decoder | None = None
-        self.statistics: list[DecoderStatistics] = []  # One per part.
+        self.decoder = SessionDecoder()
         self.temperature_degc = (float("nan"), float("nan"))  # Lowest and highest so far.
         self._offsets = np.zeros((2, 6))  # Of the axes' thermometers from that temperature: sums, and how many.
         self.notes: list[str] = []  # Sentences about how the recording was read.
         self._listeners = listeners
-        self._offset_s: float | None = 0.0  # None from the start of a later part to its first samples, which tell it.
         self._first_s: float | None = None
-        self._last_s: float | None = None
-        self._last_utc_ns = 0  # Of the newest read.
-        self._pause_s: float | None = None  # From the last read of a decoder to the first of the next one.
+
+    @property
+    def protocol(self) -> Protocol | None:
+        """That of the part under way."""
+        return self.decoder.protocol
+
+    @property
+    def statistics(self) -> list[DecoderStatistics]:
+        """One for each decoder."""
+        return self.decoder.statistics
 
     def start_part(self, protocol: Protocol) -> list[Event]:
         """Begin a part: clocks, counters and half frames do not carry over.
@@ -121,20 +124,18 @@ class Chain:
         CalibrationError
             If the instrument has taken gravity out of them.
         """
-        if self.protocol is not None and protocol.units != self.protocol.units:
-            units = [self.protocol.units.words, protocol.units.words]
-            raise ProtocolError(sentence("chain.units", units=units), Reason.UNITS)
-        self.protocol = protocol
+        return self._begin_part(protocol, self.decoder.start_part(protocol))
+
+    def _begin_part(self, protocol: Protocol, held_back: Samples | None) -> list[Event]:
         if self._judging:
             require_gravity(protocol)
         # Not before the first part: the judge needs the units and the rough scale, which its protocol tells.
         if self._judging and self.guide is None and self.finder is None:
             self._begin_to_judge(protocol)
-        events = self._start_decoder(protocol)
         # Whoever stopped and goes on wanted the pause: to call it a lost link would alarm for nothing.
         return [
             replace(event, words=sentence("chain.part_begins"), resumed=True) if isinstance(event, LinkLost) else event
-            for event in events
+            for event in self._begin_anew(held_back)
         ]
 
     def _begin_to_judge(self, protocol: Protocol) -> None:
@@ -151,34 +152,37 @@ class Chain:
             settings = replace(self.plan.guide, grade=nominal.grade)
             self.guide = Guide(scheme(self.plan.scheme, Origin.INSIDE), protocol.units, scale=scale, settings=settings)
 
-    def feed_block(self, block: RecordedBlock) -> list[Event]:
-        """Take many recorded reads at once, as if they came one by one."""
-        self._note_arrival(block.first_utc_ns, block.utc_ns)
-        return self._take(self._started().feed_chunks(block.data, block.end, block.monotonic_s))
-
     def feed(self, data: bytes, arrival_s: float, utc_ns: int) -> list[Event]:
         """Take the bytes of one read and return what the guide has to say."""
-        self._note_arrival(utc_ns, utc_ns)
-        return self._take(self._started().feed(data, arrival_s))
+        return self._take(self.decoder.feed(data, arrival_s, utc_ns))
 
-    def _note_arrival(self, first_utc_ns: int, last_utc_ns: int) -> None:
-        """Measure the pause behind which a new decoder begins: by reads, which are the same however they are joined."""
-        if self._offset_s is None and self._pause_s is None:
-            self._pause_s = max((first_utc_ns - self._last_utc_ns) / 1e9, PART_GAP_S)
-        self._last_utc_ns = last_utc_ns
+    def take(self, step: Step, session: Session) -> list[Event]:
+        """Take what one item of a recorded session gives; raises as ``start_part``."""
+        if isinstance(step.item, PartStart):
+            self.notes += _edited_settings(step.item, session)
+            return self._begin_part(recorded_protocol(step.item.metadata, session), step.samples)
+        if step.is_anew:
+            return self._begin_anew(step.samples)
+        events = self._take(step.samples)
+        return events if step.item is None else events + self._say_again(step.item.event)
 
-    def _started(self) -> Decoder:
-        if self.decoder is None:
-            raise RecordingError(sentence("chain.no_part"), Reason.DAMAGED)
-        return self.decoder
-
-    def _take(self, samples: Samples) -> list[Event]:
-        if not len(samples):
+    def _say_again(self, event: Mapping[str, object]) -> list[Event]:
+        """Repeat what a person did while the session was recorded."""
+        if event.get("event") != MARK:
             return []
-        samples = self._on_session_clock(samples)
+        # Of what the file says only what is of the right type is taken: it may be edited, or by another version.
+        time_s, position = event.get("time_s"), event.get("position")
+        return self.mark(
+            str(event.get("action")),
+            time_s if isinstance(time_s, int | float) else None,
+            position if isinstance(position, str) else None,
+        )
+
+    def _take(self, samples: Samples | None) -> list[Event]:
+        if samples is None:
+            return []
         if self._first_s is None:
             self._first_s = float(samples.time_s[0])
-        self._last_s = float(samples.time_s[-1])
         known = samples.temperature_degc[np.isfinite(samples.temperature_degc)]
         if len(known):
             low, high = self.temperature_degc
@@ -212,13 +216,12 @@ class Chain:
 
     def link_lost(self) -> list[Event]:
         """Say that nothing arrives any more; what comes later is read anew."""
-        # A decoder that has read nothing is a new one: to say it twice, as recordings do, changes nothing.
-        is_new = self.decoder is None or not self.decoder.statistics.bytes_total
-        return [] if is_new or self.protocol is None else self._start_decoder(self.protocol)
+        # A decoder that has read nothing is a new one: to lose the link twice changes nothing.
+        return self._begin_anew(self.decoder.start_anew()) if self.decoder.has_read else []
 
     def finish(self) -> list[Event]:
         """Take what the decoder held back; nothing will follow."""
-        events = self._flush_decoder()
+        events = self._take(self.decoder.flush())
         return events + self.guide.flush() if self.guide is not None else events
 
     def observations(self) -> Observations:
@@ -248,28 +251,11 @@ class Chain:
         """Return the raw accelerometer output at no input, shape (3,)."""
         return protocol.nominal.raw_zero if self.plan.raw_zero is None else np.array(self.plan.raw_zero)
 
-    def _start_decoder(self, protocol: Protocol) -> list[Event]:
-        """Begin with fresh clocks, behind what was read before."""
-        events = self._flush_decoder()
-        self.decoder = Decoder(protocol)
-        self.statistics.append(self.decoder.statistics)
-        # At the very first there is nothing to be behind of, and no link that was lost.
-        if self._last_s is None:
-            return events
-        self._offset_s = self._pause_s = None
-        return events + self.guide.link_lost() if self.guide is not None else events
-
-    def _flush_decoder(self) -> list[Event]:
-        return [] if self.decoder is None else self._take(self.decoder.flush())
-
-    def _on_session_clock(self, samples: Samples) -> Samples:
-        """Shift the samples of a later part behind those of the parts before, as far as the host's clock says."""
-        if self._offset_s is None and self._last_s is not None and self._pause_s is not None:
-            self._offset_s = self._last_s + self._pause_s - float(samples.time_s[0])
-            # How many are missing meanwhile, nobody has counted.
-            samples = replace(samples, status=samples.status.copy())
-            samples.status[0] |= np.uint32(Status.GAP_ESTIMATED)
-        return replace(samples, time_s=samples.time_s + self._offset_s) if self._offset_s else samples
+    def _begin_anew(self, held_back: Samples | None) -> list[Event]:
+        """Go on with a new decoder, behind what the one before held back."""
+        events = self._take(held_back)
+        # At the very first no link was lost.
+        return events if self._first_s is None or self.guide is None else events + self.guide.link_lost()
 
 
 def require_gravity(protocol: Protocol) -> None:
@@ -285,42 +271,10 @@ def require_gravity(protocol: Protocol) -> None:
         raise CalibrationError(corrected, Reason.GRAVITY)
 
 
-def recorded_protocol(metadata: Mapping[str, object], session: Session) -> Protocol:
-    """Return the protocol a part was recorded with; the session's own where the part's start is damaged.
-
-    Raises
-    ------
-    RecordingError
-        If neither holds one.
-    """
-    # The part goes first: session.toml can be edited, and the bytes are what their part says.
-    text = metadata.get("protocol_text") or session.record.protocol.text
-    if not isinstance(text, str) or not text:
-        raise RecordingError(sentence("chain.no_protocol", folder=session.folder))
-    try:
-        settings = _recorded_settings(metadata) or session.record.setting_values
-        return parse_protocol(text, settings, label=f"protocol of {session.name}")
-    except SettingError as error:
-        # Nobody typed it: it stands in the recording.
-        raise ProtocolError(error.message, error.reason, **error.values) from error
-
-
-def session_protocol(session: Session) -> Protocol:
-    """Return the protocol of a session's first part, which is what its samples are decoded with; as ``recorded_protocol``."""
-    part = next((item for item in read_session(session) if isinstance(item, PartStart)), None)
-    return recorded_protocol({} if part is None else part.metadata, session)
-
-
-def _recorded_settings(metadata: Mapping[str, object]) -> Mapping[str, object]:
-    """Return the settings that a part was recorded with; empty where its start is damaged."""
-    settings = metadata.get("settings")
-    return settings if isinstance(settings, dict) else {}
-
-
 def _edited_settings(part: PartStart, session: Session) -> list[str]:
     """Say which settings in ``session.toml`` are not those the bytes of a part were recorded with, which are used."""
     # With an edited range every sample would have another scale, and nothing in the result would show it.
-    recorded = _recorded_settings(part.metadata)
+    recorded = recorded_settings(part.metadata)
     return [
         sentence("chain.edited", name=name, value=value, part=part.path.name, recorded=recorded[name])
         for name, value in session.record.setting_values.items()
@@ -357,41 +311,34 @@ def replay_into(
     RecordingError
         If it cannot be read, or has ended without a sample.
     """
-    for events in _replayed(chain, session, damage, ended=ended, items=items):
-        if events and listener is not None:
-            listener(events)
-
-
-def _replayed(
-    chain: Chain, session: Session, damage: list[Damage], *, ended: bool = True, items: Items | None = None
-) -> Iterator[list[Event]]:
-    """Yield the events of each step of a replay; raises as ``replay_into``."""
     # Asked before reading: a recording that ends meanwhile was read while it went on.
     under_way = session.part_under_way if ended else None
-    for item in items or read_blocks(session, damage, block_bytes=_BLOCK_BYTES, span_s=_BLOCK_SPAN_S):
-        if isinstance(item, PartStart):
-            events = chain.start_part(recorded_protocol(item.metadata, session))
-            chain.notes += _edited_settings(item, session)
-        elif isinstance(item, RecordedEvent):
-            events = _say_again(chain, item.event)
-        else:
-            events = chain.feed_block(item)
-        yield events
+    if ended and items is None:
+        steps = session_steps(session, damage, chain.decoder)
+    else:
+        steps = decoded(items or session_blocks(session, damage), session, chain.decoder)
+    for step in steps:
+        _hand_on(chain.take(step, session), listener)
     name_recording(damage, under_way)
     # Where a capture goes on, what the decoder holds back is completed by what comes, and no sample yet is no fault.
     if ended:
-        yield chain.finish()
+        _hand_on(chain.finish(), listener)
         require_samples(session, chain.protocol, chain.statistics, damage)
+
+
+def _hand_on(events: list[Event], listener: Callable[[list[Event]], None] | None) -> None:
+    if events and listener is not None:
+        listener(events)
 
 
 def session_samples(session: Session, damage: list[Damage]) -> Iterator[Samples]:
     """Decode a session, block by block, on one sample clock; raises as ``replay_into``."""
-    blocks: list[Samples] = []
-    chain = Chain(ReadingPlan(None), listeners=(blocks.append,), judging=False)
-    for _ in _replayed(chain, session, damage):
-        yield from blocks
-        # Cleared at once, or hours of samples would be in memory at the end.
-        blocks.clear()
+    decoder, under_way = SessionDecoder(), session.part_under_way
+    for step in session_steps(session, damage, decoder):
+        if step.samples is not None:
+            yield step.samples
+    name_recording(damage, under_way)
+    require_samples(session, decoder.protocol, decoder.statistics, damage)
 
 
 def session_outline(session: Session, damage: list[Damage]) -> Iterator[Samples]:
@@ -423,17 +370,3 @@ def session_outline(session: Session, damage: list[Damage]) -> Iterator[Samples]
 def _alone(block: RecordedBlock, protocol: Protocol) -> Samples:
     decoder = Decoder(protocol)
     return concatenate([decoder.feed_chunks(block.data, block.end, block.monotonic_s), decoder.flush()])
-
-
-def _say_again(chain: Chain, event: Mapping[str, object]) -> list[Event]:
-    """Repeat what a person or the link did while the session was recorded."""
-    kind = event.get("event")
-    if kind == MARK:
-        # Of what the file says only what is of the right type is taken: it may be edited, or by another version.
-        time_s, position = event.get("time_s"), event.get("position")
-        return chain.mark(
-            str(event.get("action")),
-            time_s if isinstance(time_s, int | float) else None,
-            position if isinstance(position, str) else None,
-        )
-    return chain.link_lost() if kind in (UNPLUGGED, "link_lost") else []

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from imufield.acquire.decoded_session import UNPLUGGED
 from imufield.acquire.instrument.same_stream import SameStream
 from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.recording.recorder import Recorder
 from imufield.guide.events import Event
-from imufield.pipeline.chain import UNPLUGGED, Chain
+from imufield.pipeline.chain import Chain
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from imufield.acquire.decoded_session import session_protocol
 from imufield.acquire.recording.session import SETTINGS_FILE, Session
 from imufield.calibrate.model.grades import find_grade
 from imufield.calibrate.sessions.joint import FEWEST, FEWEST_WITHOUT_PRIOR, Joint, SessionNumbers, adjust
@@ -23,7 +24,6 @@ from imufield.deliver.parameters.gauge_free import GaugeFree, unit_of
 from imufield.deliver.parameters.joined import JoinedFrom, joined_parameters, numbers_of, prior_scales
 from imufield.errors import CalibrationError, ImufieldError, Reason, UsageError
 from imufield.pipeline.calibration import SolveSettings
-from imufield.pipeline.chain import session_protocol
 from imufield.pipeline.same_recording import RecordingMarks, without_copies
 from imufield.pipeline.site import SiteOptions
 from imufield.pipeline.solving import solve_session

@@ -154,7 +154,7 @@ def test_parts_with_other_units_are_told_by_both_triads(session: Path, settings:
     with Recorder(Session.open(session).add_part(), part_metadata(protocol, {})):
         pass
     before = "accelerometer in m/s^2, gyroscope in rad/s"
-    fails("solve S -o out.toml", 4, Reason.UNITS, before, now, key="chain.units")
+    fails("solve S -o out.toml", 4, Reason.UNITS, before, now, key="session_decoder.units")
 
 
 def test_a_session_opens_no_address_that_writes_files(session: Path) -> None:

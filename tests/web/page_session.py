@@ -17,6 +17,7 @@ from pathlib import Path
 from subprocess import PIPE, Popen
 from typing import TYPE_CHECKING, Any
 
+from imufield.acquire.decoded_session import UNPLUGGED, recorded_protocol
 from imufield.acquire.instrument.connected import Connected
 from imufield.acquire.instrument.same_stream import SameStream
 from imufield.acquire.link.host_clock import SystemClock
@@ -29,7 +30,7 @@ from imufield.commands.terminal.views import View
 from imufield.errors import LinkError, Reason
 from imufield.guide.positions import scheme
 from imufield.guide.view.marks import KEYS
-from imufield.pipeline.chain import MARK, UNPLUGGED, Chain, ReadingPlan, recorded_protocol
+from imufield.pipeline.chain import MARK, Chain, ReadingPlan
 from imufield.pipeline.intake import Intake
 from tests.commands.conftest import SPEED, Program
 

@@ -1,0 +1,143 @@
+"""A process that decodes beside this one gives what this one would: samples, events, losses, damage and errors."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import signal
+import subprocess
+from collections.abc import Generator
+from contextlib import closing
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import pytest
+
+from imufield.acquire import decoding_process
+from imufield.acquire.decode.statistics import DecoderStatistics
+from imufield.acquire.decoded_session import UNPLUGGED, Step, recorded_protocol
+from imufield.acquire.decoding_process import session_steps
+from imufield.acquire.link.chunk import Chunk
+from imufield.acquire.recording.reader import Damage, read_part
+from imufield.acquire.recording.recorder import Recorder, part_metadata
+from imufield.acquire.recording.session import Session
+from imufield.acquire.registry import load_driver
+from imufield.acquire.session_decoder import SessionDecoder
+from imufield.errors import ImufieldError, Reason, RecordingError
+from imufield.samples import Samples
+from tests.commands.conftest import simulated_session
+from tests.refused import refused
+from tests.told import key_of
+
+CHUNKS = 200
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Session:
+    """Return a session of two parts; the second is unplugged in its middle and has lost its end."""
+    session = simulated_session(tmp_path / "here", "faces6")
+    chunks = list(islice((item for item in read_part(session.parts[0]) if isinstance(item, Chunk)), CHUNKS))
+    with Recorder(session.add_part(), part_metadata(recorded_protocol({}, session), session.record.setting_values)) as recorder:
+        for number, chunk in enumerate(chunks):
+            if number == CHUNKS // 2:
+                recorder.write_event({"event": UNPLUGGED})
+            recorder.write_chunk(chunk)
+    part = session.parts[-1]
+    part.write_bytes(part.read_bytes()[:-8])
+    return session
+
+
+@dataclass
+class Outcome:
+    """All that a reading gives."""
+
+    steps: list[Step]
+    damage: list[Damage]
+    statistics: list[DecoderStatistics]
+    error: ImufieldError | None = None
+
+
+def read(session: Session, monkeypatch: pytest.MonkeyPatch, long_bytes: int) -> Outcome:
+    monkeypatch.setattr(decoding_process, "LONG_BYTES", long_bytes)
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    decoder, outcome = SessionDecoder(), Outcome([], [], [])
+    try:
+        outcome.steps += session_steps(session, outcome.damage, decoder)
+    except ImufieldError as error:
+        outcome.error = error
+    outcome.statistics = decoder.statistics
+    assert decoder.protocol.units == recorded_protocol({}, session).units
+    return outcome
+
+
+def arrays(samples: Samples | None) -> list[bytes]:
+    values = [] if samples is None else [getattr(samples, field.name) for field in dataclasses.fields(samples)]
+    return [value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode() for value in values]
+
+
+def both(session: Session, monkeypatch: pytest.MonkeyPatch) -> Outcome:
+    """Read here and beside, compare all, and return one of them."""
+    here, beside = (read(session, monkeypatch, long_bytes) for long_bytes in (1 << 40, 0))
+    assert [(step.item, step.is_anew, arrays(step.samples)) for step in here.steps] == [
+        (step.item, step.is_anew, arrays(step.samples)) for step in beside.steps
+    ]
+    assert (here.damage, here.statistics) == (beside.damage, beside.statistics)
+    if here.error is not None:
+        assert (type(here.error), here.error.reason, here.error.values, here.error.message) == (
+            type(beside.error),
+            beside.error.reason,
+            beside.error.values,
+            beside.error.message,
+        )
+        assert key_of(here.error.message) == key_of(beside.error.message)
+    return beside
+
+
+def test_both_ways_give_the_same(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    outcome = both(session, monkeypatch)
+    assert outcome.error is None
+    assert len(outcome.damage) == 1
+    assert len(outcome.statistics) == 3
+    assert sum(step.is_anew for step in outcome.steps) == 1
+
+
+def test_an_error_comes_across_with_its_values(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    protocol = load_driver("stim300").load_protocol({"rate_hz": 125.0, "gyroscope_output": "increment"})
+    with Recorder(session.add_part(), part_metadata(protocol, {})):
+        pass
+    error = both(session, monkeypatch).error
+    assert error is not None
+    assert error.reason is Reason.UNITS
+
+
+@pytest.fixture
+def started(monkeypatch: pytest.MonkeyPatch) -> list[subprocess.Popen[bytes]]:
+    """Return the processes that were started."""
+    processes: list[subprocess.Popen[bytes]] = []
+    start = decoding_process._asked
+    monkeypatch.setattr(decoding_process, "LONG_BYTES", 0)
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+
+    def asked(session: Session) -> subprocess.Popen[bytes]:
+        processes.append(start(session))
+        return processes[-1]
+
+    monkeypatch.setattr(decoding_process, "_asked", asked)
+    return processes
+
+
+def test_who_stops_reading_leaves_no_process(session: Session, started: list[subprocess.Popen[bytes]]) -> None:
+    with closing(cast("Generator[Step]", session_steps(session, [], SessionDecoder()))) as steps:
+        next(steps)
+    assert [process.returncode for process in started] == [-signal.SIGKILL]
+
+
+def test_a_process_that_is_killed_is_told(session: Session, started: list[subprocess.Popen[bytes]]) -> None:
+    steps = session_steps(session, [], SessionDecoder())
+    next(steps)
+    started[0].kill()
+    with refused(RecordingError, Reason.DAMAGED, str(session.folder), key="decoding_process.ended"):
+        list(steps)
