@@ -184,6 +184,23 @@ def test_more_than_the_reader_would_hand_over(tmp_path: Path, write: Writer, fac
         read_tables([path])
 
 
+def varint(value: int, size: int) -> bytes:
+    """Return a whole number as Thrift's compact protocol writes it, in so many bytes."""
+    zigzag = 2 * value if value >= 0 else -2 * value - 1
+    digits = [zigzag >> 7 * place & 0x7F for place in range(size)]
+    return bytes([*(digit | 0x80 for digit in digits[:-1]), digits[-1]])
+
+
+def test_rows_that_a_parquet_file_denies(tmp_path: Path) -> None:
+    path = written(tmp_path, parquet_trap)
+    content, stated = path.read_bytes(), varint(64_000_000, 4)
+    assert content.count(stated) == 1
+    for rows in (10, 0, -19):
+        path.write_bytes(content.replace(stated, varint(rows, 4)))
+        with refused(RecordingError, Reason.DAMAGED, str(path), key="table_arrays.damaged"):
+            read_tables([path])
+
+
 def test_texts_of_a_parquet_file_are_named_and_not_read(tmp_path: Path) -> None:
     # As objects of Python they would take more than the reader may.
     numbers = {"timestamp": np.arange(500_000) * 0.001, "ax": np.full(500_000, 9.8), "ay": np.zeros(500_000)}
