@@ -45,18 +45,30 @@ def write_secret(state_home: Path) -> None:
     path.chmod(0o600)
 
 
-# Files of a minute and more. They begin first, or one process works on alone when the others are done.
+# Files of half a minute and more, the longest first. They begin first, or one process works on alone when the others are done.
 LONG = (
-    "torture/test_sequences.py",
-    "torture/test_claims.py",
-    "test_honesty.py",
-    "torture/test_killed.py",
+    "commands/test_can.py",
     "study/test_studies.py",
+    "commands/test_probe.py",
+    "torture/test_sequences.py",
     "commands/test_desk.py",
     "commands/test_bad_input.py",
-    "commands/test_solve_many.py",
+    "torture/test_claims.py",
+    "test_all_drivers.py",
     "commands/test_capture.py",
+    "torture/test_second_corpus.py",
+    "drivers/test_control.py",
+    "web/test_workbench_page.py",
+    "torture/test_killed.py",
+    "commands/test_text_streams.py",
+    "web/test_page_looks.py",
+    "web/test_guide_page.py",
+    "web/test_workbench.py",
+    "calibrate/accelerometer/test_gate.py",
+    "commands/test_guided.py",
     "torture/test_faults.py",
+    "web/test_server.py",
+    "test_honesty.py",
 )
 
 
