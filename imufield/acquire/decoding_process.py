@@ -18,7 +18,7 @@ from typing import BinaryIO, cast
 
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.decoded_session import Step, decoded, recorded_protocol, session_blocks
-from imufield.acquire.recording.reader import Damage, PartStart
+from imufield.acquire.recording.reader import Damage, PartStart, size_bytes
 from imufield.acquire.recording.session import Session
 from imufield.acquire.session_decoder import SessionDecoder
 from imufield.errors import ImufieldError, RecordingError
@@ -28,7 +28,7 @@ from imufield.sentences import Sentences
 sentence = Sentences(__package__)
 
 LONG_BYTES = 1 << 26
-"""Recordings from this size on are decoded in a process of their own: the start of one takes as long as to decode a third."""
+"""From this size on a recording has a process of its own, whose start takes as long as decoding a third of that."""
 
 
 def session_steps(session: Session, damage: list[Damage], decoder: SessionDecoder) -> Iterator[Step]:
@@ -47,7 +47,7 @@ def session_steps(session: Session, damage: list[Damage], decoder: SessionDecode
     RecordingError, ProtocolError
         If it cannot be read.
     """
-    is_long = sum(path.stat().st_size for path in session.parts) >= LONG_BYTES
+    is_long = size_bytes(session.parts) >= LONG_BYTES
     return (_beside if is_long and (os.cpu_count() or 1) > 1 else _here)(session, damage, decoder)
 
 

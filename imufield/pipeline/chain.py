@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from imufield.acquire.decoded_session import (
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.decoding_process import session_steps
 from imufield.acquire.protocol.protocol import Protocol
-from imufield.acquire.recording.reader import Damage, PartStart, RecordedBlock, read_blocks
+from imufield.acquire.recording.reader import Damage, PartStart, RecordedBlock, read_blocks, size_bytes
 from imufield.acquire.recording.session import SETTINGS_FILE, Session
 from imufield.acquire.session_decoder import SessionDecoder
 from imufield.calibrate.model.observations import Observations
@@ -160,7 +160,8 @@ class Chain:
         """Take what one item of a recorded session gives; raises as ``start_part``."""
         if isinstance(step.item, PartStart):
             self.notes += _edited_settings(step.item, session)
-            return self._begin_part(recorded_protocol(step.item.metadata, session), step.samples)
+            # The decoder has it from the part's start.
+            return self._begin_part(cast("Protocol", self.protocol), step.samples)
         if step.is_anew:
             return self._begin_anew(step.samples)
         events = self._take(step.samples)
@@ -347,7 +348,7 @@ def session_outline(session: Session, damage: list[Damage]) -> Iterator[Samples]
     A recording of at most ``OUTLINE_BYTES``, and one without arrival times, is decoded whole. Raises as ``replay_into``.
     """
     # Rounded up: what is decoded takes as long for a day as for an hour.
-    every = -(-sum(path.stat().st_size for path in session.parts) // OUTLINE_BYTES)
+    every = -(-size_bytes(session.parts) // OUTLINE_BYTES)
     # The bytes of an import have no arrival that tells their time.
     if every <= 1 or session.record.kind == "import":
         yield from session_samples(session, damage)

@@ -140,7 +140,7 @@ def read_blocks(
     span_s : float
         Nor beyond this time of the wire, nor over a pause of 0.25 s, nor over an event.
     """
-    with task("reading", _size(session.parts)) as reading:
+    with task("reading", size_bytes(session.parts)) as reading:
         yield from _blocks(session, damage, _Joiner(block_bytes=block_bytes, span_s=span_s), reading)
 
 
@@ -237,8 +237,8 @@ def _parts_begun(session: Parts, damage: list[Damage] | None) -> Iterator[Path]:
 _Chunk = tuple[bytes, float, int]
 
 
-def _size(paths: Iterable[Path]) -> int:
-    """Return the bytes of files; one that is gone is missed by whoever opens it."""
+def size_bytes(paths: Iterable[Path]) -> int:
+    """Return the size of parts together; one that is gone is missed by whoever opens it."""
     return sum(path.stat().st_size for path in paths if path.is_file())
 
 
@@ -347,7 +347,7 @@ class RecordingLink:
         self.has_arrival_times = True
 
     def _read(self, paths: list[Path]) -> Iterator[PartStart | Chunk | RecordedEvent]:
-        with task("sending", _size(paths)) as sending:
+        with task("sending", size_bytes(paths)) as sending:
             for path in paths:
                 for item in _items_of(path, self.damage, sending):
                     yield Chunk(*item) if isinstance(item, tuple) else item
