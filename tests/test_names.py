@@ -7,10 +7,9 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
+from tests.sources import modules
 
 PROJECT = Path(__file__).resolve().parent.parent
-FILES = sorted([*(PROJECT / "imufield").rglob("*.py"), *(PROJECT / "drivers").rglob("*.py")])
 Documented = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef
 
 
@@ -63,22 +62,28 @@ def is_overload(node: Documented) -> bool:
     return any(isinstance(one, ast.Name) and one.id in ("overload", "override") for one in node.decorator_list)
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: path.relative_to(PROJECT).as_posix())
-def test_docstrings(path: Path) -> None:
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    assert ast.get_docstring(tree) or not tree.body, "the module has no docstring"
+def wrong_docstrings(tree: ast.Module) -> Iterator[str]:
+    if tree.body and not ast.get_docstring(tree):
+        yield "the module has no docstring"
     for name, node, _ in public(tree):
         if is_overload(node):
             continue
         docstring = ast.get_docstring(node, clean=False)
-        assert docstring, f"{name} has no docstring"
+        if not docstring:
+            yield f"{name} has no docstring"
+            continue
         documented = section(docstring, "Parameters")
-        if documented is not None:
-            assert sorted(documented) == sorted(real_parameters(node)), f"{name}: documented parameters are not the real ones"
+        if documented is not None and sorted(documented) != sorted(real_parameters(node)):
+            yield f"{name}: documented parameters are not the real ones"
         attributes = section(docstring, "Attributes")
         if attributes is not None and isinstance(node, ast.ClassDef) and fields(node):
             methods = [child.name for child in node.body if isinstance(child, ast.FunctionDef)]
-            assert set(attributes) <= {*fields(node), *methods}, f"{name}: documented attributes are not the real ones"
+            if not set(attributes) <= {*fields(node), *methods}:
+                yield f"{name}: documented attributes are not the real ones"
+
+
+def test_docstrings() -> None:
+    assert [f"{path}: {wrong}" for path, module in modules().items() for wrong in wrong_docstrings(module.tree)] == []
 
 
 def test_tests_mirror_the_tree() -> None:

@@ -6,13 +6,13 @@ import ast
 import importlib
 import re
 from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
 
 import pytest
 
+from tests.sources import modules
+
 PROJECT = Path(__file__).resolve().parent.parent
-SOURCES = sorted([*(PROJECT / "imufield").rglob("*.py"), *(PROJECT / "drivers").rglob("*.py")])
 BANNED_MODULES = {
     "pickle",
     "cPickle",
@@ -65,10 +65,6 @@ def names_of(tree: ast.AST) -> dict[str, str]:
     return names
 
 
-def tree_of(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
-
-
 def called(node: ast.expr, names: dict[str, str]) -> str:
     if isinstance(node, ast.Name):
         return names.get(node.id, node.id)
@@ -103,31 +99,25 @@ def printing(tree: ast.AST) -> set[str]:
     return {called(call, {}) for call in calls if isinstance(call, ast.Name | ast.Attribute)} & ways
 
 
-@cache
-def found_in(path: Path) -> tuple[list[str], bool, set[str]]:
-    """Return breaches, whether it can start programs, and ways to print; the tree, which is large, is not kept."""
-    tree = tree_of(path)
-    starts = any(one.partition(".")[0] == "subprocess" for node in ast.walk(tree) for one in imported(node))
-    return list(breaches(tree)), starts, printing(tree)
-
-
 @pytest.mark.parametrize(("text", "what"), SAMPLES.items())
 def test_the_check_finds_what_it_looks_for(text: str, what: str) -> None:
     assert what in list(breaches(ast.parse(text)))
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=lambda path: path.relative_to(PROJECT).as_posix())
-def test_no_file_runs_what_it_reads(path: Path) -> None:
-    name = path.relative_to(PROJECT).as_posix()
-    found, starts, _ = found_in(path)
-    assert [one for one in found if (name, one.partition(".")[0]) not in MAY_USE] == []
-    assert not starts or name in MAY_START_PROGRAMS
+def test_no_file_runs_what_it_reads() -> None:
+    found = [(name, breach) for name, module in modules().items() for breach in breaches(module.tree)]
+    assert [(name, breach) for name, breach in found if (name, breach.partition(".")[0]) not in MAY_USE] == []
+
+
+def test_few_files_can_start_programs() -> None:
+    wanted = ((name, one) for name, module in modules().items() for node in ast.walk(module.tree) for one in imported(node))
+    assert {name for name, one in wanted if one.partition(".")[0] == "subprocess"} <= MAY_START_PROGRAMS
 
 
 def test_programs_get_lists_and_nothing_of_the_wire() -> None:
     # What sound says is made of constants and axis names: `tests/guide/view/test_sound.py` feeds it hostile texts.
     for name in MAY_START_PROGRAMS:
-        tree = tree_of(PROJECT / name)
+        tree = modules()[name].tree
         names = names_of(tree)
         for node in ast.walk(tree):
             if isinstance(node, ast.Call) and called(node.func, names) in ("subprocess.run", "subprocess.Popen"):
@@ -153,7 +143,6 @@ MAY_PRINT = {
 }
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(PROJECT)))
-def test_all_that_is_printed_goes_through_one_place(path: Path) -> None:
-    found = found_in(path)[2]
-    assert not found or path.relative_to(PROJECT).as_posix() in MAY_PRINT
+def test_all_that_is_printed_goes_through_one_place() -> None:
+    found = {name: printing(module.tree) for name, module in modules().items()}
+    assert {name: ways for name, ways in found.items() if ways and name not in MAY_PRINT} == {}

@@ -101,6 +101,17 @@ def to_svg(drawn: Figure, name: str) -> str:
     return re.sub(r'width="[\d.]+pt" height="[\d.]+pt"', "", text, count=1)
 
 
+def to_png(drawn: Figure) -> bytes:
+    """Return a figure as a PNG file, drawn once as in ``to_svg``; called in ``plot_style``."""
+    from matplotlib import rcParams
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    drawn.set_dpi(rcParams["savefig.dpi"])
+    buffer = io.BytesIO()
+    FigureCanvasAgg(drawn).print_png(buffer)  # type: ignore[no-untyped-call]  # not in its stubs
+    return buffer.getvalue()
+
+
 def plot_style(extra: str = "report") -> AbstractContextManager[None]:
     """Return a context in which figures are drawn and written in the common style; raises as ``load_matplotlib``."""
     matplotlib = load_matplotlib(extra)

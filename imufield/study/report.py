@@ -21,7 +21,7 @@ import tomli
 from numpy.typing import ArrayLike
 
 from imufield.deliver.parameters.numbers import WIDTH, hanging
-from imufield.drawing.style import figure, plot_style, title
+from imufield.drawing.style import figure, plot_style, title, to_png
 from imufield.files import typed_write_errors, write_atomically
 from imufield.samples import FloatArray
 from imufield.study import instruments
@@ -235,7 +235,6 @@ def _write_plot(report: StudyReport, draw: Draw, path: Path) -> None:
         drawn = figure(4.6)
         draw(drawn)
         title(drawn, f"{report.name}: {report.title}")
-        image = io.BytesIO()
-        drawn.savefig(image, format="png")
+        image = to_png(drawn)
     with typed_write_errors(path):
-        write_atomically(path, image.getvalue())
+        write_atomically(path, image)

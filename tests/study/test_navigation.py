@@ -9,10 +9,14 @@ from imufield.deliver.navigation.alignment import coarse_attitude
 from imufield.samples import FloatArray
 from imufield.study.navigation import DOWN_UP, WhiteNoise, navigate_at_rest, rest_inputs
 
-pytest.importorskip("pyins", reason="needs the nav extra")
-
 LATITUDE = 45.0
 SILENT = WhiteNoise(0.0, 0.0)
+
+
+@pytest.fixture(autouse=True)
+def pyins() -> None:
+    """Skip where it is absent; imported only where a test runs, as it brings Numba."""
+    pytest.importorskip("pyins", reason="needs the nav extra")
 
 
 def rest(heading_deg: float = 0.0) -> tuple[FloatArray, FloatArray]:

@@ -22,10 +22,15 @@ from imufield.samples import FloatArray, Samples, SampleUnits, make_samples
 from tests.refused import refused
 from tests.told import told
 
-pytest.importorskip("allantools")
 RATE_HZ = 20.0
 DENSITY = np.repeat([1e-3, 1e-4], 3)
 WALK = np.repeat([3e-5, 3e-6], 3)
+
+
+@pytest.fixture(autouse=True)
+def allantools() -> None:
+    """Skip where it is absent; imported only where a test runs, as it brings half of SciPy."""
+    pytest.importorskip("allantools")
 
 
 def standstill(hours: float, seed: int = 0, walk: FloatArray = WALK, step: float = 0.0, block: int = 5000) -> Iterator[Samples]:

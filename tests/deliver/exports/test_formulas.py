@@ -12,7 +12,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_up_instruments import loaded, made_up
-from pyins.inertial_sensor import EstimationModel
 from target_formulas import (
     DIAGONAL,
     FORMULAS,
@@ -193,6 +192,9 @@ def test_openvins_rpng_has_upper_triangles_in_the_frame_of_the_gyroscope() -> No
 
 
 def test_pyins_simulates_our_raw_values_and_corrects_them(tmp_path: Path) -> None:
+    # Here, as it makes Numba ready for compiling, which no other test of a whole run needs.
+    from pyins.inertial_sensor import EstimationModel
+
     parameters = made_up(22)
     module = pyins_module(dict(export_parameters(parameters, "pyins").files), tmp_path)
     acc, gyr = samples(23)
