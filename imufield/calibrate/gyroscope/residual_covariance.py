@@ -173,8 +173,8 @@ def covariances(evaluation: Evaluation, x: FloatArray, data: GyroscopeData) -> C
     drift[2 * m : 2 * m + 3 * s] = np.eye(3 * s)
     by_parameters = by_force.reshape(rows, -1) @ errors.by_parameters.reshape(-1, 15)
     gain = np.swapaxes(errors.gain, 1, 2).reshape(-1, 15)
-    by_raw = np.einsum("rsi,sij->rsj", by_force, errors.by_noise) + (by_parameters @ gain.T).reshape(rows, s, 3)
-    noisy = np.einsum("rsi,sij->rsj", by_raw, errors.noise).reshape(rows, -1)
+    by_raw = _by_stills(by_force, errors.by_noise) + (by_parameters @ gain.T).reshape(rows, s, 3)
+    noisy = _by_stills(by_raw, errors.noise).reshape(rows, -1)
     rest = by_parameters @ (errors.rest - errors.by_gravity) @ by_parameters.T
     known = {name: np.zeros((rows, rows)) for name in ("gyroscope_within_hold", "gyroscope_moving", "stops", "turntable")}
     known["accelerometer"] = noisy @ by_raw.reshape(rows, -1).T + rest
@@ -247,6 +247,11 @@ def random_walk(time_s: FloatArray) -> FloatArray:
     return np.asarray(centring @ np.minimum(elapsed[:, None], elapsed) @ centring)
 
 
+def _by_stills(rows: FloatArray, matrices: FloatArray) -> FloatArray:
+    """Return rows times the matrix of each still, shape (r, s, 3) and (s, 3, 3) to (r, s, 3)."""
+    return np.swapaxes(np.swapaxes(rows, 0, 1) @ matrices, 0, 1)
+
+
 def _add_blocks(target: FloatArray, blocks: FloatArray, start: int) -> None:
     size = blocks.shape[1]
     for k, block in enumerate(blocks):
@@ -260,11 +265,10 @@ def next_scatter(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, p
     weighted = inverse @ jacobian
     P = inverse - weighted @ np.linalg.pinv(jacobian.T @ weighted, hermitian=True) @ weighted.T
     components = (parts.drift, parts.wander, parts.turn)
-    products = np.array([P @ V for V in components])
+    products = [P @ V for V in components]
     Pr = P @ residual
     score = np.array([Pr @ V @ Pr - np.trace(PV) for V, PV in zip(components, products, strict=True)])  # 2 s_k
-    # tr(P V_k P V_l)
-    information = products.reshape(3, -1) @ np.swapaxes(products, 1, 2).reshape(3, -1).T
+    information = np.array([[np.einsum("ij,ji", a, b) for b in products] for a in products])  # tr(P V_k P V_l)
     now = np.array(scatter) ** 2
     # A component at zero that wants to fall stays there.
     free = ~((now <= 0) & (score <= 0)) & (np.diag(information) > 0)
