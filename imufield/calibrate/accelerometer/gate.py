@@ -90,6 +90,7 @@ class Gate:
         within = fit.sigma_m_s2**2 - fit.tau_m_s2**2
         # Part of each variance that is known before the fit: no combination scatters by less.
         self._least = float(np.mean(within / fit.sigma_m_s2**2)) if np.any(within > 1e-9 * fit.sigma_m_s2**2) else 0.0
+        self._weighted = fit.jacobian / fit.sigma_m_s2[:, None], fit.residual_m_s2 / fit.sigma_m_s2
         every = sorted(self.all)
         self._parts = {
             frozenset(kept): self._part(frozenset(kept))
@@ -101,23 +102,23 @@ class Gate:
         fit = self._fit
         out = [k for term in self.all - kept for k in self._coordinates[term]]
         stays = [k for k in range(len(self._value)) if k not in out]
-        J, r = fit.jacobian / fit.sigma_m_s2[:, None], fit.residual_m_s2 / fit.sigma_m_s2
+        J, r = self._weighted
         step = np.zeros(len(self._value))
         step[out] = -self._value[out]
         Q, R = np.linalg.qr(J[:, stays])
         goal = r + J @ step
-        step[stays] = -np.linalg.solve(R, Q.T @ goal)
-        rest = r + J @ step
         inverse = np.linalg.inv(R)
+        step[stays] = -inverse @ (Q.T @ goal)
+        rest = r + J @ step
         to_parameters = fit.basis[:, stays] @ inverse
-        quadratic = np.isin(stays, self._coordinates.get("quadratic", ()))
+        quadratic = [row for row, k in enumerate(stays) if k in self._coordinates.get("quadratic", ())]
         return _Part(
             # Ideal outputs leave nothing but rounding, and no ratio of it means anything.
             chi_squared=max(float(rest @ rest), _ROUNDING * len(rest)),
             freedom=len(r) - len(stays),
             change=fit.basis @ step,
             covariance=to_parameters @ to_parameters.T,
-            quadratic_variance=float(np.mean(np.sum(inverse[quadratic] ** 2, axis=1))) if quadratic.any() else 0.0,
+            quadratic_variance=float(np.mean(np.sum(inverse[quadratic] ** 2, axis=1))) if quadratic else 0.0,
         )
 
     def chance(self, terms: Terms) -> float:

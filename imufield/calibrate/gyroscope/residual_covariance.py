@@ -172,13 +172,14 @@ def covariances(evaluation: Evaluation, x: FloatArray, data: GyroscopeData) -> C
     by_force[2 * m : 2 * m + 3 * s].reshape(s, 3, s, 3)[range(s), :, range(s)] = -H
     drift[2 * m : 2 * m + 3 * s] = np.eye(3 * s)
     by_parameters = by_force.reshape(rows, -1) @ errors.by_parameters.reshape(-1, 15)
-    by_raw = np.einsum("rsi,sij->rsj", by_force, errors.by_noise) + np.einsum("rp,spj->rsj", by_parameters, errors.gain)
-    noisy = np.einsum("rsi,sij->rsj", by_raw, errors.noise).reshape(rows, -1)
+    gain = np.swapaxes(errors.gain, 1, 2).reshape(-1, 15)
+    by_raw = _by_stills(by_force, errors.by_noise) + (by_parameters @ gain.T).reshape(rows, s, 3)
+    noisy = _by_stills(by_raw, errors.noise).reshape(rows, -1)
     rest = by_parameters @ (errors.rest - errors.by_gravity) @ by_parameters.T
     known = {name: np.zeros((rows, rows)) for name in ("gyroscope_within_hold", "gyroscope_moving", "stops", "turntable")}
     known["accelerometer"] = noisy @ by_raw.reshape(rows, -1).T + rest
     known["gravity"] = by_parameters @ errors.by_gravity @ by_parameters.T
-    from_means = noisy @ np.swapaxes(errors.gain, 1, 2).reshape(-1, 15)
+    from_means = noisy @ gain
     from_rest = by_parameters @ np.column_stack([errors.rest, errors.with_gravity])
     with_accelerometer = from_rest + np.pad(from_means, ((0, 0), (0, 1)))
     moving = known["gyroscope_moving"]
@@ -246,6 +247,11 @@ def random_walk(time_s: FloatArray) -> FloatArray:
     return np.asarray(centring @ np.minimum(elapsed[:, None], elapsed) @ centring)
 
 
+def _by_stills(rows: FloatArray, matrices: FloatArray) -> FloatArray:
+    """Return rows times the matrix of each still, shape (r, s, 3) and (s, 3, 3) to (r, s, 3)."""
+    return np.swapaxes(np.swapaxes(rows, 0, 1) @ matrices, 0, 1)
+
+
 def _add_blocks(target: FloatArray, blocks: FloatArray, start: int) -> None:
     size = blocks.shape[1]
     for k, block in enumerate(blocks):
@@ -262,7 +268,7 @@ def next_scatter(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, p
     products = [P @ V for V in components]
     Pr = P @ residual
     score = np.array([Pr @ V @ Pr - np.trace(PV) for V, PV in zip(components, products, strict=True)])  # 2 s_k
-    information = np.array([[np.sum(a * b.T) for b in products] for a in products])  # tr(P V_k P V_l)
+    information = np.array([[np.einsum("ij,ji", a, b) for b in products] for a in products])  # tr(P V_k P V_l)
     now = np.array(scatter) ** 2
     # A component at zero that wants to fall stays there.
     free = ~((now <= 0) & (score <= 0)) & (np.diag(information) > 0)

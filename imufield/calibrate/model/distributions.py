@@ -129,10 +129,10 @@ def sigma_of_mixture(weight: FloatArray, shift: FloatArray, sigma: FloatArray) -
 
 
 def _limit_of_mixture(weight: FloatArray, shift: FloatArray, sigma: FloatArray) -> float:
-    cdf = NormalDist().cdf
     # A term that a model leaves out is exactly zero there.
-    parts = list(zip(weight.tolist(), shift.tolist(), np.maximum(sigma, _EXACTLY).tolist(), strict=True))
-    return _positive_root(lambda limit: sum(w * (cdf((d - limit) / s) + cdf((-d - limit) / s)) for w, d, s in parts) - 0.05)
+    width = math.sqrt(2) * np.maximum(sigma, _EXACTLY)
+    parts, erfc = list(zip(weight.tolist(), shift.tolist(), width.tolist(), strict=True)), math.erfc
+    return _positive_root(lambda limit: sum(w * (erfc((limit - d) / s) + erfc((limit + d) / s)) for w, d, s in parts) - 0.1)
 
 
 def _student_tail(freedom: float, t: float) -> float:

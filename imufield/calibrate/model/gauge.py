@@ -28,6 +28,7 @@ import numpy as np
 
 from imufield.calibrate.model.models import (
     BIAS,
+    MISALIGNMENT,
     MISALIGNMENT_COLUMNS,
     MISALIGNMENT_ROWS,
     PARAMETERS,
@@ -39,6 +40,7 @@ from imufield.calibrate.model.models import (
 )
 from imufield.calibrate.model.observability import generators
 from imufield.calibrate.model.result import AccelerometerParameters, Gauge, GyroscopeParameters, Intrinsic, QuadraticAxes
+from imufield.calibrate.model.rotation import cross
 from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
@@ -94,16 +96,13 @@ def turn(vector: FloatArray, rotation: FloatArray) -> tuple[FloatArray, FloatArr
     A = np.zeros((PARAMETERS, PARAMETERS))
     # With D = diag(T R^T): K' = K D, b' = b / D, T' = D^-1 T R^T, K2' = K2 D^2.
     A[range(PARAMETERS), range(PARAMETERS)] = np.concatenate([D, 1 / D, np.zeros(6), D**2])
-    for k, (i, j) in enumerate(zip(MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS, strict=True)):
-        column = 6 + k
-        dM = rotation[:, j]  # row i of dM; the other rows do not change
-        dD = dM[i]
-        A[i, column] = K[i] * dD
-        A[3 + i, column] = -b[i] / D[i] ** 2 * dD
-        A[12 + i, column] = 2 * K2[i] * D[i] * dD
-        for row in np.flatnonzero(i == MISALIGNMENT_ROWS):
-            other = MISALIGNMENT_COLUMNS[row]
-            A[6 + row, column] = dM[other] / D[i] - M[i, other] * dD / D[i] ** 2
+    i, j, entries = MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS, np.arange(PARAMETERS)[MISALIGNMENT]
+    dM = rotation[:, j]  # by each entry, row i of dM; the other rows do not change
+    dD = dM[i, range(6)]
+    A[i, entries] = K[i] * dD
+    A[3 + i, entries] = -b[i] / D[i] ** 2 * dD
+    A[12 + i, entries] = 2 * K2[i] * D[i] * dD
+    A[MISALIGNMENT, MISALIGNMENT] = (i[:, None] == i) * (dM[j] / D[i] - M[i][:, j].T * dD / D[i] ** 2)
     return np.concatenate([K * D, b / D, misalignment, K2 * D**2]), A
 
 
@@ -134,9 +133,9 @@ def constraint_jacobian(vector: FloatArray, gauge: Gauge, preset: FloatArray | N
         T = alignment_matrix(vector)
         length = np.linalg.norm(T, axis=1)
         u, p = T / length[:, None], _unit_rows(_required(preset))
-        for k, (i, j) in enumerate(zip(MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS, strict=True)):
-            du = (np.eye(3)[j] - u[i] * u[i, j]) / length[i]
-            C[:, 6 + k] = np.cross(du, p[i])
+        i, j = MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS
+        du = (np.eye(3)[j] - u[i] * u[i, j, None]) / length[i, None]
+        C[:, MISALIGNMENT] = cross(du, p[i]).T
         return C
     # lower: upper entries zero; upper: lower entries zero; symmetric: their difference zero
     if gauge in ("lower", "symmetric"):

@@ -8,7 +8,7 @@ Accelerometer, with zeroed output ``N`` (raw unit), specific force ``a`` (m/s^2)
 On sensing axes each axis is a quadratic of its own ``s``. Of its two roots the one that goes to ``N / K - b`` for a
 vanishing ``K2`` is wanted, in the form without cancellation::
 
-    s = 2 (N - K b) / (K + sign(K) sqrt(D)),    D = K**2 + 4 K2 (N - K b)
+    s = f / (1/2 + sqrt(1/4 + f K2 / K)),    f = N / K - b
 
 On body axes ``a = T^-1 ((N - K2 a**2) / K - b)`` is a contraction for any sane instrument ([1]_ eq. 14) and is iterated.
 
@@ -54,6 +54,7 @@ QUADRATIC = slice(12, 15)
 MISALIGNMENT_ROWS = np.array([0, 0, 1, 1, 2, 2])
 MISALIGNMENT_COLUMNS = np.array([1, 2, 0, 2, 0, 1])
 """Row and column of T for the six entries of the vector: xy, xz, yx, yz, zx, zy."""
+_OFF_DIAGONAL = 3 * MISALIGNMENT_ROWS + MISALIGNMENT_COLUMNS  # Their places in a flattened matrix.
 
 # Relative change at which the iteration stops: navigation grade gets there in four or five passes.
 _CONTRACTION_TOLERANCE = 1e-14
@@ -84,10 +85,15 @@ def from_vector(
 
 def alignment_matrix(vector: FloatArray) -> FloatArray:
     """Return T of one vector or of many, shape (..., 15) -> (..., 3, 3)."""
-    T = np.zeros((*vector.shape[:-1], 3, 3))
-    T[..., (0, 1, 2), (0, 1, 2)] = 1.0
-    T[..., MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS] = vector[..., MISALIGNMENT]
-    return T
+    return unit_diagonal_matrices(vector[..., MISALIGNMENT])
+
+
+def unit_diagonal_matrices(off_diagonal: FloatArray) -> FloatArray:
+    """Return matrices with a unit diagonal from their off-diagonals, shape (..., 6) -> (..., 3, 3)."""
+    flat = np.empty((*off_diagonal.shape[:-1], 9))
+    flat[..., ::4] = 1.0
+    flat[..., _OFF_DIAGONAL] = off_diagonal
+    return flat.reshape(*flat.shape[:-1], 3, 3)
 
 
 def predict(parameters: AccelerometerParameters, a: FloatArray) -> FloatArray:
@@ -179,12 +185,14 @@ def _contracted(a: FloatArray, step: Callable[[FloatArray], FloatArray]) -> Floa
 
 
 def _sensing_input(vector: FloatArray, raw: FloatArray) -> FloatArray:
-    K, b, K2 = (vector[..., None, part] for part in (SCALE, BIAS, QUADRATIC))
-    unbiased = raw - K * b
     with np.errstate(invalid="ignore"):
-        root = np.sqrt(K**2 + 4 * K2 * unbiased)
-    # The root that goes to N / K - b for a vanishing K2, in the form without cancellation.
-    return np.asarray(2 * unbiased / (K + np.copysign(root, K)))
+        return sensing_input(raw, *(vector[..., None, part] for part in (SCALE, BIAS, QUADRATIC)))
+
+
+def sensing_input(raw: FloatArray, K: FloatArray, b: FloatArray, K2: FloatArray) -> FloatArray:
+    """Return s on sensing axes, of shapes that broadcast; NaN, and NumPy's warning, where there is no solution."""
+    linear = raw / K - b
+    return np.asarray(linear / (0.5 + np.sqrt(0.25 + K2 / K * linear)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,15 +224,17 @@ def norm_derivatives(
     s = felt @ T.T
     sensing = quadratic_axes == "sensing"
     slope = K + 2 * K2 * s if sensing else np.broadcast_to(K, s.shape)
-    dN_da = slope[:, :, None] * T
-    if not sensing:
-        dN_da[:, range(3), range(3)] += 2 * K2 * felt
     with np.errstate(invalid="ignore"):  # a position without any specific force has no direction: NaN
         u = a / norm[:, None]
     by_T, by_higher = np.zeros((len(raw), 6)), np.zeros((len(raw), 0))
     if higher is not None:
         u, by_T, by_higher = _through_higher(T, a, felt, u, higher)
-    v = np.linalg.solve(np.swapaxes(dN_da, 1, 2), u[:, :, None])[:, :, 0]  # (dN/da)^-T u = d norm / dN
+    # d norm / dN = (dN/da)^-T u
+    if sensing:
+        v = np.linalg.solve(T.T, u.T).T / slope
+    else:
+        dN_da = K[:, None] * T + 2 * K2 * felt[:, :, None] * np.eye(3)
+        v = np.linalg.solve(np.swapaxes(dN_da, 1, 2), u[:, :, None])[:, :, 0]
     # d norm / dp = -v . dN/dp
     misalignment = (v * slope)[:, MISALIGNMENT_ROWS] * felt[:, MISALIGNMENT_COLUMNS] + by_T
     squared = s**2 if sensing else felt**2

@@ -33,6 +33,7 @@ from imufield.calibrate.model.models import (
     alignment_matrix,
 )
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES
+from imufield.calibrate.model.rotation import skew
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, LARGEST_OUTPUT, FloatArray
 from imufield.sentences import Sentences
@@ -88,9 +89,8 @@ def generators(vector: FloatArray) -> FloatArray:
     """Return d parameters / d w for a turn a' = a + w x a of the body frame, shape (15, 3)."""
     T = alignment_matrix(vector)
     result = np.zeros((PARAMETERS, 3))
-    for axis in range(3):
-        # (I + [e]x)^T = I - [e]x, so dM = -T [e]x, whose rows are e x (row of T).
-        dM = np.cross(np.eye(3)[axis], T)
+    # (I + [e]x)^T = I - [e]x, so dM = -T [e]x
+    for axis, dM in enumerate(-T @ skew(np.eye(3))):
         d = np.diag(dM)
         dT = dM - d[:, None] * T
         result[SCALE, axis] = vector[SCALE] * d

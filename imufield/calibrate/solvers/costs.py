@@ -31,15 +31,16 @@ import numpy as np
 from imufield.calibrate.model.higher import HigherTerms
 from imufield.calibrate.model.models import (
     BIAS,
-    MISALIGNMENT,
     QUADRATIC,
     SCALE,
     NormDerivatives,
+    alignment_matrix,
     norm_derivatives,
     recover_vectors,
+    sensing_input,
 )
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, QuadraticAxes
-from imufield.calibrate.solvers.triad_costs import inverse_matrices, unit_diagonal_matrices
+from imufield.calibrate.solvers.triad_costs import inverse_matrices
 from imufield.samples import FloatArray
 
 CostName = Literal["absolute", "squares", "weighted"]
@@ -121,15 +122,14 @@ class NormProblem(Coordinates):
         # In place: a population of 60 at 24 positions is asked for 72 000 times.
         vectors = self.vector(candidates)
         with np.errstate(all="ignore"):
-            inverse = inverse_matrices(unit_diagonal_matrices(vectors[:, MISALIGNMENT]))
+            inverse = inverse_matrices(alignment_matrix(vectors))
+            # Its rows beside each other in memory: NumPy's loops along them are long.
+            raw = np.ascontiguousarray(self.raw.T)
+            K, b, K2 = (vectors[:, part, None] for part in (SCALE, BIAS, QUADRATIC))
             if self.quadratic_axes == "sensing":
-                K, b, K2 = (vectors[:, part, None] for part in (SCALE, BIAS, QUADRATIC))
-                unbiased = self.raw.T - K * b
-                root = np.sqrt(K**2 + 4 * K2 * unbiased)
-                # As in models.recover_vectors, for all candidates at once.
-                a = inverse @ (2 * unbiased / (K + np.copysign(root, K)))
+                a = inverse @ sensing_input(raw, K, b, K2)
             else:
-                a = self._body_input(vectors, inverse)
+                a = self._body_input(vectors, inverse @ (raw / K - b), inverse)
             squares = np.einsum("cim,cim->cm", a, a)
         cost: FloatArray
         if self.cost_name == "squares":
@@ -147,12 +147,9 @@ class NormProblem(Coordinates):
         cost[~np.isfinite(cost)] = np.inf
         return cost
 
-    def _body_input(self, vectors: FloatArray, inverse: FloatArray) -> FloatArray:
-        K = vectors[:, SCALE]
-        input_b = self.raw.T / K[:, :, None]
-        input_b -= vectors[:, BIAS, None]
-        linear = inverse @ input_b
-        curved = inverse * (vectors[:, QUADRATIC] / K)[:, None, :]  # eq. 14 of [1]_: a = T^-1 (N / K - b) - T^-1 (K2 / K) a^2
+    def _body_input(self, vectors: FloatArray, linear: FloatArray, inverse: FloatArray) -> FloatArray:
+        # eq. 14 of [1]_: a = T^-1 (N / K - b) - T^-1 (K2 / K) a^2
+        curved = inverse * (vectors[:, QUADRATIC] / vectors[:, SCALE])[:, None, :]
         a = before = linear
         for _ in range(_PASSES - 1):
             a = linear - curved @ (a * a)
@@ -172,6 +169,10 @@ class NormProblem(Coordinates):
         columns = self.drift.shape[1]
         return np.asarray(self.drift @ z[-3 * columns :].reshape(columns, 3))
 
+    def _steady_raw(self, z: FloatArray, vector: FloatArray) -> FloatArray:
+        """Return the outputs without the drift."""
+        return self.raw if self.drift is None else self.raw - vector[SCALE] * self.bias_drift(z)
+
     def higher_terms(self, z: FloatArray) -> HigherTerms | None:
         """Return the higher terms of coordinates, shape (n,)."""
         if self.higher is None:
@@ -181,8 +182,7 @@ class NormProblem(Coordinates):
     def residuals(self, z: FloatArray) -> FloatArray:
         """Return what least squares minimises for this cost, shape (m,)."""
         vector = self.vector(z)
-        raw = self.raw - vector[SCALE] * self.bias_drift(z)
-        a = recover_vectors(vector, raw, self.quadratic_axes, self.higher_terms(z))
+        a = recover_vectors(vector, self._steady_raw(z, vector), self.quadratic_axes, self.higher_terms(z))
         # Levenberg-Marquardt squares and adds: the root of eq. 7 has the same minimum.
         norm = np.linalg.norm(a, axis=-1)
         if self.cost_name == "squares":
@@ -191,8 +191,8 @@ class NormProblem(Coordinates):
 
     def derivatives(self, z: FloatArray) -> tuple[NormDerivatives, FloatArray]:
         """Return norm(a) at all positions, and its derivative by the coordinates, shape (m, n)."""
-        vector, drift = self.vector(z), self.bias_drift(z)
-        derivatives = norm_derivatives(vector, self.raw - vector[SCALE] * drift, self.quadratic_axes, self.higher_terms(z))
+        vector = self.vector(z)
+        derivatives = norm_derivatives(vector, self._steady_raw(z, vector), self.quadratic_axes, self.higher_terms(z))
         by_parameters = derivatives.jacobian
         if self.higher is not None:
             jacobian = by_parameters @ self.basis
@@ -202,7 +202,7 @@ class NormProblem(Coordinates):
             return derivatives, by_parameters @ self.basis
         # N = K (s + b + drift): the drift moves the norm as the bias does, and the scale acts on it too.
         by_bias = by_parameters[:, BIAS]
-        by_parameters[:, SCALE] -= derivatives.raw_gradient * drift
+        by_parameters[:, SCALE] -= derivatives.raw_gradient * self.bias_drift(z)
         jacobian = by_parameters @ self.basis
         by_drift = self.drift[:, :, None] * by_bias[:, None, :]
         jacobian[:, -3 * self.drift.shape[1] :] = by_drift.reshape(len(jacobian), -1)

@@ -14,6 +14,7 @@ References
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Literal, NamedTuple
 
@@ -153,7 +154,7 @@ def _marquardt(problem: Problem, residual: FloatArray, most: int) -> _End:
         slope = np.abs(jacobian.T @ residual)
         if np.all(slope <= _TOLERANCE * norms * np.sqrt(cost)):
             return _End(x, cost, 1, evaluations)
-        directions = _directions(residual, jacobian / unit)
+        directions, length = _directions(residual, jacobian / unit), np.linalg.norm(unit * x)
         while True:
             if evaluations >= most:
                 return _End(x, cost, 0, evaluations)
@@ -162,9 +163,9 @@ def _marquardt(problem: Problem, residual: FloatArray, most: int) -> _End:
             residual_there = problem.residuals(trial)
             evaluations += 1
             gain = 1 - float(residual_there @ residual_there) / cost
-            gain = gain if np.isfinite(gain) else -1.0
+            gain = gain if math.isfinite(gain) else -1.0
             has_settled = abs(gain) <= _TOLERANCE and foretold <= _TOLERANCE
-            stands = bool(np.linalg.norm(step) <= _TOLERANCE * np.linalg.norm(unit * x))
+            stands = bool(np.linalg.norm(step) <= _TOLERANCE * length)
             is_better = gain > _LEAST_GAIN * foretold
             if gain < _POOR * foretold:
                 damping = max(_MORE * damping, _FIRST_DAMPING)
@@ -197,6 +198,6 @@ def _directions(residual: FloatArray, jacobian: FloatArray) -> _Directions:
 def _damped_step(directions: _Directions, cost: float, damping: float) -> tuple[FloatArray, float]:
     """Return the step in units of the columns, and the share of the cost by which it should fall."""
     s, v, along = directions
-    step = -v.T @ (s * along / (s**2 + damping))
-    left = along * damping / (s**2 + damping)
+    damped = along / (s**2 + damping)
+    step, left = -(s * damped) @ v, damping * damped
     return step, float((along @ along - left @ left) / cost)

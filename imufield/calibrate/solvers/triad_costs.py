@@ -24,18 +24,8 @@ from typing import Literal
 
 import numpy as np
 
-from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS
+from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS, unit_diagonal_matrices
 from imufield.samples import FloatArray
-
-_OFF_DIAGONAL = 3 * MISALIGNMENT_ROWS + MISALIGNMENT_COLUMNS  # Places of the off-diagonals in a flattened matrix.
-
-
-def unit_diagonal_matrices(off_diagonal: FloatArray) -> FloatArray:
-    """Return matrices with a unit diagonal from their off-diagonals, shape (c, 6) -> (c, 3, 3)."""
-    flat = np.empty((len(off_diagonal), 9))
-    flat[:, (0, 4, 8)] = 1.0
-    flat[:, _OFF_DIAGONAL] = off_diagonal
-    return flat.reshape(-1, 3, 3)
 
 
 def inverse_matrices(T: FloatArray) -> FloatArray:
@@ -97,7 +87,7 @@ class TriadProblem(_Bounded):
     def inputs(self, candidates: FloatArray) -> FloatArray:
         """Return w = (K E)^-1 (N - n0), shape (c, 12) -> (c, 3, m) (eq. 6 of [1]_)."""
         # eq. 6: w = (K E)^-1 (N - n0), all candidates in one call
-        unbiased = self.raw.T - candidates[:, 9:, None]
+        unbiased = np.ascontiguousarray(self.raw.T) - candidates[:, 9:, None]
         unbiased /= candidates[:, :3, None]
         return np.asarray(inverse_matrices(unit_diagonal_matrices(candidates[:, 3:9])) @ unbiased)
 
