@@ -164,7 +164,8 @@ def _marquardt(problem: Problem, residual: FloatArray, most: int) -> _End:
             evaluations += 1
             gain = 1 - float(residual_there @ residual_there) / cost
             gain = gain if math.isfinite(gain) else -1.0
-            has_settled = abs(gain) <= _TOLERANCE and foretold <= _TOLERANCE
+            # What is foretold to gain nothing can lose by rounding: residuals are small beside what they are made of.
+            has_settled = gain <= _TOLERANCE and foretold <= _TOLERANCE
             stands = bool(np.linalg.norm(step) <= _TOLERANCE * length)
             is_better = gain > _LEAST_GAIN * foretold
             if gain < _POOR * foretold:
