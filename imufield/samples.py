@@ -189,6 +189,13 @@ def unknown(shape: int | tuple[int, ...]) -> FloatArray:
     return values
 
 
+def no_counters(n: int) -> IntArray:
+    """Return the counters of n samples that have none, as ``unknown`` returns other values."""
+    counters = np.empty(n, dtype=np.int64)
+    counters.fill(NO_COUNTER)
+    return counters
+
+
 def every(flags: NDArray[np.bool_]) -> bool:
     """Whether all flags are set: ``flags.all()``, at a tenth of its price for the few of a live block."""
     return 0 not in flags.tobytes()
@@ -265,11 +272,11 @@ def concatenate(blocks: Iterable[Samples]) -> Samples:
     parts = list(blocks)
     if not parts:
         raise ValueError("`blocks` is empty: the units are not known")
+    if len(parts) == 1:
+        return parts[0]
     units = parts[0].units
     if any(part.units != units for part in parts):
         raise ValueError("`blocks` have different units")
-    if len(parts) == 1:
-        return parts[0]
     own_degc = None
     if any(part.sensor_temperature_degc is not None for part in parts):
         each = [(len(part), part.sensor_temperature_degc) for part in parts]
