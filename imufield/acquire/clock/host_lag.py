@@ -121,7 +121,8 @@ class HostBaseline:
         """Return the lowest offset to expect at ``arrival_s``; None before anything arrived."""
         if not self._buckets:
             return None
-        return min(offset + self._rise * (arrival_s - at) for at, offset in self._buckets)
+        rise = self._rise
+        return min([offset + rise * (arrival_s - at) for at, offset in self._buckets])
 
     def lag_s(self, arrival_s: float, sample_s: float) -> float:
         """Return by how much ``sample_s`` is later at the host than it must be; 0 before anything arrived."""
@@ -174,7 +175,7 @@ class TimedBlock:
         """Return some of the samples, which arrived by ``arrival_s``; the arrays are views."""
         rows = slice(begin, end)
         return TimedBlock(
-            block=self.block[rows],
+            block=self.block if end - begin == len(self.block) else self.block[rows],
             time_s=self.time_s[rows],
             flags=self.flags[rows],
             fault=self.fault[rows],
