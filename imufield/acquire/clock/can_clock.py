@@ -237,11 +237,11 @@ class CanClock(Clock):
         flags.fill(Status.TIME_ESTIMATED)
         statistics = self._statistics
         gaps = np.zeros(len(block), dtype=np.bool_)
-        if steps is not None and steps.max() > 1:
+        if steps is not None and not every(steps <= 1):
             gaps = steps > 1
             flags[gaps] |= np.uint32(Status.AFTER_GAP)
             statistics.samples_lost += int(steps[gaps].sum()) - int(np.count_nonzero(gaps))
-        if estimated is not None and estimated.any():
+        if estimated is not None and np.count_nonzero(estimated):
             flags[estimated > 0] |= np.uint32(Status.GAP_ESTIMATED)
             statistics.losses_estimated += int(estimated.sum())
             gaps = gaps | (estimated > 0)
