@@ -248,9 +248,9 @@ def make_samples(
     return Samples(
         time_s=np.asarray(time_s, dtype=np.float64),
         accelerometer=np.asarray(accelerometer, dtype=np.float64),
-        gyroscope=np.full((n, 3), np.nan) if gyroscope is None else np.asarray(gyroscope, dtype=np.float64),
-        temperature_degc=np.full(n, np.nan) if temperature_degc is None else np.asarray(temperature_degc, dtype=np.float64),
-        counter=np.full(n, NO_COUNTER, dtype=np.int64) if counter is None else counter,
+        gyroscope=unknown((n, 3)) if gyroscope is None else np.asarray(gyroscope, dtype=np.float64),
+        temperature_degc=unknown(n) if temperature_degc is None else np.asarray(temperature_degc, dtype=np.float64),
+        counter=no_counters(n) if counter is None else counter,
         status=np.zeros(n, dtype=np.uint32) if status is None else status,
         units=units,
     )

@@ -130,6 +130,8 @@ class FrameCheck:
 
     def judge(self, buffer: Bytes, starts: Positions, last: bool) -> tuple[NDArray[np.int8], Positions]:
         """Return for each candidate whether it is a frame, none, or one that may still be completed; and where it would end."""
+        if not len(starts):  # Nearly always, in noise.
+            return np.empty(0, dtype=np.int8), starts
         lengths = self.lengths(buffer, starts)
         judged = np.full(len(starts), INVALID if last else INCOMPLETE, dtype=np.int8)
         judged[lengths == NONE] = INVALID
