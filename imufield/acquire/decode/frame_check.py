@@ -99,7 +99,7 @@ class FrameCheck:
     def headers(self, buffer: Bytes, begin: int, end: int) -> Positions:
         """Return the positions from ``begin`` to ``end`` where sync bytes stand."""
         places = np.flatnonzero(self._can_begin[buffer[begin:end]]) + begin
-        return places[self._form_of(buffer, places) >= 0]
+        return places[self._form_of(buffer, places) >= 0] if len(places) else places
 
     def length_at(self, buffer: Bytes, at: int) -> int:
         """Return the length of the frame whose header stands at ``at``; 0 where there is none or it is incomplete."""
