@@ -32,7 +32,7 @@ from imufield.acquire.clock.stamp_clock import steps_between
 from imufield.acquire.decode.assembly import RawBlock, join
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
-from imufield.samples import FloatArray, IntArray, Samples, SampleUnits, Status, concatenate
+from imufield.samples import FloatArray, IntArray, Samples, SampleUnits, Status, concatenate, every
 
 _WINDOW_S = 0.25  # Longer than the delays of a busy host, as for serial ports.
 _LEAST_WINDOW = 2  # Periods; slow instruments send less than that in a quarter second.
@@ -176,9 +176,9 @@ class CanClock(Clock):
             return np.ones(len(counter))
         known = counter >= 0
         # A lost counter message: go on from the last one known.
-        filled = counter if known.all() else filled_in(counter, known, self._last_counter, self._counter_step)
+        filled = counter if every(known) else filled_in(counter, known, self._last_counter, self._counter_step)
         modulus = self._rule.counter_modulus
-        steps = np.diff(filled, prepend=self._last_counter) % modulus / self._counter_step
+        steps = steps_between(filled, self._last_counter) % modulus / self._counter_step
         if remember:
             self._last_counter = int(filled[-1]) % modulus
         # More than half a round forward is a step back: frames out of order, or a restart.
@@ -191,14 +191,17 @@ class CanClock(Clock):
         lag_s = block.stamp_s - number * phase.period_s
         envelope_s = np.zeros(ready) if phase.is_blind else _minimum_ahead(lag_s, block.stamp_s, phase.window_s, ready)
         moved_s = steps_between(envelope_s, phase.base_s)
-        ready = _until_rate_changes(moved_s, phase)
-        envelope_s, moved_s = envelope_s[:ready], moved_s[:ready]
+        least_s, most_s = moved_s.item(moved_s.argmin()), moved_s.item(moved_s.argmax())
+        if max(-least_s, most_s) <= _DRIFT * phase.period_s:
+            phase.run = 0
+        else:
+            ready = _until_rate_changes(moved_s, phase)
+            envelope_s, moved_s = envelope_s[:ready], moved_s[:ready]
         time_s = envelope_s + number[:ready] * phase.period_s
         steps = None if self._last_counter is None else self._steps(block.counter[:ready])
-        least_s, most_s = moved_s.item(moved_s.argmin()), moved_s.item(moved_s.argmax())
         phase.base_s, phase.number = float(envelope_s[-1]), float(number[ready - 1])
         stands = least_s > -_DRIFT * phase.period_s and most_s < min(phase.visible_s, _DRIFT * phase.period_s)
-        repeated = steps is not None and bool((steps < 1).any())
+        repeated = steps is not None and not every(steps >= 1)
         if stands and not repeated and time_s[0] >= phase.last_time_s + _LEAST_STEP * phase.period_s:
             # No loss by time, and time runs forward, from the end of a period learned before as well.
             phase.last_time_s = float(time_s[-1])
@@ -206,7 +209,8 @@ class CanClock(Clock):
         else:
             estimated = _losses(envelope_s, moved_s, phase)
             time_s = _forward(time_s, phase)
-        phase.before_s = np.concatenate([phase.before_s, envelope_s[-phase.burst - 1 :]])[-phase.burst - 1 :]
+        before_s = envelope_s if ready > phase.burst else np.concatenate([phase.before_s, envelope_s])
+        phase.before_s = before_s[-phase.burst - 1 :]
         self._begin = self._begin or (float(number[0]) + self._statistics.losses_estimated, float(time_s[0]))
         samples = self._samples(block[:ready], time_s, steps, estimated)
         # The rate as learned, and as measured since the first sample.
@@ -229,14 +233,15 @@ class CanClock(Clock):
         return np.asarray(phase.number + np.cumsum(self._steps(block.counter, remember=False)))
 
     def _samples(self, block: RawBlock, time_s: FloatArray, steps: FloatArray | None, estimated: IntArray | None) -> Samples:
-        flags = np.full(len(block), np.uint32(Status.TIME_ESTIMATED), dtype=np.uint32)
+        flags = np.empty(len(block), dtype=np.uint32)
+        flags.fill(Status.TIME_ESTIMATED)
         statistics = self._statistics
         gaps = np.zeros(len(block), dtype=np.bool_)
-        if steps is not None and steps.max() > 1:
+        if steps is not None and not every(steps <= 1):
             gaps = steps > 1
             flags[gaps] |= np.uint32(Status.AFTER_GAP)
             statistics.samples_lost += int(steps[gaps].sum()) - int(np.count_nonzero(gaps))
-        if estimated is not None and estimated.any():
+        if estimated is not None and np.count_nonzero(estimated):
             flags[estimated > 0] |= np.uint32(Status.GAP_ESTIMATED)
             statistics.losses_estimated += int(estimated.sum())
             gaps = gaps | (estimated > 0)
@@ -246,9 +251,6 @@ class CanClock(Clock):
 
 def _until_rate_changes(moved_s: FloatArray, phase: _Phase) -> int:
     """Return how many samples there are before the phase has run away, which a wrong period makes it do: all if it has not."""
-    if max(-moved_s[moved_s.argmin()], moved_s[moved_s.argmax()]) <= _DRIFT * phase.period_s:
-        phase.run = 0
-        return len(moved_s)
     place = np.arange(len(moved_s))
     # Where the phase last stood still, at or before each sample.
     stood = np.maximum.accumulate(np.where(np.abs(moved_s) > _DRIFT * phase.period_s, -1 - phase.run, place))

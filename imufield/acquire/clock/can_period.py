@@ -74,12 +74,15 @@ def _enough(stamp_s: FloatArray) -> bool:
     longest_s = float(steps_s.max())
     # A host that sleeps hands over many samples at once: a rate takes several such sleeps, not a part of one.
     is_even = longest_s <= _UNEVEN * span_s / len(stamp_s)
-    if is_even and np.count_nonzero(steps_s > _LONG_STEP * np.median(steps_s)) > _LONG_SHARE * len(steps_s):
-        return span_s >= _LONGEST_LEARN_S
+    if is_even:
+        long = int(np.count_nonzero(steps_s > _LONG_STEP * np.median(steps_s)))
+        return long <= _LONG_SHARE * len(steps_s) or span_s >= _LONGEST_LEARN_S
+    if span_s < min(_SLEEPS * longest_s, _LONGEST_LEARN_S):
+        return False
     # An outage makes any span long, and shows nothing of the pace.
     pauses_s = np.sort(steps_s[steps_s >= max(LEARN_S, _UNEVEN * float(np.median(steps_s)))])[-_MOST_OUTAGES:]
     listened_s = span_s - float(pauses_s.sum())
-    return is_even or (span_s >= min(_SLEEPS * longest_s, _LONGEST_LEARN_S) and listened_s >= LEARN_S * max(len(pauses_s), 1))
+    return listened_s >= LEARN_S * max(len(pauses_s), 1)
 
 
 def sample_period_s(stamp_s: FloatArray, number: FloatArray, rate_hz: float) -> float:

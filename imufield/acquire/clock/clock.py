@@ -40,11 +40,11 @@ class Arrivals:
 
     def reads_of(self, block: RawBlock) -> Reads:
         """Return (rows up to its end, arrival) of each read that completed a sample of this block."""
-        until = np.searchsorted(block.stream_end, self.ends, side="right")
+        until = block.stream_end.searchsorted(self.ends, side="right")
         until[-1] = len(block)
-        before = np.zeros_like(until)
+        before = np.zeros(len(until), dtype=np.intp)
         before[1:] = until[:-1]
-        with_rows = np.flatnonzero(until != before)
+        with_rows = (until != before).nonzero()[0]
         return list(zip(until[with_rows].tolist(), self.arrival_s[with_rows].tolist(), strict=True))
 
 

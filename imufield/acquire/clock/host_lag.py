@@ -121,7 +121,8 @@ class HostBaseline:
         """Return the lowest offset to expect at ``arrival_s``; None before anything arrived."""
         if not self._buckets:
             return None
-        return min(offset + self._rise * (arrival_s - at) for at, offset in self._buckets)
+        rise = self._rise
+        return min([offset + rise * (arrival_s - at) for at, offset in self._buckets])
 
     def lag_s(self, arrival_s: float, sample_s: float) -> float:
         """Return by how much ``sample_s`` is later at the host than it must be; 0 before anything arrived."""
@@ -174,7 +175,7 @@ class TimedBlock:
         """Return some of the samples, which arrived by ``arrival_s``; the arrays are views."""
         rows = slice(begin, end)
         return TimedBlock(
-            block=self.block[rows],
+            block=self.block if end - begin == len(self.block) else self.block[rows],
             time_s=self.time_s[rows],
             flags=self.flags[rows],
             fault=self.fault[rows],
@@ -201,6 +202,7 @@ class LossWatch:
         self._unit_s = unit_s
         self._smallest_s = smallest_s
         self._pending: list[tuple[TimedBlock, float]] = []
+        self._fault: tuple[int, int] | None = None  # Block and sample of the first fault in what is kept back.
         self._last_arrival_s = math.nan
         self._silence_s = 0.0
         self._believed = 0  # Units found missing that an early arrival would disprove.
@@ -236,6 +238,8 @@ class LossWatch:
                 self.units_taken_back += units_back
             self.baseline.add(timed.arrival_s, last_s)
             return [*self._release(), timed]
+        if self._fault is None and np.count_nonzero(timed.fault):
+            self._fault = len(self._pending), int(timed.fault.argmax())
         self._pending.append((timed, lag_s))
         units = self._units_lost()
         return [] if units is None else self._settle(units)
@@ -248,12 +252,12 @@ class LossWatch:
         return self._settle(units) if units else self._release()
 
     def _release(self) -> list[TimedBlock]:
-        pending, self._pending = self._pending, []
+        pending, self._pending, self._fault = self._pending, [], None
         return [timed for timed, _ in pending]
 
     def _units_lost(self, *, at_end: bool = False) -> int | None:
         """Return how many units are missing in what is kept back; None while it cannot be told."""
-        place = self._fault()
+        place = self._fault
         since = self._pending[0 if place is None else place[0] :]
         now_s = since[-1][0].arrival_s
         waited_s = now_s - since[0][0].arrival_s
@@ -286,7 +290,7 @@ class LossWatch:
 
     def _settle(self, units: int) -> list[TimedBlock]:
         """Let go what is kept back: with a loss in it, or with a clock that has changed."""
-        number, row = self._fault() or (0, 0)
+        number, row = self._fault or (0, 0)
         pending = self._release()
         if units:
             # All samples from the place of the loss on come later by it.
@@ -303,14 +307,6 @@ class LossWatch:
         for timed in pending:
             self.baseline.add(timed.arrival_s, float(timed.time_s[-1]))
         return pending
-
-    def _fault(self) -> tuple[int, int] | None:
-        """Return block and sample of the first fault in what is kept back; None where there is none."""
-        for number, (timed, _) in enumerate(self._pending):
-            rows = np.flatnonzero(timed.fault)
-            if len(rows):
-                return number, int(rows[0])
-        return None
 
 
 def _least(pending: list[tuple[TimedBlock, float]], begin_s: float, end_s: float) -> float:

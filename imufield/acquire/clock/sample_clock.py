@@ -14,7 +14,6 @@ Time never runs backwards. A time stamp that does (the instrument restarted, or 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -334,7 +333,9 @@ class SampleClock(Clock):
         """Return blocks with the time they get; at once, as the line of arrivals is another after the next read."""
         if self._has_time or self._has_counter:
             return released
-        return [replace(timed, time_s=self._follow_host(timed)) for timed in released]
+        for timed in released:
+            timed.time_s = self._follow_host(timed)
+        return released
 
     def _follow_host(self, timed: TimedBlock) -> FloatArray:
         """Bend even steps towards the line of earliest arrivals; device time is left as it is."""

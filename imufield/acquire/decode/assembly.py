@@ -84,12 +84,12 @@ def join(blocks: Sequence[RawBlock]) -> RawBlock:
     """Join at least one block."""
     if len(blocks) == 1:
         return blocks[0]
-    columns = [list(parts) for parts in zip(*map(_parts_of, blocks), strict=True)]
+    columns = list(zip(*map(_parts_of, blocks), strict=True))
     # Frames of some kinds only have the temperatures of the axes, the last column.
     own_degc = columns[-1]
     if any(part.ndim > 1 for part in own_degc):
         missing = (unknown((len(block), 6)) for block in blocks)
-        columns[-1] = [part if part.ndim > 1 else other for part, other in zip(own_degc, missing, strict=True)]
+        columns[-1] = tuple(part if part.ndim > 1 else other for part, other in zip(own_degc, missing, strict=True))
     # Of one wire: what else the first block lacks no other has.
     return RawBlock(*[np.concatenate(parts) if len(parts[0]) else parts[0] for parts in columns])
 
@@ -144,6 +144,8 @@ class FrameJoin:
     def __init__(self, rule: JoinRule) -> None:
         self.kinds = rule.needs  # Kinds that take part; their place here is their number.
         self._start = rule.needs.index(rule.starts_with)
+        # Where several kinds have a value, that of the first one here counts.
+        self._order = sorted(range(len(rule.needs)), key=lambda kind: kind != self._start)
         # Frames of a sample that is not complete yet, at most one of each kind.
         self._open: tuple[IntArray, RawBlock] | None = None
         self._lost = 0  # Samples that were not completed since the last good one.
@@ -216,10 +218,9 @@ class FrameJoin:
     def _samples_of(self, by_kind: dict[int, RawBlock], has: dict[int, tuple[bool, ...]], cycle: list[int]) -> RawBlock:
         """Return one sample for each row of the kinds; as ``_samples``, but what a kind never has is not looked at."""
         first = by_kind[self._start]
-        kinds = sorted(by_kind, key=lambda kind: (kind != self._start, kind))
 
         def first_that_has(column: int, name: str) -> FloatArray:
-            there = [getattr(by_kind[kind], name) for kind in kinds if has[kind][column]]
+            there = [getattr(by_kind[kind], name) for kind in self._order if has[kind][column]]
             return reduce(_filled, there or [getattr(first, name)])
 
         return RawBlock(

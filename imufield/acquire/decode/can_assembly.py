@@ -51,7 +51,7 @@ _FEWEST = 4  # Frames of each kind before pauses are believed.
 _USUAL_PART = 0.7  # A kind that may begin samples comes at least this often, compared with the most frequent one.
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)  # One for each read: a frozen one takes five times as long to make.
 class SampleFrames:
     """The frames of a block that carry parts of samples, in the order of the bus."""
 
@@ -68,7 +68,7 @@ class SampleFrames:
         return len(self.kind)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)  # One for each read, too.
 class Groups:
     """The frames of m samples.
 
@@ -133,11 +133,13 @@ class Assembler:
         if self._kinds == 1:
             return Groups(np.arange(len(frames))[:, np.newaxis], 0, len(frames))
         groups = self._by_order(frames, last) if frames.group is None else self._by_counter(frames, frames.group, last)
+        if not self._rule.needs:
+            return groups
         lacking = np.zeros(len(groups.rows), dtype=np.bool_)
         # What lacks a kind that the protocol names is no sample at all; whatever else is missing is only not available.
         for kind in self._rule.needs:
             lacking |= groups.rows[:, kind] == NO_FRAME
-        return groups if not lacking.any() else Groups(groups.rows[~lacking], groups.left_out, groups.keep_from)
+        return Groups(groups.rows[~lacking], groups.left_out, groups.keep_from)
 
     def _learn(self, kind: NDArray[np.int8], time_s: FloatArray) -> None:
         """Find the kind that comes after the longest pauses, and the period."""

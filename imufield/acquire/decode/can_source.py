@@ -21,7 +21,7 @@ from imufield.acquire.protocol.can_frame import ERROR, EXTENDED, REMOTE
 from imufield.acquire.protocol.can_frames import CanFrames, Unpacker
 from imufield.acquire.protocol.can_protocol import ANY_ADDRESS, TEMPERATURE, CanKind, CanRule, Column
 from imufield.acquire.protocol.samples_and_clock import FlagRule
-from imufield.samples import NO_COUNTER, FloatArray, IntArray, Status
+from imufield.samples import FloatArray, IntArray, Status, every, no_counters, unknown
 
 _Flag = tuple[CanSignal, FlagRule]
 _NO_KIND = -1
@@ -75,7 +75,7 @@ class CanSource:
         new_from, self._put_back = self._put_back, 0
         kind = self._kinds_of(frames)
         self._count(frames, kind, new_from)
-        places = np.flatnonzero(kind >= 0)
+        places = (kind >= 0).nonzero()[0]
         if len(places) == 0:
             self._note_skipped(0)
             return None
@@ -90,7 +90,7 @@ class CanSource:
         rows = groups.rows
         if len(rows) == 0:
             return None
-        is_complete = bool(rows.min() >= 0)
+        is_complete = every(rows >= 0)
         if len(places) < len(frames):
             # The assembler counts frames of samples only; from here on all frames of the block count.
             rows = places[rows] if is_complete else np.where(rows == NO_FRAME, NO_FRAME, places[rows])
@@ -134,15 +134,15 @@ class CanSource:
     def _count(self, frames: CanFrames, kind: NDArray[np.int8], new_from: int) -> None:
         """Drop frames that end before their signals do; count the new frames by kind and hand out messages."""
         lacking = 0
-        for number, reader in enumerate(self._kinds if len(frames) and frames.size.min() < self._bytes_needed else ()):
+        for number, reader in enumerate(self._kinds if not every(frames.size >= self._bytes_needed) else ()):
             short = (kind == number) & (frames.size < reader.bytes_needed)
             kind[short] = _SHORT
             here = int(np.count_nonzero(short[new_from:]))
-            self._statistics.count(f"{reader.kind.name}, too short", here)
+            self._statistics.count(f"{reader.name}, too short", here)
             lacking += here
         counts = np.bincount(kind[new_from:] + 2, minlength=len(self._kinds) + 2).tolist()
         for reader, count in zip(self._kinds, counts[2:], strict=True):
-            self._statistics.count(reader.kind.name, count)
+            self._statistics.count(reader.name, count)
         self._statistics.frames += len(frames) - new_from - lacking
         self._statistics.frames_bad_checksum += lacking
         if counts[_NO_KIND + 2]:
@@ -192,17 +192,17 @@ class CanSource:
         """Read the frames of n samples; ``rows`` has one column per kind."""
         n = len(rows)
         into = Rows(
-            values=np.full((_VALUES, n), np.nan),
+            values=unknown((_VALUES, n)),
             status=np.zeros(n, dtype=np.uint32),
-            counter=np.full(n, NO_COUNTER, dtype=np.int64),
-            ticks=np.full(n if self._has_time else 0, np.nan),
+            counter=no_counters(n),
+            ticks=unknown(n if self._has_time else 0),
         )
         has_gaps = not is_complete
         for number, reader in enumerate(self._kinds):
             which = rows[:, number]
             if number in self._inertial and (each := self._assembler.samples_each[number]) > 1:
                 has_gaps |= self._read_slower(frames, number, each, which, into=into)
-            elif is_complete or (which >= 0).all():
+            elif is_complete or every(which >= 0):
                 has_gaps |= reader.read(reader.data(frames, which), into, slice(None))
             elif len(there := np.flatnonzero(which >= 0)):
                 reader.read(reader.data(frames, which[there]), into, there)
@@ -245,7 +245,7 @@ class CanSource:
         return has_gaps
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)  # One for each read: a frozen one takes five times as long to make.
 class Rows:
     """Arrays of a block being filled."""
 
@@ -261,6 +261,7 @@ class _KindReader:
 
     def __init__(self, kind: CanKind) -> None:
         self.kind = kind
+        self.name = kind.name
         self.selectors = kind.message.selectors
         self.bytes_needed = kind.bytes_needed
         self.mask = np.uint32(kind.message.mask)
@@ -326,6 +327,7 @@ class _Triad:
     number_type: np.dtype[np.number]
     factors: FloatArray
     offsets: FloatArray
+    has_offsets: bool
     lowest_code: float
     """Smallest number that is no value of one of them."""
 
@@ -350,18 +352,19 @@ class _Triad:
             number_type=np.dtype(kind),
             factors=np.array([[column.factor] for column, _ in columns]),
             offsets=np.array([[column.offset] for column, _ in columns]),
+            has_offsets=any(has_offsets),
             lowest_code=min((lowest for _, lowest in columns if lowest is not None), default=math.inf),
         )
 
     def read(self, data: NDArray[np.uint8], into: Rows) -> bool:
         """Write the values of all frames; False where some may be none, and nothing is read."""
         raw = data[:, self.begin : self.begin + 3 * self.number_type.itemsize].view(self.number_type)
-        if len(raw) and raw.max() >= self.lowest_code:
+        if not every(raw < self.lowest_code):
             return False
         place = self.columns[0].place
         out = into.values[place : place + 3]
         np.multiply(raw.T, self.factors, out=out)
-        if self.offsets.any():
+        if self.has_offsets:
             out += self.offsets
         return True
 
@@ -399,9 +402,9 @@ def _flag_tables(flags: list[_Flag]) -> tuple[list[tuple[int, NDArray[np.uint32]
     small = [(signal, rule) for signal, rule in flags if signal.bytes_needed == signal.first_byte + 1]
     tables = []
     for at in sorted({signal.first_byte for signal, _ in small}):
-        every = np.zeros((256, at + 1), dtype=np.uint8)
-        every[:, at] = np.arange(256)
-        here = [_flagged(flag, every) for flag in small if flag[0].first_byte == at]
+        each = np.zeros((256, at + 1), dtype=np.uint8)
+        each[:, at] = np.arange(256)
+        here = [_flagged(flag, each) for flag in small if flag[0].first_byte == at]
         tables.append((at, np.bitwise_or.reduce(here)))
     return tables, [flag for flag in flags if flag not in small]
 

@@ -99,7 +99,7 @@ class FrameCheck:
     def headers(self, buffer: Bytes, begin: int, end: int) -> Positions:
         """Return the positions from ``begin`` to ``end`` where sync bytes stand."""
         places = np.flatnonzero(self._can_begin[buffer[begin:end]]) + begin
-        return places[self._form_of(buffer, places) >= 0]
+        return places[self._form_of(buffer, places) >= 0] if len(places) else places
 
     def length_at(self, buffer: Bytes, at: int) -> int:
         """Return the length of the frame whose header stands at ``at``; 0 where there is none or it is incomplete."""
@@ -130,6 +130,8 @@ class FrameCheck:
 
     def judge(self, buffer: Bytes, starts: Positions, last: bool) -> tuple[NDArray[np.int8], Positions]:
         """Return for each candidate whether it is a frame, none, or one that may still be completed; and where it would end."""
+        if not len(starts):  # Nearly always, in noise.
+            return np.empty(0, dtype=np.int8), starts
         lengths = self.lengths(buffer, starts)
         judged = np.full(len(starts), INVALID if last else INCOMPLETE, dtype=np.int8)
         judged[lengths == NONE] = INVALID

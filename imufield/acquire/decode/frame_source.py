@@ -21,8 +21,9 @@ from imufield.acquire.protocol.frame_schema import FrameRule
 from imufield.acquire.protocol.layout import Field, FieldPair, Frames, Layout
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.protocol.samples_and_clock import NANOSECONDS, FlagRule
-from imufield.samples import LARGEST_OUTPUT, NO_COUNTER, FloatArray, IntArray, Status, every, unknown
+from imufield.samples import LARGEST_OUTPUT, FloatArray, IntArray, Status, no_counters, unknown
 
+_Triads = FloatArray | list[FloatArray]  # Acceleration and rate.
 _FAR = 2.0**62  # Bound on time stamps in ns, for bits that are no time.
 
 
@@ -72,7 +73,7 @@ class FrameSource:
             return self._read_kind(block, readers[keys[0]], slice(None))
         if not readers:
             return None
-        places = [np.flatnonzero(block.shapes == key) for key in readers]
+        places = [(block.shapes == key).nonzero()[0] for key in readers]
         parts = [self._read_kind(block, reader, place) for reader, place in zip(readers.values(), places, strict=True)]
         if self._join is None and len(parts) == 1:
             return parts[0]
@@ -128,7 +129,9 @@ class FrameSource:
         for key, layout in layouts.items():
             self._statistics.count(layout.kind, int(np.count_nonzero(block.shapes == key)))
         kept = [key for key, layout in layouts.items() if layout.is_message]
-        which = np.isin(block.shapes, kept) if kept else np.zeros(len(block), dtype=np.bool_)
+        if not kept:
+            return
+        which = np.isin(block.shapes, kept)
         for start, key in zip(block.starts[which].tolist(), block.shapes[which].tolist(), strict=True):
             layout = layouts[key]
             self._keep({"kind": layout.kind, **layout.describe(block.data[start : start + layout.length].tobytes())})
@@ -183,15 +186,15 @@ class _FrameReader:
                 values = self._values(frames)
         else:
             values = self._values(frames)
-        accelerometer, gyroscope, temperature_degc, own_degc = values
+        triads, temperature_degc, own_degc = values
         status = self._status.read(frames)
         if self._may_be_garbage:
-            _flag_garbage(accelerometer, gyroscope, status)
+            _flag_garbage(triads, status)
         return RawBlock(
-            accelerometer=accelerometer,
-            gyroscope=gyroscope,
+            accelerometer=triads[0],
+            gyroscope=triads[1],
             temperature_degc=temperature_degc,
-            counter=np.full(n, NO_COUNTER) if self._counter is None else self._counter.raw(frames).astype(np.int64),
+            counter=no_counters(n) if self._counter is None else self._counter.raw(frames).astype(np.int64),
             ticks=self._ticks.read(frames),
             status=status,
             lost_before=np.zeros(n, dtype=np.int64),
@@ -200,14 +203,11 @@ class _FrameReader:
             sensor_temperature_degc=own_degc,
         )
 
-    def _values(self, frames: Frames) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return acceleration, rate, temperature and the temperatures of the axes."""
-        n = frames.count
-        accelerometer, gyroscope = (
-            [triad.read(frames) for triad in self._triads] if self._pair is None else self._pair.read(frames)
-        )
-        temperature_degc = unknown(n) if self._temperature is None else _degc(self._temperature, frames)
-        return accelerometer, gyroscope, temperature_degc, self._sensor_temperatures(frames) if self._of_sensors else ABSENT
+    def _values(self, frames: Frames) -> tuple[_Triads, FloatArray, FloatArray]:
+        """Return acceleration and rate, temperature, and the temperatures of the axes."""
+        triads = [triad.read(frames) for triad in self._triads] if self._pair is None else self._pair.read(frames)
+        temperature_degc = unknown(frames.count) if self._temperature is None else _degc(self._temperature, frames)
+        return triads, temperature_degc, self._sensor_temperatures(frames) if self._of_sensors else ABSENT
 
     def _sensor_temperatures(self, frames: Frames) -> FloatArray:
         """Return what the thermometers of the axes show, shape (n, 6)."""
@@ -224,21 +224,16 @@ def _degc(field: Field, frames: Frames) -> FloatArray:
     return total * (field.factor / field.count) + field.offset
 
 
-def _flag_garbage(accelerometer: FloatArray, gyroscope: FloatArray, status: NDArray[np.uint32]) -> None:
-    """Flag values that no instrument can have sent."""
-    if not _are_possible(accelerometer):
-        impossible = ~(np.abs(accelerometer) <= LARGEST_OUTPUT).all(axis=1)
-        status[impossible] |= np.uint32(Status.ACCELEROMETER_INVALID)
-    if not _are_possible(gyroscope):
-        # Three NaN of a gyroscope mean that there is none.
-        impossible = ~(np.abs(gyroscope) <= LARGEST_OUTPUT).all(axis=1)
-        status[impossible & ~np.isnan(gyroscope).all(axis=1)] |= np.uint32(Status.GYROSCOPE_INVALID)
-
-
-def _are_possible(values: FloatArray) -> bool:
-    """Whether an instrument can have sent all of these: the sum of the squares tells it, and otherwise each for itself."""
-    # A half leaves room for rounding.
-    return bool(np.vdot(values, values) < LARGEST_OUTPUT**2 / 2) or every(np.abs(values) <= LARGEST_OUTPUT)
+def _flag_garbage(triads: _Triads, status: NDArray[np.uint32]) -> None:
+    """Flag values of acceleration and rate that no instrument can have sent."""
+    values = np.asarray(triads)
+    # The sum of the squares tells that there are none; a half leaves room for rounding.
+    if np.vdot(values, values) < LARGEST_OUTPUT**2 / 2:
+        return
+    impossible = np.asarray(~(np.abs(values) <= LARGEST_OUTPUT).all(axis=2))
+    status[impossible[0]] |= np.uint32(Status.ACCELEROMETER_INVALID)
+    # Three NaN of a gyroscope mean that there is none.
+    status[impossible[1] & ~np.isnan(values[1]).all(axis=1)] |= np.uint32(Status.GYROSCOPE_INVALID)
 
 
 class _TriadReader:

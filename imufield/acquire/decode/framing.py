@@ -277,7 +277,7 @@ class Framer:
         count = int(ends.searchsorted(len(buffer), side="right"))
         if count < len(sequence):
             return None
-        starts = ends[:count] - np.resize(lengths, count)
+        starts = np.concatenate([[0], ends])[:count]
         shapes = np.resize([stencil.shapes[0] for stencil in sequence], count)
         for shape, stencil in {stencil.shapes[0]: stencil for stencil in sequence}.items():
             frames = frames_at(buffer, starts[shapes == shape], stencil.length)
