@@ -113,7 +113,7 @@ def align(means: RestMeans, latitude_deg: float, noise: NoiseDensity, heading: H
     attitude, covariance = _fine(runs, latitude_deg, noise, heading)
     # turned = I - [phi x]
     turned = attitude[1:] @ attitude[0].T
-    phi = np.array([turned[:, 1, 2] - turned[:, 2, 1], turned[:, 2, 0] - turned[:, 0, 2], turned[:, 0, 1] - turned[:, 1, 0]]) / 2
+    phi = np.array([turned[:, i, j] - turned[:, j, i] for i, j in ((1, 2), (2, 0), (0, 1))]) / 2
     return Alignment(attitude[0], covariance[0], phi / _RESPONSE_STEPS)
 
 
