@@ -56,6 +56,8 @@ def centred(scale: RoughScale, stills_raw: FloatArray) -> RoughScale:
     if not length > 0:
         return scale
     x = _sides(x / length)
+    if len(x) < FEWEST_STILLS:
+        return scale
     centre, radius = _fit_sphere(x)
     arm = x - centre
     on_sphere = np.abs(np.linalg.norm(arm, axis=1) / radius - 1) < _ON_SPHERE

@@ -269,12 +269,12 @@ class Guide:
         self._feed.add(cells)
         # One by one while the noise floor is not known: the events must not depend on where a block was cut.
         while len(cells) and self.detector.floor is None:
-            self._watch.follow(cells, 0, silent=self.done)
-            for judgement in self.detector.judge(cells[:1]):
+            first, cells = cells[:1], cells[1:]
+            self._watch.follow(first, 0, silent=self.done)
+            for judgement in self.detector.judge(first):
                 self._follow(judgement)
             if self.detector.floor is None:
-                self._watch.explain_waiting(cells[:1])
-            cells = cells[1:]
+                self._watch.explain_waiting(first)
         for judgement in self.detector.judge(cells):
             self._watch.follow(judgement.cells, judgement.row, silent=self.done)
             self._follow(judgement)

@@ -197,7 +197,7 @@ class StillnessDetector:
 
     def _judge_under_one_floor(self, cells: Cells, start: int) -> Iterator[Judgement]:
         standard = self._table.standard
-        vibration = [vibration_ratio(cells[start:], tracker.standard.limits).tolist() for tracker in self._trackers]
+        vibration = [vibration_ratio(cells.variance[start:], tracker.standard.limits).tolist() for tracker in self._trackers]
         means = cells.mean[start:].tolist()
         slots = cells.slot[start:].tolist()
         full = (cells.usable[start:] >= USABLE_SHARE * standard.usual_samples).tolist()
