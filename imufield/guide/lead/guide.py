@@ -147,7 +147,8 @@ class Guide:
             self._handle(Input.LINK_BACK)
         self.time_s = float(samples.time_s[-1])
         # Of the axes' own thermometers nothing is asked here, and samples are kept and joined.
-        samples = replace(samples, sensor_temperature_degc=None)
+        if samples.sensor_temperature_degc is not None:
+            samples = replace(samples, sensor_temperature_degc=None)
         self._feed.hear(samples)
         self._actions.hold.history.add(samples)
         cells = self._builder.feed(samples)
