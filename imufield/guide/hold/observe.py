@@ -121,13 +121,14 @@ def knocked(cells: Cells, limits: Limits) -> NDArray[np.bool_]:
 def cell_means(cells: Cells) -> tuple[FloatArray, FloatArray]:
     """Return the mean over cells, weighted by their samples, shape (6,), and the covariance of that mean, shape (6, 6)."""
     weight = np.repeat(np.stack([cells.usable, cells.gyroscope_usable], axis=1), 3, axis=1).astype(np.float64)
-    values = np.where(weight > 0, cells.mean, 0.0)
+    known, spare = weight > 0, (weight - 1).clip(0)
+    values = np.where(known, cells.mean, 0.0)
     total = weight.sum(axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = np.where(total > 0, (weight * values).sum(axis=0) / total, np.nan)
-        pooled = ((weight - 1).clip(0) * cells.variance).sum(axis=0) / np.maximum((weight - 1).clip(0).sum(axis=0), 1)
+        pooled = (spare * cells.variance).sum(axis=0) / np.maximum(spare.sum(axis=0), 1)
         white = pooled / total
-    deviation = np.where(weight > 0, values - mean, 0.0)
+    deviation = np.where(known, values - mean, 0.0)
     m, covariance = len(deviation), np.zeros((6, 6))
     if m > 1:
         factor = np.sqrt([correlation_factor(column) for column in deviation.T])
