@@ -30,9 +30,10 @@ _SMALL_RAD = 1e-3  # Below this the series of ``Jr`` is exact to the last bit th
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return the cross product of vectors, shape (..., 3); several times faster than ``numpy.cross`` on long arrays."""
-    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
-    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
-    return np.stack(np.broadcast_arrays(ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx), axis=-1)
+    result = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    for i, j, k in _CYCLES:
+        result[..., i] = a[..., j] * b[..., k] - a[..., k] * b[..., j]
+    return result
 
 
 def skew(vector: FloatArray) -> FloatArray:

@@ -30,6 +30,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imufield.calibrate.model.rotation import skew
 from imufield.earth import EARTH_RATE_RAD_S
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.samples import FloatArray
@@ -53,7 +54,7 @@ _RESPONSE_STEPS = np.repeat([1e-5, 1e-12], 3)  # m/s^2 and rad/s: far above roun
 
 @dataclass(frozen=True, slots=True)
 class RestMeans:
-    """Corrected means of equal intervals at rest."""
+    """Corrected means of equal intervals at rest; inside this module those of k runs that are aligned together, (n, k, 3)."""
 
     interval_s: float
     force: FloatArray
@@ -106,9 +107,14 @@ def align(means: RestMeans, latitude_deg: float, noise: NoiseDensity, heading: H
     factor = max(1, len(means.force) // STEPS)
     first = len(means.force) % factor
     force, rate = (values[first:].reshape(-1, factor, 3).mean(axis=1) for values in (means.force, means.rate))
-    means = RestMeans(means.interval_s * factor, force, rate)
-    attitude, covariance = _fine(means, latitude_deg, noise, heading)
-    return Alignment(attitude, covariance, _response(means, latitude_deg, noise, attitude, heading=heading))
+    # As measured, and with each error of the instrument added: what that turns is the response.
+    errors = np.vstack([np.zeros(6), np.diag(_RESPONSE_STEPS)])
+    runs = RestMeans(means.interval_s * factor, force[:, np.newaxis] + errors[:, :3], rate[:, np.newaxis] + errors[:, 3:])
+    attitude, covariance = _fine(runs, latitude_deg, noise, heading)
+    # turned = I - [phi x]
+    turned = attitude[1:] @ attitude[0].T
+    phi = np.array([turned[:, i, j] - turned[:, j, i] for i, j in ((1, 2), (2, 0), (0, 1))]) / 2
+    return Alignment(attitude[0], covariance[0], phi / _RESPONSE_STEPS)
 
 
 def coarse_attitude(force: FloatArray, rate: FloatArray) -> FloatArray:
@@ -159,90 +165,70 @@ def earth_rate(latitude_deg: float) -> FloatArray:
     return EARTH_RATE_RAD_S * np.array([np.cos(latitude), 0.0, -np.sin(latitude)])
 
 
-def cross_matrix(vector: FloatArray) -> FloatArray:
-    """Return [v x], shape (3, 3)."""
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
 def rotation(vector: FloatArray) -> FloatArray:
-    """Return the rotation matrix of a rotation vector, shape (3, 3)."""
-    angle = float(np.linalg.norm(vector))
-    A = cross_matrix(vector)
+    """Return the rotation matrices of rotation vectors, shape (..., 3) -> (..., 3, 3)."""
+    angle = np.linalg.norm(vector, axis=-1)[..., np.newaxis, np.newaxis]
+    A = skew(vector)
     # np.sinc is sin(pi x)/(pi x): both factors are exact at zero.
     half = np.sinc(angle / (2 * np.pi))
     return np.asarray(np.eye(3) + np.sinc(angle / np.pi) * A + 0.5 * half**2 * (A @ A))
 
 
 def _fine(means: RestMeans, latitude_deg: float, noise: NoiseDensity, heading: Heading | None) -> tuple[FloatArray, FloatArray]:
-    """Return attitude at the end and covariance of phi."""
+    """Return the attitude of each run at the end and the covariance of its phi, shape (k, 3, 3) each."""
     earth = earth_rate(latitude_deg)
-    steps = [rotation(rate * means.interval_s) for rate in means.rate]
+    steps = rotation(means.rate * means.interval_s)
     back = rotation(-earth * means.interval_s)
-    force = means.force.mean(axis=0)
-    attitude = coarse_attitude(force, means.rate.mean(axis=0)) if heading is None else level_attitude(force, heading)
+    whole = zip(means.force.mean(axis=0), means.rate.mean(axis=0), strict=True)
+    attitude = np.array([level_attitude(force, heading) if heading else coarse_attitude(force, rate) for force, rate in whole])
     learns = np.diag([1.0, 1.0, 0.0 if heading is not None else 1.0])
     covariance = np.eye(3)
     for number in range(_PASSES):
         if number:
-            for step in reversed(steps):
-                attitude = back.T @ attitude @ step.T
+            for step in steps[::-1]:
+                attitude = back.T @ attitude @ step.swapaxes(1, 2)
         attitude, phi, covariance = _filter(means, attitude, steps, earth, noise=noise, learns=learns)
         attitude = rotation(phi) @ attitude
     if heading is None:
         return _orthonormal(attitude), covariance
     # At rest the heading at the end is the one that was told; what the gyroscope made of it meanwhile is its error.
-    covariance[2, 2] = heading.sigma_rad**2
-    return level_attitude(-_orthonormal(attitude)[2], heading), covariance
+    covariance[:, 2, 2] = heading.sigma_rad**2
+    return np.array([level_attitude(-down, heading) for down in _orthonormal(attitude)[:, 2]]), covariance
 
 
 def _filter(
     means: RestMeans,
     attitude: FloatArray,
-    steps: list[FloatArray],
+    steps: FloatArray,
     earth: FloatArray,
     *,
     noise: NoiseDensity,
     learns: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Carry an attitude from start to end; return it, phi and its covariance there. ``learns`` has 0 where phi is known."""
+    """Carry attitudes from start to end; return them, phi and its covariance there. ``learns`` has 0 where phi is known."""
     dt = means.interval_s
     back = rotation(-earth * dt)
     # Half an interval before and after each mean, which belongs to its middle.
-    half = np.eye(3) - learns @ cross_matrix(earth) * dt / 2
+    half = np.eye(3) - learns @ skew(earth) * dt / 2
     Q = learns * max(noise.rate, _LEAST_RATE_DENSITY) ** 2 * dt / 2
     R = np.eye(2) * max(noise.force, _LEAST_FORCE_DENSITY) ** 2 / dt
-    phi, P = np.zeros(3), learns * _OPEN**2
-    for step, force in zip(steps, means.force, strict=True):
+    g = np.linalg.norm(means.force, axis=-1)
+    sensitivity = np.zeros((*g.shape, 2, 3))
+    sensitivity[..., 0, 1], sensitivity[..., 1, 0] = g, -g
+    phi, P = np.zeros((3, 1)), learns * _OPEN**2
+    for step, force, H in zip(steps, means.force[..., np.newaxis], sensitivity, strict=True):
         after = back @ attitude @ step
         phi, P = half @ phi, half @ P @ half.T + Q
         measured = (attitude + after) @ force / 2
-        g = float(np.linalg.norm(force))
-        H = np.array([[0.0, g, 0.0], [-g, 0.0, 0.0]])
-        gain = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
-        phi = phi + gain @ (measured[:2] - H @ phi)
+        PH = P @ H.swapaxes(1, 2)
+        gain = PH @ np.linalg.inv(H @ PH + R)
+        phi = phi + gain @ (measured[:, :2] - H @ phi)
         # Joseph's form: the covariance stays symmetric and positive whatever rounding does to the gain.
         kept = np.eye(3) - gain @ H
-        P = kept @ P @ kept.T + gain @ R @ gain.T
+        P = kept @ P @ kept.swapaxes(1, 2) + gain @ R @ gain.swapaxes(1, 2)
         phi, P = half @ phi, half @ P @ half.T + Q
         attitude = after
-    return attitude, phi, P
-
-
-def _response(
-    means: RestMeans, latitude_deg: float, noise: NoiseDensity, attitude: FloatArray, *, heading: Heading | None
-) -> FloatArray:
-    """Return d phi / d instrument errors by running the filter on data with each error added."""
-    response = np.zeros((3, 6))
-    for k, size in enumerate(_RESPONSE_STEPS):
-        error = np.zeros(6)
-        error[k] = size
-        changed = RestMeans(means.interval_s, means.force + error[:3], means.rate + error[3:])
-        turned = _fine(changed, latitude_deg, noise, heading)[0] @ attitude.T
-        # turned = I - [phi x]
-        phi = np.array([turned[1, 2] - turned[2, 1], turned[2, 0] - turned[0, 2], turned[0, 1] - turned[1, 0]]) / 2
-        response[:, k] = phi / size
-    return response
+    return attitude, phi[..., 0], P
 
 
 def _orthonormal(matrix: FloatArray) -> FloatArray:

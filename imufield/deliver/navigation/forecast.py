@@ -28,7 +28,8 @@ from itertools import pairwise
 import numpy as np
 
 from imufield.calibrate.model.result import Calibration
-from imufield.deliver.navigation.alignment import Alignment, cross_matrix, earth_rate
+from imufield.calibrate.model.rotation import skew
+from imufield.deliver.navigation.alignment import Alignment, earth_rate
 from imufield.deliver.navigation.drift import QUANTITIES, Drift
 from imufield.deliver.navigation.uncertain import DrawnParameters, draw_parameters
 from imufield.samples import FloatArray
@@ -203,7 +204,7 @@ def system(latitude_deg: float, height_m: float, gravity_m_s2: float) -> tuple[F
     F[0, 2], F[1, 3] = 1 / north_m, 1 / (east_m * math.cos(latitude))
     F[2, 5], F[2, 3], F[3, 4], F[3, 2] = gravity_m_s2, 2 * W[2], -gravity_m_s2, -2 * W[2]
     F[4, 3], F[5, 2], F[6, 3] = 1 / east_m, -1 / north_m, -math.tan(latitude) / east_m
-    F[4:, 4:] = -cross_matrix(W)
+    F[4:, 4:] = -skew(W)
     F[4, 0], F[6, 0] = W[2], -W[0]
     G[2, 0] = G[3, 1] = 1.0
     G[4:, 2:] = -np.eye(3)

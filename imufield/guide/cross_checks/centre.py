@@ -56,6 +56,8 @@ def centred(scale: RoughScale, stills_raw: FloatArray) -> RoughScale:
     if not length > 0:
         return scale
     x = _sides(x / length)
+    if len(x) < FEWEST_STILLS:
+        return scale
     centre, radius = _fit_sphere(x)
     arm = x - centre
     on_sphere = np.abs(np.linalg.norm(arm, axis=1) / radius - 1) < _ON_SPHERE
@@ -90,14 +92,14 @@ def _sides(x: FloatArray) -> FloatArray:
 
 def _fit_sphere(x: FloatArray) -> tuple[FloatArray, float]:
     """Return centre (3,) and radius of points (m, 3) of typical length 1: Gauss-Newton from the origin."""
-    found = np.array([0.0, 0.0, 0.0, 1.0])
+    found, rows = np.array([0.0, 0.0, 0.0, 1.0]), np.ones((len(x), 4))
     for width in _WIDTHS:
         arm = x - found[:3]
         # A point at the centre itself has no direction, and no say.
         distance = np.maximum(np.linalg.norm(arm, axis=1), 1e-9)
         residual = distance - found[3]
         weight = 1 / np.sqrt(1 + (residual / width) ** 2)
-        rows = np.column_stack([arm / distance[:, None], np.ones(len(x))])
+        rows[:, :3] = arm / distance[:, None]
         found = found + np.linalg.lstsq(rows * weight[:, None], residual * weight, rcond=_UNSEEN)[0]
     return found[:3], float(found[3])
 

@@ -122,17 +122,20 @@ class RunningFit:
         weighted = np.vstack([self.jacobian / self.sigma_m_s2[:, None], np.diag(1 / self.prior_sigma)])
         return np.asarray(np.linalg.inv(weighted.T @ weighted), dtype=np.float64)
 
-    def forecast(self, grade: Grade | None = None) -> dict[str, float]:
+    def unseen(self, grade: Grade) -> FloatArray:
+        """Return what is typical of a grade and no residual shows: d norm / d term times 1 sigma of each term, (m, k)."""
+        return open_terms(self.up, grade, np.zeros(6, dtype=np.bool_))
+
+    def forecast(self, unseen: FloatArray | None = None) -> dict[str, float]:
         """Return 1 sigma of the groups of parameters, the largest axis of each, in the units people use, with gravity's.
 
-        A group that the positions do not show yet, whose sigma is still that of the prior, is left out. With a grade it
-        includes what is typical of that and no residual shows, as the result does.
+        A group that the positions do not show yet, whose sigma is still that of the prior, is left out. With what is unseen
+        it includes that, as the result does.
         """
-        shown = np.sqrt(np.diag(self.covariance))
+        shown = np.sqrt(self.covariance.diagonal())
         scale, bias, angles, square = (shown / self.prior_sigma).reshape(4, 3).max(axis=1) < _TOLD_SHARE
         sigma = np.hypot(shown, self.gravity_sigma)
-        if grade is not None:
-            unseen = open_terms(self.up, grade, np.zeros(6, dtype=np.bool_))
+        if unseen is not None:
             alias = self.covariance @ (self.jacobian / self.sigma_m_s2[:, None] ** 2).T @ unseen
             sigma = np.hypot(sigma, np.linalg.norm(alias, axis=1))
         K = np.abs(self.vector[:3])

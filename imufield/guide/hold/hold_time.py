@@ -95,6 +95,7 @@ class AllanMinimum:
     def __init__(self) -> None:
         self._squares = np.zeros(_OCTAVES)
         self._counts = np.zeros(_OCTAVES)
+        self.minimum_s = math.inf  # Averaging time beyond which little is gained, infinite while not known.
 
     def add(self, norm: FloatArray) -> None:
         """Add the norms of the cells of one hold, shape (m,)."""
@@ -102,14 +103,13 @@ class AllanMinimum:
             size = 2**octave
             groups = len(norm) // size
             if groups < 2:
-                return
+                break
             means = norm[: groups * size].reshape(groups, size).mean(axis=1)
             self._squares[octave] += float((np.diff(means) ** 2).sum()) / 2
             self._counts[octave] += groups - 1
+        self.minimum_s = self._minimum_s()
 
-    @property
-    def minimum_s(self) -> float:
-        """Averaging time beyond which little is gained, infinite while not known."""
+    def _minimum_s(self) -> float:
         known = self._counts >= _FEWEST_DIFFERENCES
         deviation = np.sqrt(np.divide(self._squares, self._counts, where=known, out=np.full(_OCTAVES, np.nan)))
         # Below 0.8 s neighbouring cells depend on each other in the bandwidth of slow instruments.

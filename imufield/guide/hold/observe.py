@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import median
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,13 +73,14 @@ def stand_out(cells: Cells, limits: Limits) -> FloatArray:
 
     Columns: vibration of the accelerometer, of the gyroscope, change of the accelerometer, of the gyroscope.
     """
-    vibration = np.nan_to_num(cells.variance / limits.vibration**2)
-    centre = np.median(cells.mean, axis=0)
-    change = np.nan_to_num(((cells.mean - centre) / limits.change) ** 2)
-    ratios = np.sqrt(
-        np.stack([vibration[:, :3].mean(1), vibration[:, 3:].mean(1), change[:, :3].sum(1), change[:, 3:].sum(1)], axis=1)
+    squares = np.array(
+        [cells.variance / limits.vibration**2, ((cells.mean - np.median(cells.mean, axis=0)) / limits.change) ** 2]
     )
-    usual, middle = float(np.median(cells.usable)), np.median(ratios, axis=0)
+    # A missing gyroscope has no limit (NaN) and does not stand out.
+    squares[np.isnan(squares)] = 0.0
+    vibration, change = squares.reshape(2, -1, 2, 3).sum(axis=3)
+    ratios = np.sqrt(np.hstack([vibration / 3, change]))
+    usual, middle = float(median(cells.usable.tolist())), np.median(ratios, axis=0)
     several = cells.usable > 1
     if usual < 2 and several.any():
         # One sample shows no vibration: cells of two are compared with each other.
@@ -119,13 +121,14 @@ def knocked(cells: Cells, limits: Limits) -> NDArray[np.bool_]:
 def cell_means(cells: Cells) -> tuple[FloatArray, FloatArray]:
     """Return the mean over cells, weighted by their samples, shape (6,), and the covariance of that mean, shape (6, 6)."""
     weight = np.repeat(np.stack([cells.usable, cells.gyroscope_usable], axis=1), 3, axis=1).astype(np.float64)
-    values = np.where(weight > 0, cells.mean, 0.0)
+    known, spare = weight > 0, (weight - 1).clip(0)
+    values = np.where(known, cells.mean, 0.0)
     total = weight.sum(axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = np.where(total > 0, (weight * values).sum(axis=0) / total, np.nan)
-        pooled = ((weight - 1).clip(0) * cells.variance).sum(axis=0) / np.maximum((weight - 1).clip(0).sum(axis=0), 1)
+        pooled = (spare * cells.variance).sum(axis=0) / np.maximum(spare.sum(axis=0), 1)
         white = pooled / total
-    deviation = np.where(weight > 0, values - mean, 0.0)
+    deviation = np.where(known, values - mean, 0.0)
     m, covariance = len(deviation), np.zeros((6, 6))
     if m > 1:
         factor = np.sqrt([correlation_factor(column) for column in deviation.T])

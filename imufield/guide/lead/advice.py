@@ -136,7 +136,7 @@ class Adviser:
         """Fit everything measured so far, and choose the next position where another helps clearly more."""
         settings, plan = self._settings, self._plan
         self.fit = running_fit(list(plan.accepted.values()), scale, settings.gravity)
-        self.forecast = None if self.fit is None else self.fit.forecast(self._grade)
+        self.forecast = None if self.fit is None else self.fit.forecast(self.fit.unseen(self._grade))
         self._compare(scale)
         plan.preferred = None
         pending = plan.pending()

@@ -147,7 +147,8 @@ class Guide:
             self._handle(Input.LINK_BACK)
         self.time_s = float(samples.time_s[-1])
         # Of the axes' own thermometers nothing is asked here, and samples are kept and joined.
-        samples = replace(samples, sensor_temperature_degc=None)
+        if samples.sensor_temperature_degc is not None:
+            samples = replace(samples, sensor_temperature_degc=None)
         self._feed.hear(samples)
         self._actions.hold.history.add(samples)
         cells = self._builder.feed(samples)
@@ -269,12 +270,12 @@ class Guide:
         self._feed.add(cells)
         # One by one while the noise floor is not known: the events must not depend on where a block was cut.
         while len(cells) and self.detector.floor is None:
-            self._watch.follow(cells, 0, silent=self.done)
-            for judgement in self.detector.judge(cells[:1]):
+            first, cells = cells[:1], cells[1:]
+            self._watch.follow(first, 0, silent=self.done)
+            for judgement in self.detector.judge(first):
                 self._follow(judgement)
             if self.detector.floor is None:
-                self._watch.explain_waiting(cells[:1])
-            cells = cells[1:]
+                self._watch.explain_waiting(first)
         for judgement in self.detector.judge(cells):
             self._watch.follow(judgement.cells, judgement.row, silent=self.done)
             self._follow(judgement)

@@ -79,14 +79,14 @@ class LiveFeed:
 
     def signals(self, scale: RoughScale) -> Signals | None:
         """Return the six signals in the units of a scale, None before the first."""
-        if not self._blocks:
+        cells = self.newest(cells_in(SPAN_S))
+        if cells is None:
             return None
-        slot, flags, *values = (
-            np.concatenate([getattr(block, name) for block in self._blocks])[-cells_in(SPAN_S) :]
-            for name in ("slot", "flags", "mean", "low", "high")
-        )
+        # Asked again and again of a feed that grows cell by cell.
+        self._blocks, self._count = deque([cells]), len(cells)
+        slot, starts_up = cells.slot, cells.flags[:, np.newaxis] & np.uint32(Status.START_UP)
         # What an instrument sends before it is ready would make the scale of a picture.
-        values = [np.where(flags[:, np.newaxis] & np.uint32(Status.START_UP), np.nan, value) for value in values]
+        values = [np.where(starts_up, np.nan, value) for value in (cells.mean, cells.low, cells.high)]
         # A clock that was set back leaves cells of the future.
         kept = slot <= slot[-1]
         (_, force_unit, force), (_, rate_unit, rate) = scale.triads

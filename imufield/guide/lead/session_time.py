@@ -206,10 +206,18 @@ def _session_time(scheme: Scheme, settings: GuideSettings, *, noise: float, grad
     """Return the same of these positions alone."""
     usual_s = settings.hold_target.expected_s(noise)
     steps = list(_steps(scheme, settings, noise=noise / math.sqrt(usual_s)))
+    unseen = [None if fit is None else fit.unseen(grade) for fit in steps]
 
     def forecast(positions: int, hold_s: float) -> dict[str, float]:
         fit = steps[positions - 1]
-        return {} if fit is None else fit.expecting(noise / math.sqrt(hold_s), grade.scatter_m_s2).forecast(grade)
+        if fit is None:
+            return {}
+        return fit.expecting(noise / math.sqrt(hold_s), grade.scatter_m_s2).forecast(unseen[positions - 1])
+
+    def minutes(positions: int, hold_s: float) -> float:
+        # Whoever finishes early leaves out the first position, which is otherwise asked for again at the end.
+        holds = positions + int(settings.revisit_first and positions == len(scheme))
+        return (BEGIN_S + holds * (hold_s + BETWEEN_S)) / 60
 
     best = forecast(len(scheme), LONGEST_S)
     limits = {name: max(value, _HARDLY_WORSE * best.get(name, math.inf)) for name, value in settings.targets.items()}
@@ -220,8 +228,6 @@ def _session_time(scheme: Scheme, settings: GuideSettings, *, noise: float, grad
     # With a margin and without it the same are tried.
     @cache
     def taking(positions: int, hold_s: float) -> SessionTime:
-        # Whoever finishes early leaves out the first position, which is otherwise asked for again at the end.
-        holds = positions + int(settings.revisit_first and positions == len(scheme))
         return SessionTime(
             hold_s=hold_s,
             usual_hold_s=usual_s,
@@ -230,7 +236,7 @@ def _session_time(scheme: Scheme, settings: GuideSettings, *, noise: float, grad
             noise=noise,
             positions=positions,
             planned=len(scheme),
-            minutes=(BEGIN_S + holds * (hold_s + BETWEEN_S)) / 60,
+            minutes=minutes(positions, hold_s),
             forecast=forecast(positions, hold_s),
             wanted=settings.targets,
             gravity=settings.gravity,
@@ -238,16 +244,14 @@ def _session_time(scheme: Scheme, settings: GuideSettings, *, noise: float, grad
         )
 
     if settings.targets:
+        lengths_s = _LENGTHS_S.tolist() if settings.hold_s is None else [settings.hold_s]
+        counts = range(SHOWS_SCATTER, len(scheme) + 1)
+        shortest_first = sorted(((count, hold_s) for hold_s in lengths_s for count in counts), key=lambda each: minutes(*each))
         for share in (_WITH_MARGIN, 1.0):
             enough = {name: share * value for name, value in settings.targets.items()}
-            lengths_s = _LENGTHS_S.tolist() if settings.hold_s is None else [settings.hold_s]
-            counts = range(SHOWS_SCATTER, len(scheme) + 1)
-            meeting = [
-                next((time for count in counts if is_met(enough, (time := taking(count, hold_s)).forecast, count)), None)
-                for hold_s in lengths_s
-            ]
-            if found := [time for time in meeting if time is not None]:
-                return min(found, key=lambda time: time.minutes)
+            for count, hold_s in shortest_first:
+                if is_met(enough, (time := taking(count, hold_s)).forecast, count):
+                    return time
         if settings.hold_s is None:
             return taking(len(scheme), helps_s)
     return taking(len(scheme), usual_s)

@@ -142,8 +142,8 @@ class CellBuilder:
 
 def measure_cells(samples: Samples, slot: IntArray) -> Cells:
     """Return the statistics of each run of equal slots; ``slot`` has shape (n,), n at least 1."""
-    starts = np.append(0, (slot[1:] != slot[:-1]).nonzero()[0] + 1)
-    count = np.append(starts[1:], len(slot)) - starts
+    edges = np.concatenate(([0], (slot[1:] != slot[:-1]).nonzero()[0] + 1, [len(slot)]))
+    starts, count = edges[:-1], edges[1:] - edges[:-1]
     # Filled in place: joining two transposed arrays takes three times as long.
     values = np.empty((6, len(slot)))
     values[:3], values[3:] = samples.accelerometer_rate().T, samples.gyroscope_rate().T
@@ -154,7 +154,7 @@ def measure_cells(samples: Samples, slot: IntArray) -> Cells:
     if not flagged and np.isfinite(values.sum()):
         # Where nothing is NaN, these are twice as fast.
         least, largest = np.minimum, np.maximum
-        counts, first, clipped = np.tile(count, (6, 1)), values[:, starts], np.zeros_like(count)
+        counts, first, clipped = count[np.newaxis].repeat(6, axis=0), values[:, starts], np.zeros_like(count)
         deviation = values - np.repeat(first, count, axis=1)
     else:
         usable = samples.usable & np.isfinite(values[:3]).all(axis=0)

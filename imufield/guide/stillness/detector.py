@@ -91,6 +91,7 @@ class StillnessDetector:
         self._bias: list[float] = []  # Gyroscope at rest, raw rate, from the last still stretch; empty without a gyroscope.
         self._waiting: list[Cells] = []
         self._cells_waiting = 0
+        self._tail: list[Cells] = []  # The last of those that wait, joined; a window may begin there.
         self._slot: int | None = None
 
     @property
@@ -177,7 +178,8 @@ class StillnessDetector:
         window = cells_in(FLOOR_S)
         self._waiting.append(cells)
         self._cells_waiting += len(cells)
-        tail = join_cells([*self._waiting[-window:-1], cells])
+        tail = join_cells([*self._tail, cells])
+        self._tail = [tail[1 - window :]]
         for end in range(max(len(tail) - len(cells) + 1, window), len(tail) + 1):
             if is_quiet(tail[end - window : end], self.scale):
                 self._set_floor(measure_floor(tail[end - window : end]))
@@ -197,7 +199,7 @@ class StillnessDetector:
 
     def _judge_under_one_floor(self, cells: Cells, start: int) -> Iterator[Judgement]:
         standard = self._table.standard
-        vibration = [vibration_ratio(cells[start:], tracker.standard.limits).tolist() for tracker in self._trackers]
+        vibration = [vibration_ratio(cells.variance[start:], tracker.standard.limits).tolist() for tracker in self._trackers]
         means = cells.mean[start:].tolist()
         slots = cells.slot[start:].tolist()
         full = (cells.usable[start:] >= USABLE_SHARE * standard.usual_samples).tolist()

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from imufield.guide.refusals import Refusal, RefusalKind
-from imufield.guide.stillness.cells import Cells
 from imufield.guide.stillness.noise_floor import NoiseFloor
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import AXES, FloatArray
@@ -141,12 +140,12 @@ def scatter_of_variance(freedom: float) -> float:
     return math.sqrt(1 + 2 * math.sqrt(_UNLIKELY / freedom) + 2 * _UNLIKELY / freedom)
 
 
-def vibration_ratio(cells: Cells, limits: Limits) -> FloatArray:
-    """Return the larger vibration ratio of the two triads for each cell, shape (m,)."""
-    share = cells.variance / limits.vibration**2
+def vibration_ratio(variance: FloatArray, limits: Limits) -> FloatArray:
+    """Return the larger vibration ratio of the two triads for the variances of each cell, shape (m, 6) to (m,)."""
+    share = variance / limits.vibration**2
     # A missing gyroscope has no limit (NaN) and no share.
-    share = np.where(np.isnan(share), 0.0, share)
-    ratio: FloatArray = np.sqrt(np.maximum(share[:, :3].mean(axis=1), share[:, 3:].mean(axis=1)))
+    share[np.isnan(share)] = 0.0
+    ratio: FloatArray = np.sqrt(share.reshape(-1, 2, 3).mean(axis=2).max(axis=1))
     return ratio
 
 

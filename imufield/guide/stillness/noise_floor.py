@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from statistics import median
 from typing import NamedTuple
 
 import numpy as np
@@ -97,7 +98,7 @@ def measure_floor(cells: Cells) -> NoiseFloor:
     variance = np.asarray(np.median(cells.variance, axis=0))
     # The median of chi-squared lies below its mean; the mean is right, but one bump would spoil it.
     variance = np.maximum(variance, np.minimum(cells.variance.mean(axis=0), 1.5 * variance))
-    per_cell = float(np.median(cells.usable))
+    per_cell = float(median(cells.usable.tolist()))
     if per_cell < FEW_SAMPLES:
         # A small number counts with its fraction: 25 Hz make 2 and 3 in turn.
         per_cell = max(float(cells.usable.sum()) / float(cells.slot[-1] - cells.slot[0] + 1), 1.0)
@@ -122,8 +123,8 @@ def measure_floor(cells: Cells) -> NoiseFloor:
 def is_quiet(cells: Cells, scale: RoughScale) -> bool:
     """Whether a window of cells agrees with itself and can be a noise floor."""
     # At 10 Hz a sample near the edge of a slot leaves one empty.
-    longest = 2 if np.median(cells.usable) < 2 else 1
-    unbroken = bool((np.diff(cells.slot) <= longest).all()) and bool((2 * cells.usable >= np.median(cells.count)).all())
+    longest = 2 if median(cells.usable.tolist()) < 2 else 1
+    unbroken = bool((np.diff(cells.slot) <= longest).all()) and bool((2 * cells.usable >= median(cells.count.tolist())).all())
     if not unbroken or np.isnan(cells.mean[:, :3]).any() or not cells.usable.all() or is_frozen(cells):
         return False
     floor = measure_floor(cells)

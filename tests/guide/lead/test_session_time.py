@@ -136,7 +136,7 @@ def test_a_fit_of_the_guide_itself_forecasts_the_same() -> None:
     assert fit is not None
     # Without residuals it expects less scatter than positions have.
     assert fit.forecast()["bias_ug"] < time.forecast["bias_ug"]
-    assert fit.expecting(noise / 2.0, mems.scatter_m_s2).forecast(mems) == pytest.approx(time.forecast, rel=1e-6)
+    assert fit.expecting(noise / 2.0, mems.scatter_m_s2).forecast(fit.unseen(mems)) == pytest.approx(time.forecast, rel=1e-6)
 
 
 @dataclass(frozen=True, slots=True)
