@@ -168,7 +168,7 @@ def _pool_pass(campaign: _Campaign[Argument, Result], batches: list[_Batch[Argum
     # "spawn": a forked child would inherit BLAS with the threads the parent started it with.
     pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
     try:
-        with _interrupts_held():
+        with interrupts_held():
             first_runs = {pool.submit(run_batch, campaign.run, batch): batch[0] for batch in batches}
         for future in as_completed(first_runs):
             campaign.take(first_runs[future], future.result())
@@ -183,7 +183,7 @@ def _pool_pass(campaign: _Campaign[Argument, Result], batches: list[_Batch[Argum
 
 
 @contextlib.contextmanager
-def _interrupts_held() -> Iterator[None]:
+def interrupts_held() -> Iterator[None]:
     """Let a Ctrl-C wait until the end of the block; processes started within never hear one, which is for this process."""
     if not hasattr(signal, "pthread_sigmask"):
         yield

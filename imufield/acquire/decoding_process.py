@@ -1,20 +1,15 @@
 """Decodes a session; a long one in a process of its own, beside the one that asked.
 
-Decoding takes as long as what is done with the samples, and two processes do both at once. The steps come through a pipe in
-Python's own format, which is safe from a process that we have started.
+Decoding takes as long as what is done with the samples, and two processes do both at once.
 """
 
 from __future__ import annotations
 
 import os
-import pickle
-import subprocess
-import sys
-from collections.abc import Iterator
-from contextlib import suppress
+from collections.abc import Generator, Iterator
+from contextlib import closing, suppress
 from dataclasses import dataclass
-from pathlib import Path
-from typing import BinaryIO, cast
+from typing import TYPE_CHECKING
 
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.decoded_session import Step, decoded, recorded_protocol, session_blocks
@@ -25,67 +20,14 @@ from imufield.errors import ImufieldError, RecordingError
 from imufield.progress import done, task
 from imufield.sentences import Sentences
 
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
+    from multiprocessing.process import BaseProcess
+
 sentence = Sentences(__package__)
 
 LONG_BYTES = 1 << 26
-"""From this size on a recording has a process of its own, whose start takes as long as decoding a third of that."""
-
-
-def session_steps(session: Session, damage: list[Damage], decoder: SessionDecoder) -> Iterator[Step]:
-    """Decode a session to its end, a long one in a process of its own.
-
-    Parameters
-    ----------
-    session : Session
-    damage : list of Damage
-        Receives what could not be read.
-    decoder : SessionDecoder
-        Has the protocol of the part under way; its statistics are complete at the end.
-
-    Raises
-    ------
-    RecordingError, ProtocolError
-        If it cannot be read.
-    """
-    is_long = size_bytes(session.parts) >= LONG_BYTES
-    return (_beside if is_long and (os.cpu_count() or 1) > 1 else _here)(session, damage, decoder)
-
-
-def _here(session: Session, damage: list[Damage], decoder: SessionDecoder) -> Iterator[Step]:
-    yield from decoded(session_blocks(session, damage), session, decoder)
-    yield Step(decoder.flush())
-
-
-def _beside(session: Session, damage: list[Damage], decoder: SessionDecoder) -> Iterator[Step]:
-    with _asked(session) as process, cast("BinaryIO", process.stdout) as answers, task("reading", 1.0) as reading:
-        try:
-            while not isinstance(answer := pickle.load(answers), _End):  # noqa: S301  (of our own process)
-                step, reading.done = answer
-                if isinstance(step.item, PartStart):
-                    decoder.protocol = recorded_protocol(step.item.metadata, session)
-                yield step
-        except (EOFError, pickle.UnpicklingError) as error:
-            raise RecordingError(sentence("decoding_process.ended", folder=session.folder, code=process.wait())) from error
-        finally:
-            process.kill()
-    damage += answer.damage
-    decoder.statistics += answer.statistics
-    if answer.error is not None:
-        raise answer.error
-
-
-def _asked(session: Session) -> subprocess.Popen[bytes]:
-    """Start the program, which finds imufield where this process found it."""
-    command = [sys.executable, "-P", "-c", f"from {__name__} import main; main()", str(session.folder)]
-    found = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    return subprocess.Popen(  # noqa: S603  (our own program)
-        command,
-        env=found,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        # Ctrl-C is for this process, and the other ends when nobody reads any more.
-        start_new_session=True,
-    )
+"""Of a recording that is decoded in a process of its own. To start one takes as long as to decode a third of that."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,21 +39,103 @@ class _End:
     error: ImufieldError | None
 
 
-def main() -> None:
+def session_steps(session: Session, damage: list[Damage], decoder: SessionDecoder) -> Iterator[Step]:
+    """Decode a session to its end, a long one in a process of its own.
+
+    Parameters
+    ----------
+    session : Session
+    damage : list of Damage
+        Receives what could not be read, at the latest at the end.
+    decoder : SessionDecoder
+        Has the protocol of the part under way; its statistics are complete at the end.
+
+    Raises
+    ------
+    RecordingError, ProtocolError
+        If it cannot be read.
+    """
+    beside = _started(session) if size_bytes(session.parts) >= LONG_BYTES else None
+    if beside is None:
+        yield from _here(session, damage, decoder)
+        return
+    process, answers = beside
+    try:
+        with closing(answers):
+            end = yield from _steps_of(answers, session, decoder)
+    except EOFError as error:
+        process.join()
+        code = process.exitcode or 0
+        if code > 0:  # Its traceback is told.
+            raise RuntimeError("the process that decodes has failed") from error
+        raise RecordingError(sentence("decoding_process.killed", folder=session.folder, signal=-code)) from error
+    finally:
+        process.kill()
+        process.join()
+    damage += end.damage
+    decoder.statistics += end.statistics
+    if end.error is not None:
+        raise end.error
+
+
+def _here(session: Session, damage: list[Damage], decoder: SessionDecoder) -> Iterator[Step]:
+    yield from decoded(session_blocks(session, damage), session, decoder)
+    yield Step(decoder.flush())
+
+
+def _started(session: Session) -> tuple[BaseProcess, Connection] | None:
+    """Start the process; None where it would gain nothing, or the system starts no more."""
+    import multiprocessing  # Late, as most recordings are short.
+
+    from imufield.campaign import interrupts_held
+
+    # A process of its own has this one where many sessions are read at once: the cores are busy.
+    if (os.cpu_count() or 1) == 1 or multiprocessing.parent_process() is not None:
+        return None
+    context = multiprocessing.get_context("spawn")
+    answers, end = context.Pipe(duplex=False)
+    process = context.Process(target=_send, args=(session, end), daemon=True)
+    with closing(end), interrupts_held():
+        try:
+            process.start()
+        except OSError:
+            answers.close()
+            return None
+    return process, answers
+
+
+def _steps_of(answers: Connection, session: Session, decoder: SessionDecoder) -> Generator[Step, None, _End]:
+    """Yield the steps that are sent and return what is sent behind them; EOFError where that does not come."""
+    answer = _received(answers)
+    with task("reading", 1.0) as reading:
+        while not isinstance(answer, _End):
+            step, reading.done = answer
+            if isinstance(step.item, PartStart):
+                decoder.protocol = recorded_protocol(step.item.metadata, session)
+            yield step
+            answer = _received(answers)
+    return answer
+
+
+def _received(answers: Connection) -> tuple[Step, float] | _End:
+    try:
+        answer: tuple[Step, float] | _End = answers.recv()
+    except OSError as error:
+        # In the middle of an answer.
+        raise EOFError(str(error)) from error
+    return answer
+
+
+def _send(session: Session, end: Connection) -> None:
     """Send the steps of a session, each with the share that is read, and how it ended."""
-    with suppress(BrokenPipeError):
-        for answer in _answers(Session.open(Path(sys.argv[1]))):
-            pickle.dump(answer, sys.stdout.buffer, pickle.HIGHEST_PROTOCOL)
-        sys.stdout.flush()
-
-
-def _answers(session: Session) -> Iterator[tuple[Step, float] | _End]:
     damage: list[Damage] = []
     decoder = SessionDecoder()
     error = None
-    try:
-        for step in _here(session, damage, decoder):
-            yield step, done()
-    except ImufieldError as raised:
-        error = raised
-    yield _End(damage, decoder.statistics, error)
+    # Who has asked may read no more.
+    with suppress(BrokenPipeError):
+        try:
+            for step in _here(session, damage, decoder):
+                end.send((step, done()))
+        except ImufieldError as raised:
+            error = raised
+        end.send(_End(damage, decoder.statistics, error))

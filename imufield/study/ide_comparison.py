@@ -13,9 +13,10 @@ from functools import cache
 
 import numpy as np
 
+from imufield.calibrate.model.models import unit_diagonal_matrices
 from imufield.calibrate.solvers.base import Solver
 from imufield.calibrate.solvers.registry import load_solver
-from imufield.calibrate.solvers.triad_costs import TriadProblem, TurnsProblem, unit_diagonal_matrices
+from imufield.calibrate.solvers.triad_costs import TriadProblem, TurnsProblem
 from imufield.deliver.navigation.drift import Drift
 from imufield.samples import FloatArray
 from imufield.study import figures

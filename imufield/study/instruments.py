@@ -15,9 +15,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imufield.calibrate.model.models import BIAS, MISALIGNMENT, PARAMETERS, QUADRATIC, SCALE, from_vector, predict
+from imufield.calibrate.model.models import (
+    BIAS,
+    MISALIGNMENT,
+    PARAMETERS,
+    QUADRATIC,
+    SCALE,
+    from_vector,
+    predict,
+    unit_diagonal_matrices,
+)
 from imufield.calibrate.model.result import QuadraticAxes
-from imufield.calibrate.solvers.triad_costs import TriadProblem, TurnsProblem, unit_diagonal_matrices
+from imufield.calibrate.solvers.triad_costs import TriadProblem, TurnsProblem
 from imufield.earth import EARTH_RATE_RAD_S, MICRO_G_M_S2, normal_gravity
 from imufield.guide.positions import scheme
 from imufield.samples import FloatArray

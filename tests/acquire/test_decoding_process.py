@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import multiprocessing
 import os
-import signal
-import subprocess
 from collections.abc import Generator
-from contextlib import closing
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -114,30 +112,39 @@ def test_an_error_comes_across_with_its_values(session: Session, monkeypatch: py
 
 
 @pytest.fixture
-def started(monkeypatch: pytest.MonkeyPatch) -> list[subprocess.Popen[bytes]]:
-    """Return the processes that were started."""
-    processes: list[subprocess.Popen[bytes]] = []
-    start = decoding_process._asked
+def steps(session: Session, monkeypatch: pytest.MonkeyPatch) -> Generator[Step]:
+    """Return the steps of a process that has sent its first."""
     monkeypatch.setattr(decoding_process, "LONG_BYTES", 0)
     monkeypatch.setattr(os, "cpu_count", lambda: 2)
-
-    def asked(session: Session) -> subprocess.Popen[bytes]:
-        processes.append(start(session))
-        return processes[-1]
-
-    monkeypatch.setattr(decoding_process, "_asked", asked)
-    return processes
+    sent = cast("Generator[Step]", session_steps(session, [], SessionDecoder()))
+    next(sent)
+    assert len(multiprocessing.active_children()) == 1
+    return sent
 
 
-def test_who_stops_reading_leaves_no_process(session: Session, started: list[subprocess.Popen[bytes]]) -> None:
-    with closing(cast("Generator[Step]", session_steps(session, [], SessionDecoder()))) as steps:
-        next(steps)
-    assert [process.returncode for process in started] == [-signal.SIGKILL]
+def test_who_stops_reading_leaves_no_process(steps: Generator[Step]) -> None:
+    steps.close()
+    assert not multiprocessing.active_children()
 
 
-def test_a_process_that_is_killed_is_told(session: Session, started: list[subprocess.Popen[bytes]]) -> None:
-    steps = session_steps(session, [], SessionDecoder())
-    next(steps)
-    started[0].kill()
-    with refused(RecordingError, Reason.DAMAGED, str(session.folder), key="decoding_process.ended"):
+def test_a_process_that_is_killed_is_told(session: Session, steps: Generator[Step]) -> None:
+    multiprocessing.active_children()[0].kill()
+    with refused(RecordingError, Reason.DAMAGED, str(session.folder), "signal 9", key="decoding_process.killed"):
         list(steps)
+
+
+def test_a_defect_in_it_is_one_here(
+    session: Session, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(decoding_process, "_send", "nothing that can be called")
+    monkeypatch.setattr(decoding_process, "LONG_BYTES", 0)
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    with pytest.raises(RuntimeError):
+        list(session_steps(session, [], SessionDecoder()))
+    assert "TypeError" in capfd.readouterr().err
+
+
+def test_where_no_process_starts_this_one_decodes(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    here = read(session, monkeypatch, 1 << 40)
+    monkeypatch.setattr(multiprocessing.process.BaseProcess, "start", lambda process: os.close(-1))
+    assert len(read(session, monkeypatch, 0).steps) == len(here.steps)
