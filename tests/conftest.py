@@ -45,13 +45,15 @@ def write_secret(state_home: Path) -> None:
     path.chmod(0o600)
 
 
-# Files of half a minute and more, the longest first. They begin first, or one process works on alone when the others are done.
+# Files of half a minute and more, mostly the longest first, or one process works on alone when the others are done. Those
+# that start a browser stand apart.
 LONG = (
     "commands/test_can.py",
     "study/test_studies.py",
     "commands/test_probe.py",
     "torture/test_sequences.py",
     "commands/test_desk.py",
+    "web/test_page_looks.py",
     "commands/test_bad_input.py",
     "torture/test_claims.py",
     "test_all_drivers.py",
@@ -61,12 +63,11 @@ LONG = (
     "web/test_workbench_page.py",
     "torture/test_killed.py",
     "commands/test_text_streams.py",
-    "web/test_page_looks.py",
-    "web/test_guide_page.py",
     "web/test_workbench.py",
     "calibrate/accelerometer/test_gate.py",
     "commands/test_guided.py",
     "torture/test_faults.py",
+    "web/test_guide_page.py",
     "web/test_server.py",
     "test_honesty.py",
 )
