@@ -12,7 +12,7 @@ import pytest
 
 from imufield.acquire.recording.session import Session
 from imufield.calibrate.model.budget import combined_sigma
-from imufield.calibrate.model.distributions import student_factor
+from imufield.calibrate.model.coverage_factors import student_factor
 from imufield.calibrate.model.models import at_temperature, predict
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeCalibration, GyroscopeParameters

@@ -33,7 +33,7 @@ from typing import Literal
 import numpy as np
 
 from imufield.calibrate.accelerometer.fit import Fit
-from imufield.calibrate.model.distributions import f_tail, sigma_of_mixture
+from imufield.calibrate.model.coverage_factors import f_tail, sigma_of_mixture
 from imufield.calibrate.model.models import BIAS, PARAMETERS
 from imufield.samples import FloatArray
 

@@ -19,7 +19,7 @@ from imufield.calibrate.accelerometer.fit import Fit, FitData, column_basis, fit
 from imufield.calibrate.accelerometer.gate import LEVEL, Choice, Gate, Term, Terms
 from imufield.calibrate.accelerometer.start import FEWEST_FOR_MISALIGNMENT, FEWEST_FOR_QUADRATIC, closed_form_start
 from imufield.calibrate.model.aliasing import typical_higher
-from imufield.calibrate.model.distributions import f_tail
+from imufield.calibrate.model.coverage_factors import f_tail
 from imufield.calibrate.model.gauge import change_gauge
 from imufield.calibrate.model.grades import Grade
 from imufield.calibrate.model.higher import KINDS, TERMS, ShownTerms, higher_scale, shown_terms

@@ -4,6 +4,8 @@ One hold that was touched enters the scatter between positions, and so hides oth
 one after the other, the worst first, whether or not it stands out, and all up to the last that does are outliers: the
 generalized extreme studentized deviate procedure [1]_, with the externally studentised residuals of a fit for deviates.
 
+They are named and stay in the fit: a person leaves them out with ``--without`` (``observations.leave_out``).
+
 A position that alone shows a parameter is never taken out: the fit goes through it, and the others say nothing about it.
 
 References
@@ -19,7 +21,7 @@ import numpy as np
 
 from imufield.calibrate.accelerometer.fit import Fit
 from imufield.calibrate.accelerometer.leave_one_out import NOT_LEFT_OUT
-from imufield.calibrate.model.distributions import student_factor
+from imufield.calibrate.model.coverage_factors import student_factor
 from imufield.samples import FloatArray
 
 _LEVEL = 0.01  # Chance that any position of a good session is called an outlier (both sides, Bonferroni).

@@ -12,7 +12,7 @@ from imufield.calibrate.accelerometer.fit import Fit, FitData
 from imufield.calibrate.accelerometer.leave_one_out import PAIR_SHARE, Influence, position_pairs, single_positions
 from imufield.calibrate.accelerometer.model_choice import VERDICT_LEVEL, ChosenModel
 from imufield.calibrate.accelerometer.outliers import Outlier, find_outliers
-from imufield.calibrate.model.distributions import student_factor
+from imufield.calibrate.model.coverage_factors import student_factor
 from imufield.calibrate.model.models import BIAS, SCALE
 from imufield.calibrate.model.observability import Observability
 from imufield.calibrate.model.observations import Observations

@@ -45,7 +45,7 @@ from imufield.calibrate.gyroscope.fit import JointFit, fit_jointly, make_prior
 from imufield.calibrate.gyroscope.move_integration import INVERSE, PARAMETERS, SENSITIVITY, sums_at_end
 from imufield.calibrate.gyroscope.observability import Observability
 from imufield.calibrate.gyroscope.residuals import GyroscopeData
-from imufield.calibrate.model.distributions import NORMAL_FACTOR_95, f_limit_95, f_tail
+from imufield.calibrate.model.coverage_factors import NORMAL_FACTOR_95, f_limit_95, f_tail
 from imufield.calibrate.model.grades import Grade
 from imufield.calibrate.model.rotation import skew
 from imufield.calibrate.model.uncertainty import told_apart

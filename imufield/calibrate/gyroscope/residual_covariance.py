@@ -32,7 +32,7 @@ import numpy as np
 from imufield.calibrate.gyroscope.move_integration import INVERSE, SENSITIVITY
 from imufield.calibrate.gyroscope.residuals import Evaluation, ForceErrors, GyroscopeData
 from imufield.calibrate.model.budget import Share
-from imufield.calibrate.model.distributions import degrees_of_freedom
+from imufield.calibrate.model.coverage_factors import degrees_of_freedom
 from imufield.calibrate.model.models import norm_derivatives, recover_vectors, to_vector
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, GRAVITY_NAME, AccelerometerParameters, Calibration

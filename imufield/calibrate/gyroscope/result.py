@@ -19,7 +19,7 @@ from imufield.calibrate.gyroscope.residuals import Evaluation, GyroscopeData, ev
 from imufield.calibrate.gyroscope.static import StaticData, StaticFit, latitude_words
 from imufield.calibrate.gyroscope.whole_turns import find_whole_turns
 from imufield.calibrate.model.budget import Share, joined_shares, picked, root_of
-from imufield.calibrate.model.distributions import degrees_of_freedom
+from imufield.calibrate.model.coverage_factors import degrees_of_freedom
 from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS
 from imufield.calibrate.model.result import (
     ACCELEROMETER_NAMES,

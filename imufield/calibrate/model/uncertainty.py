@@ -1,5 +1,7 @@
 """How sure the parameters are: weights, scatter between positions; covariances of parts and wholes.
 
+The factors from a standard uncertainty to 95 % are those of ``coverage_factors``.
+
 The variance of position i is ``s_i^2 = within_i^2 + tau^2``. ``within`` is the covariance of the mean output carried to the
 norm; it cannot see flicker noise and drift between holds. ``tau`` is estimated by Mandel and Paule's rule [1]_: the smallest
 ``tau >= 0`` for which ``sum (r_i / s_i)^2`` of the refitted residuals is not above the degrees of freedom (so it is zero where

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from imufield.calibrate.model.distributions import deviation_limits_95
+from imufield.calibrate.model.coverage_factors import deviation_limits_95
 from imufield.calibrate.noise.allan import (
     BRIDGED_S,
     AllanDeviation,

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imufield.calibrate.model.distributions import NORMAL_FACTOR_95
+from imufield.calibrate.model.coverage_factors import NORMAL_FACTOR_95
 from imufield.samples import FloatArray
 
 FLICKER = 2 * math.log(2) / math.pi

@@ -32,7 +32,7 @@ from functools import cached_property
 
 import numpy as np
 
-from imufield.calibrate.model.distributions import chi_squared_quantile
+from imufield.calibrate.model.coverage_factors import chi_squared_quantile
 from imufield.calibrate.model.uncertainty import block_diagonal
 from imufield.calibrate.sessions.draws import FAMILY_CHANCE, symmetric_root, variance_share
 from imufield.calibrate.sessions.kinds import DAILY, kind_of, of_gyroscope

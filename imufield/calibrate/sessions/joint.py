@@ -22,7 +22,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from imufield.calibrate.model.distributions import NORMAL_FACTOR_95, f_tail, student_factor
+from imufield.calibrate.model.coverage_factors import NORMAL_FACTOR_95, f_tail, student_factor
 from imufield.calibrate.sessions.kinds import DAILY, kind_of
 from imufield.calibrate.sessions.repeatability import (
     Contrasts,

@@ -33,7 +33,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imufield.calibrate.model.distributions import chi_squared_quantile
+from imufield.calibrate.model.coverage_factors import chi_squared_quantile
 from imufield.samples import FloatArray
 
 _CHANCE = 0.05  # Of 95 % intervals.

@@ -22,7 +22,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from imufield.calibrate.model.distributions import f_quantile
+from imufield.calibrate.model.coverage_factors import f_quantile
 from imufield.deliver.certificate.certificate import (
     Certificate,
     conditions,

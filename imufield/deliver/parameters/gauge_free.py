@@ -32,7 +32,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imufield.calibrate.accelerometer.fit import column_basis
-from imufield.calibrate.model.distributions import degrees_of_freedom
+from imufield.calibrate.model.coverage_factors import degrees_of_freedom
 from imufield.calibrate.model.gauge import GaugeChange, change_gauge, intrinsic, turn_gyroscope
 from imufield.calibrate.model.models import PARAMETERS, QUADRATIC, to_vector
 from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS

@@ -14,7 +14,7 @@ import numpy as np
 
 from imufield.calibrate.accelerometer.quality import USABLE_BIAS_SIGMA_M_S2
 from imufield.calibrate.model.budget import Kind, Share, picked, root_of
-from imufield.calibrate.model.distributions import NORMAL_FACTOR_95
+from imufield.calibrate.model.coverage_factors import NORMAL_FACTOR_95
 from imufield.calibrate.model.gauge import intrinsic, make_intrinsic
 from imufield.calibrate.model.grades import Grade
 from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS, PARAMETERS, from_vector

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imufield.calibrate.model.distributions import NORMAL_FACTOR_95, student_factor
+from imufield.calibrate.model.coverage_factors import NORMAL_FACTOR_95, student_factor
 from imufield.calibrate.model.temperature import TriadTemperature
 from imufield.calibrate.sessions.kinds import PPM
 from imufield.deliver.parameters.file import Parameters

@@ -17,7 +17,7 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from imufield.calibrate.model.distributions import degrees_of_freedom
+from imufield.calibrate.model.coverage_factors import degrees_of_freedom
 from imufield.calibrate.model.result import Calibration, Quality
 from imufield.console import PlainTextConsole
 from imufield.deliver.parameters.file import Parameters

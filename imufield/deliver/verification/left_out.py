@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
-from imufield.calibrate.model.distributions import f_limit_95, f_tail
+from imufield.calibrate.model.coverage_factors import f_limit_95, f_tail
 from imufield.calibrate.model.grades import GRADES
 from imufield.calibrate.model.models import BIAS, NormDerivatives, norm_derivatives, to_vector, without_higher
 from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS, parameter_scale

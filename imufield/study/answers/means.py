@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
-from imufield.calibrate.model.distributions import degrees_of_freedom, student_factor
+from imufield.calibrate.model.coverage_factors import degrees_of_freedom, student_factor
 from imufield.calibrate.model.gauge import intrinsic
 from imufield.calibrate.model.models import predict, to_vector
 from imufield.calibrate.model.observations import Observations, leave_out

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
-from imufield.calibrate.model.distributions import student_factor
+from imufield.calibrate.model.coverage_factors import student_factor
 from imufield.calibrate.model.grades import GRADES, Grade
 from imufield.calibrate.model.models import at_temperature
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration

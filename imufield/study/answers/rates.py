@@ -10,7 +10,7 @@ from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
 from imufield.calibrate.gyroscope.model_choice import typical_rate_terms
 from imufield.calibrate.gyroscope.result import JointSolution, joint_result
 from imufield.calibrate.gyroscope.turntable import TurntableRun
-from imufield.calibrate.model.distributions import NORMAL_FACTOR_95
+from imufield.calibrate.model.coverage_factors import NORMAL_FACTOR_95
 from imufield.calibrate.model.gauge import change_gauge, turn_gyroscope
 from imufield.calibrate.model.grades import GRADES
 from imufield.calibrate.model.models import predict_gyroscope, to_vector

@@ -22,7 +22,7 @@ from imufield.calibrate.accelerometer.accelerometer import calibrate_acceleromet
 from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
 from imufield.calibrate.gyroscope.input import GyroscopeInput
 from imufield.calibrate.gyroscope.moves import MoveCollector
-from imufield.calibrate.model.distributions import NORMAL_FACTOR_95
+from imufield.calibrate.model.coverage_factors import NORMAL_FACTOR_95
 from imufield.calibrate.model.gauge import change_gauge, turn_gyroscope
 from imufield.calibrate.model.grades import find_grade
 from imufield.calibrate.model.models import to_vector

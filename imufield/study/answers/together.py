@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
-from imufield.calibrate.model.distributions import NORMAL_FACTOR_95
+from imufield.calibrate.model.coverage_factors import NORMAL_FACTOR_95
 from imufield.calibrate.model.gauge import intrinsic
 from imufield.calibrate.model.grades import GRADES
 from imufield.calibrate.model.models import to_vector

@@ -12,7 +12,7 @@ from imufield.calibrate.accelerometer.accelerometer import calibrate_acceleromet
 from imufield.calibrate.accelerometer.drift import drift_forms
 from imufield.calibrate.accelerometer.fit import Fit, FitData, column_basis, fit
 from imufield.calibrate.accelerometer.gate import Gate, Term, Terms
-from imufield.calibrate.model.distributions import student_factor
+from imufield.calibrate.model.coverage_factors import student_factor
 from imufield.calibrate.model.gauge import intrinsic
 from imufield.calibrate.model.models import QUADRATIC, to_vector
 from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS

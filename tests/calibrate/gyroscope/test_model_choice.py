@@ -18,7 +18,7 @@ from imufield.calibrate.gyroscope.moves import cut_moves, no_slots
 from imufield.calibrate.gyroscope.residuals import evaluate
 from imufield.calibrate.gyroscope.result import GyroscopeResult, JointSolution
 from imufield.calibrate.gyroscope.turntable import TurntableRun
-from imufield.calibrate.model.distributions import NORMAL_FACTOR_95
+from imufield.calibrate.model.coverage_factors import NORMAL_FACTOR_95
 from imufield.calibrate.model.grades import GRADES
 from imufield.samples import FloatArray
 from imufield.simulate.truth.effects import Effects

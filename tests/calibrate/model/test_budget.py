@@ -11,7 +11,7 @@ from drifting_sessions import Session, faces_first
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
 from imufield.calibrate.model.budget import Share, combined_sigma, effective_freedom, welch_satterthwaite
-from imufield.calibrate.model.distributions import degrees_of_freedom, student_factor
+from imufield.calibrate.model.coverage_factors import degrees_of_freedom, student_factor
 from imufield.calibrate.model.models import to_vector
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, Calibration, ModelChoice
 from imufield.earth import Gravity

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imufield.calibrate.model.distributions import deviation_limits_95
+from imufield.calibrate.model.coverage_factors import deviation_limits_95
 from imufield.calibrate.noise import allan
 from imufield.calibrate.noise.allan import AllanStream, EvenGrid, degrees_of_freedom, load_allantools
 from imufield.calibrate.noise.noise import NoiseStream, measure_noise

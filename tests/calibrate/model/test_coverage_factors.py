@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.special
 
-from imufield.calibrate.model.distributions import (
+from imufield.calibrate.model.coverage_factors import (
     chi_squared_quantile,
     chi_squared_tail,
     f_limit_95,
