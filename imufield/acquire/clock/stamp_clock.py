@@ -141,7 +141,8 @@ def steps_between(values: NDArray[_Number], before: float) -> NDArray[_Number]:
     """Return how far each value is from the one before it; as ``np.diff(values, prepend=before)``, many times faster."""
     all_values = np.empty(len(values) + 1, dtype=values.dtype)
     all_values[0], all_values[1:] = before, values
-    return all_values[1:] - all_values[:-1]
+    steps: NDArray[_Number] = np.subtract(all_values[1:], all_values[:-1])
+    return steps
 
 
 class DeviceClock(Clock):
