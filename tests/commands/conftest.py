@@ -126,7 +126,8 @@ class Program:
         return tuple(map(str, ("capture", "--port", port, *common, *options)))
 
     def stop(self) -> None:
-        for process in self.started:
+        # What reads an instrument before the instrument: it would look for it again.
+        for process in reversed(self.started):
             if process.poll() is None:
                 process.kill()
             process.communicate()

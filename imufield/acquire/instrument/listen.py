@@ -11,7 +11,7 @@ from imufield.acquire.instrument.recognise import FEWEST_SAMPLES, Candidate, Lis
 from imufield.acquire.instrument.text_columns import LineListener, first_lines, read_lines, usual_columns
 from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.link.host_clock import HostClock, patience_s
-from imufield.acquire.link.serial import SerialLink, open_link
+from imufield.acquire.link.serial import PSEUDO_TERMINALS, SerialLink, open_link
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.acquire.registry import driver_names, load_driver
 from imufield.errors import LinkError, LinkTimeoutError, ProtocolError, Reason, SettingError
@@ -119,7 +119,7 @@ def bauds_to_try(candidates: list[Candidate], port: str, baud: int | None) -> li
 
 def has_no_baud(port: str) -> bool:
     """Return whether the baud rate means nothing to a port: addresses and pseudo-terminals take any."""
-    return "://" in port or str(real_path(port)).startswith("/dev/pts/")
+    return "://" in port or str(real_path(port)).startswith(PSEUDO_TERMINALS)
 
 
 def search(

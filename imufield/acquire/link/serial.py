@@ -31,6 +31,8 @@ READ_LIMIT_BYTES = 65_536
 """Most bytes of one chunk; what remains is the next chunk."""
 WRITE_TIMEOUT_S = 1.0
 """Commands to instruments are shorter than 1 kB: even at 9600 baud they are out within this time."""
+PSEUDO_TERMINALS = "/dev/pts/"
+"""Linux numbers them here; an instrument that comes back has a link, which leads to its new number."""
 
 
 class Link(Protocol):
@@ -234,6 +236,9 @@ class SerialLink:
             The port is there and cannot be used: waiting would not help.
         """
         self.close()
+        # The system gives the number of a pseudo-terminal that is gone to the next one: somebody's shell, and no instrument.
+        if self.name.startswith(PSEUDO_TERMINALS):
+            return False
         try:
             self._open()
         except LinkError as error:

@@ -1,6 +1,8 @@
 import os
 import select
 import socket
+import sys
+import termios
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -186,8 +188,24 @@ def test_unplugging_is_noticed_and_plugging_in_again_too(terminal: Terminal, tmp
     again.unplug()
 
 
-def test_reopening_does_not_hide_what_waiting_cannot_cure(terminal: Terminal) -> None:
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere pseudo-terminals have other names")
+def test_the_number_of_a_pseudo_terminal_that_is_gone_leads_to_no_instrument(terminal: Terminal) -> None:
     link = open_link(terminal.port, baud=9600)
+    terminal.unplug()
+    assert wait_for_error(link).reason is Reason.DISCONNECTED
+    assert not link.reopen()
+    others = [Terminal() for _ in range(20)]  # The lowest number that is free is given first.
+    before = [termios.tcgetattr(other.master) for other in others]
+    assert not link.reopen()
+    assert [termios.tcgetattr(other.master) for other in others] == before
+    for other in others:
+        other.unplug()
+
+
+def test_reopening_does_not_hide_what_waiting_cannot_cure(terminal: Terminal, tmp_path: Path) -> None:
+    name = tmp_path / "ttyUSB0"
+    name.symlink_to(terminal.port)
+    link = open_link(str(name), baud=9600)
     link.settings = type(link.settings)(baud=0)
     with refused(LinkError, Reason.BOUNDS) as caught:
         link.reopen()
