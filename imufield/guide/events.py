@@ -23,6 +23,8 @@ EVENT_VERSION = 1
 HORIZONTAL = "horizontal"
 VERTICAL = "vertical"
 """What an axis of whole turns is."""
+ACTIONS = ("retake", "skip", "undo", "pause", "finish", "go_on", "reopen")
+"""What an operator's mark asks for."""
 
 Vector = tuple[float, float, float]
 

@@ -31,7 +31,7 @@ from imufield.acquire.session_decoder import SessionDecoder
 from imufield.calibrate.model.observations import Observations
 from imufield.errors import CalibrationError, Reason, RecordingError
 from imufield.files import Origin
-from imufield.guide.events import HORIZONTAL, VERTICAL, Event, LinkLost
+from imufield.guide.events import ACTIONS, HORIZONTAL, VERTICAL, Event, LinkLost
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.positions import SCHEME_FILE, SCHEMES, scheme
 from imufield.guide.stillness.scale import RoughScale
@@ -50,6 +50,7 @@ MARK = "mark"
 """Name of a recorded event: what the operator said, to be said again on replay."""
 ROTATIONS = {"rolled": HORIZONTAL, "table": VERTICAL}
 """Kinds of whole turns, as ``--rotations`` names them, and the axis they are about."""
+_LATEST_MARK_S = 1e10  # Three centuries of the sample clock: beyond it is no time.
 OUTLINE_BYTES = 1 << 25
 """Of a recording, decoded for a first picture of it: a second of one core at 2000 Hz."""
 
@@ -169,13 +170,13 @@ class Chain:
 
     def _say_again(self, event: Mapping[str, object]) -> list[Event]:
         """Repeat what a person did while the session was recorded."""
-        if event.get("event") != MARK:
+        # Of what the file says only what can be meant is taken: it may be edited, or by another version.
+        action, time_s, position = (event.get(name) for name in ("action", "time_s", "position"))
+        if event.get("event") != MARK or action not in ACTIONS:
             return []
-        # Of what the file says only what is of the right type is taken: it may be edited, or by another version.
-        time_s, position = event.get("time_s"), event.get("position")
         return self.mark(
-            str(event.get("action")),
-            time_s if isinstance(time_s, int | float) else None,
+            str(action),
+            time_s if isinstance(time_s, int | float) and abs(time_s) <= _LATEST_MARK_S else None,
             position if isinstance(position, str) else None,
         )
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from imufield.calibrate.model.observations import Observations
 from imufield.guide.cross_checks.axes import AxesCheck
-from imufield.guide.events import Event, Marked, RefusalCode, Vector, vector
+from imufield.guide.events import ACTIONS, Event, Marked, RefusalCode, Vector, vector
 from imufield.guide.hold.observe import gather
 from imufield.guide.lead.actions import GuideActions
 from imufield.guide.lead.live import LiveFeed, Signals
@@ -33,7 +33,6 @@ sentence = Sentences(__package__)
 
 # What the operator says that is an input of the table and nothing else.
 _INPUTS = {"pause": Input.PAUSE, "finish": Input.FINISH, "reopen": Input.RESUMED}
-_ACTIONS = ("retake", "skip", "undo", "pause", "finish", "go_on", "reopen")
 _RECENT_CELLS = 10  # A second: rate and temperature that a live view shows.
 
 
@@ -163,8 +162,8 @@ class Guide:
         ``retake`` and ``skip`` may name a position. The mark takes effect when the cell of ``time_s`` is complete; so on replay
         all marks may be given beforehand. Without a link it takes effect at once.
         """
-        if action not in _ACTIONS:
-            raise ValueError(f"`action` is {action!r}, not one of {', '.join(_ACTIONS)}")
+        if action not in ACTIONS:
+            raise ValueError(f"`action` is {action!r}, not one of {', '.join(ACTIONS)}")
         if self.state in (State.LOST, State.DONE) or math.isnan(time_s):
             self._apply_mark(action, position)
         else:
