@@ -134,7 +134,7 @@ def test_the_limits_named_are_those_of_the_code() -> None:
 
 
 MAY_PRINT = {
-    "imufield/acquire/formats/array_file_reader.py",  # To the program that started it, never to a terminal.
+    "imufield/acquire/formats/foreign_file_reader.py",  # To the program that started it, never to a terminal.
     "imufield/commands/terminal/output.py",
     "imufield/console.py",
     "imufield/cli/__init__.py",  # The version.

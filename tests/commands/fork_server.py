@@ -139,7 +139,7 @@ def run_imufield() -> None:
 
 def run_reader() -> None:
     """Run the program that reads a file of another program."""
-    runpy.run_module("imufield.acquire.formats.array_file_reader", run_name="__main__", alter_sys=True)
+    runpy.run_module("imufield.acquire.formats.foreign_file_reader", run_name="__main__", alter_sys=True)
 
 
 def leave(code: int) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from imufield.acquire.formats import array_file_reader
+from imufield.acquire.formats import foreign_file_reader
 from imufield.cli.run import run
 
 LONGEST_S = 10
@@ -23,7 +23,7 @@ MOST_MEMORY = 1 << 30
 """Bytes of address space beyond what the test process has."""
 NEVER = {"os.system", "os.exec", "os.posix_spawn", "os.fork", "subprocess.Popen", "pickle.find_class", "socket.connect"}
 """What no file may lead to."""
-READER = [sys.executable, "-P", array_file_reader.__file__]
+READER = [sys.executable, "-P", foreign_file_reader.__file__]
 """The one exception, with a kind and a file's name behind it."""
 EXIT_CODES = {0, 2, 3, 4, 5, 6, 7}
 _WRITING = 0o3

@@ -6,7 +6,7 @@ import re
 import zlib
 from pathlib import Path
 
-from imufield.acquire.formats.array_file_reader import SoundGzip
+from imufield.acquire.formats.foreign_file_reader import SoundGzip
 from imufield.files import open_to_read
 
 CANDUMP = ".log"

@@ -12,7 +12,7 @@ from typing import IO, Any, TextIO, cast
 
 import can
 
-from imufield.acquire.formats import array_file_reader
+from imufield.acquire.formats import foreign_file_reader
 from imufield.acquire.formats.can_log_heads import CANDUMP, HEADS
 from imufield.acquire.formats.table_arrays import missing_package, start_reader
 from imufield.acquire.formats.tables import ChunkWriter
@@ -96,9 +96,9 @@ def _messages(path: Path, channel: str | None, losses: list[str] | None) -> Iter
         lost = _missing(path, end)
     except (UsageError, RecordingError):
         raise
-    except array_file_reader.DAMAGE as error:
+    except foreign_file_reader.DAMAGE as error:
         key = "can_logs.damaged" if end["read"] else "can_logs.from_the_first"
-        lost = sentence(key, path=str(path), frames=end["read"], cause=array_file_reader.first_line(error))
+        lost = sentence(key, path=str(path), frames=end["read"], cause=foreign_file_reader.first_line(error))
     if not chosen and (end["read"] or not lost):
         key = "can_logs.no_frame_of_channel" if end["read"] else "can_logs.no_frame"
         none = sentence(key, path=str(path), channel=channel, frames=end["read"])
@@ -131,14 +131,14 @@ def _of_channel(reader: Iterable[can.Message], path: Path, channel: str | None) 
 
 
 def _frames(path: Path, end: dict[str, Any]) -> Generator[can.Message, None, None]:
-    """Yield the frames of a log; note in ``end`` what ``array_file_reader`` says of its end."""
+    """Yield the frames of a log; note in ``end`` what ``foreign_file_reader`` says of its end."""
     suffix = next((suffix for suffix in reversed(path.suffixes[-2:]) if suffix in HEADS), "")
     if not suffix:
         raise UsageError(sentence("can_logs.suffix", path=str(path), known=[*HEADS]))
     if suffix == CANDUMP:
         # Its reader looks at one line after the other and makes nothing of a length that stands there.
-        with array_file_reader.open_log(path) as file:
-            yield from can.CanutilsLogReader(cast("TextIO", array_file_reader.text_lines(file)))
+        with foreign_file_reader.open_log(path) as file:
+            yield from can.CanutilsLogReader(cast("TextIO", foreign_file_reader.text_lines(file)))
         return
     if suffix == ".mf4" and importlib.util.find_spec("asammdf") is None:
         raise missing_package(f"{path} is MF4, which", "asammdf", "mf4")
@@ -157,7 +157,7 @@ def _frames(path: Path, end: dict[str, Any]) -> Generator[can.Message, None, Non
 
 
 def _message(line: str) -> can.Message:
-    """Return a frame as ``array_file_reader`` writes it."""
+    """Return a frame as ``foreign_file_reader`` writes it."""
     stamp, identifier, flags, data, bus = line.rstrip().split(" ", 4)
     extended, error, remote, received, is_fd, bit_rate_switch, error_state = (flag == "1" for flag in flags)
     return can.Message(
@@ -194,8 +194,8 @@ def _missing(path: Path, end: Mapping[str, Any]) -> str:
         raise missing_package(f"{path} is MF4, which", "asammdf", "mf4", end["missing"])
     if "cause" in end:
         raise ValueError(end["cause"])
-    if end.get("code") == array_file_reader.TOO_LONG:
-        return sentence("can_logs.stuck", limit_s=array_file_reader.longest_s(size), **here)
+    if end.get("code") == foreign_file_reader.TOO_LONG:
+        return sentence("can_logs.stuck", limit_s=foreign_file_reader.longest_s(size), **here)
     if "code" in end:
         raise ValueError(f"its reader broke down ({end['code']})")
     if end.get("frames") == 0:

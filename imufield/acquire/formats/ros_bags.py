@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from imufield.acquire.formats.array_file_reader import DAMAGE, IMU_TYPE, first_line
+from imufield.acquire.formats.foreign_file_reader import DAMAGE, IMU_TYPE, first_line
 from imufield.acquire.formats.table_arrays import ArrayTable, handed_over, missing_package, start_reader, unread
 from imufield.acquire.link.host_clock import NANOSECONDS
 from imufield.errors import Reason, RecordingError, UsageError

@@ -18,8 +18,8 @@ from typing import IO, TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from imufield.acquire.formats import array_file_reader
-from imufield.acquire.formats.array_file_reader import Array, Arrays
+from imufield.acquire.formats import foreign_file_reader
+from imufield.acquire.formats.foreign_file_reader import Array, Arrays
 from imufield.acquire.formats.table_columns import named_column
 from imufield.acquire.formats.table_text import unreadable
 from imufield.errors import Reason, RecordingError, UsageError
@@ -84,7 +84,7 @@ class ArrayTable:
 class ArrayKind:
     """A kind of file of arrays."""
 
-    name: str  # For ``array_file_reader``.
+    name: str  # For ``foreign_file_reader``.
     words: str
     package: str  # That reads it.
     extra: str = ""  # That it comes with; empty where it comes with imufield.
@@ -117,7 +117,7 @@ def array_kind(path: Path) -> ArrayKind | None:
 
 
 def read_arrays(kind: ArrayKind, path: Path) -> ArrayTable:
-    """Read a file of arrays in a process of its own, ``array_file_reader``.
+    """Read a file of arrays in a process of its own, ``foreign_file_reader``.
 
     Raises
     ------
@@ -134,8 +134,8 @@ def read_arrays(kind: ArrayKind, path: Path) -> ArrayTable:
         raise missing_package(f"{kind.words} {path}", kind.package, kind.extra, str(error)) from error
     except (RecordingError, UsageError):
         raise
-    except array_file_reader.DAMAGE as error:
-        damaged = sentence("table_arrays.damaged", path=str(path), kind=kind.words, cause=array_file_reader.first_line(error))
+    except foreign_file_reader.DAMAGE as error:
+        damaged = sentence("table_arrays.damaged", path=str(path), kind=kind.words, cause=foreign_file_reader.first_line(error))
         raise unread(path, error, damaged) from error
 
 
@@ -147,18 +147,18 @@ def unread(path: Path, error: Exception, damaged: str) -> RecordingError:
 
 
 def start_reader(kind: str, path: Path, *topic: str, **environment: str) -> subprocess.Popen[bytes]:
-    """Start ``array_file_reader``, which ends by itself where a file makes it take too much."""
+    """Start ``foreign_file_reader``, which ends by itself where a file makes it take too much."""
     import subprocess  # late: text is read without it
 
     # -P: what stands in the present folder is nothing to import.
-    command = [sys.executable, "-P", array_file_reader.__file__, kind, str(path), *topic]
+    command = [sys.executable, "-P", foreign_file_reader.__file__, kind, str(path), *topic]
     quiet = subprocess.DEVNULL
     together = {**os.environ, **_QUIET, **environment}
     return subprocess.Popen(command, stdin=quiet, stdout=subprocess.PIPE, stderr=quiet, env=together)  # noqa: S603  (our own)
 
 
 def handed_over(reader: subprocess.Popen[bytes]) -> tuple[Arrays, dict[str, Any]]:
-    """Return the arrays that ``array_file_reader`` sends and what the file states.
+    """Return the arrays that ``foreign_file_reader`` sends and what the file states.
 
     Raises
     ------
@@ -172,7 +172,7 @@ def handed_over(reader: subprocess.Popen[bytes]) -> tuple[Arrays, dict[str, Any]
     if "missing" in head:
         raise ImportError(head["missing"])
     if "names" not in head:
-        is_long = reader.wait() == array_file_reader.TOO_LONG
+        is_long = reader.wait() == foreign_file_reader.TOO_LONG
         broken = f"its reader {'took too long for a file of its size' if is_long else 'broke down'} ({reader.returncode})"
         raise ValueError(head.get("error", broken))
     # An object with this method alone: NumPy would seek in a real file.
@@ -197,7 +197,7 @@ def _table(path: Path, arrays: Arrays, stated: Mapping[str, str]) -> ArrayTable:
     upright = {
         name: matrix
         for name, array in arrays.items()
-        if array.dtype.kind in array_file_reader.NUMBERS + array_file_reader.DATES
+        if array.dtype.kind in foreign_file_reader.NUMBERS + foreign_file_reader.DATES
         and (matrix := _upright(array)).ndim == 2
         and 0 < matrix.shape[1] <= _MOST_COLUMNS
     }
@@ -213,7 +213,7 @@ def _table(path: Path, arrays: Arrays, stated: Mapping[str, str]) -> ArrayTable:
     names: list[str] = []
     units: list[str] = []
     for name, array in zip(_without_group(list(used)), used.values(), strict=True):
-        is_date = array.dtype.kind == array_file_reader.DATES
+        is_date = array.dtype.kind == foreign_file_reader.DATES
         columns.append((array - array[0]) / np.timedelta64(1, "s") if is_date else array.astype(np.float64))
         names += _names(name, array.shape[1])
         units += ["s" if is_date else ""] * array.shape[1]

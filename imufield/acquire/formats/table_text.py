@@ -17,7 +17,7 @@ from typing import BinaryIO, cast
 
 import numpy as np
 
-from imufield.acquire.formats.array_file_reader import SoundGzip
+from imufield.acquire.formats.foreign_file_reader import SoundGzip
 from imufield.errors import Reason, RecordingError
 from imufield.files import open_to_read
 from imufield.progress import task

@@ -10,16 +10,16 @@ from typing import Any
 
 import pytest
 
-from imufield.acquire.formats import array_file_reader, can_logs, ros_bags, table_arrays
+from imufield.acquire.formats import can_logs, foreign_file_reader, ros_bags, table_arrays
 from tests.commands.forks import Forked
 
-READER, FOLDER, PYTHON_PATH = array_file_reader.__file__, Path.cwd(), os.environ.get("PYTHONPATH")
+READER, FOLDER, PYTHON_PATH = foreign_file_reader.__file__, Path.cwd(), os.environ.get("PYTHONPATH")
 START = table_arrays.start_reader
 
 
 def start_forked(kind: str, path: Path, *topic: str, **environment: str) -> Popen[Any]:
     """Start a reader as ``start_reader`` does; by itself where a test puts something in an interpreter's way."""
-    as_ever = (array_file_reader.__file__, Path.cwd(), os.environ.get("PYTHONPATH")) == (READER, FOLDER, PYTHON_PATH)
+    as_ever = (foreign_file_reader.__file__, Path.cwd(), os.environ.get("PYTHONPATH")) == (READER, FOLDER, PYTHON_PATH)
     if not as_ever:
         return START(kind, path, *topic, **environment)
     return forked(kind, path, *topic, **environment)
@@ -27,7 +27,7 @@ def start_forked(kind: str, path: Path, *topic: str, **environment: str) -> Pope
 
 def forked(kind: str, path: Path, *topic: str, **environment: str) -> Popen[Any]:
     """Start a reader as ``start_reader`` does, wherever the test is."""
-    modules = ["asammdf" if kind == ".mf4" else "can.io"] if kind.startswith(".") else [array_file_reader.READERS[kind][0]]
+    modules = ["asammdf" if kind == ".mf4" else "can.io"] if kind.startswith(".") else [foreign_file_reader.READERS[kind][0]]
     return Forked(
         [kind, str(path), *topic],
         program="reader",

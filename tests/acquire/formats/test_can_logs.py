@@ -17,7 +17,7 @@ import can
 import pytest
 
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.formats import array_file_reader
+from imufield.acquire.formats import foreign_file_reader
 from imufield.acquire.formats.can_log_heads import begins_as_can_log, is_can_log
 from imufield.acquire.formats.can_logs import import_log, read_log, replay_to_bus
 from imufield.acquire.link.can import pack_message
@@ -297,7 +297,7 @@ def test_a_reader_that_ends_before_the_first_frame_is_told(tmp_path: Path, monke
     two_buses(path)
     dies = tmp_path / "dies.py"
     dies.write_text("raise SystemExit(3)\n")
-    monkeypatch.setattr(array_file_reader, "__file__", str(dies))
+    monkeypatch.setattr(foreign_file_reader, "__file__", str(dies))
     with refused(RecordingError, Reason.DAMAGED, str(path), "(3)", key="can_logs.from_the_first"):
         list(read_log(path))
 

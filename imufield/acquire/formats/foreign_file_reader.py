@@ -1,4 +1,4 @@
-"""Program that reads a file of another program in a process of its own: ``python -P array_file_reader.py KIND FILE [TOPIC]``.
+"""Program that reads a file of another program in a process of its own: ``python -P foreign_file_reader.py KIND FILE [TOPIC]``.
 
 The libraries that read such files believe what a file says of its sizes and types: a damaged MATLAB file kills SciPy's reader,
 a few hundred bytes of HDF5, Parquet or packed NumPy unpack to gigabytes, a damaged MF4 log exhausts the stack, and one of BLF
