@@ -22,8 +22,8 @@ from imufield.calibrate.accelerometer.start import closed_form_start
 from imufield.calibrate.model.models import from_vector, predict
 from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS
 from imufield.calibrate.model.observations import Observations
-from imufield.calibrate.solvers.costs import NormProblem
 from imufield.calibrate.solvers.least_squares import solve_least_squares
+from imufield.calibrate.solvers.norm_problem import NormProblem
 from imufield.earth import Gravity
 from imufield.samples import FloatArray, SampleUnits
 

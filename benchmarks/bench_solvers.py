@@ -13,11 +13,11 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from scipy.optimize import differential_evolution
 
-from imufield.calibrate.accelerometer.whitening import whitened_problem
+from imufield.calibrate.accelerometer.swarm_coordinates import whitened_problem
 from imufield.calibrate.solvers.beetles import BasSettings, solve_bas, solve_bsas
-from imufield.calibrate.solvers.costs import NormProblem
 from imufield.calibrate.solvers.evolution import solve_ide
 from imufield.calibrate.solvers.least_squares import solve_least_squares
+from imufield.calibrate.solvers.norm_problem import NormProblem
 from imufield.calibrate.solvers.triad_costs import TriadProblem
 from imufield.campaign import run_campaign
 from imufield.samples import FloatArray

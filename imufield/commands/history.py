@@ -14,10 +14,10 @@ from pathlib import Path
 from imufield.calibrate.sessions.changes import LargestChange
 from imufield.commands.options.result_commands import HistoryOptions
 from imufield.commands.terminal.output import echo, echo_path, say, say_each, write_output
-from imufield.deliver.changes import JudgedHistory, judge_histories, sentences, shown_as, to_csv
 from imufield.deliver.control_chart import plot_history
-from imufield.deliver.family import Change
 from imufield.deliver.history import History, InstrumentHistory, as_utc, one_instrument, read_history
+from imufield.deliver.history_words import JudgedHistory, judge_histories, sentences, shown_as, to_csv
+from imufield.deliver.pair_test import Change
 from imufield.deliver.parameters.gauge_free import Number, unit_of
 from imufield.deliver.parameters.numbers import beside, hanging, to_ascii, with_sigma
 from imufield.errors import UsageError

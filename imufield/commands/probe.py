@@ -10,9 +10,16 @@ from contextlib import closing
 from dataclasses import asdict, dataclass, field
 from functools import partial
 
+from imufield.acquire.instrument.baud_search import (
+    Search,
+    bauds_to_try,
+    has_no_baud,
+    nothing_recognised,
+    search,
+    serial_candidates,
+)
 from imufield.acquire.instrument.connected import read_identity
 from imufield.acquire.instrument.instrument import Instrument
-from imufield.acquire.instrument.listen import Search, bauds_to_try, has_no_baud, nothing_recognised, search, serial_candidates
 from imufield.acquire.instrument.recognise import Candidate, Finding, Listener
 from imufield.acquire.link.host_clock import HostClock
 from imufield.acquire.link.ports import serial_ports

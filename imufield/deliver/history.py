@@ -1,6 +1,6 @@
 """Parameters of instruments over time, from a folder of parameter files and an index of them, ``history_index``.
 
-What the history says: ``changes``.
+What the history says: ``history_words``.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from types import NoneType
 
 import numpy as np
 
-from imufield.deliver.family import Shared
 from imufield.deliver.history_index import Index, Row, State, UnsoundIndexError, with_index
+from imufield.deliver.pair_test import Shared
 from imufield.deliver.parameters.file import Parameters, load_found
 from imufield.deliver.parameters.gauge_free import GaugeFree, LinearFit, Number, linear_places
 from imufield.errors import ImufieldError, ParameterFileError, Reason, UsageError

@@ -17,7 +17,7 @@ from imufield.calibrate.temperature.points import accelerometer_points, gyroscop
 from imufield.calibrate.temperature.ramp import RampWindows, cut_ramp, in_one_pose, ramp_sentences, turns
 from imufield.deliver.parameters.context import TemperatureSource
 from imufield.deliver.parameters.file import Parameters, from_document
-from imufield.deliver.parameters.temperature import add_temperature
+from imufield.deliver.parameters.temperature_tables import add_temperature
 from imufield.errors import CalibrationError, Reason
 from imufield.pipeline.calibration import SolveSettings
 from imufield.pipeline.chain import session_samples

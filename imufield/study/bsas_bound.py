@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imufield.calibrate.accelerometer.whitening import whitened_problem
+from imufield.calibrate.accelerometer.swarm_coordinates import whitened_problem
 from imufield.calibrate.model.gauge import change_gauge, intrinsic
 from imufield.calibrate.solvers.least_squares import solve_least_squares
 from imufield.samples import FloatArray

@@ -17,7 +17,7 @@ from functools import cache, partial
 
 import numpy as np
 
-from imufield.calibrate.accelerometer.whitening import whitened_problem
+from imufield.calibrate.accelerometer.swarm_coordinates import whitened_problem
 from imufield.calibrate.model.models import SCALE, from_vector, predict, recover
 from imufield.calibrate.solvers.beetles import solve_bsas
 from imufield.deliver.navigation.drift import Drift

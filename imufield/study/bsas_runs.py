@@ -13,7 +13,7 @@ from functools import cache, partial
 
 import numpy as np
 
-from imufield.calibrate.accelerometer.whitening import whitened_problem
+from imufield.calibrate.accelerometer.swarm_coordinates import whitened_problem
 from imufield.calibrate.model.gauge import intrinsic
 from imufield.calibrate.solvers.base import Solver, SolverResult
 from imufield.calibrate.solvers.beetles import BasSettings, BsasSettings, solve_bas, solve_bsas

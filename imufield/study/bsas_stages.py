@@ -15,7 +15,7 @@ import numpy as np
 
 from imufield.calibrate.model.models import PARAMETERS
 from imufield.calibrate.solvers.beetles import BasSettings, BsasSettings, solve_bas, solve_bsas
-from imufield.calibrate.solvers.costs import NormProblem
+from imufield.calibrate.solvers.norm_problem import NormProblem
 from imufield.calibrate.solvers.staged import PAPER_CATEGORIES, solve_bsas_staged, solve_stages
 from imufield.earth import MICRO_G_M_S2
 from imufield.samples import FloatArray

@@ -24,14 +24,14 @@ from typing import Any, cast
 
 import numpy as np
 
-from imufield.calibrate.accelerometer.whitening import observable_basis
+from imufield.calibrate.accelerometer.swarm_coordinates import observable_basis
 from imufield.calibrate.model.gauge import intrinsic
 from imufield.calibrate.model.models import norm_derivatives
 from imufield.calibrate.model.observability import generators
 from imufield.calibrate.model.result import QuadraticAxes
 from imufield.calibrate.solvers.base import Problem, Solver, SolverResult
-from imufield.calibrate.solvers.costs import NormProblem
 from imufield.calibrate.solvers.least_squares import solve_least_squares
+from imufield.calibrate.solvers.norm_problem import NormProblem
 from imufield.samples import FloatArray
 
 INTRINSIC_NAMES = tuple(

@@ -20,8 +20,8 @@ from typing import BinaryIO
 from imufield.errors import ImufieldError, UsageError
 from imufield.files import Origin, make_beside, new_mode, open_to_read, publish_beside_others, typed_write_errors
 from imufield.sentences import Sentences
-from imufield.web.actions import UPLOADS, Sessions
 from imufield.web.board import Json
+from imufield.web.page_commands import UPLOADS, Sessions
 
 sentence = Sentences(__package__)
 
@@ -84,7 +84,7 @@ class Uploads:
             with typed_write_errors(path):
                 # Before anything is made there.
                 if not self._sessions.holds(where):
-                    raise UsageError(sentence("actions.no_file", name=where, root=self._sessions.root))
+                    raise UsageError(sentence("page_commands.no_file", name=where, root=self._sessions.root))
                 where.mkdir(parents=True, exist_ok=True)
                 if path.exists() or any(upload.path == path for upload in self._open.values()):
                     raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))

@@ -18,9 +18,9 @@ from imufield.acquire.recording.session import Session
 from imufield.errors import ImufieldError, UsageError
 from imufield.files import is_kept, is_recorded
 from imufield.sentences import Sentences
-from imufield.web.actions import ACTIONS, VIRTUAL, Sessions, command_line
 from imufield.web.board import Board, Json
 from imufield.web.jobs import Jobs
+from imufield.web.page_commands import ACTIONS, VIRTUAL, Sessions, command_line
 from imufield.web.server import Service
 from imufield.web.transfers import Downloads, Uploads
 

@@ -10,7 +10,7 @@ import pytest
 
 from imufield.acquire import registry
 from imufield.acquire.driver import Driver
-from imufield.acquire.instrument.listen import serial_candidates
+from imufield.acquire.instrument.baud_search import serial_candidates
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.acquire.registry import driver_names, load_driver
 from imufield.errors import ProtocolError, Reason, UsageError

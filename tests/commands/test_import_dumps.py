@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imufield.acquire.instrument.listen import serial_candidates
+from imufield.acquire.instrument.baud_search import serial_candidates
 from imufield.acquire.instrument.recognise import Listener
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.checksum import make_checksum

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from imufield.acquire.decoder import Decoder
+from imufield.acquire.instrument.baud_search import SILENT_S, SILENT_TRY_S, search, serial_candidates
 from imufield.acquire.instrument.connect import check_capacity, connect
 from imufield.acquire.instrument.connected import ConnectOptions, ask_identity
 from imufield.acquire.instrument.instrument import Instrument
-from imufield.acquire.instrument.listen import SILENT_S, SILENT_TRY_S, search, serial_candidates
 from imufield.acquire.link.host_clock import ScaledClock, SystemClock
 from imufield.acquire.link.serial import Chunk, Link, open_link
 from imufield.acquire.recording.session import Session
@@ -138,7 +138,7 @@ def test_frames_without_samples_are_named_on_a_port(program: Program) -> None:
         port = there.port
         error = probe_port(port, None, SystemClock()).error
         assert error is not None
-        assert getattr(error.message, "key", "") == "listen.without_samples"
+        assert getattr(error.message, "key", "") == "baud_search.without_samples"
         assert not missing(error.message, port, " IMURATECORRIMUS)", "RAWIMUSX")
         for command in ("record", "capture"):
             ended = program.run(command, "--port", port, "--driver", "novatel_oem7", "--session", "mine")

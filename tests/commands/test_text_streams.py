@@ -175,5 +175,5 @@ def test_counts_are_offered_and_not_taken() -> None:
     with printing(Counts(SIX), moves=False) as port:
         found = probe_port(port, None, SystemClock())
     assert found.error is not None
-    assert key_of(found.error.message) == "listen.columns"
+    assert key_of(found.error.message) == "baud_search.columns"
     assert f"--set columns={SIX} --set accelerometer_unit=count --set gyroscope_unit=count" in found.error.message

@@ -24,7 +24,7 @@ from imufield.commands.options.result_commands import VerifyOptions
 from imufield.commands.verify import run_verify
 from imufield.deliver.navigation.check import SHORTEST_S
 from imufield.deliver.parameters.file import from_document, load
-from imufield.deliver.parameters.temperature import add_temperature
+from imufield.deliver.parameters.temperature_tables import add_temperature
 from imufield.deliver.parameters.write import content_sha256, to_toml, write_document
 from imufield.earth import EARTH_RATE_RAD_S
 from imufield.errors import ParameterFileError, Reason, RecordingError, VerificationError

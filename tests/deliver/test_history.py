@@ -13,10 +13,10 @@ import pytest
 
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration
-from imufield.deliver.changes import judge_histories, judge_history, sentences, to_csv
 from imufield.deliver.control_chart import charts, plot_history
-from imufield.deliver.family import Shared
 from imufield.deliver.history import Entry, InstrumentHistory, find, one_instrument, read_history
+from imufield.deliver.history_words import judge_histories, judge_history, sentences, to_csv
+from imufield.deliver.pair_test import Shared
 from imufield.deliver.parameters.gauge_free import gauge_free
 from imufield.errors import ParameterFileError, Reason
 from imufield.sentences import Sentence
@@ -45,13 +45,13 @@ def test_two_sessions_cannot_tell_a_change_from_a_turn_on(tmp_path: Path, write)
     write("a", "2026-03-04", session="a" * 64)
     write("b", "2026-08-01", moved=50.0, session="b" * 64)
     (told,) = sentences(judge_history(read_history(tmp_path).instruments[0]), NOW)
-    assert key_of(told) == "changes.differs_as_turn_on"
+    assert key_of(told) == "history_words.differs_as_turn_on"
     assert told.values["turn_on"] == 0.75
     write("b", "2026-08-01", moved=900.0, session="b" * 64)
     # The file that stood there before is kept beside it.
     not_listed, told = sentences(judge_history(read_history(tmp_path).instruments[0]), NOW)
-    assert (key_of(not_listed), not_listed.values["files"]) == ("changes.not_listed", 1)
-    assert key_of(told) == "changes.moved"
+    assert (key_of(not_listed), not_listed.values["files"]) == ("history_words.not_listed", 1)
+    assert key_of(told) == "history_words.moved"
 
 
 def test_many_differences_of_one_kind_are_one_sentence_of_the_worst(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
@@ -70,16 +70,17 @@ def test_many_differences_of_one_kind_are_one_sentence_of_the_worst(tmp_path: Pa
         return list(sentences(judge_history(history), NOW))
 
     scales = told("scale x", "scale y", "scale z")
-    assert keys(scales) == ["changes.differs"] * 3
+    assert keys(scales) == ["history_words.differs"] * 3
     assert [each.values["name"] for each in scales] == [f"scale error {axis}" for axis in "xyz"]
     assert [each.values["difference"] for each in scales] == pytest.approx([500.0, 600.0, 700.0])
     assert {each.values["unit"] for each in scales} == {"ppm"}
     bias, many = told(*moved)
-    assert (many.key, many.values["numbers"]) == ("changes.differs_many", 4)
-    assert (bias.key, bias.values["name"]) == ("changes.differs_as_turn_on", "bias y")
+    assert (many.key, many.values["numbers"]) == ("history_words.differs_many", 4)
+    assert (bias.key, bias.values["name"]) == ("history_words.differs_as_turn_on", "bias y")
     one_by_one = [each for name in moved for each in told(name)]
     worst = max(
-        (each for each in one_by_one if each.key == "changes.differs"), key=lambda each: float(str(each.values["in_sigma"]))
+        (each for each in one_by_one if each.key == "history_words.differs"),
+        key=lambda each: float(str(each.values["in_sigma"])),
     )
     assert many.values["name"] == worst.values["name"]
 
@@ -89,12 +90,12 @@ def test_the_grade_of_the_file_goes_before_its_noise(tmp_path: Path, write) -> N
     # 9 mg: more than tactical instruments turn on to, which this one is by its noise; not more than industrial ones do.
     write("b", "2026-08-01", moved=900.0, session="b" * 64, grade="industrial")
     (told,) = sentences(judge_history(read_history(tmp_path).instruments[0]), NOW)
-    assert key_of(told) == "changes.differs_as_turn_on"
+    assert key_of(told) == "history_words.differs_as_turn_on"
     assert told.values["turn_on"] == pytest.approx(3.0)
     # One that nobody stated tells nothing of the instrument.
     write("b", "2026-08-01", moved=900.0, session="b" * 64, grade="mems", grade_source="assumed")
     _, told = sentences(judge_history(read_history(tmp_path).instruments[0]), NOW)
-    assert key_of(told) == "changes.moved"
+    assert key_of(told) == "history_words.moved"
 
 
 def test_a_step_is_told_with_the_days_it_lies_between(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
@@ -102,9 +103,9 @@ def test_a_step_is_told_with_the_days_it_lies_between(tmp_path: Path, write) -> 
         write(name, date, moved=moved, session=name * 64)
     history = judge_history(read_history(tmp_path).instruments[0])
     step, *daily = sentences(history, NOW)
-    assert key_of(step) == "changes.step"
+    assert key_of(step) == "history_words.step"
     assert (step.values["before"], step.values["after"]) == ("4 March 2026", "1 May 2026")
-    assert set(keys(daily)) <= {"changes.daily", "changes.daily_unseen"}
+    assert set(keys(daily)) <= {"history_words.daily", "history_words.daily_unseen"}
     # The step is news, and nothing that days do.
     assert history.repeatability["bias"].sigma == 0.0
     # The sigma of the difference has what days do in it, which is nothing here.
@@ -116,7 +117,7 @@ def test_where_nothing_differs_the_largest_is_told_with_its_limit(tmp_path: Path
     # Beyond the 3 sigma of one number, not beyond those of all.
     write("b", "2026-08-01", moved=3.1 * np.sqrt(2), session="b" * 64)
     (told,) = sentences(judge_history(read_history(tmp_path).instruments[0]), NOW)
-    assert key_of(told) == "changes.same"
+    assert key_of(told) == "history_words.same"
     assert told.values["name"] == "bias y"
     assert told.values["in_sigma"] == pytest.approx(3.1, rel=1e-5)
     assert told.values["limit_sigma"] > 3.1
@@ -148,10 +149,10 @@ def test_scatter_of_one_day_is_not_that_of_days(tmp_path: Path, write) -> None: 
     for k, moved in enumerate((0.0, 30.0, -30.0)):
         write(f"s{k}", f"2026-08-01T1{k}:00:00Z", moved=moved, session=f"{k}" * 64)
     (instrument,) = read_history(tmp_path).instruments
-    told = with_key(sentences(judge_history(instrument), NOW), "changes.daily")
+    told = with_key(sentences(judge_history(instrument), NOW), "history_words.daily")
     assert "from session to session" in told
     days = tuple(replace(entry, created=f"2026-08-0{k + 1}T10:00:00Z") for k, entry in enumerate(instrument.entries))
-    told = with_key(sentences(judge_history(replace(instrument, entries=days)), NOW), "changes.daily")
+    told = with_key(sentences(judge_history(replace(instrument, entries=days)), NOW), "history_words.daily")
     assert "from day to day" in told
 
 
@@ -161,9 +162,9 @@ def test_other_temperatures_are_told(tmp_path: Path, write) -> None:  # type: ig
     (instrument,) = read_history(tmp_path).instruments
     first, second = instrument.entries
     assert first.temperature_degc == second.temperature_degc == pytest.approx(32.15, abs=0.5)
-    assert "changes.temperatures" not in keys(sentences(judge_history(instrument), NOW))
+    assert "history_words.temperatures" not in keys(sentences(judge_history(instrument), NOW))
     cold = replace(instrument, entries=(replace(first, temperature_degc=-10.0), second))
-    told = next(one for one in sentences(judge_history(cold), NOW) if key_of(one) == "changes.temperatures")
+    told = next(one for one in sentences(judge_history(cold), NOW) if key_of(one) == "history_words.temperatures")
     assert (told.values["low"], told.values["high"]) == (-10.0, second.temperature_degc)
     assert Entry.from_text(first.text) == first
     unknown = replace(first, temperature_degc=None)
@@ -175,7 +176,7 @@ def test_slow_drift_is_told_by_the_year(tmp_path: Path, write) -> None:  # type:
         write(f"s{k}", f"2026-0{k + 1}-01", moved=4.0 * k, session=f"{k}" * 64)
     history = judge_history(read_history(tmp_path).instruments[0])
     drift, *_ = sentences(history, NOW)
-    assert key_of(drift) == "changes.drift"
+    assert key_of(drift) == "history_words.drift"
     first, last = (next(number for number in entry.numbers if number.name == "bias y") for entry in history.entries[::5])
     assert drift.values["size"] == pytest.approx((last.value - first.value) * 365.25 / 151, rel=0.02)
 
@@ -187,10 +188,12 @@ def test_what_days_do_is_no_news(tmp_path: Path, write) -> None:  # type: ignore
         write(f"s{k}", f"2026-0{k + 1}-01", moved=float(moved), session=f"{k}" * 64)
     history = judge_history(read_history(tmp_path).instruments[0])
     told = list(sentences(history, NOW))
-    assert keys(told)[:2] == ["changes.none", "changes.daily"]
+    assert keys(told)[:2] == ["history_words.none", "history_words.daily"]
     # The test of the whole history says what it found and where: it is not what the table compares.
     largest = max(history.judged.changes, key=lambda change: abs(change.in_sigma) / change.limit_sigma)
-    assert key_of(told[0].values["change"]) == ("changes.a_drift" if largest.first_after is None else "changes.a_step")
+    assert key_of(told[0].values["change"]) == (
+        "history_words.a_drift" if largest.first_after is None else "history_words.a_step"
+    )
     assert told[0].values["in_sigma"] == pytest.approx(abs(largest.in_sigma))
     number = next(number for number in history.entries[0].numbers if number.name == "bias y")
     # One axis of three changes.
@@ -213,15 +216,15 @@ def test_when_to_calibrate_again(tmp_path: Path, write) -> None:  # type: ignore
     for k in range(4):
         write(f"s{k}", f"2026-0{k + 1}-01", moved=0.0, session=f"{k}" * 64)
     instrument = read_history(tmp_path).instruments[0]
-    assert keys(sentences(judge_history(instrument), NOW, wanted={"bias": 1.0}))[-1] == "changes.forecast_short"
+    assert keys(sentences(judge_history(instrument), NOW, wanted={"bias": 1.0}))[-1] == "history_words.forecast_short"
     for k in range(4, 8):
         write(f"s{k}", f"2026-0{k + 1}-01", moved=5.0 * (k % 2), session=f"{k}" * 64)
     history = judge_history(read_history(tmp_path).instruments[0])
     sigma = max(number.sigma for number in history.entries[-1].numbers if number.name.startswith("bias"))
     late, now = (list(sentences(history, NOW, wanted={"bias": size * sigma}))[-1] for size in (1e3, 1.1))
-    assert key_of(late) == "changes.forecast_unseen"
+    assert key_of(late) == "history_words.forecast_unseen"
     assert late.values["span"] == pytest.approx(212, abs=1)
-    assert key_of(now) == "changes.forecast_now"
+    assert key_of(now) == "history_words.forecast_now"
     assert now.values["now"] > 1.1 * sigma
 
 
@@ -232,7 +235,7 @@ def test_of_two_at_one_moment_one_counts_everywhere_and_it_is_said(tmp_path: Pat
     assert instrument.entries[-1].path.startswith("b")
     assert instrument.nearest(NOW) is instrument.entries[-1]
     first = next(iter(sentences(judge_history(instrument), NOW)))
-    assert key_of(first) == "changes.same_time"
+    assert key_of(first) == "history_words.same_time"
     assert first.startswith("a/parameters.toml and b/parameters.toml")
 
 
@@ -255,7 +258,7 @@ def test_an_old_calibration_is_called_old(tmp_path: Path, write) -> None:  # typ
     write("a", "2025-08-01")
     (instrument,) = read_history(tmp_path).instruments
     said = next(iter(sentences(judge_history(instrument), NOW)))
-    assert key_of(said) == "changes.stale"
+    assert key_of(said) == "history_words.stale"
     assert "396 days" in said
     assert "365" in said
     assert not list(sentences(judge_history(instrument), NOW, stale_days=400))
@@ -281,7 +284,7 @@ def test_unknown_serial_numbers_are_not_trusted(tmp_path: Path, write) -> None: 
     write("a", "2026-03-04", serial_number="", session="a" * 64)
     write("b", "2026-03-05", serial_number="", session="b" * 64)
     (instrument,) = read_history(tmp_path).instruments
-    assert key_of(next(iter(sentences(judge_history(instrument), NOW)))) == "changes.no_serial"
+    assert key_of(next(iter(sentences(judge_history(instrument), NOW)))) == "history_words.no_serial"
 
 
 def test_several_processes_judge_as_one_does(tmp_path: Path, write, monkeypatch) -> None:  # type: ignore[no-untyped-def]
@@ -289,7 +292,7 @@ def test_several_processes_judge_as_one_does(tmp_path: Path, write, monkeypatch)
         write(f"{number}", f"2026-03-0{number + 1}", session=f"{number}" * 64, serial_number=f"N{number % 2}", moved=number)
     instruments = read_history(tmp_path).instruments
     alone = judge_histories(instruments)
-    monkeypatch.setattr("imufield.deliver.changes._INSTRUMENTS_A_WORKER", 1)
+    monkeypatch.setattr("imufield.deliver.history_words._INSTRUMENTS_A_WORKER", 1)
     together = judge_histories(instruments, 2)
     assert [one.instrument for one in together] == list(instruments)
     assert [one.judged for one in together] == [one.judged for one in alone]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.instrument.listen import listener_of, serial_candidates
+from imufield.acquire.instrument.baud_search import listener_of, serial_candidates
 from imufield.acquire.instrument.recognise import Listener, best
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.registry import load_driver

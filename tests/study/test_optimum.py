@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imufield.calibrate.accelerometer.whitening import whitened_problem
+from imufield.calibrate.accelerometer.swarm_coordinates import whitened_problem
 from imufield.calibrate.model.gauge import intrinsic
 from imufield.calibrate.solvers.least_squares import solve_least_squares
 from imufield.study.instruments import (

@@ -13,7 +13,7 @@ pytest.importorskip("websockets", reason="the workbench needs websockets")
 from websockets.exceptions import ConnectionClosed
 
 from imufield.web import transfers
-from imufield.web.actions import UPLOADS
+from imufield.web.page_commands import UPLOADS
 from imufield.web.workbench import LARGEST_PIECE
 from tests.web.served import WAIT_S, Served
 from tests.web.workbench_page import Page, page, root, served

@@ -33,7 +33,7 @@ from imufield.progress import ERASE
 from imufield.sentences import Sentence
 from imufield.web import jobs
 from imufield.web.access import PROTOCOL
-from imufield.web.actions import ACTIONS, LONGEST_TEXT, UPLOADS, VIRTUAL, Sessions, command_line
+from imufield.web.page_commands import ACTIONS, LONGEST_TEXT, UPLOADS, VIRTUAL, Sessions, command_line
 from imufield.web.workbench import Workbench
 from tests.web.served import WAIT_S, Served, next_state, send_until_cut_off
 from tests.web.workbench_page import Page, page, root, served
@@ -130,7 +130,7 @@ def test_anything_else_is_refused(root: Path, action: Any, values: Any) -> None:
     with pytest.raises(UsageError) as caught:
         command_line(action, values, Sessions(root))
     assert isinstance(caught.value.message, Sentence)
-    assert caught.value.message.key.startswith("actions.")
+    assert caught.value.message.key.startswith("page_commands.")
 
 
 def test_the_words_of_the_table_are_commands_of_the_program() -> None:

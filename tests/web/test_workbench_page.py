@@ -16,7 +16,7 @@ import pytest
 
 from imufield.deliver.parameters.file import load
 from imufield.guide.positions import scheme
-from imufield.web.actions import VIRTUAL
+from imufield.web.page_commands import VIRTUAL
 from tests.commands.conftest import SPEED, Program
 from tests.web.test_page_looks import AXE, RUN_AXE, SIZES
 

@@ -8,18 +8,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 
-from imufield.acquire.instrument.connected import (
-    Connected,
-    ConnectOptions,
-    ask_identity,
-    assumed,
-    keep,
-    read_identity,
-    untried,
-    with_settings,
-)
-from imufield.acquire.instrument.instrument import Instrument
-from imufield.acquire.instrument.listen import (
+from imufield.acquire.instrument.baud_search import (
     SEARCH_S,
     Say,
     Search,
@@ -31,6 +20,17 @@ from imufield.acquire.instrument.listen import (
     search,
     serial_candidates,
 )
+from imufield.acquire.instrument.connected import (
+    Connected,
+    ConnectOptions,
+    ask_identity,
+    assumed,
+    keep,
+    read_identity,
+    untried,
+    with_settings,
+)
+from imufield.acquire.instrument.instrument import Instrument
 from imufield.acquire.instrument.recognise import Candidate, Listener
 from imufield.acquire.link.background import BackgroundLink
 from imufield.acquire.link.host_clock import HostClock

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from imufield.acquire.decode.statistics import LEFT_OUT
 from imufield.acquire.driver import Message
+from imufield.acquire.instrument.baud_search import LISTEN_S, Say, driver_candidates, usable
 from imufield.acquire.instrument.can_map import bus_candidate
 from imufield.acquire.instrument.connected import (
     Connected,
@@ -24,7 +25,6 @@ from imufield.acquire.instrument.connected import (
     with_settings,
 )
 from imufield.acquire.instrument.instrument import Instrument
-from imufield.acquire.instrument.listen import LISTEN_S, Say, driver_candidates, usable
 from imufield.acquire.instrument.recognise import CERTAIN_SAMPLES, FEWEST_SAMPLES, Candidate, Listener
 from imufield.acquire.link.background import BackgroundLink
 from imufield.acquire.link.can import CanLink, open_can_link, parse_bus

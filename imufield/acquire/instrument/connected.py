@@ -10,8 +10,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from imufield.acquire.driver import Driver, Message, Wire
+from imufield.acquire.instrument.baud_search import Say
 from imufield.acquire.instrument.instrument import Instrument
-from imufield.acquire.instrument.listen import Say
 from imufield.acquire.link.background import BackgroundLink, ReopenableLink
 from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.protocol.protocol import Protocol

@@ -1,5 +1,7 @@
 """Recognise an instrument by what it sends: every way to read the wire gets the same bytes and is judged by its frames.
 
+``baud_search`` opens the port at one rate after another, those of each driver first, and asks here at each.
+
 What a frame must show by itself (fixed bytes and checksum) decides how much evidence is needed. With 24 bits and more, five
 frames of noise would take 2^120 tries, and a handful of frames is proof. With less, or none (lines of numbers, frames without
 a checksum), bytes that only look like frames are possible: then nearly all bytes must belong to frames, the frames must come

@@ -1,4 +1,7 @@
-"""One least-squares fit of one model in the lower gauge, with weights from the data themselves."""
+"""One least-squares fit of one model in the lower gauge, with weights from the data themselves.
+
+Residual and Jacobian are those of ``solvers.norm_problem``, by ``model.models``; weights are those of ``model.uncertainty``.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +15,8 @@ from imufield.calibrate.model.observability import parameter_scale
 from imufield.calibrate.model.result import QuadraticAxes, SolverSummary
 from imufield.calibrate.model.uncertainty import SPARE_POSITIONS, between_position_sigma, within_variance
 from imufield.calibrate.solvers.base import SolverResult
-from imufield.calibrate.solvers.costs import NormProblem
 from imufield.calibrate.solvers.least_squares import Loss, solve_least_squares
+from imufield.calibrate.solvers.norm_problem import NormProblem
 from imufield.samples import FloatArray
 
 _REWEIGHTINGS = 4  # At most; where tau has not settled by then, the last weights count.

@@ -16,7 +16,7 @@ import numpy as np
 
 from imufield.calibrate.accelerometer.fit import FitData, summarise
 from imufield.calibrate.accelerometer.model_choice import find_origin
-from imufield.calibrate.accelerometer.whitening import whitened_problem
+from imufield.calibrate.accelerometer.swarm_coordinates import whitened_problem
 from imufield.calibrate.model.gauge import change_gauge, intrinsic, make_intrinsic
 from imufield.calibrate.model.models import (
     BIAS,
@@ -34,8 +34,8 @@ from imufield.calibrate.model.result import AccelerometerParameters, Calibration
 from imufield.calibrate.model.uncertainty import known_covariance, rms, within_variance
 from imufield.calibrate.solvers.agreement import CROSS_CHECKED, LEAST_SQUARES, Attempt, CrossCheck, compare
 from imufield.calibrate.solvers.base import Callback
-from imufield.calibrate.solvers.costs import CostName, NormProblem
 from imufield.calibrate.solvers.least_squares import solve_least_squares
+from imufield.calibrate.solvers.norm_problem import CostName, NormProblem
 from imufield.calibrate.solvers.registry import find_method, load_solver
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences

@@ -1,9 +1,9 @@
 """Calibrate a gyroscope with whatever the session contains: the one call behind the gyroscope half of ``imufield solve``.
 
-Paths, all in one weighted fit with one covariance:
+Paths; what a session has of c, d and e goes into one weighted fit with its stills:
 
 a   static bias: the still means, Earth rate accounted for
-b   static norm: for instruments that see the Earth turn and a session without moves (``gyroscope.static``)
+b   static norm: for instruments that see the Earth turn and a session without moves (``gyroscope.stills_alone``)
 c   moves between still positions, against gravity
 d   whole turns by hand: rolled ones are moves, those about the vertical close against a stop
 e   turntable rates, both ways
@@ -32,7 +32,7 @@ from imufield.calibrate.gyroscope.result import (
     static_bias_result,
     static_norm_result,
 )
-from imufield.calibrate.gyroscope.static import (
+from imufield.calibrate.gyroscope.stills_alone import (
     StaticData,
     fit_static,
     latitude_words,

@@ -1,6 +1,6 @@
 """Fit of a gyroscope's bias, scale, misalignment and g-sensitivity, and the covariance of what is fitted.
 
-Gauss-Newton on the residuals of ``residuals`` with their full covariance ``S`` of ``covariance``, the Earth's rate as
+Gauss-Newton on the residuals of ``residuals`` with their full covariance ``S`` of ``residual_covariance``, the Earth's rate as
 prior knowledge. The two scatters of S are estimated along the way. Half of a step is tried where the whole one does not help.
 """
 

@@ -11,7 +11,7 @@ from imufield.calibrate.gyroscope.move_integration import centre
 from imufield.calibrate.gyroscope.moves import Moves
 from imufield.calibrate.gyroscope.residual_covariance import accelerometer_force, force_errors
 from imufield.calibrate.gyroscope.residuals import GyroscopeData, chains_of
-from imufield.calibrate.gyroscope.static import StaticFree
+from imufield.calibrate.gyroscope.stills_alone import StaticFree
 from imufield.calibrate.gyroscope.turntable import TurntableRun, no_table, pair_runs
 from imufield.calibrate.gyroscope.whole_turns import Stop
 from imufield.calibrate.model.models import recover

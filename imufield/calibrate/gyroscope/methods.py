@@ -11,8 +11,8 @@ units of sigma) are linear in the parameters, so a method searches the cost of `
 anew at what it found, and it searches again, until a round moves by less than a sigma. What is not linear in that last step is
 of second order: nothing.
 
-Coordinates are whitened as for the accelerometer (``whitening``): with ``J = U D V^T``, and ``|r|`` at the start of a round as
-unit,
+Coordinates are whitened as for the accelerometer (``accelerometer.swarm_coordinates``): with ``J = U D V^T``, and ``|r|`` at
+the start of a round as unit,
 
     x = x0 + |r| V D^-1 z,        r(z) = r + |r| U z
 """
@@ -35,11 +35,11 @@ from imufield.calibrate.gyroscope.result import (
     joint_result,
     static_norm_result,
 )
-from imufield.calibrate.gyroscope.static import linearise_static
+from imufield.calibrate.gyroscope.stills_alone import linearise_static
 from imufield.calibrate.model.result import GYROSCOPE_NAMES
 from imufield.calibrate.solvers.agreement import CROSS_CHECKED, LEAST_SQUARES, Attempt, CrossCheck, compare
 from imufield.calibrate.solvers.base import SolverResult, SolverStatus
-from imufield.calibrate.solvers.costs import Coordinates, CostName
+from imufield.calibrate.solvers.norm_problem import Coordinates, CostName
 from imufield.calibrate.solvers.registry import find_method, load_solver
 from imufield.samples import FloatArray, IntArray
 from imufield.sentences import Sentences

@@ -16,7 +16,7 @@ from imufield.calibrate.gyroscope.move_integration import BIAS, INVERSE, PARAMET
 from imufield.calibrate.gyroscope.observability import Observability
 from imufield.calibrate.gyroscope.residual_covariance import gyroscope_share, input_sigmas
 from imufield.calibrate.gyroscope.residuals import Evaluation, GyroscopeData, evaluate
-from imufield.calibrate.gyroscope.static import StaticData, StaticFit, latitude_words
+from imufield.calibrate.gyroscope.stills_alone import StaticData, StaticFit, latitude_words
 from imufield.calibrate.gyroscope.whole_turns import find_whole_turns
 from imufield.calibrate.model.budget import Share, joined_shares, picked, root_of
 from imufield.calibrate.model.coverage_factors import degrees_of_freedom

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imufield.calibrate.solvers.costs import CostName
+from imufield.calibrate.solvers.norm_problem import CostName
 from imufield.calibrate.solvers.registry import find_method
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences

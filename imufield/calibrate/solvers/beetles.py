@@ -110,7 +110,7 @@ def solve_bsas(
     Parameters
     ----------
     problem : Problem
-        All coordinates should weigh alike: ``whitening.whitened_problem`` makes them so.
+        All coordinates should weigh alike: ``swarm_coordinates.whitened_problem`` makes them so.
     rng : Generator, optional
     callback : callable, optional
     settings : BsasSettings

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, cast
 import tomli
 
 from imufield.calibrate.solvers.base import Solver
-from imufield.calibrate.solvers.costs import CostName
+from imufield.calibrate.solvers.norm_problem import CostName
 from imufield.errors import UsageError
 from imufield.sentences import Sentences
 

@@ -3,7 +3,8 @@
 A linear model is one product per sample: ``a = C N - d`` with ``C = (K T)^-1`` and ``d = C (raw_zero + K b)``, likewise
 for the gyroscope. The matrices are formed once, and the rows are worked on in pieces that stay in the processor's cache, so
 the cost is that of reading and writing the arrays once. The quadratic and the extended model go through
-``imufield.calibrate.model.models.recover``.
+``imufield.calibrate.model.models.recover``. With parameters over temperature, outputs are first brought to the reference
+temperature by ``calibrate.model.temperature``.
 """
 
 from __future__ import annotations

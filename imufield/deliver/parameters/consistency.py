@@ -21,7 +21,7 @@ from imufield.calibrate.model.result import GRAVITY_NAME, Calibration, Gyroscope
 from imufield.deliver.parameters.apply import correct_accelerometer
 from imufield.deliver.parameters.document import GYROSCOPE_EQUATION, calibration_from_document, gyroscope_bias_rad_s
 from imufield.deliver.parameters.schema import Document
-from imufield.deliver.parameters.temperature import temperature_contradictions
+from imufield.deliver.parameters.temperature_tables import temperature_contradictions
 from imufield.errors import CalibrationError
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentences

@@ -34,7 +34,7 @@ from imufield.deliver.parameters.context import (
     Together,
 )
 from imufield.deliver.parameters.schema import Document
-from imufield.deliver.parameters.temperature import (
+from imufield.deliver.parameters.temperature_tables import (
     VERSION_WITH_TEMPERATURE,
     add_temperature,
     temperature_of,

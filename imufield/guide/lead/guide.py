@@ -1,8 +1,8 @@
 """The guide: leads one person through the positions. Samples in, events out; no I/O, no clock but the samples' own.
 
-``state_table`` says what happens when; ``actions`` holds the actions. Everything is decided between two cells of the sample
-clock, so the same recording with the same marks gives the same events, however it is cut: a mark takes effect when the cell in
-which it was made is complete.
+``state_table`` says what happens when; ``guide_actions`` holds the actions. Everything is decided between two cells of the
+sample clock, so the same recording with the same marks gives the same events, however it is cut: a mark takes effect when the
+cell in which it was made is complete.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from imufield.calibrate.model.observations import Observations
 from imufield.guide.cross_checks.axes import AxesCheck
 from imufield.guide.events import ACTIONS, Event, Marked, RefusalCode, Vector, vector
 from imufield.guide.hold.observe import gather
-from imufield.guide.lead.actions import GuideActions
+from imufield.guide.lead.guide_actions import GuideActions
 from imufield.guide.lead.live import LiveFeed, Signals
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.lead.state_table import TABLE, Input, State

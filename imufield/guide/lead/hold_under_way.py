@@ -1,6 +1,7 @@
 """The hold under way: where it belongs, how long it is, and its mean once it is long enough.
 
-A placed hold is measured from its cells, one in the hand from the samples of a history as long as the longest hold.
+A placed hold is measured from its cells, one in the hand from the samples of a history as long as the longest hold. What
+becomes of it (accepted, refused, ended too early) is in ``guide_actions``, by ``state_table.toml``.
 """
 
 from __future__ import annotations

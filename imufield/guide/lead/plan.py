@@ -1,4 +1,7 @@
-"""The plan of a session: which positions are pending, measured, skipped or wanted again. Nothing measured is erased."""
+"""The plan of a session: which positions are pending, measured, skipped or wanted again, and how near a hold must be to one.
+
+Nothing measured is erased.
+"""
 
 from __future__ import annotations
 

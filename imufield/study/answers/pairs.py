@@ -13,7 +13,7 @@ from imufield.calibrate.gyroscope.moves import MoveCollector
 from imufield.calibrate.model.grades import find_grade
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration, ModelChoice
-from imufield.deliver.family import Shared, family_of, typical_turn_on
+from imufield.deliver.pair_test import Shared, family_of, typical_turn_on
 from imufield.deliver.parameters.gauge_free import GaugeFree, gauge_free
 from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S
 from imufield.earth import MILLI_G_M_S2, choose_gravity

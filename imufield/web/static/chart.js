@@ -1,4 +1,4 @@
-// Strips with a line each: the signals of the last half minute, and the accuracy with each position.
+// Strips with a line each: the newest signals (as long as `trace_s` of the head: guide_page.py), and the accuracy.
 
 import { colour, prepare } from "./canvas.js";
 import { signed, text } from "./texts.js";

@@ -9,7 +9,7 @@ import pytest
 from streams import INSTRUMENTS, OTHERS, RECORDED, chunks, flipped, others, recording, stream
 
 from imufield.acquire.driver import Driver
-from imufield.acquire.instrument.listen import serial_candidates
+from imufield.acquire.instrument.baud_search import serial_candidates
 from imufield.acquire.instrument.recognise import Candidate, Listener, best, checked_bits
 from imufield.acquire.registry import driver_names, load_driver
 

@@ -161,7 +161,7 @@ def test_methods_that_stop_short_prove_nothing() -> None:
 def test_a_preset_of_another_instrument_is_named() -> None:
     observations, plain = calibrated(1)
     foreign = replace(plain.accelerometer, scale=plain.accelerometer.scale * 9.80665)
-    with refused(CalibrationError, Reason.UNITS, key="whitening.foreign_preset") as caught:
+    with refused(CalibrationError, Reason.UNITS, key="swarm_coordinates.foreign_preset") as caught:
         cross_check(observations, plain, rng=np.random.default_rng(0), preset=foreign)
     assert caught.value.values["parameter"] == "accelerometer.scale"
     assert caught.value.reason is Reason.UNITS

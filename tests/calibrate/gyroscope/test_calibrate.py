@@ -203,9 +203,9 @@ def test_a_fine_gyroscope_finds_north_and_checks_the_latitude(fine: Session) -> 
     result = calibrate_gyroscope(fine.given, "basic")
     assert sentence("result.azimuth") in result.calibration.path
     assert np.abs(np.degrees(result.calibration.parameters.bias - fine.truth.bias) * 3600).max() < 0.03
-    assert told(result.reasons, "static.latitude_seen")[0].values["observed_deg"] == pytest.approx(45.0, abs=0.5)
+    assert told(result.reasons, "stills_alone.latitude_seen")[0].values["observed_deg"] == pytest.approx(45.0, abs=0.5)
     wrong = calibrate_gyroscope(replace(fine.given, latitude_deg=45.5), "basic")
-    assert told(wrong.reasons, "static.latitude_contradicted")
+    assert told(wrong.reasons, "stills_alone.latitude_contradicted")
 
 
 def test_without_a_latitude_the_earth_is_in_the_sigma(session: Session, result: GyroscopeResult) -> None:
@@ -356,7 +356,7 @@ def test_lost_samples_are_bridged_or_named() -> None:
 def test_static_bias_where_there_are_no_moves(session: Session) -> None:
     nothing = collect_moves([], session.given.observations.start_s[:1], session.given.observations.duration_s[:1])
     result = calibrate_gyroscope(replace(session.given, moves=nothing))
-    assert key_of(result.calibration.path).startswith("static.bias")
+    assert key_of(result.calibration.path).startswith("stills_alone.bias")
     joined = result.join(session.calibration)
     assert joined.gyroscope is not None
     assert np.isnan(joined.gyroscope.sigma.scale).all()

@@ -6,10 +6,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from imufield.calibrate.accelerometer.whitening import whitened_problem
+from imufield.calibrate.accelerometer.swarm_coordinates import whitened_problem
 from imufield.calibrate.solvers.base import SolverStatus
 from imufield.calibrate.solvers.beetles import WHITENED_SETTINGS, BasSettings, BsasSettings, solve_bas, solve_bsas
-from imufield.calibrate.solvers.costs import NormProblem
+from imufield.calibrate.solvers.norm_problem import NormProblem
 from imufield.samples import FloatArray
 from imufield.sentences import Sentence
 from imufield.study.instruments import BSAS_AXES, BSAS_GRAVITY_M_S2, bsas_outputs, bsas_preset

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from imufield.calibrate.solvers.base import Callback, Problem, SolverResult, SolverStatus
-from imufield.calibrate.solvers.costs import NormProblem
+from imufield.calibrate.solvers.norm_problem import NormProblem
 from imufield.calibrate.solvers.staged import (
     PAPER_CATEGORIES,
     CategoryProblem,

@@ -268,7 +268,7 @@ def test_a_doubt_follows_its_position_where_an_offset_renames_it(make_path: Any)
 def test_a_doubt_that_stands_is_named_at_the_end(make_path: Any) -> None:
     guide, _ = feed(corners(make_path, spoil=14), "corners24")
     done = of(guide.mark("finish", guide.time_s) + guide.flush(), Done)
-    assert done[0].words.endswith(sentence("actions.in_doubt", names=scheme("corners24").positions[14].name))
+    assert done[0].words.endswith(sentence("guide_actions.in_doubt", names=scheme("corners24").positions[14].name))
 
 
 def test_retake_means_the_doubtful_position(make_path: Any) -> None:

@@ -1,4 +1,4 @@
-from imufield.guide.lead.actions import GuideActions
+from imufield.guide.lead.guide_actions import GuideActions
 from imufield.guide.lead.state_table import TABLE, Input, State
 
 

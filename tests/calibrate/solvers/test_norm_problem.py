@@ -12,7 +12,7 @@ from imufield.calibrate.accelerometer.fit import column_basis
 from imufield.calibrate.model.models import recover_vectors, to_vector
 from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS
 from imufield.calibrate.model.result import QuadraticAxes
-from imufield.calibrate.solvers.costs import CostName, NormProblem
+from imufield.calibrate.solvers.norm_problem import CostName, NormProblem
 from imufield.samples import FloatArray
 from imufield.study.instruments import BSAS_GRAVITY_M_S2, BSAS_TRUTH, bsas_outputs
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imufield.calibrate.accelerometer.whitening import observable_basis, whitened_problem
+from imufield.calibrate.accelerometer.swarm_coordinates import observable_basis, whitened_problem
 from imufield.calibrate.model.models import norm_derivatives
 from imufield.calibrate.model.observability import generators, parameter_scale
 from imufield.calibrate.model.result import QuadraticAxes
@@ -56,7 +56,7 @@ def test_the_solution_is_about_one_unit_away(raw: FloatArray) -> None:
 
 
 def test_fewer_positions_than_coordinates(raw: FloatArray) -> None:
-    with refused(CalibrationError, Reason.TOO_FEW, key="whitening.too_few") as caught:
+    with refused(CalibrationError, Reason.TOO_FEW, key="swarm_coordinates.too_few") as caught:
         observable_basis(BSAS_TRUTH, raw[:11], G, "body")
     assert caught.value.values["positions"] == 11
     assert caught.value.values["needed"] == 12
@@ -66,7 +66,7 @@ def test_fewer_positions_than_coordinates(raw: FloatArray) -> None:
 def test_positions_in_one_plane_name_what_they_do_not_show(raw: FloatArray) -> None:
     directions = scheme("paper24").directions()
     flat = raw[np.abs(directions[:, 2]) < 1e-9]
-    with refused(CalibrationError, Reason.UNOBSERVABLE, key="whitening.hidden") as caught:
+    with refused(CalibrationError, Reason.UNOBSERVABLE, key="swarm_coordinates.hidden") as caught:
         observable_basis(BSAS_TRUTH, np.tile(flat, (3, 1)), G, "sensing")
     assert caught.value.values["parameter"].startswith("accelerometer.")
     assert caught.value.reason is Reason.UNOBSERVABLE
@@ -75,7 +75,7 @@ def test_positions_in_one_plane_name_what_they_do_not_show(raw: FloatArray) -> N
 def test_a_preset_in_another_unit_is_named(raw: FloatArray) -> None:
     preset = BSAS_TRUTH.copy()
     preset[:3] *= 9.80665  # per g instead of per m/s^2
-    with refused(CalibrationError, Reason.UNITS, key="whitening.foreign_preset") as caught:
+    with refused(CalibrationError, Reason.UNITS, key="swarm_coordinates.foreign_preset") as caught:
         whitened_problem(preset, raw, G)
     assert caught.value.values["parameter"] == "accelerometer.scale"
     assert caught.value.reason is Reason.UNITS
@@ -84,6 +84,6 @@ def test_a_preset_in_another_unit_is_named(raw: FloatArray) -> None:
 def test_a_value_that_is_not_finite_is_refused(raw: FloatArray) -> None:
     broken = raw.copy()
     broken[3, 1] = np.nan
-    with refused(CalibrationError, Reason.UNITS, key="whitening.foreign_preset") as caught:
+    with refused(CalibrationError, Reason.UNITS, key="swarm_coordinates.foreign_preset") as caught:
         whitened_problem(BSAS_TRUTH, broken, G)
     assert np.isnan(caught.value.values["norm_m_s2"])

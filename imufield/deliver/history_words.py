@@ -1,7 +1,7 @@
 """The changes in the history of an instrument as text and table: against what it does from day to day.
 
-Two calibrations are compared as a pair (``family``). From three on the scatter from day to day is known, and the whole history
-is tested at once (``calibrate.sessions.changes``).
+Two calibrations are compared as a pair (``pair_test``). From three on the scatter from day to day is known, and the whole
+history is tested at once (``calibrate.sessions.changes``).
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from imufield.calibrate.sessions.changes import FEWEST, MOST, DatedNumbers, Judg
 from imufield.calibrate.sessions.forecast import Forecast, forecast
 from imufield.calibrate.sessions.kinds import PPM, kind_of
 from imufield.calibrate.sessions.repeatability import Repeatability
-from imufield.deliver.family import Change, compare, family_of, typical_turn_on
 from imufield.deliver.history import STALE_DAYS, Entry, History, InstrumentHistory
+from imufield.deliver.pair_test import Change, compare, family_of, typical_turn_on
 from imufield.deliver.parameters.gauge_free import Number, unit_of
 from imufield.sentences import Sentence, Sentences
 
@@ -30,9 +30,9 @@ sentence = Sentences(__package__)
 _NO_UNIT = ("m/s^2 per m/s^2", "rad/s per rad/s")  # Units of a scale that is 1 but for its error.
 _MANY = 4  # Up to three of one kind are told one by one.
 _OF_MANY = {
-    "changes.moved": "changes.moved_many",
-    "changes.differs": "changes.differs_many",
-    "changes.differs_as_turn_on": "changes.differs_as_turn_on_many",
+    "history_words.moved": "history_words.moved_many",
+    "history_words.differs": "history_words.differs_many",
+    "history_words.differs_as_turn_on": "history_words.differs_as_turn_on_many",
 }
 _DAYS_A_YEAR = 365.25
 _SAME_DEGC = 10.0  # Rooms and instruments that warm up differ by less; more is a chamber, or the weather.
@@ -192,17 +192,17 @@ def sentences(
     """
     instrument, entries = history.instrument, history.entries
     if not instrument.serial_number and len(entries) > 1:
-        yield sentence("changes.no_serial")
+        yield sentence("history_words.no_serial")
     edited = [entry.path for entry in entries if entry.edited]
     if edited:
-        yield sentence("changes.edited", paths=edited)
+        yield sentence("history_words.edited", paths=edited)
     if instrument.not_listed:
-        yield sentence("changes.not_listed", files=instrument.not_listed)
+        yield sentence("history_words.not_listed", files=instrument.not_listed)
     if len(entries) >= 2 and entries[-2].time == entries[-1].time:
-        yield sentence("changes.same_time", first=entries[-2].path, second=entries[-1].path)
+        yield sentence("history_words.same_time", first=entries[-2].path, second=entries[-1].path)
     known_degc = [entry.temperature_degc for entry in entries if entry.temperature_degc is not None]
     if known_degc and max(known_degc) - min(known_degc) > _SAME_DEGC:
-        yield sentence("changes.temperatures", low=min(known_degc), high=max(known_degc))
+        yield sentence("history_words.temperatures", low=min(known_degc), high=max(known_degc))
     if len(entries) == FEWEST - 1:
         yield from _differences(*entries)
     yield from _judged(history)
@@ -210,7 +210,7 @@ def sentences(
         yield from _forecast(history, kind, accuracy)
     age_days = instrument.age_days(now)
     if age_days > stale_days:
-        yield sentence("changes.stale", age_days=age_days, limit_days=stale_days)
+        yield sentence("history_words.stale", age_days=age_days, limit_days=stale_days)
 
 
 def _judged(history: JudgedHistory) -> Iterator[Sentence]:
@@ -220,21 +220,21 @@ def _judged(history: JudgedHistory) -> Iterator[Sentence]:
     for change in judged.news:
         told = {"name": names[change.name], "unit": unit_of(change.name), "in_sigma": abs(change.in_sigma)}
         if change.first_after is None:
-            yield sentence("changes.drift", size=change.size * _DAYS_A_YEAR, limit_sigma=change.limit_sigma, **told)
+            yield sentence("history_words.drift", size=change.size * _DAYS_A_YEAR, limit_sigma=change.limit_sigma, **told)
         else:
             days = _around(entries, change.first_after)
-            yield sentence("changes.step", size=change.size, limit_sigma=change.limit_sigma, **days, **told)
+            yield sentence("history_words.step", size=change.size, limit_sigma=change.limit_sigma, **days, **told)
     if judged.changes and not judged.news:
         largest = max(judged.changes, key=_share_of_limit)
         name, first_after = names[largest.name], largest.first_after
-        a_drift = sentence("changes.a_drift", name=name)
-        what = a_drift if first_after is None else sentence("changes.a_step", name=name, **_around(entries, first_after))
+        a_drift = sentence("history_words.a_drift", name=name)
+        what = a_drift if first_after is None else sentence("history_words.a_step", name=name, **_around(entries, first_after))
         told = {"numbers": len(judged.changes), "change": what, "in_sigma": abs(largest.in_sigma)}
-        yield sentence("changes.none", sessions=len(entries), limit_sigma=largest.limit_sigma, **told)
+        yield sentence("history_words.none", sessions=len(entries), limit_sigma=largest.limit_sigma, **told)
     is_one_day = len({entry.time.date() for entry in entries}) == 1
-    between = sentence("changes.between_sessions" if is_one_day else "changes.between_days")
+    between = sentence("history_words.between_sessions" if is_one_day else "history_words.between_days")
     for kind, found in judged.repeatability.items():
-        key = "changes.daily" if found.sigma > 0 else "changes.daily_unseen"
+        key = "history_words.daily" if found.sigma > 0 else "history_words.daily_unseen"
         figures = {"sigma": found.sigma, "low": found.low, "high": found.high}
         yield sentence(key, kind=kind, between=between, unit=unit_of(f"{kind} x"), **figures)
 
@@ -256,14 +256,14 @@ def _forecast(history: JudgedHistory, kind: str, accuracy: float) -> Iterator[Se
     found = forecast(history.sessions, history.judged, kind, file_sigma=sigma, wanted=accuracy)
     told = {"kind": kind, "wanted": accuracy, "unit": unit_of(f"{kind} x")}
     if not isinstance(found, Forecast):
-        key = "changes.forecast_short" if found.why == "short" else "changes.forecast_now"
+        key = "history_words.forecast_short" if found.why == "short" else "history_words.forecast_now"
         yield sentence(key, sessions=found.sessions, limit=found.limit, now=found.now, **told)
         return
     days = {"low": found.low_days, "high": found.high_days, "middle": found.days, "span": found.span_days}
     on = history.entries[-1].time + timedelta(days=min(found.days, found.span_days))
-    key = "changes.forecast"
+    key = "history_words.forecast"
     if found.days > found.span_days:
-        key = "changes.forecast_unseen" if found.low_days >= found.span_days else "changes.forecast_late"
+        key = "history_words.forecast_unseen" if found.low_days >= found.span_days else "history_words.forecast_late"
     yield sentence(key, day=f"{on.day} {on:%B %Y}", **days, **told)
 
 
@@ -276,9 +276,9 @@ def _differences(old: Entry, new: Entry) -> Iterator[Sentence]:
     kinds: dict[str, list[Change]] = {}
     for change in family.beyond:
         turn_on = typical_turn_on(grade, change.name)
-        key = "changes.moved"
+        key = "history_words.moved"
         if not family.exceeds(change, turn_on):
-            key = "changes.differs_as_turn_on" if math.isfinite(turn_on) else "changes.differs"
+            key = "history_words.differs_as_turn_on" if math.isfinite(turn_on) else "history_words.differs"
         kinds.setdefault(key, []).append(change)
     for key, alike in kinds.items():
         is_many = len(alike) >= _MANY
@@ -291,7 +291,7 @@ def _differences(old: Entry, new: Entry) -> Iterator[Sentence]:
         largest = max(family.changes, key=_in_sigma)
         name, _, _ = shown_as(largest.name, largest.unit)
         told = {"numbers": len(family.changes), "name": name, "in_sigma": _in_sigma(largest)}
-        yield sentence("changes.same", since=since, limit_sigma=family.limit_sigma, **told)
+        yield sentence("history_words.same", since=since, limit_sigma=family.limit_sigma, **told)
 
 
 def _in_sigma(change: Change) -> float:

@@ -9,7 +9,7 @@ import pytest
 from scipy.special import ndtri, stdtrit
 
 from imufield.calibrate.model.grades import GRADES
-from imufield.deliver.family import Change, Family, Shared, family_of, typical_turn_on
+from imufield.deliver.pair_test import Change, Family, Shared, family_of, typical_turn_on
 from imufield.deliver.parameters.gauge_free import GaugeFree, Number
 from imufield.samples import FloatArray
 

@@ -18,7 +18,7 @@ import numpy as np
 from imufield.calibrate.model.models import MISALIGNMENT, PARAMETERS, norm_derivatives
 from imufield.calibrate.model.observability import generators, parameter_scale
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, QuadraticAxes
-from imufield.calibrate.solvers.costs import CostName, NormProblem
+from imufield.calibrate.solvers.norm_problem import CostName, NormProblem
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
@@ -68,14 +68,14 @@ def observable_basis(
     observed = (norm_derivatives(vector, raw, quadratic_axes).jacobian * scale)[:, columns] @ complement
     m, n = observed.shape
     if m < n:
-        few = sentence("whitening.too_few", positions=m, needed=n, last=ACCELEROMETER_NAMES[columns[-1]])
+        few = sentence("swarm_coordinates.too_few", positions=m, needed=n, last=ACCELEROMETER_NAMES[columns[-1]])
         raise CalibrationError(few, Reason.TOO_FEW)
     if not np.isfinite(observed).all():
-        raise CalibrationError(sentence("whitening.not_finite"), Reason.NOT_FINITE)
+        raise CalibrationError(sentence("swarm_coordinates.not_finite"), Reason.NOT_FINITE)
     _, D, Vt = np.linalg.svd(observed, full_matrices=False)
     if D[-1] * _WORST_CONDITION < D[0]:
         weakest = ACCELEROMETER_NAMES[columns[int(np.argmax(np.abs(complement @ Vt[-1])))]]
-        hidden = sentence("whitening.hidden", count=m, parameter=weakest, largest=D[0], least=D[-1])
+        hidden = sentence("swarm_coordinates.hidden", count=m, parameter=weakest, largest=D[0], least=D[-1])
         condition = float(D[0] / D[-1]) if D[-1] > 0 else float("inf")
         raise CalibrationError(hidden, Reason.UNOBSERVABLE, condition=condition)
     basis = np.zeros((PARAMETERS, complement.shape[1]))
@@ -108,7 +108,7 @@ def whitened_problem(
     norm = norm_derivatives(vector, raw, quadratic_axes).norm
     middle = float(np.median(norm)) if np.isfinite(norm).all() else float("nan")
     if not abs(middle / gravity_m_s2 - 1) <= _WORST_START:
-        foreign = sentence("whitening.foreign_preset", norm_m_s2=middle, gravity_m_s2=gravity_m_s2, limit=_WORST_START)
+        foreign = sentence("swarm_coordinates.foreign_preset", norm_m_s2=middle, gravity_m_s2=gravity_m_s2, limit=_WORST_START)
         raise CalibrationError(foreign, Reason.UNITS, parameter="accelerometer.scale")
     # A preset that is exact already still needs a step of some size.
     unit = max(float(np.linalg.norm(norm - gravity_m_s2)), 1e-9 * gravity_m_s2)

@@ -448,12 +448,12 @@ class GuideActions:
 
     def pause(self) -> None:
         """Stop measuring."""
-        self.speaker.say(Marked(self.speaker.now_s, "pause", None, sentence("actions.paused")))
+        self.speaker.say(Marked(self.speaker.now_s, "pause", None, sentence("guide_actions.paused")))
 
     def resume(self) -> Input | None:
         """Go on measuring."""
         self.detector.restart()
-        self.speaker.say(Marked(self.speaker.now_s, "pause", None, sentence("actions.resumed")))
+        self.speaker.say(Marked(self.speaker.now_s, "pause", None, sentence("guide_actions.resumed")))
         return self.go_on()
 
     def lose_link(self) -> None:
@@ -469,7 +469,7 @@ class GuideActions:
 
     def find_link(self) -> Input | None:
         """Announce that the link is back."""
-        words = sentence("actions.link_back", accepted=len(self.plan.accepted), planned=len(self.plan.scheme))
+        words = sentence("guide_actions.link_back", accepted=len(self.plan.accepted), planned=len(self.plan.scheme))
         self.speaker.say(LinkBack(self.speaker.now_s, words))
         answer = self.go_on() if self.announced else None
         # The sample clock may start anew.
@@ -486,7 +486,9 @@ class GuideActions:
         self.turns.give_up()
         self.speaker.say(*self.adviser.final_advice(self.speaker.now_s))
         accepted, planned, missing = len(self.plan.accepted), len(self.plan.scheme), self.plan.missing()
-        words: str = sentence("actions.finished" if missing else "actions.all_measured", accepted=accepted, planned=planned)
+        words: str = sentence(
+            "guide_actions.finished" if missing else "guide_actions.all_measured", accepted=accepted, planned=planned
+        )
         if names := self.adviser.suspect_names:
-            words += f"; {sentence('actions.in_doubt', names=names)}"
+            words += f"; {sentence('guide_actions.in_doubt', names=names)}"
         self.speaker.say(Done(self.speaker.now_s, accepted, planned, missing, words))

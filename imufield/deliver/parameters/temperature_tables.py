@@ -1,4 +1,7 @@
-"""Bias and scale over temperature in the parameter file: tables of version 2, and what their numbers must agree on."""
+"""Bias and scale over temperature in the parameter file: tables of version 2, and what their numbers must agree on.
+
+They are evaluated by ``calibrate.model.temperature``.
+"""
 
 from __future__ import annotations
 
@@ -151,30 +154,30 @@ def temperature_contradictions(document: Document) -> Iterator[str]:
     tables = {triad: document[triad]["temperature"] for triad in BIAS_UNITS if "temperature" in document.get(triad, {})}
     new = [f"{triad}.temperature" for triad in tables] + ["temperature_source"] * ("temperature_source" in document)
     if new and document["version"] < VERSION_WITH_TEMPERATURE:
-        yield sentence("temperature.version", key=new[0], version=document["version"])
+        yield sentence("temperature_tables.version", key=new[0], version=document["version"])
     for triad, table in tables.items():
         where = f"{triad}.temperature"
         low, high = table["range_degc"]
         if high - low < _LEAST_RANGE_DEGC:
-            yield sentence("temperature.range", where=where, low=low, high=high, limit=_LEAST_RANGE_DEGC)
+            yield sentence("temperature_tables.range", where=where, low=low, high=high, limit=_LEAST_RANGE_DEGC)
             return
         if not low <= table["reference_degc"] <= high:
-            yield sentence("temperature.reference", where=where, reference=table["reference_degc"], low=low, high=high)
+            yield sentence("temperature_tables.reference", where=where, reference=table["reference_degc"], low=low, high=high)
         for quantity, key in (("bias", f"bias_{BIAS_UNITS[triad]}"), ("scale", "scale")):
             order = len(table[key])
             # Of a new day the first row is that of the session at the reference.
             for part, size in ((table, order), *((table[name], order + 1) for name in ("new_day",) if name in table)):
                 blocks = part[f"{quantity}_covariance"]
                 if any(len(row) != size for block in blocks for row in (block, *block)):
-                    yield sentence("temperature.size", where=where, quantity=quantity, order=order)
+                    yield sentence("temperature_tables.size", where=where, quantity=quantity, order=order)
                     return
                 if not all(map(_is_covariance, blocks)):
-                    yield sentence("temperature.covariance", where=where, quantity=quantity)
+                    yield sentence("temperature_tables.covariance", where=where, quantity=quantity)
         yield from _wrong_between(table, where)
         yield from _wrong_between(table.get("new_day", {}), where)
         sessions = table.get("sessions", {})
         if len({len(values) for values in sessions.values()}) > 1:
-            yield sentence("temperature.sessions", where=where)
+            yield sentence("temperature_tables.sessions", where=where)
         yield from _too_steep(document, triad)
 
 
@@ -185,12 +188,12 @@ def _wrong_between(part: Document, where: str) -> Iterator[str]:
     blocks = zip(part["bias_covariance"], part["scale_covariance"], part["bias_scale_covariance"], strict=True)
     for of_bias, of_scale, between in blocks:
         if len(between) != len(of_bias) or any(len(row) != len(of_scale) for row in between):
-            yield sentence("temperature.size", where=where, quantity="bias_scale", order=len(of_bias))
+            yield sentence("temperature_tables.size", where=where, quantity="bias_scale", order=len(of_bias))
             return
         turned = [[row[k] for row in between] for k in range(len(of_scale))]
         rows = [[*own, *other] for own, other in zip((*of_bias, *turned), (*between, *of_scale), strict=True)]
         if not _is_covariance(rows):
-            yield sentence("temperature.covariance", where=where, quantity="bias_scale")
+            yield sentence("temperature_tables.covariance", where=where, quantity="bias_scale")
             return
 
 
@@ -209,4 +212,4 @@ def _too_steep(document: Document, triad: str) -> Iterator[str]:
         return
     most = float(np.abs(model.scale.at(model.degrees_above(np.linspace(*model.range_degc, 50)))).max())
     if most > _MOST_SCALE:
-        yield sentence("temperature.steep", where=f"{triad}.temperature", most=most, limit=_MOST_SCALE)
+        yield sentence("temperature_tables.steep", where=f"{triad}.temperature", most=most, limit=_MOST_SCALE)

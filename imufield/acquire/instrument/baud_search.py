@@ -232,7 +232,7 @@ def nothing_recognised(port: str, result: Search) -> LinkError:
     total = sum(hearing.byte_count for hearing in result.hearings)
     if total == 0:
         waited_s = LISTEN_S if len(bauds) == 1 else SILENT_S + SILENT_TRY_S * (len(bauds) - 1)
-        return LinkTimeoutError(sentence("listen.silent", port=port, waited_s=waited_s, bauds=bauds), Reason.SILENCE)
+        return LinkTimeoutError(sentence("baud_search.silent", port=port, waited_s=waited_s, bauds=bauds), Reason.SILENCE)
     listeners = [listener for hearing in result.hearings for listener in hearing.listeners]
     # The closest one helps to see what is wrong: a baud rate, a setting, a damaged line.
     closest = max(listeners, key=lambda listener: (listener.decoder.statistics.frames, listener.accelerations)).finding()
@@ -246,7 +246,7 @@ def nothing_recognised(port: str, result: Search) -> LinkError:
         "needed": FEWEST_SAMPLES,
     }
     if closest.holds_no_sample:
-        other = sentence("listen.without_samples", port=port, title=closest.title, why=closest.reason)
+        other = sentence("baud_search.without_samples", port=port, title=closest.title, why=closest.reason)
         return LinkError(other, Reason.NO_FRAMES)
     lines = next(filter(None, (read_lines(hearing.data) for hearing in reversed(result.hearings))), None)
     texts = [listener for listener in listeners if listener.candidate.protocol.lines and listener.candidate.driver]
@@ -255,9 +255,9 @@ def nothing_recognised(port: str, result: Search) -> LinkError:
         width, expected = lines.rows.shape[1], len(text.protocol.lines.columns)
         settings = text.variant or {"columns": usual_columns(width)}
         option = " ".join(f"--set {name}={value}" for name, value in settings.items())
-        key = "listen.few_columns" if width != expected else "listen.columns"
+        key = "baud_search.few_columns" if width != expected else "baud_search.columns"
         said = {"found": width, "expected": expected, "why": closest.reason, "name": text.name, "option": option}
         return LinkError(sentence(key, **heard, **said), Reason.NO_FRAMES)
     if closest.frames:
-        return LinkError(sentence("listen.closest", **heard, closest=closest.name, why=closest.reason), Reason.NO_FRAMES)
-    return LinkError(sentence("listen.nothing", **heard), Reason.NO_FRAMES)
+        return LinkError(sentence("baud_search.closest", **heard, closest=closest.name, why=closest.reason), Reason.NO_FRAMES)
+    return LinkError(sentence("baud_search.nothing", **heard), Reason.NO_FRAMES)

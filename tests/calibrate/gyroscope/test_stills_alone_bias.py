@@ -13,7 +13,7 @@ from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
 from imufield.calibrate.gyroscope.input import GyroscopeInput
 from imufield.calibrate.gyroscope.moves import cut_moves, no_slots
 from imufield.calibrate.gyroscope.result import static_bias_result
-from imufield.calibrate.gyroscope.static import static_bias
+from imufield.calibrate.gyroscope.stills_alone import static_bias
 from imufield.calibrate.model.budget import combined_sigma
 from imufield.earth import EARTH_RATE_RAD_S, Gravity
 from imufield.errors import CalibrationError, Reason
@@ -52,7 +52,7 @@ def test_at_the_pole_the_earth_is_taken_off_exactly() -> None:
     assert known.parameters.bias == pytest.approx(BIAS, abs=1e-12)
     assert known.sigma.bias == pytest.approx(np.zeros(3), abs=1e-12)
     assert np.abs(unknown.parameters.bias - BIAS).max() > 0.01
-    assert (key_of(known.path), key_of(unknown.path)) == ("static.bias", "static.bias_no_latitude")
+    assert (key_of(known.path), key_of(unknown.path)) == ("stills_alone.bias", "stills_alone.bias_no_latitude")
     assert np.isnan(known.sigma.scale).all()
 
 
@@ -69,8 +69,8 @@ def test_sigma_covers_the_error_and_holds_the_unknown_heading() -> None:
 
 def test_without_scale_or_attitude_it_says_so() -> None:
     observations = observe(paper24(), gyroscope=still_gyroscope(np.random.default_rng(0), 45.0))
-    assert key_of(static_bias(observations, None).path) == "static.bias_no_scale"
-    assert key_of(static_bias(observations, SCALE, latitude_deg=45.0).path) == "static.bias_no_attitude"
+    assert key_of(static_bias(observations, None).path) == "stills_alone.bias_no_scale"
+    assert key_of(static_bias(observations, SCALE, latitude_deg=45.0).path) == "stills_alone.bias_no_attitude"
     assert np.isnan(static_bias(observations, None).parameters.scale).all()
 
 

@@ -1,5 +1,7 @@
 """What a page of the workbench can ask for: a command of imufield each, and what may stand behind its options.
 
+The buttons of the guide are marks and no commands: ``guide_page``.
+
 A value is one word of the command line, ``--option=value``, and never begins one; there is no shell. Names lead into the folder
 of sessions and nowhere else.
 """
@@ -52,14 +54,14 @@ class Sessions:
         path = self.root / _text(name)
         is_inside = real_path(path).parent == real_path(self.root) and path.name == name
         if not (is_inside and path.is_dir()):
-            raise UsageError(sentence("actions.no_session", name=name, root=self.root))
+            raise UsageError(sentence("page_commands.no_session", name=name, root=self.root))
         return path
 
     def new(self, name: object) -> Path:
         """Return the path of a session to be; raises ``UsageError`` for a name that is not plain or is taken."""
         path = self.root / _matching(_NAME)(name)
         if name == UPLOADS or path.exists():
-            raise UsageError(sentence("actions.taken", name=name, root=self.root))
+            raise UsageError(sentence("page_commands.taken", name=name, root=self.root))
         return path
 
     def holds(self, path: Path) -> bool:
@@ -70,20 +72,20 @@ class Sessions:
         """Return the path of a file below the root; raises ``UsageError`` for any other."""
         found = self.root / _text(path)
         if not (self.holds(found) and found.is_file()):
-            raise UsageError(sentence("actions.no_file", name=path, root=self.root))
+            raise UsageError(sentence("page_commands.no_file", name=path, root=self.root))
         return found
 
 
 def _text(value: object) -> str:
     if not (isinstance(value, str) and 0 < len(value) <= LONGEST_TEXT and printable(value) == value):
-        raise UsageError(sentence("actions.no_text", value=str(value)[:LONGEST_TEXT], limit=LONGEST_TEXT))
+        raise UsageError(sentence("page_commands.no_text", value=str(value)[:LONGEST_TEXT], limit=LONGEST_TEXT))
     return value
 
 
 def _matching(pattern: re.Pattern[str]) -> Callable[[object], str]:
     def check(value: object) -> str:
         if not pattern.fullmatch(_text(value)):
-            raise UsageError(sentence("actions.no_name", value=value))
+            raise UsageError(sentence("page_commands.no_name", value=value))
         return str(value)
 
     return check
@@ -92,14 +94,14 @@ def _matching(pattern: re.Pattern[str]) -> Callable[[object], str]:
 def _number(value: object) -> str:
     # Written so that NaN is none.
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST_NUMBER:
-        raise UsageError(sentence("actions.no_number", value=str(value)[:LONGEST_TEXT]))
+        raise UsageError(sentence("page_commands.no_number", value=str(value)[:LONGEST_TEXT]))
     return repr(value)
 
 
 def _port(value: object) -> str:
     path = _text(value)
     if not (_PORT.fullmatch(path) or _DEVICE.fullmatch(os.path.realpath(path))):
-        raise UsageError(sentence("actions.no_port", value=path))
+        raise UsageError(sentence("page_commands.no_port", value=path))
     return path
 
 
@@ -107,7 +109,7 @@ def _bus(value: object) -> str:
     bus = _BUS.fullmatch(_text(value))
     # An adapter is a port, or has a name without a path.
     if bus is None or ("/" in bus["channel"] and not _DEVICE.fullmatch(os.path.realpath(bus["channel"]))):
-        raise UsageError(sentence("actions.no_name", value=value))
+        raise UsageError(sentence("page_commands.no_name", value=value))
     return bus[0]
 
 
@@ -128,7 +130,7 @@ def _each(name: str, check: Callable[[object], str]) -> Field:
 
 def _few(value: object) -> list[object]:
     if not isinstance(value, list) or len(value) > MOST_VALUES:
-        raise UsageError(sentence("actions.too_many", limit=MOST_VALUES))
+        raise UsageError(sentence("page_commands.too_many", limit=MOST_VALUES))
     return value
 
 
@@ -138,7 +140,7 @@ def _flag(name: str) -> Field:
 
 def _is_wanted(value: object) -> bool:
     if not isinstance(value, bool):
-        raise UsageError(sentence("actions.no_name", value=str(value)[:LONGEST_TEXT]))
+        raise UsageError(sentence("page_commands.no_name", value=str(value)[:LONGEST_TEXT]))
     return value
 
 
@@ -297,10 +299,10 @@ def command_line(name: object, values: object, sessions: Sessions) -> list[str]:
     """
     action = ACTIONS.get(name) if isinstance(name, str) else None
     if action is None or not isinstance(values, dict) or not values.keys() <= action.fields.keys():
-        raise UsageError(sentence("actions.unknown", name=str(name)[:LONGEST_TEXT]))
+        raise UsageError(sentence("page_commands.unknown", name=str(name)[:LONGEST_TEXT]))
     missing = [field for field in action.needs if field not in values]
     if missing:
-        raise UsageError(sentence("actions.missing", name=name, missing=missing))
+        raise UsageError(sentence("page_commands.missing", name=name, missing=missing))
     words = [word.format(root=_argument(sessions.root)) for word in action.words.split()]
     # In the order of the table, so that a person reads the same command for the same values.
     return words + [word for field, make in action.fields.items() if field in values for word in make(values[field], sessions)]

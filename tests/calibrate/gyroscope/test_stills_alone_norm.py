@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imufield.calibrate.gyroscope.static import (
+from imufield.calibrate.gyroscope.stills_alone import (
     StaticData,
     fit_static,
     latitude_words,
@@ -78,7 +78,7 @@ def test_a_wrong_latitude_is_seen() -> None:
         latitude, sigma = observed_latitude_deg(fitted.vertical_rad_s, fitted.vertical_sigma_rad_s)
         assert latitude == pytest.approx(45.0, abs=4 * sigma)
         found = [latitude_words(deg, fitted.vertical_rad_s, fitted.vertical_sigma_rad_s).key for deg in (45.5, 45.0)]
-        assert found == ["static.latitude_contradicted", "static.latitude_seen"]
+        assert found == ["stills_alone.latitude_contradicted", "stills_alone.latitude_seen"]
 
 
 def test_only_fine_instruments_see_the_earth() -> None:

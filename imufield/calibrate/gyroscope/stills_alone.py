@@ -1,5 +1,7 @@
 """The gyroscope from still positions alone: its bias, and, where it sees the Earth turn, all of its linear model.
 
+Beside moves, stills are rows of ``residuals``, and what is known of the Earth's rate is prior knowledge of ``fit``.
+
 Bias as a mean
 --------------
 A still gyroscope feels the Earth's rate (7.292e-5 rad/s) alone. Of it the vertical part, ``rate sin(latitude)`` along "up", is
@@ -81,15 +83,15 @@ def static_bias(
         up = observations.direction
     earth_known = np.zeros_like(up)
     if latitude_deg is None:
-        key = "static.bias_no_latitude"
+        key = "stills_alone.bias_no_latitude"
     elif not np.isfinite(up).all():
-        key = "static.bias_no_attitude"
+        key = "stills_alone.bias_no_attitude"
     else:
-        key = "static.bias"
+        key = "stills_alone.bias"
         unit = up / np.linalg.norm(up, axis=1)[:, None]
         earth_known = EARTH_RATE_RAD_S * math.sin(math.radians(latitude_deg)) * unit
     if scale is None:
-        key = "static.bias_no_scale"
+        key = "stills_alone.bias_no_scale"
     gain = np.nan_to_num(K)
     values = observations.gyroscope_mean_raw - gain * (earth_known @ (np.eye(3) + misalignment).T)
     # The scatter between positions contains g-sensitivity and drift.
@@ -174,7 +176,7 @@ def latitude_words(latitude_deg: float, vertical_rad_s: float, sigma_rad_s: floa
     """Return what u . w says about the latitude that was given."""
     observed, latitude_sigma = observed_latitude_deg(vertical_rad_s, sigma_rad_s)
     contradicted = abs(observed - latitude_deg) > CONTRADICTED * latitude_sigma
-    key = "static.latitude_contradicted" if contradicted else "static.latitude_seen"
+    key = "stills_alone.latitude_contradicted" if contradicted else "stills_alone.latitude_seen"
     return sentence(key, latitude_deg=latitude_deg, observed_deg=observed, sigma_deg=latitude_sigma)
 
 
