@@ -17,8 +17,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
+from imufield.calibrate.accelerometer.ellipsoid_start import closed_form_start
 from imufield.calibrate.accelerometer.fit import column_basis
-from imufield.calibrate.accelerometer.start import closed_form_start
 from imufield.calibrate.model.models import from_vector, predict
 from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS
 from imufield.calibrate.model.observations import Observations

@@ -10,8 +10,8 @@ from typing import TypeVar
 import numpy as np
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
+from imufield.calibrate.accelerometer.ellipsoid_start import FEWEST_FOR_MISALIGNMENT
 from imufield.calibrate.accelerometer.methods import cross_check, solve_with
-from imufield.calibrate.accelerometer.start import FEWEST_FOR_MISALIGNMENT
 from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
 from imufield.calibrate.gyroscope.input import FEWEST_STILLS, GyroscopeInput
 from imufield.calibrate.gyroscope.methods import cross_check_gyroscope, solve_gyroscope_with

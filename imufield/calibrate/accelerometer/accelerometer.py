@@ -14,20 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.calibrate.accelerometer.covariance import Uncertainty, all_shares, is_known, propagate
-from imufield.calibrate.accelerometer.fit import Fit, FitData, fit, summarise
-from imufield.calibrate.accelerometer.model_choice import ChosenModel, choose_model, find_origin, left_out_terms
-from imufield.calibrate.accelerometer.quality import Evidence, common_scale_ratio, judge, refuse_saturation
-from imufield.calibrate.accelerometer.start import (
+from imufield.calibrate.accelerometer.ellipsoid_start import (
     FEWEST_FOR_MISALIGNMENT,
     FEWEST_FOR_QUADRATIC,
     FEWEST_FOR_SCALE_AND_BIAS,
     find_signs,
 )
-from imufield.calibrate.accelerometer.unshown import unshown
+from imufield.calibrate.accelerometer.fit import Fit, FitData, fit, summarise
+from imufield.calibrate.accelerometer.model_choice import ChosenModel, choose_model, find_origin, left_out_terms
+from imufield.calibrate.accelerometer.quality import Evidence, common_scale_ratio, judge, refuse_saturation
+from imufield.calibrate.accelerometer.unfitted_terms import unshown
 from imufield.calibrate.model.budget import picked
 from imufield.calibrate.model.gauge import change_gauge, intrinsic, make_intrinsic
 from imufield.calibrate.model.grades import Grade, find_grade
-from imufield.calibrate.model.higher import higher_scale
+from imufield.calibrate.model.higher_terms import higher_scale
 from imufield.calibrate.model.models import (
     PARAMETERS,
     SCALE,

@@ -1,7 +1,8 @@
 """Joint covariance of the 15 parameters and gravity: the fit's own, gravity's, and that of what no residual shows.
 
 The covariance of the fit goes through the change of gauge to the parameters. Gravity is a common scale: its sigma moves all of
-them together. What the positions cannot show enters by what is typical (``unshown``). ``shares`` tells the same by source.
+them together. What the positions cannot show enters by what is typical (``unfitted_terms``). ``covariance_shares`` tells the
+same by source.
 """
 
 from __future__ import annotations
@@ -11,13 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from imufield.calibrate.accelerometer.covariance_shares import fit_shares, gravity_share, hidden_shares
 from imufield.calibrate.accelerometer.fit import Fit, FitData
 from imufield.calibrate.accelerometer.leave_one_out import Influence, influence, single_position_factors, single_positions
 from imufield.calibrate.accelerometer.model_choice import ChosenModel
-from imufield.calibrate.accelerometer.shares import fit_shares, gravity_share, hidden_shares
-from imufield.calibrate.accelerometer.unshown import Unshown, higher_sigma
+from imufield.calibrate.accelerometer.unfitted_terms import Unshown, higher_sigma
 from imufield.calibrate.model.budget import Share
-from imufield.calibrate.model.higher import HigherTerms
+from imufield.calibrate.model.higher_terms import HigherTerms
 from imufield.calibrate.model.models import PARAMETERS
 from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS, parameter_scale
 from imufield.calibrate.model.uncertainty import SPARE_POSITIONS, gravity_sensitivity

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imufield.calibrate.model.higher import HigherTerms
+from imufield.calibrate.model.higher_terms import HigherTerms
 from imufield.calibrate.model.observability import parameter_scale
 from imufield.calibrate.model.result import QuadraticAxes, SolverSummary
 from imufield.calibrate.model.uncertainty import SPARE_POSITIONS, between_position_sigma, within_variance

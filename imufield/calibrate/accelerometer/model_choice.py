@@ -1,9 +1,9 @@
 """Choice of the accelerometer model: which of the 15 parameters the positions can show, and which terms the data need.
 
-With the model choice "auto" the quadratic term and a drift of the bias over the session pass one gate (``gate``); an admitted
-changes the model, and what is not sure about the choice is in the covariance. Where there is no quadratic term, the bias is
-three times better than stated: who knows that asks for the linear model. Higher terms (``higher``) are fitted where they are
-asked for; in every other model with the quadratic term open one F test says where the residuals show them.
+With the model choice "auto" the quadratic term and a drift of the bias over the session pass one gate (``f_tests``); an
+admitted changes the model, and what is not sure about the choice is in the covariance. Where there is no quadratic term, the
+bias is three times better than stated: who knows that asks for the linear model. Higher terms (``higher_terms``) are fitted
+where they are asked for; in every other model with the quadratic term open one F test says where the residuals show them.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from imufield.calibrate.accelerometer.drift import FEWEST_TO_SPARE, DriftForm, drift_forms
+from imufield.calibrate.accelerometer.ellipsoid_start import FEWEST_FOR_MISALIGNMENT, FEWEST_FOR_QUADRATIC, closed_form_start
+from imufield.calibrate.accelerometer.f_tests import LEVEL, Choice, Gate, Term, Terms
 from imufield.calibrate.accelerometer.fit import Fit, FitData, column_basis, fit
-from imufield.calibrate.accelerometer.gate import LEVEL, Choice, Gate, Term, Terms
-from imufield.calibrate.accelerometer.start import FEWEST_FOR_MISALIGNMENT, FEWEST_FOR_QUADRATIC, closed_form_start
 from imufield.calibrate.model.aliasing import typical_higher
 from imufield.calibrate.model.coverage_factors import f_tail
 from imufield.calibrate.model.gauge import change_gauge
 from imufield.calibrate.model.grades import Grade
-from imufield.calibrate.model.higher import KINDS, TERMS, ShownTerms, higher_scale, shown_terms
+from imufield.calibrate.model.higher_terms import KINDS, TERMS, ShownTerms, higher_scale, shown_terms
 from imufield.calibrate.model.models import MISALIGNMENT, PARAMETERS, QUADRATIC, SCALE, norm_derivatives
 from imufield.calibrate.model.observability import WEAKEST_COLUMN, Observability, observe, require_scale_and_bias
 from imufield.calibrate.model.observations import Observations

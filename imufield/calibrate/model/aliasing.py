@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.calibrate.model.grades import Grade
-from imufield.calibrate.model.higher import TERMS
+from imufield.calibrate.model.higher_terms import TERMS
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.samples import FloatArray
 

@@ -12,8 +12,8 @@ vanishing ``K2`` is wanted, in the form without cancellation::
 
 On body axes ``a = T^-1 ((N - K2 a**2) / K - b)`` is a contraction for any sane instrument ([1]_ eq. 14) and is iterated.
 
-With higher terms (``higher``) ``f = s + h(s)`` stands in place of ``s``, and ``T^-1 f`` in place of ``a``: what is recovered
-without them is f, and ``s = f - h(s)`` is a contraction too.
+With higher terms (``higher_terms``) ``f = s + h(s)`` stands in place of ``s``, and ``T^-1 f`` in place of ``a``: what is
+recovered without them is f, and ``s = f - h(s)`` is a contraction too.
 
 The derivative of ``norm(a)`` with fixed outputs follows from ``N(a, p) = const``: with ``u = a / norm(a)`` and
 ``v = (dN/da)^-T u``, ``d norm(a) / dp = -v . dN/dp`` and ``d norm(a) / dN = v``. With higher terms and ``H = dh/ds``,
@@ -35,7 +35,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from imufield.calibrate.model.higher import HigherTerms, higher_columns
+from imufield.calibrate.model.higher_terms import HigherTerms, higher_columns
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters, QuadraticAxes
 from imufield.calibrate.model.temperature import TriadTemperature
 from imufield.errors import CalibrationError, Reason

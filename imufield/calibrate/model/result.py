@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from imufield.calibrate.model.budget import Share
-from imufield.calibrate.model.higher import HigherTerms
+from imufield.calibrate.model.higher_terms import HigherTerms
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.temperature import TriadTemperature
 from imufield.earth import Gravity

@@ -28,7 +28,7 @@ from typing import Literal
 
 import numpy as np
 
-from imufield.calibrate.model.higher import HigherTerms
+from imufield.calibrate.model.higher_terms import HigherTerms
 from imufield.calibrate.model.models import (
     BIAS,
     QUADRATIC,

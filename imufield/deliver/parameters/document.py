@@ -11,7 +11,7 @@ from dataclasses import asdict, fields
 import numpy as np
 
 from imufield.calibrate.model.budget import Share
-from imufield.calibrate.model.higher import HigherTerms
+from imufield.calibrate.model.higher_terms import HigherTerms
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import (
     AccelerometerParameters,

@@ -1,9 +1,9 @@
 """The centre of the stills: the accelerometer's offset as far as sides and norms need it, before anything is calibrated.
 
 Whatever side is up, a still output x lies at gravity's length from the output at no input c: norm(x - c) = r. This is the
-sphere in place of the ellipsoid of ``calibrate/accelerometer/start.py``: four unknowns in place of nine, so that six faces
-tell it with two to spare. Scales that differ by 3 % from axis to axis move the centre by 0.06 g at most where it is taken. An
-offset of 0.5 g, common in cheap parts, turns the apparent up by 30 degrees and makes norms of 0.5 to 1.5 g.
+sphere in place of the ellipsoid of ``calibrate/accelerometer/ellipsoid_start.py``: four unknowns in place of nine, so that six
+faces tell it with two to spare. Scales that differ by 3 % from axis to axis move the centre by 0.06 g at most where it is
+taken. An offset of 0.5 g, common in cheap parts, turns the apparent up by 30 degrees and makes norms of 0.5 to 1.5 g.
 
 Stills that are none (an elevator, a range that was changed) must not move the centre for the others, so the residuals have
 Cauchy's weights 1 / (1 + (residual / s)^2) [1]_, with s going from half of r, where the sum is nearly convex, to what unequal

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from calibration_truth import GRAVITY, campaign, random_parameters
 
+from imufield.calibrate.accelerometer.ellipsoid_start import closed_form_start
 from imufield.calibrate.accelerometer.fit import FitData, column_basis, fit
 from imufield.calibrate.accelerometer.leave_one_out import influence, jackknife_sigma
-from imufield.calibrate.accelerometer.start import closed_form_start
 from imufield.calibrate.model.models import from_vector, recover
 from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from calibration_truth import GRAVITY, campaign, random_parameters
 
+from imufield.calibrate.accelerometer.ellipsoid_start import closed_form_start
 from imufield.calibrate.accelerometer.fit import FitData, column_basis, fit
-from imufield.calibrate.accelerometer.start import closed_form_start
 from imufield.calibrate.model.coverage_factors import student_factor
 from imufield.calibrate.model.models import PARAMETERS, from_vector, norm_derivatives, predict, recover, to_vector
 from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS

@@ -10,8 +10,8 @@ from drifting_sessions import GRAVITY_M_S2, NOISE_M_S2, Session, faces_first, pr
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
 from imufield.calibrate.accelerometer.drift import drift_forms
+from imufield.calibrate.accelerometer.f_tests import Gate, Term, Terms
 from imufield.calibrate.accelerometer.fit import Fit, FitData, column_basis, fit
-from imufield.calibrate.accelerometer.gate import Gate, Term, Terms
 from imufield.calibrate.model.coverage_factors import student_factor
 from imufield.calibrate.model.gauge import intrinsic
 from imufield.calibrate.model.models import QUADRATIC, to_vector

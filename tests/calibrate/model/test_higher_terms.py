@@ -10,7 +10,7 @@ import pytest
 from calibration_truth import GRAVITY, random_parameters
 
 from imufield.calibrate.model.gauge import turn_accelerometer
-from imufield.calibrate.model.higher import HigherTerms, shown_terms
+from imufield.calibrate.model.higher_terms import HigherTerms, shown_terms
 from imufield.calibrate.model.models import norm_derivatives, predict, recover, to_vector, without_higher
 from imufield.calibrate.model.result import AccelerometerParameters, QuadraticAxes
 from imufield.deliver.parameters.apply import correct_accelerometer

@@ -12,7 +12,7 @@ from imufield.calibrate.accelerometer.model_choice import VERDICT_LEVEL, ChosenM
 from imufield.calibrate.model.aliasing import HIGHER_COLUMNS, open_terms, typical_higher
 from imufield.calibrate.model.coverage_factors import NORMAL_FACTOR_95, f_tail, student_factor
 from imufield.calibrate.model.grades import Grade
-from imufield.calibrate.model.higher import KINDS, TERMS, HigherTerms, higher_scale
+from imufield.calibrate.model.higher_terms import KINDS, TERMS, HigherTerms, higher_scale
 from imufield.calibrate.model.models import PARAMETERS
 from imufield.samples import FloatArray
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from calibration_truth import GRAVITY, faces, outputs, paper24, random_parameters, tilted
 
-from imufield.calibrate.accelerometer.start import closed_form_start, find_signs
+from imufield.calibrate.accelerometer.ellipsoid_start import closed_form_start, find_signs
 from imufield.calibrate.model.gauge import change_gauge
 from imufield.calibrate.model.models import to_vector
 from imufield.errors import CalibrationError, Reason
@@ -60,7 +60,7 @@ def test_no_ellipsoid_is_a_typed_error() -> None:
     rng = np.random.default_rng(0)
     hyperboloid = rng.normal(0, 1, (24, 2))
     raw = np.column_stack([hyperboloid, np.sqrt(1 + hyperboloid[:, 0] ** 2 + hyperboloid[:, 1] ** 2)])
-    with refused(CalibrationError, Reason.UNOBSERVABLE, key="start.no_ellipsoid") as caught:
+    with refused(CalibrationError, Reason.UNOBSERVABLE, key="ellipsoid_start.no_ellipsoid") as caught:
         closed_form_start(raw, GRAVITY, ONES)
     assert caught.value.values["positions"] == 24
 
@@ -79,7 +79,7 @@ def test_an_instrument_that_reports_gravity_is_taken_as_it_is() -> None:
 
 
 def test_swapped_axes_are_refused() -> None:
-    with refused(CalibrationError, Reason.HANDEDNESS, key="start.swapped") as caught:
+    with refused(CalibrationError, Reason.HANDEDNESS, key="ellipsoid_start.swapped") as caught:
         find_signs(400 * paper24()[:, (1, 0, 2)], paper24(), None)
     assert caught.value.values["axis"] == "x"
     assert caught.value.values["follows"] == "y"
@@ -87,14 +87,14 @@ def test_swapped_axes_are_refused() -> None:
 
 
 def test_a_left_handed_triad_is_refused() -> None:
-    with refused(CalibrationError, Reason.HANDEDNESS, key="start.left_handed") as caught:
+    with refused(CalibrationError, Reason.HANDEDNESS, key="ellipsoid_start.left_handed") as caught:
         find_signs(400 * paper24() * (1, -1, 1), paper24(), None)
     assert caught.value.values["axis"] == "y"
     assert caught.value.reason is Reason.HANDEDNESS
 
 
 def test_a_preset_of_the_wrong_sign_is_refused() -> None:
-    with refused(CalibrationError, Reason.HANDEDNESS, key="start.opposite_preset") as caught:
+    with refused(CalibrationError, Reason.HANDEDNESS, key="ellipsoid_start.opposite_preset") as caught:
         find_signs(400 * paper24(), paper24(), np.array([-400.0, -400, 400]))
     assert caught.value.values["axis"] == "x"
 

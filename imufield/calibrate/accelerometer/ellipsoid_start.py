@@ -66,7 +66,7 @@ def closed_form_start(raw: FloatArray, gravity_m_s2: float, sign: FloatArray, *,
     fits = (_ellipsoid(signed, full=full) for full in order if not full or len(raw) >= FEWEST_FOR_MISALIGNMENT)
     fit = next((fit for fit in fits if fit is not None), None)
     if fit is None:
-        raise CalibrationError(sentence("start.no_ellipsoid", positions=len(raw)), Reason.UNOBSERVABLE)
+        raise CalibrationError(sentence("ellipsoid_start.no_ellipsoid", positions=len(raw)), Reason.UNOBSERVABLE)
     centre, shape = fit
     M = np.linalg.cholesky(shape) / gravity_m_s2
     K = np.diag(M).copy()
@@ -129,13 +129,13 @@ def find_signs(raw: FloatArray, direction: FloatArray, preset_scale: FloatArray 
     follows = np.argmax(np.abs(slope), axis=1)
     for axis in range(3):
         if follows[axis] != axis:
-            swapped = sentence("start.swapped", axis=AXES[axis], follows=AXES[int(follows[axis])])
+            swapped = sentence("ellipsoid_start.swapped", axis=AXES[axis], follows=AXES[int(follows[axis])])
             raise CalibrationError(swapped, Reason.HANDEDNESS)
     sign: FloatArray = np.sign(np.diag(slope))
     # All three reversed is an instrument that reports gravity instead of specific force; one reversed is a left-handed triad.
     if np.prod(sign) < 0 and np.any(sign > 0):
-        raise CalibrationError(sentence("start.left_handed", axis=AXES[int(np.argmax(sign < 0))]), Reason.HANDEDNESS)
+        raise CalibrationError(sentence("ellipsoid_start.left_handed", axis=AXES[int(np.argmax(sign < 0))]), Reason.HANDEDNESS)
     if preset_scale is not None and np.any(sign != np.sign(preset_scale)):
         opposite = AXES[int(np.argmax(sign != np.sign(preset_scale)))]
-        raise CalibrationError(sentence("start.opposite_preset", axis=opposite), Reason.HANDEDNESS)
+        raise CalibrationError(sentence("ellipsoid_start.opposite_preset", axis=opposite), Reason.HANDEDNESS)
     return Signs(sign, "directions")

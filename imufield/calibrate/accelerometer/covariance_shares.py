@@ -16,9 +16,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from imufield.calibrate.accelerometer.f_tests import Choice
 from imufield.calibrate.accelerometer.fit import Fit, FitData
-from imufield.calibrate.accelerometer.gate import Choice
-from imufield.calibrate.accelerometer.unshown import Unshown
+from imufield.calibrate.accelerometer.unfitted_terms import Unshown
 from imufield.calibrate.model.aliasing import HIGHER_COLUMNS
 from imufield.calibrate.model.budget import Share, root_of
 from imufield.calibrate.model.uncertainty import rms
