@@ -64,7 +64,7 @@ LONG = (
     "torture/test_killed.py",
     "commands/test_text_streams.py",
     "web/test_workbench.py",
-    "calibrate/accelerometer/test_gate.py",
+    "calibrate/accelerometer/test_f_tests.py",
     "commands/test_guided.py",
     "torture/test_faults.py",
     "web/test_guide_page.py",
