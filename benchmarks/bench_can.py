@@ -21,6 +21,7 @@ from typing import Any
 import cantools
 import numpy as np
 
+from benchmarks.bench_decode import decode_live
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.protocol.can_frame import EXTENDED, MARK, UNIT_BYTES
 from imufield.acquire.protocol.protocol import load_protocol
@@ -182,21 +183,23 @@ def decode_rows() -> list[dict[str, Any]]:
     assert _decode(data, BLOCK_BYTES) == SAMPLES
     assert len(peer_decode(database, frames)) == PEER_FRAMES // 2
     small_data = data[: len(data) // 4]
-    peer_s, blocks_s, bare_s, small_s = _best_in_turns(
+    peer_s, blocks_s, bare_s, small_s, live_s = _best_in_turns(
         [
             lambda: peer_decode(database, frames),
             lambda: _decode(data, BLOCK_BYTES),
             lambda: peer_decode_bare(messages, frames),
             lambda: _decode(small_data, 80 * UNIT_BYTES),
+            lambda: decode_live(small_data, 80 * UNIT_BYTES, protocol),
         ]
     )
     peer, bare = PEER_FRAMES / peer_s / 1e6, PEER_FRAMES / bare_s / 1e6
-    blocks, small = 2 * SAMPLES / blocks_s / 1e6, SAMPLES / 2 / small_s / 1e6
+    blocks, small, live = 2 * SAMPLES / blocks_s / 1e6, SAMPLES / 2 / small_s / 1e6, SAMPLES / 2 / live_s / 1e6
     return [
         _row("J1939, 64 KiB blocks, to samples (peer: cantools, to samples)", blocks, "million frames/s", peer),
         _row("J1939, 64 KiB blocks, to samples (peer: cantools' decode alone)", blocks, "million frames/s", bare),
         _row("J1939, blocks of 80 frames (peer: cantools, to samples)", small, "million frames/s", peer),
         _row("J1939, blocks of 80 frames (peer: 64 KiB)", small, "million frames/s", blocks),
+        _row("J1939, live reads of 80 frames (peer: 64 KiB)", live, "million frames/s", blocks),
     ]
 
 

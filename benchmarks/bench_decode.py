@@ -18,8 +18,11 @@ import numpy as np
 
 from benchmarks.wire_streams import STREAMS, Stream, microstrain
 from imufield.acquire.decoder import Decoder
+from imufield.acquire.link.serial import COLLECT_S
 from imufield.acquire.protocol.checksum import make_checksum
 from imufield.acquire.protocol.protocol import Protocol, load_protocol
+from imufield.acquire.recording.reader import ReadJoiner
+from imufield.pipeline.intake import DECODED_EVERY_S
 
 FRAMES = 200_000
 PEER_FRAMES = 20_000
@@ -101,6 +104,18 @@ def _decode(data: bytes, size: int, protocol: Protocol | None = None) -> int:
     return count + len(decoder.flush())
 
 
+def decode_live(data: bytes, size: int, protocol: Protocol) -> int:
+    """Decode reads of a size, one every 20 ms, as a capture does: joined for a moment."""
+    decoder, waiting, count = Decoder(protocol), ReadJoiner(span_s=DECODED_EVERY_S), 0
+    for number, read in enumerate(_blocks(data, size)):
+        if waiting.must_end_before(number * COLLECT_S, size):
+            block = waiting.take()
+            count += len(decoder.feed_chunks(block.data, block.end, block.monotonic_s))
+        waiting.add(read, number * COLLECT_S, 0)
+    block = waiting.take()
+    return count + len(decoder.feed_chunks(block.data, block.end, block.monotonic_s)) + len(decoder.flush())
+
+
 def _best_s(work: Callable[[], object]) -> float:
     best = float("inf")
     for _ in range(ROUNDS):
@@ -125,6 +140,8 @@ def _format_rows(make: Callable[[int], Stream], peer: float | None) -> Iterator[
     rate = len(small) / size / _best_s(lambda: _decode(small, 80 * size, protocol)) / 1e6
     yield _row(f"{stream.name}, blocks of 80 frames", rate, "million frames/s", peer)
     yield _row(f"{stream.name}, blocks of 80 frames (peer: 64 KiB)", rate, "million frames/s", large)
+    live = len(small) / size / _best_s(lambda: decode_live(small, 80 * size, protocol)) / 1e6
+    yield _row(f"{stream.name}, live reads of 80 frames (peer: 64 KiB)", live, "million frames/s", large)
 
 
 def _serve(data: bytes, port: Any) -> None:
@@ -178,6 +195,7 @@ def _stim300_rows() -> list[dict[str, Any]]:
     assert _decode(clean, BLOCK_BYTES) == FRAMES
     clean_rate = FRAMES / _best_s(lambda: _decode(clean, BLOCK_BYTES)) / 1e6
     small_rate = FRAMES / _best_s(lambda: _decode(clean, 80 * 40)) / 1e6
+    live_rate = FRAMES / _best_s(lambda: decode_live(clean, 80 * 40, load_protocol("stim300"))) / 1e6
 
     flipped = np.frombuffer(clean, dtype=np.uint8).copy()
     rng = np.random.default_rng(2)
@@ -196,6 +214,7 @@ def _stim300_rows() -> list[dict[str, Any]]:
         _row("STIM300, 64 KiB blocks", clean_rate, "million frames/s", peer),
         _row("STIM300, blocks of 80 frames", small_rate, "million frames/s", peer),
         _row("STIM300, blocks of 80 frames (peer: 64 KiB)", small_rate, "million frames/s", clean_rate),
+        _row("STIM300, live reads of 80 frames (peer: 64 KiB)", live_rate, "million frames/s", clean_rate),
         _row("STIM300, bit flips at 1e-4 per byte (peer: clean rate)", flip_rate, "million frames/s", clean_rate),
         _row("STIM300, bytes lost at 1e-4 (peer: clean rate)", drop_rate, "million frames/s", clean_rate),
         _row("noise, 1 MiB", quarter / quarter_s / 1e6, "MB/s"),

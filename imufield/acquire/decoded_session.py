@@ -63,7 +63,7 @@ def decoded(items: Items, session: Session, decoder: SessionDecoder) -> Iterator
         if isinstance(item, PartStart):
             yield Step(decoder.start_part(recorded_protocol(item.metadata, session)), item)
         elif isinstance(item, RecordedBlock):
-            yield Step(decoder.feed_block(item))
+            yield Step(decoder.feed(item))
         else:
             # A decoder that has read nothing is a new one: a loss that is told twice, as recordings do, is one.
             is_anew = item.event.get("event") in (UNPLUGGED, "link_lost") and decoder.has_read

@@ -72,15 +72,10 @@ class SessionDecoder:
             self._offset_s = self._pause_s = None
         return held_back
 
-    def feed_block(self, block: RecordedBlock) -> Samples | None:
-        """Take many recorded reads at once, as if they came one by one."""
+    def feed(self, block: RecordedBlock) -> Samples | None:
+        """Take reads, joined, as if they came one by one."""
         self._note_arrival(block.first_utc_ns, block.utc_ns)
         return self._on_session_clock(self._started().feed_chunks(block.data, block.end, block.monotonic_s))
-
-    def feed(self, data: bytes, arrival_s: float, utc_ns: int) -> Samples | None:
-        """Take the bytes of one read."""
-        self._note_arrival(utc_ns, utc_ns)
-        return self._on_session_clock(self._started().feed(data, arrival_s))
 
     def flush(self) -> Samples | None:
         """Return what the decoder held back; nothing will follow it."""

@@ -72,7 +72,7 @@ def run_record(options: RecordOptions, clock: HostClock | None = None) -> Sessio
             # Where nothing could be recorded (the folder is gone), that is what has to be told, not what follows from it.
             with suppress(RecordingError) if isinstance(sys.exception(), RecordingError) else nullcontext():
                 session.update(finished=True)
-            _tell_end(session, chain, options.as_json)
+            _tell_end(session, intake, options.as_json)
             if ramp is not None:
                 ramp.tell_end(session)
     return session
@@ -96,6 +96,8 @@ def _record(connected: Connected, intake: Intake, clock: HostClock, *, options: 
         if chunk is not None:
             start_s, is_silent = (chunk.monotonic_s if is_silent else start_s), False
             intake.take(chunk)
+        else:
+            intake.catch_up()
         now_s = clock.monotonic_s()
         if now_s - told_s >= TELL_EVERY_S:
             told_s = now_s
@@ -114,17 +116,18 @@ def _tell_progress(counts: DecoderStatistics, elapsed_s: float, as_json: bool) -
         echo(f"{elapsed_s:8.0f} s  {counts.samples} samples  {counts.lost} lost  (Ctrl-C ends)", begin="\r", end="")
 
 
-def _tell_end(session: Session, chain: Chain, as_json: bool) -> None:
+def _tell_end(session: Session, intake: Intake, as_json: bool) -> None:
     if not session.folder.exists():
         return
     # What the decoder holds back until it is sure of its time counts as well.
-    chain.finish()
-    counts = combined(chain.statistics)
+    intake.finish()
+    statistics = intake.chain.statistics
+    counts = combined(statistics)
     if as_json:
         echo(json.dumps({"event": "recorded", "session": str(session.folder), **counts.to_dict()}))
         return
     if sys.stdout.isatty():
         echo()
     echo(beside(f"{counts.samples} samples, {counts.lost} lost, session", session.folder))
-    for remark in remarks(chain.statistics):
+    for remark in remarks(statistics):
         say(remark)

@@ -153,9 +153,9 @@ class Chain:
             settings = replace(self.plan.guide, grade=nominal.grade)
             self.guide = Guide(scheme(self.plan.scheme, Origin.INSIDE), protocol.units, scale=scale, settings=settings)
 
-    def feed(self, data: bytes, arrival_s: float, utc_ns: int) -> list[Event]:
-        """Take the bytes of one read and return what the guide has to say."""
-        return self._take(self.decoder.feed(data, arrival_s, utc_ns))
+    def feed(self, block: RecordedBlock) -> list[Event]:
+        """Take what was read and return what the guide has to say."""
+        return self._take(self.decoder.feed(block))
 
     def take(self, step: Step, session: Session) -> list[Event]:
         """Take what one item of a recorded session gives; raises as ``start_part``."""

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from imufield.acquire.decoded_session import UNPLUGGED
 from imufield.acquire.instrument.same_stream import SameStream
 from imufield.acquire.link.chunk import Chunk
+from imufield.acquire.recording.reader import ReadJoiner
 from imufield.acquire.recording.recorder import Recorder
 from imufield.guide.events import Event
 from imufield.pipeline.chain import Chain
+
+DECODED_EVERY_S = 0.1
+"""Of the wire, decoded at once: a small block costs nearly as much as a large one, and the guide judges cells as long as this."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -20,9 +24,11 @@ class Intake:
     chain: Chain
     stream: SameStream
     """Hears the samples of the chain."""
+    waiting: ReadJoiner = field(default_factory=lambda: ReadJoiner(span_s=DECODED_EVERY_S))
+    """Recorded and not yet decoded."""
 
     def take(self, chunk: Chunk) -> list[Event]:
-        """Record a chunk and return what the guide says of it.
+        """Record a chunk and return what the guide says of those before it.
 
         Raises
         ------
@@ -42,11 +48,22 @@ class Intake:
     def _keep(self, chunk: Chunk) -> list[Event]:
         # To the disk first: what fails behind it can be done again from there.
         self.recorder.write_chunk(chunk)
-        return self.chain.feed(chunk.data, chunk.monotonic_s, chunk.utc_ns)
+        events = self.catch_up() if self.waiting.must_end_before(chunk.monotonic_s, len(chunk.data)) else []
+        self.waiting.add(chunk.data, chunk.monotonic_s, chunk.utc_ns)
+        return events
+
+    def catch_up(self) -> list[Event]:
+        """Decode all that was taken: nothing more has come, or somebody says what is about just these bytes."""
+        return self.chain.feed(self.waiting.take()) if self.waiting.pieces else []
 
     def link_lost(self) -> list[Event]:
         """Read anew what comes, and record that: the guide says it only where that is new to it."""
+        events = self.catch_up()
         self.recorder.write_event({"event": UNPLUGGED})
-        events = self.chain.link_lost()
+        events += self.chain.link_lost()
         self.stream.begin()
         return events
+
+    def finish(self) -> list[Event]:
+        """Decode what was taken, and take what the decoder held back; nothing will follow."""
+        return self.catch_up() + self.chain.finish()

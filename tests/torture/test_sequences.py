@@ -291,10 +291,11 @@ def live(session: Session, kind: Kind, script: Script) -> Reading:
     )
     try:
         with Recorder(session.add_part(), part_metadata(kind.protocol, {}), clock=clock) as recorder:
+            intake = Intake(recorder=recorder, chain=chain, stream=stream)
             loop = CaptureLoop(
                 session=session,
                 connected=connected,
-                intake=Intake(recorder=recorder, chain=chain, stream=stream),
+                intake=intake,
                 view=NoView(),  # type: ignore[arg-type]
                 keyboard=Keys(link),  # type: ignore[arg-type]
                 clock=clock,
@@ -305,7 +306,7 @@ def live(session: Session, kind: Kind, script: Script) -> Reading:
             except LinkError as error:
                 # Only where nothing but foreign bytes came for long; what came before is kept all the same.
                 assert error.reason is Reason.FOREIGN  # noqa: PT017
-                chain.finish()
+                intake.finish()
     finally:
         background.close()
     return Reading(joined(blocks, kind), chain.observations())

@@ -141,11 +141,11 @@ def read_blocks(
         Nor beyond this time of the wire, nor over a pause of 0.25 s, nor over an event.
     """
     with task("reading", size_bytes(session.parts)) as reading:
-        yield from _blocks(session, damage, _Joiner(block_bytes=block_bytes, span_s=span_s), reading)
+        yield from _blocks(session, damage, ReadJoiner(block_bytes=block_bytes, span_s=span_s), reading)
 
 
 def _blocks(
-    session: Parts, damage: list[Damage] | None, joiner: _Joiner, reading: Task
+    session: Parts, damage: list[Damage] | None, joiner: ReadJoiner, reading: Task
 ) -> Iterator[PartStart | RecordedBlock | RecordedEvent]:
     for path in _parts_begun(session, damage):
         for item in _items_of(path, damage, reading):
@@ -165,11 +165,11 @@ def _blocks(
 
 
 @dataclass(slots=True, kw_only=True)
-class _Joiner:
-    """Collects chunks until they make a block."""
+class ReadJoiner:
+    """Collects reads until they make a block."""
 
-    block_bytes: int
     span_s: float
+    block_bytes: int = 1 << 20
     pieces: list[bytes] = field(default_factory=list)
     times: list[float] = field(default_factory=list)
     size: int = 0
@@ -177,6 +177,7 @@ class _Joiner:
     utc_ns: int = 0
 
     def must_end_before(self, monotonic_s: float, size: int) -> bool:
+        """Whether a read of this time and size begins a new block."""
         return bool(self.pieces) and (
             self.size + size > self.block_bytes
             or monotonic_s - self.times[0] > self.span_s
@@ -185,6 +186,7 @@ class _Joiner:
         )
 
     def add(self, data: bytes, monotonic_s: float, utc_ns: int) -> None:
+        """Take the next read."""
         if not self.pieces:
             self.first_utc_ns = utc_ns
         self.pieces.append(data)
@@ -193,6 +195,7 @@ class _Joiner:
         self.utc_ns = utc_ns
 
     def take(self) -> RecordedBlock:
+        """Return what was collected, and begin anew."""
         ends = np.cumsum(np.fromiter(map(len, self.pieces), dtype=np.int64, count=len(self.pieces)))
         data, times_s = b"".join(self.pieces), np.array(self.times)
         block = RecordedBlock(data=data, end=ends, monotonic_s=times_s, first_utc_ns=self.first_utc_ns, utc_ns=self.utc_ns)

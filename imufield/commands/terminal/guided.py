@@ -266,6 +266,8 @@ class CaptureLoop:
                 chunk = self._next_chunk()
                 if chunk is not None:
                     self._take(chunk)
+                else:
+                    self._publish(self.intake.catch_up())
                 quitting = self._follow_keys()
                 self._refresh()
                 self.check()
@@ -281,7 +283,7 @@ class CaptureLoop:
             self._refresh(at_once=True)
         for chunk in waiting:
             self._take(chunk)
-        self._publish(self.chain.finish())
+        self._publish(self.intake.finish())
         self._refresh(at_once=True)  # The last words are not for the next picture: there is none.
         if self._done:
             self.session.update(finished=True)
@@ -359,6 +361,7 @@ class CaptureLoop:
     def _mark(self, action: str, position: str | None = None) -> None:
         """Record what the operator says, and tell the guide."""
         if self.chain.guide is not None:
+            self._publish(self.intake.catch_up())
             # Of the sample clock: a replay must say it at the same sample, however fast it runs.
             time_s = self.chain.guide.time_s
             named = {} if position is None else {"position": position}

@@ -1,0 +1,48 @@
+"""The way of reads to disk and guide: on disk at once, decoded together, and all of it heard where somebody asks."""
+
+from __future__ import annotations
+
+from itertools import islice
+from pathlib import Path
+
+import pytest
+
+from imufield.acquire.decoded_session import recorded_protocol
+from imufield.acquire.instrument.same_stream import SameStream
+from imufield.acquire.link.chunk import Chunk
+from imufield.acquire.recording.reader import read_part
+from imufield.acquire.recording.recorder import Recorder, part_metadata
+from imufield.acquire.recording.session import Session
+from imufield.pipeline.chain import Chain, ReadingPlan
+from imufield.pipeline.intake import Intake
+from imufield.samples import Samples
+from tests.commands.conftest import CHUNK_SAMPLES, RATE_HZ, simulated_session
+
+CHUNKS = 200
+LONGEST_WAIT_S = 0.1 + CHUNK_SAMPLES / RATE_HZ  # Of a read until it is decoded, where others follow.
+
+
+@pytest.fixture
+def recorded(tmp_path: Path) -> tuple[Session, list[Chunk]]:
+    session = simulated_session(tmp_path / "here", "faces6", visits=1)
+    return session, list(islice((item for item in read_part(session.parts[0]) if isinstance(item, Chunk)), CHUNKS))
+
+
+def test_reads_are_on_disk_at_once_and_decoded_together(recorded: tuple[Session, list[Chunk]], tmp_path: Path) -> None:
+    session, chunks = recorded
+    protocol = recorded_protocol({}, session)
+    blocks: list[Samples] = []
+    chain = Chain(ReadingPlan.of(session), listeners=(blocks.append,))
+    chain.start_part(protocol)
+    path = tmp_path / "again.mcap"
+    with Recorder(path, part_metadata(protocol, {})) as recorder:
+        intake = Intake(recorder=recorder, chain=chain, stream=SameStream("port"))
+        for number, chunk in enumerate(chunks, 1):
+            intake.take(chunk)
+            late = number * CHUNK_SAMPLES - sum(map(len, blocks))
+            assert late <= LONGEST_WAIT_S * RATE_HZ + CHUNK_SAMPLES
+        assert len(blocks) < CHUNKS / 2
+        intake.catch_up()
+        assert sum(map(len, blocks)) == CHUNKS * CHUNK_SAMPLES
+        intake.take(chunks[0])
+    assert [item for item in read_part(path) if isinstance(item, Chunk)] == [*chunks, chunks[0]]
