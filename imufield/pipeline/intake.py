@@ -13,7 +13,7 @@ from imufield.guide.events import Event
 from imufield.pipeline.chain import Chain
 
 DECODED_EVERY_S = 0.1
-"""Of the wire, decoded at once: a small block costs nearly as much as a large one, and the guide judges cells as long as this."""
+"""Of the wire, decoded at once: a small block costs nearly as much as a large one, and cells of the guide are as long."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
