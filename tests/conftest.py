@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 
 import pytest
@@ -45,8 +46,10 @@ def write_secret(state_home: Path) -> None:
     path.chmod(0o600)
 
 
-# Files of half a minute and more, mostly the longest first, or one process works on alone when the others are done. Those
-# that start a browser stand apart.
+# Files of half a minute and more, mostly the longest first, or one process works on alone when the others are done. Most wait
+# for ports and browsers: with others between them there is work meanwhile.
+OTHERS_BETWEEN = 10
+BEGIN_WITH = 6
 LONG = (
     "commands/test_can.py",
     "study/test_studies.py",
@@ -85,9 +88,15 @@ def pytest_collection_finish() -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put the long files first; within a file and among the others the order stays."""
-    places = {PROJECT / "tests" / name: place for place, name in enumerate(LONG)}
-    items.sort(key=lambda item: places.get(item.path, len(LONG)))
+    """Spread the long files, from the beginning on; within a file and among the others the order stays."""
+    files = {item.path: None for item in items}
+    long = [path for path in (PROJECT / "tests" / name for name in LONG) if path in files]
+    others = iter([path for path in files if path not in long])
+    order = long[:BEGIN_WITH]
+    for path in long[BEGIN_WITH:]:
+        order += [*islice(others, OTHERS_BETWEEN), path]
+    places = {path: place for place, path in enumerate([*order, *others])}
+    items.sort(key=lambda item: places[item.path])
 
 
 @pytest.fixture(scope="session")
