@@ -83,7 +83,7 @@ gc.disable()
 def pytest_collection_finish() -> None:
     """Let the collector look at what the tests make, and at nothing else; rarely, as most of it goes without cycles."""
     gc.freeze()
-    gc.set_threshold(50_000)
+    gc.set_threshold(200_000)
     gc.enable()
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import array
 import atexit
 import contextlib
+import fcntl
 import gc
 import importlib
 import io
@@ -23,7 +24,8 @@ import socket
 import struct
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 MESSAGE_BYTES = 1 << 20
@@ -48,8 +50,17 @@ SELDOM_RUN = ("study",)
 RUN_FIRST = (["capture", "--help"], ["devices"], ["solve", "nowhere"])
 
 
-def serve(channel: socket.socket, run_program: Callable[[], None]) -> None:
-    """Fork for each message until the other end closes; does not return in a fork."""
+@contextlib.contextmanager
+def nobody_else() -> Iterator[None]:
+    """Keep other clients from coming, and servers from leaving."""
+    with Path(__file__).open() as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+def serve(listener: socket.socket, run_program: Callable[[], None]) -> None:
+    """Fork for each message until the last client has gone; does not return in a fork."""
+    clients: list[socket.socket] = []
     reports: dict[int, int] = {}
     ended, ends = os.pipe()
     for end in (ended, ends):
@@ -58,32 +69,55 @@ def serve(channel: socket.socket, run_program: Callable[[], None]) -> None:
     signal.signal(signal.SIGCHLD, lambda number, frame: None)
     signal.set_wakeup_fd(ends, warn_on_full_buffer=False)
     while True:
-        ready = select.select([channel.fileno(), ended], [], [])[0]
+        heard: list[Any] = [listener, ended, *clients]
+        ready = select.select(heard, [], [])[0]
         if ended in ready:
             os.read(ended, MESSAGE_BYTES)
             tell_ends(reports)
-        if channel.fileno() not in ready:
-            continue
-        message, ancillary, _, _ = channel.recvmsg(MESSAGE_BYTES, socket.CMSG_SPACE(4 * array.array("i").itemsize))
-        if not message:
-            return
-        descriptors = array.array("i")
-        for _, _, data in ancillary:
-            descriptors.frombytes(data)
-        wanted = json.loads(message)
-        with contextlib.suppress(ImportError):  # The program itself says what it misses.
-            for name in wanted["modules"]:
-                importlib.import_module(name)
-        process = os.fork()
-        if not process:
-            signal.set_wakeup_fd(-1)
-            signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-            leave(run_command(run_program, wanted, descriptors))
-        *streams, report = descriptors
-        for descriptor in streams:
-            os.close(descriptor)
-        reports[process] = report
-        os.write(report, struct.pack("i", process))
+        if listener in ready:
+            clients.append(listener.accept()[0])
+        for client in clients[:]:
+            if client not in ready:
+                continue
+            message, ancillary, _, _ = client.recvmsg(MESSAGE_BYTES, socket.CMSG_SPACE(4 * array.array("i").itemsize))
+            if message:
+                fork(message, ancillary, run_program, reports)
+                continue
+            clients.remove(client)
+            client.close()
+            if not clients and has_closed(listener):
+                return
+
+
+def has_closed(listener: socket.socket) -> bool:
+    """Close the address unless somebody has just come."""
+    with nobody_else():
+        if select.select([listener], [], [], 0)[0]:
+            return False
+        Path(listener.getsockname()).unlink()
+        listener.close()
+        return True
+
+
+def fork(message: bytes, ancillary: list[Any], run_program: Callable[[], None], reports: dict[int, int]) -> None:
+    """Start the program that a message asks for."""
+    descriptors = array.array("i")
+    for _, _, data in ancillary:
+        descriptors.frombytes(data)
+    wanted = json.loads(message)
+    with contextlib.suppress(ImportError):  # The program itself says what it misses.
+        for name in wanted["modules"]:
+            importlib.import_module(name)
+    process = os.fork()
+    if not process:
+        signal.set_wakeup_fd(-1)
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        leave(run_command(run_program, wanted, descriptors))
+    *streams, report = descriptors
+    for descriptor in streams:
+        os.close(descriptor)
+    reports[process] = report
+    os.write(report, struct.pack("i", process))
 
 
 def tell_ends(reports: dict[int, int]) -> None:

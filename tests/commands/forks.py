@@ -13,11 +13,14 @@ import socket
 import struct
 import subprocess
 import sys
+import tempfile
 import threading
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
+
+from tests.commands.fork_server import nobody_else
 
 SERVER = Path(__file__).with_name("fork_server.py")
 # As readers of other programs' files are started; libraries look when they are imported.
@@ -34,23 +37,32 @@ def can_fork(variables: Mapping[str, str], options: Mapping[str, Any]) -> bool:
 
 @cache
 def server(program: str) -> socket.socket:
-    """Start the process to fork a program from; return the socket to ask it by."""
-    ours, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    process = subprocess.Popen(
-        [sys.executable, str(SERVER), str(its.fileno()), program],
-        pass_fds=[its.fileno()],
-        env={**os.environ, **AT_IMPORT},
-        stdin=subprocess.DEVNULL,
-        start_new_session=True,
-    )
-    its.close()
-
-    def stop() -> None:
-        ours.close()
-        process.wait(60)
-
-    atexit.register(stop)
+    """Return a connection to the process to fork a program from: those of a test run share one, which ends with them."""
+    run = os.environ.get("PYTEST_XDIST_TESTRUNUID", f"of{os.getpid()}")
+    address = Path(tempfile.gettempdir(), f"imufield-{program}-{run}")
+    ours = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with nobody_else():
+        if not address.exists():
+            start(program, address)
+        ours.connect(str(address))
+    atexit.register(ours.close)
     return ours
+
+
+def start(program: str, address: Path) -> None:
+    """Start the process to fork a program from; it can be asked at once."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listener:
+        listener.bind(str(address))
+        listener.listen(128)
+        listener.set_inheritable(True)
+        # Nobody waits for its end: it may outlive the one that starts it.
+        os.posix_spawn(
+            sys.executable,
+            [sys.executable, str(SERVER), str(listener.fileno()), program],
+            {**os.environ, **AT_IMPORT},
+            file_actions=[(os.POSIX_SPAWN_OPEN, 0, os.devnull, os.O_RDONLY, 0)],
+            setsid=True,
+        )
 
 
 class Forked(subprocess.Popen[str]):
