@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.acquire.formats.table_arrays import missing_package
+from imufield.campaign import interrupts_held
 from imufield.samples import NO_COUNTER, SAMPLE_COLUMNS, Samples
 
 Columns = dict[str, NDArray[np.float64] | NDArray[np.int64] | NDArray[np.uint32]]
@@ -80,8 +81,10 @@ def write_hdf5(blocks: Iterable[Samples], path: Path, facts: Mapping[str, str]) 
             for name in SAMPLE_COLUMNS
         }
         for block in blocks:
-            for name, values in columns_of(block).items():
-                datasets[name].resize(rows + len(block), axis=0)
-                datasets[name][rows:] = values
+            # The callbacks of h5py swallow a Ctrl-C.
+            with interrupts_held():
+                for name, values in columns_of(block).items():
+                    datasets[name].resize(rows + len(block), axis=0)
+                    datasets[name][rows:] = values
             rows += len(block)
     return rows
