@@ -1,1 +1,1 @@
-"""Drivers: one file per instrument family (constants, link defaults, commands, identity)."""
+"""Drivers: one file per instrument family (constants, link defaults, commands, output rate, identity)."""

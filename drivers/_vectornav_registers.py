@@ -2,7 +2,8 @@
 
 ``$VNRRG,number*XX`` reads, ``$VNWRG,number,values*XX`` writes, and both answer with the line that holds the values; ``$VNERR``
 refuses. XX is the XOR of what stands between dollar and star. What is written lasts until reset or power-off unless
-``$VNWNV`` is sent, which imufield never does (UM001, system module).
+``$VNWNV`` is sent, which imufield never does (UM001, system module). Which of them set the
+output rate is in ``vectornav_binary`` and ``vectornav_ascii``.
 """
 
 from __future__ import annotations

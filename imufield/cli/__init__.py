@@ -1,4 +1,5 @@
-"""The command line: arguments in, exit codes out. What each command does is in ``imufield.commands``.
+"""The command line: arguments in, exit codes out (which error has which: ``imufield.errors``). What each command does is in
+``imufield.commands``.
 
 Nothing heavy is imported here: each command imports its own room, so that a prompt comes back at once.
 """

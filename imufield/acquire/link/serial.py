@@ -233,12 +233,12 @@ class SerialLink:
         Raises
         ------
         LinkError
-            The port is there and cannot be used: waiting would not help.
+            The port is there and cannot be used, or is a pseudo-terminal: waiting would not help.
         """
         self.close()
         # The system gives the number of a pseudo-terminal that is gone to the next one: somebody's shell, and no instrument.
         if self.name.startswith(PSEUDO_TERMINALS):
-            return False
+            raise LinkError(sentence("serial.gone_for_good", port=self.name), Reason.DISCONNECTED)
         try:
             self._open()
         except LinkError as error:

@@ -1,5 +1,7 @@
 """Advice of the guide, from the running fit to the positions so far. Advice refuses nothing.
 
+The fit also tells which position to measure next (``session_time.next_best``) and when the targets are met.
+
 Positions that the others contradict are suspects: each suspicion is told, and withdrawn aloud when the others come to agree.
 """
 

@@ -1,8 +1,8 @@
 """The guide: leads one person through the positions. Samples in, events out; no I/O, no clock but the samples' own.
 
-``state_table`` says what happens when; ``guide_actions`` holds the actions. Everything is decided between two cells of the
-sample clock, so the same recording with the same marks gives the same events, however it is cut: a mark takes effect when the
-cell in which it was made is complete.
+``state_table`` says what happens when; ``guide_actions`` holds the actions. What a mark of the operator does (retake, skip,
+undo) is here. Everything is decided between two cells of the sample clock, so the same recording with the same marks gives
+the same events, however it is cut: a mark takes effect when the cell in which it was made is complete.
 """
 
 from __future__ import annotations

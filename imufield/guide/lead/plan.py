@@ -1,6 +1,7 @@
 """The plan of a session: which positions are pending, measured, skipped or wanted again, and how near a hold must be to one.
 
-Nothing measured is erased.
+Nothing measured is erased. Which position helps most and comes first (``preferred``) is found by ``advice`` with
+``session_time.next_best``, and whether the targets are met.
 """
 
 from __future__ import annotations

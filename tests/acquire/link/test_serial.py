@@ -193,10 +193,10 @@ def test_the_number_of_a_pseudo_terminal_that_is_gone_leads_to_no_instrument(ter
     link = open_link(terminal.port, baud=9600)
     terminal.unplug()
     assert wait_for_error(link).reason is Reason.DISCONNECTED
-    assert not link.reopen()
     others = [Terminal() for _ in range(20)]  # The lowest number that is free is given first.
     before = [termios.tcgetattr(other.master) for other in others]
-    assert not link.reopen()
+    with refused(LinkError, Reason.DISCONNECTED, terminal.port, key="serial.gone_for_good"):
+        link.reopen()
     assert [termios.tcgetattr(other.master) for other in others] == before
     for other in others:
         other.unplug()
