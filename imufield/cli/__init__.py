@@ -1,7 +1,7 @@
 """The command line: arguments in, exit codes out. What each command does is in ``imufield.commands``.
 
-Which error has which exit code stands in ``imufield.errors``. Nothing heavy is imported here: each command imports its own room,
-so that a prompt comes back at once.
+Which error has which exit code stands in ``imufield.errors``. Nothing heavy is imported here: each command imports its own
+room, so that a prompt comes back at once.
 """
 
 from __future__ import annotations
