@@ -6,6 +6,7 @@ Decoding takes as long as what is done with the samples, and two processes do bo
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Generator, Iterator
 from contextlib import closing, suppress
 from dataclasses import dataclass
@@ -28,6 +29,10 @@ sentence = Sentences(__package__)
 
 LONG_BYTES = 1 << 26
 """Of a recording that is decoded in a process of its own. To start one takes as long as to decode a third of that."""
+
+
+PROGRAM = "imufield.cli"
+"""Module of the function ``main`` that the program's main module imports and calls."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +95,7 @@ def _started(session: Session) -> tuple[BaseProcess, Connection] | None:
     from imufield.campaign import interrupts_held
 
     # A process of its own has this one where many sessions are read at once: the cores are busy.
-    if (os.cpu_count() or 1) == 1 or multiprocessing.parent_process() is not None:
+    if (os.cpu_count() or 1) == 1 or multiprocessing.parent_process() is not None or not _is_program():
         return None
     context = multiprocessing.get_context("spawn")
     answers, end = context.Pipe(duplex=False)
@@ -102,6 +107,11 @@ def _started(session: Session) -> tuple[BaseProcess, Connection] | None:
             answers.close()
             return None
     return process, answers
+
+
+def _is_program() -> bool:
+    """Whether the main module is imufield's own: the process imports it again, and somebody's script would run twice."""
+    return getattr(getattr(sys.modules["__main__"], "main", None), "__module__", "") == PROGRAM
 
 
 def _steps_of(answers: Connection, session: Session, decoder: SessionDecoder) -> Generator[Step, None, _End]:

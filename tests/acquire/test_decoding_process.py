@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import multiprocessing
 import os
+import subprocess
+import sys
 from collections.abc import Generator
 from dataclasses import dataclass
 from itertools import islice
@@ -14,6 +16,7 @@ from typing import cast
 import numpy as np
 import pytest
 
+import imufield.cli
 from imufield.acquire import decoding_process
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.decoded_session import UNPLUGGED, Step, recorded_protocol
@@ -25,8 +28,9 @@ from imufield.acquire.recording.session import Session
 from imufield.acquire.registry import load_driver
 from imufield.acquire.session_decoder import SessionDecoder
 from imufield.errors import ImufieldError, Reason, RecordingError
+from imufield.pipeline.chain import session_samples
 from imufield.samples import Samples
-from tests.commands.conftest import simulated_session
+from tests.commands.conftest import LONGEST_S, simulated_session
 from tests.refused import refused
 from tests.told import key_of
 
@@ -48,6 +52,12 @@ def session(tmp_path: Path) -> Session:
     return session
 
 
+def as_program(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let this process pass for the program on a machine of two cores."""
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    monkeypatch.setattr(sys.modules["__main__"], "main", imufield.cli.main, raising=False)
+
+
 @dataclass
 class Outcome:
     """All that a reading gives."""
@@ -60,7 +70,7 @@ class Outcome:
 
 def read(session: Session, monkeypatch: pytest.MonkeyPatch, long_bytes: int) -> Outcome:
     monkeypatch.setattr(decoding_process, "LONG_BYTES", long_bytes)
-    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    as_program(monkeypatch)
     decoder, outcome = SessionDecoder(), Outcome([], [], [])
     try:
         outcome.steps += session_steps(session, outcome.damage, decoder)
@@ -115,7 +125,7 @@ def test_an_error_comes_across_with_its_values(session: Session, monkeypatch: py
 def steps(session: Session, monkeypatch: pytest.MonkeyPatch) -> Generator[Step]:
     """Return the steps of a process that has sent its first."""
     monkeypatch.setattr(decoding_process, "LONG_BYTES", 0)
-    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    as_program(monkeypatch)
     sent = cast("Generator[Step]", session_steps(session, [], SessionDecoder()))
     next(sent)
     assert len(multiprocessing.active_children()) == 1
@@ -138,7 +148,7 @@ def test_a_defect_in_it_is_one_here(
 ) -> None:
     monkeypatch.setattr(decoding_process, "_send", "nothing that can be called")
     monkeypatch.setattr(decoding_process, "LONG_BYTES", 0)
-    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    as_program(monkeypatch)
     with pytest.raises(RuntimeError):
         list(session_steps(session, [], SessionDecoder()))
     assert "TypeError" in capfd.readouterr().err
@@ -148,3 +158,20 @@ def test_where_no_process_starts_this_one_decodes(session: Session, monkeypatch:
     here = read(session, monkeypatch, 1 << 40)
     monkeypatch.setattr(multiprocessing.process.BaseProcess, "start", lambda process: os.close(-1))
     assert len(read(session, monkeypatch, 0).steps) == len(here.steps)
+
+
+@pytest.mark.parametrize("from_file", [True, False])
+def test_a_script_of_somebody_runs_once(session: Session, tmp_path: Path, *, from_file: bool) -> None:
+    """Without the usual guard, or from standard input: a process that is spawned would run it again."""
+    script = (
+        "from imufield.acquire import decoding_process\n"
+        "from imufield.acquire.recording.session import Session\n"
+        "from imufield.pipeline.chain import session_samples\n"
+        "decoding_process.LONG_BYTES = 0\n"
+        f"print(sum(map(len, session_samples(Session.open({str(session.folder)!r}), []))))\n"
+    )
+    path = tmp_path / "script.py"
+    path.write_text(script)
+    command = [sys.executable, str(path) if from_file else "-"]
+    ended = subprocess.run(command, input=script, capture_output=True, text=True, timeout=LONGEST_S, check=True)
+    assert ended.stdout.split() == [str(sum(map(len, session_samples(session, []))))]

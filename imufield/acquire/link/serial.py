@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import os
 import select
+import stat
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Protocol
 
 import serial
@@ -19,6 +21,7 @@ from imufield.acquire.link.chunk import Chunk as Chunk  # noqa: PLC0414  (where 
 from imufield.acquire.link.host_clock import HostClock, SystemClock
 from imufield.acquire.link.link_errors import OPEN_FAILURES, baud_refused, open_error
 from imufield.errors import LinkError, LinkTimeoutError, Reason
+from imufield.files import real_path
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -109,6 +112,7 @@ class SerialLink:
         self.settings = settings
         self._clock = clock
         self._port: Port | None = None
+        self._seen_link = _link_to_pseudo_terminal(port)
         self._descriptor: int | None = None
         self._open()
 
@@ -239,12 +243,17 @@ class SerialLink:
         # The system gives the number of a pseudo-terminal that is gone to the next one: somebody's shell, and no instrument.
         if self.name.startswith(PSEUDO_TERMINALS):
             raise LinkError(sentence("serial.gone_for_good", port=self.name), Reason.DISCONNECTED)
+        # Who is killed leaves a link, which leads to that next one.
+        seen_link = _link_to_pseudo_terminal(self.name)
+        if seen_link is not None and seen_link == self._seen_link:
+            return False
         try:
             self._open()
         except LinkError as error:
             if error.reason in (Reason.PORT_NOT_FOUND, Reason.PORT_BUSY, Reason.NO_PERMISSION, Reason.DISCONNECTED):
                 return False
             raise
+        self._seen_link = seen_link
         return True
 
     def _opened(self) -> Port:
@@ -261,6 +270,16 @@ def not_taken(name: str, what: str, remedy: str) -> LinkTimeoutError:
     """Return the error that a link did not take what was sent in time."""
     told = sentence("serial.not_taken", port=name, what=what, limit_s=WRITE_TIMEOUT_S, remedy=remedy)
     return LinkTimeoutError(told, Reason.SILENCE)
+
+
+def _link_to_pseudo_terminal(port: str) -> tuple[int, int] | None:
+    """Return what tells a link to a pseudo-terminal from a later one of its name; None where the port is no such link."""
+    try:
+        status = Path(port).lstat()
+    except OSError:
+        return None
+    leads_there = stat.S_ISLNK(status.st_mode) and str(real_path(port)).startswith(PSEUDO_TERMINALS)
+    return (status.st_ino, status.st_mtime_ns) if leads_there else None
 
 
 def _can_be_selected(port: str) -> bool:

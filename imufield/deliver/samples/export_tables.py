@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.acquire.formats.table_arrays import missing_package
-from imufield.campaign import interrupts_held
 from imufield.samples import NO_COUNTER, SAMPLE_COLUMNS, Samples
 
 Columns = dict[str, NDArray[np.float64] | NDArray[np.int64] | NDArray[np.uint32]]
@@ -64,6 +63,9 @@ def write_hdf5(blocks: Iterable[Samples], path: Path, facts: Mapping[str, str]) 
         import h5py
     except ImportError as error:
         raise missing_package("--to hdf5", "h5py", "hdf5") from error
+    # Imported here, as other formats need nothing of it.
+    from imufield.campaign import interrupts_held
+
     rows = 0
     with h5py.File(path, "w") as file:
         file.attrs.update(facts)
