@@ -1,4 +1,1 @@
-"""From the wire to samples: link, recorder, framer, layout decode, driver registry, sessions.
-
-``can_logs``, ``checksum`` and ``exchange`` are import addresses for other packages; the code is in the rooms.
-"""
+"""From the wire to samples: rooms, and import addresses for other packages (``can_logs``, ``checksum``, ``exchange``)."""

@@ -6,6 +6,8 @@ With ``n_i = norm(a_i)`` of position i, ``g`` the gravity and ``s_i`` the sigma 
     squares    sqrt(sum (g^2 - n_i^2)^2 / (M - 1))      (m/s^2)^2     [2]_ eq. 7 and 10
     weighted   sum ((n_i - g) / s_i)^2                  1
 
+Derivatives of the norm by the parameters are those of ``models.norm_derivatives``; here they are carried to z.
+
 Coordinates: ``parameters = origin + basis z``. The basis keeps the gauge and the parameters that are not fitted, and scales
 each coordinate to m/s^2 at 1 g, so that a step of one size means the same in all of them.
 
