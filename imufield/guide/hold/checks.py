@@ -1,8 +1,8 @@
 """Checks of a hold before it counts. Each gives a refusal with value, limit, axis and remedy, or None.
 
-Clipping that the instrument does not flag is found across holds: ``cross_checks.outputs``. Of which position a hold is, and how
-far off it may be, says ``lead.plan``; a side measured twice is found by ``cross_checks.sides``. The words are in
-``guide/sentences.toml``.
+Clipping that the instrument does not flag is found across holds: ``cross_checks.outputs``. Of which position a hold is, and
+that this one is measured already, is decided before it begins: ``lead.guide_actions.recognise``, with the nearness of
+``lead.plan``. The words are in ``guide/sentences.toml``.
 """
 
 from __future__ import annotations

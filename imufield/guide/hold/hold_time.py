@@ -1,7 +1,8 @@
 """When a hold ends: as soon as its mean is known as well as wanted, and no later than the Allan minimum.
 
 How well that is for a target of the result follows from the whole session: ``session_time``. ``--hold-s`` comes from
-``lead/settings`` as a target of a fixed time; ``lead/hold_under_way`` asks whether it is met.
+``lead/settings`` as a target of a fixed time; ``lead/session_time`` sets the same where the result has a target;
+``lead/hold_under_way`` asks whether it is met.
 
 Within a hold the mean of white noise improves with the root of time until flicker noise dominates; the Allan deviation of the
 stills of this session shows where (docs/maths.md, stillness). It is pooled over all placed holds, so each adds to it.

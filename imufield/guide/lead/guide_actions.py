@@ -1,7 +1,8 @@
 """What the guide does: the actions that the state table names.
 
-An action may answer with another input for the table. Beside them: where the unit rested last and whether it was moved since,
-and whether it lingers without becoming still. The operator's retake, skip and undo are marks: ``guide``.
+An action may answer with another input for the table. One recognises the position (near, measured already, near none). Beside
+them: where the unit rested last and whether it was moved since, and whether it lingers without becoming still. The operator's
+retake, skip and undo are marks: ``guide``.
 """
 
 from __future__ import annotations
