@@ -1,4 +1,4 @@
-"""Running a command line: interrupts, errors in one sentence, exit codes."""
+"""Running a command line: interrupts, errors in one sentence, exit codes (which error has which: ``imufield.errors``)."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ from imufield.commands.options.result_commands import ApplyOptions
 from imufield.commands.terminal.output import echo, say, say_each
 from imufield.commands.terminal.row_count import RowCount
 from imufield.deliver.parameters.file import load
-from imufield.deliver.parameters.numbers import beside, hanging
+from imufield.deliver.parameters.printed_numbers import beside, hanging
 from imufield.deliver.samples.apply_session import TemperatureFlags, apply_session
 from imufield.errors import RecordingError, UsageError
 from imufield.files import refuse_overwriting

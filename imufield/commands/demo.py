@@ -20,7 +20,7 @@ from imufield.commands.terminal.emulated import capture, emulator
 from imufield.commands.terminal.guided import Captured
 from imufield.commands.terminal.output import echo, say
 from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, write_document
-from imufield.deliver.parameters.numbers import hanging
+from imufield.deliver.parameters.printed_numbers import hanging
 from imufield.deliver.report.summary import Outcome, print_summary
 from imufield.earth import MILLI_G_M_S2
 from imufield.errors import VerificationError

@@ -11,7 +11,7 @@ from imufield.acquire.link.ports import can_channels, serial_ports
 from imufield.acquire.registry import driver_names, load_driver
 from imufield.commands.options.acquire_commands import DevicesOptions
 from imufield.commands.terminal.output import echo
-from imufield.deliver.parameters.numbers import hanging
+from imufield.deliver.parameters.printed_numbers import hanging
 from imufield.errors import ProtocolError
 from imufield.sentences import Sentences, printable
 

@@ -18,7 +18,7 @@ from imufield.acquire.protocol.toml import spell
 from imufield.acquire.registry import driver_names, load_driver
 from imufield.commands.options.acquire_commands import EmulateOptions
 from imufield.commands.terminal.output import echo, replace_only, say
-from imufield.deliver.parameters.numbers import WIDTH, beside
+from imufield.deliver.parameters.printed_numbers import WIDTH, beside
 from imufield.errors import UsageError
 from imufield.files import read_small_file
 from imufield.guide.positions import REVISIT_FROM, named_direction, scheme

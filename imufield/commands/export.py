@@ -8,7 +8,7 @@ from imufield.commands.options.result_commands import ExportOptions
 from imufield.commands.terminal.output import echo
 from imufield.deliver.exports import TARGETS, export_options, export_parameters, target, write_exported
 from imufield.deliver.parameters.file import load
-from imufield.deliver.parameters.numbers import hanging
+from imufield.deliver.parameters.printed_numbers import hanging
 from imufield.errors import UsageError
 from imufield.sentences import Sentences, printable
 

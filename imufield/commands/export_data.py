@@ -10,7 +10,7 @@ from imufield.acquire.recording.session import open_or_newest
 from imufield.commands.options.result_commands import ExportDataOptions
 from imufield.commands.terminal.output import echo, say, say_each
 from imufield.commands.terminal.row_count import RowCount
-from imufield.deliver.parameters.numbers import beside, hanging
+from imufield.deliver.parameters.printed_numbers import beside, hanging
 from imufield.deliver.samples.export_data import FORMATS, OUTLINE, export_samples, facts_of
 from imufield.errors import RecordingError, UsageError
 from imufield.files import refuse_overwriting

@@ -19,7 +19,7 @@ from imufield.deliver.history import History, InstrumentHistory, as_utc, one_ins
 from imufield.deliver.history_words import JudgedHistory, judge_histories, sentences, shown_as, to_csv
 from imufield.deliver.pair_test import Change
 from imufield.deliver.parameters.gauge_free import Number, unit_of
-from imufield.deliver.parameters.numbers import beside, hanging, to_ascii, with_sigma
+from imufield.deliver.parameters.printed_numbers import beside, hanging, to_ascii, with_sigma
 from imufield.errors import UsageError
 from imufield.files import refuse_overwriting, utf8_text
 from imufield.sentences import Sentence, Sentences, counted, folded

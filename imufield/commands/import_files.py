@@ -28,7 +28,7 @@ from imufield.acquire.recording.session_record import SettingRecord
 from imufield.acquire.registry import load_driver
 from imufield.commands.options.acquire_commands import ImportOptions
 from imufield.commands.terminal.output import echo, say_each
-from imufield.deliver.parameters.numbers import beside
+from imufield.deliver.parameters.printed_numbers import beside
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.guide.lead.still_scales import find_scales
 from imufield.pipeline.still_units import settings_of_stills, with_units_of_stills

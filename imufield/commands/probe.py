@@ -25,7 +25,7 @@ from imufield.acquire.link.host_clock import HostClock
 from imufield.acquire.link.ports import serial_ports
 from imufield.commands.options.acquire_commands import ProbeOptions
 from imufield.commands.terminal.output import echo, host_clock, say
-from imufield.deliver.parameters.numbers import beside
+from imufield.deliver.parameters.printed_numbers import beside
 from imufield.errors import ImufieldError, LinkError, Reason
 from imufield.sentences import Sentences, printable
 

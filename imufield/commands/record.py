@@ -17,7 +17,7 @@ from imufield.acquire.recording.session import Session, create_session
 from imufield.commands.options.acquire_commands import RecordOptions
 from imufield.commands.terminal.output import echo, host_clock, say, say_assumed
 from imufield.commands.terminal.ramp import RampLead
-from imufield.deliver.parameters.numbers import beside
+from imufield.deliver.parameters.printed_numbers import beside
 from imufield.errors import RecordingError
 from imufield.pipeline.chain import Chain, ReadingPlan
 from imufield.pipeline.intake import Intake

@@ -13,7 +13,7 @@ from imufield.calibrate.model.result import VERDICTS
 from imufield.commands.options.acquire_commands import SessionsOptions
 from imufield.commands.terminal.output import echo, say
 from imufield.deliver.parameters.file import PARAMETER_FILE
-from imufield.deliver.parameters.numbers import beside
+from imufield.deliver.parameters.printed_numbers import beside
 from imufield.errors import ImufieldError, ParameterFileError, RecordingError, UsageError
 from imufield.files import DEFAULT_ROOT, Origin, read_small_file, real_path
 from imufield.guide.positions import SCHEME_FILE, SCHEMES, scheme

@@ -20,7 +20,7 @@ from imufield.commands.options.result_commands import SolveOptions
 from imufield.commands.terminal.output import echo, say, tell_written
 from imufield.console import PlainTextConsole
 from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, as_written, json_ready, write_document
-from imufield.deliver.parameters.numbers import WIDTH, hanging
+from imufield.deliver.parameters.printed_numbers import WIDTH, hanging
 from imufield.deliver.parameters.schema import Document
 from imufield.deliver.report.gain import document_with_gain
 from imufield.deliver.report.summary import Outcome, print_summary

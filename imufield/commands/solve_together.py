@@ -15,7 +15,7 @@ from imufield.commands.terminal.output import echo, say, say_each, tell_written
 from imufield.console import PlainTextConsole
 from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, as_written, json_ready, write_document
 from imufield.deliver.parameters.joined import shown_unit
-from imufield.deliver.parameters.numbers import WIDTH, to_ascii
+from imufield.deliver.parameters.printed_numbers import WIDTH, to_ascii
 from imufield.deliver.report.together import HEADINGS, together_rows
 from imufield.errors import UsageError
 from imufield.files import DEFAULT_ROOT, refuse_overwriting

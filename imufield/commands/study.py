@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from imufield.commands.options.result_commands import StudyOptions
 from imufield.commands.terminal.output import echo, replace_only, tell_written
-from imufield.deliver.parameters.numbers import hanging
+from imufield.deliver.parameters.printed_numbers import hanging
 from imufield.errors import UsageError
 from imufield.files import typed_write_errors
 from imufield.sentences import Sentences

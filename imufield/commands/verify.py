@@ -21,7 +21,7 @@ from imufield.deliver.navigation.alignment import Heading
 from imufield.deliver.navigation.check import SHORTEST_S, Apply, CheckSettings, NavigationResult, StaticNavigation
 from imufield.deliver.parameters.apply import correct_accelerometer, correct_gyroscope
 from imufield.deliver.parameters.file import Corrected, json_ready, load
-from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S, to_ascii
+from imufield.deliver.parameters.printed_numbers import DEG_PER_HOUR_RAD_S, to_ascii
 from imufield.deliver.samples.apply_session import TemperatureFlags
 from imufield.deliver.verification.left_out import LeftOutPositions, check_positions, contradiction, cross_validate
 from imufield.deliver.verification.result import (

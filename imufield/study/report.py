@@ -20,7 +20,7 @@ import numpy as np
 import tomli
 from numpy.typing import ArrayLike
 
-from imufield.deliver.parameters.numbers import WIDTH, hanging
+from imufield.deliver.parameters.printed_numbers import WIDTH, hanging
 from imufield.drawing.style import figure, plot_style, title, to_png
 from imufield.files import typed_write_errors, write_atomically
 from imufield.samples import FloatArray

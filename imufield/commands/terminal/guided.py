@@ -29,7 +29,7 @@ from imufield.commands.terminal.output import echo, say
 from imufield.commands.terminal.page import SHOWN_EVERY_S, serve_page
 from imufield.commands.terminal.views import View, make_view
 from imufield.deliver.parameters.file import load
-from imufield.deliver.parameters.numbers import beside
+from imufield.deliver.parameters.printed_numbers import beside
 from imufield.errors import CalibrationError, ImufieldError, RecordingError, UsageError
 from imufield.files import read_small_file, typed_write_errors, write_atomically
 from imufield.guide.events import Advice, Event, Topic

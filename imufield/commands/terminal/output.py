@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from imufield.acquire.link.host_clock import HostClock, ScaledClock, SystemClock
-from imufield.deliver.parameters.numbers import beside
+from imufield.deliver.parameters.printed_numbers import beside
 from imufield.errors import UsageError
 from imufield.files import open_to_read, refuse_overwriting, typed_write_errors, write_atomically
 from imufield.progress import hidden

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from imufield.commands.options.acquire_commands import CaptureOptions
 from imufield.commands.terminal.output import echo, say
-from imufield.deliver.parameters.numbers import beside
+from imufield.deliver.parameters.printed_numbers import beside
 from imufield.guide.events import EVENT_VERSION, Event
 from imufield.guide.lead.guide import Snapshot
 from imufield.guide.positions import Scheme

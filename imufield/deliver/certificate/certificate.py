@@ -13,7 +13,7 @@ import numpy as np
 
 from imufield.deliver.parameters.context import JoinedSession
 from imufield.deliver.parameters.file import Parameters
-from imufield.deliver.parameters.numbers import with_sigma
+from imufield.deliver.parameters.printed_numbers import with_sigma
 from imufield.deliver.parameters.schema import Document
 from imufield.deliver.parameters.write import content_sha256
 from imufield.deliver.report.budget import (

@@ -20,7 +20,7 @@ from imufield.deliver.exports.conventions import (
 from imufield.deliver.exports.loss import at_one_temperature, loss_sentences
 from imufield.deliver.exports.target import Exported, ExportOptions, Target
 from imufield.deliver.parameters.file import Parameters
-from imufield.deliver.parameters.numbers import to_ascii
+from imufield.deliver.parameters.printed_numbers import to_ascii
 from imufield.errors import ParameterFileError, Reason, UsageError
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentences

@@ -8,7 +8,7 @@ from imufield.calibrate.model.models import predict, predict_gyroscope
 from imufield.deliver.exports.conventions import Corrections
 from imufield.deliver.exports.target import Target
 from imufield.deliver.parameters.file import Parameters
-from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S
+from imufield.deliver.parameters.printed_numbers import DEG_PER_HOUR_RAD_S
 from imufield.earth import MILLI_G_M_S2
 from imufield.errors import UsageError
 from imufield.samples import FloatArray

@@ -22,7 +22,7 @@ from imufield.calibrate.model.temperature import powers
 from imufield.deliver.exports.conventions import diagonal_corrections
 from imufield.deliver.exports.job import Draft, Job, sentence
 from imufield.deliver.exports.loss import directions
-from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S
+from imufield.deliver.parameters.printed_numbers import DEG_PER_HOUR_RAD_S
 from imufield.earth import MILLI_G_M_S2
 from imufield.samples import FloatArray
 

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from imufield.calibrate.noise.noise_fit import FLICKER
 from imufield.deliver.navigation.alignment import NoiseDensity
 from imufield.samples import FloatArray
 
@@ -30,8 +31,6 @@ MOVED_FORCE_M_S2 = 0.05
 _MOVED_SIGMAS = 8.0  # Of 18,000 seconds with six axes not one passes it by chance.
 _FORCE_LAG = 10  # Seconds over which the specific force is compared with itself: temperature is slower, a hand is faster.
 _SHORTEST_FOR_FLICKER = 600  # Seconds: below, there is nothing but white noise to be seen.
-# sigma^2 = (2 ln 2 / pi) B^2 on the flat part of the Allan deviation, IEEE Std 952-2020.
-_FLICKER = 2 * math.log(2) / math.pi
 _SHARED = 1.8  # Octaves share data: B^2 of 82 simulated recordings scattered so much more than it would if they did not.
 _PASSES = 6  # Of the weights, which depend on the fit.
 
@@ -147,7 +146,7 @@ def _instability(tau_s: FloatArray, variance: FloatArray, seconds: int) -> float
         return 0.0
     m = tau_s / SECOND_S
     freedom = np.maximum((3 * (seconds - 1) / (2 * m) - 2 * (seconds - 2) / seconds) * 4 * m**2 / (4 * m**2 + 5), 1.0)
-    X = np.column_stack([1 / tau_s, np.full_like(tau_s, _FLICKER)])
+    X = np.column_stack([1 / tau_s, np.full_like(tau_s, FLICKER)])
     squares, A, expected = np.zeros(2), X, variance
     for _ in range(_PASSES):
         # A variance with f degrees of freedom is known to sqrt(2 / f) of what it is, not of how it came out.

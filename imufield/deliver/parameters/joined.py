@@ -44,7 +44,7 @@ from imufield.deliver.parameters.gauge_free import (
     lower_parameters,
     si_values,
 )
-from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S
+from imufield.deliver.parameters.printed_numbers import DEG_PER_HOUR_RAD_S
 from imufield.earth import MILLI_G_M_S2
 from imufield.samples import AXES, FloatArray, SampleUnits
 from imufield.sentences import Sentences

@@ -20,7 +20,7 @@ from imufield.calibrate.model.uncertainty import without_gravity
 from imufield.calibrate.temperature.at_temperature import calibration_at
 from imufield.deliver.parameters.context import ClockFacts
 from imufield.deliver.parameters.file import Parameters
-from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S, acceleration_unit, decimals
+from imufield.deliver.parameters.printed_numbers import DEG_PER_HOUR_RAD_S, acceleration_unit, decimals
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentence, Sentences

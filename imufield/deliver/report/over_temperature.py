@@ -11,7 +11,7 @@ from imufield.calibrate.model.coverage_factors import NORMAL_FACTOR_95, student_
 from imufield.calibrate.model.temperature import TriadTemperature
 from imufield.calibrate.sessions.kinds import PPM
 from imufield.deliver.parameters.file import Parameters
-from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S
+from imufield.deliver.parameters.printed_numbers import DEG_PER_HOUR_RAD_S
 from imufield.earth import MILLI_G_M_S2
 from imufield.samples import FloatArray
 

@@ -11,7 +11,7 @@ from types import ModuleType
 import numpy as np
 
 from imufield.calibrate.model.result import Calibration
-from imufield.deliver.parameters.numbers import acceleration_unit, with_sigma
+from imufield.deliver.parameters.printed_numbers import acceleration_unit, with_sigma
 from imufield.deliver.parameters.schema import Document
 from imufield.deliver.parameters.write import content_sha256
 from imufield.deliver.report import plots

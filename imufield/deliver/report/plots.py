@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from imufield.deliver.navigation.drift import QUANTITIES
-from imufield.deliver.parameters.numbers import acceleration_unit
+from imufield.deliver.parameters.printed_numbers import acceleration_unit
 from imufield.deliver.parameters.schema import Document
 from imufield.deliver.report.correlations import Correlations
 from imufield.deliver.report.data import Closure, Convergence

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imufield.deliver.parameters.file import Parameters
-from imufield.deliver.parameters.numbers import acceleration_unit, decimals
+from imufield.deliver.parameters.printed_numbers import acceleration_unit, decimals
 from imufield.drawing.box import turn_shortest, visible_faces
 from imufield.drawing.style import INK
 from imufield.samples import FloatArray

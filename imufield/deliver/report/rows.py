@@ -11,7 +11,7 @@ import numpy as np
 from imufield.acquire.protocol.units import nominal_scale
 from imufield.calibrate.model.result import Calibration, GyroscopeCalibration
 from imufield.deliver.parameters.document import gyroscope_bias_rad_s
-from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S, decimals, with_sigma
+from imufield.deliver.parameters.printed_numbers import DEG_PER_HOUR_RAD_S, decimals, with_sigma
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2
 from imufield.samples import AXES, FloatArray
 

@@ -21,7 +21,7 @@ from imufield.calibrate.model.coverage_factors import degrees_of_freedom
 from imufield.calibrate.model.result import Calibration, Quality
 from imufield.console import PlainTextConsole
 from imufield.deliver.parameters.file import Parameters
-from imufield.deliver.parameters.numbers import (
+from imufield.deliver.parameters.printed_numbers import (
     ARC_MINUTE_RAD,
     WIDTH,
     acceleration_unit,

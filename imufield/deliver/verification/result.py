@@ -20,7 +20,7 @@ from imufield.deliver.navigation.check import NavigationResult
 from imufield.deliver.navigation.drift import QUANTITIES
 from imufield.deliver.parameters.context import SOFTWARE, now_text
 from imufield.deliver.parameters.file import Parameters, json_ready
-from imufield.deliver.parameters.numbers import acceleration_unit
+from imufield.deliver.parameters.printed_numbers import acceleration_unit
 from imufield.deliver.parameters.schema import Document
 from imufield.deliver.parameters.write import content_sha256
 from imufield.deliver.verification.left_out import LeftOutPositions

@@ -1,1 +1,1 @@
-"""The guide itself: state table, actions, what it says, plan, holds, turns and advice."""
+"""The guide itself: state table, actions, what it says, plan (positions, and how near a hold must be), holds, turns, advice."""

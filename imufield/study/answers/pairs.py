@@ -15,7 +15,7 @@ from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration, ModelChoice
 from imufield.deliver.pair_test import Shared, family_of, typical_turn_on
 from imufield.deliver.parameters.gauge_free import GaugeFree, gauge_free
-from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S
+from imufield.deliver.parameters.printed_numbers import DEG_PER_HOUR_RAD_S
 from imufield.earth import MILLI_G_M_S2, choose_gravity
 from imufield.guide.lead.guide import Guide
 from imufield.guide.lead.settings import GuideSettings

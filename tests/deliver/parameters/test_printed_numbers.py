@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from imufield.deliver.parameters.numbers import (
+from imufield.deliver.parameters.printed_numbers import (
     acceleration_unit,
     bar,
     beside,

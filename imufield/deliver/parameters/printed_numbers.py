@@ -1,4 +1,7 @@
-"""Numbers for people: a value with its uncertainty in digits that mean something, and units of the trade."""
+"""Numbers for people: a value with its uncertainty in digits that mean something, and units of the trade.
+
+In the parameter file itself every number has all its digits: ``write``.
+"""
 
 from __future__ import annotations
 
