@@ -86,6 +86,10 @@ def _replay_to_page(
     with ExitStack() as stack:
         place = bind_page(stack)
         page = stack.enter_context(serve_page(place, positions, session, as_json=options.as_json, replay_speed=options.speed))
+        say(sentence("replay.waits"), err=True)
+        # A short recording would have ended before anybody looks.
+        while not page.is_looked_at:
+            time.sleep(WAIT_S)
         shown_s = -math.inf
 
         def refresh(*, at_once: bool = False) -> None:

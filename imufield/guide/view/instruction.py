@@ -1,6 +1,7 @@
 """What the live views show, without drawing it: the state by the events so far, and what is to be done now.
 
-The screen draws it in a terminal, the page in a browser; both say the same because it is made here.
+The screen draws it in a terminal, the page in a browser; both say the same because it is made here. The sentences stand in
+``sentences.toml`` beside this module, those of the events in ``imufield/guide/sentences.toml``.
 """
 
 from __future__ import annotations

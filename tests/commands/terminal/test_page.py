@@ -229,7 +229,13 @@ def test_the_address_and_one_answer_to_a_key_stay_on_the_screen(program: Program
 def test_a_recorded_session_is_shown_at_any_speed(program: Program, make_session: Callable[..., Session], speed: float) -> None:
     folder = make_session("faces6", hold_s=6.0).folder
     replay = ("replay", folder, "--web", "--json", "--speed", speed)
-    with printing(program, *replay) as (process, printed), opened((told := address(process, printed))["url"]) as watching:
+    with printing(program, *replay) as (process, printed), ExitStack() as stack:
+        told = address(process, printed)
+        # However short it is, it is not over before its page looks.
+        assert process.stderr is not None
+        assert process.stderr.readline()
+        assert len(printed.read_text().splitlines()) == 1
+        watching = stack.enter_context(opened(told["url"]))
         # There is nothing to mark any more.
         assert told["url"] == told["watch_url"]
         assert json.loads(watching.recv(timeout=WAIT_S)) == {"role": "watch"}
