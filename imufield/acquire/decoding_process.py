@@ -30,6 +30,8 @@ sentence = Sentences(__package__)
 LONG_BYTES = 1 << 26
 """Of a recording that is decoded in a process of its own. To start one takes as long as to decode a third of that."""
 
+PIPE_BYTES = 1 << 20
+"""Two steps of a usual instrument, and the most that Linux gives any user (pipe(7), ``pipe-max-size``)."""
 
 PROGRAM = "imufield.cli"
 """Module of the function ``main`` that the program's main module imports and calls."""
@@ -99,6 +101,7 @@ def _started(session: Session) -> tuple[BaseProcess, Connection] | None:
         return None
     context = multiprocessing.get_context("spawn")
     answers, end = context.Pipe(duplex=False)
+    _widen(end)
     process = context.Process(target=_send, args=(session, end), daemon=True)
     with closing(end), interrupts_held():
         try:
@@ -107,6 +110,16 @@ def _started(session: Session) -> tuple[BaseProcess, Connection] | None:
             answers.close()
             return None
     return process, answers
+
+
+def _widen(end: Connection) -> None:
+    """Let whole steps wait in the pipe: in pieces of 64 KiB each process waits for the other as long as it decodes."""
+    if sys.platform == "linux":
+        import fcntl
+
+        # Refused where all pipes of the user have together what the system allows.
+        with suppress(OSError):
+            fcntl.fcntl(end.fileno(), fcntl.F_SETPIPE_SZ, PIPE_BYTES)
 
 
 def _is_program() -> bool:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from concurrent.futures import Executor, Future
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -122,29 +121,3 @@ class ReadingCollector:
         self._moves = self._moves or MoveCollector(samples.units)
         self._moves.feed(samples)
         self.trace.feed(samples)
-
-
-class Beside:
-    """Hands samples on to a listener that works in another thread, at most one block behind.
-
-    Parameters
-    ----------
-    listener : callable
-    threads : Executor
-        Must have a thread to spare.
-    """
-
-    def __init__(self, listener: Callable[[Samples], None], threads: Executor) -> None:
-        self._listener = listener
-        self._threads = threads
-        self._under_way: Future[None] | None = None
-
-    def feed(self, samples: Samples) -> None:
-        """Hand on the next block; raises what the listener raised at the one before."""
-        self.wait()
-        self._under_way = self._threads.submit(self._listener, samples)
-
-    def wait(self) -> None:
-        """Wait until the listener has had all blocks; raises as ``feed``."""
-        if self._under_way is not None:
-            self._under_way.result()

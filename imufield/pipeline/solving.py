@@ -34,7 +34,7 @@ from imufield.pipeline.calibration import FEWEST_POSITIONS, Measured, SolveSetti
 from imufield.pipeline.chain import Chain, ReadingPlan, SamplesListener, replay_into
 from imufield.pipeline.damage import naming_damage
 from imufield.pipeline.kept import is_kept, keep, kept
-from imufield.pipeline.reading import Beside, Reading, ReadingCollector
+from imufield.pipeline.reading import Reading, ReadingCollector
 from imufield.pipeline.site import SiteOptions
 from imufield.pipeline.windows import is_ramp
 from imufield.progress import task
@@ -153,10 +153,9 @@ def read_recording(
     """
     goes_on = session.is_being_recorded
     collected = ReadingCollector()
-    # Hashing, and NumPy in long loops, leave the interpreter to others: beside the replay they cost little time.
-    with ThreadPoolExecutor(2) as threads:
-        collecting = Beside(collected.feed, threads)
-        chain = Chain(ReadingPlan.of(session), listeners=(collecting.feed, *listeners))
+    chain = Chain(ReadingPlan.of(session), listeners=(collected.feed, *listeners))
+    # Hashing leaves the interpreter to others: beside the replay it costs little time.
+    with ThreadPoolExecutor(1) as threads:
         hashing = threads.submit(session_sha256, session)
         if not (goes_on or listeners) and is_kept(session):
             found = kept(session, hashing.result())
@@ -164,7 +163,6 @@ def read_recording(
                 yield found
                 return
         replay_into(chain, session, damage, collected.hear)
-        collecting.wait()
         sha256 = hashing.result()
     with naming_damage(session, damage), task("solving"):
         reading = reading_of(session, chain, collected, damage, sha256=sha256)
