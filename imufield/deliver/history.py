@@ -309,7 +309,8 @@ def _states(folder: Path) -> tuple[dict[str, State], list[str]]:
         unread.append(sentence("history.unreadable", path=error.filename, cause=error.strerror))
 
     for below, _, names in os.walk(folder, onerror=leave_out):
-        place = Path(below).relative_to(folder)
+        place = Path(below).relative_to(folder).as_posix()
+        before = "" if place == "." else f"{place}/"
         for name in (name for name in names if name.endswith(".toml")):
             try:
                 state = os.stat(f"{below}/{name}")  # noqa: PTH116  # a Path takes longer than to look at the file
@@ -318,7 +319,7 @@ def _states(folder: Path) -> tuple[dict[str, State], list[str]]:
             except OSError as error:
                 leave_out(error)
                 continue
-            states[name if place == Path() else f"{place.as_posix()}/{name}"] = f"{state.st_size} {state.st_mtime_ns}"
+            states[before + name] = f"{state.st_size} {state.st_mtime_ns}"
     return states, unread
 
 
