@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -16,6 +17,7 @@ from imufield.cli.root_help import OF_TYPER
 from imufield.cli.run import run
 from imufield.commands.terminal.output import NoAnswer
 from imufield.errors import EXIT_INTERRUPTED, ImufieldError
+from imufield.sentences import Sentences
 
 COMMANDS = sorted(get_command(make_app()).commands)  # type: ignore[attr-defined]  # the app is a group
 
@@ -48,6 +50,13 @@ def test_help_of_set_names_a_setting_of_the_command(command: str, setting: str) 
     options = get_command(make_app()).commands[command].params  # type: ignore[attr-defined]  # the app is a group
     (told,) = [option.help for option in options if "--set" in option.opts]
     assert f"e.g. {setting}" in told
+
+
+@pytest.mark.parametrize("line", ["plan --latitude 48,1", "replay x --speed 48,1", "solve x --gravity 48,1+-0.1"])
+def test_a_number_that_is_none_is_quoted(line: str) -> None:
+    ended = imufield(*line.split())
+    told = re.sub(r"[│\s]+", " ", ended.stderr)
+    assert (ended.returncode, Sentences("imufield.commands.options")("shared.no_number", text="48,1") in told) == (2, True)
 
 
 def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,7 +13,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from imufield.cli.command import Command, Parameter, find_command, parameters
 from imufield.cli.table import COMMANDS, NAMES
-from imufield.commands.options.shared import UnfitValueError
+from imufield.commands.options.shared import UnfitValueError, read_number
 from imufield.sentences import Sentences, printable_lines
 from imufield.version import __version__
 
@@ -130,13 +130,17 @@ def _parameter(of: Parameter) -> inspect.Parameter:
     more["readable"] = False
     if option.check is not None:
         more["callback"] = _saying_why(option.check)
+    kind = get_args(of.annotation)[0]
+    if float in (kind, *get_args(kind)):
+        # What typer says of a decimal comma names neither the word nor the remedy.
+        more = {"parser": read_number, "metavar": "<float>", **more}
     if callable(parser := more.get("parser")):
         more["parser"] = _saying_why(parser)
     # What typer knows of them is checked by it.
     make = cast("Callable[..., object]", typer.Argument if option.is_argument else typer.Option)
     made = make(*option.names, **more)
     default = inspect.Parameter.empty if of.default is MISSING else of.default
-    annotation: object = Annotated[get_args(of.annotation)[0], made]
+    annotation: object = Annotated[kind, made]
     return inspect.Parameter(of.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
 
 

@@ -114,6 +114,14 @@ def _within(low: float, high: float) -> Callable[[Any], Any]:
     return check
 
 
+def read_number(text: object) -> float:
+    """Return the number that a text is; raises ``UnfitValueError``."""
+    try:
+        return float(str(text))
+    except ValueError as error:
+        raise UnfitValueError(sentence("shared.no_number", text=text)) from error
+
+
 class TypedNumber(float):
     """A number that remembers the digits it was typed with, 9.810 says more than 9.81, and the sigma in 9.81+-0.0001."""
 
@@ -123,10 +131,7 @@ class TypedNumber(float):
     def __new__(cls, text: object) -> Self:
         """Read a number from an option, a variable or a file; raises ``UnfitValueError``."""
         value, _, sigma = str(text).replace("±", "+-").partition("+-")
-        try:
-            number = super().__new__(cls, value)
-        except ValueError as error:
-            raise UnfitValueError(sentence("shared.no_number", text=text)) from error
+        number = super().__new__(cls, read_number(value))
         number.text, number.sigma_text = value.strip(), sigma.strip()
         return number
 
@@ -294,7 +299,6 @@ class Place:
             "the last digit.",
             envvar="IMUFIELD_GRAVITY_M_S2",
             parser=TypedNumber,
-            metavar="FLOAT",
         ),
     ] = None
     latitude: Annotated[
