@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from imufield.calibrate.model.result import Calibration
-from imufield.calibrate.model.temperature import Polynomials, TriadTemperature, unchanging
+from imufield.calibrate.model.temperature_polynomials import Polynomials, TriadTemperature, unchanging
 
 
 def on_purpose(text: str) -> str:

@@ -1,6 +1,6 @@
-"""The command line: arguments in, exit codes out. What each command does is in ``imufield.commands``.
+"""The command line: arguments in, exit codes out (which error has which: ``imufield.errors``).
 
-Which error has which exit code stands in ``imufield.errors``. Nothing heavy is imported here: each command imports its own
+What each command does is in ``imufield.commands``. Nothing heavy is imported here: each command imports its own
 room, so that a prompt comes back at once.
 """
 

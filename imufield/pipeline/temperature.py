@@ -10,7 +10,7 @@ import numpy as np
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
 from imufield.calibrate.model.grades import DEFAULT_GRADE, find_grade
-from imufield.calibrate.model.temperature import TriadTemperature
+from imufield.calibrate.model.temperature_polynomials import TriadTemperature
 from imufield.calibrate.temperature.fit import Evidence, SessionPoints, TemperatureFit, fit_temperature, fit_warnings
 from imufield.calibrate.temperature.one_pose import gyroscope_sentence, pose_sentence
 from imufield.calibrate.temperature.points import accelerometer_points, gyroscope_points

@@ -16,7 +16,7 @@ from imufield.calibrate.model.coverage_factors import student_factor
 from imufield.calibrate.model.models import at_temperature, predict
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeCalibration, GyroscopeParameters
-from imufield.calibrate.model.temperature import Polynomials, TriadTemperature
+from imufield.calibrate.model.temperature_polynomials import Polynomials, TriadTemperature
 from imufield.cli.run import run
 from imufield.deliver.parameters.context import Context, InstrumentFacts, SessionFacts
 from imufield.deliver.parameters.file import Parameters, load, write_document

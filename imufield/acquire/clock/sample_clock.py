@@ -8,7 +8,8 @@ Three sources, in this order of trust:
   back until it is clear whether the lag is a burst of late data (nothing is missing) or whole wraps are;
 * the *host clock*: samples in even steps at the measured rate, kept to the line of earliest arrivals.
 
-Time never runs backwards. A time stamp that does (the instrument restarted, or set its clock) becomes a gap.
+Time never runs backwards. A time stamp that does (the instrument restarted, or set its clock) becomes a gap. Counters and time
+stamps in messages of a CAN bus are unwrapped in ``can_clock``.
 """
 
 from __future__ import annotations

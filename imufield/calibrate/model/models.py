@@ -37,7 +37,7 @@ import numpy as np
 
 from imufield.calibrate.model.higher_terms import HigherTerms, higher_columns
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters, QuadraticAxes
-from imufield.calibrate.model.temperature import TriadTemperature
+from imufield.calibrate.model.temperature_polynomials import TriadTemperature
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentences

@@ -10,7 +10,7 @@ import numpy as np
 from imufield.calibrate.model.budget import Share
 from imufield.calibrate.model.higher_terms import HigherTerms
 from imufield.calibrate.model.observations import Observations
-from imufield.calibrate.model.temperature import TriadTemperature
+from imufield.calibrate.model.temperature_polynomials import TriadTemperature
 from imufield.earth import Gravity
 from imufield.samples import AXES, FloatArray
 

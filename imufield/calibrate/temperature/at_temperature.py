@@ -8,7 +8,7 @@ import numpy as np
 
 from imufield.calibrate.model.models import at_temperature
 from imufield.calibrate.model.result import Calibration, GyroscopeCalibration
-from imufield.calibrate.model.temperature import TriadTemperature
+from imufield.calibrate.model.temperature_polynomials import TriadTemperature
 from imufield.samples import AXES, FloatArray
 
 

@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.calibrate.model.temperature import (
+from imufield.calibrate.model.temperature_polynomials import (
     HIGHEST_ORDER,
     NewDay,
     Polynomials,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from imufield.calibrate.model.grades import Grade
-from imufield.calibrate.model.temperature import TriadTemperature
+from imufield.calibrate.model.temperature_polynomials import TriadTemperature
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2
 from imufield.sentences import Sentence, Sentences
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.calibrate.model.temperature import HIGHEST_ORDER
+from imufield.calibrate.model.temperature_polynomials import HIGHEST_ORDER
 from imufield.calibrate.temperature.fit import SAME_TEMPERATURE_DEGC, RampBlocks
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray

@@ -7,7 +7,7 @@ import re
 import numpy as np
 
 from imufield.calibrate.model.models import predict, predict_gyroscope
-from imufield.calibrate.model.temperature import HIGHEST_ORDER, Polynomials
+from imufield.calibrate.model.temperature_polynomials import HIGHEST_ORDER, Polynomials
 from imufield.deliver.exports.job import Draft, Job, sentence
 from imufield.deliver.exports.text import number, text_file
 from imufield.deliver.exports.whole_model import WholeModel, apply_header, gauge_note, whole_model

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from imufield.calibrate.model.models import predict, predict_gyroscope
-from imufield.calibrate.model.temperature import powers
+from imufield.calibrate.model.temperature_polynomials import powers
 from imufield.deliver.exports.conventions import diagonal_corrections
 from imufield.deliver.exports.job import Draft, Job, sentence
 from imufield.deliver.exports.loss import directions

@@ -4,7 +4,7 @@ A linear model is one product per sample: ``a = C N - d`` with ``C = (K T)^-1`` 
 for the gyroscope. The matrices are formed once, and the rows are worked on in pieces that stay in the processor's cache, so
 the cost is that of reading and writing the arrays once. The quadratic and the extended model go through
 ``imufield.calibrate.model.models.recover``. With parameters over temperature, outputs are first brought to the reference
-temperature by ``calibrate.model.temperature``.
+temperature by ``calibrate.model.temperature_polynomials``.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from imufield.calibrate.model.models import recover
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters
-from imufield.calibrate.model.temperature import TriadTemperature
+from imufield.calibrate.model.temperature_polynomials import TriadTemperature
 from imufield.errors import ParameterFileError, Reason
 from imufield.samples import FloatArray, Samples
 from imufield.sentences import Sentences

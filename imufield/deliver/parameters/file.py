@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration, GyroscopeParameters
-from imufield.calibrate.model.temperature import TriadTemperature
+from imufield.calibrate.model.temperature_polynomials import TriadTemperature
 from imufield.calibrate.temperature.at_temperature import calibration_at
 from imufield.deliver.parameters.apply import (
     at_reference,

@@ -1,6 +1,6 @@
 """Bias and scale over temperature in the parameter file: tables of version 2, and what their numbers must agree on.
 
-They are evaluated by ``calibrate.model.temperature``.
+They are evaluated by ``calibrate.model.temperature_polynomials``.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from imufield.calibrate.model.result import Calibration
-from imufield.calibrate.model.temperature import NewDay, Polynomials, SessionChanges, TriadTemperature
+from imufield.calibrate.model.temperature_polynomials import NewDay, Polynomials, SessionChanges, TriadTemperature
 from imufield.deliver.parameters.context import TemperatureSource
 from imufield.deliver.parameters.schema import Document
 from imufield.samples import FloatArray

@@ -15,7 +15,7 @@ from imufield.acquire.protocol.units import nominal_scale
 from imufield.calibrate.model.budget import Share, combined_sigma, effective_freedom
 from imufield.calibrate.model.coverage_factors import degrees_of_freedom, student_factor
 from imufield.calibrate.model.result import GRAVITY_NAME, Calibration
-from imufield.calibrate.model.temperature import TriadTemperature
+from imufield.calibrate.model.temperature_polynomials import TriadTemperature
 from imufield.calibrate.model.uncertainty import without_gravity
 from imufield.calibrate.temperature.at_temperature import calibration_at
 from imufield.deliver.parameters.context import ClockFacts

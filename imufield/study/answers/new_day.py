@@ -13,7 +13,7 @@ from imufield.calibrate.model.coverage_factors import student_factor
 from imufield.calibrate.model.grades import GRADES, Grade
 from imufield.calibrate.model.models import at_temperature
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration
-from imufield.calibrate.model.temperature import Polynomials, TriadTemperature
+from imufield.calibrate.model.temperature_polynomials import Polynomials, TriadTemperature
 from imufield.calibrate.temperature.fit import Evidence, fit_temperature
 from imufield.calibrate.temperature.points import accelerometer_points
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity

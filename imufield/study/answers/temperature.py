@@ -13,7 +13,7 @@ from imufield.calibrate.accelerometer.accelerometer import calibrate_acceleromet
 from imufield.calibrate.model.grades import GRADES
 from imufield.calibrate.model.models import at_temperature, predict, recover
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration
-from imufield.calibrate.model.temperature import HIGHEST_ORDER, Polynomials, TriadTemperature, powers, unchanging
+from imufield.calibrate.model.temperature_polynomials import HIGHEST_ORDER, Polynomials, TriadTemperature, powers, unchanging
 from imufield.calibrate.temperature.fit import Evidence, RampBlocks, fit_orders, fit_temperature
 from imufield.calibrate.temperature.points import accelerometer_points
 from imufield.calibrate.temperature.ramp import RampWindows, cut_ramp

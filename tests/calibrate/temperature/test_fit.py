@@ -10,7 +10,7 @@ import pytest
 from imufield.calibrate.model.grades import GRADES
 from imufield.calibrate.model.models import at_temperature, predict, predict_gyroscope
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters
-from imufield.calibrate.model.temperature import Polynomials, TriadTemperature, unchanging
+from imufield.calibrate.model.temperature_polynomials import Polynomials, TriadTemperature, unchanging
 from imufield.calibrate.temperature.fit import (
     Evidence,
     RampBlocks,

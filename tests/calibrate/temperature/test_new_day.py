@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from imufield.calibrate.model.coverage_factors import student_factor
-from imufield.calibrate.model.temperature import TriadTemperature
+from imufield.calibrate.model.temperature_polynomials import TriadTemperature
 from imufield.calibrate.temperature.fit import Evidence, RampBlocks, SessionPoints, fit_orders, fit_temperature
 from imufield.samples import FloatArray
 

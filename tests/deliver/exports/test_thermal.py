@@ -13,7 +13,7 @@ import pytest
 from made_up_instruments import GRAVITY, made_up
 
 from imufield.calibrate.model.models import predict, predict_gyroscope
-from imufield.calibrate.model.temperature import Polynomials, TriadTemperature
+from imufield.calibrate.model.temperature_polynomials import Polynomials, TriadTemperature
 from imufield.deliver.exports import TARGETS, Exported, ExportOptions, export_parameters
 from imufield.deliver.exports.conventions import diagonal_corrections
 from imufield.deliver.exports.loss import directions

@@ -12,7 +12,7 @@ import pytest
 from imufield.calibrate.model.models import at_temperature, predict
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration
-from imufield.calibrate.model.temperature import NewDay, Polynomials, TriadTemperature
+from imufield.calibrate.model.temperature_polynomials import NewDay, Polynomials, TriadTemperature
 from imufield.deliver.parameters.context import Context, TemperatureSource
 from imufield.deliver.parameters.file import (
     Parameters,
