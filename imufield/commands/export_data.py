@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from imufield.acquire.decoded_session import session_protocol
@@ -30,7 +32,7 @@ def run_export_data(options: ExportDataOptions) -> None:
     RecordingError
         If the session cannot be read or the file not be written.
     """
-    to = options.to
+    to = options.to or _format_of(options.output)
     if to not in FORMATS:
         listed = "; ".join(f"{name}: {form.title}" for name, form in FORMATS.items())
         raise UsageError(sentence("export_data.unknown_format", to=to, listed=listed))
@@ -55,3 +57,9 @@ def run_export_data(options: ExportDataOptions) -> None:
     flags = count.flags(has_status=not FORMATS[to].lacks)
     if flags:
         echo(hanging("", flags))
+
+
+def _format_of(path: Path | None) -> str:
+    """Return the format that a file's suffix names; CSV where it names none."""
+    suffix = "" if path is None else path.suffix.lower().removeprefix(".")
+    return next((name for name, form in FORMATS.items() if suffix in (name, form.suffix)), "csv")

@@ -65,6 +65,16 @@ def test_what_was_recorded_stays(folder: Path, line: str, capsys: pytest.Capture
     assert capsys.readouterr().err.strip().splitlines()[-1].endswith(ENDS)
 
 
+@pytest.mark.parametrize(
+    ("name", "begins"), [("s.PARQUET", b"PAR1"), ("s.h5", b"\x89HDF"), ("s.mcap", b"\x89MCAP"), ("s.txt", b"time_s")]
+)
+def test_the_suffix_names_the_format(folder: Path, name: str, begins: bytes) -> None:
+    if name != "s.txt":
+        pytest.importorskip({"s.PARQUET": "pyarrow", "s.h5": "h5py", "s.mcap": "mcap"}[name])
+    assert run(["export-data", "S", "-o", name]) == 0
+    assert (folder / name).read_bytes().startswith(begins)
+
+
 def test_the_truth_of_an_emulation_before_is_replaced(folder: Path) -> None:
     line = "emulate stim300 --truth truth.toml --duration-s 0.1 --positions none"
     assert run(line.split()) == 0

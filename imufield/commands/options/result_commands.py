@@ -240,12 +240,13 @@ class ExportDataOptions:
 
     session: NewestSession = None
     to: Annotated[
-        str,
+        str | None,
         option(
             help="Format: csv, parquet, hdf5, ros2 (MCAP), overview (least, mean and largest of each "
-            "interval, for plots), outline (like overview, from a few seconds of each minute; faster).",
+            "interval, for plots), outline (like overview, from a few seconds of each minute; faster). Default: by the "
+            "suffix of --output, else csv.",
         ),
-    ] = "csv"
+    ] = None
     output: Annotated[Path | None, option("-o", "--output", help="File to write (default: SESSION/samples.*).")] = None
 
 
