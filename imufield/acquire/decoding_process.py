@@ -92,7 +92,7 @@ def _here(session: Session, damage: list[Damage], decoder: SessionDecoder) -> It
 
 def _started(session: Session) -> tuple[BaseProcess, Connection] | None:
     """Start the process; None where it would gain nothing, or the system starts no more."""
-    import multiprocessing  # Late, as most recordings are short.
+    import multiprocessing.resource_tracker  # Late, as most recordings are short.
 
     from imufield.campaign import interrupts_held
 
@@ -103,6 +103,9 @@ def _started(session: Session) -> tuple[BaseProcess, Connection] | None:
     answers, end = context.Pipe(duplex=False)
     _widen(end)
     process = context.Process(target=_send, args=(session, end), daemon=True)
+    if os.name == "posix":
+        # Started below, it would let interrupts through to what is started next (CPython 3.11, ``ensure_running``).
+        multiprocessing.resource_tracker.ensure_running()
     with closing(end), interrupts_held():
         try:
             process.start()

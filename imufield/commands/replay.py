@@ -24,7 +24,7 @@ from imufield.acquire.recording.reader import (
 from imufield.acquire.recording.session import Session, open_or_newest
 from imufield.commands.options.acquire_commands import ReplayOptions
 from imufield.commands.terminal.output import echo, say, say_each
-from imufield.commands.terminal.page import SHOWN_EVERY_S, bind_page, serve_page
+from imufield.commands.terminal.page import SHOWN_EVERY_S, ServedPage, bind_page, serve_page
 from imufield.deliver.parameters.file import PARAMETER_FILE, load_found
 from imufield.errors import ImufieldError, UsageError
 from imufield.files import Origin
@@ -86,10 +86,6 @@ def _replay_to_page(
     with ExitStack() as stack:
         place = bind_page(stack)
         page = stack.enter_context(serve_page(place, positions, session, as_json=options.as_json, replay_speed=options.speed))
-        say(sentence("replay.waits"), err=True)
-        # A short recording would have ended before anybody looks.
-        while not page.is_looked_at:
-            time.sleep(WAIT_S)
         shown_s = -math.inf
 
         def refresh(*, at_once: bool = False) -> None:
@@ -102,7 +98,7 @@ def _replay_to_page(
         def items() -> Items:
             # What a page is shown in one step is fed in one: hours are replayed in minutes.
             span_s = min(SHOWN_EVERY_S * options.speed, BLOCK_SPAN_S) or BLOCK_SPAN_S
-            for item in read_blocks(session, damage, span_s=span_s):
+            for item in _once_seen(page, read_blocks(session, damage, span_s=span_s)):
                 refresh()
                 if isinstance(item, PartStart):
                     pacer.begin_anew()
@@ -119,6 +115,19 @@ def _replay_to_page(
         command = f"imufield replay --web {shlex.quote(str(session.folder))}"
         counts = {"accepted": len(chain.observations()), "planned": len(positions), "missing": 0}
         page.end({"outcome": "replayed", "reason": "", "command": command, **counts})
+
+
+def _once_seen(page: ServedPage, items: Items) -> Items:
+    """Yield items, the first block as soon as a page looks: a short recording would be over before."""
+    is_awaited = True
+    for item in items:
+        # Only now: a recording that cannot be read waits for nobody.
+        if is_awaited and isinstance(item, RecordedBlock):
+            say(sentence("replay.waits"), err=True)
+            while not page.is_looked_at:
+                time.sleep(WAIT_S)
+            is_awaited = False
+        yield item
 
 
 def _tell(chain: Chain) -> None:

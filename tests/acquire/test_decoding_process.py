@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import multiprocessing
 import os
 import subprocess
@@ -175,3 +176,27 @@ def test_a_script_of_somebody_runs_once(session: Session, tmp_path: Path, *, fro
     command = [sys.executable, str(path) if from_file else "-"]
     ended = subprocess.run(command, input=script, capture_output=True, text=True, timeout=LONGEST_S, check=True)
     assert ended.stdout.split() == [str(sum(map(len, session_samples(session, []))))]
+
+
+def test_a_process_hears_no_interrupt(session: Session, tmp_path: Path) -> None:
+    """Ctrl-C goes to all processes of a terminal, and this one would have a traceback to show; the program ends it."""
+    # In a process whose first it is: something of multiprocessing starts with it.
+    script = f"""
+        import multiprocessing, os, signal
+        from imufield.acquire import decoding_process
+        from imufield.acquire.recording.session import Session
+        from imufield.cli import main
+        from imufield.pipeline.chain import session_samples
+
+        if __name__ == "__main__":
+            decoding_process.LONG_BYTES = 0
+            blocks = session_samples(Session.open({str(session.folder)!r}), [])
+            count = len(next(blocks))
+            (process,) = multiprocessing.active_children()
+            os.kill(process.pid, signal.SIGINT)
+            print(count + sum(map(len, blocks)))
+    """
+    path = tmp_path / "script.py"
+    path.write_text(inspect.cleandoc(script))
+    ended = subprocess.run([sys.executable, path], capture_output=True, text=True, timeout=LONGEST_S, check=False)
+    assert (ended.stdout.split(), ended.returncode) == ([str(sum(map(len, session_samples(session, []))))], 0), ended.stderr

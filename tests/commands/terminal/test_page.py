@@ -252,6 +252,13 @@ def test_a_recorded_session_is_shown_at_any_speed(program: Program, make_session
     assert "".join(lines[1:]) == program.run("replay", folder, "--json").stdout
 
 
+def test_a_recording_without_data_waits_for_no_page(program: Program, whole_session: Path, tmp_path: Path) -> None:
+    damaged = shutil.copytree(whole_session, tmp_path / "damaged")
+    (damaged / "part-001.mcap").write_bytes(bytes(1000))
+    ended = program.run("replay", damaged, "--web", "--json")
+    assert (ended.returncode, json.loads(ended.stdout)["event"]) == (4, "page")
+
+
 def test_one_target_at_a_time_and_only_guided_sessions(program: Program, whole_session: Path, tmp_path: Path) -> None:
     ended = program.run("replay", whole_session, "--web", "--to-pty")
     assert (ended.returncode, "--web" in ended.stderr, "--to-pty" in ended.stderr) == (2, True, True)
