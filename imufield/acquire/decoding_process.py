@@ -31,7 +31,7 @@ LONG_BYTES = 1 << 26
 """Of a recording that is decoded in a process of its own. To start one takes as long as to decode a third of that."""
 
 PIPE_BYTES = 1 << 20
-"""Two steps of a usual instrument, and the most that Linux gives any user (pipe(7), ``pipe-max-size``)."""
+"""Two steps of a usual instrument, and what Linux allows unless told otherwise (pipe(7), ``pipe-max-size``)."""
 
 PROGRAM = "imufield.cli"
 """Module of the function ``main`` that the program's main module imports and calls."""
@@ -103,12 +103,13 @@ def _started(session: Session) -> tuple[BaseProcess, Connection] | None:
     answers, end = context.Pipe(duplex=False)
     _widen(end)
     process = context.Process(target=_send, args=(session, end), daemon=True)
-    if os.name == "posix":
-        # Started below, it would let interrupts through to what is started next (CPython 3.11, ``ensure_running``).
-        multiprocessing.resource_tracker.ensure_running()
-    with closing(end), interrupts_held():
+    with closing(end):
         try:
-            process.start()
+            if os.name == "posix":
+                # Started below, it would let interrupts through to what is started next (CPython 3.11, ``ensure_running``).
+                multiprocessing.resource_tracker.ensure_running()
+            with interrupts_held():
+                process.start()
         except OSError:
             answers.close()
             return None
@@ -116,11 +117,11 @@ def _started(session: Session) -> tuple[BaseProcess, Connection] | None:
 
 
 def _widen(end: Connection) -> None:
-    """Let whole steps wait in the pipe: in pieces of 64 KiB each process waits for the other as long as it decodes."""
+    """Make the pipe large enough for whole steps: with its usual 64 KiB the sender waits for the reader in each of them."""
     if sys.platform == "linux":
         import fcntl
 
-        # Refused where all pipes of the user have together what the system allows.
+        # Refused above the limit of one pipe, and of all pipes of the user.
         with suppress(OSError):
             fcntl.fcntl(end.fileno(), fcntl.F_SETPIPE_SZ, PIPE_BYTES)
 

@@ -1,4 +1,4 @@
-"""The command line: arguments in, exit codes out (which error has which: ``imufield.errors``).
+"""The command line: arguments in, exit codes out; the code of each error is in ``imufield.errors``.
 
 What each command does is in ``imufield.commands``. Nothing heavy is imported here: each command imports its own
 room, so that a prompt comes back at once.

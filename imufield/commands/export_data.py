@@ -32,7 +32,7 @@ def run_export_data(options: ExportDataOptions) -> None:
     RecordingError
         If the session cannot be read or the file not be written.
     """
-    to = options.to or _format_of(options.output)
+    to = _format_of(options.output) if options.to is None else options.to
     if to not in FORMATS:
         listed = "; ".join(f"{name}: {form.title}" for name, form in FORMATS.items())
         raise UsageError(sentence("export_data.unknown_format", to=to, listed=listed))
@@ -60,6 +60,7 @@ def run_export_data(options: ExportDataOptions) -> None:
 
 
 def _format_of(path: Path | None) -> str:
-    """Return the format that a file's suffix names; CSV where it names none."""
-    suffix = "" if path is None else path.suffix.lower().removeprefix(".")
-    return next((name for name, form in FORMATS.items() if suffix in (name, form.suffix)), "csv")
+    """Return the format that the end of a file's name tells, the longest that fits; CSV where it tells none."""
+    name = "" if path is None else path.name.lower()
+    fitting = [to for to, form in FORMATS.items() if name.endswith((f".{form.suffix}", f".{to}"))]
+    return max(fitting, key=lambda to: len(FORMATS[to].suffix), default="csv")

@@ -16,7 +16,7 @@ from imufield.commands.configuration import FILE_NAME
 from imufield.commands.options.acquire_commands import InitOptions
 from imufield.commands.terminal.output import say, tell_written
 from imufield.commands.terminal.questions import ask, ask_until, confirm
-from imufield.commands.terminal.site import NOT_KNOWN, ask_site, read_number
+from imufield.commands.terminal.site import NOT_KNOWN, ask_site, read_answer
 from imufield.earth import HEIGHT_RANGE_M
 from imufield.errors import UsageError
 from imufield.files import typed_write_errors, write_keeping
@@ -101,7 +101,7 @@ def _ask_port() -> str | None:
 
 def _number(low: float, high: float) -> Callable[[str], float | None]:
     def read(answer: str) -> float | None:
-        value = read_number(answer) if answer else None
+        value = read_answer(answer) if answer else None
         # Written so that NaN is outside.
         if value is not None and not low <= value <= high:
             raise UsageError(sentence("init.outside", value=value, low=low, high=high))

@@ -118,7 +118,7 @@ def _replay_to_page(
 
 
 def _once_seen(page: ServedPage, items: Items) -> Items:
-    """Yield items, the first block as soon as a page looks: a short recording would be over before."""
+    """Yield items; wait at the first block until a page looks, or a short recording would be over before anybody sees it."""
     is_awaited = True
     for item in items:
         # Only now: a recording that cannot be read waits for nobody.

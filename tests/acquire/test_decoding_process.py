@@ -36,6 +36,8 @@ from tests.refused import refused
 from tests.told import key_of
 
 CHUNKS = 200
+PAGE_BYTES = 4096
+"""The least that a pipe holds: far less than the session."""
 
 
 @pytest.fixture
@@ -124,8 +126,9 @@ def test_an_error_comes_across_with_its_values(session: Session, monkeypatch: py
 
 @pytest.fixture
 def steps(session: Session, monkeypatch: pytest.MonkeyPatch) -> Generator[Step]:
-    """Return the steps of a process that has sent its first."""
+    """Return the steps of a process that has sent its first, and waits with the others until they are read."""
     monkeypatch.setattr(decoding_process, "LONG_BYTES", 0)
+    monkeypatch.setattr(decoding_process, "PIPE_BYTES", PAGE_BYTES)
     as_program(monkeypatch)
     sent = cast("Generator[Step]", session_steps(session, [], SessionDecoder()))
     next(sent)
@@ -155,9 +158,12 @@ def test_a_defect_in_it_is_one_here(
     assert "TypeError" in capfd.readouterr().err
 
 
-def test_where_no_process_starts_this_one_decodes(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    "place", ["multiprocessing.process.BaseProcess.start", "multiprocessing.resource_tracker.ensure_running"]
+)
+def test_where_no_process_starts_this_one_decodes(session: Session, monkeypatch: pytest.MonkeyPatch, place: str) -> None:
     here = read(session, monkeypatch, 1 << 40)
-    monkeypatch.setattr(multiprocessing.process.BaseProcess, "start", lambda process: os.close(-1))
+    monkeypatch.setattr(place, lambda *_: os.close(-1))
     assert len(read(session, monkeypatch, 0).steps) == len(here.steps)
 
 
@@ -189,7 +195,7 @@ def test_a_process_hears_no_interrupt(session: Session, tmp_path: Path) -> None:
         from imufield.pipeline.chain import session_samples
 
         if __name__ == "__main__":
-            decoding_process.LONG_BYTES = 0
+            decoding_process.LONG_BYTES, decoding_process.PIPE_BYTES = 0, {PAGE_BYTES}
             blocks = session_samples(Session.open({str(session.folder)!r}), [])
             count = len(next(blocks))
             (process,) = multiprocessing.active_children()

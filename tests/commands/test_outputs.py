@@ -66,13 +66,21 @@ def test_what_was_recorded_stays(folder: Path, line: str, capsys: pytest.Capture
 
 
 @pytest.mark.parametrize(
-    ("name", "begins"), [("s.PARQUET", b"PAR1"), ("s.h5", b"\x89HDF"), ("s.mcap", b"\x89MCAP"), ("s.txt", b"time_s")]
+    ("name", "package", "begins"),
+    [
+        ("s.PARQUET", "pyarrow", b"PAR1"),
+        ("s.h5", "h5py", b"\x89HDF"),
+        ("s.hdf5", "h5py", b"\x89HDF"),
+        ("s.mcap", "mcap", b"\x89MCAP"),
+        ("s.txt", "numpy", b"time_s,ax,"),
+        ("s.parquet --to csv", "numpy", b"time_s,ax,"),
+        ("s.overview.csv", "numpy", b"time_s,ax_min,"),
+    ],
 )
-def test_the_suffix_names_the_format(folder: Path, name: str, begins: bytes) -> None:
-    if name != "s.txt":
-        pytest.importorskip({"s.PARQUET": "pyarrow", "s.h5": "h5py", "s.mcap": "mcap"}[name])
-    assert run(["export-data", "S", "-o", name]) == 0
-    assert (folder / name).read_bytes().startswith(begins)
+def test_the_name_tells_the_format(folder: Path, name: str, package: str, begins: bytes) -> None:
+    pytest.importorskip(package)
+    assert run(["export-data", "S", "-o", *name.split()]) == 0
+    assert (folder / name.split(maxsplit=1)[0]).read_bytes().startswith(begins)
 
 
 def test_the_truth_of_an_emulation_before_is_replaced(folder: Path) -> None:

@@ -34,7 +34,7 @@ def ask_site(site: SiteOptions, root: Path) -> SiteOptions:
             return last
         if answer in ("", NOT_KNOWN):
             return site
-        place = SiteOptions(latitude_deg=read_number(answer), height_m=site.height_m)
+        place = SiteOptions(latitude_deg=read_answer(answer), height_m=site.height_m)
         # Refuses a place that is nowhere on Earth.
         place.gravity()
         return place
@@ -43,7 +43,7 @@ def ask_site(site: SiteOptions, root: Path) -> SiteOptions:
     return ask_until(sentence("site.unknown") if last is None else sentence("site.last", place=words(last)), read)
 
 
-def read_number(answer: str) -> float:
+def read_answer(answer: str) -> float:
     """Return the number that was typed; raises UsageError."""
     try:
         return float(answer)

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self, cast
 from urllib.parse import urlsplit
 
 import jsonschema
@@ -24,9 +24,10 @@ from websockets.typing import Origin, Subprotocol
 from imufield.acquire.instrument.connected import Connected
 from imufield.acquire.link.host_clock import SystemClock
 from imufield.acquire.link.serial import Chunk
-from imufield.acquire.recording.reader import PartStart, RecordedEvent, read_session
+from imufield.acquire.recording.reader import PartStart, RecordedBlock, RecordedEvent, read_blocks, read_session
 from imufield.acquire.recording.session import Session
 from imufield.acquire.registry import load_driver
+from imufield.commands import replay
 from imufield.commands.options.acquire_commands import CaptureOptions
 from imufield.commands.terminal import guided, page
 from imufield.commands.terminal.guided import guided_session
@@ -41,6 +42,7 @@ from tests.commands.told import fails
 from tests.guide.test_event_schema import read_schema
 
 if TYPE_CHECKING:
+    from imufield.commands.terminal.page import ServedPage
     from imufield.web.address import Place
     from tests.commands.conftest import Program
 
@@ -250,6 +252,23 @@ def test_a_recorded_session_is_shown_at_any_speed(program: Program, make_session
         assert process.wait(WAIT_S) == 0
     lines = printed.read_text().splitlines(keepends=True)
     assert "".join(lines[1:]) == program.run("replay", folder, "--json").stdout
+
+
+def test_the_first_block_waits_for_a_page(whole_session: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    looks = iter([False, False, True])
+
+    class Page:
+        @property
+        def is_looked_at(self) -> bool:
+            return next(looks)
+
+    slept: list[float] = []
+    monkeypatch.setattr(time, "sleep", slept.append)
+    items = replay._once_seen(cast("ServedPage", Page()), read_blocks(Session.open(whole_session), [], span_s=1.0))
+    assert isinstance(next(items), PartStart)
+    assert not slept
+    blocks = [item for item in items if isinstance(item, RecordedBlock)]
+    assert (len(slept), len(blocks) > 1, next(looks, None)) == (2, True, None)
 
 
 def test_a_recording_without_data_waits_for_no_page(program: Program, whole_session: Path, tmp_path: Path) -> None:
