@@ -286,7 +286,8 @@ def test_replay_to_a_bus_and_to_an_adapter(program: Program, emulate: Emulate, m
     assert f"{len(heard)} frames sent" in replayed.stdout
     assert len(heard) == pytest.approx(2 * len(before), abs=2)
 
-    process = program.start("replay", "mine", "--to-pty", "--speed", 4)
+    # As long as it took, so that even where nobody reads for seconds the instrument is known before the adapter goes away.
+    process = program.start("replay", "mine", "--to-pty", "--speed", 1)
     assert process.stdout is not None
     address = process.stdout.readline().split()[5]
     assert address.startswith("slcan:/dev/")

@@ -166,7 +166,9 @@ def test_a_folder_deleted_under_a_capture(program: Program, campaign: Campaign) 
         assert process.stdout is not None
         while '"event": "accepted"' not in (line := process.stdout.readline()):
             assert line
-        shutil.rmtree(folder)
+        # What it writes meanwhile is deleted, too.
+        while folder.exists():
+            shutil.rmtree(folder, ignore_errors=True)
         _, error = process.communicate(timeout=900)
         assert process.returncode == RECORDING
         told = " ".join(sentence_of(error).split())
