@@ -56,9 +56,9 @@ def run_record(options: RecordOptions, clock: HostClock | None = None) -> Sessio
         ramp = RampLead(connected.protocol.nominal.raw_zero, as_json=options.as_json) if options.ramp else None
         listeners = (stream.hear,) if ramp is None else (stream.hear, ramp.feed)
         chain = Chain(ReadingPlan(None), listeners=listeners, judging=False)
-        chain.start_part(connected.protocol)
-        stream.begin()
         intake = Intake(recorder=recorder, chain=chain, stream=stream)
+        intake.start_part(connected.protocol)
+        stream.begin()
         try:
             try:
                 _record(connected, intake, clock, options=options, ramp=ramp)

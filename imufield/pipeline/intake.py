@@ -1,4 +1,8 @@
-"""What is read of a link while it is recorded: to the disk first, then through the chain."""
+"""What is read of a link while it is recorded: to the disk first, then through the chain.
+
+Events are recorded in one order, whenever the link was silent: what the guide says of some bytes stands before a mark or a loss
+that came behind them.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +11,11 @@ from dataclasses import dataclass, field
 from imufield.acquire.decoded_session import UNPLUGGED
 from imufield.acquire.instrument.same_stream import SameStream
 from imufield.acquire.link.chunk import Chunk
+from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.recording.reader import ReadJoiner
 from imufield.acquire.recording.recorder import Recorder
 from imufield.guide.events import Event
-from imufield.pipeline.chain import Chain
+from imufield.pipeline.chain import MARK, Chain
 
 DECODED_EVERY_S = 0.1
 """Of the wire, decoded at once: a small block costs nearly as much as a large one, and cells of the guide are as long."""
@@ -26,6 +31,10 @@ class Intake:
     """Hears the samples of the chain."""
     waiting: ReadJoiner = field(default_factory=lambda: ReadJoiner(span_s=DECODED_EVERY_S))
     """Recorded and not yet decoded."""
+
+    def start_part(self, protocol: Protocol) -> list[Event]:
+        """Begin the part that is recorded; raises as ``Chain.start_part``."""
+        return self._recorded(self.chain.start_part(protocol))
 
     def take(self, chunk: Chunk) -> list[Event]:
         """Record a chunk and return what the guide says of those before it.
@@ -54,16 +63,31 @@ class Intake:
 
     def catch_up(self) -> list[Event]:
         """Decode all that was taken: nothing more has come, or somebody says what is about just these bytes."""
-        return self.chain.feed(self.waiting.take()) if self.waiting.pieces else []
+        return self._recorded(self.chain.feed(self.waiting.take())) if self.waiting.pieces else []
+
+    def mark(self, action: str, position: str | None = None) -> list[Event]:
+        """Take what the operator says now, and record it."""
+        events = self.catch_up()
+        if self.chain.guide is None:
+            return events
+        # Of the sample clock: a replay must say it at the same sample, however fast it runs.
+        time_s = self.chain.guide.time_s
+        named = {} if position is None else {"position": position}
+        self.recorder.write_event({"event": MARK, "action": action, "time_s": time_s, **named})
+        return events + self._recorded(self.chain.mark(action, time_s, position))
 
     def link_lost(self) -> list[Event]:
         """Read anew what comes, and record that: the guide says it only where that is new to it."""
-        events = self.catch_up()
+        events = self.catch_up() + self._recorded(self.chain.link_lost())
         self.recorder.write_event({"event": UNPLUGGED})
-        events += self.chain.link_lost()
         self.stream.begin()
         return events
 
     def finish(self) -> list[Event]:
         """Decode what was taken, and take what the decoder held back; nothing will follow."""
-        return self.catch_up() + self.chain.finish()
+        return self.catch_up() + self._recorded(self.chain.finish())
+
+    def _recorded(self, events: list[Event]) -> list[Event]:
+        for event in events:
+            self.recorder.write_event(event.to_dict())
+        return events

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from imufield.acquire.decoded_session import recorded_protocol
+from imufield.acquire.decoded_session import UNPLUGGED, recorded_protocol
 from imufield.acquire.instrument.same_stream import SameStream
 from imufield.acquire.link.chunk import Chunk
-from imufield.acquire.recording.reader import read_part
+from imufield.acquire.recording.reader import RecordedEvent, read_part
 from imufield.acquire.recording.recorder import Recorder, part_metadata
 from imufield.acquire.recording.session import Session
-from imufield.pipeline.chain import Chain, ReadingPlan
+from imufield.pipeline.chain import MARK, Chain, ReadingPlan
 from imufield.pipeline.intake import Intake
 from imufield.samples import Samples
 from tests.commands.conftest import CHUNK_SAMPLES, RATE_HZ, simulated_session
@@ -46,3 +49,36 @@ def test_reads_are_on_disk_at_once_and_decoded_together(recorded: tuple[Session,
         assert sum(map(len, blocks)) == CHUNKS * CHUNK_SAMPLES
         intake.take(chunks[0])
     assert [item for item in read_part(path) if isinstance(item, Chunk)] == [*chunks, chunks[0]]
+
+
+def test_events_stand_in_one_order_whenever_the_link_was_silent(tmp_path: Path) -> None:
+    session = simulated_session(tmp_path / "here", "faces6", visits=4)
+    chunks = [item for item in read_part(session.parts[0]) if isinstance(item, Chunk)]
+    draw = np.random.default_rng(1)
+    lost, marked = (set(draw.choice(len(chunks), 6, replace=False).tolist()) for _ in range(2))
+
+    def recorded(name: str, silent: Sequence[bool]) -> list[dict[str, object]]:
+        protocol, path = recorded_protocol({}, session), tmp_path / f"{name}.mcap"
+        with Recorder(path, part_metadata(protocol, {})) as recorder:
+            stream = SameStream("port")
+            chain = Chain(ReadingPlan.of(session), listeners=(stream.hear,))
+            intake = Intake(recorder=recorder, chain=chain, stream=stream)
+            intake.start_part(protocol)
+            for number, chunk in enumerate(chunks):
+                intake.take(chunk)
+                if silent[number]:
+                    intake.catch_up()
+                if number in marked:
+                    intake.mark("pause")
+                if number in lost:
+                    intake.link_lost()
+            intake.finish()
+        return [item.event for item in read_part(path) if isinstance(item, RecordedEvent)]
+
+    never = recorded("never", [False] * len(chunks))
+    kinds = Counter(event["event"] for event in never)
+    assert kinds[UNPLUGGED] == len(lost)
+    assert kinds[MARK] == len(marked)
+    assert kinds["holding"] > 0
+    assert never == recorded("always", [True] * len(chunks))
+    assert never == recorded("now and then", (draw.random(len(chunks)) < 0.3).tolist())

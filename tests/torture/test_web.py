@@ -115,7 +115,7 @@ def test_a_session_from_the_page_whatever_happens(program: Program, number: int,
         pages = [run.page, *run.others]
         for page in pages:
             page.locator("#done", has_text=re.compile("^24$")).wait_for()
-        finish(run.page)
+        finish(session, run.page)
         for page in pages:
             page.locator("#headline", has_text="FINISHED").wait_for()
         assert session.process.wait(300) == 0, session.process.communicate()[1]

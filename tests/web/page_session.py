@@ -156,11 +156,14 @@ def recorded_events(session: Session) -> list[dict[str, Any]]:
     return [item.event for item in read_session(session) if isinstance(item, RecordedEvent)]
 
 
-def finish(page: Page) -> None:
-    """Press until the session is finished: on a busy machine the second may come too late for the first."""
-    while "FINISHED" not in page.locator("#headline").inner_text():
+def finish(session: PageSession, page: Page) -> None:
+    """Confirm that the session is over; once more where it is asked again, as the answer may come too late for the question."""
+    is_answer = ("done", "marked").__contains__
+    answer = "marked"
+    while answer == "marked":
+        before = len(session.told)
         page.keyboard.press("f")
-        page.wait_for_timeout(200)
+        answer = session.wait_for(lambda told: is_answer(told["event"]), after=before)["event"]
 
 
 class Recorded:

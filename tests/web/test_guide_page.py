@@ -91,7 +91,7 @@ def test_a_whole_session_from_the_page(program: Program, screens: Screens) -> No
     # The end needs a second tap, as the first says; any page may make it.
     marked(session, second, "f", "finish")
     assert session.process.poll() is None
-    finish(second)
+    finish(session, second)
     for each in (page, second, watching):
         wait_for_words(each, "#headline", "FINISHED")
         wait_for_words(each, "#details", r"24 of 24 [\s\S]* imufield solve")

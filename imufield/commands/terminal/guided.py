@@ -38,14 +38,7 @@ from imufield.guide.view.marks import AGAIN_WITHIN_S, KEYS
 from imufield.guide.view.plain import known_words, words
 from imufield.guide.view.terminal import Keyboard
 from imufield.pipeline.calibration import FEWEST_CHECKED, FEWEST_POSITIONS, one_of
-from imufield.pipeline.chain import (
-    MARK,
-    ROTATIONS,
-    Chain,
-    ReadingPlan,
-    replay_into,
-    require_gravity,
-)
+from imufield.pipeline.chain import ROTATIONS, Chain, ReadingPlan, replay_into, require_gravity
 from imufield.pipeline.intake import Intake
 from imufield.pipeline.kept import keep
 from imufield.pipeline.reading import ReadingCollector
@@ -247,7 +240,7 @@ class CaptureLoop:
     """Positions to be measured again."""
 
     def __post_init__(self) -> None:
-        self.chain, self.recorder = self.intake.chain, self.intake.recorder
+        self.chain = self.intake.chain
         self._last_byte_s = self.clock.monotonic_s()
         self._last_refresh_s = self._last_shown_s = float("-inf")
         self._link = ReconnectingLink(self.connected.link, self.clock, self.connected.ask_again)
@@ -256,7 +249,7 @@ class CaptureLoop:
 
     def run(self) -> Captured:
         """Go on until all is done or the operator quits."""
-        self._publish(self.chain.start_part(self.connected.protocol))
+        self._publish(self.intake.start_part(self.connected.protocol))
         self._go_on()
         for heard in self.connected.chunks:
             self._take(heard)
@@ -274,7 +267,7 @@ class CaptureLoop:
         except KeyboardInterrupt:
             # What waits to be decoded is recorded all the same.
             for chunk in self.connected.link.drain():
-                self.recorder.write_chunk(chunk)
+                self.intake.recorder.write_chunk(chunk)
             raise
         # What was read in the background before the last key may hold the end of a hold.
         waiting = self.connected.link.drain()
@@ -292,9 +285,9 @@ class CaptureLoop:
     def _go_on(self) -> None:
         """Take up a session that was finished, and what is to be measured again; noted, so that a replay does the same."""
         if self._done:
-            self._mark(REOPEN)
+            self._publish(self.intake.mark(REOPEN))
         for position in self.retake:
-            self._mark("retake", position)
+            self._publish(self.intake.mark("retake", position))
 
     def captured(self) -> Captured:
         """Return how far the session has come."""
@@ -355,18 +348,8 @@ class CaptureLoop:
             elif key not in KEYS:
                 self.view.tell(sentence("guided.no_key", key=key))
             elif key != FINISH or self._is_sure():
-                self._mark(KEYS[key])
+                self._publish(self.intake.mark(KEYS[key]))
         return False
-
-    def _mark(self, action: str, position: str | None = None) -> None:
-        """Record what the operator says, and tell the guide."""
-        if self.chain.guide is not None:
-            self._publish(self.intake.catch_up())
-            # Of the sample clock: a replay must say it at the same sample, however fast it runs.
-            time_s = self.chain.guide.time_s
-            named = {} if position is None else {"position": position}
-            self.recorder.write_event({"event": MARK, "action": action, "time_s": time_s, **named})
-            self._publish(self.chain.mark(action, time_s, position))
 
     def _is_sure(self) -> bool:
         """Whether the session may be finished: at the second press, said at the first; nothing of the first is recorded."""
@@ -380,7 +363,6 @@ class CaptureLoop:
     def _publish(self, events: list[Event]) -> None:
         self.hear(events)
         for event in events:
-            self.recorder.write_event(event.to_dict())
             if isinstance(event, Advice) and event.topic in (Topic.DRIFT, Topic.SCALE):
                 self._advice[event.topic] = event
         if events:
