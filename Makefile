@@ -34,11 +34,11 @@ demo: $(CORE)
 	@echo "imufield is installed as $(BIN)/imufield: run it so, or type \". $(BIN)/activate\" once in each terminal"
 	@echo "and then imufield alone."
 
-# Much of the time of tests goes in waiting for ports: five at a time keep two cores busy. A file stays in one process: the
+# Much of the time of tests goes in waiting for ports: six at a time keep two cores busy. A file stays in one process: the
 # lines of a page, for example, build on each other. The order of files is that of tests/conftest.py: the long ones first.
 # Compiled modules are kept, also where the environment says otherwise: each process would compile seven hundred anew.
 test: $(TEST)
-	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n 5 --dist loadfile --no-loadscope-reorder
+	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n 6 --dist loadfile --no-loadscope-reorder
 
 bench: $(TEST)
 	$(BIN)/python -m benchmarks
