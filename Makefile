@@ -34,7 +34,7 @@ demo: $(CORE)
 	@echo "imufield is installed as $(BIN)/imufield: run it so, or type \". $(BIN)/activate\" once in each terminal"
 	@echo "and then imufield alone."
 
-# Much of the time of tests goes in waiting for ports: six at a time keep two cores busy. A file stays in one process: the
+# Tests often wait for ports: with five at a time a quarter of two cores was idle for minutes, six keep them busy. A file stays in one process: the
 # lines of a page, for example, build on each other. The order of files is that of tests/conftest.py: the long ones first.
 # Compiled modules are kept, also where the environment says otherwise: each process would compile seven hundred anew.
 test: $(TEST)

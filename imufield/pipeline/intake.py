@@ -1,7 +1,6 @@
 """What is read of a link while it is recorded: to the disk first, then through the chain.
 
-Events are recorded in one order, whenever the link was silent: what the guide says of some bytes stands before a mark or a loss
-that came behind them.
+The order of recorded events does not depend on when the link is silent: events of earlier bytes precede a mark or a loss.
 """
 
 from __future__ import annotations
@@ -23,7 +22,10 @@ DECODED_EVERY_S = 0.1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Intake:
-    """The way of every chunk of a capture and of a plain recording."""
+    """The way of every chunk of a capture and of a plain recording.
+
+    The events that a method returns are recorded already; each may raise RecordingError.
+    """
 
     recorder: Recorder
     chain: Chain
@@ -34,7 +36,7 @@ class Intake:
 
     def start_part(self, protocol: Protocol) -> list[Event]:
         """Begin the part that is recorded; raises as ``Chain.start_part``."""
-        return self._recorded(self.chain.start_part(protocol))
+        return self._record(self.chain.start_part(protocol))
 
     def take(self, chunk: Chunk) -> list[Event]:
         """Record a chunk and return what the guide says of those before it.
@@ -62,32 +64,33 @@ class Intake:
         return events
 
     def catch_up(self) -> list[Event]:
-        """Decode all that was taken: nothing more has come, or somebody says what is about just these bytes."""
-        return self._recorded(self.chain.feed(self.waiting.take())) if self.waiting.pieces else []
+        """Decode what was taken so far: the link is silent, or a mark or a loss is about just these bytes."""
+        return self._record(self.chain.feed(self.waiting.take())) if self.waiting.pieces else []
 
     def mark(self, action: str, position: str | None = None) -> list[Event]:
-        """Take what the operator says now, and record it."""
+        """Record what the operator says, and tell the guide; without one nothing is recorded."""
         events = self.catch_up()
         if self.chain.guide is None:
             return events
-        # Of the sample clock: a replay must say it at the same sample, however fast it runs.
+        # The time is that of the sample clock: a replay marks the same sample, however fast it runs.
         time_s = self.chain.guide.time_s
         named = {} if position is None else {"position": position}
         self.recorder.write_event({"event": MARK, "action": action, "time_s": time_s, **named})
-        return events + self._recorded(self.chain.mark(action, time_s, position))
+        return events + self._record(self.chain.mark(action, time_s, position))
 
     def link_lost(self) -> list[Event]:
-        """Read anew what comes, and record that: the guide says it only where that is new to it."""
-        events = self.catch_up() + self._recorded(self.chain.link_lost())
+        """Record the loss, and read anew what comes; the guide says it only once."""
+        # What the decoder held back is of before the loss. A replay begins anew at either event.
+        events = self.catch_up() + self._record(self.chain.link_lost())
         self.recorder.write_event({"event": UNPLUGGED})
         self.stream.begin()
         return events
 
     def finish(self) -> list[Event]:
         """Decode what was taken, and take what the decoder held back; nothing will follow."""
-        return self.catch_up() + self._recorded(self.chain.finish())
+        return self.catch_up() + self._record(self.chain.finish())
 
-    def _recorded(self, events: list[Event]) -> list[Event]:
+    def _record(self, events: list[Event]) -> list[Event]:
         for event in events:
             self.recorder.write_event(event.to_dict())
         return events

@@ -157,13 +157,16 @@ def recorded_events(session: Session) -> list[dict[str, Any]]:
 
 
 def finish(session: PageSession, page: Page) -> None:
-    """Confirm that the session is over; once more where it is asked again, as the answer may come too late for the question."""
-    is_answer = ("done", "marked").__contains__
-    answer = "marked"
-    while answer == "marked":
+    """Press until the session is done: the second may come too late for the first, and the guide asks again."""
+    event = None
+    while event != "done":
         before = len(session.told)
         page.keyboard.press("f")
-        answer = session.wait_for(lambda told: is_answer(told["event"]), after=before)["event"]
+        event = session.wait_for(_answers_finish, after=before)["event"]
+
+
+def _answers_finish(told: dict[str, Any]) -> bool:
+    return told["event"] == "done" or (told["event"] == "marked" and told["action"] == "finish")
 
 
 class Recorded:

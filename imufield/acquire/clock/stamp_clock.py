@@ -1,7 +1,7 @@
 """Time by the instrument's own time stamps.
 
 ``StampClock`` unwraps time stamps and keeps them from running backwards. ``DeviceClock`` is the clock of a bus whose
-instrument sends the time.
+instrument sends the time. ``sample_clock`` chooses between time stamps, counter and host; ``host_lag`` compares with the host.
 """
 
 from __future__ import annotations

@@ -1,5 +1,7 @@
 """Rotations, many at once: of a simulated instrument, and of the intervals of a gyroscope.
 
+Which body frame the parameters are written in: ``gauge``.
+
 Quaternions are ``[w, x, y, z]``, unit. The turn of an interval with rotation vector ``p`` takes vectors of the body frame at
 its end to the body frame at its start, so the turn of a chain of intervals is the product ``q_1 q_2 ... q_n``: the gyroscope
 gives body rates, and each turn is made in the frame that the one before has reached.

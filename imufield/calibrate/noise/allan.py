@@ -6,10 +6,9 @@ from chunks of the full rate, longer ones from chunks of averages, the longest f
 of a level per averaging time, stepping by whole samples loses less than 1 % of the overlapped estimator's freedom. The
 variances of chunks are averaged, weighted by their number of terms; the terms that straddle two chunks are the only ones lost.
 
-From samples as they arrive to even rows: what an Allan deviation needs.
-
-Lost samples are bridged by a straight line where no more than a second is missing, and counted; longer losses and clocks that
-jump back begin a new run of rows.
+``noise_fit`` reads the random walk and the bias instability from it. An Allan deviation needs rows one interval apart: lost
+samples are bridged by a straight line where no more than a second is missing, and counted; longer losses and clocks that jump
+back begin a new run of rows.
 """
 
 from __future__ import annotations

@@ -265,7 +265,7 @@ class CaptureLoop:
                 self._refresh()
                 self.check()
         except KeyboardInterrupt:
-            # What waits to be decoded is recorded all the same.
+            # Recorded and not decoded: the decoder may have been interrupted in its work.
             for chunk in self.connected.link.drain():
                 self.intake.recorder.write_chunk(chunk)
             raise
