@@ -16,7 +16,8 @@ from imufield.commands.options.result_commands import HistoryOptions
 from imufield.commands.terminal.output import echo, echo_path, say, say_each, write_output
 from imufield.deliver.control_chart import plot_history
 from imufield.deliver.history import History, InstrumentHistory, as_utc, one_instrument, read_history
-from imufield.deliver.history_words import JudgedHistory, judge_histories, sentences, shown_as, to_csv
+from imufield.deliver.history_words import sentences, shown_as, to_csv
+from imufield.deliver.judged_history import JudgedHistory, judge_histories
 from imufield.deliver.pair_test import Change
 from imufield.deliver.parameters.gauge_free import Number, unit_of
 from imufield.deliver.parameters.printed_numbers import beside, hanging, to_ascii, with_sigma
@@ -49,7 +50,7 @@ def run_history(options: HistoryOptions, now: datetime | None = None) -> History
         )
     if options.csv is not None:
         write_output(options.csv, utf8_text(to_csv(history)).encode(), as_json=options.as_json)
-    judged = dict(zip(history.instruments, judge_histories(history.instruments, _cores()), strict=True))
+    judged = dict(zip(history.instruments, judge_histories(history, _cores()), strict=True))
     for path, instrument in plots.items():
         write_output(path, plot_history(judged[instrument]), as_json=options.as_json)
     if options.as_json:

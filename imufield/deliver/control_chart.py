@@ -15,7 +15,7 @@ import numpy as np
 
 from imufield.calibrate.sessions.changes import LargestChange
 from imufield.calibrate.sessions.kinds import kind_of
-from imufield.deliver.history_words import JudgedHistory
+from imufield.deliver.judged_history import JudgedHistory
 from imufield.deliver.parameters.gauge_free import unit_of
 from imufield.drawing.style import BLUE, INK, ORANGE, figure, plot_style, title, to_svg
 from imufield.samples import FloatArray

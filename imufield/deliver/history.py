@@ -1,6 +1,6 @@
 """Parameters of instruments over time, from a folder of parameter files and an index of them, ``history_index``.
 
-What the history says: ``history_words``.
+What the history says: ``judged_history``, and in words ``history_words``.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What was read of the parameter files of a folder, so that each is read once: a database in the user's cache folder.
+"""What was read of the parameter files of a folder, and made of them, each once: a database in the user's cache folder.
 
 It lies with the user and not beside the files: who hands those over could write anything into it. It can be deleted at any
 time. A manufacturer's folder has a million files, and a question is about ten of them: a database finds the rows of one serial
@@ -22,7 +22,7 @@ Found = TypeVar("Found")
 State = str
 """Size of a file in bytes, and time of its last change in ns: what tells that it is still the one that was read."""
 
-INDEX_VERSION = 13  # Of the index alone, in its name: programs of two versions have one each.
+INDEX_VERSION = 14  # Of the index alone, in its name: programs of two versions have one each.
 _IN_THIS_RUN = Path(":memory:")  # What SQLite calls a database that is never written.
 _WAIT_S = 1.0  # For another program that writes the index; to put some thousands of rows takes less.
 # Texts of entries are apart, so that names and states of all files are few pages.
@@ -31,6 +31,7 @@ _TABLES = """
         (name TEXT PRIMARY KEY NOT NULL, state TEXT NOT NULL, fault TEXT NOT NULL, serial_number TEXT NOT NULL);
     CREATE TABLE IF NOT EXISTS entry (name TEXT PRIMARY KEY NOT NULL, text TEXT NOT NULL);
     CREATE INDEX IF NOT EXISTS instrument ON file (serial_number);
+    CREATE TABLE IF NOT EXISTS judgement (instrument TEXT PRIMARY KEY NOT NULL, digest TEXT NOT NULL, text TEXT NOT NULL);
 """
 # What stands in the way of an index that may be sound; whatever else SQLite says, it is damaged.
 _IN_THE_WAY = {
@@ -99,6 +100,18 @@ class Index:
             join = "SELECT text FROM entry JOIN file USING (name) WHERE serial_number = ?"
             found = self._connection.execute(join, (json.dumps(serial_number),))
         yield from (text for (text,) in found)
+
+    def judgement(self, instrument: str) -> tuple[str, str] | None:
+        """Return what was made of the entries of an instrument, with a digest of it and of them; None where nothing was."""
+        found = self._connection.execute("SELECT digest, text FROM judgement WHERE instrument = ?", (json.dumps(instrument),))
+        row: tuple[str, str] | None = found.fetchone()
+        return row
+
+    def put_judgements(self, rows: Iterable[tuple[str, str, str]]) -> None:
+        """Keep instrument, digest and text of some judgements."""
+        with self._connection:
+            stored = ((json.dumps(instrument), digest, text) for instrument, digest, text in rows)
+            self._connection.executemany("REPLACE INTO judgement VALUES (?, ?, ?)", stored)
 
     def faults(self) -> dict[str, str]:
         """Return what is wrong with files, by name."""

@@ -10,19 +10,16 @@ import csv
 import io
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 
-import numpy as np
-
 from imufield.calibrate.model.grades import GRADES, grade_by_noise
-from imufield.calibrate.sessions.changes import FEWEST, MOST, DatedNumbers, Judged, LargestChange, day_to_day, judge
+from imufield.calibrate.sessions.changes import FEWEST, LargestChange, day_to_day
 from imufield.calibrate.sessions.forecast import Forecast, forecast
 from imufield.calibrate.sessions.kinds import PPM, kind_of
-from imufield.calibrate.sessions.repeatability import Repeatability
-from imufield.deliver.history import STALE_DAYS, Entry, History, InstrumentHistory
-from imufield.deliver.pair_test import Change, compare, family_of, typical_turn_on
-from imufield.deliver.parameters.gauge_free import Number, unit_of
+from imufield.deliver.history import STALE_DAYS, Entry, History
+from imufield.deliver.judged_history import JudgedHistory, changes_between, dated_numbers, in_one_model
+from imufield.deliver.pair_test import Change, family_of, typical_turn_on
+from imufield.deliver.parameters.gauge_free import unit_of
 from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
@@ -49,108 +46,11 @@ CSV_COLUMNS = (
     "change_sigma",
     "remark",
 )
-_INSTRUMENTS_A_WORKER = 8  # A process takes as long to start as some five instruments to judge.
-
-
-@dataclass(frozen=True, slots=True)
-class JudgedHistory:
-    """What the calibrations of an instrument say."""
-
-    instrument: InstrumentHistory
-    sessions: tuple[DatedNumbers, ...]
-    judged: Judged
-
-    @property
-    def entries(self) -> tuple[Entry, ...]:
-        """The calibrations that are judged, the oldest first."""
-        return self.instrument.entries[-MOST:]
-
-    @property
-    def repeatability(self) -> Mapping[str, Repeatability]:
-        """What each kind of numbers does from day to day, in its ``unit_of``; empty with fewer than three sessions."""
-        return self.judged.repeatability
-
-    def changes(self) -> tuple[Change, ...]:
-        """Return what has changed from the calibration before to the newest; nothing for a single calibration."""
-        daily = {kind: found.sigma for kind, found in self.repeatability.items()}
-        return _changes_between(self.entries[-2], self.entries[-1], daily) if len(self.entries) > 1 else ()
 
 
 def shown_as(name: str, unit: str) -> tuple[str, str, float]:
     """Return name and unit of a number for people, and the size of that unit: a scale without one is its error in ppm."""
     return (name.replace("scale", "scale error"), "ppm", PPM) if unit in _NO_UNIT else (name, unit, 1.0)
-
-
-def judge_histories(instruments: Sequence[InstrumentHistory], workers: int = 1) -> list[JudgedHistory]:
-    """Judge every instrument, where they are many on several processes."""
-    share = min(workers, 1 + len(instruments) // _INSTRUMENTS_A_WORKER)
-    if share == 1:
-        return [judge_history(instrument) for instrument in instruments]
-    from imufield.campaign import run_campaign  # late: processes take time to import
-
-    return run_campaign(_judge_one, instruments, seed=0, workers=share)
-
-
-def _judge_one(instrument: InstrumentHistory, _: np.random.Generator) -> JudgedHistory:
-    return judge_history(instrument)
-
-
-def judge_history(instrument: InstrumentHistory) -> JudgedHistory:
-    """Hold the changes of an instrument against what it does from day to day."""
-    sessions = dated_numbers(instrument.entries)
-    return JudgedHistory(instrument, sessions, judge(sessions))
-
-
-def in_one_model(entries: Sequence[Entry]) -> tuple[Entry, ...]:
-    """Return calibrations in the linear model where those from the same positions have different ones.
-
-    A quadratic term is there on all days, whether it was fitted or not: in one model it moves all numbers alike. And sigma is
-    too small beside a drift that was fitted by chance.
-    """
-    setups: dict[str, set[str]] = {}
-    for entry in entries:
-        setups.setdefault(entry.linear_setup, set()).add(entry.setup)
-    return tuple(entry.in_linear_model() if len(setups[entry.linear_setup]) > 1 else entry for entry in entries)
-
-
-def dated_numbers(entries: Sequence[Entry]) -> tuple[DatedNumbers, ...]:
-    """Return the numbers of calibrations for a test, in the units of ``unit_of``: scales against those of the newest."""
-    judged = in_one_model(entries[-MOST:])
-    newest = {number.name: number for number in judged[-1].numbers}
-    return tuple(_dated(entry, newest) for entry in judged)
-
-
-def _dated(entry: Entry, newest: Mapping[str, Number]) -> DatedNumbers:
-    # In another unit (another range, another output) it is another number.
-    rows = [k for k, number in enumerate(entry.numbers) if newest.get(number.name, number).unit == number.unit]
-    found = entry.gauge_free.against(newest, rows)
-    is_known = entry.gravity_source != "assumed"
-    return DatedNumbers(
-        day=entry.time.timestamp() / 86400,
-        names=tuple(number.name for number in found.numbers),
-        values=np.array([number.value for number in found.numbers]),
-        covariance=found.scatter,
-        freedom=np.array([number.scatter_freedom for number in found.numbers]),
-        setup=entry.setup,
-        hidden=found.error - found.scatter,
-        # A gravity that was only assumed says nothing of the place.
-        site=f"{entry.gravity_m_s2:.6f}" if is_known else entry.path,
-        by_gravity=np.array([number.common for number in found.numbers]),
-    )
-
-
-def _changes_between(old: Entry, new: Entry, daily: Mapping[str, float]) -> tuple[Change, ...]:
-    """Return the change of every number that both have, in the same unit; its sigma has in it what days do."""
-    old, new = in_one_model((old, new))
-    numbers = {number.name: number for number in new.numbers}
-    return tuple(
-        replace(change, sigma=math.hypot(change.sigma, math.sqrt(2) * _day_change(daily, numbers[change.name])))
-        for change in compare(old.gauge_free, new.gauge_free, new.shared_with(old))
-    )
-
-
-def _day_change(daily: Mapping[str, float], number: Number) -> float:
-    return daily.get(kind_of(number.name), 0.0) * abs(number.adjusted_size)
 
 
 def to_csv(history: History) -> str:
@@ -161,7 +61,7 @@ def to_csv(history: History) -> str:
     for instrument in history.instruments:
         daily = day_to_day(dated_numbers(instrument.entries))
         for place, entry in enumerate(instrument.entries):
-            before = _changes_between(instrument.entries[place - 1], entry, daily) if place else ()
+            before = changes_between(instrument.entries[place - 1], entry, daily) if place else ()
             changes = {change.name: change.in_sigma for change in before}
             for number in entry.numbers:
                 change = changes.get(number.name, math.nan)

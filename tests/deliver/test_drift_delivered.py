@@ -12,7 +12,7 @@ from imufield.calibrate.accelerometer.accelerometer import calibrate_acceleromet
 from imufield.calibrate.model.observations import Observations, leave_out
 from imufield.calibrate.model.result import ModelChoice, without_drift
 from imufield.deliver.history import Entry
-from imufield.deliver.history_words import in_one_model
+from imufield.deliver.judged_history import in_one_model
 from imufield.deliver.parameters.file import Context, Parameters, load, write_document
 from imufield.deliver.parameters.gauge_free import gauge_free
 from imufield.deliver.report.data import observations_of

@@ -15,7 +15,8 @@ from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration
 from imufield.deliver.control_chart import charts, plot_history
 from imufield.deliver.history import Entry, InstrumentHistory, find, one_instrument, read_history
-from imufield.deliver.history_words import judge_histories, judge_history, sentences, to_csv
+from imufield.deliver.history_words import sentences, to_csv
+from imufield.deliver.judged_history import judge_history
 from imufield.deliver.pair_test import Shared
 from imufield.deliver.parameters.gauge_free import gauge_free
 from imufield.errors import ParameterFileError, Reason
@@ -285,17 +286,6 @@ def test_unknown_serial_numbers_are_not_trusted(tmp_path: Path, write) -> None: 
     write("b", "2026-03-05", serial_number="", session="b" * 64)
     (instrument,) = read_history(tmp_path).instruments
     assert key_of(next(iter(sentences(judge_history(instrument), NOW)))) == "history_words.no_serial"
-
-
-def test_several_processes_judge_as_one_does(tmp_path: Path, write, monkeypatch) -> None:  # type: ignore[no-untyped-def]
-    for number in range(6):
-        write(f"{number}", f"2026-03-0{number + 1}", session=f"{number}" * 64, serial_number=f"N{number % 2}", moved=number)
-    instruments = read_history(tmp_path).instruments
-    alone = judge_histories(instruments)
-    monkeypatch.setattr("imufield.deliver.history_words._INSTRUMENTS_A_WORKER", 1)
-    together = judge_histories(instruments, 2)
-    assert [one.instrument for one in together] == list(instruments)
-    assert [one.judged for one in together] == [one.judged for one in alone]
 
 
 def test_empty_and_missing_folders_are_refused(tmp_path: Path) -> None:
