@@ -180,18 +180,19 @@ class Recorded:
         self.metadata = first.metadata
         self._keys = ""
         self._put_back: list[Chunk | Exception] = []
+        self._is_over = False
         self._key = {action: key for key, action in KEYS.items()}
         # What is finished for sure takes two; a third press, before all has ended, is one more mark.
         self._key["finish"] = 2 * FINISH
 
-    def read(self) -> Chunk:
-        """Return the next chunk; the keys that came behind it wait for ``keys``."""
+    def read(self) -> Chunk | None:
+        """Return the next chunk, behind the last one silence; the keys that came behind it wait for ``keys``."""
         found = self._put_back.pop(0) if self._put_back else self._next()
         if isinstance(found, Exception):
             raise found
         return found
 
-    def _next(self) -> Chunk | Exception:
+    def _next(self) -> Chunk | Exception | None:
         while self._items:
             item = self._items.pop(0)
             if isinstance(item, RecordedEvent) and item.event["event"] == UNPLUGGED:
@@ -207,7 +208,9 @@ class Recorded:
                     self._keys += self._key[action]
                     self._key["finish"] = FINISH if action == "finish" else self._key["finish"]
             return found
-        raise AssertionError("the capture without a page has not ended where the one with a page did")
+        assert not self._is_over, "the capture without a page has not ended where the one with a page did"
+        self._is_over = True
+        return None
 
     def put_back(self, items: Sequence[Chunk | Exception]) -> None:
         self._put_back = [*items, *self._put_back]
