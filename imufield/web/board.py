@@ -27,7 +27,9 @@ class Board:
 
     def __init__(self, head: Json, *, trace_blocks: int, log_lines: int) -> None:
         self._head = head
-        self._changed = threading.Condition()
+        # Taken itself and not through its condition, where an interrupt could leave it taken for ever.
+        self._lock = threading.RLock()
+        self._changed = threading.Condition(self._lock)
         self._version = -1  # Nothing to show yet: a page that comes waits for the first state.
         self._state: Json = {}
         self._map: tuple[int, Json] = (-1, {})
@@ -45,7 +47,7 @@ class Board:
         log: list[object] | None = None,
     ) -> None:
         """Show a new state, and add what has happened; ``positions`` only where they have changed."""
-        with self._changed:
+        with self._lock:
             self._version += 1
             self._state = state
             if positions is not None and positions != self._map[1]:
@@ -63,7 +65,7 @@ class Board:
             Version of the last message; -1 for a page that comes.
         timeout_s : float
         """
-        with self._changed:
+        with self._lock:
             if seen == self._version:
                 self._changed.wait(timeout_s)
             if seen == self._version:

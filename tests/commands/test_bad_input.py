@@ -317,7 +317,7 @@ def test_interrupted(program: Program, command: str, number: signal.Signals) -> 
             break
     process.send_signal(number)
     output, error = process.communicate(timeout=900)
-    assert process.returncode == INTERRUPTED
+    assert process.returncode == INTERRUPTED, error
     assert one_sentence(error) == f"{_interrupted_words([command], KeyboardInterrupt())}."
     session = only_session(program.folder)
     assert bytes_on_disk(session) > 125 * 38

@@ -39,7 +39,8 @@ class BackgroundLink:
     def __init__(self, link: ReopenableLink) -> None:
         self.name = link.name
         self._link = link
-        self._arrived: queue.Queue[Chunk | Exception] = queue.Queue(LONGEST_BACKLOG)
+        # In one piece for Python: an interrupt inside a Queue may leave its lock taken for ever.
+        self._arrived: queue.SimpleQueue[Chunk | Exception] = queue.SimpleQueue()
         self._put_back: list[Chunk | Exception] = []
         self._stopping = threading.Event()
         self._thread = self._started()
@@ -111,10 +112,8 @@ class BackgroundLink:
             self._put(error)
 
     def _put(self, item: Chunk | Exception) -> None:
-        while True:
-            with suppress(queue.Full):
-                self._arrived.put(item, timeout=WAIT_S)
+        # Nobody takes chunks any more when the thread is to end; what there is room for, ``drain`` finds.
+        while self._arrived.qsize() >= LONGEST_BACKLOG:
+            if self._stopping.wait(WAIT_S):
                 return
-            # Nobody takes chunks any more when the thread is to end; what there is room for, ``drain`` finds.
-            if self._stopping.is_set():
-                return
+        self._arrived.put(item)

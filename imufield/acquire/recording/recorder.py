@@ -78,7 +78,9 @@ class Recorder:
         self.path = Path(path)
         self._clock = clock or SystemClock()
         self._file = _create(self.path, start_of_part(metadata))
-        self._changed = threading.Condition()
+        # Taken itself and not through its condition, where an interrupt could leave it taken for ever.
+        self._lock = threading.RLock()
+        self._changed = threading.Condition(self._lock)
         self._waiting: list[bytes] = []
         self._waiting_bytes = 0
         self._sequence = count()  # Of all messages of the part, whatever thread they come from.
@@ -117,7 +119,7 @@ class Recorder:
         RecordingError
             If writing failed and no call has said so yet.
         """
-        with self._changed:
+        with self._lock:
             self._closing = True
             self._changed.notify_all()
         self._thread.join()
@@ -134,7 +136,7 @@ class Recorder:
     def _append(self, message: bytes) -> None:
         if len(message) > MESSAGE_LIMIT_BYTES:
             raise ValueError(f"a message of {len(message)} bytes is too long to be read again: write it in pieces")
-        with self._changed:
+        with self._lock:
             while self._waiting_bytes > BACKLOG_LIMIT_BYTES and self._failure is None:
                 self._changed.wait()
             if self._failure is not None:
@@ -169,7 +171,7 @@ class Recorder:
 
     def _write_waiting(self) -> bool:
         """Wait for the interval, or for a full block, then write; return whether to go on."""
-        with self._changed:
+        with self._lock:
             self._changed.wait_for(lambda: self._closing or self._waiting_bytes >= BLOCK_BYTES, SYNC_INTERVAL_S)
             taken, self._waiting, self._waiting_bytes = self._waiting, [], 0
             closing = self._closing
@@ -188,7 +190,7 @@ class Recorder:
             raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(self.path))
 
     def _fail(self, failure: Exception) -> None:
-        with self._changed:
+        with self._lock:
             self._failure = failure
             self._changed.notify_all()
 

@@ -122,7 +122,7 @@ class SoundView:
 
     def __init__(self, play: Callable[[Cue], None], speak: Callable[[str], None] | None = None) -> None:
         self._play, self._speak = play, speak
-        self._waiting: queue.Queue[list[tuple[Cue | None, str | None]] | None] = queue.Queue(maxsize=_WAITING)
+        self._waiting: queue.SimpleQueue[list[tuple[Cue | None, str | None]] | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._run, name="sound", daemon=True)
         self._thread.start()
 
@@ -130,15 +130,13 @@ class SoundView:
         """Play and speak events; returns at once."""
         sounds = [(cue, None if self._speak is None else words) for cue, words in map(heard, said_once(events))]
         sounds = [(cue, words) for cue, words in sounds if cue is not None or words is not None]
-        if sounds:
-            # Late sounds mislead: what does not fit is left out.
-            with suppress(queue.Full):
-                self._waiting.put_nowait(sounds)
+        # Late sounds mislead: what does not fit is left out.
+        if sounds and self._waiting.qsize() < _WAITING:
+            self._waiting.put(sounds)
 
     def close(self) -> None:
         """Play the waiting sounds, for a moment at most."""
-        with suppress(queue.Full):
-            self._waiting.put_nowait(None)
+        self._waiting.put(None)
         self._thread.join(timeout=_CLOSE_S)
 
     def _run(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import threading
 import time
@@ -13,6 +14,7 @@ import pytest
 from imufield.acquire.link.background import BackgroundLink
 from imufield.acquire.link.serial import Chunk, open_link
 from imufield.errors import LinkError
+from tests.interrupts import ends, interrupted_at
 
 
 class Scripted:
@@ -132,3 +134,15 @@ def test_nothing_is_lost_while_nobody_reads(port: tuple[int, str]) -> None:
             received += chunk.data
     assert received == data
     link.close()
+
+
+@pytest.mark.parametrize("items", [(), (b"a", b"b")], ids=["silent", "sending"])
+def test_an_interrupt_leaves_the_link_whole(items: tuple[bytes, ...]) -> None:
+    for moment in itertools.count(1):
+        link = BackgroundLink(Scripted(*items))
+        was_interrupted = interrupted_at(moment, link.read)
+        assert ends(link.drain)
+        assert ends(link.close)
+        if not was_interrupted:
+            break
+    assert moment > 1

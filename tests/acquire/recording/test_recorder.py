@@ -1,4 +1,6 @@
 import errno
+import functools
+import itertools
 import os
 import random
 import shutil
@@ -19,6 +21,7 @@ from imufield.acquire.recording.reader import Damage, PartStart, RecordedEvent, 
 from imufield.acquire.recording.recorder import MESSAGE_LIMIT_BYTES, Recorder
 from imufield.errors import Reason, RecordingError
 from imufield.samples import Status
+from tests.interrupts import ends, interrupted_at
 from tests.refused import refused
 
 START_NS = 1_700_000_000_000_000_000
@@ -272,3 +275,18 @@ def test_twenty_killed_recorders_lose_at_most_the_last_second(tmp_path: Path) ->
         assert numbers == list(range(len(numbers)))
         assert len(numbers) > safe[i]
     assert max(safe.values()) > 100
+
+
+def test_an_interrupt_leaves_the_recorder_whole(tmp_path: Path) -> None:
+    for moment in itertools.count(1):
+        path = tmp_path / f"part-{moment:03d}.mcap"
+        recorder = Recorder(path, {})
+        recorder.write_chunk(numbered(1))
+        was_interrupted = interrupted_at(moment, functools.partial(recorder.write_chunk, numbered(2)))
+        assert ends(recorder.close)
+        damage: list[Damage] = []
+        assert numbers_in(path, damage) in ([1], [1, 2])
+        assert damage == []
+        if not was_interrupted:
+            break
+    assert moment > 1
