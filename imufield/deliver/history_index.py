@@ -22,7 +22,8 @@ Found = TypeVar("Found")
 State = str
 """Size of a file in bytes, and time of its last change in ns: what tells that it is still the one that was read."""
 
-INDEX_VERSION = 14  # Of the index alone, in its name: programs of two versions have one each.
+# Of the index, in its name: programs of two versions have one each. Another where entries or judgements are made otherwise.
+INDEX_VERSION = 14
 _IN_THIS_RUN = Path(":memory:")  # What SQLite calls a database that is never written.
 _WAIT_S = 1.0  # For another program that writes the index; to put some thousands of rows takes less.
 # Texts of entries are apart, so that names and states of all files are few pages.
