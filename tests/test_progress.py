@@ -20,10 +20,15 @@ class Terminal(io.StringIO):
         return True
 
 
+@pytest.fixture(autouse=True, scope="module")
+def nothing_dropped() -> None:
+    """Forget a reading that a test before has dropped in its middle: it is a task until the collector comes, here seldom."""
+    gc.collect()
+
+
 @pytest.fixture(autouse=True)
 def nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Forget a reading that another test has dropped in its middle: it is a task until the collector comes, here seldom."""
-    gc.collect()
+    """Begin without a task."""
     monkeypatch.setattr(progress._line, "tasks", [])
 
 

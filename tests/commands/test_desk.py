@@ -323,7 +323,7 @@ def run_demo(program: Program, monkeypatch: pytest.MonkeyPatch, speed: int, at_s
 
 
 def test_demo(program: Program, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    for speed in (8, 4, 2):
+    for speed in (4, 2):
         code = run_demo(program, monkeypatch, speed)
         told = capsys.readouterr()
         # A machine busy beyond its strength says that the speed is too high, or starves the port, which ends a hold early.

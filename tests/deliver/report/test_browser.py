@@ -13,8 +13,9 @@ import pytest
 from imufield.deliver.parameters.file import load
 from imufield.deliver.report.data import ReportData
 from imufield.deliver.report.page import render_record, render_report
+from tests.web.browser import PROGRAMS
 
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+BROWSER = next(filter(None, map(shutil.which, PROGRAMS)), None)
 EXAMPLE = Path(__file__).resolve().parents[3] / "docs" / "exports" / "example.toml"
 WIDTHS = (390, 1366)
 pytestmark = pytest.mark.skipif(BROWSER is None, reason="install chromium to look at the pages as a browser does")
