@@ -38,7 +38,7 @@ demo: $(CORE)
 # lines of a page, for example, build on each other. The order of files is that of tests/conftest.py: the long ones first.
 # Compiled modules are kept, also where the environment says otherwise: each process would compile seven hundred anew.
 test: $(TEST)
-	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n 6 --dist loadfile --no-loadscope-reorder
+	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n 5 --dist loadfile --no-loadscope-reorder
 
 bench: $(TEST)
 	$(BIN)/python -m benchmarks

@@ -48,7 +48,7 @@ def write_secret(state_home: Path) -> None:
 
 # Files of half a minute and more, mostly the longest first, or one process works on alone when the others are done. Most wait
 # for ports and browsers: with others between them there is work meanwhile.
-OTHERS_BETWEEN = 10
+OTHERS_BETWEEN = 15
 BEGIN_WITH = 5
 LONG = (
     "commands/test_can.py",
