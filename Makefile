@@ -34,8 +34,8 @@ demo: $(CORE)
 	@echo "imufield is installed as $(BIN)/imufield: run it so, or type \". $(BIN)/activate\" once in each terminal"
 	@echo "and then imufield alone."
 
-# Tests often wait for ports: with five at a time a quarter of two cores was idle for minutes, six keep them busy. A file stays in one process: the
-# lines of a page, for example, build on each other. The order of files is that of tests/conftest.py: the long ones first.
+# Tests often wait for ports: with four at a time two cores are idle for a minute of six, a sixth slows the others down. A file
+# stays in one process: the lines of a page, for example, build on each other. The order of files is that of tests/conftest.py.
 # Compiled modules are kept, also where the environment says otherwise: each process would compile seven hundred anew.
 test: $(TEST)
 	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n 5 --dist loadfile --no-loadscope-reorder

@@ -42,6 +42,8 @@ from imufield.samples import FloatArray
 
 # Relative step for the derivative of the specific force by the accelerometer's parameters; it is nearly linear in them.
 _DIFFERENCE = 1e-6
+# Degrees of freedom that tell a scatter: 4 do to a factor of three (chi-square, 95 %), and of fewer the estimate may be any.
+_LEAST_FREEDOM = 4.0
 _MOST_SCATTER = 1e4  # Times the largest squared residual: no scatter beyond it explains anything, and the numbers stay finite.
 
 
@@ -260,7 +262,10 @@ def _add_blocks(target: FloatArray, blocks: FloatArray, start: int) -> None:
 
 
 def next_scatter(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, parts: Covariances) -> Scatter:
-    """Return one step of restricted maximum likelihood towards the sizes of the scatters."""
+    """Return one step of restricted maximum likelihood towards the sizes of the scatters.
+
+    One that too few residuals tell keeps its size: the parameters follow those of the turns of three moves.
+    """
     inverse = np.linalg.inv(parts.total(scatter))
     weighted = inverse @ jacobian
     P = inverse - weighted @ np.linalg.pinv(jacobian.T @ weighted, hermitian=True) @ weighted.T
@@ -270,8 +275,9 @@ def next_scatter(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, p
     score = np.array([Pr @ V @ Pr - np.trace(PV) for V, PV in zip(components, products, strict=True)])  # 2 s_k
     information = np.array([[np.einsum("ij,ji", a, b) for b in products] for a in products])  # tr(P V_k P V_l)
     now = np.array(scatter) ** 2
+    told = np.array([_freedom(PV, inverse @ V) >= _LEAST_FREEDOM for PV, V in zip(products, components, strict=True)])
     # A component at zero that wants to fall stays there.
-    free = ~((now <= 0) & (score <= 0)) & (np.diag(information) > 0)
+    free = told & ~((now <= 0) & (score <= 0)) & (np.diag(information) > 0)
     step = np.zeros(len(now))
     step[free] = np.linalg.lstsq(information[np.ix_(free, free)], score[free], rcond=None)[0]
     falling = now + step < 0
@@ -284,7 +290,13 @@ def next_scatter(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, p
     # The least variance that a scatter of size one gives to a residual it touches at all; infinite where it touches none.
     least = np.array([np.min(np.diag(V)[np.diag(V) > 0], initial=np.inf) for V in components])
     most = _MOST_SCATTER * float(np.max(residual**2)) / least
-    return Scatter(*(float(value) for value in np.sqrt(np.clip(now + step, 0.0, most))))
+    return Scatter(*np.sqrt(np.where(told, np.clip(now + step, 0.0, most), now)).tolist())
+
+
+def _freedom(left: FloatArray, whole: FloatArray) -> float:
+    """Return how many residuals of a scatter the parameters leave, of ``P V`` and ``S^-1 V``: its share of those it touches."""
+    touched = np.trace(whole) / np.einsum("ij,ji", whole, whole) if np.trace(whole) > 0 else 0.0
+    return float(np.trace(left) * touched)
 
 
 def accelerometer_force(parameters: AccelerometerParameters, mean_raw: FloatArray) -> FloatArray:
