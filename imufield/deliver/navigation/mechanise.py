@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import importlib
 import warnings
-from contextlib import suppress
 from functools import cache
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
@@ -46,13 +45,9 @@ def load_pyins() -> SimpleNamespace:
     """
     try:
         modules = {name: importlib.import_module(f"pyins.{name}") for name in ("earth", "strapdown", "transform", "util")}
-        modules["pandas"] = importlib.import_module("pandas")
+        return SimpleNamespace(pandas=importlib.import_module("pandas"), **modules)
     except ImportError as error:
         raise UsageError(sentence("mechanise.package", package="python-ins"), Reason.MISSING_PACKAGE) from error
-    # Compiling takes longer than integrating a session. Refused where neither the package's folder nor the home can be written.
-    with suppress(RuntimeError):
-        modules["strapdown"].integrate.enable_caching()
-    return SimpleNamespace(**modules)
 
 
 def integrate(state: FloatArray, start_s: float, increments: DataFrame) -> DataFrame:
