@@ -1,4 +1,7 @@
-"""VectorNav VN-100, VN-200 and VN-300, binary output."""
+"""VectorNav VN-100, VN-200 and VN-300, binary output.
+
+The frame is in ``protocols/vectornav_binary.toml``; ``imufield.acquire.decode`` finds and decodes those of every protocol.
+"""
 
 from __future__ import annotations
 

@@ -15,7 +15,10 @@ HANGS_S = 60.0  # Only what waits for ever takes so long.
 
 
 def interrupted_at(moment: int, work: Callable[[], object]) -> bool:
-    """Do some work with a KeyboardInterrupt at its n-th such moment; whether there was one. Any other error is passed on."""
+    """Do some work with a KeyboardInterrupt at its n-th such moment; whether there was one. Any other error is passed on.
+
+    An interrupt that the work swallows is an error too.
+    """
     left, before = moment, sys.gettrace()
 
     def trace(frame: FrameType, event: str, _: Any) -> Any:
@@ -35,6 +38,7 @@ def interrupted_at(moment: int, work: Callable[[], object]) -> bool:
         return True
     finally:
         sys.settrace(before)
+    assert left > 0, f"the interrupt at moment {moment} was swallowed"
     return False
 
 

@@ -21,13 +21,13 @@ class Terminal(io.StringIO):
 
 
 @pytest.fixture(autouse=True, scope="module")
-def nothing_dropped() -> None:
-    """Forget a reading that a test before has dropped in its middle: it is a task until the collector comes, here seldom."""
+def collect_abandoned_readings() -> None:
+    """Collect readings that tests before have left in their middle: tasks until the collector comes, which is seldom here."""
     gc.collect()
 
 
 @pytest.fixture(autouse=True)
-def nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
+def no_open_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Begin without a task."""
     monkeypatch.setattr(progress._line, "tasks", [])
 

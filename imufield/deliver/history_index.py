@@ -1,4 +1,4 @@
-"""What was read of the parameter files of a folder, and made of them, each once: a database in the user's cache folder.
+"""Index of a folder of parameter files, with what was judged of them: a database in the user's cache folder.
 
 It lies with the user and not beside the files: who hands those over could write anything into it. It can be deleted at any
 time. A manufacturer's folder has a million files, and a question is about ten of them: a database finds the rows of one serial
@@ -22,7 +22,7 @@ Found = TypeVar("Found")
 State = str
 """Size of a file in bytes, and time of its last change in ns: what tells that it is still the one that was read."""
 
-# Of the index, in its name: programs of two versions have one each. Another where entries or judgements are made otherwise.
+# In the name of the index: programs of two versions have one each. Raise it where entries or judgements hold other things.
 INDEX_VERSION = 14
 _IN_THIS_RUN = Path(":memory:")  # What SQLite calls a database that is never written.
 _WAIT_S = 1.0  # For another program that writes the index; to put some thousands of rows takes less.
@@ -103,7 +103,7 @@ class Index:
         yield from (text for (text,) in found)
 
     def judgement(self, instrument: str) -> tuple[str, str] | None:
-        """Return what was made of the entries of an instrument, with a digest of it and of them; None where nothing was."""
+        """Return digest and text of the judgement that is kept of an instrument; None where there is none."""
         found = self._connection.execute("SELECT digest, text FROM judgement WHERE instrument = ?", (json.dumps(instrument),))
         row: tuple[str, str] | None = found.fetchone()
         return row

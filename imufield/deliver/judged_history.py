@@ -1,4 +1,4 @@
-"""What the calibrations of an instrument say, judged once: kept in the folder's index until one of them is another.
+"""What the calibrations of an instrument say together: judged once, and kept in the index until one of them is another.
 
 In words and as a table: ``history_words``.
 """
@@ -54,13 +54,13 @@ def judge_histories(history: History, workers: int = 1) -> list[JudgedHistory]:
     instruments = history.instruments
     rows = with_index(history.folder, lambda index: [index.judgement(instrument.title) for instrument in instruments])
     kept = [_kept(instrument, row) for instrument, row in zip(instruments, rows, strict=True)]
-    made = _judge_each([instrument for instrument, one in zip(instruments, kept, strict=True) if one is None], workers)
+    made = _judge_each([instrument for instrument, known in zip(instruments, kept, strict=True) if known is None], workers)
     if made:
         texts = [(one.instrument, _as_text(one.judged)) for one in made]
         new = [(instrument.title, _digest(instrument, text), text) for instrument, text in texts]
         with_index(history.folder, lambda index: index.put_judgements(new))
     rest = iter(made)
-    return [one or next(rest) for one in kept]
+    return [next(rest) if known is None else known for known in kept]
 
 
 def _kept(instrument: InstrumentHistory, row: tuple[str, str] | None) -> JudgedHistory | None:
@@ -80,7 +80,7 @@ def _as_text(judged: Judged) -> str:
 
 
 def _digest(instrument: InstrumentHistory, text: str) -> str:
-    """Return the hash of a judgement and of what it hangs on."""
+    """Return the hash of a judgement and of all it depends on: the calibrations, and the versions that made it."""
     entries = "\n".join(entry.text for entry in instrument.entries[-MOST:])
     return hashlib.sha256(f"{__version__}\n{np.__version__}\n{text}\n{entries}".encode()).hexdigest()
 

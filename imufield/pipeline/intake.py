@@ -64,7 +64,7 @@ class Intake:
         return events
 
     def catch_up(self) -> list[Event]:
-        """Decode what was taken so far: the link is silent, or a mark or a loss is about just these bytes."""
+        """Decode what was taken so far: the link is silent, or a mark or a loss refers to the samples up to here."""
         return self._record(self.chain.feed(self.waiting.take())) if self.waiting.pieces else []
 
     def mark(self, action: str, position: str | None = None) -> list[Event]:
@@ -79,8 +79,8 @@ class Intake:
         return events + self._record(self.chain.mark(action, time_s, position))
 
     def link_lost(self) -> list[Event]:
-        """Record the loss, and read anew what comes; the guide says it only once."""
-        # What the decoder held back is of before the loss. A replay begins anew at either event.
+        """Record the loss, and decode anew what comes behind it; the guide tells one loss once."""
+        # What the decoder held back is of before the loss. A replay begins anew at ``link_lost`` as at ``unplugged``.
         events = self.catch_up() + self._record(self.chain.link_lost())
         self.recorder.write_event({"event": UNPLUGGED})
         self.stream.begin()

@@ -27,7 +27,7 @@ class Board:
 
     def __init__(self, head: Json, *, trace_blocks: int, log_lines: int) -> None:
         self._head = head
-        # Taken itself and not through its condition, where an interrupt could leave it taken for ever.
+        # Entered itself: a condition is entered by Python code, where an interrupt could leave the lock held for ever.
         self._lock = threading.RLock()
         self._changed = threading.Condition(self._lock)
         self._version = -1  # Nothing to show yet: a page that comes waits for the first state.

@@ -9,7 +9,9 @@ from typing import Any
 
 import pytest
 
+from imufield import campaign
 from imufield.calibrate.sessions.changes import Judged, judge
+from imufield.campaign import run_campaign
 from imufield.deliver import judged_history
 from imufield.deliver.history import History, read_history
 from imufield.deliver.history_index import index_file
@@ -26,7 +28,7 @@ def two_instruments(tmp_path: Path, write: Any) -> Path:
 
 @pytest.fixture
 def judged_anew(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Return how many sessions each judgement was made of that was made, and not taken from the index."""
+    """Return of how many sessions each judgement was that was made, and not taken from the index."""
     made: list[int] = []
 
     def judge_and_count(sessions: Any) -> Judged:
@@ -48,7 +50,15 @@ def test_several_processes_judge_as_one_does(two_instruments: Path, monkeypatch:
     alone = judgements(history)
     index_file(two_instruments).unlink()
     monkeypatch.setattr(judged_history, "_INSTRUMENTS_A_WORKER", 1)
+    asked: list[int | None] = []
+
+    def run_and_note(*arguments: Any, workers: int | None = None, **more: Any) -> list[Any]:
+        asked.append(workers)
+        return run_campaign(*arguments, workers=workers, **more)
+
+    monkeypatch.setattr(campaign, "run_campaign", run_and_note)
     assert judgements(history, 2) == alone
+    assert asked == [2]
 
 
 def test_the_same_calibrations_are_judged_once(two_instruments: Path, judged_anew: list[int]) -> None:

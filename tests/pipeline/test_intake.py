@@ -78,6 +78,7 @@ def test_events_stand_in_one_order_whenever_the_link_was_silent(tmp_path: Path) 
     kinds = Counter(event["event"] for event in never)
     assert kinds[UNPLUGGED] == len(lost)
     assert kinds[MARK] == len(marked)
+    assert kinds["link_lost"] == len(lost)
     # Without holds there is little that could change places.
     assert kinds["holding"] > 0
     assert all(behind["event"] == UNPLUGGED for event, behind in pairwise(never) if event["event"] == "link_lost")

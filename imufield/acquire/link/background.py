@@ -39,7 +39,7 @@ class BackgroundLink:
     def __init__(self, link: ReopenableLink) -> None:
         self.name = link.name
         self._link = link
-        # In one piece for Python: an interrupt inside a Queue may leave its lock taken for ever.
+        # Not written in Python, as a Queue is: an interrupt inside that could leave its lock held for ever.
         self._arrived: queue.SimpleQueue[Chunk | Exception] = queue.SimpleQueue()
         self._put_back: list[Chunk | Exception] = []
         self._stopping = threading.Event()

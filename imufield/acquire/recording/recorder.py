@@ -78,7 +78,7 @@ class Recorder:
         self.path = Path(path)
         self._clock = clock or SystemClock()
         self._file = _create(self.path, start_of_part(metadata))
-        # Taken itself and not through its condition, where an interrupt could leave it taken for ever.
+        # Entered itself: a condition is entered by Python code, where an interrupt could leave the lock held for ever.
         self._lock = threading.RLock()
         self._changed = threading.Condition(self._lock)
         self._waiting: list[bytes] = []

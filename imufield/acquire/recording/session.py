@@ -1,4 +1,7 @@
-"""Session folders: ``session.toml``, ``part-001.mcap``, ``part-002.mcap`` (one part per run), results beside them."""
+"""Session folders: ``session.toml``, ``part-001.mcap``, ``part-002.mcap`` (one part per run), results beside them.
+
+What ``session.toml`` may hold is checked and typed in ``session_record``.
+"""
 
 from __future__ import annotations
 

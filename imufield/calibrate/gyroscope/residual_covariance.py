@@ -42,7 +42,7 @@ from imufield.samples import FloatArray
 
 # Relative step for the derivative of the specific force by the accelerometer's parameters; it is nearly linear in them.
 _DIFFERENCE = 1e-6
-# Degrees of freedom that tell a scatter: 4 do to a factor of three (chi-square, 95 %), and of fewer the estimate may be any.
+# Degrees of freedom from which on the scatter of turns is estimated: 4 tell it to a factor of three (chi-square, 95 %).
 _LEAST_FREEDOM = 4.0
 _MOST_SCATTER = 1e4  # Times the largest squared residual: no scatter beyond it explains anything, and the numbers stay finite.
 
@@ -264,7 +264,8 @@ def _add_blocks(target: FloatArray, blocks: FloatArray, start: int) -> None:
 def next_scatter(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, parts: Covariances) -> Scatter:
     """Return one step of restricted maximum likelihood towards the sizes of the scatters.
 
-    One that too few residuals tell keeps its size: the parameters follow those of the turns of three moves.
+    That of turns keeps its size where it has fewer than four degrees of freedom: the parameters absorb the residuals of three
+    moves, and what is left of them is rounding.
     """
     inverse = np.linalg.inv(parts.total(scatter))
     weighted = inverse @ jacobian
@@ -275,9 +276,9 @@ def next_scatter(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, p
     score = np.array([Pr @ V @ Pr - np.trace(PV) for V, PV in zip(components, products, strict=True)])  # 2 s_k
     information = np.array([[np.einsum("ij,ji", a, b) for b in products] for a in products])  # tr(P V_k P V_l)
     now = np.array(scatter) ** 2
-    told = np.array([_freedom(PV, inverse @ V) >= _LEAST_FREEDOM for PV, V in zip(products, components, strict=True)])
+    estimated = np.array([True, True, _degrees_of_freedom(products[2], inverse @ parts.turn) >= _LEAST_FREEDOM])
     # A component at zero that wants to fall stays there.
-    free = told & ~((now <= 0) & (score <= 0)) & (np.diag(information) > 0)
+    free = estimated & ~((now <= 0) & (score <= 0)) & (np.diag(information) > 0)
     step = np.zeros(len(now))
     step[free] = np.linalg.lstsq(information[np.ix_(free, free)], score[free], rcond=None)[0]
     falling = now + step < 0
@@ -290,13 +291,13 @@ def next_scatter(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, p
     # The least variance that a scatter of size one gives to a residual it touches at all; infinite where it touches none.
     least = np.array([np.min(np.diag(V)[np.diag(V) > 0], initial=np.inf) for V in components])
     most = _MOST_SCATTER * float(np.max(residual**2)) / least
-    return Scatter(*np.sqrt(np.where(told, np.clip(now + step, 0.0, most), now)).tolist())
+    return Scatter(*np.sqrt(np.where(estimated, np.clip(now + step, 0.0, most), now)).tolist())
 
 
-def _freedom(left: FloatArray, whole: FloatArray) -> float:
-    """Return how many residuals of a scatter the parameters leave, of ``P V`` and ``S^-1 V``: its share of those it touches."""
-    touched = np.trace(whole) / np.einsum("ij,ji", whole, whole) if np.trace(whole) > 0 else 0.0
-    return float(np.trace(left) * touched)
+def _degrees_of_freedom(projected: FloatArray, weighted: FloatArray) -> float:
+    """Return those of a scatter, tr(P V) tr(W) / tr(W^2) with W = S^-1 V: how many of its residuals the parameters leave."""
+    trace = np.trace(weighted)
+    return float(np.trace(projected) * trace / np.einsum("ij,ji", weighted, weighted)) if trace > 0 else 0.0
 
 
 def accelerometer_force(parameters: AccelerometerParameters, mean_raw: FloatArray) -> FloatArray:

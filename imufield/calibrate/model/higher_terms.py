@@ -1,5 +1,7 @@
 """Terms of an accelerometer beyond the quadratic one: cubic terms, and cross terms of two axes.
 
+The g-sensitivity of a gyroscope is in ``models``; ``gyroscope.model_choice`` decides whether it is fitted.
+
 With ``s = T a`` an axis feels ``f = s + h(s)``; the model goes on from ``f`` in place of ``s``: ``N = K (f + b) + K2 f**2``.
 
     h_i(s) = cubic_i s_i^3 + sum_p cross_pi q_p,    q = (s_x s_y, s_x s_z, s_y s_z)        [1]_

@@ -355,7 +355,7 @@ def test_lost_samples_are_bridged_or_named() -> None:
 
 @pytest.mark.parametrize("lost", [(1, 3), (2,)])
 def test_few_moves_tell_no_scatter_of_turns(lost: tuple[int, ...]) -> None:
-    """Four turns have fewer residuals than parameters: their scatter once came out of rounding, and errors of 58 sigma."""
+    """Four or five turns leave their scatter too few degrees of freedom: it came out of rounding, with errors of 58 sigma."""
     positions = scheme("faces6").directions()
     found = []
     for seed in range(12):
@@ -369,11 +369,12 @@ def test_few_moves_tell_no_scatter_of_turns(lost: tuple[int, ...]) -> None:
         session = simulate(seed, positions=begin, damage=lose, latitude_deg=None if seed % 2 else 45.0)
         result = calibrate_gyroscope(session.given)
         assert len(result.moves.after_deg) == 6 - len(lost)
-        seen = vector(result.calibration.sigma) > 0
-        found.append(ratios(session, result)[seen])
+        fitted = np.isfinite(vector(result.calibration.sigma))
+        assert np.count_nonzero(fitted) >= 9
+        found.append(ratios(session, result)[fitted])
     ratio = np.concatenate(found)
-    assert np.nanmax(np.abs(ratio)) < 4.5
-    assert 0.3 < np.sqrt(np.nanmean(ratio**2)) < 1.3
+    assert np.abs(ratio).max() < 4.5
+    assert 0.3 < np.sqrt(np.mean(ratio**2)) < 1.3
 
 
 def test_static_bias_where_there_are_no_moves(session: Session) -> None:
