@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,6 +21,9 @@ from imufield.deliver.parameters.gauge_free import unit_of
 from imufield.drawing.style import BLUE, INK, ORANGE, figure, plot_style, title, to_svg
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
+
+if TYPE_CHECKING:
+    from matplotlib.dates import AutoDateLocator
 
 sentence = Sentences(__package__)
 
@@ -90,11 +94,11 @@ def plot_history(history: JudgedHistory) -> bytes:
     found = charts(history)
     rows = [row for kind in dict.fromkeys(kind_of(chart.name) for chart in found) for row in _rows(found, kind)]
     with plot_style():
-        from matplotlib.dates import AutoDateFormatter, AutoDateLocator
+        from matplotlib.dates import AutoDateFormatter
 
         drawn = figure(_PANEL_IN * max(len(rows), 1) + 0.6)
         panels = drawn.subplots(max(len(rows), 1), _COLUMNS, sharex=True, squeeze=False)
-        dates = AutoDateLocator(minticks=2, maxticks=_MOST_DATES)  # type: ignore[no-untyped-call]  # not in its stubs
+        dates = date_locator()
         panels[0, 0].xaxis.set_major_locator(dates)
         panels[0, 0].xaxis.set_major_formatter(AutoDateFormatter(dates))  # type: ignore[no-untyped-call]  # the same
         for axes in panels.flat:
@@ -114,6 +118,17 @@ def plot_history(history: JudgedHistory) -> bytes:
                 axes.tick_params(axis="x", rotation=30)
         title(drawn, sentence("control_chart.title", title=history.instrument.title, sessions=len(history.entries)))
         return to_svg(drawn, "history").encode("utf-8")
+
+
+def date_locator() -> AutoDateLocator:
+    """Return what finds dates for an axis of any length."""
+    from matplotlib.dates import HOURLY, MINUTELY, MONTHLY, SECONDLY, AutoDateLocator
+
+    dates = AutoDateLocator(minticks=2, maxticks=_MOST_DATES)  # type: ignore[no-untyped-call]  # not in its stubs
+    # With so few dates its own steps leave gaps, and it warns there: 100 minutes are no two hours, and more than 3 x 30.
+    for unit, step in ((MONTHLY, 12), (HOURLY, 24), (MINUTELY, 60), (SECONDLY, 60)):
+        dates.intervald[unit] = [*dates.intervald[unit], step]
+    return dates
 
 
 def _rows(found: Sequence[Chart], kind: str) -> list[list[Chart]]:

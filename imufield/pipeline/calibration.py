@@ -228,7 +228,8 @@ def _with_gyroscope(
             quality = replace(quality, reasons=(*quality.reasons, why))
         return replace(calibration, quality=quality), _NOT_CALIBRATED
     quality = joined.quality
-    verdict = "usable" if result.cautions else "good" if np.isfinite(result.calibration.sigma.scale).any() else _BIAS_ONLY
+    lowered = "poor" if result.faults else "usable" if result.cautions else ""
+    verdict = lowered or ("good" if np.isfinite(result.calibration.sigma.scale).any() else _BIAS_ONLY)
     if solved is not None:
         key = "calibration.solved_by" if solved.converged else "calibration.not_converged"
         how = sentence(key, method=settings.method, message=solved.message)

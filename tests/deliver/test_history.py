@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ import pytest
 
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration
-from imufield.deliver.control_chart import charts, plot_history
+from imufield.deliver.control_chart import charts, date_locator, plot_history
 from imufield.deliver.history import Entry, InstrumentHistory, find, one_instrument, read_history
 from imufield.deliver.history_words import sentences, to_csv
 from imufield.deliver.judged_history import judge_history
@@ -323,6 +323,15 @@ def test_table_says_which_file_was_edited_and_which_refused(tmp_path: Path, writ
     assert last["remark"].startswith("refused: ")
     assert "c/parameters.toml" in last["remark"]
     assert last["value"] == ""
+
+
+def test_an_axis_of_any_length_has_its_dates() -> None:
+    """Also that of a first try, with calibrations minutes apart; matplotlib warns where it finds none that fit."""
+    pytest.importorskip("matplotlib")
+    begin = datetime(2026, 3, 4, 10, 7, 13, tzinfo=UTC)
+    for length_s in np.geomspace(5.0, 20 * 365.25 * 86400, 200):
+        dates = date_locator().tick_values(begin, begin + timedelta(seconds=length_s))  # type: ignore[no-untyped-call]
+        assert 1 <= len(dates) <= 8
 
 
 def test_plot_is_a_drawing_of_every_kind(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]

@@ -44,6 +44,7 @@ from imufield.samples import FloatArray
 _DIFFERENCE = 1e-6
 # Degrees of freedom from which on the scatter of turns is estimated: 4 tell it to a factor of three (chi-square, 95 %).
 _LEAST_FREEDOM = 4.0
+_OUTWEIGHED = 100.0  # Times the largest variance of the noise: a scatter beside which it does not count.
 _MOST_SCATTER = 1e4  # Times the largest squared residual: no scatter beyond it explains anything, and the numbers stay finite.
 
 
@@ -267,16 +268,14 @@ def next_scatter(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, p
     That of turns keeps its size where it has fewer than four degrees of freedom: the parameters absorb the residuals of three
     moves, and what is left of them is rounding.
     """
-    inverse = np.linalg.inv(parts.total(scatter))
-    weighted = inverse @ jacobian
-    P = inverse - weighted @ np.linalg.pinv(jacobian.T @ weighted, hermitian=True) @ weighted.T
+    P = _projection(parts.total(scatter), jacobian)
     components = (parts.drift, parts.wander, parts.turn)
     products = [P @ V for V in components]
     Pr = P @ residual
     score = np.array([Pr @ V @ Pr - np.trace(PV) for V, PV in zip(components, products, strict=True)])  # 2 s_k
     information = np.array([[np.einsum("ij,ji", a, b) for b in products] for a in products])  # tr(P V_k P V_l)
     now = np.array(scatter) ** 2
-    estimated = np.array([True, True, _degrees_of_freedom(products[2], inverse @ parts.turn) >= _LEAST_FREEDOM])
+    estimated = np.array([True, True, turns_tell_scatter(scatter, jacobian, parts)])
     # A component at zero that wants to fall stays there.
     free = estimated & ~((now <= 0) & (score <= 0)) & (np.diag(information) > 0)
     step = np.zeros(len(now))
@@ -294,10 +293,23 @@ def next_scatter(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, p
     return Scatter(*np.sqrt(np.where(estimated, np.clip(now + step, 0.0, most), now)).tolist())
 
 
-def _degrees_of_freedom(projected: FloatArray, weighted: FloatArray) -> float:
-    """Return those of a scatter, tr(P V) tr(W) / tr(W^2) with W = S^-1 V: how many of its residuals the parameters leave."""
-    trace = np.trace(weighted)
-    return float(np.trace(projected) * trace / np.einsum("ij,ji", weighted, weighted)) if trace > 0 else 0.0
+def turns_tell_scatter(scatter: Scatter, jacobian: FloatArray, parts: Covariances) -> bool:
+    """Whether the parameters leave the residuals of the turns enough degrees of freedom to estimate their scatter.
+
+    They are tr(P V) times the scatter's variance where it outweighs all noise, whatever its size is now.
+    """
+    turning = np.diag(parts.turn) > 0
+    others = parts.total(scatter._replace(turn_rad=0.0))
+    variance = _OUTWEIGHED * float(np.max(np.diag(others)[turning], initial=0.0))
+    P = _projection(others + variance * parts.turn, jacobian)
+    return bool(variance * np.trace(P @ parts.turn) >= _LEAST_FREEDOM)
+
+
+def _projection(S: FloatArray, jacobian: FloatArray) -> FloatArray:
+    """Return P."""
+    inverse = np.linalg.inv(S)
+    weighted = inverse @ jacobian
+    return np.asarray(inverse - weighted @ np.linalg.pinv(jacobian.T @ weighted, hermitian=True) @ weighted.T)
 
 
 def accelerometer_force(parameters: AccelerometerParameters, mean_raw: FloatArray) -> FloatArray:

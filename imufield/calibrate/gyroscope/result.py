@@ -14,7 +14,7 @@ from imufield.calibrate.gyroscope.input import GyroscopeInput, make_data
 from imufield.calibrate.gyroscope.model_choice import SCALES, ChosenModel, Linearity
 from imufield.calibrate.gyroscope.move_integration import BIAS, INVERSE, PARAMETERS, SENSITIVITY
 from imufield.calibrate.gyroscope.observability import Observability
-from imufield.calibrate.gyroscope.residual_covariance import gyroscope_share, input_sigmas
+from imufield.calibrate.gyroscope.residual_covariance import gyroscope_share, input_sigmas, turns_tell_scatter
 from imufield.calibrate.gyroscope.residuals import Evaluation, GyroscopeData, evaluate
 from imufield.calibrate.gyroscope.stills_alone import StaticData, StaticFit, latitude_words
 from imufield.calibrate.gyroscope.whole_turns import find_whole_turns
@@ -84,6 +84,8 @@ class GyroscopeResult:
     """Sentences: every warning, and what the result rests on."""
     cautions: tuple[str, ...] = ()
     """Sentences that make the verdict on the whole no better than usable."""
+    faults: tuple[str, ...] = ()
+    """Sentences that make it poor."""
     budget: tuple[Share, ...] = ()
     """What the diagonal of ``covariance`` is the sum of."""
     basis: JointSolution | StaticSolution | None = None
@@ -106,6 +108,7 @@ class GyroscopeResult:
         covariance[np.ix_(outer, outer)] = theirs
         covariance[a : a + n, outer], covariance[np.ix_(outer, range(a, a + n))] = cross, cross.T
         quality = replace(calibration.quality, reasons=(*calibration.quality.reasons, *self.reasons))
+        quality = quality.lowered("usable", *self.cautions) if self.cautions else quality
         budget = picked(calibration.budget, [*accelerometer, *gravity])
         return replace(
             calibration,
@@ -113,7 +116,7 @@ class GyroscopeResult:
             covariance_names=names,
             covariance=covariance,
             budget=joined_shares(budget, outer, self.budget, range(a, a + n)) if budget else (),
-            quality=quality.lowered("usable", *self.cautions) if self.cautions else quality,
+            quality=quality.lowered("poor", *self.faults) if self.faults else quality,
             unobservable=(*calibration.unobservable, *self.unobservable),
         )
 
@@ -172,7 +175,8 @@ def joint_result(solution: JointSolution) -> GyroscopeResult:
         sigma=np.sqrt(np.einsum("mi,mij,mj->m", residual, np.linalg.inv(blocks), residual)),
     )
     result = _result(solution, x[:PARAMETERS], own, known, path=_path(solution, turns))
-    unsettled = () if fitted.solved.converged else (_unsettled(fitted.solved.message, solution.given.latitude_deg),)
+    are_enough = turns_tell_scatter(fitted.scatter, now.jacobian[:, fitted.free], fitted.parts)
+    few = (sentence("result.few_moves", moves=m),) if m and not are_enough else ()
     return replace(
         result,
         calibration=replace(result.calibration, range_rad_s=linearity.range_rad_s),
@@ -181,7 +185,8 @@ def joint_result(solution: JointSolution) -> GyroscopeResult:
         turns=turns,
         unobservable=observability.hidden_names,
         reasons=_reasons(solution, moves, turns),
-        cautions=(*unsettled, *(linearity.sentences if linearity.matters else ())),
+        cautions=(*few, *(linearity.sentences if linearity.matters else ())),
+        faults=() if fitted.solved.converged else (_unsettled(fitted.solved.message, solution.given.latitude_deg),),
     )
 
 
@@ -217,7 +222,7 @@ def static_norm_result(solution: StaticSolution) -> GyroscopeResult:
         _result(solution, np.concatenate([fitted.x, np.zeros(9)]), own, known, path=path),
         unobservable=() if everything else GYROSCOPE_NAMES[:9],
         reasons=(latitude, *given.moves.dropped),
-        cautions=() if fitted.converged else (_unsettled(sentence("result.static_moves"), given.latitude_deg),),
+        faults=() if fitted.converged else (_unsettled(sentence("result.static_moves"), given.latitude_deg),),
     )
 
 

@@ -287,8 +287,9 @@ def cross_validate(
     calibration, observations = _without_higher(calibration, observations)
     m = len(observations)
     if not 1 <= hold_out <= m - FEWEST_LEFT:
-        most = max(m - FEWEST_LEFT, 1)
-        raise UsageError(sentence("left_out.hold_out", hold_out=hold_out, positions=m, fewest=FEWEST_LEFT, most=most))
+        most = m - FEWEST_LEFT
+        key = "left_out.hold_out" if most > 0 else "left_out.none_to_spare"
+        raise UsageError(sentence(key, hold_out=hold_out, positions=m, fewest=FEWEST_LEFT, most=most))
     count = -(-m // hold_out)
     residual, misfit, sigma = np.empty(m), 0.0, np.empty(m)
     # Every count-th position: neighbours in time, which drift alike, part ways.

@@ -369,6 +369,7 @@ def test_few_moves_tell_no_scatter_of_turns(lost: tuple[int, ...]) -> None:
         session = simulate(seed, positions=begin, damage=lose, latitude_deg=None if seed % 2 else 45.0)
         result = calibrate_gyroscope(session.given)
         assert len(result.moves.after_deg) == 6 - len(lost)
+        assert [key_of(caution) for caution in result.cautions] == ["result.few_moves"]
         fitted = np.isfinite(vector(result.calibration.sigma))
         assert np.count_nonzero(fitted) >= 9
         found.append(ratios(session, result)[fitted])
@@ -449,19 +450,19 @@ def test_mpu_9150(shared_folder: Path, name: str) -> None:
     assert calibrate_gyroscope(real_session(samples, 0.0, 9.81)).moves.rms_after_deg <= 0.15
 
 
-def test_a_fit_that_does_not_end_makes_the_whole_usable_at_most(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fit_that_does_not_end_makes_the_whole_poor(monkeypatch: pytest.MonkeyPatch) -> None:
     """A latitude for data without the Earth's rate, as simulators that leave it out write them."""
     monkeypatch.setattr(Site, "earth_rate_n", property(lambda _: np.zeros(3)))
     still = simulate(1, grade="tactical")
     found = calibrate_gyroscope(still.given)
     joined = found.join(still.calibration).quality
     assert still.calibration.quality.verdict == "good"
-    assert joined.verdict == "usable"
+    assert joined.verdict == "poor"
     assert key_of(joined.main_reason) == "result.unsettled"
     assert "--gravity" in joined.main_reason
     assert "--latitude" in joined.main_reason
     remedied = calibrate_gyroscope(replace(still.given, latitude_deg=None))
-    assert remedied.cautions == ()
+    assert remedied.cautions == remedied.faults == ()
     assert remedied.join(still.calibration).quality.verdict == "good"
 
 

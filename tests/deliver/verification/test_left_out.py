@@ -178,6 +178,13 @@ def test_too_many_held_out_are_refused(hold_out: int) -> None:
     assert caught.value.values["positions"] == 24
 
 
+def test_six_positions_have_none_to_spare() -> None:
+    """No number of --hold-out would help: a remedy is another session."""
+    few = observe(0, "faces6")
+    with refused(UsageError, Reason.USAGE, key="left_out.none_to_spare"):
+        cross_validate(calibrate_accelerometer(few, GRAVITY, model="linear"), few, 4)
+
+
 def test_positions_that_are_no_numbers_are_refused() -> None:
     observations = observe(0)
     observations.mean_raw[7, 1] = np.nan
