@@ -47,7 +47,7 @@ def write_secret(state_home: Path) -> None:
 
 
 # Files of half a minute and more, mostly the longest first, or one process works on alone when the others are done. Most wait
-# for ports and browsers: with others between them there is work meanwhile, and no more than two of the first five wait.
+# for ports and browsers: with others between them there is work meanwhile.
 OTHERS_BETWEEN = 15
 BEGIN_WITH = 5
 LONG = (
@@ -55,10 +55,10 @@ LONG = (
     "study/test_studies.py",
     "commands/test_probe.py",
     "torture/test_sequences.py",
-    "torture/test_claims.py",
-    "web/test_page_looks.py",
     "commands/test_desk.py",
+    "web/test_page_looks.py",
     "commands/test_bad_input.py",
+    "torture/test_claims.py",
     "test_all_drivers.py",
     "commands/test_capture.py",
     "torture/test_second_corpus.py",
