@@ -1,6 +1,7 @@
 """VectorNav VN-100, VN-200 and VN-300, binary output.
 
-The frame is in ``protocols/vectornav_binary.toml``; ``imufield.acquire.decode`` finds and decodes those of every protocol.
+The frame is in ``protocols/vectornav_binary.toml``. As for every protocol, ``imufield.acquire.protocol.layout`` reads its
+values and ``imufield.acquire.decode.frame_source`` makes samples of them.
 """
 
 from __future__ import annotations

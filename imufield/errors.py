@@ -12,7 +12,8 @@
     +-- CalibrationError      6  a calibration that is impossible or refused
     +-- VerificationError     7  ``verify`` says FAIL
 
-Bad input raises one of these and nothing else; any other exception is a defect and keeps its traceback.
+Bad input raises one of these and nothing else; any other exception is a defect and keeps its traceback. Which one a failed
+write is, and what it means, is in ``files.write_error``.
 """
 
 from __future__ import annotations

@@ -4,6 +4,8 @@
 whole new content; after it returns, the new content survives a power cut. It does not guard against a file system that
 ignores fsync (some network and FUSE file systems do); the hash inside the file is what finds that out.
 
+``write_error`` is the one place that says what a failed write means: disk full, no right to write, a folder that is absent.
+
 ``open_regular`` is the one place where files are opened that people or other programs made: nothing blocks there, and no link
 leads out of a folder that may come from somebody else.
 """

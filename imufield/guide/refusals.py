@@ -1,4 +1,4 @@
-"""Refusals: reason, sentences and unit of each; the texts are in ``sentences.toml``, the places of use give the numbers."""
+"""Refusals: reason, sentences and unit of each. Texts are in ``guide/sentences.toml``, the places of use give the numbers."""
 
 from __future__ import annotations
 

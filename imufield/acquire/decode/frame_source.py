@@ -1,7 +1,7 @@
 """Frames of a serial stream to samples without a time: the source behind every binary protocol.
 
-The framer cuts the stream into frames; all frames of one kind are read together, with NumPy, and put back into the order of
-the stream. Frames that are no samples are handed out as messages.
+The framer cuts the stream into frames; all frames of one kind are read together, with NumPy (``acquire.protocol.layout``),
+scaled to SI units, and put back into the order of the stream. Frames that are no samples are handed out as messages.
 """
 
 from __future__ import annotations

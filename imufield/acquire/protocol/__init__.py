@@ -1,4 +1,4 @@
-"""Wire formats as data: what TOML and DBC files say, read and checked."""
+"""Wire formats as data: what TOML and DBC files say, read and checked, and the values of a frame read by it (``layout``)."""
 
 from __future__ import annotations
 

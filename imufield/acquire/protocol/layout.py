@@ -1,4 +1,7 @@
-"""Where the values stand inside a frame, and NumPy reading them for all frames of one kind at once."""
+"""Where the values stand inside a frame, and NumPy reading them for all frames of one kind at once.
+
+Numbers come out as they were sent; ``acquire.decode.frame_source`` makes samples in SI units of them.
+"""
 
 from __future__ import annotations
 

@@ -12,7 +12,9 @@ without this hysteresis a unit at the limit would flicker between still and movi
 
 A limit is a multiple of the noise floor, or an absolute allowance where that is larger: a table that trembles by 5 mg under
 a navigation-grade instrument is still a table. The allowances are wide enough for a unit held against an edge. What passes
-them is judged afterwards by the stretch's own standard: see ``trim_stretch``.
+them is judged afterwards by the stretch's own standard: ``trim_stretch`` in ``guide.hold.observe``, and ``guide.hold.checks``.
+
+Here the floor is learnt and table or hand is told apart; ``stretch`` follows the cells, and ``limits`` has the allowances.
 
 References
 ----------
