@@ -1,6 +1,7 @@
 """One least-squares fit of one model in the lower gauge, with weights from the data themselves.
 
-Residual and Jacobian are those of ``solvers.norm_problem``, by ``model.models``; weights are those of ``model.uncertainty``.
+Residual and Jacobian are those of ``solvers.norm_problem``, by ``model.models``; ``solvers.least_squares`` finds the minimum,
+and weights are those of ``model.uncertainty``.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Settings of a guided session."""
+"""Settings of a guided session: targets, holds and gravity; what the targets ask of the holds is in ``session_time``."""
 
 from __future__ import annotations
 
