@@ -229,6 +229,17 @@ def test_what_the_file_says_of_itself_goes_into_the_verdict(
     assert "POOR" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("command", ["export", "apply"])
+def test_a_poor_file_says_so_where_it_is_used(
+    command: str, short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    poor = with_document(short / "parameters.toml", tmp_path / "poor.toml", quality={"verdict": "poor"})
+    to = {"export": ["--to", "vectornav", "-o", str(tmp_path / "made")], "apply": [str(short), "-o", str(tmp_path / "made.csv")]}
+    for path, says in ((poor, True), (short / "parameters.toml", False)):
+        assert run([command, str(path), *to[command]]) == 0
+        assert ("POOR" in capsys.readouterr().out) is says
+
+
 def test_samples_that_the_calibrated_temperatures_do_not_cover_are_counted(short: Path, tmp_path: Path) -> None:
     parameters = load(short / "parameters.toml")
     document = add_temperature(parameters.document, over_temperature(parameters.calibration, 1e-4), ())

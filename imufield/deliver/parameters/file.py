@@ -290,6 +290,15 @@ class Parameters:
             return ""
         return sentence("file.bias_with_scale" if self.gyroscope_is_complete else "file.bias_alone", name=self._name)
 
+    @property
+    def doubt(self) -> str:
+        """The sentence that says why the parameters are not to be relied on, by their own file, else an empty one."""
+        solver, quality = self.calibration.solver, self.calibration.quality
+        if not solver.converged:
+            said = {"method": solver.method, "status": solver.status, "message": solver.message}
+            return sentence("file.not_converged", name=self._name, verdict=quality.verdict, **said)
+        return sentence("file.poor", name=self._name, reason=quality.main_reason) if quality.verdict == "poor" else ""
+
     def check_unit(self, triad: str, unit: str) -> None:
         """Raise ``ParameterFileError`` if a triad whose rates are in this unit is not what the parameters are for."""
         wanted = self.document[triad]["raw_unit"]

@@ -79,16 +79,7 @@ class Verification:
     def objections(self) -> tuple[str, ...]:
         """Sentences that make it fail whatever was measured: from the left-out positions and from the file itself."""
         own = self.left_out.objection if self.left_out is not None else ""
-        return tuple(filter(None, (own, doubt(self.parameters) if self.requirements else "")))
-
-
-def doubt(parameters: Parameters) -> str:
-    """Say why parameters are not to be relied on by what their own file says; empty where it says nothing of the kind."""
-    solver, quality = parameters.calibration.solver, parameters.calibration.quality
-    if not solver.converged:
-        said = {"method": solver.method, "status": solver.status, "message": solver.message}
-        return sentence("result.not_converged", verdict=quality.verdict, **said)
-    return sentence("result.poor", reason=quality.main_reason) if quality.verdict == "poor" else ""
+        return tuple(filter(None, (own, self.parameters.doubt if self.requirements else "")))
 
 
 def parse_requirements(text: str | None) -> dict[str, float]:
