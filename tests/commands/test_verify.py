@@ -234,7 +234,10 @@ def test_a_poor_file_says_so_where_it_is_used(
     command: str, short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     poor = with_document(short / "parameters.toml", tmp_path / "poor.toml", quality={"verdict": "poor"})
-    to = {"export": ["--to", "vectornav", "-o", str(tmp_path / "made")], "apply": [str(short), "-o", str(tmp_path / "made.csv")]}
+    to = {
+        "export": ["--to", "vectornav", "-o", str(tmp_path / "made")],
+        "apply": [str(short), "-o", str(tmp_path / "made.csv")],
+    }
     for path, says in ((poor, True), (short / "parameters.toml", False)):
         assert run([command, str(path), *to[command]]) == 0
         assert ("POOR" in capsys.readouterr().out) is says

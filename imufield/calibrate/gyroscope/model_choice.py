@@ -144,7 +144,7 @@ def check_linearity(data: GyroscopeData, fit: JointFit, typical: Grade | None = 
     for kind, key in enumerate(("model_choice.asymmetry", "model_choice.nonlinearity")):
         # Half of the difference between the senses is what the column stands for.
         to_ppm = 1e6 * (2 - kind)
-        seen = [k for k in range(3 * kind, 3 * kind + 3) if sigma[k] < _SHOWN]
+        seen = _seen(columns, [k for k in range(3 * kind, 3 * kind + 3) if sigma[k] < _SHOWN])
         spare = freedom - len(seen)
         if not seen or spare < 1:
             continue
@@ -176,6 +176,18 @@ def check_linearity(data: GyroscopeData, fit: JointFit, typical: Grade | None = 
         moved=-of_terms @ (L @ (L.T @ (columns.T @ r))),
         hidden_root=of_terms @ L,
     )
+
+
+def _seen(columns: FloatArray, terms: list[int]) -> list[int]:
+    """Return those of the terms that are shown beside each other: few moves may tell a sum and neither of its parts."""
+    while terms:
+        _, lengths, directions = np.linalg.svd(columns[:, terms], full_matrices=False)
+        sigma = np.linalg.norm(directions.T / np.maximum(lengths, _ROUNDING), axis=1)
+        worst = int(np.argmax(sigma))
+        if sigma[worst] < _SHOWN:
+            break
+        terms = [*terms[:worst], *terms[worst + 1 :]]
+    return terms
 
 
 def typical_rate_terms(range_rad_s: FloatArray, typical: Grade | None) -> FloatArray:

@@ -378,6 +378,26 @@ def test_few_moves_tell_no_scatter_of_turns(lost: tuple[int, ...]) -> None:
     assert 0.3 < np.sqrt(np.mean(ratio**2)) < 1.3
 
 
+@pytest.mark.parametrize("seed", [4, 11])
+def test_few_moves_that_tell_a_sum_of_asymmetries_move_no_scale(seed: int) -> None:
+    """Each term alone seemed to be shown: a size that was rounding moved parameters by 114 of their sigma."""
+    begin = np.roll(scheme("faces6").directions(), seed, axis=0)
+    moves = simulate(seed, positions=begin, grade="tactical").given.moves
+    middle_s = (moves.start_s[2] + moves.end_s[2]) / 2
+    session = simulate(
+        seed,
+        positions=begin,
+        grade="tactical",
+        damage=lambda block: block[np.flatnonzero(np.abs(block.time_s - middle_s) > 0.5)],
+        latitude_deg=None if seed % 2 else 45.0,
+    )
+    alone = calibrate_gyroscope(session.given).calibration
+    graded = calibrate_gyroscope(replace(session.given, grade="tactical")).calibration
+    sigma = vector(alone.sigma)
+    assert np.nanmax(np.abs(vector(graded.parameters) - vector(alone.parameters)) / sigma) < 0.5
+    assert np.nanmax(vector(graded.sigma) / sigma) < 1.2
+
+
 def test_static_bias_where_there_are_no_moves(session: Session) -> None:
     nothing = collect_moves([], session.given.observations.start_s[:1], session.given.observations.duration_s[:1])
     result = calibrate_gyroscope(replace(session.given, moves=nothing))
