@@ -349,6 +349,8 @@ def test_a_finished_session_measures_a_position_again(program: Program) -> None:
     recorded = events(session)
     marks = [(event["action"], event.get("position")) for event in recorded if event["event"] == "mark"]
     assert marks == [("reopen", None), ("retake", "+x")]
+    # It was finished, and no link was lost.
+    assert [event["resumed"] for event in recorded if event["event"] == "link_lost"] == [True]
     assert [event["position"] for event in recorded if event["event"] == "accepted" and event["replaces"]] == ["+x"]
     told = program.run("replay", "s", "--json").stdout.splitlines()
     assert [json.loads(line) for line in told] == [event for event in recorded if event["event"] != "mark"]
