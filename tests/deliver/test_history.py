@@ -106,7 +106,7 @@ def test_a_step_is_told_with_the_days_it_lies_between(tmp_path: Path, write) -> 
     step, *daily = sentences(history, NOW)
     assert key_of(step) == "history_words.step"
     assert (step.values["before"], step.values["after"]) == ("4 March 2026", "1 May 2026")
-    assert set(keys(daily)) <= {"history_words.daily", "history_words.daily_unseen"}
+    assert set(keys(daily)) <= {"history_words.daily", "history_words.daily_unseen", "history_words.daily_closer"}
     # The step is news, and nothing that days do.
     assert history.repeatability["bias"].sigma == 0.0
     # The sigma of the difference has what days do in it, which is nothing here.
@@ -155,6 +155,14 @@ def test_scatter_of_one_day_is_not_that_of_days(tmp_path: Path, write) -> None: 
     days = tuple(replace(entry, created=f"2026-08-0{k + 1}T10:00:00Z") for k, entry in enumerate(instrument.entries))
     told = with_key(sentences(judge_history(replace(instrument, entries=days)), NOW), "history_words.daily")
     assert "from day to day" in told
+
+
+def test_scatter_below_its_own_sigma_has_no_limit(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    for k, moved in enumerate((0.0, 1e-3, -1e-3)):
+        write(f"s{k}", f"2026-08-0{k + 1}T10:00:00Z", moved=moved, session=f"{k}" * 64)
+    told = keys(sentences(judge_history(read_history(tmp_path).instruments[0]), NOW))
+    assert "history_words.daily_closer" in told
+    assert "history_words.daily_unseen" not in told
 
 
 def test_other_temperatures_are_told(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
