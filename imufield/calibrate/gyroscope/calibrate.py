@@ -22,7 +22,7 @@ from imufield.calibrate.gyroscope.fit import fit_jointly
 from imufield.calibrate.gyroscope.input import GyroscopeInput, handedness_error, make_data, refuse_dead, refuse_foreign
 from imufield.calibrate.gyroscope.model_choice import FULL, GyroscopeModel, check_linearity, choose_model
 from imufield.calibrate.gyroscope.move_integration import INVERSE, PARAMETERS, rough_inverse
-from imufield.calibrate.gyroscope.observability import observe
+from imufield.calibrate.gyroscope.observability import observe, told_by
 from imufield.calibrate.gyroscope.residuals import VERTICAL
 from imufield.calibrate.gyroscope.result import (
     GyroscopeResult,
@@ -76,7 +76,7 @@ def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -
     data = make_data(given)
     refuse_dead(given, data)
     preset = given.preset_inverse()
-    rough = rough_inverse(data.moves) if len(data.moves.before) else None
+    rough = rough_inverse(data.moves, preset) if len(data.moves.before) else None
     begin = rough if preset is None else preset
     if begin is None:
         raise CalibrationError(sentence("calibrate.no_scale"), Reason.UNOBSERVABLE)
@@ -102,6 +102,9 @@ def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -
         )
         data = replace(data, stops=moves[whole], stop_sigma_rad=sigma[whole])
     chosen = choose_model(data, start, observability, model)
+    while (told := told_by(chosen.fit, start, observability)) != observability:
+        observability = told
+        chosen = choose_model(data, start, observability, model)
     fitted = chosen.fit
     # With a g-sensitivity fitted the specific force times the Earth's rate says nothing of the latitude: the vertical Earth
     # rate is an exact alias of G = (rate sin(latitude) / g) I.

@@ -22,7 +22,8 @@ whitened residual, X the columns less what is fitted, and moves the parameters b
 
 D m is taken off the parameters and D V D^T added to their covariance, as in a fit of both together: all of S where the moves
 show nothing, what they leave open where they show something. A term that is named is not drawn towards zero. Of others the root
-of S is typical, or what is shown where that is more: an instrument that has a larger one is held too.
+of S is typical, or what is shown where that is more: an instrument that has a larger one is held too. A term is shown where
+its sigma beside the other terms of its kind is small: few moves may tell a sum of terms, and none of them.
 
 A data sheet's nonlinearity n is the largest deviation from the best straight line over the range R, as a share of it. By least
 squares that line leaves 2/5 c R of c s^3 / R^2, so c is 5 n / 2 (S / R)^2, and c R / 2 of c |s|, so 2 n is the most that an
@@ -144,7 +145,9 @@ def check_linearity(data: GyroscopeData, fit: JointFit, typical: Grade | None = 
     for kind, key in enumerate(("model_choice.asymmetry", "model_choice.nonlinearity")):
         # Half of the difference between the senses is what the column stands for.
         to_ppm = 1e6 * (2 - kind)
-        seen = _seen(columns, [k for k in range(3 * kind, 3 * kind + 3) if sigma[k] < _SHOWN])
+        alone = [k for k in range(3 * kind, 3 * kind + 3) if sigma[k] < _SHOWN]
+        sigma[alone] = _sigma_together(columns[:, alone])
+        seen = [k for k in alone if sigma[k] < _SHOWN]
         spare = freedom - len(seen)
         if not seen or spare < 1:
             continue
@@ -178,16 +181,11 @@ def check_linearity(data: GyroscopeData, fit: JointFit, typical: Grade | None = 
     )
 
 
-def _seen(columns: FloatArray, terms: list[int]) -> list[int]:
-    """Return those of the terms that are shown beside each other: few moves may tell a sum and neither of its parts."""
-    while terms:
-        _, lengths, directions = np.linalg.svd(columns[:, terms], full_matrices=False)
-        sigma = np.linalg.norm(directions.T / np.maximum(lengths, _ROUNDING), axis=1)
-        worst = int(np.argmax(sigma))
-        if sigma[worst] < _SHOWN:
-            break
-        terms = [*terms[:worst], *terms[worst + 1 :]]
-    return terms
+def _sigma_together(columns: FloatArray) -> FloatArray:
+    """Return 1 sigma of each of some terms, all of them unknown."""
+    _, lengths, directions = np.linalg.svd(columns, full_matrices=False)
+    lengths = np.maximum(lengths, _EXPLAINED * lengths.max(initial=0.0))
+    return np.asarray(np.linalg.norm(directions.T / lengths, axis=1), dtype=np.float64)
 
 
 def typical_rate_terms(range_rad_s: FloatArray, typical: Grade | None) -> FloatArray:

@@ -30,6 +30,7 @@ PARAMETERS = 21
 INVERSE = slice(0, 9)
 BIAS = slice(9, 12)
 SENSITIVITY = slice(12, 21)
+_LEAST_SHOWN = 0.3  # Of the length of what is shown best: less is the hand's acceleration rather than the turn.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -169,8 +170,8 @@ class _AlongMoves:
         return np.array(each).reshape(-1, len(factors), len(others))  # also of no move at all
 
 
-def rough_inverse(moves: Moves, window_s: float = 0.1) -> FloatArray:
-    """Return A without knowing anything, from how the specific force turns during centred moves, shape (3, 3).
+def rough_inverse(moves: Moves, preset: FloatArray | None = None, window_s: float = 0.1) -> FloatArray:
+    """Return A from how the specific force turns during centred moves, shape (3, 3); the preset's where few moves show nothing.
 
     A vector fixed in space turns in the body as ``da/dt = a x w``, so ``a_2 - a_1 = a x A turn`` for a short window: linear in
     the nine entries. The acceleration of the hand disturbs it; what comes out is good to 10 or 20 %, signs and order of
@@ -196,5 +197,7 @@ def rough_inverse(moves: Moves, window_s: float = 0.1) -> FloatArray:
         # (a x e_axis) turn_j multiplies A[axis, j].
         rows[:, :, 3 * axis : 3 * axis + 3] = cross(middle, np.eye(3)[axis])[:, :, None] * gained[:, None, :]
     rows *= weight[:, None, None]
-    solution: FloatArray = np.linalg.lstsq(rows.reshape(-1, 9), (change * weight[:, None]).reshape(-1), rcond=None)[0]
-    return solution.reshape(3, 3)
+    A = np.zeros(9) if preset is None else preset.ravel()
+    rest = (change * weight[:, None]).reshape(-1) - rows.reshape(-1, 9) @ A
+    A = A + np.linalg.lstsq(rows.reshape(-1, 9), rest, rcond=None if preset is None else _LEAST_SHOWN)[0]
+    return np.asarray(A.reshape(3, 3), dtype=np.float64)

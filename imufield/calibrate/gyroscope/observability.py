@@ -1,17 +1,18 @@
-"""Observability of the gyroscope's parameters: what moves and stills can show, before anything is fitted.
+"""Observability of the gyroscope's parameters: what moves and stills can show, before anything is fitted and after.
 
 The residuals are linearised at the start with generous noise. Parameter by parameter, in order of importance, the part of its
 column that the ones before do not explain has a length: one over the sigma it would have. What cannot be observed is left at
-the preset and named.
+the preset and named. So is what a fit then does not tell: its noise may be larger than was thought, and a scale without a
+hold runs away.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imufield.calibrate.gyroscope.fit import first_scatter
+from imufield.calibrate.gyroscope.fit import JointFit, first_scatter
 from imufield.calibrate.gyroscope.move_integration import INVERSE, PARAMETERS, SENSITIVITY
 from imufield.calibrate.gyroscope.residual_covariance import Scatter, covariances
 from imufield.calibrate.gyroscope.residuals import GyroscopeData, evaluate
@@ -24,6 +25,8 @@ sentence = Sentences(__package__)
 
 WORST_SCALE = 0.05
 """Relative sigma above which an entry of K E counts as not observed: a driver's nominal scale is as good."""
+WORST_FITTED = 0.5
+"""The same of a fitted entry, and most by which it may leave a preset: beyond, the fit has run to another minimum."""
 WORST_SENSITIVITY = 2e-3
 """The same for g-sensitivity, rad/s per m/s^2: 1.1 deg/s per g."""
 # Turns are taken to be as wrong as this, at least and at most: what a start off by a few per cent leaves may be either.
@@ -79,16 +82,36 @@ def observe(p: FloatArray, data: GyroscopeData, *, known: bool) -> Observability
     scatter = Scatter(generous.drift_rad_s, 0.0, float(np.clip(generous.turn_rad, *_TURN_RAD)))
     S = covariances(now, p[:PARAMETERS], data).total(scatter)
     # Steps that mean the same everywhere: 1 (100 %) for A, 1 rad/s for b, 1 rad/s per m/s^2 for H.
-    scale = np.concatenate([np.tile(np.linalg.norm(p[INVERSE].reshape(3, 3), axis=0), 3), np.ones(12)])
+    scale = np.concatenate([_sizes(p), np.ones(12)])
     whitened = np.linalg.solve(np.linalg.cholesky(S), now.jacobian[:, :PARAMETERS] * scale)
     order = (*_ORDER, *range(SENSITIVITY.start, SENSITIVITY.stop))
     length = dict(zip(order, unexplained_lengths(np.asarray(whitened[:, order], dtype=np.float64)), strict=True))
     # Biases are always visible, so `hidden` has entries of A alone.
     hidden = tuple(k for k in range(INVERSE.stop) if not length[k] > 1 / WORST_SCALE)
-    unknown = [ENTRY_NAMES[k] for k in hidden if k % 4 == 0]
-    if unknown and not known:
+    sensitivity = all(length[k] > 1 / WORST_SENSITIVITY for k in range(SENSITIVITY.start, SENSITIVITY.stop))
+    return _with_known_scales(Observability(hidden, sensitivity, known))
+
+
+def told_by(fit: JointFit, start: FloatArray, observability: Observability) -> Observability:
+    """Return what is left of the observability behind a fit; raises as ``observe``."""
+    entries = fit.free < INVERSE.stop
+    free, size = fit.free[entries], _sizes(start)
+    off = np.sqrt(np.diag(fit.covariance)[entries])
+    if observability.known:
+        off = np.maximum(off, np.abs(fit.p - start)[free])
+    lost = free[~(off < WORST_FITTED * size[free])]
+    return _with_known_scales(replace(observability, hidden=tuple(sorted({*observability.hidden, *lost.tolist()}))))
+
+
+def _sizes(p: FloatArray) -> FloatArray:
+    """Return what is 100 % of each entry of A: the length of its column."""
+    return np.tile(np.linalg.norm(p[INVERSE].reshape(3, 3), axis=0), 3)
+
+
+def _with_known_scales(observability: Observability) -> Observability:
+    unknown = [ENTRY_NAMES[k] for k in observability.hidden if k % 4 == 0]
+    if unknown and not observability.known:
         axes = [name[-1] for name in unknown]
         hidden_scale = sentence("observability.hidden_scale", scales=" and ".join(unknown), axes=axes)
         raise CalibrationError(hidden_scale, Reason.UNOBSERVABLE, names=tuple(unknown))
-    sensitivity = all(length[k] > 1 / WORST_SENSITIVITY for k in range(SENSITIVITY.start, SENSITIVITY.stop))
-    return Observability(hidden, sensitivity, known)
+    return observability

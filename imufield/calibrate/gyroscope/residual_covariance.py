@@ -42,7 +42,7 @@ from imufield.samples import FloatArray
 
 # Relative step for the derivative of the specific force by the accelerometer's parameters; it is nearly linear in them.
 _DIFFERENCE = 1e-6
-# Degrees of freedom from which on the scatter of turns is estimated: 4 tell it to a factor of three (chi-square, 95 %).
+# Degrees of freedom from which on a scatter is estimated: 4 tell it to a factor of three (chi-square, 95 %).
 _LEAST_FREEDOM = 4.0
 _OUTWEIGHED = 100.0  # Times the largest variance of the noise: a scatter beside which it does not count.
 _MOST_SCATTER = 1e4  # Times the largest squared residual: no scatter beyond it explains anything, and the numbers stay finite.
@@ -265,8 +265,8 @@ def _add_blocks(target: FloatArray, blocks: FloatArray, start: int) -> None:
 def next_scatter(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, parts: Covariances) -> Scatter:
     """Return one step of restricted maximum likelihood towards the sizes of the scatters.
 
-    That of turns keeps its size where it has fewer than four degrees of freedom: the parameters absorb the residuals of three
-    moves, and what is left of them is rounding.
+    One keeps its size where it has fewer than four degrees of freedom: the parameters absorb the residuals of three moves, and
+    g-sensitivity with one heading for each still those of six stills; what is left of them is rounding.
     """
     P = _projection(parts.total(scatter), jacobian)
     components = (parts.drift, parts.wander, parts.turn)
@@ -275,7 +275,8 @@ def next_scatter(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, p
     score = np.array([Pr @ V @ Pr - np.trace(PV) for V, PV in zip(components, products, strict=True)])  # 2 s_k
     information = np.array([[np.einsum("ij,ji", a, b) for b in products] for a in products])  # tr(P V_k P V_l)
     now = np.array(scatter) ** 2
-    estimated = np.array([True, True, turns_tell_scatter(scatter, jacobian, parts)])
+    from_stills = _is_told(parts.drift, parts.total(Scatter(0.0, 0.0, scatter.turn_rad)), jacobian)
+    estimated = np.array([from_stills, from_stills, turns_tell_scatter(scatter, jacobian, parts)])
     # A component at zero that wants to fall stays there.
     free = estimated & ~((now <= 0) & (score <= 0)) & (np.diag(information) > 0)
     step = np.zeros(len(now))
@@ -294,15 +295,19 @@ def next_scatter(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, p
 
 
 def turns_tell_scatter(scatter: Scatter, jacobian: FloatArray, parts: Covariances) -> bool:
-    """Whether the parameters leave the residuals of the turns enough degrees of freedom to estimate their scatter.
+    """Whether the parameters leave the residuals of the turns enough degrees of freedom to estimate their scatter."""
+    return _is_told(parts.turn, parts.total(scatter._replace(turn_rad=0.0)), jacobian)
 
-    They are tr(P V) times the scatter's variance where it outweighs all noise, whatever its size is now.
+
+def _is_told(V: FloatArray, others: FloatArray, jacobian: FloatArray) -> bool:
+    """Whether a scatter has enough degrees of freedom, whatever its size is now, beside other noise of this covariance.
+
+    They are tr(P V) times the scatter's variance where it outweighs all other noise.
     """
-    turning = np.diag(parts.turn) > 0
-    others = parts.total(scatter._replace(turn_rad=0.0))
-    variance = _OUTWEIGHED * float(np.max(np.diag(others)[turning], initial=0.0))
-    P = _projection(others + variance * parts.turn, jacobian)
-    return bool(variance * np.trace(P @ parts.turn) >= _LEAST_FREEDOM)
+    touched = np.diag(V) > 0
+    variance = _OUTWEIGHED * float(np.max(np.diag(others)[touched] / np.diag(V)[touched], initial=0.0))
+    P = _projection(others + variance * V, jacobian)
+    return bool(variance * np.trace(P @ V) >= _LEAST_FREEDOM)
 
 
 def _projection(S: FloatArray, jacobian: FloatArray) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -353,20 +354,24 @@ def test_lost_samples_are_bridged_or_named() -> None:
     assert np.abs(ratios(lossy, result)).max() < 4.5
 
 
-@pytest.mark.parametrize("lost", [(1, 3), (2,)])
-def test_few_moves_tell_no_scatter_of_turns(lost: tuple[int, ...]) -> None:
-    """Four or five turns leave their scatter too few degrees of freedom: it came out of rounding, with errors of 58 sigma."""
-    positions = scheme("faces6").directions()
+def interrupted(seed: int, lost: Sequence[int], *, grade: str = "mems") -> Session:
+    """Simulate six positions, between which samples are lost in the moves of these numbers."""
+    begin = np.roll(scheme("faces6").directions(), seed, axis=0)
+    moves = simulate(seed, positions=begin, grade=grade).given.moves
+    middle_s = (moves.start_s + moves.end_s)[list(lost)] / 2
+
+    def lose(block: Samples) -> Samples:
+        return block[np.flatnonzero(np.abs(block.time_s - middle_s[:, None]).min(axis=0) > 0.5)]
+
+    return simulate(seed, positions=begin, grade=grade, damage=lose, latitude_deg=None if seed % 2 else 45.0)
+
+
+@pytest.mark.parametrize(("grade", "lost"), [("mems", (1, 3)), ("mems", (2,)), ("navigation", (1, 3))])
+def test_few_moves_tell_no_scatter(grade: str, lost: tuple[int, ...]) -> None:
+    """Few turns and stills leave their scatter no degrees of freedom: it came out of rounding, with errors of 340 sigma."""
     found = []
     for seed in range(12):
-        begin = np.roll(positions, seed, axis=0)
-        moves = simulate(seed, positions=begin).given.moves
-        middle_s = (moves.start_s + moves.end_s)[list(lost)] / 2
-
-        def lose(block: Samples, middle_s: FloatArray = middle_s) -> Samples:
-            return block[np.flatnonzero(np.abs(block.time_s - middle_s[:, None]).min(axis=0) > 0.5)]
-
-        session = simulate(seed, positions=begin, damage=lose, latitude_deg=None if seed % 2 else 45.0)
+        session = interrupted(seed, lost, grade=grade)
         result = calibrate_gyroscope(session.given)
         assert len(result.moves.after_deg) == 6 - len(lost)
         assert [key_of(caution) for caution in result.cautions] == ["result.few_moves"]
@@ -381,21 +386,39 @@ def test_few_moves_tell_no_scatter_of_turns(lost: tuple[int, ...]) -> None:
 @pytest.mark.parametrize("seed", [4, 11])
 def test_few_moves_that_tell_a_sum_of_asymmetries_move_no_scale(seed: int) -> None:
     """Each term alone seemed to be shown: a size that was rounding moved parameters by 114 of their sigma."""
-    begin = np.roll(scheme("faces6").directions(), seed, axis=0)
-    moves = simulate(seed, positions=begin, grade="tactical").given.moves
-    middle_s = (moves.start_s[2] + moves.end_s[2]) / 2
-    session = simulate(
-        seed,
-        positions=begin,
-        grade="tactical",
-        damage=lambda block: block[np.flatnonzero(np.abs(block.time_s - middle_s) > 0.5)],
-        latitude_deg=None if seed % 2 else 45.0,
-    )
+    session = interrupted(seed, [2], grade="tactical")
     alone = calibrate_gyroscope(session.given).calibration
     graded = calibrate_gyroscope(replace(session.given, grade="tactical")).calibration
     sigma = vector(alone.sigma)
-    assert np.nanmax(np.abs(vector(graded.parameters) - vector(alone.parameters)) / sigma) < 0.5
-    assert np.nanmax(vector(graded.sigma) / sigma) < 1.2
+    assert np.nanmax(np.abs(vector(graded.parameters) - vector(alone.parameters)) / sigma) < 0.01
+    assert np.nanmax(vector(graded.sigma) / sigma) < 1.1
+
+
+@pytest.mark.parametrize(
+    ("grade", "seed", "moves"),
+    [
+        # Another hand was said, as two moves do not show every axis.
+        ("mems", 1, 2),
+        # The fit ran to another minimum, where one scale was near zero: 17.9 and 15.8 sigma.
+        ("mems", 4, 3),
+        ("mems", 4, 4),
+        # Stills whose scatter nothing told, with g-sensitivity and a heading for each fitted: 583, 31 and 48 sigma.
+        ("navigation", 5, 2),
+        ("navigation", 8, 2),
+        ("navigation", 4, 3),
+    ],
+)
+def test_few_moves_with_a_preset_stay_within_their_sigma(grade: str, seed: int, moves: int) -> None:
+    session = interrupted(seed, range(moves, 6), grade=grade)
+    rng = np.random.default_rng(seed)
+    truth = session.truth
+    scale = truth.scale * rng.normal(1.0, 0.01, 3)
+    off = np.where(np.eye(3) > 0, 0.0, rng.normal(0.0, 0.005, (3, 3)))
+    preset = replace(truth, scale=scale, misalignment_rad=truth.misalignment_rad + off)
+    result = calibrate_gyroscope(replace(session.given, preset=preset, grade=grade))
+    assert len(result.moves.after_deg) == moves
+    fitted = np.isfinite(vector(result.calibration.sigma))
+    assert np.abs(ratios(session, result)[fitted]).max() < 4.5
 
 
 def test_static_bias_where_there_are_no_moves(session: Session) -> None:
