@@ -44,5 +44,5 @@ def run_apply(options: ApplyOptions) -> None:
     say_each((entry.what for entry in damage), err=True)
     echo(beside(f"{rows} corrected samples in", output))
     say("time in s, specific force in m/s^2, angular rate in rad/s, temperature in degC")
-    for note in filter(None, (parameters.edited_note, parameters.doubt, count.flags(), *flags.notes())):
+    for note in filter(None, (parameters.edited_note, parameters.verdict_note, count.flags(), *flags.notes())):
         echo(hanging("", note))

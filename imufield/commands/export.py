@@ -41,7 +41,7 @@ def run_export(options: ExportOptions) -> None:
     parameters = load(options.parameters)
     exported = export_parameters(parameters, options.to, export_options(dict(options.settings), options.to))
     written = write_exported(exported, options.output, inputs=[options.parameters])
-    notes = [*filter(None, (parameters.edited_note, parameters.doubt, parameters.gyroscope_note)), *exported.notes]
+    notes = [*filter(None, (parameters.edited_note, parameters.verdict_note, parameters.gyroscope_note)), *exported.notes]
     # What the target cannot hold is part of the answer: a program must not take the file for all there is.
     if options.as_json:
         files, kept = [str(file.path) for file in written], [str(file.kept) for file in written if file.kept is not None]

@@ -152,7 +152,7 @@ def _verify(task: _Task) -> Verification:
             raise problems[0] if problems else CalibrationError(sentence("verify.nothing", least_s=least_s), Reason.TOO_FEW)
     parameters = task.parameters
     # With requirements the last of them is an objection.
-    about_file = (parameters.edited_note, parameters.gyroscope_note, "" if task.limits else parameters.doubt)
+    about_file = (parameters.edited_note, parameters.gyroscope_note, "" if task.limits else parameters.verdict_note)
     found = () if left_out is None else (*_gravity_notes(task, left_out), *_instrument_notes(task))
     why_not = "verify.guided" if parameters.gyroscope_is_complete else "verify.no_gyroscope"
     untried = (sentence(why_not, path=parameters.path, least_s=task.options.align_s + SHORTEST_S),) if is_guided else ()

@@ -134,8 +134,10 @@ def _judged(history: JudgedHistory) -> Iterator[Sentence]:
     is_one_day = len({entry.time.date() for entry in entries}) == 1
     between = sentence("history_words.between_sessions" if is_one_day else "history_words.between_days")
     for kind, found in judged.repeatability.items():
-        none = "history_words.daily_unseen" if found.high > 0 else "history_words.daily_closer"
-        key = "history_words.daily" if found.sigma > 0 else none
+        if found.high == 0:
+            key = "history_words.daily_closer"
+        else:
+            key = "history_words.daily" if found.sigma > 0 else "history_words.daily_unseen"
         figures = {"sigma": found.sigma, "low": found.low, "high": found.high}
         yield sentence(key, kind=kind, between=between, unit=unit_of(f"{kind} x"), **figures)
 

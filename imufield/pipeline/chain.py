@@ -133,7 +133,7 @@ class Chain:
         # Not before the first part: the judge needs the units and the rough scale, which its protocol tells.
         if self._judging and self.guide is None and self.finder is None:
             self._begin_to_judge(protocol)
-        return _as_pause(self._begin_anew(held_back))
+        return _as_resumed(self._begin_anew(held_back))
 
     def _begin_to_judge(self, protocol: Protocol) -> None:
         # Each imported here: samples alone need neither of them, and what nobody guided needs no guide.
@@ -211,7 +211,7 @@ class Chain:
         if self.guide is None:
             return []
         # A session that was finished is reopened by a mark.
-        return _as_pause(self.guide.mark(action, self.guide.time_s if time_s is None else time_s, position))
+        return _as_resumed(self.guide.mark(action, self.guide.time_s if time_s is None else time_s, position))
 
     def link_lost(self) -> list[Event]:
         """Say that nothing arrives any more; what comes later is read anew."""
@@ -257,8 +257,8 @@ class Chain:
         return events if self._first_s is None or self.guide is None else events + self.guide.link_lost()
 
 
-def _as_pause(events: list[Event]) -> list[Event]:
-    # Whoever stopped and goes on wanted the pause: to call it a lost link would alarm for nothing.
+def _as_resumed(events: list[Event]) -> list[Event]:
+    """Return the events of an operator who had stopped or finished the session and goes on: no link was lost."""
     words = sentence("chain.part_begins")
     return [replace(event, words=words, resumed=True) if isinstance(event, LinkLost) else event for event in events]
 

@@ -1,4 +1,7 @@
-"""Decide whether bytes at given positions are a frame, and of what shape. Knows nothing of streams."""
+"""Decide whether bytes at given positions are a frame, and of what shape. Knows nothing of streams.
+
+``form_check`` compares the checksum; ``protocol.layout`` reads the values of a frame, which ``frame_source`` brings to SI.
+"""
 
 from __future__ import annotations
 

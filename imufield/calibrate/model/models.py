@@ -19,8 +19,8 @@ The derivative of ``norm(a)`` with fixed outputs follows from ``N(a, p) = const`
 ``v = (dN/da)^-T u``, ``d norm(a) / dp = -v . dN/dp`` and ``d norm(a) / dN = v``. With higher terms and ``H = dh/ds``,
 ``y = (I + H)^-T T^-T u`` is ``d norm(a) / df``, and ``d norm(a) / dh = -y``.
 
-Vectors of parameters have 15 entries in the order of ``ACCELEROMETER_NAMES``. Lever arms between the axes have no place: a
-unit at rest does not feel them.
+Vectors of parameters have 15 entries in the order of ``ACCELEROMETER_NAMES``. Lever arms between
+the accelerometers are not modelled: at rest they have no effect.
 
 References
 ----------

@@ -1,5 +1,6 @@
 """How sure the parameters are: weights, scatter between positions; covariances of parts and wholes.
 
+The covariance of the parameters is made of these in ``accelerometer.covariance`` and in ``gyroscope.fit``.
 The factors from a standard uncertainty to 95 % are those of ``coverage_factors``.
 
 The variance of position i is ``s_i^2 = within_i^2 + tau^2``. ``within`` is the covariance of the mean output carried to the

@@ -291,7 +291,7 @@ class Parameters:
         return sentence("file.bias_with_scale" if self.gyroscope_is_complete else "file.bias_alone", name=self._name)
 
     @property
-    def doubt(self) -> str:
+    def verdict_note(self) -> str:
         """The sentence that says why the parameters are not to be relied on, by their own file, else an empty one."""
         solver, quality = self.calibration.solver, self.calibration.quality
         if not solver.converged:

@@ -20,7 +20,8 @@ def together_rows(parameters: Parameters) -> Iterator[tuple[str, ...]]:
     together = parameters.context.together
     for kind in () if together is None else together.repeatability:
         unit, size = shown_unit(kind.kind)
-        interval = f"{_short(kind.low / size)} to {_short(kind.high / size)}"
+        # Sessions that agree better than their own sigma give no limit.
+        interval = f"{_short(kind.low / size)} to {_short(kind.high / size)}" if kind.high > 0 else "no limit"
         largest = (_short(np.nanmax(sigmas) / size) for sigmas in (kind.mean_sigma, kind.day_sigma))
         yield (shown_name(kind.kind), unit, _seen(kind, size), interval, *largest)
 

@@ -79,7 +79,7 @@ class Verification:
     def objections(self) -> tuple[str, ...]:
         """Sentences that make it fail whatever was measured: from the left-out positions and from the file itself."""
         own = self.left_out.objection if self.left_out is not None else ""
-        return tuple(filter(None, (own, self.parameters.doubt if self.requirements else "")))
+        return tuple(filter(None, (own, self.parameters.verdict_note if self.requirements else "")))
 
 
 def parse_requirements(text: str | None) -> dict[str, float]:

@@ -2,8 +2,8 @@
 
 Clipping that the instrument does not flag is found across holds: ``cross_checks.outputs``. Of which position a hold is, and
 that this one is measured already, is decided before it begins: ``lead.guide_actions.recognise``, with the nearness of
-``lead.plan``. How long a hold lasts is in ``hold_time``, which cells of a stretch count in ``observe``, the words in
-``guide/sentences.toml``.
+``lead.plan``. ``hold_time`` decides how long a hold lasts, and ``observe`` which cells of a
+stretch count. The words are in ``guide/sentences.toml``.
 """
 
 from __future__ import annotations

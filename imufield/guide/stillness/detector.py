@@ -14,8 +14,8 @@ A limit is a multiple of the noise floor, or an absolute allowance where that is
 a navigation-grade instrument is still a table. The allowances are wide enough for a unit held against an edge. What passes
 them is judged afterwards by the stretch's own standard: ``trim_stretch`` in ``guide.hold.observe``, and ``guide.hold.checks``.
 
-Here the floor is learnt and table or hand is told apart; ``stretch.Tracker`` compares the cells, with the hysteresis, and
-``limits`` has the allowances.
+Here the floor is learnt and table or hand is told apart; ``limits`` has the allowances and the ratio of vibration, and
+``stretch.Tracker`` that of change, the dwell time and the hysteresis.
 
 References
 ----------

@@ -1,4 +1,4 @@
-"""A still stretch as it grows: each cell is compared with one set of limits here, with hysteresis and dwell time."""
+"""A still stretch as it grows: its cells under one set of limits, with hysteresis and dwell time."""
 
 from __future__ import annotations
 

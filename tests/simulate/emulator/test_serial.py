@@ -294,8 +294,7 @@ def test_rates_go_up_and_down_while_it_runs() -> None:
             _, before, since_s = moments[-1]
             until(lambda since_s=since_s: moments[-1][2] > since_s + 2.0)  # type: ignore[misc]
             _, after, until_s = moments[-1]
-            # An answer may take the place of a sample.
-            assert after - before == pytest.approx(rate_hz * (until_s - since_s), abs=3)
+            assert after - before == pytest.approx(rate_hz * (until_s - since_s))
             os.read(port, 65536)
         os.write(port, b"R\r")
         os.close(port)
