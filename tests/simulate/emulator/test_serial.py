@@ -290,7 +290,7 @@ def test_rates_go_up_and_down_while_it_runs() -> None:
         port = open_port(emulator.port)
         for code, rate_hz in ((0, 125), (4, 2000), (2, 500)):
             os.write(port, b"UTILITYMODE\r" + utility_message(f"$sm,{code}") + utility_message("$xn"))
-            until(lambda wanted=rate_hz: moments and moments[-1][0] == wanted)  # type: ignore[misc]
+            until(lambda wanted=rate_hz: bool(moments) and moments[-1][0] == wanted)  # type: ignore[misc]
             _, before, since_s = moments[-1]
             until(lambda since_s=since_s: moments[-1][2] > since_s + 2.0)  # type: ignore[misc]
             _, after, until_s = moments[-1]
