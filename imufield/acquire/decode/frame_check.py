@@ -1,6 +1,7 @@
 """Decide whether bytes at given positions are a frame, and of what shape. Knows nothing of streams.
 
-``form_check`` compares the checksum; ``protocol.layout`` reads the values of a frame, which ``frame_source`` brings to SI.
+``header_and_checksum`` compares the checksum. ``protocol.layout`` reads the values of a frame, and ``frame_source`` brings them
+to SI.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.acquire.decode.form_check import BYTES_CHECKED_AT_ONCE, Bytes, FormCheck, Positions
+from imufield.acquire.decode.header_and_checksum import BYTES_CHECKED_AT_ONCE, Bytes, FormCheck, Positions
 from imufield.acquire.protocol.frame_forms import NONE, Shape
 from imufield.acquire.protocol.frame_schema import FrameRule
 from imufield.acquire.protocol.layout import Frames, Layout, Rows

@@ -23,7 +23,7 @@ from imufield.calibrate.gyroscope.input import GyroscopeInput, handedness_error,
 from imufield.calibrate.gyroscope.model_choice import FULL, GyroscopeModel, check_linearity, choose_model
 from imufield.calibrate.gyroscope.move_integration import INVERSE, PARAMETERS, rough_inverse
 from imufield.calibrate.gyroscope.observability import observe, told_by
-from imufield.calibrate.gyroscope.residuals import VERTICAL
+from imufield.calibrate.gyroscope.residuals import VERTICAL, GyroscopeData, evaluate
 from imufield.calibrate.gyroscope.result import (
     GyroscopeResult,
     JointSolution,
@@ -42,7 +42,9 @@ from imufield.calibrate.gyroscope.stills_alone import (
 )
 from imufield.calibrate.gyroscope.whole_turns import find_stops, misses_and_limits
 from imufield.calibrate.model.grades import find_grade
+from imufield.calibrate.model.uncertainty import rms
 from imufield.errors import CalibrationError, Reason
+from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -77,15 +79,15 @@ def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -
     refuse_dead(given, data)
     preset = given.preset_inverse()
     rough = rough_inverse(data.moves, preset) if len(data.moves.before) else None
-    begin = rough if preset is None else preset
-    if begin is None:
+    starts = [A for A in (preset, rough) if A is not None]
+    if not starts:
         raise CalibrationError(sentence("calibrate.no_scale"), Reason.UNOBSERVABLE)
     if preset is not None and rough is not None:
         refuse_foreign(data, rough, preset)
-    elif np.linalg.det(begin) <= 0:
+    elif np.linalg.det(starts[0]) <= 0:
         raise handedness_error()
-    start = np.zeros(data.parameters)
-    start[INVERSE] = begin.ravel()
+    # From a preset of half the scale, as of another range, the fit runs to another minimum.
+    start = min((_start_at(A, data) for A in starts), key=lambda p: rms(evaluate(p, data).residual[: 2 * len(given.moves)]))
     observability = observe(start, data, known=preset is not None)
     warnings: tuple[str, ...] = ()
     if given.stops:
@@ -102,7 +104,7 @@ def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -
         )
         data = replace(data, stops=moves[whole], stop_sigma_rad=sigma[whole])
     chosen = choose_model(data, start, observability, model)
-    while (told := told_by(chosen.fit, start, observability)) != observability:
+    while (told := told_by(chosen.fit, starts[-1], observability)) != observability:
         observability = told
         chosen = choose_model(data, start, observability, model)
     fitted = chosen.fit
@@ -125,6 +127,12 @@ def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -
             warnings=warnings,
         )
     )
+
+
+def _start_at(A: FloatArray, data: GyroscopeData) -> FloatArray:
+    p = np.zeros(data.parameters)
+    p[INVERSE] = A.ravel()
+    return p
 
 
 def _static(given: GyroscopeInput) -> GyroscopeResult:

@@ -14,7 +14,7 @@ import numpy as np
 
 from imufield.calibrate.gyroscope.fit import JointFit, first_scatter
 from imufield.calibrate.gyroscope.move_integration import INVERSE, PARAMETERS, SENSITIVITY
-from imufield.calibrate.gyroscope.residual_covariance import Scatter, covariances
+from imufield.calibrate.gyroscope.residual_covariance import Scatter, covariances, turns_tell_scatter
 from imufield.calibrate.gyroscope.residuals import GyroscopeData, evaluate
 from imufield.calibrate.model.observability import unexplained_lengths
 from imufield.errors import CalibrationError, Reason
@@ -26,7 +26,7 @@ sentence = Sentences(__package__)
 WORST_SCALE = 0.05
 """Relative sigma above which an entry of K E counts as not observed: a driver's nominal scale is as good."""
 WORST_FITTED = 0.5
-"""The same of a fitted entry, and most by which it may leave a preset: beyond, the fit has run to another minimum."""
+"""The same of a fitted entry, and most by which it may leave a rough one: beyond, the fit has run to another minimum."""
 WORST_SENSITIVITY = 2e-3
 """The same for g-sensitivity, rad/s per m/s^2: 1.1 deg/s per g."""
 # Turns are taken to be as wrong as this, at least and at most: what a start off by a few per cent leaves may be either.
@@ -82,7 +82,7 @@ def observe(p: FloatArray, data: GyroscopeData, *, known: bool) -> Observability
     scatter = Scatter(generous.drift_rad_s, 0.0, float(np.clip(generous.turn_rad, *_TURN_RAD)))
     S = covariances(now, p[:PARAMETERS], data).total(scatter)
     # Steps that mean the same everywhere: 1 (100 %) for A, 1 rad/s for b, 1 rad/s per m/s^2 for H.
-    scale = np.concatenate([_sizes(p), np.ones(12)])
+    scale = np.concatenate([_sizes(p[INVERSE].reshape(3, 3)), np.ones(12)])
     whitened = np.linalg.solve(np.linalg.cholesky(S), now.jacobian[:, :PARAMETERS] * scale)
     order = (*_ORDER, *range(SENSITIVITY.start, SENSITIVITY.stop))
     length = dict(zip(order, unexplained_lengths(np.asarray(whitened[:, order], dtype=np.float64)), strict=True))
@@ -93,19 +93,33 @@ def observe(p: FloatArray, data: GyroscopeData, *, known: bool) -> Observability
 
 
 def told_by(fit: JointFit, start: FloatArray, observability: Observability) -> Observability:
-    """Return what is left of the observability behind a fit; raises as ``observe``."""
+    """Return what is left of the observability behind a fit.
+
+    Parameters
+    ----------
+    fit : JointFit
+    start : ndarray, shape (3, 3)
+        A where the fit of few moves must end, roughly.
+    observability : Observability
+
+    Raises
+    ------
+    CalibrationError
+        As ``observe``.
+    """
     entries = fit.free < INVERSE.stop
     free, size = fit.free[entries], _sizes(start)
     off = np.sqrt(np.diag(fit.covariance)[entries])
-    if observability.known:
-        off = np.maximum(off, np.abs(fit.p - start)[free])
+    if not turns_tell_scatter(fit.scatter, fit.evaluation.jacobian[:, fit.free], fit.parts):
+        # Another minimum may have no less sense, and no residual tells of it.
+        off = np.maximum(off, np.abs(fit.p[free] - start.ravel()[free]))
     lost = free[~(off < WORST_FITTED * size[free])]
     return _with_known_scales(replace(observability, hidden=tuple(sorted({*observability.hidden, *lost.tolist()}))))
 
 
-def _sizes(p: FloatArray) -> FloatArray:
+def _sizes(A: FloatArray) -> FloatArray:
     """Return what is 100 % of each entry of A: the length of its column."""
-    return np.tile(np.linalg.norm(p[INVERSE].reshape(3, 3), axis=0), 3)
+    return np.tile(np.linalg.norm(A, axis=0), 3)
 
 
 def _with_known_scales(observability: Observability) -> Observability:

@@ -421,6 +421,15 @@ def test_few_moves_with_a_preset_stay_within_their_sigma(grade: str, seed: int, 
     assert np.abs(ratios(session, result)[fitted]).max() < 4.5
 
 
+@pytest.mark.parametrize("share", [0.4, 0.5, 2.0, 2.5])
+def test_a_preset_of_another_range_leads_to_no_other_minimum(session: Session, share: float) -> None:
+    """From half of the scale the fit ended elsewhere, with errors of up to 1616 sigma."""
+    right = calibrate_gyroscope(replace(session.given, preset=session.truth)).calibration
+    wrong = replace(session.truth, scale=session.truth.scale * share)
+    found = calibrate_gyroscope(replace(session.given, preset=wrong)).calibration
+    assert np.nanmax(np.abs(vector(found.parameters) - vector(right.parameters)) / vector(right.sigma)) < 1e-3
+
+
 def test_static_bias_where_there_are_no_moves(session: Session) -> None:
     nothing = collect_moves([], session.given.observations.start_s[:1], session.given.observations.duration_s[:1])
     result = calibrate_gyroscope(replace(session.given, moves=nothing))

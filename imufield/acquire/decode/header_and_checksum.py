@@ -1,4 +1,4 @@
-"""Check frames of one form: their sync bytes, length and checksum."""
+"""Check frames of one form: header (sync bytes), length and checksum; the checksums themselves are in ``protocol.checksum``."""
 
 from __future__ import annotations
 
