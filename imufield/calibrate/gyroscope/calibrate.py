@@ -22,7 +22,7 @@ from imufield.calibrate.gyroscope.fit import fit_jointly
 from imufield.calibrate.gyroscope.input import GyroscopeInput, handedness_error, make_data, refuse_dead, refuse_foreign
 from imufield.calibrate.gyroscope.model_choice import FULL, GyroscopeModel, check_linearity, choose_model
 from imufield.calibrate.gyroscope.move_integration import INVERSE, PARAMETERS, rough_inverse
-from imufield.calibrate.gyroscope.observability import observe, told_by
+from imufield.calibrate.gyroscope.observability import Observability, observe, told_by
 from imufield.calibrate.gyroscope.residuals import VERTICAL, GyroscopeData, evaluate
 from imufield.calibrate.gyroscope.result import (
     GyroscopeResult,
@@ -89,6 +89,7 @@ def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -
     # From a preset of half the scale, as of another range, the fit runs to another minimum.
     start = min((_start_at(A, data) for A in starts), key=lambda p: rms(evaluate(p, data).residual[: 2 * len(given.moves)]))
     observability = observe(start, data, known=preset is not None)
+    start = _with_hidden(start, preset, observability)
     warnings: tuple[str, ...] = ()
     if given.stops:
         # A fit without the stops tells which of their turns were whole; the others are used as moves.
@@ -105,7 +106,7 @@ def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -
         data = replace(data, stops=moves[whole], stop_sigma_rad=sigma[whole])
     chosen = choose_model(data, start, observability, model)
     while (told := told_by(chosen.fit, starts[-1], observability)) != observability:
-        observability = told
+        observability, start = told, _with_hidden(start, preset, told)
         chosen = choose_model(data, start, observability, model)
     fitted = chosen.fit
     # With a g-sensitivity fitted the specific force times the Earth's rate says nothing of the latitude: the vertical Earth
@@ -132,6 +133,14 @@ def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -
 def _start_at(A: FloatArray, data: GyroscopeData) -> FloatArray:
     p = np.zeros(data.parameters)
     p[INVERSE] = A.ravel()
+    return p
+
+
+def _with_hidden(start: FloatArray, preset: FloatArray | None, observability: Observability) -> FloatArray:
+    """Return the start with what cannot be observed as the preset has it."""
+    hidden, p = list(observability.hidden), start.copy()
+    if preset is not None:
+        p[hidden] = preset.ravel()[hidden]
     return p
 
 
