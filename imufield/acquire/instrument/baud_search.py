@@ -1,4 +1,7 @@
-"""Listen on a serial port at one baud rate after another, until an instrument is recognised or the time is over."""
+"""Listen on a serial port at one baud rate after another, until an instrument is recognised or the time is over.
+
+The rates are ``bauds`` of each driver; ``connect`` chooses the port, and asks here where no rate is given.
+"""
 
 from __future__ import annotations
 

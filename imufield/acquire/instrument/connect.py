@@ -1,7 +1,7 @@
 """Open a port and make sure that an instrument sends there, before a session is begun.
 
-What arrives while listening is kept and goes into the recording first, so nothing is lost to it. Where the driver or the
-baud rate are not given, each is tried, and a callback is told what was assumed.
+What arrives while listening is kept and goes into the recording first, so nothing is lost to it. Where no port is given, the
+only one is taken. Where the driver or the baud rate are not given, each is tried, and a callback is told what was assumed.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Open a lost link again, so that a loose plug does not end a session."""
+"""Open a lost link again, so that a loose plug does not end a session; that it is lost, ``serial`` and ``can`` tell."""
 
 from __future__ import annotations
 

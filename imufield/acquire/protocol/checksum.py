@@ -1,4 +1,4 @@
-"""Checksums of many frames at once.
+"""Checksums of many frames at once; ``decode.header_and_checksum`` compares them with what was sent.
 
 A CRC is linear over GF(2): the register after a message is the XOR of what the start value alone would leave and of what
 each byte alone would leave. What byte value v leaves depends only on v and on how many bytes follow it, so one table

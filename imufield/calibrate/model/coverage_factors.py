@@ -1,5 +1,6 @@
 """The 95 % factors and limits: quantiles of Student's and the F distribution, which every solved session asks a few times.
 
+``accelerometer.quality`` says how many degrees of freedom a calibration has.
 SciPy's take longer to load than a session to solve. Both are incomplete beta functions [1]_; what passes a chance is found
 between bounds that are halved. Where Student's distribution has many degrees of freedom, its quantile is that of the normal
 distribution with the terms of [2]_. Chi squared has whole degrees of freedom here, and its tail is a finite sum [3]_.

@@ -1,7 +1,8 @@
 """Write a parameter file: TOML laid out for a person, exact for a program, safe against a crash.
 
 Every float is written with the digits that give the same float64 back. The last table holds a SHA-256 over the content
-as canonical JSON (keys sorted, no blanks, NaN as null), so comments and layout may change and values may not.
+as canonical JSON (keys sorted, no blanks, NaN as null), so comments and layout may change and values may not. ``document`` says
+which keys there are, ``parameters.schema.json`` what each may be, and ``comments.toml`` what is written beside them.
 """
 
 from __future__ import annotations
