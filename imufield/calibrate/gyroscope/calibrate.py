@@ -105,7 +105,7 @@ def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -
         )
         data = replace(data, stops=moves[whole], stop_sigma_rad=sigma[whole])
     chosen = choose_model(data, start, observability, model)
-    while (told := told_by(chosen.fit, starts[-1], observability)) != observability:
+    while (told := told_by(chosen.fit, None if given.turntable else rough, observability)) != observability:
         observability, start = told, _with_hidden(start, preset, told)
         chosen = choose_model(data, start, observability, model)
     fitted = chosen.fit

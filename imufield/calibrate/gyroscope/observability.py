@@ -92,14 +92,14 @@ def observe(p: FloatArray, data: GyroscopeData, *, known: bool) -> Observability
     return _with_known_scales(Observability(hidden, sensitivity, known))
 
 
-def told_by(fit: JointFit, start: FloatArray, observability: Observability) -> Observability:
+def told_by(fit: JointFit, rough: FloatArray | None, observability: Observability) -> Observability:
     """Return what is left of the observability behind a fit.
 
     Parameters
     ----------
     fit : JointFit
-    start : ndarray, shape (3, 3)
-        A where the fit of few moves must end, roughly.
+    rough : ndarray, shape (3, 3), or None
+        A where a fit of moves alone must end, roughly.
     observability : Observability
 
     Raises
@@ -108,11 +108,11 @@ def told_by(fit: JointFit, start: FloatArray, observability: Observability) -> O
         As ``observe``.
     """
     entries = fit.free < INVERSE.stop
-    free, size = fit.free[entries], _sizes(start)
+    free, size = fit.free[entries], _sizes(fit.p[INVERSE].reshape(3, 3) if rough is None else rough)
     off = np.sqrt(np.diag(fit.covariance)[entries])
-    if not turns_tell_scatter(fit.scatter, fit.evaluation.jacobian[:, fit.free], fit.parts):
+    if rough is not None and not turns_tell_scatter(fit.scatter, fit.evaluation.jacobian[:, fit.free], fit.parts):
         # Another minimum may have no less sense, and no residual tells of it.
-        off = np.maximum(off, np.abs(fit.p[free] - start.ravel()[free]))
+        off = np.maximum(off, np.abs(fit.p[free] - rough.ravel()[free]))
     lost = free[~(off < WORST_FITTED * size[free])]
     return _with_known_scales(replace(observability, hidden=tuple(sorted({*observability.hidden, *lost.tolist()}))))
 

@@ -277,6 +277,11 @@ def test_turntable_rates_join_the_fit(session: Session, result: GyroscopeResult)
     assert sentence("result.table", pairs=6) in joined.calibration.path
     assert np.all(joined.calibration.sigma.scale < 0.1 * result.calibration.sigma.scale)
     assert np.abs(ratios(session, joined)[:9]).max() < 4
+    # Alone they tell all, whatever a preset says.
+    stills = collect_moves([], session.given.observations.start_s[:1], session.given.observations.duration_s[:1])
+    wrong = replace(truth, scale=2 * truth.scale)
+    alone = calibrate_gyroscope(replace(session.given, moves=stills, turntable=runs, preset=wrong))
+    assert np.abs(ratios(session, alone)[:9]).max() < 4
 
 
 def test_positions_about_one_axis_leave_the_rest_at_the_preset() -> None:
