@@ -21,7 +21,7 @@ from imufield.commands.terminal.output import echo, replace_only, say
 from imufield.deliver.parameters.printed_numbers import WIDTH, beside
 from imufield.errors import UsageError
 from imufield.files import read_small_file
-from imufield.guide.positions import REVISIT_FROM, named_direction, scheme
+from imufield.guide.positions import DEFAULT_SCHEME, REVISIT_FROM, named_direction, scheme
 from imufield.limits import TEMPERATURE_RANGE_DEGC
 from imufield.pipeline.calibration import one_of
 from imufield.pipeline.chain import ROTATIONS
@@ -228,13 +228,16 @@ def _announce(options: EmulateOptions, emulation: Emulation, emulator: EmulatorC
     place = f"--latitude {emulation.site.latitude_deg:g} --height 0"
     # A protocol file of the user's own is no driver that another command knows by name.
     which = f"{'--driver' if wire.driver else '--protocol'} {shlex.quote(options.driver)}"
+    # A guide that asks for other positions than the operator turns to would wait for ever.
+    known = options.poses or options.positions in (STANDS_STILL, DEFAULT_SCHEME)
+    asked = [] if known else [f"--positions {shlex.quote(options.positions)}"]
     told = [f"--set {shlex.quote(f'{name}={spell(value)}')}" for name, value in wire.settings.items()]
     if options.truth is not None:
         echo(beside("truth in", options.truth))
     echo("read it with:")
     # Folded as a shell reads it, between options alone: broken by a terminal it cannot be copied.
     lines = ["  imufield capture"]
-    for option in (f"--{kind} {shlex.quote(address)}", which, *told, place, *clock):
+    for option in (f"--{kind} {shlex.quote(address)}", which, *asked, *told, place, *clock):
         fits = len(f"{lines[-1]} {option} \\") <= WIDTH
         lines[-1:] = [f"{lines[-1]} {option}"] if fits else [lines[-1], f"    {option}"]
     echo(" \\\n".join(lines))

@@ -60,6 +60,15 @@ def test_the_command_that_is_told_knows_the_place(capsys: pytest.CaptureFixture[
     assert Site().gravity_m_s2 == normal_gravity(place["--latitude"], place["--height"])
 
 
+@pytest.mark.parametrize("scheme", ["faces6", "paper24", "none"])
+def test_the_command_that_is_told_asks_for_the_positions_that_come(scheme: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["emulate", "stim300", "--duration-s", "0.1", "--positions", scheme]) == 0
+    told = shell_words(capsys.readouterr().out)
+    # The usual ones need no word, and lying still is no scheme.
+    asked = told[told.index("--positions") + 1] if "--positions" in told else None
+    assert asked == {"faces6": "faces6"}.get(scheme)
+
+
 def shell_words(out: str) -> list[str]:
     """Return the words of the command that is told, as a shell reads its lines."""
     return shlex.split(out[out.index("imufield capture") :].replace("\\\n", " ").partition("\n")[0])

@@ -106,6 +106,13 @@ def test_below_the_verdict_warnings_come_first(calibration: Calibration, observa
     assert 0 < verdict.index("look at this first") < verdict.index(quality.reasons[0])
 
 
+def test_the_reason_of_the_verdict_is_quoted_and_not_that_of_a_milder_one(calibration: Calibration) -> None:
+    poor, usable = (calibration.quality.lowered(verdict, f"it is {verdict}") for verdict in ("poor", "usable"))
+    for quality in (poor.lowered("usable", "it is usable"), usable.lowered("poor", "it is poor")):
+        assert (quality.verdict, quality.main_reason) == ("poor", "it is poor")
+        assert set(quality.warnings) >= {"it is poor", "it is usable"}
+
+
 def test_gyroscope_of_unknown_scale_and_of_full_calibration(
     calibration: Calibration, observations: Observations, context: Context, gyroscope: GyroscopeCalibration
 ) -> None:
