@@ -181,8 +181,8 @@ class Quality:
     def lowered(self, verdict: str, *why: str) -> Quality:
         """Return the same with a verdict no better than ``verdict``, and the sentences that say why."""
         worst = max(self.verdict, verdict, key=VERDICTS.index)
-        # Behind those of a verdict that is worse already: the first is quoted as what made it.
-        behind = len(self.warnings) if worst != verdict else 0
+        # Behind the first of a verdict that is worse already: it is quoted as what made it.
+        behind = min(len(self.warnings), 1) if worst != verdict else 0
         reasons = (*self.reasons[: 1 + behind], *why, *self.reasons[1 + behind :])
         return replace(self, verdict=worst, reasons=reasons, warnings=(*self.warnings[:behind], *why, *self.warnings[behind:]))
 
