@@ -136,8 +136,10 @@ def _judged(history: JudgedHistory) -> Iterator[Sentence]:
     for kind, found in judged.repeatability.items():
         if found.high == 0:
             key = "history_words.daily_closer"
+        elif found.sigma > 0:
+            key = "history_words.daily"
         else:
-            key = "history_words.daily" if found.sigma > 0 else "history_words.daily_unseen"
+            key = "history_words.daily_unseen"
         figures = {"sigma": found.sigma, "low": found.low, "high": found.high}
         yield sentence(key, kind=kind, between=between, unit=unit_of(f"{kind} x"), **figures)
 

@@ -12,9 +12,10 @@ from imufield.calibrate.accelerometer.accelerometer import calibrate_acceleromet
 from imufield.calibrate.gyroscope.input import GyroscopeInput
 from imufield.calibrate.gyroscope.moves import MoveCollector, Moves, cut_moves, no_slots
 from imufield.calibrate.gyroscope.residuals import GyroscopeData, evaluate
+from imufield.calibrate.gyroscope.result import GyroscopeResult
 from imufield.calibrate.gyroscope.turntable import TableRows
 from imufield.calibrate.model.gauge import change_gauge, turn_gyroscope
-from imufield.calibrate.model.models import to_vector
+from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS, to_vector
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration, GyroscopeParameters
 from imufield.calibrate.model.rotation import conjugate, logarithm, multiply
@@ -200,6 +201,17 @@ def simulate(
     rotation = change_gauge(to_vector(drawn.accelerometer), "lower").rotation
     given = GyroscopeInput(observations=observations, moves=moves, calibration=calibration, latitude_deg=latitude_deg)
     return Session(given, turn_gyroscope(truth, rotation), calibration, tuple(operator.turn_times_s))
+
+
+def vector(p: GyroscopeParameters) -> FloatArray:
+    off_diagonal = p.misalignment_rad[MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS]
+    return np.concatenate([p.scale, off_diagonal, p.bias, p.g_sensitivity.ravel()])
+
+
+def ratios(session: Session, result: GyroscopeResult) -> FloatArray:
+    """Errors over sigma."""
+    found = vector(result.calibration.parameters) - vector(session.truth)
+    return np.asarray(found / vector(result.calibration.sigma))
 
 
 def collect_moves(blocks: Iterable[Samples], start_s: FloatArray, duration_s: FloatArray) -> Moves:

@@ -89,7 +89,9 @@ def observe(p: FloatArray, data: GyroscopeData, *, known: bool) -> Observability
     # Biases are always visible, so `hidden` has entries of A alone.
     hidden = tuple(k for k in range(INVERSE.stop) if not length[k] > 1 / WORST_SCALE)
     sensitivity = all(length[k] > 1 / WORST_SENSITIVITY for k in range(SENSITIVITY.start, SENSITIVITY.stop))
-    return _with_known_scales(Observability(hidden, sensitivity, known))
+    found = Observability(hidden, sensitivity, known)
+    _require_known_scales(found)
+    return found
 
 
 def told_by(fit: JointFit, rough: FloatArray | None, observability: Observability) -> Observability:
@@ -114,7 +116,9 @@ def told_by(fit: JointFit, rough: FloatArray | None, observability: Observabilit
         # Another minimum may have no less sense, and no residual tells of it.
         off = np.maximum(off, np.abs(fit.p[free] - rough.ravel()[free]))
     lost = free[~(off < WORST_FITTED * size[free])]
-    return _with_known_scales(replace(observability, hidden=tuple(sorted({*observability.hidden, *lost.tolist()}))))
+    left = replace(observability, hidden=tuple(sorted({*observability.hidden, *lost.tolist()})))
+    _require_known_scales(left)
+    return left
 
 
 def _sizes(A: FloatArray) -> FloatArray:
@@ -122,10 +126,9 @@ def _sizes(A: FloatArray) -> FloatArray:
     return np.tile(np.linalg.norm(A, axis=0), 3)
 
 
-def _with_known_scales(observability: Observability) -> Observability:
+def _require_known_scales(observability: Observability) -> None:
     unknown = [ENTRY_NAMES[k] for k in observability.hidden if k % 4 == 0]
     if unknown and not observability.known:
         axes = [name[-1] for name in unknown]
         hidden_scale = sentence("observability.hidden_scale", scales=" and ".join(unknown), axes=axes)
         raise CalibrationError(hidden_scale, Reason.UNOBSERVABLE, names=tuple(unknown))
-    return observability
