@@ -23,11 +23,10 @@ CODE = ("imufield", "drivers")
 
 # From the lowest room to the highest: an import may point to a room above it in this list, or into its own.
 ROOMS = (
-    ("version", "sentences", "limits"),
+    ("version", "sentences", "limits", "dataclass"),
     ("errors",),
     ("progress",),
-    ("samples", "earth", "files", "toml_files", "console", "campaign"),
-    ("json_files",),
+    ("samples", "earth", "files", "toml_and_json", "console", "campaign"),
     ("drawing",),
     ("acquire/protocol",),
     ("acquire/decode",),

@@ -17,11 +17,11 @@ import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
 import numpy as np
 
+from imufield.dataclass import dataclass, field
 from imufield.errors import LinkError, LinkTimeoutError, Reason, UsageError
 from imufield.progress import Task, task
 from imufield.sentences import Sentences

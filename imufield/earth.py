@@ -9,8 +9,8 @@ References
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
+from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.sentences import Sentences
 

@@ -13,9 +13,9 @@ import threading
 import time
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
 from typing import TypeVar
 
+from imufield.dataclass import dataclass, field
 from imufield.sentences import printable
 
 AnItem = TypeVar("AnItem")

@@ -7,12 +7,12 @@ instrument sent them (``SampleUnits`` says in what unit, and whether a value is 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
 from enum import IntFlag
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from imufield.dataclass import dataclass, fields, replace
 from imufield.errors import Reason, RecordingError
 from imufield.limits import TEMPERATURE_RANGE_DEGC
 from imufield.sentences import Sentences
@@ -254,6 +254,17 @@ def make_samples(
         status=np.zeros(n, dtype=np.uint32) if status is None else status,
         units=units,
     )
+
+
+def median(values: ArrayLike, axis: int | None = None) -> FloatArray:
+    """Return what ``numpy.median`` does, NaN where one value is; that one first imports NumPy's masked arrays, 30 ms."""
+    array = np.asarray(values)
+    columns = array.ravel() if axis is None else np.moveaxis(array, axis, 0)
+    count = len(columns)
+    ordered = np.partition(columns, ((count - 1) // 2, count // 2, count - 1), axis=0)
+    middle = (ordered[(count - 1) // 2] + ordered[count // 2]) / 2
+    # NaN is sorted behind all numbers.
+    return np.asarray(np.where(np.isnan(ordered[-1]), np.nan, middle))
 
 
 def no_samples(units: SampleUnits) -> Samples:

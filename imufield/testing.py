@@ -19,13 +19,13 @@ import json
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from imufield.dataclass import dataclass
 from imufield.sentences import Sentences
 
 if TYPE_CHECKING:

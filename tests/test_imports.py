@@ -57,6 +57,7 @@ def test_options_are_light() -> None:
         "imufield.sentences",
         "imufield.files",
         "imufield.limits",
+        "imufield.dataclass",
         "imufield.commands.configuration",
         "imufield.commands.options",
     )

@@ -40,8 +40,8 @@ MAY_START_PROGRAMS = {
     "imufield/acquire/formats/table_arrays.py",
     "imufield/web/jobs.py",
 }
-MAY_USE = {("imufield/simulate/emulator/port.py", "pty")}
-"""The emulator makes pseudo-terminals; it starts nothing in them."""
+MAY_USE = {("imufield/simulate/emulator/port.py", "pty"), ("imufield/dataclass.py", "exec")}
+"""The emulator makes pseudo-terminals; it starts nothing in them. A dataclass is made of the names of fields in the code."""
 SAMPLES = {
     "import pickle": "pickle",
     "from yaml import load": "yaml",

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 
 from imufield.acquire.protocol.protocol import Protocol, parse_protocol
 from imufield.acquire.recording.reader import Damage, PartStart, RecordedBlock, RecordedEvent, read_blocks, read_session
 from imufield.acquire.recording.session import Session
 from imufield.acquire.session_decoder import SessionDecoder
+from imufield.dataclass import dataclass
 from imufield.errors import ProtocolError, RecordingError, SettingError
 from imufield.samples import Samples
 from imufield.sentences import Sentences

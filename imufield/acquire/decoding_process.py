@@ -9,7 +9,6 @@ import os
 import sys
 from collections.abc import Generator, Iterator
 from contextlib import closing, suppress
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from imufield.acquire.decode.statistics import DecoderStatistics
@@ -17,6 +16,7 @@ from imufield.acquire.decoded_session import Step, decoded, recorded_protocol, s
 from imufield.acquire.recording.reader import Damage, PartStart, size_bytes
 from imufield.acquire.recording.session import Session
 from imufield.acquire.session_decoder import SessionDecoder
+from imufield.dataclass import dataclass
 from imufield.errors import ImufieldError, RecordingError
 from imufield.progress import done, task
 from imufield.sentences import Sentences

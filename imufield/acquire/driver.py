@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
+from imufield.dataclass import KW_ONLY, dataclass
 from imufield.errors import UsageError
 from imufield.sentences import Sentences
 

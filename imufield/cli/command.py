@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Iterator, Mapping
-from dataclasses import Field, dataclass, fields
 from typing import Annotated, get_args, get_origin
 
 from imufield.cli.table import COMMANDS
 from imufield.commands.options.shared import Converted, Group, Option
+from imufield.dataclass import Field, dataclass, fields
 from imufield.progress import shown
 
 

@@ -10,13 +10,13 @@ import os
 import re
 from collections import deque
 from collections.abc import Collection, Mapping
-from dataclasses import MISSING, dataclass
 from pathlib import Path
 from types import NoneType
 from typing import get_args, get_origin
 
 from imufield.cli.command import Command, Parameter, parameters
 from imufield.commands.options.shared import UnfitValueError
+from imufield.dataclass import MISSING, dataclass
 from imufield.errors import UsageError
 
 _INTEGER = re.compile(r"[+-]?[0-9]{1,18}")

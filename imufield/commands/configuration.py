@@ -14,7 +14,7 @@ from pathlib import Path
 from imufield.errors import Reason, UsageError
 from imufield.files import Origin, read_small_file
 from imufield.sentences import Sentences
-from imufield.toml_files import decode_toml, parse_toml
+from imufield.toml_and_json import decode_toml, parse_toml
 
 sentence = Sentences(__package__)
 

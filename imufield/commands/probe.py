@@ -7,7 +7,6 @@ import shlex
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import asdict, dataclass, field
 from functools import partial
 
 from imufield.acquire.instrument.baud_search import (
@@ -25,6 +24,7 @@ from imufield.acquire.link.host_clock import HostClock
 from imufield.acquire.link.ports import serial_ports
 from imufield.commands.options.acquire_commands import ProbeOptions
 from imufield.commands.terminal.output import echo, host_clock, say
+from imufield.dataclass import asdict, dataclass, field
 from imufield.deliver.parameters.printed_numbers import beside
 from imufield.errors import ImufieldError, LinkError, Reason
 from imufield.sentences import Sentences, printable

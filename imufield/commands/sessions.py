@@ -18,7 +18,7 @@ from imufield.errors import ImufieldError, ParameterFileError, RecordingError, U
 from imufield.files import DEFAULT_ROOT, Origin, read_small_file, real_path
 from imufield.guide.positions import SCHEME_FILE, SCHEMES, scheme
 from imufield.sentences import Sentences, printable
-from imufield.toml_files import decode_toml, parse_toml
+from imufield.toml_and_json import decode_toml, parse_toml
 
 sentence = Sentences(__package__)
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +18,7 @@ from imufield.acquire.recording.session import Session
 from imufield.commands.options.result_commands import SolveOptions
 from imufield.commands.terminal.output import echo, say, tell_written
 from imufield.console import PlainTextConsole
+from imufield.dataclass import dataclass, replace
 from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, as_written, json_ready, write_document
 from imufield.deliver.parameters.printed_numbers import WIDTH, hanging
 from imufield.deliver.parameters.schema import Document

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import datetime
 from typing import TYPE_CHECKING
 
@@ -16,6 +15,7 @@ import numpy as np
 
 from imufield.calibrate.sessions.changes import LargestChange
 from imufield.calibrate.sessions.kinds import kind_of
+from imufield.dataclass import dataclass
 from imufield.deliver.judged_history import JudgedHistory
 from imufield.deliver.parameters.gauge_free import unit_of
 from imufield.drawing.style import BLUE, INK, ORANGE, figure, plot_style, title, to_svg

@@ -9,13 +9,13 @@ import json
 import os
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from types import NoneType
 
 import numpy as np
 
+from imufield.dataclass import dataclass, field, fields, replace
 from imufield.deliver.history_index import Index, Row, State, UnsoundIndexError, with_index
 from imufield.deliver.pair_test import Shared
 from imufield.deliver.parameters.file import Parameters, load_found

@@ -9,13 +9,13 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
 from imufield.calibrate.sessions.changes import MOST, DatedNumbers, Judged, LargestChange, judge
 from imufield.calibrate.sessions.kinds import kind_of
 from imufield.calibrate.sessions.repeatability import Repeatability
+from imufield.dataclass import asdict, dataclass, replace
 from imufield.deliver.history import Entry, History, InstrumentHistory
 from imufield.deliver.history_index import with_index
 from imufield.deliver.pair_test import Change, compare

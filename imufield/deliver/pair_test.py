@@ -23,13 +23,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from imufield.calibrate.model.grades import Grade
 from imufield.calibrate.sessions.draws import FAMILY_CHANCE, symmetric_root, variance_share
 from imufield.calibrate.sessions.kinds import kind_of
+from imufield.dataclass import dataclass
 from imufield.deliver.parameters.gauge_free import GaugeFree, Number
 from imufield.deliver.parameters.printed_numbers import DEG_PER_HOUR_RAD_S
 from imufield.earth import MILLI_G_M_S2

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
+from imufield.dataclass import dataclass
 from imufield.samples import AXES, FloatArray
 
 HALF_SIZE = (1.0, 0.72, 0.42)

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
 from html import escape
 
 import numpy as np
 
+from imufield.dataclass import dataclass, field
 from imufield.drawing.style import FEW_DECADES, GREY, INK, WIDTH_IN
 from imufield.samples import FloatArray
 

@@ -7,12 +7,12 @@ added. Times are of the sample clock. Terminal, plain lines, JSON lines and soun
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
 from enum import Enum
 from typing import ClassVar
 
 import numpy as np
 
+from imufield.dataclass import dataclass, field, fields
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 

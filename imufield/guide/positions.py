@@ -8,18 +8,18 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import tomli
 
+from imufield.dataclass import dataclass
 from imufield.errors import UsageError
 from imufield.files import Origin, read_small_file
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentence, Sentences, printable
-from imufield.toml_files import decode_toml, parse_toml
+from imufield.toml_and_json import decode_toml, parse_toml
 
 sentence = Sentences(__package__)
 

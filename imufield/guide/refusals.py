@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
 
+from imufield.dataclass import dataclass, fields, replace
 from imufield.guide.events import RefusalCode, Rejected
 from imufield.sentences import Sentence, Sentences
 

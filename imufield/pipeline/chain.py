@@ -7,7 +7,6 @@ session. It reads no clock: arrival times come with the bytes.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -29,6 +28,7 @@ from imufield.acquire.recording.reader import Damage, PartStart, RecordedBlock, 
 from imufield.acquire.recording.session import SETTINGS_FILE, Session
 from imufield.acquire.session_decoder import SessionDecoder
 from imufield.calibrate.model.observations import Observations
+from imufield.dataclass import asdict, dataclass, field, replace
 from imufield.errors import CalibrationError, Reason, RecordingError
 from imufield.files import Origin
 from imufield.guide.events import ACTIONS, HORIZONTAL, VERTICAL, Event, LinkLost

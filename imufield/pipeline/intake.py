@@ -5,14 +5,13 @@ The order of recorded events does not depend on when the link is silent: events 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 from imufield.acquire.decoded_session import UNPLUGGED
 from imufield.acquire.instrument.same_stream import SameStream
 from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.recording.reader import ReadJoiner
 from imufield.acquire.recording.recorder import Recorder
+from imufield.dataclass import dataclass, field
 from imufield.guide.events import Event
 from imufield.pipeline.chain import MARK, Chain
 

@@ -28,9 +28,9 @@ from imufield.calibrate.model.observations import Observations
 from imufield.deliver.report.trace import TraceCells
 from imufield.files import SMALL_FILE_LIMIT_BYTES, Origin, read_small_file, write_atomically
 from imufield.guide.positions import SCHEME_FILE
-from imufield.json_files import parse_json
 from imufield.pipeline.reading import Reading
 from imufield.samples import SampleUnits
+from imufield.toml_and_json import parse_json
 from imufield.version import __version__
 
 if TYPE_CHECKING:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.calibrate.gyroscope.moves import MoveCollector, Moves, Slots, cut_moves, no_slots
 from imufield.calibrate.model.observations import Observations, join_observations
+from imufield.dataclass import dataclass, replace
 from imufield.deliver.report.trace import TraceCells, TraceCollector
 from imufield.guide.events import VERTICAL, Event, Rejected, Turned
 from imufield.samples import FloatArray, Samples, concatenate

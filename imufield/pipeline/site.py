@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields, replace
-
 from imufield.acquire.recording.session_record import SiteRecord
+from imufield.dataclass import asdict, dataclass, fields, replace
 from imufield.earth import Gravity, choose_gravity, recorded_sigma
 from imufield.errors import UsageError
 from imufield.sentences import Sentences

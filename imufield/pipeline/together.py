@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +18,7 @@ from imufield.calibrate.model.grades import find_grade
 from imufield.calibrate.sessions.joint import FEWEST, FEWEST_WITHOUT_PRIOR, Joint, SessionNumbers, adjust
 from imufield.calibrate.sessions.kinds import kind_of
 from imufield.campaign import run_campaign
+from imufield.dataclass import dataclass, replace
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.gauge_free import GaugeFree, unit_of
 from imufield.deliver.parameters.joined import JoinedFrom, joined_parameters, numbers_of, prior_scales

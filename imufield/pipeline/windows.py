@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,6 +9,7 @@ from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
 from imufield.calibrate.temperature.fit import SAME_TEMPERATURE_DEGC
 from imufield.calibrate.temperature.ramp import moved_windows
+from imufield.dataclass import dataclass, fields
 from imufield.pipeline.chain import session_samples
 from imufield.samples import UNUSABLE, FloatArray, Samples, Status, TemperatureHold
 

@@ -12,7 +12,6 @@ References
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cache, partial
 
 import numpy as np
@@ -20,6 +19,7 @@ import numpy as np
 from imufield.calibrate.accelerometer.swarm_coordinates import whitened_problem
 from imufield.calibrate.model.models import SCALE, from_vector, predict, recover
 from imufield.calibrate.solvers.beetles import solve_bsas
+from imufield.dataclass import dataclass
 from imufield.deliver.navigation.drift import Drift
 from imufield.earth import MICRO_G_M_S2
 from imufield.samples import FloatArray

@@ -8,7 +8,6 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache, partial
 
 import numpy as np
@@ -19,6 +18,7 @@ from imufield.calibrate.solvers.base import Solver, SolverResult
 from imufield.calibrate.solvers.beetles import BasSettings, BsasSettings, solve_bas, solve_bsas
 from imufield.calibrate.solvers.least_squares import solve_least_squares
 from imufield.calibrate.solvers.staged import PAPER_CATEGORIES, solve_stages
+from imufield.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.sentences import counted
 from imufield.study import figures

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from imufield.campaign import Argument, Result, Run, run_campaign
+from imufield.dataclass import dataclass
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,7 +8,6 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -17,6 +16,7 @@ from imufield.calibrate.model.models import unit_diagonal_matrices
 from imufield.calibrate.solvers.base import Solver
 from imufield.calibrate.solvers.registry import load_solver
 from imufield.calibrate.solvers.triad_costs import TriadProblem, TurnsProblem
+from imufield.dataclass import dataclass, replace
 from imufield.deliver.navigation.drift import Drift
 from imufield.samples import FloatArray
 from imufield.study import figures

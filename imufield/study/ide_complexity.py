@@ -12,12 +12,12 @@ References
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 
 from imufield.calibrate.solvers.registry import load_solver
+from imufield.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.study import figures
 from imufield.study.context import StudyContext

@@ -8,13 +8,13 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 
 from imufield.calibrate.solvers.evolution import solve_ide
 from imufield.calibrate.solvers.triad_costs import TriadProblem, TurnsProblem
+from imufield.dataclass import dataclass, replace
 from imufield.samples import FloatArray
 from imufield.study import figures
 from imufield.study.context import StudyContext

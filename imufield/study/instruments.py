@@ -11,7 +11,6 @@ References
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -27,6 +26,7 @@ from imufield.calibrate.model.models import (
 )
 from imufield.calibrate.model.result import QuadraticAxes
 from imufield.calibrate.solvers.triad_costs import TriadProblem, TurnsProblem
+from imufield.dataclass import dataclass
 from imufield.earth import EARTH_RATE_RAD_S, MICRO_G_M_S2, normal_gravity
 from imufield.guide.positions import scheme
 from imufield.samples import FloatArray

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
+from imufield.dataclass import dataclass
 from imufield.deliver.navigation.alignment import coarse_attitude
 from imufield.deliver.navigation.drift import Drift
 from imufield.deliver.navigation.mechanise import integrate, load_pyins

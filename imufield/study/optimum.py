@@ -19,7 +19,6 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
@@ -32,6 +31,7 @@ from imufield.calibrate.model.result import QuadraticAxes
 from imufield.calibrate.solvers.base import Problem, Solver, SolverResult
 from imufield.calibrate.solvers.least_squares import solve_least_squares
 from imufield.calibrate.solvers.norm_problem import NormProblem
+from imufield.dataclass import dataclass
 from imufield.samples import FloatArray
 
 INTRINSIC_NAMES = tuple(

@@ -10,7 +10,6 @@ import io
 import re
 import string
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -20,6 +19,7 @@ import numpy as np
 import tomli
 from numpy.typing import ArrayLike
 
+from imufield.dataclass import dataclass, field
 from imufield.deliver.parameters.printed_numbers import WIDTH, hanging
 from imufield.drawing.style import figure, plot_style, title, to_png
 from imufield.files import typed_write_errors, write_atomically

@@ -11,9 +11,10 @@ import hmac
 import secrets
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from enum import Enum
 from http import HTTPStatus
+
+from imufield.dataclass import dataclass, field
 
 PROTOCOL = "imufield"
 """The subprotocol that the server answers with: the token is never sent back."""

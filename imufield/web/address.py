@@ -6,11 +6,11 @@ import errno
 import io
 import ipaddress
 import socket
-from dataclasses import dataclass
 
 import ifaddr
 import segno
 
+from imufield.dataclass import dataclass
 from imufield.errors import UsageError
 from imufield.sentences import Sentences
 

@@ -10,9 +10,9 @@ import sys
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
 from typing import IO
 
+from imufield.dataclass import asdict, dataclass, field
 from imufield.errors import EXIT_INTERRUPTED, UsageError
 from imufield.progress import ERASE
 from imufield.sentences import Sentences, printable

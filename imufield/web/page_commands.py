@@ -11,9 +11,9 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
+from imufield.dataclass import dataclass
 from imufield.errors import UsageError
 from imufield.files import real_path
 from imufield.sentences import Sentences, printable

@@ -17,7 +17,6 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import cache
 from http import HTTPStatus
 from importlib.resources import files
@@ -30,6 +29,7 @@ from websockets.http11 import Request, Response
 from websockets.sync.server import ServerConnection, serve
 from websockets.typing import Subprotocol
 
+from imufield.dataclass import dataclass
 from imufield.web.access import BEFORE_TOKEN, PROTOCOL, Access, Role
 from imufield.web.board import Board, Json
 

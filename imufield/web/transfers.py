@@ -12,11 +12,11 @@ import secrets
 import threading
 import time
 from contextlib import suppress
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import BinaryIO
 
+from imufield.dataclass import dataclass
 from imufield.errors import ImufieldError, UsageError
 from imufield.files import Origin, make_beside, new_mode, open_to_read, publish_beside_others, typed_write_errors
 from imufield.sentences import Sentences

@@ -123,7 +123,7 @@ def test_own_positions(tmp_path: Any) -> None:
         (GOOD + "[[position]]\nup = [0, 0, 1]\nheading = 3\n", "unknown_key", ("line 8", "'heading'")),
         (GOOD + "[[position]]\nup = [0, 0, 1]\nname = 3\n", "no_text", ("line 8", "name", " 3 ")),
         ("position = [3]", "no_table", ("[[position]]", " 3")),
-        ("name = \n[[position]]\n", "toml_files.no_toml", ("line 1",)),
+        ("name = \n[[position]]\n", "toml_and_json.no_toml", ("line 1",)),
     ],
 )
 def test_own_positions_that_make_no_sense(tmp_path: Any, text: str, key: str, facts: tuple[str, ...]) -> None:

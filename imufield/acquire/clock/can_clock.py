@@ -22,7 +22,6 @@ are whole wraps. A time stamp of the instrument replaces all of this.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -32,6 +31,7 @@ from imufield.acquire.clock.stamp_clock import steps_between
 from imufield.acquire.decode.assembly import RawBlock, join
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
+from imufield.dataclass import dataclass, field, replace
 from imufield.samples import FloatArray, IntArray, Samples, SampleUnits, Status, concatenate, every
 
 _WINDOW_S = 0.25  # Longer than the delays of a busy host, as for serial ports.

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from imufield.samples import FloatArray
+from imufield.samples import FloatArray, median
 
 LEARN_SAMPLES = 8
 LEARN_S = 1.0
@@ -75,12 +75,12 @@ def _enough(stamp_s: FloatArray) -> bool:
     # A host that sleeps hands over many samples at once: a rate takes several such sleeps, not a part of one.
     is_even = longest_s <= _UNEVEN * span_s / len(stamp_s)
     if is_even:
-        long = int(np.count_nonzero(steps_s > _LONG_STEP * np.median(steps_s)))
+        long = int(np.count_nonzero(steps_s > _LONG_STEP * median(steps_s)))
         return long <= _LONG_SHARE * len(steps_s) or span_s >= _LONGEST_LEARN_S
     if span_s < min(_SLEEPS * longest_s, _LONGEST_LEARN_S):
         return False
     # An outage makes any span long, and shows nothing of the pace.
-    pauses_s = np.sort(steps_s[steps_s >= max(LEARN_S, _UNEVEN * float(np.median(steps_s)))])[-_MOST_OUTAGES:]
+    pauses_s = np.sort(steps_s[steps_s >= max(LEARN_S, _UNEVEN * float(median(steps_s)))])[-_MOST_OUTAGES:]
     listened_s = span_s - float(pauses_s.sum())
     return listened_s >= LEARN_S * max(len(pauses_s), 1)
 
@@ -104,7 +104,7 @@ def sample_period_s(stamp_s: FloatArray, number: FloatArray, rate_hz: float) -> 
         number = np.arange(len(stamp_s), dtype=np.float64)
     stamp_s = _without_outages(stamp_s, number)
     steps_s = np.diff(stamp_s) / np.maximum(np.diff(number), 1.0)
-    middle_s = float(np.median(steps_s))
+    middle_s = float(median(steps_s))
     regular = np.abs(steps_s - middle_s) <= _REGULAR * middle_s
     mean_s = float((stamp_s[-1] - stamp_s[0]) / (number[-1] - number[0]))
     # Frames read out of a buffer are evenly spaced too, but more closely than they come on the whole.

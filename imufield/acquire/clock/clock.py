@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 from imufield.acquire.decode.assembly import RawBlock, Ticks
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
+from imufield.dataclass import dataclass
 from imufield.samples import FloatArray, IntArray, Samples, SampleUnits
 
 Reads = list[tuple[int, float]]

@@ -41,12 +41,12 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections import deque
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imufield.acquire.decode.assembly import RawBlock
+from imufield.dataclass import dataclass
 from imufield.samples import FloatArray, Status
 
 _BUCKET_S = 0.25

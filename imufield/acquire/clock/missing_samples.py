@@ -8,12 +8,11 @@ unwrapped, a counter's by ``sample_clock`` or ``can_clock``. Losses that no step
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.samples import FloatArray, IntArray
+from imufield.dataclass import dataclass
+from imufield.samples import FloatArray, IntArray, median
 
 LEARN_FROM = 8
 """Steps from which the regular one is learned."""
@@ -56,7 +55,7 @@ class StepRule:
         """Learn the regular step from the first ones."""
         if not self._allowed:
             positive = steps[steps > _SHORTEST_S]
-            self.step = float(np.median(positive)) if len(positive) else 0.0
+            self.step = float(median(positive)) if len(positive) else 0.0
             return
         counts = [int(np.count_nonzero(np.abs(steps - step) <= self._jitter)) for step in self._allowed]
         self.step = float(self._allowed[int(np.argmax(counts))])

@@ -26,7 +26,7 @@ from imufield.acquire.decode.assembly import NO_TICKS, RawBlock, join
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
 from imufield.errors import ProtocolError, Reason
-from imufield.samples import NO_COUNTER, FloatArray, IntArray, Samples, SampleUnits, Status, every
+from imufield.samples import NO_COUNTER, FloatArray, IntArray, Samples, SampleUnits, Status, every, median
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -368,6 +368,6 @@ def _usual(steps_s: FloatArray) -> float:
     positive = steps_s[steps_s > 0]
     if len(positive) == 0:
         return 0.0
-    middle = float(np.median(positive))
+    middle = float(median(positive))
     near = positive[np.abs(positive - middle) <= _LARGEST_RATE_ERROR * middle]
     return float(np.mean(near)) if len(near) else middle

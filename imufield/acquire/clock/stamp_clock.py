@@ -7,7 +7,6 @@ instrument sends the time. ``sample_clock`` chooses between time stamps, counter
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -18,6 +17,7 @@ from imufield.acquire.clock.missing_samples import LEARN_FROM, StepRule
 from imufield.acquire.decode.assembly import NO_TICKS, RawBlock, Ticks, join
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
+from imufield.dataclass import dataclass
 from imufield.samples import FloatArray, Samples, SampleUnits, Status, every
 
 _Number = TypeVar("_Number", bound=np.number)

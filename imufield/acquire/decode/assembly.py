@@ -12,7 +12,6 @@ came: ``can_assembly`` goes by that, and by counters. Both end in one table, ``f
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
 from functools import reduce
 from operator import attrgetter, or_
 from typing import Protocol
@@ -22,6 +21,7 @@ from numpy.typing import NDArray
 
 from imufield.acquire.protocol.frame_schema import JoinRule
 from imufield.acquire.protocol.layout import MessageValue
+from imufield.dataclass import dataclass, field, fields, replace
 from imufield.samples import INSTRUMENT_STATUS_SHIFT, FloatArray, IntArray, unknown
 
 Flags = NDArray[np.bool_]

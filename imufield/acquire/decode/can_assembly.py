@@ -15,14 +15,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imufield.acquire.decode.assembly import NO_FRAME, frame_table
 from imufield.acquire.protocol.can_protocol import AssemblyRule
-from imufield.samples import FloatArray, IntArray, every
+from imufield.dataclass import dataclass
+from imufield.samples import FloatArray, IntArray, every, median
 
 _LEARN_FRAMES = 24  # Frames of sample kinds from which the order is learned; 0.12 s of two messages at 100 Hz.
 # The same, and the longest time, where the kinds come at different rates: a kind with every tenth sample comes eight times.
@@ -162,7 +162,7 @@ class Assembler:
         pause_s = np.maximum(np.diff(time_s, prepend=time_s[0]), 0.0)
         usual = np.flatnonzero(counts >= _USUAL_PART * counts.max())
         # The median: a pause between two reads of a buffer comes at any place, but not before most frames of a kind.
-        median_s = {int(kind): float(np.median(pause_s[kinds == kind])) for kind in usual}
+        median_s = {int(kind): float(median(pause_s[kinds == kind])) for kind in usual}
         longest = max(median_s, key=lambda kind: median_s[kind])
         others_s = max((pause for kind, pause in median_s.items() if kind != longest), default=0.0)
         return longest, bool(counts[usual].min() >= _FEWEST and median_s[longest] > _CLEAR * others_s)

@@ -8,7 +8,6 @@ they are read, not joined afterwards as those of serial frames are: on a bus eve
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +20,7 @@ from imufield.acquire.protocol.can_frame import ERROR, EXTENDED, REMOTE
 from imufield.acquire.protocol.can_frames import CanFrames, Unpacker
 from imufield.acquire.protocol.can_protocol import ANY_ADDRESS, TEMPERATURE, CanKind, CanRule, Column
 from imufield.acquire.protocol.samples_and_clock import FlagRule
+from imufield.dataclass import dataclass
 from imufield.samples import FloatArray, IntArray, Status, every, no_counters, unknown
 
 _Flag = tuple[CanSignal, FlagRule]

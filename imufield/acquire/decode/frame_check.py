@@ -7,7 +7,6 @@ to SI.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +15,7 @@ from imufield.acquire.decode.header_and_checksum import BYTES_CHECKED_AT_ONCE, B
 from imufield.acquire.protocol.frame_forms import NONE, Shape
 from imufield.acquire.protocol.frame_schema import FrameRule
 from imufield.acquire.protocol.layout import Frames, Layout, Rows
+from imufield.dataclass import dataclass
 from imufield.samples import every
 
 INVALID = 0

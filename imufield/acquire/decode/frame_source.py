@@ -6,7 +6,6 @@ scaled to SI units, and put back into the order of the stream. Frames that are n
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import reduce
 from operator import or_
 
@@ -21,6 +20,7 @@ from imufield.acquire.protocol.frame_schema import FrameRule
 from imufield.acquire.protocol.layout import Field, FieldPair, Frames, Layout
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.protocol.samples_and_clock import NANOSECONDS, FlagRule
+from imufield.dataclass import dataclass
 from imufield.samples import LARGEST_OUTPUT, FloatArray, IntArray, Status, no_counters, unknown
 
 _Triads = FloatArray | list[FloatArray]  # Acceleration and rate.

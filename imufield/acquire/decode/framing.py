@@ -20,14 +20,13 @@ bytes for a clean stream, for noise, and for anything between.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
 from numpy.typing import NDArray
 
 from imufield.acquire.decode.frame_check import INVALID, NO_SHAPE, VALID, FrameCheck, Stencil, cycle_length, frames_at
 from imufield.acquire.protocol.frame_schema import FrameRule
 from imufield.acquire.protocol.layout import Frames, Layout
+from imufield.dataclass import dataclass, field
 from imufield.samples import every
 
 Bytes = NDArray[np.uint8]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
 
 from imufield.acquire.protocol.protocol import Protocol
+from imufield.dataclass import asdict, dataclass, field, fields, replace
 from imufield.samples import Status
 from imufield.sentences import Sentence, Sentences, shortened
 

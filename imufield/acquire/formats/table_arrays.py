@@ -11,7 +11,6 @@ import os
 import re
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import IO, TYPE_CHECKING, Any, cast
@@ -22,6 +21,7 @@ from imufield.acquire.formats import foreign_file_reader
 from imufield.acquire.formats.foreign_file_reader import Array, Arrays
 from imufield.acquire.formats.table_columns import named_column
 from imufield.acquire.formats.table_text import unreadable
+from imufield.dataclass import dataclass, field, replace
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.files import open_to_read
 from imufield.samples import AXES, FloatArray

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import tomli
 
+from imufield.dataclass import dataclass
 from imufield.errors import UsageError
-from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, LARGEST_OUTPUT, SAMPLE_COLUMNS, FloatArray
+from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, LARGEST_OUTPUT, SAMPLE_COLUMNS, FloatArray, median
 from imufield.sentences import Sentences, shortened
 
 sentence = Sentences(__package__)
@@ -275,7 +275,7 @@ def choose_time_scale(path: Path, time: FloatArray, unit: str | None, rate_hz: f
         No unit gives a plausible rate, or the typed rate contradicts the column.
     """
     steps = np.diff(time)
-    step = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
+    step = float(median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
     if unit is not None:
         _check_rate(path, step * TIME_SCALE[unit], rate_hz)
         return TIME_SCALE[unit], ""
@@ -352,7 +352,7 @@ def _guess(quantity: str, values: FloatArray, stated: Mapping[str, str], *, has_
         return "count", "table_columns.count_by_whole_numbers", 0.0
     if quantity == "accelerometer":
         with np.errstate(over="ignore", invalid="ignore"):  # in damaged files; infinite is no plausible norm either
-            norm = float(np.median(np.linalg.norm(values, axis=1)))
+            norm = float(median(np.linalg.norm(values, axis=1)))
         for unit, (low, high) in (("m/s^2", _STANDS_FOR_M_S2), ("g", _STANDS_FOR_G)):
             if low <= norm <= high:
                 return unit, "table_columns.unit_by_norm", norm

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +21,7 @@ from imufield.acquire.formats.table_columns import (
     columns_by_user,
 )
 from imufield.acquire.formats.table_text import TextTable, open_table
+from imufield.dataclass import dataclass, field, replace
 from imufield.errors import Reason, RecordingError
 from imufield.limits import TEMPERATURE_RANGE_DEGC
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, FloatArray, Status, is_possible_degc

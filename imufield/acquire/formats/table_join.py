@@ -10,7 +10,7 @@ import numpy as np
 from imufield.acquire.formats.table_columns import TIME, choose_time_scale
 from imufield.acquire.formats.table_file import Fields, File
 from imufield.errors import UsageError
-from imufield.samples import FloatArray
+from imufield.samples import FloatArray, median
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -74,7 +74,7 @@ def _covered(time: FloatArray, other: FloatArray) -> np.ndarray[tuple[int], np.d
     if len(other) < 2:
         return np.zeros(len(time), dtype=bool)
     # A file with gaps still has its usual step.
-    step = float(np.median(np.diff(other)))
+    step = float(median(np.diff(other)))
     after = np.clip(np.searchsorted(other, time), 1, len(other) - 1)
     before = after - 1
     is_between = (time >= other[before]) & (time <= other[after]) & (other[after] - other[before] <= _GAP_STEPS * step)

@@ -11,13 +11,13 @@ import gzip
 import re
 import zlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, cast
 
 import numpy as np
 
 from imufield.acquire.formats.foreign_file_reader import SoundGzip
+from imufield.dataclass import dataclass
 from imufield.errors import Reason, RecordingError
 from imufield.files import open_to_read
 from imufield.progress import task

@@ -8,7 +8,6 @@ Whatever the files do not state is assumed aloud: ``ImportedTable.assumptions`` 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -32,8 +31,9 @@ from imufield.acquire.formats.table_file import File, file_of, is_empty, meaning
 from imufield.acquire.formats.table_join import join
 from imufield.acquire.formats.table_text import TextTable
 from imufield.acquire.link.chunk import Chunk
+from imufield.dataclass import dataclass, field, replace
 from imufield.errors import UsageError
-from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, NO_COUNTER, FloatArray, IntArray, Samples
+from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, NO_COUNTER, FloatArray, IntArray, Samples, median
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -93,7 +93,7 @@ class ImportedTable:
     @property
     def rate_hz(self) -> float:
         """Median sample rate."""
-        return float(1.0 / np.median(np.diff(self.rows[:, 0])))
+        return float(1.0 / median(np.diff(self.rows[:, 0])))
 
 
 class ChunkWriter(Protocol):

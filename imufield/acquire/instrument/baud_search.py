@@ -6,7 +6,6 @@ The rates are ``bauds`` of each driver; ``connect`` chooses the port, and asks h
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from itertools import chain, zip_longest
 
 from imufield.acquire.driver import Driver, Wire
@@ -17,6 +16,7 @@ from imufield.acquire.link.host_clock import HostClock, patience_s
 from imufield.acquire.link.serial import PSEUDO_TERMINALS, SerialLink, open_link
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.acquire.registry import driver_names, load_driver
+from imufield.dataclass import dataclass
 from imufield.errors import LinkError, LinkTimeoutError, ProtocolError, Reason, SettingError
 from imufield.files import real_path
 from imufield.sentences import Sentences

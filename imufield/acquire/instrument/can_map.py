@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 import tomli_w
@@ -21,6 +20,7 @@ from imufield.acquire.protocol.can_protocol import dbc_table
 from imufield.acquire.protocol.protocol import DBC_LIMIT_BYTES, Protocol, decode_dbc, load_protocol, parse_protocol
 from imufield.acquire.protocol.toml import near
 from imufield.acquire.registry import load_driver
+from imufield.dataclass import dataclass
 from imufield.errors import ProtocolError, Reason, UsageError
 from imufield.files import read_start
 from imufield.samples import AXES

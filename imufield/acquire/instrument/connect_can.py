@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 
 from imufield.acquire.decode.statistics import LEFT_OUT
 from imufield.acquire.driver import Message
@@ -33,6 +32,7 @@ from imufield.acquire.link.host_clock import HostClock, patience_s
 from imufield.acquire.protocol.can_frame import ERROR
 from imufield.acquire.protocol.can_frames import unpack_frames
 from imufield.acquire.protocol.protocol import parse_protocol
+from imufield.dataclass import dataclass
 from imufield.errors import LinkError, LinkTimeoutError, Reason, UsageError
 from imufield.sentences import Sentences
 

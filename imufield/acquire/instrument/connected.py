@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from imufield.acquire.driver import Driver, Message, Wire
@@ -15,6 +14,7 @@ from imufield.acquire.instrument.instrument import Instrument
 from imufield.acquire.link.background import BackgroundLink, ReopenableLink
 from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.protocol.protocol import Protocol
+from imufield.dataclass import asdict, dataclass, field
 from imufield.errors import LinkError, Reason
 from imufield.sentences import Sentences, printable
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 
@@ -21,9 +20,10 @@ from imufield.acquire.decoder import Decoder
 from imufield.acquire.driver import Driver, Message
 from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.protocol.protocol import Protocol
+from imufield.dataclass import asdict, dataclass, field, replace
 from imufield.earth import MICRO_G_M_S2
 from imufield.errors import ProtocolError
-from imufield.samples import Samples
+from imufield.samples import Samples, median
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -232,7 +232,7 @@ class Listener:
         counts = self.decoder.statistics
         bad, skipped = self._before_end or (counts.frames_bad_checksum, counts.bytes_skipped)
         share = 1.0 - skipped / counts.bytes_total if counts.bytes_total else 0.0
-        norm = float(np.median(self._norms)) if self._norms else None
+        norm = float(median(self._norms)) if self._norms else None
         rate_hz, steady = self._pace()
         reason = self._objection(share, norm, steady=steady)
         return Finding(

@@ -11,7 +11,7 @@ import numpy as np
 
 from imufield.acquire.link.chunk import Chunk
 from imufield.errors import LinkError, Reason, UsageError
-from imufield.samples import FloatArray, Samples, Status
+from imufield.samples import FloatArray, Samples, Status, median
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -83,7 +83,7 @@ class SameStream:
                 other = sentence("same_stream.kind", port=self._port, heard_s=self._unread_s)
                 raise LinkError(other, Reason.FOREIGN)
         elif self._times[-1][-1] - self._times[0][0] >= _RATE_S:
-            rate_hz = 1 / float(np.median(np.diff(np.concatenate(self._times))))
+            rate_hz = 1 / float(median(np.diff(np.concatenate(self._times))))
             self._times, self._rate_hz = None, self._rate_hz or rate_hz
             if abs(rate_hz / self._rate_hz - 1) > _RATE_SHARE:
                 other = sentence("same_stream.rate", port=self._port, rate_hz=rate_hz, before_hz=self._rate_hz)
@@ -98,7 +98,7 @@ class SameStream:
         self._window, self._window_begin_s = [], now_s
         if len(times) < 2 or not math.isfinite(span_s):
             return
-        heard_s = len(times) * float(np.median(np.diff(times)))
+        heard_s = len(times) * float(median(np.diff(times)))
         self._fast_windows += 1
         self._is_lossy |= heard_s < _WHOLE * float(times[-1] - times[0])
         if heard_s <= _FAST * span_s:

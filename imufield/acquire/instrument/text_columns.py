@@ -11,7 +11,6 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,7 +20,8 @@ from imufield.acquire.instrument.recognise import CERTAIN_SAMPLES, FEWEST_SAMPLE
 from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.acquire.protocol.units import nominal_scale
-from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, LARGEST_OUTPUT, FloatArray
+from imufield.dataclass import dataclass, replace
+from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, LARGEST_OUTPUT, FloatArray, median
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -158,7 +158,7 @@ def find_columns(lines: Lines, rate_hz: float) -> Columns | None:
 def _clock(values: FloatArray, rate_hz: float) -> dict[str, str]:
     """Return name and settings of a column that counts samples or time; empty for any other."""
     step = np.diff(values[np.isfinite(values)])
-    typical = float(np.median(step)) if len(step) else 0.0
+    typical = float(median(step)) if len(step) else 0.0
     if typical <= 0 or np.mean(step > 0) < _MOST:
         return {}
     if typical == 1 and np.array_equal(step, np.rint(step)):
@@ -183,8 +183,8 @@ def _orders(rows: FloatArray, left: list[int]) -> Iterator[tuple[float, tuple[st
     for order in _ORDERS.get(len(left), ()):
         of = {name: rows[:, place] for place, name in zip(left, order, strict=True)}
         force = np.column_stack([of[name] for name in _A])
-        norm, unit = float(np.median(np.linalg.norm(force, axis=1))), _unit_of(force)
-        other = float(np.median(np.linalg.norm([of[name] for name in _G], axis=0))) if "gx" in of else 0.0
+        norm, unit = float(median(np.linalg.norm(force, axis=1))), _unit_of(force)
+        other = float(median(np.linalg.norm([of[name] for name in _G], axis=0))) if "gx" in of else 0.0
         is_raw = norm > _LARGER * other and np.array_equal(rows[:, left], np.rint(rows[:, left]))
         if (unit or is_raw) and np.ptp(of.get("temperature", 0.0)) < _STEADY_DEGC:
             yield other, order, unit or "count", norm
@@ -193,8 +193,8 @@ def _orders(rows: FloatArray, left: list[int]) -> Iterator[tuple[float, tuple[st
 def _unit_of(force: FloatArray) -> str:
     """Return the unit in which this is gravity, whichever way it points; empty for none."""
     norms = np.linalg.norm(force, axis=1)
-    norm = float(np.median(norms))
-    if np.median(np.abs(norms - norm)) > _SAME_NORM * norm:
+    norm = float(median(norms))
+    if median(np.abs(norms - norm)) > _SAME_NORM * norm:
         return ""
     return next((unit for unit, g in _GRAVITY.items() if 1 / _SAME_GRAVITY < norm / g < _SAME_GRAVITY), "")
 

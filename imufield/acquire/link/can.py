@@ -19,7 +19,6 @@ import logging
 import re
 import socket
 import time
-from dataclasses import dataclass, field
 from typing import Any
 
 import can
@@ -43,6 +42,7 @@ from imufield.acquire.protocol.can_frame import (
 )
 from imufield.acquire.protocol.can_frames import unpack_frames
 from imufield.acquire.protocol.toml import near
+from imufield.dataclass import dataclass, field
 from imufield.errors import LinkError, Reason, UsageError
 from imufield.sentences import Sentences
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 from serial.tools import list_ports
+
+from imufield.dataclass import dataclass
 
 _NETWORK = Path("/sys/class/net")
 _TYPE_CAN = "280"  # ARPHRD_CAN of Linux, ``if_arp.h``.

@@ -11,7 +11,6 @@ from __future__ import annotations
 import os
 import select
 import stat
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -20,6 +19,7 @@ import serial
 from imufield.acquire.link.chunk import Chunk as Chunk  # noqa: PLC0414  (where drivers of others know it)
 from imufield.acquire.link.host_clock import HostClock, SystemClock
 from imufield.acquire.link.link_errors import OPEN_FAILURES, baud_refused, open_error
+from imufield.dataclass import dataclass, replace
 from imufield.errors import LinkError, LinkTimeoutError, Reason
 from imufield.files import real_path
 from imufield.sentences import Sentences

@@ -10,7 +10,6 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from typing import Self
 
 import cantools
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 from imufield.acquire.protocol.can_frame import EXTENDED, ID_MASK, MOST_DATA
 from imufield.acquire.protocol.layout import MessageValue, Numbers
 from imufield.acquire.protocol.toml import LARGEST, LEAST_SCALE, near
+from imufield.dataclass import dataclass
 from imufield.errors import ProtocolError, Reason
 from imufield.sentences import Sentences, shortened
 

@@ -17,7 +17,8 @@ A frame is one unit of 24 bytes, little-endian; a CAN FD frame of more than 8 by
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+
+from imufield.dataclass import dataclass
 
 UNIT_BYTES = 24
 MARK = 0xCA4E

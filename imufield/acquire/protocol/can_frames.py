@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +17,7 @@ from imufield.acquire.protocol.can_frame import (
     UNIT_BYTES,
     Frame,
 )
+from imufield.dataclass import dataclass
 from imufield.samples import FloatArray, IntArray, every
 
 _MARK_BYTES = MARK.to_bytes(2, "little")

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import TypeVar
 
 from imufield.acquire.protocol.can_dbc import CanMessage, CanSignal, DbcFile, Selectors
@@ -26,6 +25,7 @@ from imufield.acquire.protocol.samples_and_clock import (
 )
 from imufield.acquire.protocol.toml import LARGEST, Table, near
 from imufield.acquire.protocol.units import TO_SI, UNITS_OF, unit_name
+from imufield.dataclass import dataclass, field
 from imufield.errors import ProtocolError, Reason
 from imufield.limits import BAUD_RANGE
 from imufield.samples import SampleUnits

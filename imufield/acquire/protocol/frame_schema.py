@@ -5,13 +5,13 @@ Every limit is far above what instruments use (the longest known body is 4096 by
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import cast
 
 from imufield.acquire.protocol.frame_forms import FieldsRule, FrameForm, LengthRule, MasksRule
 from imufield.acquire.protocol.layout import NUMBER_BYTES, TEXT_TYPES, Bits, Field, Layout
 from imufield.acquire.protocol.samples_and_clock import read_checksum
 from imufield.acquire.protocol.toml import Table
+from imufield.dataclass import dataclass, replace
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)

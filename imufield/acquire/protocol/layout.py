@@ -6,11 +6,11 @@ Numbers come out as they were sent; ``acquire.decode.frame_source`` makes sample
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from imufield.dataclass import dataclass
 from imufield.samples import FloatArray
 
 Bytes = NDArray[np.uint8]

@@ -9,7 +9,6 @@ import hashlib
 import importlib
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,11 +29,12 @@ from imufield.acquire.protocol.samples_and_clock import (
 from imufield.acquire.protocol.settings import Setting, SettingRule, choose_settings, read_rules
 from imufield.acquire.protocol.toml import FILE_LIMIT_BYTES, LEAST_SCALE, Source, Table, near
 from imufield.acquire.protocol.units import SI_UNITS, TO_SI, UNITS_OF
+from imufield.dataclass import dataclass, field, replace
 from imufield.errors import ProtocolError, Reason, UnknownNameError
 from imufield.files import Origin, read_start
 from imufield.samples import FloatArray, SampleUnits
 from imufield.sentences import Sentences, printable
-from imufield.toml_files import decode_toml
+from imufield.toml_and_json import decode_toml
 
 sentence = Sentences(__package__)
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from imufield.acquire.protocol.checksum import Checksum, make_checksum
 from imufield.acquire.protocol.toml import Table
+from imufield.dataclass import dataclass
 from imufield.errors import ProtocolError
 from imufield.limits import RATE_RANGE_HZ
 from imufield.samples import INSTRUMENT_STATUS_SHIFT, IntArray, SampleUnits, Status

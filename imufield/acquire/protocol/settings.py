@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Literal, cast
 
 from imufield.acquire.protocol.toml import LARGEST, Source, Table, near, spell
+from imufield.dataclass import dataclass
 from imufield.errors import ProtocolError, Reason, SettingError
 from imufield.sentences import Sentences
 

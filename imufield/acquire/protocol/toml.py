@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Self, TypeVar
 
+from imufield.dataclass import dataclass, field
 from imufield.errors import ProtocolError, Reason
 from imufield.sentences import Sentence, Sentences, shortened
-from imufield.toml_files import Place, line_of, parse_toml
+from imufield.toml_and_json import Place, line_of, parse_toml
 
 sentence = Sentences(__package__)
 

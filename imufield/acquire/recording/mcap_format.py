@@ -27,8 +27,8 @@ import zstandard
 from mcap.opcode import Opcode
 
 from imufield.files import utf8_text
-from imufield.json_files import parse_json
 from imufield.sentences import Sentences
+from imufield.toml_and_json import parse_json
 from imufield.version import __version__
 
 sentence = Sentences(__package__)

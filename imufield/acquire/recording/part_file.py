@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass
 from io import BufferedReader
 from pathlib import Path
 from types import TracebackType
@@ -26,6 +25,7 @@ from imufield.acquire.recording.mcap_format import (
     read_metadata,
     unpack_chunk,
 )
+from imufield.dataclass import dataclass
 from imufield.errors import Reason, RecordingError
 from imufield.files import Origin, open_to_read
 from imufield.sentences import Sentences

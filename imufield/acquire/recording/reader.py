@@ -12,7 +12,6 @@ import json
 import math
 import os
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
@@ -23,11 +22,12 @@ from imufield.acquire.link.host_clock import HostClock, SystemClock
 from imufield.acquire.recording.mcap_format import ARRIVAL, EVENTS_CHANNEL, LINK_CHANNEL, DamageError, messages
 from imufield.acquire.recording.part_file import Damage as Damage  # noqa: PLC0414  (handed on)
 from imufield.acquire.recording.part_file import PartFile, open_part
+from imufield.dataclass import dataclass, field
 from imufield.errors import LinkError, Reason, UsageError
-from imufield.json_files import parse_json
 from imufield.progress import Task, task
 from imufield.samples import FloatArray, IntArray
 from imufield.sentences import Sentences
+from imufield.toml_and_json import parse_json
 
 sentence = Sentences(__package__)
 

@@ -28,7 +28,7 @@ from imufield.files import (
     write_atomically,
 )
 from imufield.sentences import Sentences, printable
-from imufield.toml_files import decode_toml, parse_toml
+from imufield.toml_and_json import decode_toml, parse_toml
 from imufield.version import __version__
 
 sentence = Sentences(__package__)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from datetime import UTC, datetime
 from enum import Enum
 from pathlib import Path, PurePath
@@ -11,6 +10,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from imufield.dataclass import asdict, dataclass, field, fields, is_dataclass
 from imufield.earth import GRAVITY_RANGE_M_S2, HEIGHT_RANGE_M, MEASURED_GRAVITY_SIGMA_M_S2
 from imufield.errors import Reason, RecordingError
 from imufield.files import utf8_text

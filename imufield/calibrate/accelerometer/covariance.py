@@ -7,8 +7,6 @@ same by source.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,6 +20,7 @@ from imufield.calibrate.model.higher_terms import HigherTerms
 from imufield.calibrate.model.models import PARAMETERS
 from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS, parameter_scale
 from imufield.calibrate.model.uncertainty import SPARE_POSITIONS, gravity_sensitivity
+from imufield.dataclass import dataclass, replace
 from imufield.earth import Gravity
 from imufield.samples import FloatArray
 

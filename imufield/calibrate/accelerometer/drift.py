@@ -7,12 +7,12 @@ over the times there are: a warm-up is neither straight nor over when the sessio
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from imufield.calibrate.model.observations import Observations
+from imufield.dataclass import dataclass
 from imufield.samples import FloatArray
 
 MOST_CONFUSION = 2.0

@@ -11,11 +11,10 @@ Signs: an ellipsoid is symmetric, so the sign of each axis comes from the planne
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from imufield.calibrate.model.models import MISALIGNMENT, MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS, PARAMETERS
+from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentences

@@ -26,7 +26,6 @@ References
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Literal
 
@@ -35,6 +34,7 @@ import numpy as np
 from imufield.calibrate.accelerometer.fit import Fit
 from imufield.calibrate.model.coverage_factors import f_tail, sigma_of_mixture
 from imufield.calibrate.model.models import BIAS, PARAMETERS
+from imufield.dataclass import dataclass, field, replace
 from imufield.samples import FloatArray
 
 Term = Literal["quadratic", "drift"]

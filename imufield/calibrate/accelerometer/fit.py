@@ -7,7 +7,6 @@ and weights are those of ``model.uncertainty``.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from imufield.calibrate.model.uncertainty import SPARE_POSITIONS, between_positi
 from imufield.calibrate.solvers.base import SolverResult
 from imufield.calibrate.solvers.least_squares import Loss, solve_least_squares
 from imufield.calibrate.solvers.norm_problem import NormProblem
+from imufield.dataclass import dataclass, replace
 from imufield.samples import FloatArray
 
 _REWEIGHTINGS = 4  # At most; where tau has not settled by then, the last weights count.

@@ -6,11 +6,11 @@ has the residual ``r_i / (1 - h_i)`` there and moves by ``R^-1 Q_i^T r_i / (1 - 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
+from imufield.dataclass import dataclass
 from imufield.samples import FloatArray
 
 NOT_LEFT_OUT = 1 - 1e-6

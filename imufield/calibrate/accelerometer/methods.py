@@ -10,7 +10,6 @@ Sigma is that of the fit alone. Uncertainty of gravity is common to all methods 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -37,7 +36,8 @@ from imufield.calibrate.solvers.base import Callback
 from imufield.calibrate.solvers.least_squares import solve_least_squares
 from imufield.calibrate.solvers.norm_problem import CostName, NormProblem
 from imufield.calibrate.solvers.registry import find_method, load_solver
-from imufield.samples import FloatArray
+from imufield.dataclass import dataclass, replace
+from imufield.samples import FloatArray, median
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -247,7 +247,7 @@ def cross_check(
         problem = replace(problem_for(again, method), cost_name=cost_name)
         if method != LEAST_SQUARES:
             # Relative to their median: a swarm's costs should be near those of its paper, in m/s^2.
-            problem = replace(problem, sigma_m_s2=problem.sigma_m_s2 / np.median(problem.sigma_m_s2))
+            problem = replace(problem, sigma_m_s2=problem.sigma_m_s2 / median(problem.sigma_m_s2))
         found = load_solver(method)(problem, rng=rng)
         numbers = intrinsic(again.in_gauge(problem.vector(found.x))[0], problem.quadratic_axes)[0]
         return numbers, "" if found.converged else found.message

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -27,6 +26,7 @@ from imufield.calibrate.model.models import MISALIGNMENT, PARAMETERS, QUADRATIC,
 from imufield.calibrate.model.observability import WEAKEST_COLUMN, Observability, observe, require_scale_and_bias
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, ModelChoice
+from imufield.dataclass import dataclass, field, replace
 from imufield.earth import MILLI_G_M_S2
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
@@ -71,7 +71,7 @@ class ChosenModel:
     quadratic: bool
     is_quadratic_tested: bool = False
     drift: DriftForm | None = None
-    choice: Choice = Choice()  # noqa: RUF009 - frozen, so one default may be shared
+    choice: Choice = Choice()
     """What choosing the model makes of the covariance."""
     confusion: float = 1.0
     """How much less sure the bias is because quadratic term and drift are told apart; 1 where none is admitted."""

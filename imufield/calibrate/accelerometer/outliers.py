@@ -15,13 +15,12 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from imufield.calibrate.accelerometer.fit import Fit
 from imufield.calibrate.accelerometer.leave_one_out import NOT_LEFT_OUT
 from imufield.calibrate.model.coverage_factors import student_factor
+from imufield.dataclass import dataclass
 from imufield.samples import FloatArray
 
 _LEVEL = 0.01  # Chance that any position of a good session is called an outlier (both sides, Bonferroni).

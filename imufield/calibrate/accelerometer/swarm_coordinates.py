@@ -20,7 +20,7 @@ from imufield.calibrate.model.observability import generators, parameter_scale
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, QuadraticAxes
 from imufield.calibrate.solvers.norm_problem import CostName, NormProblem
 from imufield.errors import CalibrationError, Reason
-from imufield.samples import FloatArray
+from imufield.samples import FloatArray, median
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -106,7 +106,7 @@ def whitened_problem(
         If the preset does not belong to these outputs, or the positions do not show what is asked for.
     """
     norm = norm_derivatives(vector, raw, quadratic_axes).norm
-    middle = float(np.median(norm)) if np.isfinite(norm).all() else float("nan")
+    middle = float(median(norm)) if np.isfinite(norm).all() else float("nan")
     if not abs(middle / gravity_m_s2 - 1) <= _WORST_START:
         foreign = sentence("swarm_coordinates.foreign_preset", norm_m_s2=middle, gravity_m_s2=gravity_m_s2, limit=_WORST_START)
         raise CalibrationError(foreign, Reason.UNITS, parameter="accelerometer.scale")

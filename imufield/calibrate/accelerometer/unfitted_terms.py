@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +12,7 @@ from imufield.calibrate.model.coverage_factors import NORMAL_FACTOR_95, f_tail, 
 from imufield.calibrate.model.grades import Grade
 from imufield.calibrate.model.higher_terms import KINDS, TERMS, HigherTerms, higher_scale
 from imufield.calibrate.model.models import PARAMETERS
+from imufield.dataclass import dataclass
 from imufield.samples import FloatArray
 
 

@@ -6,14 +6,13 @@ prior knowledge. The two scatters of S are estimated along the way. Half of a st
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from imufield.calibrate.gyroscope.move_integration import PARAMETERS
 from imufield.calibrate.gyroscope.residual_covariance import Covariances, Scatter, covariances, next_scatter
 from imufield.calibrate.gyroscope.residuals import FIRST_HORIZONTAL, VERTICAL, Evaluation, GyroscopeData, evaluate
 from imufield.calibrate.solvers.base import SolverResult, SolverStatus
+from imufield.dataclass import dataclass
 from imufield.earth import EARTH_RATE_RAD_S
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray, IntArray

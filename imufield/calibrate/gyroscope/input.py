@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,8 +16,9 @@ from imufield.calibrate.gyroscope.whole_turns import Stop
 from imufield.calibrate.model.models import recover
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration, GyroscopeParameters
+from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError, Reason
-from imufield.samples import AXES, FloatArray
+from imufield.samples import AXES, FloatArray, median
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -111,7 +111,7 @@ def make_data(given: GyroscopeInput) -> GyroscopeData:
     parameters = given.calibration.accelerometer
     rest = given.rest_raw
     covariance = observations.gyroscope_covariance_raw
-    density = np.sqrt(np.median(np.diagonal(covariance, 0, 1, 2) * observations.duration_s[:, None], axis=0))
+    density = np.sqrt(median(np.diagonal(covariance, 0, 1, 2) * observations.duration_s[:, None], axis=0))
     duration = np.maximum(moves.slots.duration_s, 1e-9)[:, None]  # a slot of a clock that stood lasts nothing
     return GyroscopeData(
         rate_raw=observations.gyroscope_mean_raw - rest,

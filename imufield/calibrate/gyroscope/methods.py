@@ -20,7 +20,6 @@ the start of a round as unit,
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -41,6 +40,7 @@ from imufield.calibrate.solvers.agreement import CROSS_CHECKED, LEAST_SQUARES, A
 from imufield.calibrate.solvers.base import SolverResult, SolverStatus
 from imufield.calibrate.solvers.norm_problem import Coordinates, CostName
 from imufield.calibrate.solvers.registry import find_method, load_solver
+from imufield.dataclass import dataclass, replace
 from imufield.samples import FloatArray, IntArray
 from imufield.sentences import Sentences
 

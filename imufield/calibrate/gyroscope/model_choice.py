@@ -37,7 +37,6 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -50,6 +49,7 @@ from imufield.calibrate.model.coverage_factors import NORMAL_FACTOR_95, f_limit_
 from imufield.calibrate.model.grades import Grade
 from imufield.calibrate.model.rotation import skew
 from imufield.calibrate.model.uncertainty import told_apart
+from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentence, Sentences
@@ -239,7 +239,7 @@ def _rate_columns(data: GyroscopeData, fit: JointFit) -> tuple[FloatArray, Float
 def _half_sums(data: GyroscopeData, fit: JointFit) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return residuals (3 t,) of the half sums of turntable pairs, what else they hold, and the root of their covariance."""
     A, table, t = fit.p[INVERSE].reshape(3, 3), data.table, len(data.table)
-    own = (table.axis[:, None] == np.unique(table.axis)).astype(np.float64)
+    own = (table.axis[:, None] == np.array(sorted({*table.axis.tolist()}))).astype(np.float64)
     square = np.sum(table.rate_rad_s**2, axis=1)
     else_held = np.kron(np.hstack([own, own * square[:, None]]), np.eye(3))
     covariance = np.zeros((3 * t, 3 * t))

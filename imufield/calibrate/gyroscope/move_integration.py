@@ -18,13 +18,12 @@ Vectors of parameters ``x`` hold A row by row (9), b (3), H row by row (9).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 
 from imufield.calibrate.gyroscope.moves import Moves
 from imufield.calibrate.model.rotation import cross, exponential, matrix, product, right_jacobian, running_turns, skew
-from imufield.samples import FloatArray
+from imufield.dataclass import dataclass, replace
+from imufield.samples import FloatArray, median
 
 PARAMETERS = 21
 INVERSE = slice(0, 9)
@@ -191,7 +190,7 @@ def rough_inverse(moves: Moves, preset: FloatArray | None = None, window_s: floa
     change = (force[2:] - force[:-2])[same]
     middle, gained = force[1:-1][same], ((turn[:-2] + turn[2:]) / 2 + turn[1:-1])[same]
     # Windows in which the hand accelerates the unit count less.
-    weight = 1 / (1 + np.abs(np.linalg.norm(middle, axis=1) - np.median(np.linalg.norm(middle, axis=1))))
+    weight = 1 / (1 + np.abs(np.linalg.norm(middle, axis=1) - median(np.linalg.norm(middle, axis=1))))
     rows = np.zeros((len(middle), 3, 9))
     for axis in range(3):
         # (a x e_axis) turn_j multiplies A[axis, j].

@@ -30,7 +30,6 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
 from enum import IntFlag
 from itertools import pairwise
 
@@ -38,7 +37,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.calibrate.model.rotation import cross
-from imufield.samples import LARGEST_OUTPUT, FloatArray, IntArray, Samples, SampleUnits, Status, concatenate, every
+from imufield.dataclass import dataclass, fields, replace
+from imufield.samples import LARGEST_OUTPUT, FloatArray, IntArray, Samples, SampleUnits, Status, concatenate, every, median
 from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
@@ -237,7 +237,7 @@ class MoveCollector:
         if self._pending is not None:
             samples = concatenate([self._pending, samples])
         if self.interval_s is None and len(samples) > 2:
-            self.interval_s = float(np.median(np.diff(samples.time_s)))
+            self.interval_s = float(median(np.diff(samples.time_s)))
         if self.interval_s is None:
             self._pending = samples
             return
@@ -368,7 +368,7 @@ class MoveCollector:
         cell_starts = _run_starts(cell)
         rate = slots.turn / np.maximum(slots.duration_s, 1e-9)[:, None]
         swing = np.max(np.maximum.reduceat(rate, cell_starts) - np.minimum.reduceat(rate, cell_starts), axis=1)
-        quiet = swing <= 2 * np.median(swing[swing > 0]) if np.any(swing > 0) else np.ones(len(swing), dtype=np.bool_)
+        quiet = swing <= 2 * median(swing[swing > 0]) if np.any(swing > 0) else np.ones(len(swing), dtype=np.bool_)
         length = np.diff(np.append(cell_starts, len(slots)))
         keep = ~np.repeat(quiet, length)
         keep[cell_starts] = True

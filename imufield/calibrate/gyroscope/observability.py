@@ -8,8 +8,6 @@ hold runs away.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 
 from imufield.calibrate.gyroscope.fit import JointFit, first_scatter
@@ -17,6 +15,7 @@ from imufield.calibrate.gyroscope.move_integration import INVERSE, PARAMETERS, S
 from imufield.calibrate.gyroscope.residual_covariance import Scatter, covariances, turns_tell_scatter
 from imufield.calibrate.gyroscope.residuals import GyroscopeData, evaluate
 from imufield.calibrate.model.observability import unexplained_lengths
+from imufield.dataclass import dataclass, replace
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray, IntArray
 from imufield.sentences import Sentences

@@ -23,11 +23,11 @@ References
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imufield.calibrate.gyroscope.move_integration import INVERSE, SENSITIVITY
 from imufield.calibrate.gyroscope.residuals import Evaluation, ForceErrors, GyroscopeData
@@ -38,6 +38,7 @@ from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, GRAVITY_NAME, AccelerometerParameters, Calibration
 from imufield.calibrate.model.rotation import skew
 from imufield.calibrate.model.uncertainty import rms
+from imufield.dataclass import dataclass
 from imufield.samples import FloatArray
 
 # Relative step for the derivative of the specific force by the accelerometer's parameters; it is nearly linear in them.
@@ -304,10 +305,26 @@ def _is_told(V: FloatArray, others: FloatArray, jacobian: FloatArray) -> bool:
 
     They are tr(P V) times the scatter's variance where it outweighs all other noise.
     """
-    touched = np.diag(V) > 0
-    variance = _OUTWEIGHED * float(np.max(np.diag(others)[touched] / np.diag(V)[touched], initial=0.0))
+    own, noise = np.diag(V), np.diag(others)
+    touched = own > 0
+    variance = _OUTWEIGHED * float(np.max(noise[touched] / own[touched], initial=0.0))
+    # A bound first, at a twentieth of the price. The parameters take at most one each of tr(S^-1 V), which is not larger for
+    # some of the residuals alone; and no diagonal element of an inverse is below the reciprocal of the matrix's.
+    apart = touched & _apart(V)
+    least = float(np.sum(variance * own[apart] / (noise[apart] + variance * own[apart]))) - jacobian.shape[1]
+    if least >= _LEAST_FREEDOM:
+        return True
     P = _projection(others + variance * V, jacobian)
-    return bool(variance * np.trace(P @ V) >= _LEAST_FREEDOM)
+    return bool(variance * np.sum(P * V) >= _LEAST_FREEDOM)
+
+
+def _apart(V: FloatArray) -> NDArray[np.bool_]:
+    """Choose rows among which a symmetric matrix is diagonal: those with fewer entries than each of the rows they meet."""
+    meets = V != 0
+    entries = np.count_nonzero(meets, axis=1)
+    fewer = entries[:, None] < entries
+    np.fill_diagonal(fewer, val=True)
+    return np.asarray((fewer | ~meets).all(axis=1))
 
 
 def _projection(S: FloatArray, jacobian: FloatArray) -> FloatArray:

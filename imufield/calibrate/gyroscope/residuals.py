@@ -23,7 +23,6 @@ Parameters ``p`` of a fit: the 21 of ``move_integration``, then ``v``, then ``h`
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -40,6 +39,7 @@ from imufield.calibrate.model.rotation import (
     one_rotation_matrix,
     skew,
 )
+from imufield.dataclass import dataclass, field, replace
 from imufield.samples import FloatArray, IntArray
 
 VERTICAL = PARAMETERS

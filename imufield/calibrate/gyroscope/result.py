@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +30,7 @@ from imufield.calibrate.model.result import (
     GyroscopeParameters,
 )
 from imufield.calibrate.model.uncertainty import bounded_cross_covariance, rms
+from imufield.dataclass import dataclass, field, replace
 from imufield.samples import FloatArray
 from imufield.sentences import Sentence, Sentences
 

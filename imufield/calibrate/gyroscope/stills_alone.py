@@ -32,7 +32,6 @@ References
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -41,8 +40,9 @@ from imufield.calibrate.gyroscope.residual_covariance import Covariances, Scatte
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import GyroscopeCalibration, GyroscopeParameters
 from imufield.calibrate.model.uncertainty import block_diagonal
+from imufield.dataclass import dataclass
 from imufield.earth import EARTH_RATE_RAD_S
-from imufield.samples import FloatArray
+from imufield.samples import FloatArray, median
 from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
@@ -184,7 +184,7 @@ def sees_earth(covariance_raw: FloatArray, A: FloatArray) -> bool:
     """Whether the position means (covariance (s, 3, 3)) are known well below the Earth's rate."""
     # Median of the positions: one that was touched must not hide the Earth from the others.
     variance = np.trace(A @ covariance_raw @ A.T, axis1=1, axis2=2) / 3
-    return bool(np.sqrt(np.median(variance)) < SEES_EARTH * EARTH_RATE_RAD_S)
+    return bool(np.sqrt(median(variance)) < SEES_EARTH * EARTH_RATE_RAD_S)
 
 
 def fit_static(data: StaticData, A: FloatArray, latitude_deg: float, free: StaticFree = "bias") -> StaticFit:

@@ -12,12 +12,12 @@ K E), nor from the accelerometer while turning (centripetal force): the integrat
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from imufield.calibrate.gyroscope.residuals import Evaluation, GyroscopeData
 from imufield.calibrate.model.rotation import from_matrix, logarithm
+from imufield.dataclass import dataclass
 from imufield.errors import UsageError
 from imufield.samples import AXES, FloatArray, IntArray
 from imufield.sentences import Sentence, Sentences

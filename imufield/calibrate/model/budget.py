@@ -16,11 +16,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
+from imufield.dataclass import dataclass, replace
 from imufield.samples import FloatArray
 
 Kind = Literal["A", "B"]

@@ -22,8 +22,6 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
-
 import numpy as np
 
 from imufield.calibrate.model.models import (
@@ -41,6 +39,7 @@ from imufield.calibrate.model.models import (
 from imufield.calibrate.model.observability import generators
 from imufield.calibrate.model.result import AccelerometerParameters, Gauge, GyroscopeParameters, Intrinsic, QuadraticAxes
 from imufield.calibrate.model.rotation import cross
+from imufield.dataclass import dataclass, fields, replace
 from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences

@@ -10,12 +10,12 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import tomli
 
+from imufield.dataclass import dataclass
 from imufield.earth import MICRO_G_M_S2, STANDARD_GRAVITY_M_S2
 from imufield.errors import UsageError
 from imufield.samples import SampleUnits
@@ -87,7 +87,7 @@ class Grade:
     """Nominal raw unit per m/s^2."""
     gyroscope_scale: float = 1.0
     """Nominal raw unit per rad/s."""
-    units: SampleUnits = SampleUnits()  # noqa: RUF009 - frozen, so one default may be shared
+    units: SampleUnits = SampleUnits()
 
 
 # Units of the file: factor to SI, and what it is divided by afterwards.

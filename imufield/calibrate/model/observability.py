@@ -17,8 +17,6 @@ its length.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from imufield.calibrate.model.models import (
@@ -34,6 +32,7 @@ from imufield.calibrate.model.models import (
 )
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES
 from imufield.calibrate.model.rotation import skew
+from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, LARGEST_OUTPUT, FloatArray
 from imufield.sentences import Sentences

@@ -10,15 +10,15 @@ from __future__ import annotations
 
 import csv
 import re
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from imufield.calibrate.model.observations import Observations
+from imufield.dataclass import dataclass
 from imufield.errors import Reason, RecordingError
 from imufield.files import read_small_file
-from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, LARGEST_OUTPUT, FloatArray, SampleUnits
+from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, LARGEST_OUTPUT, FloatArray, SampleUnits, median
 from imufield.sentences import Sentences, printable
 
 sentence = Sentences(__package__)
@@ -178,7 +178,7 @@ def _diagonal(sigma: FloatArray) -> FloatArray:
 
 
 def _guess_units(mean: FloatArray) -> SampleUnits:
-    reach = float(np.median(np.ptp(mean, axis=0))) / 2 if len(mean) else 0.0
+    reach = float(median(np.ptp(mean, axis=0))) / 2 if len(mean) else 0.0
     if 8.0 < reach < 12.0:
         return SampleUnits(accelerometer="m/s^2", gyroscope="rad/s")
     return SampleUnits(accelerometer="g" if 0.8 < reach < 1.2 else "count", gyroscope="count")

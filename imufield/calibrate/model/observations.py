@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from imufield.dataclass import dataclass, fields, replace
 from imufield.errors import UsageError
 from imufield.samples import FloatArray, SampleUnits
 from imufield.sentences import Sentences

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -11,6 +10,7 @@ from imufield.calibrate.model.budget import Share
 from imufield.calibrate.model.higher_terms import HigherTerms
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.temperature_polynomials import TriadTemperature
+from imufield.dataclass import dataclass, field, replace
 from imufield.earth import Gravity
 from imufield.samples import AXES, FloatArray
 

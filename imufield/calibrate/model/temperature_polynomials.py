@@ -10,11 +10,10 @@ the scale. Both are polynomials without a constant term, so that the parameters 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from imufield.dataclass import dataclass
 from imufield.samples import FloatArray
 
 HIGHEST_ORDER = 5

@@ -14,11 +14,11 @@ back begin a new run of rows.
 from __future__ import annotations
 
 import importlib
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from imufield.dataclass import dataclass
 from imufield.errors import Reason, UsageError
 from imufield.samples import FloatArray, IntArray
 from imufield.sentences import Sentences

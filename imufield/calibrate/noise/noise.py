@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -22,9 +21,10 @@ from imufield.calibrate.noise.allan import (
     degrees_of_freedom,
 )
 from imufield.calibrate.noise.noise_fit import NoiseFigure, NoiseModel, identify
+from imufield.dataclass import dataclass, field, replace
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import CalibrationError, Reason, RecordingError
-from imufield.samples import AXES, FloatArray, Samples, SampleUnits
+from imufield.samples import AXES, FloatArray, Samples, SampleUnits, median
 from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
@@ -190,7 +190,7 @@ class NoiseStream:
         if self._grid is None:
             if len(samples) < _FIRST_BLOCK:
                 return
-            interval_s = self._units.interval_s or float(np.median(np.diff(samples.time_s)))
+            interval_s = self._units.interval_s or float(median(np.diff(samples.time_s)))
             self._grid = EvenGrid(interval_s)
             # An instrument without a gyroscope has NaN there all along.
             self._columns = 6 if np.isfinite(values[:, 3:]).any() else 3

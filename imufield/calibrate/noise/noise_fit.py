@@ -22,11 +22,11 @@ References
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from imufield.calibrate.model.coverage_factors import NORMAL_FACTOR_95
+from imufield.dataclass import dataclass
 from imufield.samples import FloatArray
 
 FLICKER = 2 * math.log(2) / math.pi

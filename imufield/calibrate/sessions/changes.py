@@ -27,7 +27,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -37,6 +36,7 @@ from imufield.calibrate.model.uncertainty import block_diagonal
 from imufield.calibrate.sessions.draws import FAMILY_CHANCE, symmetric_root, variance_share
 from imufield.calibrate.sessions.kinds import DAILY, kind_of, of_gyroscope
 from imufield.calibrate.sessions.repeatability import Repeatability, contrasts, reml_variance, repeatability
+from imufield.dataclass import dataclass
 from imufield.samples import FloatArray
 
 FEWEST = 3

@@ -19,13 +19,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from imufield.calibrate.sessions.changes import DatedNumbers, Judged, KindTest
 from imufield.calibrate.sessions.joint import FEWEST_WITHOUT_PRIOR
+from imufield.dataclass import dataclass
 from imufield.samples import FloatArray
 
 _DRAWS = 4000  # They tell the ends of the interval to a few percent.

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -33,6 +32,7 @@ from imufield.calibrate.sessions.repeatability import (
     repeatability,
     studentised,
 )
+from imufield.dataclass import dataclass
 from imufield.samples import FloatArray
 
 FEWEST = 2

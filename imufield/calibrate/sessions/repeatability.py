@@ -29,11 +29,11 @@ References
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from imufield.calibrate.model.coverage_factors import chi_squared_quantile
+from imufield.dataclass import dataclass
 from imufield.samples import FloatArray
 
 _CHANCE = 0.05  # Of 95 % intervals.

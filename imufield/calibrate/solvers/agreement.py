@@ -8,12 +8,12 @@ what is left is how well each method searches.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from imufield.calibrate.solvers.norm_problem import CostName
 from imufield.calibrate.solvers.registry import find_method
+from imufield.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 

@@ -7,12 +7,12 @@ parameters, positions or gauges. Not converging is a status of the result, not a
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Protocol
 
 import numpy as np
 
+from imufield.dataclass import dataclass, field, replace
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 

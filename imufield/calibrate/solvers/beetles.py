@@ -19,12 +19,11 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from imufield.calibrate.solvers.base import Callback, Problem, SolverResult
 from imufield.calibrate.solvers.population import Record, into_bounds
+from imufield.dataclass import dataclass
 from imufield.samples import FloatArray
 from imufield.sentences import Sentence, Sentences
 

@@ -16,7 +16,6 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
@@ -24,6 +23,7 @@ import numpy as np
 
 from imufield.calibrate.solvers.base import Callback, Problem, SolverResult
 from imufield.calibrate.solvers.population import Record, check_finite_bounds, relative_spread
+from imufield.dataclass import dataclass
 from imufield.errors import UsageError
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-from dataclasses import dataclass
 from functools import partial
 from types import ModuleType
 
@@ -11,6 +10,7 @@ import numpy as np
 
 from imufield.calibrate.solvers.base import Callback, Problem, SolverResult
 from imufield.calibrate.solvers.population import Record, check_finite_bounds
+from imufield.dataclass import dataclass
 from imufield.errors import Reason, UsageError
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences

@@ -25,7 +25,6 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -43,6 +42,7 @@ from imufield.calibrate.model.models import (
 )
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, QuadraticAxes
 from imufield.calibrate.solvers.triad_costs import inverse_matrices
+from imufield.dataclass import dataclass
 from imufield.samples import FloatArray
 
 CostName = Literal["absolute", "squares", "weighted"]

@@ -8,7 +8,6 @@ from __future__ import annotations
 import importlib
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -18,6 +17,7 @@ import tomli
 
 from imufield.calibrate.solvers.base import Solver
 from imufield.calibrate.solvers.norm_problem import CostName
+from imufield.dataclass import dataclass, fields, replace
 from imufield.errors import UsageError
 from imufield.sentences import Sentences
 

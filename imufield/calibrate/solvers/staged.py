@@ -13,7 +13,6 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -22,6 +21,7 @@ from imufield.calibrate.model.models import BIAS, MISALIGNMENT, PARAMETERS, QUAD
 from imufield.calibrate.solvers.base import Callback, Problem, Solver, SolverResult, SolverStatus
 from imufield.calibrate.solvers.beetles import BsasSettings, solve_bsas
 from imufield.calibrate.solvers.population import Record
+from imufield.dataclass import dataclass, replace
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 

@@ -22,7 +22,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -47,9 +46,10 @@ from imufield.calibrate.temperature.scatter import (
     shares_of,
     whitened,
 )
+from imufield.dataclass import dataclass, replace
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import CalibrationError, Reason
-from imufield.samples import FloatArray
+from imufield.samples import FloatArray, median
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -328,7 +328,7 @@ def _freedom(scatter: Scatter, shares: FloatArray, left: FloatArray, kind: int, 
     of_day = np.einsum("np,aspq,nq->san", V, shares, V)
     # What is stated for another day is off by what that day differs, too.
     of_day[1 + kind] += 1.0
-    return float(np.median([scatter.freedom_of(of_day[:, axis], kind, left[axis, None]) for axis in range(3)]))
+    return float(median([scatter.freedom_of(of_day[:, axis], kind, left[axis, None]) for axis in range(3)]))
 
 
 def _factor(axes: Sequence[Equations]) -> float:

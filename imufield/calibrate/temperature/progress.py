@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from imufield.calibrate.temperature.ramp import LEAST_SPAN_DEGC, RATE_OVER_S, TOO_FAST_DEGC_PER_MIN, moved_windows
+from imufield.dataclass import dataclass
 from imufield.samples import FloatArray
 
 EVEN_DEGC_PER_MIN = 0.1

@@ -8,13 +8,13 @@ the branches is hysteresis, which is a constant of each branch. The better of th
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imufield.calibrate.model.temperature_polynomials import HIGHEST_ORDER
 from imufield.calibrate.temperature.fit import SAME_TEMPERATURE_DEGC, RampBlocks
+from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences

@@ -23,12 +23,12 @@ References
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from imufield.dataclass import dataclass
 from imufield.samples import FloatArray
 
 BIAS, SCALE, RAMP = range(3)

@@ -1,6 +1,5 @@
 """Options of commands that get samples: ``capture``, ``plan``, ``record``, ``import``, ``replay``, ``emulate`` and others."""
 
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -27,6 +26,7 @@ from imufield.commands.options.shared import (
     option,
     unknown_site,
 )
+from imufield.dataclass import dataclass, field
 from imufield.errors import UsageError
 from imufield.files import DEFAULT_ROOT
 from imufield.limits import BAUD_RANGE, HOLD_RANGE_S, PORT_RANGE, RATE_RANGE_HZ, TARGET_RANGE

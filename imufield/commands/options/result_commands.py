@@ -1,6 +1,5 @@
 """Options of commands that compute from samples or use results: ``solve``, ``report``, ``verify``, ``history`` and others."""
 
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, get_args
 
@@ -21,6 +20,7 @@ from imufield.commands.options.shared import (
     session_argument,
     unknown_site,
 )
+from imufield.dataclass import dataclass, field
 from imufield.files import DEFAULT_ROOT
 from imufield.limits import TARGET_RANGE
 from imufield.sentences import Sentences

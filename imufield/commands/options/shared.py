@@ -6,13 +6,13 @@ postponed, because the command line is made from them.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
 from imufield.commands.configuration import parse_settings
 from imufield.commands.options import completion
+from imufield.dataclass import dataclass, fields
 from imufield.errors import UsageError
 from imufield.limits import BAUD_RANGE, RATE_RANGE_HZ, TARGET_RANGE
 from imufield.sentences import Sentences

@@ -8,7 +8,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -28,6 +27,7 @@ from imufield.commands.options.acquire_commands import CaptureOptions, ViewName
 from imufield.commands.terminal.output import echo, say
 from imufield.commands.terminal.page import SHOWN_EVERY_S, serve_page
 from imufield.commands.terminal.views import View, make_view
+from imufield.dataclass import dataclass, replace
 from imufield.deliver.parameters.file import load
 from imufield.deliver.parameters.printed_numbers import beside
 from imufield.errors import CalibrationError, ImufieldError, RecordingError, UsageError

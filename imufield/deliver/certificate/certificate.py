@@ -6,11 +6,11 @@ import math
 import re
 from calendar import monthrange
 from collections.abc import Iterator
-from dataclasses import dataclass
 from datetime import UTC, date, datetime
 
 import numpy as np
 
+from imufield.dataclass import dataclass
 from imufield.deliver.parameters.context import JoinedSession
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.printed_numbers import with_sigma

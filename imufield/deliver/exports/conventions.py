@@ -22,7 +22,6 @@ terms of the norm have no mean there. Cutting the diagonal out of ``M`` in a tri
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -30,6 +29,7 @@ import numpy as np
 from imufield.calibrate.model.gauge import change_gauge
 from imufield.calibrate.model.models import MISALIGNMENT, to_vector
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration, GyroscopeParameters
+from imufield.dataclass import dataclass, replace
 from imufield.deliver.parameters.apply import correction_matrix
 from imufield.errors import ParameterFileError, Reason
 from imufield.samples import FloatArray

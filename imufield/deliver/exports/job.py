@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imufield.acquire.protocol.units import nominal_scale
+from imufield.dataclass import dataclass, replace
 from imufield.deliver.exports.conventions import (
     Correction,
     Corrections,

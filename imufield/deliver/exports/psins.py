@@ -15,11 +15,10 @@ large again.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-
 import numpy as np
 
 from imufield.calibrate.model.gauge import turn_accelerometer
+from imufield.dataclass import dataclass, fields
 from imufield.deliver.exports.conventions import Corrections, rotation_to
 from imufield.deliver.exports.job import Draft, Job, sentence
 from imufield.deliver.exports.text import comment, row, rows, text_file

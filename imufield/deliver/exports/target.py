@@ -6,8 +6,9 @@ Nothing here imports NumPy: a list of targets is to appear at once.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Literal
+
+from imufield.dataclass import dataclass, field
 
 # Not "preset": a preset is not in the file.
 ExportGauge = Literal["lower", "upper", "symmetric"]

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
 from functools import cache
 from importlib.resources import files
 
 import numpy as np
 
 from imufield.calibrate.model.gauge import turn_accelerometer
+from imufield.dataclass import dataclass, fields
 from imufield.deliver.exports.conventions import linear_corrections, rotation_to
 from imufield.deliver.exports.job import Job, frame_note, sentence
 from imufield.errors import UsageError

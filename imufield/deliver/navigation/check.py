@@ -10,12 +10,12 @@ accelerometer remains left-out positions (``imufield.deliver.verification.left_o
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imufield.calibrate.model.result import Calibration
+from imufield.dataclass import dataclass, field
 from imufield.deliver.navigation.alignment import Alignment, Heading, RestMeans, align
 from imufield.deliver.navigation.drift import Drift
 from imufield.deliver.navigation.forecast import RUNS, Forecast, RandomErrors, Scene, forecast

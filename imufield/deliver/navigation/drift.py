@@ -8,10 +8,9 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from imufield.dataclass import dataclass
 from imufield.samples import FloatArray
 
 NAUTICAL_MILE_M = 1852.0  # By definition (International Hydrographic Conference, 1929).

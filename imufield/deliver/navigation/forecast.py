@@ -22,13 +22,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
 
 from imufield.calibrate.model.result import Calibration
 from imufield.calibrate.model.rotation import skew
+from imufield.dataclass import dataclass, field
 from imufield.deliver.navigation.alignment import Alignment, earth_rate
 from imufield.deliver.navigation.drift import QUANTITIES, Drift
 from imufield.deliver.navigation.uncertain import DrawnParameters, draw_parameters

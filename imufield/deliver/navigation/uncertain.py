@@ -8,12 +8,12 @@ the drawn ones, less the true input.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from imufield.calibrate.model.models import predict, predict_gyroscope, recover_vectors, to_vector
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, Calibration
+from imufield.dataclass import dataclass
 from imufield.samples import AXES, FloatArray
 
 _GYROSCOPE_FIELDS = ("scale", "misalignment_rad", "bias", "g_sensitivity")

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
 import numpy as np
 
+from imufield.dataclass import dataclass, field
 from imufield.samples import FloatArray
 from imufield.version import __version__
 

@@ -6,7 +6,6 @@ The format is docs/parameter-file.md; ``parameters.schema.json`` beside this fil
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, overload
 
@@ -17,6 +16,7 @@ from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration, GyroscopeParameters
 from imufield.calibrate.model.temperature_polynomials import TriadTemperature
 from imufield.calibrate.temperature.at_temperature import calibration_at
+from imufield.dataclass import dataclass, field, replace
 from imufield.deliver.parameters.apply import (
     at_reference,
     correct_accelerometer,

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,6 +31,7 @@ from imufield.calibrate.model.result import (
 from imufield.calibrate.model.uncertainty import rms
 from imufield.calibrate.sessions.joint import Joint, SessionNumbers
 from imufield.calibrate.sessions.kinds import PPM, SCALES, kind_of, of_gyroscope
+from imufield.dataclass import dataclass, replace
 from imufield.deliver.parameters.context import Context, DayToDay, JoinedSession, SessionFacts, Together, now_text
 from imufield.deliver.parameters.file import Parameters, from_document, to_document
 from imufield.deliver.parameters.gauge_free import (

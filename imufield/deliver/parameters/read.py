@@ -13,7 +13,7 @@ from imufield.deliver.parameters.write import EDITED, content_sha256
 from imufield.errors import ParameterFileError, Reason
 from imufield.files import Origin, read_small_file
 from imufield.sentences import Sentences, printable_values
-from imufield.toml_files import decode_toml, parse_toml
+from imufield.toml_and_json import decode_toml, parse_toml
 
 sentence = Sentences(__package__)
 

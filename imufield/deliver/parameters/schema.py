@@ -11,11 +11,11 @@ import math
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from typing import Any, NamedTuple, TypeGuard
 
+from imufield.dataclass import dataclass
 from imufield.errors import Reason
 from imufield.sentences import Sentences
 

@@ -22,7 +22,7 @@ from imufield.deliver.parameters.schema import Document, first_fault, json_ready
 from imufield.errors import ParameterFileError
 from imufield.files import Origin, read_small_file, typed_write_errors, write_keeping
 from imufield.sentences import Sentences
-from imufield.toml_files import decode_toml, parse_toml
+from imufield.toml_and_json import decode_toml, parse_toml
 
 EDITED = "edited"
 """Stands in place of the hash where a person changed the file on purpose."""

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from imufield.calibrate.model.result import GRAVITY_NAME, Calibration
 from imufield.calibrate.model.temperature_polynomials import TriadTemperature
 from imufield.calibrate.model.uncertainty import without_gravity
 from imufield.calibrate.temperature.at_temperature import calibration_at
+from imufield.dataclass import dataclass
 from imufield.deliver.parameters.context import ClockFacts
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.printed_numbers import DEG_PER_HOUR_RAD_S, acceleration_unit, decimals

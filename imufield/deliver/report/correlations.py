@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from imufield.calibrate.model.result import GRAVITY_NAME, Calibration
+from imufield.dataclass import dataclass
 from imufield.samples import FloatArray
 
 # Names of the file, in the words of a drawing.

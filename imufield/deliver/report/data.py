@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-
 import numpy as np
 
 from imufield.calibrate.accelerometer.methods import problem_for, restart
@@ -13,6 +11,7 @@ from imufield.calibrate.gyroscope.result import angle_errors_deg
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration, GyroscopeParameters, without_drift
 from imufield.calibrate.solvers.registry import load_solver
+from imufield.dataclass import dataclass, field, replace
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.schema import Document
 from imufield.deliver.report.trace import Trace

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -11,6 +10,7 @@ from imufield.acquire.protocol.units import nominal_scale
 from imufield.calibrate.model.models import recover
 from imufield.calibrate.model.result import AccelerometerParameters
 from imufield.calibrate.model.uncertainty import rms
+from imufield.dataclass import dataclass
 from imufield.deliver.parameters.file import Parameters, json_ready
 from imufield.deliver.parameters.schema import Document
 from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
 from imufield.calibrate.model.coverage_factors import NORMAL_FACTOR_95, student_factor
 from imufield.calibrate.model.temperature_polynomials import TriadTemperature
 from imufield.calibrate.sessions.kinds import PPM
+from imufield.dataclass import dataclass
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.printed_numbers import DEG_PER_HOUR_RAD_S
 from imufield.earth import MILLI_G_M_S2

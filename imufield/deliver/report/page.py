@@ -5,12 +5,12 @@ from __future__ import annotations
 import importlib
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from types import ModuleType
 
 import numpy as np
 
 from imufield.calibrate.model.result import Calibration
+from imufield.dataclass import dataclass
 from imufield.deliver.parameters.printed_numbers import acceleration_unit, with_sigma
 from imufield.deliver.parameters.schema import Document
 from imufield.deliver.parameters.write import content_sha256

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
 from imufield.acquire.protocol.units import nominal_scale
 from imufield.calibrate.model.result import Calibration, GyroscopeCalibration
+from imufield.dataclass import dataclass
 from imufield.deliver.parameters.document import gyroscope_bias_rad_s
 from imufield.deliver.parameters.printed_numbers import DEG_PER_HOUR_RAD_S, decimals, with_sigma
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2

@@ -9,7 +9,6 @@ import io
 import math
 import shlex
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +19,7 @@ from rich.text import Text
 from imufield.calibrate.model.coverage_factors import degrees_of_freedom
 from imufield.calibrate.model.result import Calibration, Quality
 from imufield.console import PlainTextConsole
+from imufield.dataclass import dataclass
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.printed_numbers import (
     ARC_MINUTE_RAD,

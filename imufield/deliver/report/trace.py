@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from imufield.dataclass import dataclass
 from imufield.deliver.navigation.rest import IntervalMeans
 from imufield.deliver.parameters.file import Parameters
 from imufield.samples import FloatArray, Samples, TemperatureHold, every

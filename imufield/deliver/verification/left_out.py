@@ -21,8 +21,6 @@ have the stated noise and nothing else go through the same steps, in the lineari
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -41,6 +39,7 @@ from imufield.calibrate.model.result import (
 )
 from imufield.calibrate.model.uncertainty import known_covariance, within_variance
 from imufield.calibrate.solvers.agreement import AGREEMENT_SIGMA
+from imufield.dataclass import dataclass, replace
 from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2, Gravity
 from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.progress import one_by_one

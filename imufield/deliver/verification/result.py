@@ -11,11 +11,11 @@ import json
 import math
 import textwrap
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+from imufield.dataclass import asdict, dataclass, field
 from imufield.deliver.navigation.check import NavigationResult
 from imufield.deliver.navigation.drift import QUANTITIES
 from imufield.deliver.parameters.context import SOFTWARE, now_text
@@ -27,8 +27,8 @@ from imufield.deliver.verification.left_out import LeftOutPositions
 from imufield.earth import MICRO_G_M_S2
 from imufield.errors import UsageError
 from imufield.files import Origin, read_small_file, typed_write_errors, write_atomically
-from imufield.json_files import parse_json
 from imufield.sentences import Sentences, folded, printable_values
+from imufield.toml_and_json import parse_json
 
 sentence = Sentences(__package__)
 

@@ -19,11 +19,11 @@ from __future__ import annotations
 import itertools
 import math
 from collections import deque
-from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imufield.calibrate.model.rotation import conjugate, cross, exponential, rotate, total_turn
+from imufield.dataclass import dataclass, replace
 from imufield.errors import CalibrationError, Reason
 from imufield.guide import refusals
 from imufield.guide.cross_checks.centre import centred
@@ -33,7 +33,7 @@ from imufield.guide.stillness.cells import CELL_S
 from imufield.guide.stillness.detector import LONGEST_WAIT_S, StillnessDetector
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import Judgement, Phase
-from imufield.samples import AXES, FloatArray
+from imufield.samples import AXES, FloatArray, median
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -279,7 +279,7 @@ def _find_scale(moves: list[MoveBetweenStills]) -> float:
     permutations = signed_permutations()
     turned = [float(np.linalg.norm(move.rate_raw, axis=1).sum() * CELL_S) for move in moves]
     needed = [angle_rad(move.up_before, move.up_after) for move in moves]
-    typical = max(float(np.median(np.array(turned) / needed)), 1e-12)
+    typical = max(float(median(np.array(turned) / needed)), 1e-12)
     few = sorted(moves, key=lambda move: len(move.rate_raw))[:_MOVES_FOR_SCALE]
     candidates = typical / np.geomspace(*_TURNS_OF_UP, _SCALES)
     misfit = _misfit(few, permutations, candidates)

@@ -23,7 +23,7 @@ import numpy as np
 
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.guide.stillness.scale import RoughScale
-from imufield.samples import FloatArray
+from imufield.samples import FloatArray, median
 
 _UNKNOWNS = 4
 FEWEST_STILLS = 6
@@ -52,7 +52,7 @@ def centred(scale: RoughScale, stills_raw: FloatArray) -> RoughScale:
     if scale.accelerometer is None or len(stills_raw) < FEWEST_STILLS:
         return scale
     x = stills_raw - scale.raw_zero
-    length = float(np.median(np.linalg.norm(x, axis=1)))
+    length = float(median(np.linalg.norm(x, axis=1)))
     if not length > 0:
         return scale
     x = _sides(x / length)

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -25,10 +24,11 @@ from imufield.calibrate.model.grades import Grade
 from imufield.calibrate.model.models import PARAMETERS, norm_derivatives
 from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS, observe
 from imufield.calibrate.model.uncertainty import gravity_sensitivity
+from imufield.dataclass import dataclass, replace
 from imufield.earth import MICRO_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity
 from imufield.errors import CalibrationError
 from imufield.guide.stillness.scale import RoughScale
-from imufield.samples import FloatArray
+from imufield.samples import FloatArray, median
 
 FEWEST = 4  # Fewer observations leave every residual to the priors.
 LINEAR = 9
@@ -196,7 +196,7 @@ class RunningFit:
         s = STANDARD_GRAVITY_M_S2 * directions @ _axes(self.vector).T
         raw = self.vector[:3] * (s + self.vector[3:6]) + self.vector[12:] * s**2
         rows = norm_derivatives(self.vector, raw).jacobian[:, LOWER_GAUGE_COLUMNS]
-        sigma = float(np.median(self.sigma_m_s2))
+        sigma = float(median(self.sigma_m_s2))
         gain: FloatArray = np.log1p(np.einsum("ni,ij,nj->n", rows, self.covariance, rows) / sigma**2)
         return gain
 
@@ -302,7 +302,7 @@ def _sigma(residual: FloatArray, jacobian: FloatArray, expected: FloatArray, pri
     there are few. The median keeps one bad position from raising the sigma of all.
     """
     spare = np.maximum(1 - _leverage(jacobian, expected, prior), _LEAST_FREEDOM)
-    shown = float(np.median(residual**2 / spare)) / _MEDIAN_OF_SQUARES
+    shown = float(median(residual**2 / spare)) / _MEDIAN_OF_SQUARES
     within = float(np.mean(expected**2)) - EXPECTED_SCATTER_M_S2**2
     return _with_scatter(expected, max(shown - within, 0.0))
 

@@ -24,15 +24,15 @@ noise floor, does not fall and is added.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imufield.calibrate.model.rotation import cross, exponential, logarithm, matrix, multiply, running_turns
+from imufield.dataclass import dataclass
 from imufield.guide.hold.triad_delay import TriadDelay, triad_delay
 from imufield.guide.stillness.scale import RoughScale
-from imufield.samples import FloatArray, Samples
+from imufield.samples import FloatArray, Samples, median
 
 _STEP_S = 0.004  # Samples closer than this are averaged first: tremor of 0.1 deg turns 0.03 deg in it.
 _TREMOR_S = 0.25  # A running mean this long separates tremor (above 4 Hz) from sway.
@@ -125,7 +125,7 @@ def mean_in_hand(
     angle = logarithm(attitude)
     tremor = angle - _running_mean(angle, steps.time_s)
     sway = angle - tremor
-    white = noise_density_raw**2 * float(taper @ taper) / float(np.median(np.diff(steps.time_s)))
+    white = noise_density_raw**2 * float(taper @ taper) / float(median(np.diff(steps.time_s)))
     tremor_rad = float(np.sqrt(np.mean(tremor.var(axis=0))))
     deviation = turned - mean
     # A wrong gain g of the turns leaves 1 - g of what they remove from the mean: the centripetal force of the arm.
@@ -154,12 +154,12 @@ def mean_in_hand(
 
 def _jolt(time_s: FloatArray, force: FloatArray) -> tuple[float, float, float]:
     """Return the largest second difference of a force (n, 3), the median one, and when the largest was, from the begin."""
-    stride = max(1, round(_JOLT_S / float(np.median(np.diff(time_s)))))
+    stride = max(1, round(_JOLT_S / float(median(np.diff(time_s)))))
     if len(force) < 4 * stride:
         return 0.0, math.inf, math.nan
     size = np.linalg.norm(force[2 * stride :] - 2 * force[stride:-stride] + force[: -2 * stride], axis=1)
     largest = int(np.argmax(size))
-    return float(size[largest]), float(np.median(size)), float(time_s[largest + stride] - time_s[0])
+    return float(size[largest]), float(median(size)), float(time_s[largest + stride] - time_s[0])
 
 
 def _average(samples: Samples, scale: RoughScale, knocks_s: FloatArray) -> _Steps | None:
@@ -170,7 +170,7 @@ def _average(samples: Samples, scale: RoughScale, knocks_s: FloatArray) -> _Step
         return None
     force, rate = force[good] - scale.raw_zero, rate[good] / scale.gyroscope
     gap = np.diff(samples.time_s[good])
-    sample_s = float(np.median(gap)) or float(gap.mean())
+    sample_s = float(median(gap)) or float(gap.mean())
     if not sample_s > 0:
         return None
     time_s, force, rate = _bridged(samples.time_s[good], force, rate, sample_s)

@@ -11,10 +11,10 @@ stills of this session shows where (docs/maths.md, stillness). It is pooled over
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
+from imufield.dataclass import dataclass
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.guide.hold.observe import cell_means
 from imufield.guide.stillness.cells import CELL_S, Cells

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from imufield.dataclass import dataclass
 from imufield.guide.stillness.cells import Cells
 from imufield.guide.stillness.noise_floor import measure_floor
 from imufield.samples import FloatArray, IntArray

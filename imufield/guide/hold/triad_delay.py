@@ -21,12 +21,12 @@ References
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.samples import FloatArray
+from imufield.dataclass import dataclass
+from imufield.samples import FloatArray, median
 
 USUAL_S = 0.002  # 1 sigma of the delays that instruments have: group delays of their filters differ by up to 2 ms.
 _LARGEST_S = 0.01  # A larger one is no delay between triads.
@@ -87,7 +87,7 @@ def triad_delay(time_s: FloatArray, force: FloatArray, rate: FloatArray, weight:
 
 def _lines(time_s: FloatArray, force: FloatArray, rate: FloatArray, weight: FloatArray) -> _Lines | None:
     """Return the lines of a hold, None where its rate or its length gives too few."""
-    step_s = float(np.median(np.diff(time_s)))
+    step_s = float(median(np.diff(time_s)))
     grid_s = np.arange(time_s[0], time_s[-1], step_s)
     taper = np.sin(np.pi * (grid_s - grid_s[0]) / (len(grid_s) * step_s)) ** 2 * np.interp(grid_s, time_s, weight)
     hz = np.fft.rfftfreq(len(grid_s), step_s)

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imufield.calibrate.accelerometer.drift import MOST_CONFUSION, order_confusion
 from imufield.calibrate.model.grades import DEFAULT_GRADE, find_grade
+from imufield.dataclass import dataclass, replace
 from imufield.earth import MILLI_G_M_S2
 from imufield.guide.cross_checks.axes import GOOD_DEG, AxesCheck
 from imufield.guide.cross_checks.centre import LEAST_OFFSET_M_S2

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imufield.calibrate.model.observations import Observations
+from imufield.dataclass import dataclass, replace
 from imufield.guide.cross_checks.axes import AxesCheck
 from imufield.guide.events import ACTIONS, Event, Marked, RefusalCode, Vector, vector
 from imufield.guide.hold.observe import gather

@@ -6,10 +6,10 @@ It keeps the cells that the guide has anyway, and works them out only when someb
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 
 import numpy as np
 
+from imufield.dataclass import dataclass
 from imufield.guide.stillness.cells import CELL_S, Cells, cells_in, join_cells
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import FloatArray, Samples, Status

@@ -7,10 +7,10 @@ Nothing measured is erased. Which position helps most and comes first (``preferr
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
 
 import numpy as np
 
+from imufield.dataclass import dataclass, replace
 from imufield.guide.hold.observe import Observation
 from imufield.guide.positions import Position, Scheme, angle_deg
 from imufield.samples import FloatArray

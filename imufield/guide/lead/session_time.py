@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 
 from imufield.calibrate.accelerometer.drift import MOST_CONFUSION, order_confusion
 from imufield.calibrate.model.grades import Grade
+from imufield.dataclass import dataclass, replace
 from imufield.earth import Gravity
 from imufield.guide.cross_checks.running_fit import FEWEST, SHOWS_SCATTER, RunningFit, running_fit
 from imufield.guide.hold.hold_time import LONGEST_S, SHORTEST_S, HoldTarget

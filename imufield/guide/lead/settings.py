@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+from imufield.dataclass import dataclass
 from imufield.earth import Gravity, choose_gravity
 from imufield.guide.hold.hold_time import LONGEST_S, HoldTarget
 
@@ -40,7 +39,7 @@ class GuideSettings:
     target_scale_ppm: float | None = None
     revisit_first: bool = False
     rotations: str | None = None
-    gravity: Gravity = choose_gravity()  # noqa: RUF009 - frozen, so one default may be shared
+    gravity: Gravity = choose_gravity()
     earlier_scale_raw: float | None = None
     earlier_scale_sigma: float = 0.0
     grade: str = ""

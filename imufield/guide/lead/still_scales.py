@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass
+from copy import deepcopy
 
 from imufield.acquire.protocol.units import nominal_scale
+from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError
 from imufield.guide.lead.unguided import StillIntervalFinder
 from imufield.guide.stillness.scale import RoughScale
@@ -22,6 +23,7 @@ sentence = Sentences(__package__)
 
 # Of a logarithm: a scale learned from one still has up to 0.1 of offset in it, and units differ by a factor of 10.
 _SAME_FACTOR = 0.2
+_ENOUGH_STILLS = 12  # Twice what a sphere and the axes need; units differ by so much that these tell them apart.
 _MOST_SAMPLES = 1 << 18  # Two minutes at 2000 Hz: the stills of more would tell the same.
 
 
@@ -77,7 +79,7 @@ def _ratio(scale: float, unit: str) -> float:
 
 
 def find_scales(blocks: Iterable[Samples], raw_zero: FloatArray) -> StillScales:
-    """Return the scales that the stills of a recording show; all blocks are taken, and the first of them used.
+    """Return the scales that the stills of a recording show; all blocks are taken, and as many used as tell both.
 
     Parameters
     ----------
@@ -86,18 +88,24 @@ def find_scales(blocks: Iterable[Samples], raw_zero: FloatArray) -> StillScales:
         Accelerometer mid-scale.
     """
     finder: StillIntervalFinder | None = None
-    count = 0
+    found, count, enough = StillScales({}, 0), 0, _ENOUGH_STILLS
     for block in blocks:
         # Nothing is known of the scales: that is what is asked.
         finder = finder or StillIntervalFinder(block.units, RoughScale(raw_zero=raw_zero))
-        if count < _MOST_SAMPLES:
-            finder.feed(block)
+        if len(found.scales) == len(_KINDS) or count >= _MOST_SAMPLES:
+            continue
+        finder.feed(block)
         count += len(block)
+        if finder.placed >= enough:
+            # Where these do not tell both, more go on from here.
+            found, enough = _scales_of(deepcopy(finder)), 2 * finder.placed
+    return found if finder is None or len(found.scales) == len(_KINDS) else _scales_of(finder)
+
+
+def _scales_of(finder: StillIntervalFinder) -> StillScales:
     try:
-        found = None if finder is None else finder.finish()
+        found = finder.finish()
     except CalibrationError:
-        found = None
-    if found is None:
         return StillScales({}, 0)
     scales = {}
     if found.scale.centred and found.scale.accelerometer:

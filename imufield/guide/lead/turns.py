@@ -8,10 +8,10 @@ angle from the samples between the times of the event.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 
 import numpy as np
 
+from imufield.dataclass import dataclass, field
 from imufield.guide import refusals
 from imufield.guide.events import HORIZONTAL, VERTICAL, Turn, Turned
 from imufield.guide.hold.observe import Observation, observe, trim_stretch

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 
 from imufield.calibrate.model.observations import Observations
+from imufield.dataclass import dataclass, replace
 from imufield.errors import CalibrationError, Reason
 from imufield.guide.cross_checks.axes import AxesCheck, MoveLog, check_axes, check_while_waiting
 from imufield.guide.cross_checks.centre import centred
@@ -65,6 +64,11 @@ class StillIntervalFinder:
         self._outputs = Outputs()
         self._moves = MoveLog()
         self._builder = CellBuilder()
+
+    @property
+    def placed(self) -> int:
+        """How many times the unit was put down so far."""
+        return len(self._placements)
 
     def feed(self, samples: Samples) -> None:
         """Process the next samples."""

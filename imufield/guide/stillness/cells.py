@@ -12,11 +12,11 @@ Deviations are summed from the first sample of the cell, not from zero: the vari
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
+from imufield.dataclass import dataclass, fields
 from imufield.samples import UNUSABLE, FloatArray, IntArray, Samples, Status, concatenate, every
 
 # Short against a turn (0.5 s and more), long against the tremor of a hand (8 to 12 Hz).

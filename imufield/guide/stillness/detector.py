@@ -52,6 +52,7 @@ from imufield.guide.stillness.noise_floor import (
 )
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import JudgedCell, Judgement, Phase, Standard, Stretch, Tracker
+from imufield.samples import median
 
 # No more than this of a stretch is kept: beyond the minimum of the Allan deviation a hold gains nothing.
 LONGEST_S = 60.0
@@ -170,8 +171,8 @@ class StillnessDetector:
         floor, gyroscope = self.floor, self.scale.gyroscope
         if floor is None or not gyroscope or not floor.has_gyroscope:
             return False
-        excess = np.median((cells.variance[:, 3:] - floor.sigma[3:] ** 2).mean(axis=1))
-        change = np.median(np.abs(np.diff(cells.mean[:, 3:], axis=0)), axis=0) if len(cells) > 1 else np.zeros(3)
+        excess = median((cells.variance[:, 3:] - floor.sigma[3:] ** 2).mean(axis=1))
+        change = median(np.abs(np.diff(cells.mean[:, 3:], axis=0)), axis=0) if len(cells) > 1 else np.zeros(3)
         shakes = math.sqrt(max(float(excess), 0.0)) > _HAND_RAD_S * gyroscope
         sways = change > np.maximum(_HAND_CHANGE_RAD_S * gyroscope, _HAND_CHANGE_SIGMAS * floor.cell_sigma[3:])
         return shakes or bool(sways.any())

@@ -10,15 +10,14 @@ session starts after N cells; a clearly quieter stretch found later lowers it.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from statistics import median
 from typing import NamedTuple
 
 import numpy as np
 
+from imufield.dataclass import dataclass
 from imufield.guide.stillness.cells import CELL_S, Cells
 from imufield.guide.stillness.scale import RoughScale
-from imufield.samples import FloatArray
+from imufield.samples import FloatArray, median
 
 # Length of the quiet stretch that sets the noise floor: no hand keeps still for so long, and 30 cells tell a variance.
 FLOOR_S = 3.0
@@ -95,10 +94,10 @@ class NoiseFloor:
 
 def measure_floor(cells: Cells) -> NoiseFloor:
     """Return the floor of cells that count as quiet; at least two."""
-    variance = np.asarray(np.median(cells.variance, axis=0))
+    variance = np.asarray(median(cells.variance, axis=0))
     # The median of chi-squared lies below its mean; the mean is right, but one bump would spoil it.
     variance = np.maximum(variance, np.minimum(cells.variance.mean(axis=0), 1.5 * variance))
-    per_cell = float(median(cells.usable.tolist()))
+    per_cell = float(median(cells.usable))
     if per_cell < FEW_SAMPLES:
         # A small number counts with its fraction: 25 Hz make 2 and 3 in turn.
         per_cell = max(float(cells.usable.sum()) / float(cells.slot[-1] - cells.slot[0] + 1), 1.0)
@@ -123,8 +122,8 @@ def measure_floor(cells: Cells) -> NoiseFloor:
 def is_quiet(cells: Cells, scale: RoughScale) -> bool:
     """Whether a window of cells agrees with itself and can be a noise floor."""
     # At 10 Hz a sample near the edge of a slot leaves one empty.
-    longest = 2 if median(cells.usable.tolist()) < 2 else 1
-    unbroken = bool((np.diff(cells.slot) <= longest).all()) and bool((2 * cells.usable >= median(cells.count.tolist())).all())
+    longest = 2 if median(cells.usable) < 2 else 1
+    unbroken = bool((np.diff(cells.slot) <= longest).all()) and bool((2 * cells.usable >= median(cells.count)).all())
     if not unbroken or np.isnan(cells.mean[:, :3]).any() or not cells.usable.all() or is_frozen(cells):
         return False
     floor = measure_floor(cells)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-
 import numpy as np
 
 from imufield.acquire.protocol.protocol import Nominal
 from imufield.acquire.protocol.units import nominal_scale
+from imufield.dataclass import dataclass, field, replace
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.samples import FloatArray, SampleUnits
 

@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
 
+from imufield.dataclass import dataclass, field
 from imufield.earth import MILLI_G_M_S2
 from imufield.guide import events
 from imufield.guide.events import Event, RefusalCode

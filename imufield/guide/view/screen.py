@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 import re
 import textwrap
-from dataclasses import dataclass
 
 import numpy as np
 from rich.box import ROUNDED
@@ -20,6 +19,7 @@ from rich.style import Style
 from rich.table import Table
 from rich.text import Text
 
+from imufield.dataclass import dataclass
 from imufield.drawing.box import turn_shortest
 from imufield.guide.lead.guide import Snapshot
 from imufield.guide.lead.state_table import State

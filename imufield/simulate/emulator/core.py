@@ -12,12 +12,12 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol, Self
 
 import numpy as np
 
+from imufield.dataclass import dataclass, replace
 from imufield.errors import UsageError
 from imufield.samples import Samples, Status
 from imufield.sentences import Sentences

@@ -6,7 +6,6 @@ import json
 import math
 import threading
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from imufield.acquire.driver import Driver
 from imufield.acquire.protocol.protocol import Protocol, load_protocol
 from imufield.acquire.registry import load_driver
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters
+from imufield.dataclass import asdict, dataclass, field, replace
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import UsageError
 from imufield.files import typed_write_errors, write_atomically

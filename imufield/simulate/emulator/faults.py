@@ -7,11 +7,11 @@ drawn here and carried out by the emulator, which owns the port and the clock.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from imufield.acquire.protocol.can_frame import ERROR, Frame
+from imufield.dataclass import dataclass, fields, replace
 from imufield.errors import UsageError
 from imufield.sentences import Sentences
 from imufield.simulate.wire.frames import Bytes

@@ -8,13 +8,13 @@ datasheet only; no recording of them is known.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 from crccheck.crc import Crc8Smbus
 
 from imufield.calibrate.model.grades import GRADES
+from imufield.dataclass import dataclass, replace
 from imufield.samples import Samples, Status
 from imufield.simulate.instruments.device import Answer, Device, Frames
 from imufield.simulate.wire.stim300 import Stim300Encoder, Stim300Format, close_datagrams

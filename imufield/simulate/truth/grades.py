@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from imufield.calibrate.model.grades import GRADES, Grade, find_grade
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters
+from imufield.dataclass import dataclass
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.samples import FloatArray
 from imufield.simulate.truth.effects import NO_EFFECTS, Effects

@@ -10,12 +10,11 @@ factor ``1 + scale_per_degc * d``.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 from numpy.typing import NDArray
 
 from imufield.calibrate.model.models import predict, predict_gyroscope
+from imufield.dataclass import dataclass, replace
 from imufield.errors import UsageError
 from imufield.samples import FloatArray, Samples, Status, no_samples
 from imufield.sentences import Sentences

@@ -16,13 +16,13 @@ The Coriolis term of a hand moving at 1 m/s (15 ug) is left out.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from imufield.calibrate.model.rotation import conjugate, exponential, logarithm, multiply, rotate
+from imufield.dataclass import dataclass
 from imufield.earth import EARTH_RATE_RAD_S, normal_gravity
 from imufield.samples import FloatArray
 

@@ -12,13 +12,13 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from imufield.calibrate.model.rotation import conjugate, exponential, logarithm, multiply, rotate
+from imufield.dataclass import dataclass, replace
 from imufield.errors import UsageError
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences

@@ -14,12 +14,12 @@ References
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from imufield.calibrate.model.rotation import exponential, multiply
+from imufield.dataclass import dataclass, field
 from imufield.guide.stillness.turn_fit import minimum_jerk
 from imufield.samples import FloatArray
 

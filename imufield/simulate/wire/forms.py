@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.protocol.toml import Source, Table, near, spell
+from imufield.dataclass import dataclass, field
 from imufield.errors import UsageError
 from imufield.limits import RATE_RANGE_HZ
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from imufield.acquire.formats.table_columns import quantity_of
 from imufield.acquire.protocol.protocol import Protocol
+from imufield.dataclass import dataclass
 from imufield.errors import UsageError
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, FloatArray, IntArray, Samples
 from imufield.sentences import Sentences

@@ -11,13 +11,13 @@ multiple of four that are not sent; CR LF if configured.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from imufield.acquire.protocol.checksum import make_checksum
+from imufield.dataclass import dataclass
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import UsageError
 from imufield.samples import FloatArray, IntArray, Samples, Status

@@ -7,11 +7,11 @@ mean over all sessions of a row, which is a share where the values are true or f
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from imufield.dataclass import dataclass, field
 from imufield.samples import FloatArray
 from imufield.study import figures
 from imufield.study.context import StudyContext

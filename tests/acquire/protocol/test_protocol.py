@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from imufield.acquire.protocol.protocol import load_protocol, parse_protocol, protocol_names
 from imufield.acquire.protocol.toml import FILE_LIMIT_BYTES
 from imufield.errors import ProtocolError, Reason
-from imufield.toml_files import DEEPEST
+from imufield.toml_and_json import DEEPEST
 from tests.refused import refused
 
 STIM300 = load_protocol("stim300").text
@@ -114,7 +114,7 @@ def test_wrong_settings_name_what_is_allowed(given: dict[str, object], reason: R
             "frame_schema.part",
             "'inclination'",
         ),
-        ("0x92 =", "0x91 =", None, None, "toml_files.no_protocol_file", "line "),
+        ("0x92 =", "0x91 =", None, None, "toml_and_json.no_protocol_file", "line "),
         ("0x92 =", "ninety =", "0x92 =", "frames.ninety", "frame_schema.key", "'ninety'"),
         (
             "CRC-32/MPEG-2",
@@ -209,7 +209,7 @@ def test_files_that_are_none(tmp_path: Path) -> None:
     large.write_bytes(b"#" * (FILE_LIMIT_BYTES + 1))
     folder.mkdir()
     for path, key, *facts in (
-        (binary, "toml_files.no_text", "a.toml line 1", "UTF-8"),
+        (binary, "toml_and_json.no_text", "a.toml line 1", "UTF-8"),
         (large, "protocol.size", "b.toml", str(FILE_LIMIT_BYTES)),
         (folder, "protocol.cannot_read", str(folder), os.strerror(errno.EISDIR)),
         (tmp_path / "d.toml", "protocol.cannot_read", "d.toml", os.strerror(errno.ENOENT)),
@@ -232,7 +232,7 @@ DEEP = {
 
 @pytest.mark.parametrize("text", DEEP.values(), ids=list(DEEP))
 def test_tables_that_nest_too_deeply_are_refused(text: str) -> None:
-    with refused(ProtocolError, Reason.BAD_PROTOCOL, "mine.toml line", "32 levels", key="toml_files.nested") as caught:
+    with refused(ProtocolError, Reason.BAD_PROTOCOL, "mine.toml line", "32 levels", key="toml_and_json.nested") as caught:
         parse_protocol(text, label="mine.toml")
     assert caught.value.values["deepest"] == DEEPEST
 

@@ -116,8 +116,8 @@ def test_updates_are_on_disk_and_bad_ones_change_nothing(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("content", "reason", "key", "facts"),
     [
-        (b"format = ", Reason.DAMAGED, "toml_files.no_toml", ()),
-        (b"\xff\xfe", Reason.DAMAGED, "toml_files.no_text", ("line 1", "UTF-8")),
+        (b"format = ", Reason.DAMAGED, "toml_and_json.no_toml", ()),
+        (b"\xff\xfe", Reason.DAMAGED, "toml_and_json.no_text", ("line 1", "UTF-8")),
         (
             b'format = "something"\nversion = 1\n',
             Reason.FOREIGN,

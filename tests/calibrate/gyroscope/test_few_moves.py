@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from gyroscope_sessions import Session, ratios, simulate, vector
 
+from imufield.calibrate.gyroscope import residual_covariance
 from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
 from imufield.guide.positions import scheme
 from imufield.samples import Samples
@@ -42,6 +43,24 @@ def test_few_moves_tell_no_scatter(grade: str, lost: tuple[int, ...]) -> None:
     ratio = np.concatenate(found)
     assert np.abs(ratio).max() < 4.5
     assert 0.3 < np.sqrt(np.mean(ratio**2)) < 1.3
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_tells_a_scatter_at_a_glance_tells_it_by_the_whole_sum(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
+    """The quick bound says yes where it is sure, of stills, turns and stops, and of a matrix of any form never too soon."""
+    random = np.random.default_rng(seed)
+    root, noise = random.standard_normal((40, 12)), random.standard_normal((40, 40))
+    others = noise @ noise.T
+    # Of residuals that one of the cases touches.
+    jacobian = np.pad(random.standard_normal((12, 10)), ((14, 14), (0, 0)))
+    apart = np.zeros((40, 40))
+    apart[range(13), range(13)] = random.uniform(0.1, 10, 13)
+    cases = [apart, root @ root.T, np.pad(np.eye(12), 14), apart + np.pad(root[:12] @ root[:12].T, 14), np.eye(40)]
+    quick = [residual_covariance._is_told(V, others, jacobian[:, :count]) for V in cases for count in (1, 7, 10)]
+    monkeypatch.setattr(residual_covariance, "_apart", lambda V: np.zeros(len(V), dtype=np.bool_))
+    whole = [residual_covariance._is_told(V, others, jacobian[:, :count]) for V in cases for count in (1, 7, 10)]
+    assert quick == whole
+    assert {*whole} == {True, False}
 
 
 @pytest.mark.parametrize("seed", [4, 11])

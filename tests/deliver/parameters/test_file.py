@@ -323,11 +323,11 @@ def test_a_calibration_that_calls_itself_poor_may_have_any_scale(file: Path) -> 
         ("[0.0, 0.0, 0.0],\n", "[0.1, 0.0, 0.0],\n", Reason.DAMAGED, "consistency.diagonal", ["misalignment_rad"]),
         ('names = ["', 'names = ["extra", "', Reason.DAMAGED, "consistency.covariance_size", ["20 by 20"]),
         ("created = ", "created = 2025-01-01 #", Reason.DAMAGED, "schema.type", ["created"]),
-        ("version = 1", "version = 1" + 5000 * "0", Reason.DAMAGED, "toml_files.integer", ["line "]),
+        ("version = 1", "version = 1" + 5000 * "0", Reason.DAMAGED, "toml_and_json.integer", ["line "]),
         ("gravity_m_s2 = 9.8", "gravity_m_s2 = 98.", Reason.DAMAGED, "schema.maximum", ["site.gravity_m_s2", "98", "9.84"]),
-        ("rank = 12", "rank = 0x" + 9000 * "f", Reason.DAMAGED, "toml_files.integer", []),
-        ("rank = 12", "rank = " + 5000 * "[", Reason.DAMAGED, "toml_files.nested", []),
-        ("rank = 12", "rank" + 5000 * ".a" + " = 1", Reason.DAMAGED, "toml_files.nested", []),
+        ("rank = 12", "rank = 0x" + 9000 * "f", Reason.DAMAGED, "toml_and_json.integer", []),
+        ("rank = 12", "rank = " + 5000 * "[", Reason.DAMAGED, "toml_and_json.nested", []),
+        ("rank = 12", "rank" + 5000 * ".a" + " = 1", Reason.DAMAGED, "toml_and_json.nested", []),
     ],
 )
 def test_refused_in_one_sentence(file: Path, old: str, new: str, reason: Reason, key: str, facts: list[str]) -> None:
@@ -336,7 +336,7 @@ def test_refused_in_one_sentence(file: Path, old: str, new: str, reason: Reason,
     edit(file, old, new)
     error = refusal(file)
     # What is wrong with a key stands inside the sentence that names the file.
-    what = error.message if key.startswith(("read.", "toml_files.")) else error.values["what"]
+    what = error.message if key.startswith(("read.", "toml_and_json.")) else error.values["what"]
     assert key_of(what) == key, error
     assert "parameters.toml" in error.message
     assert all(fact in what for fact in facts), error
@@ -389,7 +389,7 @@ def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
     assert f"imufield solve {tmp_path}" in not_solved.message
     (tmp_path / "b.toml").write_bytes(b"\xff\xfe\x00")
     assert "b.toml" in refusal(tmp_path / "b.toml").message
-    assert key_of(refusal(tmp_path / "b.toml").message) == "toml_files.no_text"
+    assert key_of(refusal(tmp_path / "b.toml").message) == "toml_and_json.no_text"
     with (tmp_path / "large.toml").open("wb") as large:
         large.truncate(2**30)
     assert "large.toml" in refusal(tmp_path / "large.toml").message

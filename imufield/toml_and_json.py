@@ -1,11 +1,13 @@
-"""TOML that people and other programs wrote: the one reader of sessions, parameter files, protocols, positions and defaults.
+"""TOML and JSON that people and other programs wrote: the reader of sessions, parameter files, protocols, positions, defaults.
 
 It refuses in one sentence, with file and line, what is no UTF-8, no TOML, nested too deeply, or a whole number beyond 64 bits.
-What comes out of it can be walked through recursively, and each of its whole numbers is a float, too.
+What comes out of it can be walked through recursively, and each of its whole numbers is a float, too. JSON has the same limit
+of nesting.
 """
 
 from __future__ import annotations
 
+import json
 import re
 
 import tomli
@@ -22,8 +24,8 @@ INTEGER_BITS = 64
 
 # Any file can be named where one of these kinds is expected: which kind that is, is said.
 _NO_TOML: dict[type[ImufieldError], str] = {
-    ParameterFileError: "toml_files.no_parameter_file",
-    ProtocolError: "toml_files.no_protocol_file",
+    ParameterFileError: "toml_and_json.no_parameter_file",
+    ProtocolError: "toml_and_json.no_protocol_file",
 }
 
 Place = tuple[str | int, ...]
@@ -50,7 +52,7 @@ def decode_toml(content: bytes, label: str, kind: type[ImufieldError]) -> str:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = 1 + content.count(b"\n", 0, error.start)
-        raise kind(sentence("toml_files.no_text", label=label, line=line, byte=error.start)) from error
+        raise kind(sentence("toml_and_json.no_text", label=label, line=line, byte=error.start)) from error
 
 
 def parse_toml(text: str, label: str, kind: type[ImufieldError]) -> dict[str, object]:
@@ -74,12 +76,12 @@ def parse_toml(text: str, label: str, kind: type[ImufieldError]) -> dict[str, ob
     try:
         content: dict[str, object] = tomli.loads(text)
     except tomli.TOMLDecodeError as error:
-        raise kind(sentence(_NO_TOML.get(kind, "toml_files.no_toml"), label=label, cause=error)) from error
+        raise kind(sentence(_NO_TOML.get(kind, "toml_and_json.no_toml"), label=label, cause=error)) from error
     except ValueError as error:
         # Python's own limit on digits. Nothing else of a document can be the cause.
         digits = _ENDLESS_NUMBER.search(text)
         line = 1 + text.count("\n", 0, digits.start() if digits else 0)
-        raise kind(sentence("toml_files.integer", label=label, line=line)) from error
+        raise kind(sentence("toml_and_json.integer", label=label, line=line)) from error
     _check_values(content, text, label, kind)
     return content
 
@@ -94,7 +96,7 @@ def _check_brackets(text: str, label: str, kind: type[ImufieldError]) -> None:
         parts = parts + 1 if mark == "." else parts if mark in "\"'" else 0
         if open_brackets > DEEPEST or parts >= DEEPEST:
             line = 1 + text.count("\n", 0, token.start())
-            raise kind(sentence("toml_files.nested", label=label, line=line, deepest=DEEPEST))
+            raise kind(sentence("toml_and_json.nested", label=label, line=line, deepest=DEEPEST))
 
 
 def _check_values(content: dict[str, object], text: str, label: str, kind: type[ImufieldError]) -> None:
@@ -105,10 +107,10 @@ def _check_values(content: dict[str, object], text: str, label: str, kind: type[
         for key, value in outer.items() if isinstance(outer, dict) else enumerate(outer):
             if isinstance(value, dict | list):
                 if len(place) >= DEEPEST:
-                    raise kind(sentence("toml_files.nested", label=label, line=line_of(text, place), deepest=DEEPEST))
+                    raise kind(sentence("toml_and_json.nested", label=label, line=line_of(text, place), deepest=DEEPEST))
                 waiting.append(((*place, key), value))
             elif isinstance(value, int) and not -(1 << INTEGER_BITS - 1) <= value < 1 << INTEGER_BITS:
-                raise kind(sentence("toml_files.integer", label=label, line=line_of(text, (*place, key))))
+                raise kind(sentence("toml_and_json.integer", label=label, line=line_of(text, (*place, key))))
 
 
 def line_of(text: str, place: Place) -> int:
@@ -144,3 +146,24 @@ def _behind_element(text: str, at: int, index: int) -> int | None:
         if seen == index:
             return brace.end()
     return None
+
+
+def parse_json(data: bytes | str) -> object:
+    """Return the value.
+
+    Raises
+    ------
+    ValueError
+        It is no JSON, or nested deeper than ``DEEPEST``: what takes it apart afterwards would end in a RecursionError.
+    """
+    try:
+        value = json.loads(data)
+    except RecursionError as error:
+        raise ValueError("nested too deep") from error
+    layer = [value]
+    for _ in range(DEEPEST):
+        tables = [each.values() if isinstance(each, dict) else each for each in layer if isinstance(each, dict | list)]
+        layer = [each for table in tables for each in table]
+        if not layer:
+            return value
+    raise ValueError("nested too deep")

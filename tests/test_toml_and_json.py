@@ -1,7 +1,8 @@
-"""The reader of TOML that others wrote: whatever stands in a file, a document or one sentence with file and line."""
+"""TOML and JSON that others wrote: whatever stands in a file, a document or one sentence with file and line."""
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import time
@@ -16,7 +17,7 @@ from imufield.commands.configuration import default_map
 from imufield.deliver.parameters.read import read_document
 from imufield.errors import ParameterFileError, ProtocolError, RecordingError, UsageError
 from imufield.guide.positions import read_positions
-from imufield.toml_files import DEEPEST, decode_toml, parse_toml
+from imufield.toml_and_json import DEEPEST, decode_toml, parse_json, parse_toml
 from tests.refused import refused
 
 FUZZ_S = float(os.environ.get("IMUFIELD_FUZZ_S", "1"))
@@ -47,7 +48,7 @@ def read(content: bytes | str, label: str = "a.toml") -> dict[str, object]:
 
 @pytest.mark.parametrize(("key", "content"), HOSTILE.values(), ids=list(HOSTILE))
 def test_refused_with_file_and_line(key: str, content: bytes | str) -> None:
-    with refused(UsageError, None, "a.toml", "line 2", key=f"toml_files.{key}"):
+    with refused(UsageError, None, "a.toml", "line 2", key=f"toml_and_json.{key}"):
         read(content)
 
 
@@ -72,17 +73,17 @@ def test_every_reader_of_such_files_refuses_the_same(
     raw = content if isinstance(content, bytes) else content.encode()
     for name in ("session.toml", "parameters.toml", "positions.toml", "imufield.toml"):
         Path(name).write_bytes(raw)
-    with refused(RecordingError, None, "session.toml", "line 2", key=f"toml_files.{key}"):
+    with refused(RecordingError, None, "session.toml", "line 2", key=f"toml_and_json.{key}"):
         Session.open(tmp_path)
     # Which of these files it is not, is said of those that are named on command lines.
     own = {"no_toml": ("no_parameter_file", "no_protocol_file")}.get(key, (key, key))
-    with refused(ParameterFileError, None, "parameters.toml", "line 2", key=f"toml_files.{own[0]}"):
+    with refused(ParameterFileError, None, "parameters.toml", "line 2", key=f"toml_and_json.{own[0]}"):
         read_document("parameters.toml")
-    with refused(UsageError, None, "positions.toml", "line 2", key=f"toml_files.{key}"):
+    with refused(UsageError, None, "positions.toml", "line 2", key=f"toml_and_json.{key}"):
         read_positions(Path("positions.toml"))
-    with refused(UsageError, None, "imufield.toml", "line 2", key=f"toml_files.{key}"):
+    with refused(UsageError, None, "imufield.toml", "line 2", key=f"toml_and_json.{key}"):
         default_map()
-    with refused(ProtocolError, None, "protocol", "line 2", key=f"toml_files.{own[1]}"):
+    with refused(ProtocolError, None, "protocol", "line 2", key=f"toml_and_json.{own[1]}"):
         parse_protocol(decode_toml(raw, "protocol", ProtocolError), label="protocol")
 
 
@@ -142,5 +143,27 @@ def test_any_file_gives_a_document_or_a_sentence() -> None:
 def test_a_line_is_found_in_no_more_time_than_the_text_is_long(before: str) -> None:
     """A search that begins again at each of a million characters would not come to its end here."""
     text = before * (1 if len(before) > 5000 else 200) + '\n" " = 18446744073709551616\n'
-    with refused(ProtocolError, key="toml_files.integer"):
+    with refused(ProtocolError, key="toml_and_json.integer"):
         parse_toml(text, "a.toml", ProtocolError)
+
+
+@pytest.mark.parametrize("value", [7, None, "text", [1, {"a": [2.5, []]}], {"a": {"b": [{}]}}])
+def test_what_is_json_comes_back(value: object) -> None:
+    assert parse_json(json.dumps(value)) == value
+
+
+def test_the_deepest_that_is_taken() -> None:
+    assert parse_json("[" * DEEPEST + "]" * DEEPEST) is not None
+
+
+# The last is beyond what the parser itself can take.
+@pytest.mark.parametrize("levels", [DEEPEST + 1, 900, 100_000])
+@pytest.mark.parametrize(("begin", "end"), [("[", "]"), ('{"a":', "}")])
+def test_what_is_nested_deeper_is_refused(begin: str, end: str, levels: int) -> None:
+    with pytest.raises(ValueError):  # noqa: PT011 - of any kind
+        parse_json(begin * levels + "1" + end * levels)
+
+
+def test_what_is_none_is_refused() -> None:
+    with pytest.raises(ValueError):  # noqa: PT011 - of any kind
+        parse_json(b"\xff{")
