@@ -111,7 +111,7 @@ def make_data(given: GyroscopeInput) -> GyroscopeData:
     parameters = given.calibration.accelerometer
     rest = given.rest_raw
     covariance = observations.gyroscope_covariance_raw
-    density = np.sqrt(median(np.diagonal(covariance, 0, 1, 2) * observations.duration_s[:, None], axis=0))
+    density = np.sqrt(median(np.diagonal(covariance, 0, 1, 2) * observations.duration_s[:, None]))
     duration = np.maximum(moves.slots.duration_s, 1e-9)[:, None]  # a slot of a clock that stood lasts nothing
     return GyroscopeData(
         rate_raw=observations.gyroscope_mean_raw - rest,

@@ -278,9 +278,9 @@ class MoveCollector:
         still = np.searchsorted(stills[:, 0], cell_s + _SLOT_MARGIN, side="right") - 1
         next_s = np.append(cell_s[1:], np.inf)
         inside = (still >= 0) & (next_s <= stills[still, 1] + _SLOT_MARGIN) if len(stills) else np.zeros(len(cell_s), np.bool_)
-        joined = stack_slots([_join_cells(group, cell_s, inside) for group in map(stack_slots, groups)])
+        joined = [_join_cells(group, cell_s, inside) for group in map(stack_slots, groups)]
         # Where a group ended in the middle of a cell.
-        return _join_cells(joined, cell_s, inside)
+        return joined[0] if len(joined) == 1 else _join_cells(stack_slots(joined), cell_s, inside)
 
     def finish(self, start_s: FloatArray, duration_s: FloatArray) -> Moves:
         """Return the moves between still intervals (sample clock, shape (s,), in any order)."""

@@ -103,7 +103,7 @@ def moving_seconds(means: FloatArray) -> NDArray[np.bool_]:
     noise = measure_density(filled)
     limit_rate = np.maximum(MOVED_RATE_RAD_S, _MOVED_SIGMAS * noise[3:])
     limit_force = np.maximum(MOVED_FORCE_M_S2, _MOVED_SIGMAS * noise[:3])
-    turning = np.abs(filled[:, 3:] - median(filled[:, 3:], axis=0)) > limit_rate
+    turning = np.abs(filled[:, 3:] - median(filled[:, 3:])) > limit_rate
     tilting = np.zeros_like(turning)
     tilting[_FORCE_LAG:] = np.abs(filled[_FORCE_LAG:, :3] - filled[:-_FORCE_LAG, :3]) > limit_force
     moving: NDArray[np.bool_] = np.any(turning | tilting, axis=1)
@@ -116,7 +116,7 @@ def measure_density(means: FloatArray) -> FloatArray:
         return np.zeros(6)
     apart = np.abs(np.diff(means, axis=0))
     # The median of a normal variable's size is 0.6745 sigma; a difference has twice the variance.
-    deviation: FloatArray = median(apart, axis=0) / 0.6744897501960817 / np.sqrt(2)
+    deviation: FloatArray = median(apart) / 0.6744897501960817 / np.sqrt(2)
     return np.asarray(deviation * np.sqrt(SECOND_S))
 
 

@@ -72,16 +72,16 @@ def stand_out(cells: Cells, limits: Limits) -> FloatArray:
 
     Columns: vibration of the accelerometer, of the gyroscope, change of the accelerometer, of the gyroscope.
     """
-    squares = np.array([cells.variance / limits.vibration**2, ((cells.mean - median(cells.mean, axis=0)) / limits.change) ** 2])
+    squares = np.array([cells.variance / limits.vibration**2, ((cells.mean - median(cells.mean)) / limits.change) ** 2])
     # A missing gyroscope has no limit (NaN) and does not stand out.
     squares[np.isnan(squares)] = 0.0
     vibration, change = squares.reshape(2, -1, 2, 3).sum(axis=3)
     ratios = np.sqrt(np.hstack([vibration / 3, change]))
-    usual, middle = float(median(cells.usable)), median(ratios, axis=0)
+    usual, middle = float(median(cells.usable)), median(ratios)
     several = cells.usable > 1
     if usual < 2 and several.any():
         # One sample shows no vibration: cells of two are compared with each other.
-        usual, middle[:2] = 2.0, median(ratios[several, :2], axis=0)
+        usual, middle[:2] = 2.0, median(ratios[several, :2])
     scatter = _VIBRATION_OVER_MEDIAN * scatter_of_variance(3 * (usual - 1))
     allowed = middle * [scatter, scatter, _CHANGE_OVER_MEDIAN, _CHANGE_OVER_MEDIAN]
     result: FloatArray = ratios / np.maximum(allowed, _LEAST_RATIO)

@@ -172,7 +172,7 @@ class StillnessDetector:
         if floor is None or not gyroscope or not floor.has_gyroscope:
             return False
         excess = median((cells.variance[:, 3:] - floor.sigma[3:] ** 2).mean(axis=1))
-        change = median(np.abs(np.diff(cells.mean[:, 3:], axis=0)), axis=0) if len(cells) > 1 else np.zeros(3)
+        change = median(np.abs(np.diff(cells.mean[:, 3:], axis=0))) if len(cells) > 1 else np.zeros(3)
         shakes = math.sqrt(max(float(excess), 0.0)) > _HAND_RAD_S * gyroscope
         sways = change > np.maximum(_HAND_CHANGE_RAD_S * gyroscope, _HAND_CHANGE_SIGMAS * floor.cell_sigma[3:])
         return shakes or bool(sways.any())

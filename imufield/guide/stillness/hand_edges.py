@@ -53,7 +53,7 @@ def hand_edges(cells: Cells, change_limit: FloatArray) -> slice:
     margin = min(_SURELY_INSIDE, m // 3)
     middle = slice(margin, m - margin)
     # The larger change of the two triads from the middle of the stretch, over its rms there.
-    change = np.nan_to_num((cells.mean - median(cells.mean[middle], axis=0)) / change_limit)
+    change = np.nan_to_num((cells.mean - median(cells.mean[middle])) / change_limit)
     size = np.stack([np.linalg.norm(change[:, :3], axis=1), np.linalg.norm(change[:, 3:], axis=1)], axis=1)
     departs = (size / np.maximum(np.sqrt(np.mean(size[middle] ** 2, axis=0)), _LEAST_SHARE)).max(axis=1)
     # The rms of a short middle is known badly, so that more departs by chance.

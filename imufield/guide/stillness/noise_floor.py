@@ -94,7 +94,7 @@ class NoiseFloor:
 
 def measure_floor(cells: Cells) -> NoiseFloor:
     """Return the floor of cells that count as quiet; at least two."""
-    variance = np.asarray(median(cells.variance, axis=0))
+    variance = np.asarray(median(cells.variance))
     # The median of chi-squared lies below its mean; the mean is right, but one bump would spoil it.
     variance = np.maximum(variance, np.minimum(cells.variance.mean(axis=0), 1.5 * variance))
     per_cell = float(median(cells.usable))
