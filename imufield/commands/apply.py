@@ -27,7 +27,10 @@ def run_apply(options: ApplyOptions) -> None:
     ImufieldError
         If either cannot be read, or they do not belong together.
     """
-    parameters, source, output = load(options.parameters), options.source, options.output
+    source, output = options.source, options.output
+    if source.suffix == ".toml":
+        raise UsageError(sentence("apply.swapped", source=source))
+    parameters = load(options.parameters)
     damage: list[Damage] = []
     if source.is_dir():
         if options.rate_hz is not None:

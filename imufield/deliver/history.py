@@ -73,6 +73,8 @@ class Entry:
     """Of ``LinearFit``: degrees of freedom, change, and the upper triangle of scatter; empty where there is none."""
     temperature_degc: float | None = None
     """Mean over the session; None where it is not known."""
+    recorded: str = ""
+    """When the recording began; empty where nobody knows."""
 
     @classmethod
     def of(cls, path: str, parameters: Parameters) -> Entry:
@@ -104,6 +106,7 @@ class Entry:
             edited=parameters.edited,
             linear=() if linear is None else (linear.freedom, *linear.change.tolist(), *_triangle(linear.scatter)),
             temperature_degc=temperature_degc if np.isfinite(temperature_degc) else None,
+            recorded=context.session.recorded,
         )
 
     @property
@@ -201,7 +204,7 @@ class InstrumentHistory:
     serial_number: str
     entries: tuple[Entry, ...]
     not_listed: int = 0
-    """Files of the same recordings, of which newer solutions count."""
+    """Files of the same sessions, of which newer solutions count."""
 
     @property
     def title(self) -> str:
@@ -360,7 +363,7 @@ def _read_file(place: tuple[str, Path], _: np.random.Generator) -> Row:
 
 
 def _by_instrument(entries: list[Entry]) -> tuple[InstrumentHistory, ...]:
-    """Group by instrument; of one recording solved several times the newest solution counts.
+    """Group by instrument; of one session solved several times the newest solution counts.
 
     What stands behind the first word of a model (firmware, options) may change between two calibrations; a serial number
     alone is not enough, because makers count from one as well.
@@ -373,7 +376,12 @@ def _by_instrument(entries: list[Entry]) -> tuple[InstrumentHistory, ...]:
         files[key] += 1
     histories = []
     for key, group in sorted(groups.items()):
-        ordered = sorted(group.values(), key=lambda entry: (entry.created, entry.path))
+        sessions: dict[tuple[str, ...], Entry] = {}
+        for entry in sorted(group.values(), key=lambda entry: (entry.created, entry.path)):
+            # A session that was taken up again has another hash. It began when it began, and its files stand together.
+            began = (entry.recorded, str(Path(entry.path).parent))
+            sessions[began if entry.recorded else (entry.session or entry.path,)] = entry
+        ordered = list(sessions.values())
         newest, not_listed = ordered[-1], files[key] - len(ordered)
         histories.append(InstrumentHistory(newest.instrument, newest.serial_number, tuple(ordered), not_listed))
     return tuple(histories)

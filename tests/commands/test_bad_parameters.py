@@ -142,6 +142,17 @@ def test_one_sentence_code_5_and_the_old_file(
     assert {path.name: path.read_bytes() for path in solved.iterdir()} == before
 
 
+def test_apply_with_its_arguments_the_other_way_round(solved: Path, tmp_path: Path) -> None:
+    fails(
+        f"apply {solved} {solved / 'parameters.toml'} -o {tmp_path / 'old'}",
+        2,
+        Reason.USAGE,
+        "parameters.toml",
+        key="apply.swapped",
+    )
+    assert not (tmp_path / "old").exists()
+
+
 @pytest.mark.parametrize(
     "command",
     [

@@ -280,6 +280,21 @@ def test_only_the_newest_solution_of_a_recording_counts(tmp_path: Path, write) -
     assert [entry.path for entry in instrument.entries] == ["a/parameters.toml"]
 
 
+def test_a_session_that_was_taken_up_again_is_one_calibration(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    """A retake changes the recording and its hash; beside it stands what was solved before."""
+    began = "2026-03-04T09:00:00Z"
+    write("a", "2026-03-04", session="a" * 64, recorded=began)
+    write("a", "2026-03-05", session="b" * 64, recorded=began, moved=2.0)
+    write("b", "2026-03-04", session="c" * 64, recorded=began)
+    write("b", "2026-03-06", session="d" * 64, recorded="2026-03-06T09:00:00Z")
+    found = read_history(tmp_path)
+    (instrument,) = found.instruments
+    assert [entry.path for entry in instrument.entries] == ["a/parameters.toml", "b/parameters-1.toml", "b/parameters.toml"]
+    assert [entry.session[0] for entry in instrument.entries] == ["b", "c", "d"]
+    assert instrument.not_listed == 1
+    assert read_history(tmp_path).instruments == found.instruments
+
+
 def test_instruments_are_kept_apart_and_one_can_be_chosen(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
     write("a", "2026-03-04", serial_number="N1")
     write("b", "2026-03-05", serial_number="N2")

@@ -19,7 +19,7 @@ from imufield.calibrate.accelerometer.drift import MOST_CONFUSION, order_confusi
 from imufield.calibrate.model.grades import Grade
 from imufield.dataclass import dataclass, replace
 from imufield.earth import Gravity
-from imufield.guide.cross_checks.running_fit import FEWEST, SHOWS_SCATTER, RunningFit, running_fit
+from imufield.guide.cross_checks.running_fit import FEWEST, LINEAR, SHOWS_SCATTER, RunningFit, running_fit
 from imufield.guide.hold.hold_time import LONGEST_S, SHORTEST_S, HoldTarget
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.positions import SCHEMES, Scheme
@@ -121,9 +121,17 @@ class SessionTime:
     def words(self) -> Sentence:
         """The whole in a sentence."""
         known = self.figures(_UNITS)
-        sizes = {"positions": self.positions, "hold_s": self.hold_s, "usual_s": self.usual_hold_s, "least": SHOWS_SCATTER}
+        sizes = {
+            "positions": self.positions,
+            "hold_s": self.hold_s,
+            "usual_s": self.usual_hold_s,
+            "least": SHOWS_SCATTER,
+            "checked": LINEAR + 1,
+        }
         sizes["minutes"] = max(self.minutes, 1.0)
-        if not self.wanted:
+        if not self.wanted and self.forecast and self.planned <= LINEAR:
+            reached = "session_time.free_few"
+        elif not self.wanted:
             reached = "session_time.free" if self.forecast else "session_time.nothing"
         elif not self.is_met:
             reached = "session_time.few" if self.planned < SHOWS_SCATTER else "session_time.unmet"

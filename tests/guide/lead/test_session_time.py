@@ -85,6 +85,11 @@ def test_more_is_wanted_more_is_needed() -> None:
     assert said().words.key == "session_time.free"
 
 
+def test_positions_of_which_none_checks_the_others_are_told_beforehand() -> None:
+    words = said(positions="faces6").words
+    assert (words.key, words.values["checked"]) == ("session_time.free_few", 10)
+
+
 def test_longer_holds_are_the_remedy_where_they_help() -> None:
     short, free = said(target_bias_ug=20.0, hold_s=3.0), said(target_bias_ug=20.0)
     assert not short.is_met
