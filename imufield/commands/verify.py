@@ -21,7 +21,7 @@ from imufield.deliver.navigation.alignment import Heading
 from imufield.deliver.navigation.check import SHORTEST_S, Apply, CheckSettings, NavigationResult, StaticNavigation
 from imufield.deliver.parameters.apply import correct_accelerometer, correct_gyroscope
 from imufield.deliver.parameters.file import Corrected, json_ready, load
-from imufield.deliver.parameters.printed_numbers import DEG_PER_HOUR_RAD_S, to_ascii
+from imufield.deliver.parameters.printed_numbers import DEG_PER_HOUR_RAD_S, beside, to_ascii
 from imufield.deliver.samples.apply_session import TemperatureFlags
 from imufield.deliver.verification.left_out import LeftOutPositions, check_positions, contradiction, cross_validate
 from imufield.deliver.verification.result import (
@@ -42,7 +42,7 @@ from imufield.pipeline.kept import kept
 from imufield.pipeline.reading import Reading
 from imufield.pipeline.solving import session_sha256
 from imufield.samples import Samples
-from imufield.sentences import Sentences
+from imufield.sentences import Sentences, printable
 
 sentence = Sentences(__package__)
 
@@ -112,6 +112,9 @@ def run_verify(options: VerifyOptions) -> Verification:
     output = options.output or verification_path(parameters)
     # Before the replay: hours of navigation should not end at a file that is not to be written.
     refuse_overwriting(output, [parameters, *task.session.parts, *filter(None, [options.preset])])
+    if not options.as_json:
+        # Where neither was named, these are the newest.
+        echo(beside(f"session {printable(task.session.name)}, parameters", parameters))
     found = _verify(task)
     document = to_document(found)
     write_verification(output, document)

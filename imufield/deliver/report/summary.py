@@ -179,6 +179,10 @@ def _residuals(parameters: Parameters) -> Iterator[RenderableType]:
     quality = parameters.calibration.quality
     unit, size = acceleration_unit(largest)
     title = Text("Residual by position", style="bold")
+    if quality.degrees_of_freedom < 1:
+        # Zeros would look like a perfect fit.
+        yield title.append(f": {sentence('summary.no_residual')}", style="not bold")
+        return
     figures = f", {unit}: RMS {_short(quality.residual_rms_m_s2 / size)}, largest {_short(largest / size)}"
     if math.isfinite(quality.leave_one_out_rms_m_s2):
         figures += f", leave-one-out RMS {_short(quality.leave_one_out_rms_m_s2 / size)}"

@@ -80,6 +80,16 @@ def test_six_faces_say_what_was_not_estimated(six_faces: Calibration, observatio
     assert "Gyroscope" not in text
 
 
+def test_where_no_position_is_left_there_are_no_residuals(
+    six_faces: Calibration, observations: Observations, context: Context
+) -> None:
+    """Six zeros would look like a perfect fit."""
+    exact = replace(six_faces, quality=replace(six_faces.quality, degrees_of_freedom=0))
+    _, _, shown = made(exact, observations, context).partition("Residual by position: ")
+    assert shown.splitlines()[0] == sentence("summary.no_residual")
+    assert observations.name[0] not in shown
+
+
 def test_assumed_gravity_is_said_aloud_and_answered(
     calibration: Calibration, observations: Observations, context: Context
 ) -> None:
