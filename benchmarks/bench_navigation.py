@@ -15,9 +15,9 @@ import numpy as np
 from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration, GyroscopeParameters
 from imufield.calibrate.model.rotation import exponential, multiply
-from imufield.deliver.navigation.check import Apply, CheckSettings, NavigationResult, ParameterSet, StaticNavigation
 from imufield.deliver.navigation.drift import Drift
 from imufield.deliver.navigation.mechanise import load_pyins
+from imufield.deliver.navigation.static_navigation import Apply, CheckSettings, NavigationResult, ParameterSet, StaticNavigation
 from imufield.deliver.parameters.apply import correct_accelerometer, correct_gyroscope
 from imufield.deliver.parameters.file import Corrected
 from imufield.samples import FloatArray, Samples

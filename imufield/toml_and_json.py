@@ -1,8 +1,8 @@
 """TOML and JSON that people and other programs wrote: the reader of sessions, parameter files, protocols, positions, defaults.
 
 It refuses in one sentence, with file and line, what is no UTF-8, no TOML, nested too deeply, or a whole number beyond 64 bits.
-What comes out of it can be walked through recursively, and each of its whole numbers is a float, too. JSON has the same limit
-of nesting.
+What comes out of it can be walked through recursively, and each of its whole numbers is a float, too. Of JSON
+only syntax and nesting are checked.
 """
 
 from __future__ import annotations
@@ -149,7 +149,7 @@ def _behind_element(text: str, at: int, index: int) -> int | None:
 
 
 def parse_json(data: bytes | str) -> object:
-    """Return the value.
+    """Return the decoded document.
 
     Raises
     ------

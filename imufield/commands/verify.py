@@ -18,7 +18,7 @@ from imufield.commands.options.result_commands import VerifyOptions
 from imufield.commands.terminal.output import echo, tell_written
 from imufield.console import PlainTextConsole
 from imufield.deliver.navigation.alignment import Heading
-from imufield.deliver.navigation.check import SHORTEST_S, Apply, CheckSettings, NavigationResult, StaticNavigation
+from imufield.deliver.navigation.static_navigation import SHORTEST_S, Apply, CheckSettings, NavigationResult, StaticNavigation
 from imufield.deliver.parameters.apply import correct_accelerometer, correct_gyroscope
 from imufield.deliver.parameters.file import Corrected, json_ready, load
 from imufield.deliver.parameters.printed_numbers import DEG_PER_HOUR_RAD_S, beside, to_ascii
@@ -113,7 +113,7 @@ def run_verify(options: VerifyOptions) -> Verification:
     # Before the replay: hours of navigation should not end at a file that is not to be written.
     refuse_overwriting(output, [parameters, *task.session.parts, *filter(None, [options.preset])])
     if not options.as_json:
-        # Where neither was named, these are the newest.
+        # Without arguments these are the newest, which a person may not expect.
         echo(beside(f"session {printable(task.session.name)}, parameters", parameters))
     found = _verify(task)
     document = to_document(found)

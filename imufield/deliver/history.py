@@ -75,6 +75,7 @@ class Entry:
     """Mean over the session; None where it is not known."""
     recorded: str = ""
     """When the recording began; empty where nobody knows."""
+    solved: str = ""
 
     @classmethod
     def of(cls, path: str, parameters: Parameters) -> Entry:
@@ -107,6 +108,7 @@ class Entry:
             linear=() if linear is None else (linear.freedom, *linear.change.tolist(), *_triangle(linear.scatter)),
             temperature_degc=temperature_degc if np.isfinite(temperature_degc) else None,
             recorded=context.session.recorded,
+            solved=context.created,
         )
 
     @property
@@ -370,18 +372,26 @@ def _by_instrument(entries: list[Entry]) -> tuple[InstrumentHistory, ...]:
     """
     groups: dict[tuple[str, str], dict[str, Entry]] = {}
     files = Counter[tuple[str, str]]()
-    for entry in sorted(entries, key=lambda entry: (entry.created, entry.path)):
+    for entry in sorted(entries, key=_age):
         key = (entry.instrument.split(" ")[0] if entry.serial_number else entry.instrument, entry.serial_number)
         groups.setdefault(key, {})[entry.session or entry.path] = entry
         files[key] += 1
     histories = []
     for key, group in sorted(groups.items()):
-        sessions: dict[tuple[str, ...], Entry] = {}
-        for entry in sorted(group.values(), key=lambda entry: (entry.created, entry.path)):
-            # A session that was taken up again has another hash. It began when it began, and its files stand together.
-            began = (entry.recorded, str(Path(entry.path).parent))
-            sessions[began if entry.recorded else (entry.session or entry.path,)] = entry
-        ordered = list(sessions.values())
+        sessions = {_session_of(entry): entry for entry in sorted(group.values(), key=_age)}
+        ordered = sorted(sessions.values(), key=_age)
         newest, not_listed = ordered[-1], files[key] - len(ordered)
         histories.append(InstrumentHistory(newest.instrument, newest.serial_number, tuple(ordered), not_listed))
     return tuple(histories)
+
+
+def _age(entry: Entry) -> tuple[str, ...]:
+    return entry.created, entry.solved, entry.path
+
+
+def _session_of(entry: Entry) -> tuple[str, ...]:
+    """Return what the results of one session have in common: a retake changes the hash, but neither the begin nor the folder."""
+    # Of instruments without a number, two may have begun in one second.
+    if entry.recorded and entry.serial_number:
+        return entry.recorded, str(Path(entry.path).parent)
+    return (entry.session or entry.path,)

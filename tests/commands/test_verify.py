@@ -22,7 +22,7 @@ from imufield.calibrate.model.models import to_vector
 from imufield.cli.run import run
 from imufield.commands.options.result_commands import VerifyOptions
 from imufield.commands.verify import run_verify
-from imufield.deliver.navigation.check import SHORTEST_S
+from imufield.deliver.navigation.static_navigation import SHORTEST_S
 from imufield.deliver.parameters.file import from_document, load
 from imufield.deliver.parameters.temperature_tables import add_temperature
 from imufield.deliver.parameters.write import content_sha256, to_toml, write_document

@@ -71,7 +71,7 @@ class ChosenModel:
     quadratic: bool
     is_quadratic_tested: bool = False
     drift: DriftForm | None = None
-    choice: Choice = Choice()
+    choice: Choice = Choice()  # Frozen, so one default may be shared.
     """What choosing the model makes of the covariance."""
     confusion: float = 1.0
     """How much less sure the bias is because quadratic term and drift are told apart; 1 where none is admitted."""

@@ -239,6 +239,7 @@ def _rate_columns(data: GyroscopeData, fit: JointFit) -> tuple[FloatArray, Float
 def _half_sums(data: GyroscopeData, fit: JointFit) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return residuals (3 t,) of the half sums of turntable pairs, what else they hold, and the root of their covariance."""
     A, table, t = fit.p[INVERSE].reshape(3, 3), data.table, len(data.table)
+    # Without ``numpy.unique``, which imports NumPy's masked arrays.
     own = (table.axis[:, None] == np.array(sorted({*table.axis.tolist()}))).astype(np.float64)
     square = np.sum(table.rate_rad_s**2, axis=1)
     else_held = np.kron(np.hstack([own, own * square[:, None]]), np.eye(3))

@@ -27,7 +27,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imufield.calibrate.gyroscope.move_integration import INVERSE, SENSITIVITY
 from imufield.calibrate.gyroscope.residuals import Evaluation, ForceErrors, GyroscopeData
@@ -39,7 +38,7 @@ from imufield.calibrate.model.result import ACCELEROMETER_NAMES, GRAVITY_NAME, A
 from imufield.calibrate.model.rotation import skew
 from imufield.calibrate.model.uncertainty import rms
 from imufield.dataclass import dataclass
-from imufield.samples import FloatArray
+from imufield.samples import FloatArray, IntArray
 
 # Relative step for the derivative of the specific force by the accelerometer's parameters; it is nearly linear in them.
 _DIFFERENCE = 1e-6
@@ -276,7 +275,7 @@ def next_scatter(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, p
     score = np.array([Pr @ V @ Pr - np.trace(PV) for V, PV in zip(components, products, strict=True)])  # 2 s_k
     information = np.array([[np.einsum("ij,ji", a, b) for b in products] for a in products])  # tr(P V_k P V_l)
     now = np.array(scatter) ** 2
-    from_stills = _is_told(parts.drift, parts.total(Scatter(0.0, 0.0, scatter.turn_rad)), jacobian)
+    from_stills = _has_freedom(parts.drift, parts.total(Scatter(0.0, 0.0, scatter.turn_rad)), jacobian)
     estimated = np.array([from_stills, from_stills, turns_tell_scatter(scatter, jacobian, parts)])
     # A component at zero that wants to fall stays there.
     free = estimated & ~((now <= 0) & (score <= 0)) & (np.diag(information) > 0)
@@ -297,10 +296,10 @@ def next_scatter(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, p
 
 def turns_tell_scatter(scatter: Scatter, jacobian: FloatArray, parts: Covariances) -> bool:
     """Whether the parameters leave the residuals of the turns enough degrees of freedom to estimate their scatter."""
-    return _is_told(parts.turn, parts.total(scatter._replace(turn_rad=0.0)), jacobian)
+    return _has_freedom(parts.turn, parts.total(scatter._replace(turn_rad=0.0)), jacobian)
 
 
-def _is_told(V: FloatArray, others: FloatArray, jacobian: FloatArray) -> bool:
+def _has_freedom(V: FloatArray, others: FloatArray, jacobian: FloatArray) -> bool:
     """Whether a scatter has enough degrees of freedom, whatever its size is now, beside other noise of this covariance.
 
     They are tr(P V) times the scatter's variance where it outweighs all other noise.
@@ -308,23 +307,30 @@ def _is_told(V: FloatArray, others: FloatArray, jacobian: FloatArray) -> bool:
     own, noise = np.diag(V), np.diag(others)
     touched = own > 0
     variance = _OUTWEIGHED * float(np.max(noise[touched] / own[touched], initial=0.0))
-    # A bound first, at a twentieth of the price. The parameters take at most one each of tr(S^-1 V), which is not larger for
-    # some of the residuals alone; and no diagonal element of an inverse is below the reciprocal of the matrix's.
-    apart = touched & _apart(V)
-    least = float(np.sum(variance * own[apart] / (noise[apart] + variance * own[apart]))) - jacobian.shape[1]
-    if least >= _LEAST_FREEDOM:
+    if _freedom_at_least(V, others, variance, jacobian.shape[1]) >= _LEAST_FREEDOM:
         return True
     P = _projection(others + variance * V, jacobian)
     return bool(variance * np.sum(P * V) >= _LEAST_FREEDOM)
 
 
-def _apart(V: FloatArray) -> NDArray[np.bool_]:
-    """Choose rows among which a symmetric matrix is diagonal: those with fewer entries than each of the rows they meet."""
+def _freedom_at_least(V: FloatArray, others: FloatArray, variance: float, parameters: int) -> float:
+    """Return a lower bound of the degrees of freedom, at a twentieth of their price.
+
+    With S = others + variance V, the parameters take at most one each of variance tr(S^-1 V). That trace is not smaller than
+    the same of some rows alone; and where V is diagonal there, (S^-1)_ii >= 1 / S_ii bounds each of its terms.
+    """
+    rows = _uncoupled_rows(V)
+    own = variance * np.diag(V)[rows]
+    return float(np.sum(own / (np.diag(others)[rows] + own))) - parameters
+
+
+def _uncoupled_rows(V: FloatArray) -> IntArray:
+    """Return rows among which V is diagonal: those with fewer entries than every other row that they have an entry with."""
     meets = V != 0
     entries = np.count_nonzero(meets, axis=1)
     fewer = entries[:, None] < entries
     np.fill_diagonal(fewer, val=True)
-    return np.asarray((fewer | ~meets).all(axis=1))
+    return np.flatnonzero((fewer | ~meets).all(axis=1) & (entries > 0))
 
 
 def _projection(S: FloatArray, jacobian: FloatArray) -> FloatArray:

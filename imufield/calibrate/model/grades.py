@@ -87,7 +87,7 @@ class Grade:
     """Nominal raw unit per m/s^2."""
     gyroscope_scale: float = 1.0
     """Nominal raw unit per rad/s."""
-    units: SampleUnits = SampleUnits()
+    units: SampleUnits = SampleUnits()  # Frozen, so one default may be shared.
 
 
 # Units of the file: factor to SI, and what it is divided by afterwards.

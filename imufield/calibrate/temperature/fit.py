@@ -328,7 +328,7 @@ def _freedom(scatter: Scatter, shares: FloatArray, left: FloatArray, kind: int, 
     of_day = np.einsum("np,aspq,nq->san", V, shares, V)
     # What is stated for another day is off by what that day differs, too.
     of_day[1 + kind] += 1.0
-    return float(median([scatter.freedom_of(of_day[:, axis], kind, left[axis, None]) for axis in range(3)]))
+    return float(median(np.concatenate([scatter.freedom_of(of_day[:, axis], kind, left[axis, None]) for axis in range(3)])))
 
 
 def _factor(axes: Sequence[Equations]) -> float:

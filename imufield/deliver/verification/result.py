@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from imufield.dataclass import asdict, dataclass, field
-from imufield.deliver.navigation.check import NavigationResult
 from imufield.deliver.navigation.drift import QUANTITIES
+from imufield.deliver.navigation.static_navigation import NavigationResult
 from imufield.deliver.parameters.context import SOFTWARE, now_text
 from imufield.deliver.parameters.file import Parameters, json_ready
 from imufield.deliver.parameters.printed_numbers import acceleration_unit

@@ -39,7 +39,7 @@ class GuideSettings:
     target_scale_ppm: float | None = None
     revisit_first: bool = False
     rotations: str | None = None
-    gravity: Gravity = choose_gravity()
+    gravity: Gravity = choose_gravity()  # Frozen, so one default may be shared.
     earlier_scale_raw: float | None = None
     earlier_scale_sigma: float = 0.0
     grade: str = ""

@@ -57,6 +57,11 @@ class StillScales:
     scales: dict[str, float]
     stills: int
 
+    @property
+    def are_all(self) -> bool:
+        """Whether both triads are among them."""
+        return len(self.scales) == len(_KINDS)
+
     def choose(self, stated: Mapping[str, str], assumed: Collection[str]) -> tuple[dict[str, str], dict[str, Sentence]]:
         """Return units in place of those assumed, and by triad what is to be said, also of stated ones that are wrong."""
         units: dict[str, str] = {}
@@ -79,7 +84,7 @@ def _ratio(scale: float, unit: str) -> float:
 
 
 def find_scales(blocks: Iterable[Samples], raw_zero: FloatArray) -> StillScales:
-    """Return the scales that the stills of a recording show; all blocks are taken, and as many used as tell both.
+    """Return the scales that the stills of a recording show, by only as many of them as show both.
 
     Parameters
     ----------
@@ -89,17 +94,18 @@ def find_scales(blocks: Iterable[Samples], raw_zero: FloatArray) -> StillScales:
     """
     finder: StillIntervalFinder | None = None
     found, count, enough = StillScales({}, 0), 0, _ENOUGH_STILLS
+    # To the end, whatever is used: the decoder behind them counts its frames.
     for block in blocks:
         # Nothing is known of the scales: that is what is asked.
         finder = finder or StillIntervalFinder(block.units, RoughScale(raw_zero=raw_zero))
-        if len(found.scales) == len(_KINDS) or count >= _MOST_SAMPLES:
+        if found.are_all or count >= _MOST_SAMPLES:
             continue
         finder.feed(block)
         count += len(block)
         if finder.placed >= enough:
-            # Where these do not tell both, more go on from here.
+            # Of a copy: what is finished cannot go on. Asked after twice as many again, which costs less than the stills.
             found, enough = _scales_of(deepcopy(finder)), 2 * finder.placed
-    return found if finder is None or len(found.scales) == len(_KINDS) else _scales_of(finder)
+    return found if finder is None or found.are_all else _scales_of(finder)
 
 
 def _scales_of(finder: StillIntervalFinder) -> StillScales:

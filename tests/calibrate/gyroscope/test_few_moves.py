@@ -56,9 +56,13 @@ def test_what_tells_a_scatter_at_a_glance_tells_it_by_the_whole_sum(monkeypatch:
     apart = np.zeros((40, 40))
     apart[range(13), range(13)] = random.uniform(0.1, 10, 13)
     cases = [apart, root @ root.T, np.pad(np.eye(12), 14), apart + np.pad(root[:12] @ root[:12].T, 14), np.eye(40)]
-    quick = [residual_covariance._is_told(V, others, jacobian[:, :count]) for V in cases for count in (1, 7, 10)]
-    monkeypatch.setattr(residual_covariance, "_apart", lambda V: np.zeros(len(V), dtype=np.bool_))
-    whole = [residual_covariance._is_told(V, others, jacobian[:, :count]) for V in cases for count in (1, 7, 10)]
+    quick = [residual_covariance._has_freedom(V, others, jacobian[:, :count]) for V in cases for count in (1, 7, 10)]
+    # At once, of what stands apart: the whole sum is not asked for.
+    with monkeypatch.context() as patch:
+        patch.delattr(residual_covariance, "_projection")
+        assert residual_covariance._has_freedom(apart, others, jacobian[:, :1])
+    monkeypatch.setattr(residual_covariance, "_uncoupled_rows", lambda _: np.empty(0, dtype=np.int64))
+    whole = [residual_covariance._has_freedom(V, others, jacobian[:, :count]) for V in cases for count in (1, 7, 10)]
     assert quick == whole
     assert {*whole} == {True, False}
 

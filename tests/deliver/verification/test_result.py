@@ -11,9 +11,9 @@ import pytest
 
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration
-from imufield.deliver.navigation.check import CheckSettings, NavigationResult
 from imufield.deliver.navigation.drift import Drift
 from imufield.deliver.navigation.rest import RestNoise
+from imufield.deliver.navigation.static_navigation import CheckSettings, NavigationResult
 from imufield.deliver.parameters.context import Context
 from imufield.deliver.parameters.file import Parameters, from_document
 from imufield.deliver.parameters.file import to_document as parameter_document

@@ -11,7 +11,7 @@ from at_rest import DEG_PER_HOUR, GRAVITY_M_S2, LATITUDE_DEG, MICRO_G, as_sent, 
 
 from imufield.calibrate.model.result import Calibration
 from imufield.deliver.navigation.alignment import Heading, rotation
-from imufield.deliver.navigation.check import CheckSettings, NavigationResult, StaticNavigation
+from imufield.deliver.navigation.static_navigation import CheckSettings, NavigationResult, StaticNavigation
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.samples import Samples, Status, concatenate
 from tests.refused import refused
