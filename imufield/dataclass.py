@@ -4,7 +4,8 @@ A short command imports 250 dataclasses and makes objects of a third of them. Th
 of each at import, which took a third of the time of ``solve``. Here one is compiled, late; the others serve every class.
 
 Other differences: what a type checker finds (a required field behind a default) is told at the first object, not at import;
-``__dataclass_params__`` does not say what is frozen; there is no ``InitVar``. Classes of drivers may use either decorator.
+there is no ``InitVar``. A class derived from a frozen one of these takes this decorator, too, as what they are made with does
+not say that they are frozen; all others may take either.
 """
 
 from __future__ import annotations

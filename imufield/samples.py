@@ -257,9 +257,13 @@ def make_samples(
 
 
 def median(values: ArrayLike) -> FloatArray:
-    """Return the median along the first axis, NaN where one value is: as ``numpy.median``, without importing masked arrays."""
-    ordered = np.array(values)
-    count = len(ordered)
+    """Return the median along the first axis, NaN where one value is NaN or none is there.
+
+    ``numpy.median`` imports NumPy's masked arrays, which takes 30 ms.
+    """
+    ordered = np.array(values, dtype=np.float64)
+    if not (count := len(ordered)):
+        return np.full(ordered.shape[1:], np.nan)
     ordered.partition(((count - 1) // 2, count // 2, count - 1), axis=0)
     middle = (ordered[(count - 1) // 2] + ordered[count // 2]) / 2
     # NaN is sorted behind all numbers.

@@ -28,7 +28,7 @@ def run_apply(options: ApplyOptions) -> None:
         If either cannot be read, or they do not belong together.
     """
     source, output = options.source, options.output
-    if source.suffix == ".toml" and source.is_file():
+    if source.suffix.lower() == ".toml" and source.is_file():
         raise UsageError(sentence("apply.swapped", source=source))
     parameters = load(options.parameters)
     damage: list[Damage] = []

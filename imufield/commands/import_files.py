@@ -236,7 +236,9 @@ def _in_place_of_earlier(options: ImportOptions) -> Iterator[None]:
     # Nothing goes that cannot be imported again from its files.
     if kind != "import":
         raise UsageError(sentence("import_files.no_import", folder=folder, kind=kind))
-    own = {SETTINGS_FILE, LOCK_FILE, *(part.name for part in earlier.parts)}
+    from imufield.pipeline.kept import KEPT_FILE  # With what solving needs; few imports replace one.
+
+    own = {SETTINGS_FILE, LOCK_FILE, KEPT_FILE, *(part.name for part in earlier.parts)}
     others = sorted(path.name for path in folder.iterdir() if path.name not in own)
     if others:
         raise UsageError(sentence("import_files.holds_more", folder=folder, others=others[:3]))

@@ -49,7 +49,8 @@ def run_plan(options: PlanOptions) -> None:
         source = sentence("plan.place_unknown" if options.site.gravity_m_s2 is None else "plan.textbook")
     gravity = {"gravity_ppm": time.gravity_ppm, "source": source}
     assumed = sentence("plan.known" if is_known else "plan.assumed", grade=grade.name, **gravity, **sizes)
-    place = f" {sentence('plan.no_place')}" if time.gravity.source == "assumed" else ""
+    lacking = "plan.no_place" if time.gravity.source == "assumed" else "plan.no_height" if time.gravity.lacks_height else ""
+    place = f" {sentence(lacking)}" if lacking else ""
     remedy = time.remedy if time.wanted and not time.is_met else ""
     if options.as_json:
         facts = {**asdict(time), **sizes, "grade": grade.name, "is_met": time.is_met}

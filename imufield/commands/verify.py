@@ -140,9 +140,9 @@ def _verify(task: _Task) -> Verification:
     problems: list[ImufieldError] = []
     damage: list[Damage] = []
     navigation, flags = _Navigation(task, problems), TemperatureFlags(task.parameters)
-    is_guided = navigation.is_off
+    untried = navigation.is_off
     # Positions alone are all in what is kept of an earlier replay.
-    only_positions = is_guided and not task.parameters.temperature_models
+    only_positions = untried and not task.parameters.temperature_models
     reading = kept(task.session, task.sha256) if only_positions else None
     chain = Chain(ReadingPlan.of(task.session), (flags.count, navigation.feed))
     if reading is None:
@@ -158,8 +158,8 @@ def _verify(task: _Task) -> Verification:
     about_file = (parameters.edited_note, parameters.gyroscope_note, "" if task.limits else parameters.verdict_note)
     found = () if left_out is None else (*_gravity_notes(task, left_out), *_instrument_notes(task))
     why_not = "verify.guided" if parameters.gyroscope_is_complete else "verify.no_gyroscope"
-    untried = (sentence(why_not, path=parameters.path, least_s=task.options.align_s + SHORTEST_S),) if is_guided else ()
-    read = (*(entry.what for entry in damage), *(error.message for error in problems), *untried)
+    why = (sentence(why_not, path=parameters.path, least_s=task.options.align_s + SHORTEST_S),) if untried else ()
+    read = (*(entry.what for entry in damage), *(error.message for error in problems), *why)
     return Verification(
         parameters=parameters,
         session=task.session.name,
@@ -245,8 +245,9 @@ class _Navigation:
         self._task = task
         self._problems = problems
         self._check: StaticNavigation | None = None
-        # A guided session is turned all the time; who wants navigation on it has to say so.
-        self.is_off = task.session.record.scheme is not None and not task.wants_navigation
+        # A guided session is turned all the time, and without a gyroscope there is none; who wants it has to say so.
+        is_possible = task.session.record.scheme is None and task.parameters.gyroscope_is_complete
+        self.is_off = not (is_possible or task.wants_navigation)
 
     def feed(self, samples: Samples) -> None:
         if self.is_off:

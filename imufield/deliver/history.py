@@ -390,7 +390,7 @@ def _age(entry: Entry) -> tuple[str, ...]:
 
 
 def _session_of(entry: Entry) -> tuple[str, ...]:
-    """Return what the results of one session have in common: a retake changes the hash, but neither the begin nor the folder."""
+    """Return what the results of one session have in common: a retake changes the hash, not the begin or the folder."""
     # Of instruments without a number, two may have begun in one second.
     if entry.recorded and entry.serial_number:
         return entry.recorded, str(Path(entry.path).parent)

@@ -368,7 +368,7 @@ def _better_gravity(before: Gravity, now: Gravity) -> tuple[str, ...]:
         return ()
     again = f"--gravity {before.gravity_m_s2:.8g}+-{before.sigma_m_s2:.2g}"
     if before.source == "normal" and before.latitude_deg is not None:
-        again = f"--latitude {before.latitude_deg:g} --height {before.height_m or 0:g}"
+        again = f"--latitude {before.latitude_deg:g}" + ("" if before.height_m is None else f" --height {before.height_m:g}")
     return (sentence("solving.better_gravity", before_m_s2=before.sigma_m_s2, now_m_s2=now.sigma_m_s2, again=again),)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shlex
+import shutil
 import signal
 import subprocess
 import time
@@ -342,6 +343,10 @@ def test_a_finished_session_measures_a_position_again(program: Program) -> None:
     unknown = program.run(*go_on, "--retake", "z+45")
     assert unknown.returncode == 2
     assert not missing(unknown.stderr, "z+45", "+x")
+    # Not named, it is the newest one, finished or not.
+    shutil.copytree(program.folder / "s", program.folder / "imufield-sessions" / "20260801T100000Z-STIM300")
+    newest_one = program.run("capture", "--resume", "--port", "nowhere", "--retake", "z+45")
+    assert (newest_one.returncode, newest_one.stderr.splitlines()) == (2, unknown.stderr.splitlines()[-1:])
     again = program.run(*go_on, "--retake", "+x")
     assert again.returncode == 0, again.stderr
     session = Session.open(program.folder / "s")

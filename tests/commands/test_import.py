@@ -313,6 +313,9 @@ def test_an_import_is_replaced_when_asked_and_nothing_else_is(tmp_path: Path, ca
     assert imported("b.csv", "--replace") == 0
     assert level() == pytest.approx(19.6, rel=1e-3)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.csv", "b.csv", "here"]
+    # Solved: what the program keeps for itself is nobody's file.
+    (here / ".imufield-reading").touch()
+    assert imported("b.csv", "--replace") == 0
     (here / "parameters.toml").touch()
     again = ["import", str(tmp_path / "a.csv"), "-o", str(here), "--replace"]
     fails(again, 2, Reason.USAGE, "parameters.toml", key="import_files.holds_more")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import replace
 from functools import cache
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from imufield.acquire.recording.session import Session
+from imufield.cli.run import run
 from imufield.commands.import_files import import_session
 from imufield.commands.options.acquire_commands import ImportOptions
 from imufield.errors import CalibrationError, Reason
@@ -23,7 +25,7 @@ from imufield.simulate.truth.grades import TrueInstrument, draw_truth, find_grad
 from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.operator import Operator, OperatorSettings
 from imufield.simulate.truth.source import VirtualImu
-from tests.commands.told import missing
+from tests.commands.told import fails, missing
 from tests.refused import refused
 from tests.told import key_of, told
 
@@ -169,3 +171,15 @@ def test_what_was_refused_stands_in_the_verdict(tmp_path: Path) -> None:
     (told,) = (reason for reason in solved.calibration.quality.reasons if "2.45 m/s^2" in reason)
     assert not missing(told, "1 still interval")
     assert still.start_s < float(re.findall(r"at ([\d.]+) s", told)[0]) < still.end_s
+
+
+def test_positions_of_an_accelerometer_alone_are_verified(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    np.savetxt(tmp_path / "alone.csv", recorded()[0][:, :4], delimiter=",", header="time_s,ax,ay,az", comments="")
+    session = tmp_path / "session"
+    assert run(["import", str(tmp_path / "alone.csv"), "-o", str(session)]) == 0
+    assert run(["solve", str(session), "--latitude", "45", "--height", "0"]) == 0
+    assert run(["verify", str(session), "--latitude", "45", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert len(found["positions"]["name"]) > 12
+    assert run(["verify", str(session), "--latitude", "45", "--require", "residual-ug=5000"]) == 0
+    fails(["verify", str(session), "--latitude", "45", "--require", "nav-nmi-per-h=1"], 5, Reason.UNITS, "gyroscope")

@@ -41,7 +41,7 @@ def find_unfinished(
     Parameters
     ----------
     folder : Path or None
-        What ``--session`` names; None is the newest unfinished one below ``root``.
+        What ``--session`` names; None is the newest below ``root`` that is unfinished, or of any where positions are retaken.
     root : Path
     resume : bool
         Whether ``--resume`` was given.
@@ -59,8 +59,10 @@ def find_unfinished(
     """
     if retake and not resume:
         raise UsageError(sentence("resume.retake_alone"))
+    if folder is None and resume:
+        folder = _newest(root, unfinished=not retake)
     if folder is None:
-        return _newest_unfinished(root) if resume else None
+        return None
     if not (folder / "session.toml").exists():
         if resume:
             raise UsageError(sentence("resume.no_session", folder=folder))
@@ -98,14 +100,14 @@ def _guide_of(session: Session) -> Guide | None:
     return chain.guide
 
 
-def _newest_unfinished(root: Path) -> Session:
+def _newest(root: Path, *, unfinished: bool) -> Path:
     for folder in Session.newest_first(root):
         # A damaged session.toml of another session is no reason not to go on with this one.
         with suppress(RecordingError):
             session = Session.open(folder)
-            if session.record.scheme and not session.finished:
-                return session
-    raise UsageError(sentence("resume.none_unfinished", root=root))
+            if session.record.scheme and not (unfinished and session.finished):
+                return session.folder
+    raise UsageError(sentence("resume.none_unfinished" if unfinished else "resume.none", root=root))
 
 
 def check_plan(session: Session, scheme_name: str | None, asked: GuideRecord) -> None:

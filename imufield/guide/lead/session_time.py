@@ -161,7 +161,8 @@ class SessionTime:
             return sentence("session_time.few_remedy", least=SHOWS_SCATTER)
         if self.gravity_ppm >= self.wanted.get("scale_ppm", math.inf):
             sizes = {"scale_ppm": self.wanted["scale_ppm"], "gravity_ppm": self.gravity_ppm}
-            return sentence("session_time.gravity_remedy", source=self.gravity.source_words, **sizes)
+            key = "session_time.height_remedy" if self.gravity.lacks_height else "session_time.gravity_remedy"
+            return sentence(key, source=self.gravity.source_words, **sizes)
         if self.is_fixed and self.hold_s < self.helps_s:
             return sentence("session_time.fixed_remedy", helps_s=self.helps_s)
         best = self.better or self

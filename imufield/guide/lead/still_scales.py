@@ -58,9 +58,9 @@ class StillScales:
     stills: int
 
     @property
-    def are_all(self) -> bool:
-        """Whether both triads are among them."""
-        return len(self.scales) == len(_KINDS)
+    def are_sure(self) -> bool:
+        """Whether both triads are among them, by stills enough."""
+        return len(self.scales) == len(_KINDS) and self.stills >= _ENOUGH_STILLS
 
     def choose(self, stated: Mapping[str, str], assumed: Collection[str]) -> tuple[dict[str, str], dict[str, Sentence]]:
         """Return units in place of those assumed, and by triad what is to be said, also of stated ones that are wrong."""
@@ -98,14 +98,14 @@ def find_scales(blocks: Iterable[Samples], raw_zero: FloatArray) -> StillScales:
     for block in blocks:
         # Nothing is known of the scales: that is what is asked.
         finder = finder or StillIntervalFinder(block.units, RoughScale(raw_zero=raw_zero))
-        if found.are_all or count >= _MOST_SAMPLES:
+        if found.are_sure or count >= _MOST_SAMPLES:
             continue
         finder.feed(block)
         count += len(block)
         if finder.placed >= enough:
             # Of a copy: what is finished cannot go on. Asked after twice as many again, which costs less than the stills.
             found, enough = _scales_of(deepcopy(finder)), 2 * finder.placed
-    return found if finder is None or found.are_all else _scales_of(finder)
+    return found if finder is None or found.are_sure else _scales_of(finder)
 
 
 def _scales_of(finder: StillIntervalFinder) -> StillScales:

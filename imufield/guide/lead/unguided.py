@@ -67,8 +67,8 @@ class StillIntervalFinder:
 
     @property
     def placed(self) -> int:
-        """How many times the unit was put down so far."""
-        return len(self._placements)
+        """How often the unit was put down so far, in holds that are sound as far as themselves show."""
+        return sum(own is None for _, own in self._placements)
 
     def feed(self, samples: Samples) -> None:
         """Process the next samples."""

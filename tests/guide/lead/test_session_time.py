@@ -118,10 +118,11 @@ def test_fewer_positions_than_the_guide_asks_for_meet_no_target() -> None:
 
 
 def test_a_scale_below_what_gravity_leaves_open_is_out_of_reach() -> None:
-    by_latitude = said(target_scale_ppm=50.0, gravity=choose_gravity(latitude_deg=45.0))
-    assert not by_latitude.is_met
-    assert by_latitude.remedy.key == "session_time.gravity_remedy"
-    assert by_latitude.forecast["scale_ppm"] > by_latitude.gravity_ppm == pytest.approx(51.0, rel=0.01)
+    for height_m, ppm, remedy in ((0.0, 51.0, "session_time.gravity_remedy"), (None, 163.0, "session_time.height_remedy")):
+        by_latitude = said(target_scale_ppm=50.0, gravity=choose_gravity(latitude_deg=45.0, height_m=height_m))
+        assert not by_latitude.is_met
+        assert by_latitude.remedy.key == remedy
+        assert by_latitude.forecast["scale_ppm"] > by_latitude.gravity_ppm == pytest.approx(ppm, rel=0.01)
     assert said(target_scale_ppm=50.0).is_met
     # No hold is longer for it, nor for the bias beside it where that is met.
     free = said(gravity=choose_gravity(latitude_deg=45.0))
