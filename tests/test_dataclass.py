@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import FrozenInstanceError, asdict, field, fields, is_dataclass, replace
 from typing import Any, ClassVar
 
+import numpy as np
 import pytest
 
 from imufield.dataclass import dataclass
@@ -67,7 +68,7 @@ ASKED: dict[str, Callable[[type[Any]], object]] = {
 def refusal(act: Callable[[], object]) -> type[Exception] | None:
     try:
         act()
-    except (TypeError, AttributeError) as error:
+    except (TypeError, AttributeError, ValueError) as error:
         return type(error)
     return None
 
@@ -77,6 +78,43 @@ def refusal(act: Callable[[], object]) -> type[Exception] | None:
 def test_both_answer_the_same(options: dict[str, bool], asked: str) -> None:
     ours, standard = pair(**options)
     assert ASKED[asked](ours) == ASKED[asked](standard)
+
+
+def lonely(decorator: Any) -> type[Any]:
+    class Lonely:
+        value: object
+
+    return decorator(Lonely)
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        # An object that is not equal to itself.
+        lambda kind: kind(value := float("nan")) == kind(value),
+        lambda kind: kind(values := np.arange(3)) == kind(values),
+        lambda kind: refusal(lambda: kind(np.arange(3)) == kind(np.arange(3))),
+        lambda kind: kind((1, 2)) == kind((1, 2)),
+    ],
+)
+def test_one_compared_field_is_compared_as_several_are(answer: Callable[[type[Any]], object]) -> None:
+    assert answer(lonely(dataclass)) == answer(lonely(dataclasses.dataclass))
+
+
+def test_an_equality_of_its_own_keeps_the_hash_of_the_fields() -> None:
+    def made(decorator: Any) -> type[Any]:
+        @decorator(frozen=True)
+        class Own:  # noqa: PLW1641  (what is asked)
+            value: int
+
+            def __eq__(self, other: object) -> bool:
+                return True
+
+        return Own
+
+    for kind in map(made, (dataclass, dataclasses.dataclass)):
+        assert kind(1) == kind(2)
+        assert hash(kind(1)) == hash((1,))
 
 
 def test_a_hash_hangs_on_the_compared_fields_alone() -> None:

@@ -70,19 +70,21 @@ def join_observations(first: Observations, second: Observations) -> Observations
 
 
 def leave_out(observations: Observations, names: Collection[str]) -> tuple[Observations, Observations]:
-    """Return the observations without those of some names, and those.
+    """Return the observations without those of some names, and those; "free 3" names "free 3: near +x".
 
     Raises
     ------
     UsageError
         If there is no observation of a name.
     """
+    known, meant = list(observations.name), list[str]()
     for name in names:
-        if name not in observations.name:
-            known = list(observations.name)
+        found = [each for each in known if name in (each, each.partition(":")[0])]
+        if not found:
             raise UsageError(sentence("observations.not_there", name=name, known=known), names=known)
-    out = np.array([name in names for name in observations.name], dtype=np.bool_)
-    return replace(observations[~out], left_out=(*observations.left_out, *names)), observations[out]
+        meant += found
+    out = np.array([name in meant for name in known], dtype=np.bool_)
+    return replace(observations[~out], left_out=(*observations.left_out, *meant)), observations[out]
 
 
 def count_repeats_once(observations: Observations) -> tuple[Observations, tuple[str, ...]]:

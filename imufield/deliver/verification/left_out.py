@@ -56,6 +56,7 @@ STRONG = 1e-3
 """A misfit less probable than this is called a defect; among fewer than a thousand checks it does not come by chance."""
 FOREIGN = 10.0
 """Misfit of another session beyond this, three times the forecast: no uncertainty that was honest at all is so far off."""
+_TELLS_LITTLE = 10.0  # Limit of the misfit from which on hardly anything would contradict.
 _SAME_GRAVITY_M_S2 = 1e-7  # Rounding of a file; two places that differ by less are one.
 _ROUNDING_M_S2 = 1e-9  # Where nothing is uncertain (simulations without noise), this keeps a comparison finite.
 _TINY = 1e-22  # Square of a nanogal, with which a covariance of zeros can be inverted.
@@ -176,7 +177,8 @@ class LeftOutPositions:
             return ""
         figures = sentence("left_out.figures", misfit=self.misfit, limit=self.misfit_limit)
         if self.as_forecast:
-            return sentence("left_out.as_forecast", figures=figures)
+            tells = "left_out.as_forecast" if self.misfit_limit < _TELLS_LITTLE else "left_out.tells_little"
+            return sentence(tells, figures=figures)
         if np.isfinite(self.turn_on_m_s2):
             return sentence("left_out.turn_on", figures=figures, turn_on_mg=self.turn_on_m_s2 / MILLI_G_M_S2)
         if self.chance >= STRONG:

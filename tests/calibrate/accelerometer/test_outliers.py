@@ -73,6 +73,14 @@ def test_without_them_the_numbers_are_those_of_a_session_that_never_had_them() -
         leave_out(clean, ("p12",))
 
 
+def test_a_still_goes_by_its_number_too() -> None:
+    found = session(3, {})
+    free = replace(found, name=tuple(f"free {k + 1}: near +x" for k in range(len(found))))
+    kept, left_out = leave_out(free, ("free 1",))
+    assert left_out.name == kept.left_out == ("free 1: near +x",)
+    assert len(kept) == len(found) - 1
+
+
 def test_two_edges_that_nothing_checks_are_not_good() -> None:
     """+2 mg on two opposite edges of a plane is, but for an angle, what +2 mg on the two others are."""
     up = paper24()

@@ -151,6 +151,8 @@ def test_words_say_how_probable_and_accuse_only_where_chance_does_not_do_it() ->
     figures = Sentences("imufield.deliver.verification")("left_out.figures", misfit=found.misfit, limit=found.misfit_limit)
     assert key_of(found.words) == "left_out.as_forecast"
     assert figures in found.words
+    # Beside such a limit hardly anything would be a contradiction.
+    assert key_of(replace(found, misfit_limit=249.0).words) == "left_out.tells_little"
     larger = replace(found, misfit=3.15, misfit_limit=2.9, chance=0.02, is_own=True)
     assert key_of(larger.words) == "left_out.larger"
     assert "1 of 50" in larger.words
