@@ -227,8 +227,10 @@ def _when(moment: str) -> str:
 def _quality(calibration: Calibration) -> Iterator[tuple[str, str]]:
     quality = calibration.quality
     unit, size = acceleration_unit(quality.residual_max_m_s2)
-    yield "Residual, RMS", f"{_short(quality.residual_rms_m_s2 / size)} {unit}"
-    yield "Residual, largest", f"{_short(quality.residual_max_m_s2 / size)} {unit}"
+    # Zeros of as many parameters as positions would look like a perfect fit.
+    if quality.degrees_of_freedom > 0:
+        yield "Residual, RMS", f"{_short(quality.residual_rms_m_s2 / size)} {unit}"
+        yield "Residual, largest", f"{_short(quality.residual_max_m_s2 / size)} {unit}"
     if math.isfinite(quality.leave_one_out_rms_m_s2):
         yield "Leave-one-out, RMS", f"{_short(quality.leave_one_out_rms_m_s2 / size)} {unit}"
     yield "Scatter between positions, chosen model", f"{_short(quality.between_position_sigma_m_s2 / size)} {unit}"

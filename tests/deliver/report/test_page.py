@@ -141,7 +141,7 @@ def test_without_a_position_to_spare_nothing_is_claimed(data: ReportData) -> Non
     quality = replace(calibration.quality, degrees_of_freedom=0, residual_rms_m_s2=1e-18, residual_max_m_s2=1e-18)
     few = replace(data, parameters=replace(data.parameters, calibration=replace(calibration, quality=quality)))
     words = " ".join(Page(render_report(few)).text)
-    for title in ("Error at rest", "Before and after", "Residual on the sphere"):
+    for title in ("Error at rest", "Before and after", "Residual on the sphere", "Residual, RMS"):
         assert title not in words
     assert words.index("Residual by position") < words.index("Who, when, where") < words.index("Gyroscope closing error")
     assert not re.search(r"\de-\d", words[words.index("How good it is") : words.index("Details of the method")])
