@@ -130,7 +130,7 @@ def test_what_stood_there_is_kept_and_told(program: Program, sessions: list[Path
     for folder in sessions:
         settings = (folder / "session.toml").read_text()
         (folder / "session.toml").write_text(settings.replace("gravity_m_s2 = 9.80665\n", ""))
-    assert program.run("solve", sessions[0], "--latitude", 45).returncode == 0
+    assert program.run("solve", sessions[0], "--latitude", 45, "--height", 0).returncode == 0
     before = (sessions[0] / "parameters.toml").read_bytes()
     ended = program.run("solve", *sessions, "--workers", 1)
     assert ended.returncode == 0, ended.stderr
