@@ -88,7 +88,10 @@ def test_what_only_the_prior_says_is_not_forecast() -> None:
 def test_the_forecast_has_what_gravity_leaves_open() -> None:
     """Scale goes with 1/g and bias with g: a forecast without it promises a scale that no session can have."""
     some = observations("mems", 2)
-    measured, by_latitude = running_fit(some, SI, GRAVITY), running_fit(some, SI, choose_gravity(latitude_deg=45.0, height_m=0.0))
+    measured, by_latitude = (
+        running_fit(some, SI, GRAVITY),
+        running_fit(some, SI, choose_gravity(latitude_deg=45.0, height_m=0.0)),
+    )
     unknown = running_fit(some, SI, choose_gravity())
     scale_ppm = measured.forecast()["scale_ppm"]
     assert by_latitude.forecast()["scale_ppm"] == pytest.approx(math.hypot(scale_ppm, 51.0), rel=0.01)
