@@ -124,7 +124,9 @@ def recorded_sigma(gravity_m_s2: float | None, sigma_m_s2: float | None) -> floa
 
 def height_words(gravity: Gravity) -> str:
     """Return the height of a place, in words where it is not given."""
-    return "height not given: 0 ± 500 m" if gravity.height_m is None else f"height {gravity.height_m:g} m"
+    if gravity.height_m is not None:
+        return f"height {gravity.height_m:g} m"
+    return "height not given, taken as 0 ± 500 m" if gravity.lacks_height else "height not given"
 
 
 def _normal_sigma(height_m: float | None) -> float:
