@@ -76,6 +76,7 @@ class Entry:
     recorded: str = ""
     """When the recording began; empty where nobody knows."""
     solved: str = ""
+    """When this solution was made."""
 
     @classmethod
     def of(cls, path: str, parameters: Parameters) -> Entry:
