@@ -79,7 +79,8 @@ def leave_out(observations: Observations, names: Collection[str]) -> tuple[Obser
     """
     known, meant = list(observations.name), list[str]()
     for name in names:
-        found = [each for each in known if name in (each, each.partition(":")[0])]
+        # The name itself goes first.
+        found = [each for each in known if each == name] or [each for each in known if each.startswith(f"{name}: near ")]
         if not found:
             raise UsageError(sentence("observations.not_there", name=name, known=known), names=known)
         meant += found

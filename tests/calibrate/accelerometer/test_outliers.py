@@ -79,6 +79,10 @@ def test_a_still_goes_by_its_number_too() -> None:
     kept, left_out = leave_out(free, ("free 1",))
     assert left_out.name == kept.left_out == ("free 1: near +x",)
     assert len(kept) == len(found) - 1
+    named = replace(free, name=("free 2", *free.name[1:]))
+    assert leave_out(named, ("free 2",))[1].name == ("free 2",)
+    with refused(UsageError, Reason.USAGE, key="observations.not_there"):
+        leave_out(free, ("",))
 
 
 def test_two_edges_that_nothing_checks_are_not_good() -> None:
