@@ -16,8 +16,7 @@ from imufield.commands.configuration import FILE_NAME
 from imufield.commands.options.acquire_commands import InitOptions
 from imufield.commands.terminal.output import say, tell_written
 from imufield.commands.terminal.questions import ask, ask_until, confirm
-from imufield.commands.terminal.site import NOT_KNOWN, ask_site, read_answer
-from imufield.earth import HEIGHT_RANGE_M
+from imufield.commands.terminal.site import NOT_KNOWN, ask_height, ask_site, read_answer
 from imufield.errors import UsageError
 from imufield.files import typed_write_errors, write_keeping
 from imufield.limits import TARGET_RANGE
@@ -79,8 +78,8 @@ def _asked(options: InitOptions) -> InitOptions:
     site, port, target = options.site, options.port, _number(*TARGET_RANGE)
     if not site.is_known:
         site = ask_site(site, options.root)
-        if site.latitude_deg is not None and site.height_m is None:
-            site = replace(site, height_m=ask_until(sentence("init.height"), _number(*HEIGHT_RANGE_M)))
+    elif site.latitude_deg is not None and site.height_m is None:
+        site = ask_height(site)
     driver = options.driver or ask_until(sentence("init.driver"), lambda name: load_driver(name).name if name else None)
     # An instrument on a bus has no port.
     if port is None and (driver is None or load_driver(driver).wire == "serial"):

@@ -80,8 +80,9 @@ class _Task:
         self.wants_navigation = options.turned or options.heading_deg is not None or "nav-nmi-per-h" in self.limits
         own, recorded = self.parameters.calibration.gravity, self.session.record.site
         # Where a session does not say where it was taken, what was typed to solve it goes before a default.
-        is_typed = options.site.is_known and not (options.site.is_default and self.is_its_own and own.source != "assumed")
-        self.gravity = options.site.gravity(recorded) if is_typed or recorded != SiteRecord() else own
+        is_default = options.site.is_known and not (self.is_its_own and own.source != "assumed")
+        is_given = options.site.is_typed or is_default or recorded != SiteRecord()
+        self.gravity = options.site.gravity(recorded) if is_given else own
         latitudes = (self.gravity.latitude_deg, options.site.latitude_deg, own.latitude_deg)
         self.latitude_deg = next((latitude for latitude in latitudes if latitude is not None), None)
         self._refuse_ignored()
@@ -92,8 +93,8 @@ class _Task:
         if options.hold_out is not None and not self.is_its_own:
             raise UsageError(sentence("verify.hold_out", hold_out=options.hold_out, session=self.session.name))
         # Navigation needs the place even of the parameters' own session, so there the options change something.
-        typed = options.site.is_known and not options.site.is_default and not self.wants_navigation
-        if typed and self.is_its_own and abs(here - own.gravity_m_s2) > SAME_M_S2:
+        is_typed = options.site.is_typed and not self.wants_navigation
+        if is_typed and self.is_its_own and abs(here - own.gravity_m_s2) > SAME_M_S2:
             raise UsageError(sentence("verify.gravity_ignored", typed=here, solved=own.gravity_m_s2, source=own.source_words))
 
 

@@ -277,6 +277,8 @@ def screen(program: Program, open_terminal: Callable[..., Terminal]) -> Terminal
 def test_keys_on_a_terminal(program: Program, screen: Terminal) -> None:
     screen.wait_for("Latitude in degrees")
     screen.type("48.1\n")
+    screen.wait_for("Height above")
+    screen.type("520\n")
     screen.wait_for("1 of 6 done")
     for key, words in (
         ("p", "press p to continue"),
@@ -297,7 +299,7 @@ def test_keys_on_a_terminal(program: Program, screen: Terminal) -> None:
     assert screen.wait() == 0
     session = newest(program)
     assert session.finished
-    assert session.metadata["site"] == {"latitude_deg": 48.1}
+    assert session.metadata["site"] == {"latitude_deg": 48.1, "height_m": 520.0}
     marks = [event["action"] for event in events(session) if event["event"] == "mark"]
     assert marks == ["pause", "pause", "skip", "undo", "retake", "skip", "finish"]
     told = program.run("replay", "--json").stdout.splitlines()
@@ -310,6 +312,8 @@ def test_what_was_finished_early_goes_on_when_it_is_named(
 ) -> None:
     screen.wait_for("Latitude in degrees")
     screen.type("48\n")
+    screen.wait_for("Height above")
+    screen.type("\n")
     screen.wait_for("1 of 6 done")
     screen.type("ff")
     assert screen.wait() == 0
@@ -378,6 +382,8 @@ def test_quit_and_go_on(program: Program, open_terminal: Callable[..., Terminal]
     again.type("y\n")
     again.wait_for("Latitude in degrees")
     again.type("51\n")
+    again.wait_for("Height above")
+    again.type("-\n")
     again.wait_for("2 of 6 done")
     again.type("\x03")
     assert again.wait() == 130
@@ -387,6 +393,8 @@ def test_quit_and_go_on(program: Program, open_terminal: Callable[..., Terminal]
 def test_a_terminal_that_is_closed(program: Program, screen: Terminal) -> None:
     screen.wait_for("Latitude in degrees")
     screen.type("48\n")
+    screen.wait_for("Height above")
+    screen.type("\n")
     screen.wait_for("1 of 6 done")
     screen.close()
     assert screen.process.wait(120) == 130

@@ -86,7 +86,8 @@ def test_an_answer_that_makes_no_sense_is_asked_again(program: Program, terminal
 
 
 def test_an_instrument_on_a_bus_is_asked_for_no_port(program: Program, terminal: Callable[..., Terminal]) -> None:
-    screen = terminal("init", "--latitude", "48", "--driver", "mv5_can", "--target-bias-ug", "10", "--target-scale-ppm", "10")
+    place, target = ("--latitude", "48", "--height", "9"), ("--target-bias-ug", "10", "--target-scale-ppm", "10")
+    screen = terminal("init", *place, "--driver", "mv5_can", *target)
     assert screen.wait() == 0
     assert "Port" not in screen.text
     assert "port" not in written(program.folder)
@@ -108,6 +109,14 @@ def test_what_is_there_is_kept_where_it_is_replaced(program: Program, terminal: 
     assert screen.wait() == 0
     assert written(program.folder) == {"latitude": 48.1}
     assert (program.folder / "imufield-1.toml").read_text() == 'driver = "text"\n'
+
+
+def test_of_a_latitude_alone_the_height_is_asked(program: Program, terminal: Callable[..., Terminal]) -> None:
+    screen = terminal("init", "--latitude", "48", "--driver", "mv5_can", "--target-bias-ug", "10", "--target-scale-ppm", "10")
+    screen.wait_for("Height above")
+    screen.type("520\n")
+    assert screen.wait() == 0
+    assert (written(program.folder)["latitude"], written(program.folder)["height"]) == (48.0, 520.0)
 
 
 @pytest.mark.parametrize("keys", ["\x03", "\x04"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 import tomllib
 from contextlib import nullcontext
@@ -17,8 +18,9 @@ from imufield.acquire.recording.session_record import SiteRecord
 from imufield.cli.run import run
 from imufield.commands.options.result_commands import VerifyOptions
 from imufield.commands.verify import _Task
-from imufield.earth import choose_gravity, sigma_of_digits
-from imufield.errors import Reason
+from imufield.dataclass import replace
+from imufield.earth import Gravity, choose_gravity, normal_gravity, sigma_as_typed, sigma_of_digits
+from imufield.errors import Reason, UsageError
 from imufield.pipeline import solving
 from imufield.pipeline.site import SiteOptions
 from tests.commands.told import fails, missing
@@ -183,6 +185,50 @@ def test_a_typed_value_leaves_the_session_its_place() -> None:
     assert SiteOptions(gravity_m_s2=9.80798, height_m=0.0).gravity(recorded).height_m == 0.0
     gravity = SiteOptions(latitude_deg=10.0).gravity(SiteRecord(gravity_m_s2=9.81))
     assert (gravity.source, gravity.latitude_deg) == ("normal", 10.0)
+
+
+def test_a_session_has_one_place_whatever_is_typed_of_it() -> None:
+    recorded = SiteRecord(latitude_deg=48.0, height_m=300.0)
+    corrected = SiteOptions(latitude_deg=47.0).gravity(recorded)
+    assert (corrected.latitude_deg, corrected.height_m) == (47.0, 300.0)
+    assert corrected.gravity_m_s2 == normal_gravity(47.0, 300.0)
+    higher = SiteOptions(height_m=600.0).gravity(recorded)
+    assert (higher.latitude_deg, higher.height_m, higher.gravity_m_s2) == (48.0, 600.0, normal_gravity(48.0, 600.0))
+    # A measured value is not given up for a height.
+    measured = SiteRecord(gravity_m_s2=9.8081, gravity_sigma_m_s2=1e-5, gravity_sigma_is_given=True, latitude_deg=48.0)
+    higher = SiteOptions(height_m=600.0).gravity(measured)
+    assert (higher.source, higher.gravity_m_s2, higher.sigma_m_s2, higher.height_m) == ("typed", 9.8081, 1e-5, 600.0)
+    # The place where someone usually works says nothing of where a session was recorded.
+    usual = SiteOptions(latitude_deg=60.0, height_m=10.0, is_default=True)
+    assert usual.over(recorded).record() == recorded
+    with pytest.raises(UsageError, match="600 m"):
+        SiteOptions(height_m=600.0).gravity(SiteRecord(height_m=300.0))
+
+
+def test_a_height_is_added_to_the_latitude_of_a_session(nowhere: Path) -> None:
+    with_site(nowhere, latitude_deg=45.0)
+    assert math.isnan(solved(nowhere)["site"]["height_m"])
+    site = solved(nowhere, "--height", "300")["site"]
+    assert (site["latitude_deg"], site["height_m"]) == (45.0, 300.0)
+    assert site["gravity_m_s2"] == pytest.approx(normal_gravity(45.0, 300.0), abs=1e-9)
+    fails(["verify", str(nowhere.parent / "solved.toml"), str(nowhere), "--height", "900"], 2, Reason.USAGE, "--height")
+
+
+@pytest.mark.parametrize(
+    ("text", "given", "has_few"), [("9.82", "", True), ("9.820", "", True), ("9.82", "0.003", False), ("9.81744", "", False)]
+)
+def test_only_digits_that_are_few_are_said_to_be_few(text: str, given: str, has_few: bool) -> None:
+    assert choose_gravity(float(text), sigma_m_s2=sigma_as_typed(text, given)).has_few_digits is has_few
+
+
+def test_the_height_0_of_an_earlier_version_is_not_proposed(nowhere: Path) -> None:
+    before = Gravity(gravity_m_s2=9.80620, sigma_m_s2=5e-4, source="normal", latitude_deg=45.0, height_m=0.0)
+    assert solving._better_gravity(before, choose_gravity(latitude_deg=45.0)) == ()
+    (told,) = solving._better_gravity(before, choose_gravity())
+    assert "--latitude 45" in told
+    assert "--height" not in told
+    (told,) = solving._better_gravity(replace(before, height_m=520.0), choose_gravity(latitude_deg=45.0))
+    assert "--latitude 45 --height 520" in told
 
 
 def test_a_session_keeps_the_digits() -> None:

@@ -18,7 +18,7 @@ from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, Quality
 from imufield.calibrate.model.uncertainty import SPARE_POSITIONS, rms
 from imufield.dataclass import dataclass
-from imufield.earth import MEASURED_GRAVITY_SIGMA_M_S2, MILLI_G_M_S2, Gravity, contradiction
+from imufield.earth import MILLI_G_M_S2, Gravity, contradiction
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentences
@@ -326,8 +326,7 @@ def _notes(evidence: Evidence) -> list[str]:
     gravity = evidence.gravity
     if gravity.source != "assumed":
         share = gravity.sigma_m_s2 / gravity.gravity_m_s2
-        few_digits = gravity.source == "typed" and gravity.sigma_m_s2 > MEASURED_GRAVITY_SIGMA_M_S2
-        key = "quality.few_digits" if few_digits else "quality.unchecked_gravity"
+        key = "quality.few_digits" if gravity.has_few_digits else "quality.unchecked_gravity"
         share_ppm = f"{share * 1e6:{'.0f' if share >= 1e-5 else '.2g'}}"
         notes.append(sentence(key, sigma_m_s2=gravity.sigma_m_s2, share_ppm=share_ppm))
     return notes

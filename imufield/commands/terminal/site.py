@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from imufield.acquire.recording.session import Session
@@ -22,6 +22,8 @@ NOT_KNOWN = "-"
 def ask_site(site: SiteOptions, root: Path) -> SiteOptions:
     """Return the place that is typed or taken over from the newest session that has one; ``site`` where it is not known.
 
+    The height is asked for where a latitude was typed.
+
     Raises
     ------
     NoAnswer
@@ -34,13 +36,27 @@ def ask_site(site: SiteOptions, root: Path) -> SiteOptions:
             return last
         if answer in ("", NOT_KNOWN):
             return site
-        place = SiteOptions(latitude_deg=read_answer(answer), height_m=site.height_m)
-        # Refuses a place that is nowhere on Earth.
-        place.gravity()
-        return place
+        return _on_earth(SiteOptions(latitude_deg=read_answer(answer), height_m=site.height_m))
 
     say(sentence("site.why"))
-    return ask_until(sentence("site.unknown") if last is None else sentence("site.last", place=words(last)), read)
+    place = ask_until(sentence("site.unknown") if last is None else sentence("site.last", place=words(last)), read)
+    is_typed = place.latitude_deg is not None and place is not last
+    return ask_height(place) if is_typed and place.height_m is None else place
+
+
+def ask_height(site: SiteOptions) -> SiteOptions:
+    """Return a place with the height that is typed, or as it is; raises ``NoAnswer`` at the end of the input."""
+
+    def read(answer: str) -> SiteOptions:
+        return site if answer in ("", NOT_KNOWN) else _on_earth(replace(site, height_m=read_answer(answer)))
+
+    return ask_until(sentence("site.height"), read)
+
+
+def _on_earth(site: SiteOptions) -> SiteOptions:
+    """Return the place; raises ``UsageError`` where it is nowhere on Earth."""
+    site.gravity()
+    return site
 
 
 def read_answer(answer: str) -> float:
