@@ -43,6 +43,8 @@ def run_capture(options: CaptureOptions, clock: HostClock | None = None) -> Capt
                 retake=tuple(options.retake or ()),
             )
             if earlier is not None:
+                if options.session is None and options.view != "json":
+                    say(sentence("capture.goes_on", session=earlier.folder), err=True)
                 check_plan(earlier, options.positions, asked)
             how = options.connect if earlier is None else connect_as_before(options.connect, earlier)
             site = options.site if earlier is None else options.site.over(earlier.record.site)

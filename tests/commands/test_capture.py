@@ -350,7 +350,11 @@ def test_a_finished_session_measures_a_position_again(program: Program) -> None:
     # Not named, it is the newest one, finished or not.
     shutil.copytree(program.folder / "s", program.folder / "imufield-sessions" / "20260801T100000Z-STIM300")
     newest_one = program.run("capture", "--resume", "--port", "nowhere", "--retake", "z+45")
-    assert (newest_one.returncode, newest_one.stderr.splitlines()) == (2, unknown.stderr.splitlines()[-1:])
+    assert newest_one.returncode == 2
+    assert not missing(newest_one.stderr, "z+45", "+x", "imufield-sessions/20260801T100000Z-STIM300")
+    # Which one that is, is said before its instrument is asked for.
+    no_port = program.run("capture", "--resume", "--port", "nowhere", "--retake", "+x")
+    assert says(no_port.stderr, "commands", "capture.goes_on", session="imufield-sessions/20260801T100000Z-STIM300")
     again = program.run(*go_on, "--retake", "+x")
     assert again.returncode == 0, again.stderr
     session = Session.open(program.folder / "s")

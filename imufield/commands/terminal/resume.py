@@ -88,7 +88,7 @@ def _check_goes_on(session: Session, *, resume: bool, retake: tuple[str, ...]) -
     measured = guide.snapshot().accepted
     for name in retake:
         if name not in measured:
-            raise UsageError(sentence("resume.not_measured", name=name, measured=measured))
+            raise UsageError(sentence("resume.not_measured", folder=session.folder, name=name, measured=measured))
 
 
 def _guide_of(session: Session) -> Guide | None:
