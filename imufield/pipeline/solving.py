@@ -364,13 +364,13 @@ def _lost_temperature(before: Parameters, now: Parameters) -> tuple[str, ...]:
 
 
 def _better_gravity(before: Gravity, now: Gravity) -> tuple[str, ...]:
-    # 0 is no height to propose: earlier versions wrote it where none was given.
-    is_known = bool(before.height_m) or not now.lacks_height
+    # Earlier versions wrote 0 for a height that nobody gave: where none is given now, that is nothing to propose.
+    is_known = before.height_m != 0 or not now.lacks_height
     if not (is_known and before.sigma_m_s2 * _BETTER_KNOWN < now.sigma_m_s2):
         return ()
     again = f"--gravity {before.gravity_m_s2:.8g}+-{before.sigma_m_s2:.2g}"
     if before.source == "normal" and before.latitude_deg is not None:
-        again = f"--latitude {before.latitude_deg:g}" + (f" --height {before.height_m:g}" if before.height_m else "")
+        again = f"--latitude {before.latitude_deg:g}" + ("" if before.height_m is None else f" --height {before.height_m:g}")
     return (sentence("solving.better_gravity", before_m_s2=before.sigma_m_s2, now_m_s2=now.sigma_m_s2, again=again),)
 
 
