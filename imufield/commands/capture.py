@@ -47,10 +47,9 @@ def run_capture(options: CaptureOptions, clock: HostClock | None = None) -> Capt
                     say(sentence("capture.goes_on", session=earlier.folder), err=True)
                 check_plan(earlier, options.positions, asked)
             how = options.connect if earlier is None else connect_as_before(options.connect, earlier)
-            site = options.site if earlier is None else options.site.over(earlier.record.site)
+            site = options.site.place() if earlier is None else options.site.place(earlier.record.site)
             # A place that is nowhere on Earth is a slip of what was typed, whatever the port.
-            if site.is_known:
-                site.gravity()
+            site.check()
             check_options(how)
             if interactive and not site.is_known:
                 site = ask_site(site, options.root)

@@ -284,7 +284,7 @@ def _new_session(options: ImportOptions, protocol: Protocol, table: ImportedTabl
         "settings": {name: SettingRecord(setting.value, setting.origin) for name, setting in protocol.settings.items()},
         "units": {"accelerometer": protocol.units.accelerometer, "gyroscope": protocol.units.gyroscope},
         # What is a default of its own today says nothing about where files of another program were recorded.
-        "site": {} if options.site.is_default else options.site.record(),
+        "site": options.site.record(),
         "import": {"files": [str(path) for path in options.files]},
     }
     if table is not None:

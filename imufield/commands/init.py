@@ -16,7 +16,7 @@ from imufield.commands.configuration import FILE_NAME
 from imufield.commands.options.acquire_commands import InitOptions
 from imufield.commands.terminal.output import say, tell_written
 from imufield.commands.terminal.questions import ask, ask_until, confirm
-from imufield.commands.terminal.site import NOT_KNOWN, ask_height, ask_site, read_answer
+from imufield.commands.terminal.site import NOT_KNOWN, ask_site, read_answer
 from imufield.errors import UsageError
 from imufield.files import typed_write_errors, write_keeping
 from imufield.limits import TARGET_RANGE
@@ -36,7 +36,8 @@ def run_init(options: InitOptions) -> None:
         The file cannot be written.
     """
     path = Path(FILE_NAME)
-    options.site.gravity()
+    options = replace(options, site=options.site.place())
+    options.site.check()
     if options.driver is not None:
         load_driver(options.driver)
     values = _values(options)
@@ -47,6 +48,8 @@ def run_init(options: InitOptions) -> None:
         raise UsageError(sentence("init.exists", path=path))
     if is_asked:
         values = _values(_asked(options))
+    else:
+        options.site.gravity()  # Of which the answers make sure: refuses a height alone.
     if not values:
         raise UsageError(sentence("init.nothing"))
     text = f"# Defaults of imufield in this folder; all keys: docs/file-formats.md\n{tomli_w.dumps(values)}"
@@ -75,11 +78,7 @@ def _values(options: InitOptions) -> dict[str, object]:
 
 def _asked(options: InitOptions) -> InitOptions:
     """Return the options with what was typed to the questions, which are asked where an option is not given."""
-    site, port, target = options.site, options.port, _number(*TARGET_RANGE)
-    if not site.is_known:
-        site = ask_site(site, options.root)
-    elif site.latitude_deg is not None and site.height_m is None:
-        site = ask_height(site)
+    site, port, target = ask_site(options.site, options.root), options.port, _number(*TARGET_RANGE)
     driver = options.driver or ask_until(sentence("init.driver"), lambda name: load_driver(name).name if name else None)
     # An instrument on a bus has no port.
     if port is None and (driver is None or load_driver(driver).wire == "serial"):

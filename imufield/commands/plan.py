@@ -46,7 +46,7 @@ def run_plan(options: PlanOptions) -> None:
     is_known = options.noise_ug is not None or options.grade is not None
     source = time.gravity.source_words
     if time.gravity.source == "assumed":
-        source = sentence("plan.place_unknown" if options.site.gravity_m_s2 is None else "plan.textbook")
+        source = sentence("plan.place_unknown" if options.site.place().gravity_m_s2 is None else "plan.textbook")
     gravity = {"gravity_ppm": time.gravity_ppm, "source": source}
     assumed = sentence("plan.known" if is_known else "plan.assumed", grade=grade.name, **gravity, **sizes)
     lacking = "plan.no_place" if time.gravity.source == "assumed" else "plan.no_height" if time.gravity.lacks_height else ""

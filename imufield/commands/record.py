@@ -47,7 +47,7 @@ def run_record(options: RecordOptions, clock: HostClock | None = None) -> Sessio
         stack.enter_context(hidden())
         stack.callback(connected.close)
         kind = RAMP if options.ramp else "record"
-        metadata = {**connected.session_tables(), "kind": kind, "site": options.site.record()}
+        metadata = {**connected.session_tables(), "kind": kind, "site": options.site.place().record()}
         session = create_session(options.session, options.root, connected.model, metadata)
         stack.enter_context(session.lock())
         of_part = part_metadata(connected.protocol, connected.session_tables())

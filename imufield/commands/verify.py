@@ -11,7 +11,6 @@ from imufield.acquire.decoded_session import session_protocol
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session, open_or_newest
-from imufield.acquire.recording.session_record import SiteRecord
 from imufield.calibrate.model.observations import leave_out
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters
 from imufield.commands.options.result_commands import VerifyOptions
@@ -80,10 +79,11 @@ class _Task:
         self.wants_navigation = options.turned or options.heading_deg is not None or "nav-nmi-per-h" in self.limits
         own, recorded = self.parameters.calibration.gravity, self.session.record.site
         # Where a session does not say where it was taken, what was typed to solve it goes before a default.
-        is_default = options.site.is_known and not (self.is_its_own and own.source != "assumed")
-        is_given = options.site.is_typed or is_default or recorded != SiteRecord()
+        is_usual = options.site.usual.is_known and not (self.is_its_own and own.source != "assumed")
+        is_given = options.site.is_typed or is_usual or recorded.is_known
         self.gravity = options.site.gravity(recorded) if is_given else own
-        latitudes = (self.gravity.latitude_deg, options.site.latitude_deg, own.latitude_deg)
+        others = (options.site.usual.latitude_deg, own.latitude_deg)
+        latitudes = (self.gravity.latitude_deg, *(reversed(others) if self.is_its_own else others))
         self.latitude_deg = next((latitude for latitude in latitudes if latitude is not None), None)
         self._refuse_ignored()
 

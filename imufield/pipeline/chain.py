@@ -75,7 +75,7 @@ class ReadingPlan:
             path = session.folder / SETTINGS_FILE
             raise RecordingError(sentence("chain.scheme", path=path, scheme=record.scheme, known=[*SCHEMES, SCHEME_FILE]))
         scheme = str(session.folder / SCHEME_FILE) if record.scheme == SCHEME_FILE else record.scheme or None
-        gravity = SiteOptions(is_default=True).gravity(site)
+        gravity = SiteOptions().gravity(site)
         # The settings have the names that they have in the file; what it does not state keeps its default.
         stated: dict[str, Any] = {name: value for name, value in asdict(record.guide).items() if value is not None}
         return cls(scheme, GuideSettings(gravity=gravity, **stated), record.nominal.raw_zero)

@@ -10,27 +10,34 @@ from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
 
+NOWHERE = SiteRecord()
+"""A place of which nothing is known."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SiteOptions(SiteRecord):
-    """Options of the command line; None where not given.
+    """What was typed of the place; None where nothing was.
 
-    ``is_default`` says that they are defaults of file and variables: what a session knows of its own site goes before them.
+    ``usual`` holds the defaults of file and variables, for a session that knows no place of its own.
     """
 
-    is_default: bool = False
+    usual: SiteRecord = NOWHERE
 
     @property
     def is_typed(self) -> bool:
-        """Whether any of it was typed for this command."""
-        return not self.is_default and (self.is_known or self.height_m is not None)
+        """Whether any of it was typed."""
+        return self.record() != NOWHERE
 
-    def gravity(self, recorded: SiteRecord | None = None) -> Gravity:
-        """Return gravity from the options, else from what the session recorded, else the assumed value.
+    def check(self) -> None:
+        """Refuse a value that exists nowhere on Earth; raises as ``gravity``. A height may still stand alone."""
+        choose_gravity(self.gravity_m_s2, self.latitude_deg, self.height_m)
+
+    def gravity(self, recorded: SiteRecord = NOWHERE) -> Gravity:
+        """Return gravity at the place of a session, the assumed value where nothing is known of it.
 
         Parameters
         ----------
-        recorded : SiteRecord, optional
+        recorded : SiteRecord
             What the session knows.
 
         Raises
@@ -38,28 +45,32 @@ class SiteOptions(SiteRecord):
         UsageError, CalibrationError
             If a value exists nowhere on Earth, or a typed height stands alone.
         """
-        site = self.over(recorded or SiteRecord())
-        if self.is_typed and not site.is_known:
+        place = self.place(recorded)
+        if self.height_m is not None and not place.is_known:
             raise UsageError(sentence("site.height_alone", height_m=self.height_m))
         # A value that is typed is as good as its digits; one that follows from a latitude has its own uncertainty.
-        sigma_m_s2 = None if site.gravity_m_s2 is None else site.gravity_sigma_m_s2
-        return choose_gravity(site.gravity_m_s2, site.latitude_deg, site.height_m, sigma_m_s2)
+        sigma_m_s2 = None if place.gravity_m_s2 is None else place.gravity_sigma_m_s2
+        return choose_gravity(place.gravity_m_s2, place.latitude_deg, place.height_m, sigma_m_s2)
 
-    def over(self, recorded: SiteRecord) -> SiteOptions:
-        """Return what is known of a session's place: each thing that is typed instead of what it recorded.
+    def place(self, recorded: SiteRecord = NOWHERE) -> SiteOptions:
+        """Return all that is known of a session's place: what is typed before what it recorded, that before the defaults.
 
         A session has one place: what is not typed of it stays known, but for the gravity of another latitude.
         """
-        if recorded.is_known and (self.is_default or not self.is_known):
-            known = SiteOptions(**asdict(recorded))
-            if self.is_typed:
-                known = replace(known, height_m=self.height_m)
-            if recorded.gravity_sigma_is_given:
-                return known
-            return replace(known, gravity_sigma_m_s2=recorded_sigma(recorded.gravity_m_s2, recorded.gravity_sigma_m_s2))
-        latitude_deg = recorded.latitude_deg if self.latitude_deg is None else self.latitude_deg
-        return replace(self, latitude_deg=latitude_deg, height_m=recorded.height_m if self.height_m is None else self.height_m)
+        if self.is_known:
+            # A typed latitude with the height of a default would be nowhere: of these nothing is taken.
+            known, its_height_m = replace(self, usual=NOWHERE), recorded.height_m
+            known = known if known.latitude_deg is not None else replace(known, latitude_deg=recorded.latitude_deg)
+        elif recorded.is_known:
+            known, its_height_m = SiteOptions(**asdict(recorded)), recorded.height_m
+            if not recorded.gravity_sigma_is_given:
+                sigma_m_s2 = recorded_sigma(recorded.gravity_m_s2, recorded.gravity_sigma_m_s2)
+                known = replace(known, gravity_sigma_m_s2=sigma_m_s2)
+        else:
+            known = SiteOptions(**asdict(self.usual))
+            its_height_m = known.height_m if recorded.height_m is None else recorded.height_m
+        return replace(known, height_m=its_height_m if self.height_m is None else self.height_m)
 
     def record(self) -> SiteRecord:
-        """Return what a session keeps: what was typed, nothing computed."""
+        """Return what was typed, as a session keeps it: nothing computed."""
         return SiteRecord(**{entry.name: getattr(self, entry.name) for entry in fields(SiteRecord)})

@@ -63,6 +63,7 @@ TYPED = [
     Case("hold too short", "capture --port x --hold-s 0.1", USAGE, ()),
     Case("gravity of the Moon", "capture --port x --gravity 1.62", CALIBRATION, ("1.62 m/s^2", "9.76", "9.84", "--latitude")),
     Case("no latitude", "capture --port x --latitude 91", USAGE, ("91 deg", "90")),
+    Case("no height", "capture --port x --height 99999", USAGE, ("99999 m", "9000")),
     Case("height alone", "plan --height 300", USAGE, ("300 m", "--latitude")),
     Case("gravity in g", "solve whole --gravity 1", CALIBRATION, (" 1 m/s^2", "9.76", "9.84", "--latitude")),
     Case("gravity NaN", "solve whole --gravity nan", CALIBRATION, ("nan m/s^2", "9.76", "9.84")),

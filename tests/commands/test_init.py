@@ -111,6 +111,34 @@ def test_what_is_there_is_kept_where_it_is_replaced(program: Program, terminal: 
     assert (program.folder / "imufield-1.toml").read_text() == 'driver = "text"\n'
 
 
+@pytest.mark.parametrize(
+    ("recorded", "options", "written_site"),
+    [
+        ({"latitude_deg": 45.0}, (), {"latitude": 45.0, "height": 300.0}),
+        ({"latitude_deg": 45.0, "height_m": 100.0}, ("--height", "520"), {"latitude": 45.0, "height": 520.0}),
+        # An older session kept the digits of a textbook's value, which measure nothing.
+        ({"gravity_m_s2": 9.81, "gravity_sigma_m_s2": 0.01 / 12**0.5}, (), {"gravity": "9.81"}),
+    ],
+)
+def test_what_is_missing_of_the_last_site_is_asked(
+    recorded: dict[str, float],
+    options: tuple[str, ...],
+    written_site: dict[str, object],
+    program: Program,
+    terminal: Callable[..., Terminal],
+) -> None:
+    earlier_session(program.folder, **recorded)
+    screen = terminal("init", "--driver", "mv5_can", "--target-bias-ug", "10", "--target-scale-ppm", "10", *options)
+    screen.wait_for("Latitude in degrees")
+    screen.type("\n")
+    if recorded == {"latitude_deg": 45.0}:
+        screen.wait_for("Height above")
+        screen.type("300\n")
+    assert screen.wait() == 0
+    site = {name: value for name, value in written(program.folder).items() if name in ("gravity", "latitude", "height")}
+    assert site == written_site
+
+
 def test_of_a_latitude_alone_the_height_is_asked(program: Program, terminal: Callable[..., Terminal]) -> None:
     screen = terminal("init", "--latitude", "48", "--driver", "mv5_can", "--target-bias-ug", "10", "--target-scale-ppm", "10")
     screen.wait_for("Height above")

@@ -199,8 +199,16 @@ def test_a_session_has_one_place_whatever_is_typed_of_it() -> None:
     higher = SiteOptions(height_m=600.0).gravity(measured)
     assert (higher.source, higher.gravity_m_s2, higher.sigma_m_s2, higher.height_m) == ("typed", 9.8081, 1e-5, 600.0)
     # The place where someone usually works says nothing of where a session was recorded.
-    usual = SiteOptions(latitude_deg=60.0, height_m=10.0, is_default=True)
-    assert usual.over(recorded).record() == recorded
+    usual = SiteOptions(usual=SiteRecord(latitude_deg=60.0, height_m=10.0))
+    assert usual.place(recorded).record() == recorded
+    # Nor does a height that is typed beside it, and where nothing else is known it is that of the usual place.
+    raised = replace(usual, height_m=310.0)
+    assert raised.place(measured).record() == replace(measured, height_m=310.0)
+    assert raised.place().record() == SiteRecord(latitude_deg=60.0, height_m=310.0)
+    # A height that a session knows alone is its own.
+    assert usual.place(SiteRecord(height_m=300.0)).record() == SiteRecord(latitude_deg=60.0, height_m=300.0)
+    # With a typed place nothing is taken of the usual one.
+    assert replace(usual, latitude_deg=10.0).place().record() == SiteRecord(latitude_deg=10.0)
     with pytest.raises(UsageError, match="600 m"):
         SiteOptions(height_m=600.0).gravity(SiteRecord(height_m=300.0))
 
@@ -226,6 +234,9 @@ def test_the_height_0_of_an_earlier_version_is_not_proposed(nowhere: Path) -> No
     assert solving._better_gravity(before, choose_gravity(latitude_deg=45.0)) == ()
     (told,) = solving._better_gravity(before, choose_gravity())
     assert "--latitude 45 --height 0" in told
+    measured = replace(before, source="typed", sigma_m_s2=1e-5)
+    (told,) = solving._better_gravity(measured, choose_gravity(latitude_deg=45.0))
+    assert "--gravity 9.8062" in told
     (told,) = solving._better_gravity(replace(before, height_m=520.0), choose_gravity(latitude_deg=45.0))
     assert "--latitude 45 --height 520" in told
 
@@ -257,7 +268,7 @@ def with_site(session: Path, **site: float) -> None:
 
 def test_a_default_goes_before_gravity_that_was_assumed(nowhere: Path) -> None:
     assert solved(nowhere)["site"]["gravity_source"] == "assumed"
-    site = SiteOptions(latitude_deg=60.0, height_m=0.0, is_default=True)
+    site = SiteOptions(usual=SiteRecord(latitude_deg=60.0, height_m=0.0))
     task = _Task(VerifyOptions(parameters=nowhere.parent / "solved.toml", session=nowhere, site=site))
     assert (task.gravity.source, task.latitude_deg, task.gravity.height_m) == ("normal", 60.0, 0.0)
 
@@ -266,7 +277,7 @@ def test_what_was_typed_to_solve_a_session_without_a_site_goes_before_a_default(
     site = solved(nowhere, "--latitude", "10", "--height", "300")["site"]
     assert (site["gravity_source"], site["latitude_deg"], site["height_m"]) == ("normal", 10.0, 300.0)
     parameters = nowhere.parent / "solved.toml"
-    for options in (SiteOptions(), SiteOptions(latitude_deg=60.0, height_m=0.0, is_default=True)):
+    for options in (SiteOptions(), SiteOptions(usual=SiteRecord(latitude_deg=60.0, height_m=0.0))):
         task = _Task(VerifyOptions(parameters=parameters, session=nowhere, site=options))
         assert task.latitude_deg == 10.0
         assert task.gravity.height_m == 300.0

@@ -308,23 +308,26 @@ class Place:
 
 
 def _site_options(place: Place, typed: frozenset[str]) -> "SiteOptions":
-    """Return the site: what was typed; without that the defaults of file and variables, which a session's own site beats."""
-    from imufield.earth import sigma_as_typed
+    """Return the site: what was typed, and apart from it the defaults of file and variables."""
+    from imufield.acquire.recording.session_record import SiteRecord
     from imufield.pipeline.site import SiteOptions
 
-    # A place is one thing: a typed latitude with the height of a default would be nowhere.
-    typed &= {"gravity", "latitude", "height"}
-    if "gravity" in typed or "latitude" in typed:
-        place = Place(**{name: getattr(place, name) for name in typed})
-    value = place.gravity
-    return SiteOptions(
-        gravity_m_s2=value,
-        latitude_deg=place.latitude,
-        height_m=place.height,
-        is_default=not typed,
-        gravity_sigma_m_s2=sigma_as_typed(value.text, value.sigma_text) if isinstance(value, TypedNumber) else None,
-        gravity_sigma_is_given=True if isinstance(value, TypedNumber) and value.sigma_text else None,
-    )
+    names = frozenset({"gravity", "latitude", "height"})
+    return SiteOptions(**_site_values(place, names & typed), usual=SiteRecord(**_site_values(place, names - typed)))
+
+
+def _site_values(place: Place, names: frozenset[str]) -> "dict[str, Any]":
+    """Return the fields of a ``SiteRecord`` that these options say."""
+    from imufield.earth import sigma_as_typed
+
+    value = place.gravity if "gravity" in names else None
+    return {
+        "gravity_m_s2": value,
+        "gravity_sigma_m_s2": sigma_as_typed(value.text, value.sigma_text) if isinstance(value, TypedNumber) else None,
+        "gravity_sigma_is_given": True if isinstance(value, TypedNumber) and value.sigma_text else None,
+        "latitude_deg": place.latitude if "latitude" in names else None,
+        "height_m": place.height if "height" in names else None,
+    }
 
 
 def unknown_site() -> "SiteOptions":

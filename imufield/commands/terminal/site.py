@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 from imufield.acquire.recording.session import Session
@@ -20,33 +20,31 @@ NOT_KNOWN = "-"
 
 
 def ask_site(site: SiteOptions, root: Path) -> SiteOptions:
-    """Return the place that is typed or taken over from the newest session that has one; ``site`` where it is not known.
-
-    The height is asked for where a latitude was typed.
+    """Return the place, asked for as far as it is not known; that of the newest session that has one can be taken over.
 
     Raises
     ------
     NoAnswer
         At the end of the input.
     """
+    known = site if site.is_known else _asked_latitude(site, root)
+    return _asked_height(known) if known.gravity().lacks_height else known
+
+
+def _asked_latitude(site: SiteOptions, root: Path) -> SiteOptions:
     last = _last_site(root)
 
     def read(answer: str) -> SiteOptions:
-        if not answer and last is not None:
-            return last
-        if answer in ("", NOT_KNOWN):
+        if answer == NOT_KNOWN or not (answer or last):
             return site
-        return _on_earth(SiteOptions(latitude_deg=read_answer(answer), height_m=site.height_m))
+        place = last if last and not answer else SiteOptions(latitude_deg=read_answer(answer))
+        return _on_earth(place if site.height_m is None else replace(place, height_m=site.height_m))
 
     say(sentence("site.why"))
-    place = ask_until(sentence("site.unknown") if last is None else sentence("site.last", place=words(last)), read)
-    is_typed = place.latitude_deg is not None and place is not last
-    return ask_height(place) if is_typed and place.height_m is None else place
+    return ask_until(sentence("site.unknown") if last is None else sentence("site.last", place=words(last)), read)
 
 
-def ask_height(site: SiteOptions) -> SiteOptions:
-    """Return a place with the height that is typed, or as it is; raises ``NoAnswer`` at the end of the input."""
-
+def _asked_height(site: SiteOptions) -> SiteOptions:
     def read(answer: str) -> SiteOptions:
         return site if answer in ("", NOT_KNOWN) else _on_earth(replace(site, height_m=read_answer(answer)))
 
@@ -79,5 +77,5 @@ def _last_site(root: Path) -> SiteOptions | None:
         with suppress(RecordingError):
             record = Session.open(folder).record.site
             if record.is_known:
-                return SiteOptions(**asdict(record))
+                return SiteOptions().place(record)
     return None
