@@ -6,10 +6,13 @@ Decoding takes as long as what is done with the samples, and two processes do bo
 from __future__ import annotations
 
 import os
+import pickle
 import sys
 from collections.abc import Generator, Iterator
 from contextlib import closing, suppress
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.decoded_session import Step, decoded, recorded_protocol, session_blocks
@@ -146,11 +149,25 @@ def _steps_of(answers: Connection, session: Session, decoder: SessionDecoder) ->
 
 def _received(answers: Connection) -> tuple[Step, float] | _End:
     try:
-        answer: tuple[Step, float] | _End = answers.recv()
+        head, sizes = answers.recv()
+        arrays = [np.empty(size, dtype=np.uint8) for size in sizes]
+        for array in arrays:
+            answers.recv_bytes_into(array)
     except OSError as error:
         # In the middle of an answer.
         raise EOFError(str(error)) from error
+    answer: tuple[Step, float] | _End = pickle.loads(head, buffers=arrays)  # noqa: S301  (of our own process)
     return answer
+
+
+def _put(end: Connection, answer: tuple[Step, float] | _End) -> None:
+    """Send an answer, its arrays as they lie in memory: inside the pickle they would be copied again and again."""
+    arrays: list[pickle.PickleBuffer] = []
+    head = pickle.dumps(answer, protocol=5, buffer_callback=arrays.append)
+    contents = [array.raw() for array in arrays]
+    end.send((head, [len(content) for content in contents]))
+    for content in contents:
+        end.send_bytes(content)
 
 
 def _send(session: Session, end: Connection) -> None:
@@ -162,7 +179,7 @@ def _send(session: Session, end: Connection) -> None:
     with suppress(BrokenPipeError):
         try:
             for step in _here(session, damage, decoder):
-                end.send((step, done()))
+                _put(end, (step, done()))
         except ImufieldError as raised:
             error = raised
-        end.send(_End(damage, decoder.statistics, error))
+        _put(end, _End(damage, decoder.statistics, error))

@@ -7,6 +7,7 @@ from contextlib import ExitStack
 
 from imufield.acquire.instrument.connect import check_options, connect
 from imufield.acquire.link.host_clock import HostClock
+from imufield.acquire.recording.session import Session
 from imufield.commands.options.acquire_commands import CaptureOptions
 from imufield.commands.terminal.guided import Captured, guide_record, guided_session, new_session
 from imufield.commands.terminal.output import before_recording, host_clock, say, say_assumed
@@ -43,9 +44,9 @@ def run_capture(options: CaptureOptions, clock: HostClock | None = None) -> Capt
                 retake=tuple(options.retake or ()),
             )
             if earlier is not None:
-                if options.session is None and options.view != "json":
-                    say(sentence("capture.goes_on", session=earlier.folder), err=True)
                 check_plan(earlier, options.positions, asked)
+                if options.view != "json":
+                    _say_what_goes_on(earlier, options)
             how = options.connect if earlier is None else connect_as_before(options.connect, earlier)
             site = options.site.place() if earlier is None else options.site.place(earlier.record.site)
             # A place that is nowhere on Earth is a slip of what was typed, whatever the port.
@@ -65,3 +66,12 @@ def run_capture(options: CaptureOptions, clock: HostClock | None = None) -> Capt
             check_instrument(session, connected)
             session.update(site=site.record(), finished=False)
         return guided_session(session, connected, clock, options, place=place)
+
+
+def _say_what_goes_on(earlier: Session, options: CaptureOptions) -> None:
+    """Say which session goes on where nobody named it, and that it was begun at another place."""
+    if options.session is None:
+        say(sentence("capture.goes_on", session=earlier.folder), err=True)
+    another_place = options.site.another_place(earlier.record.site)
+    if another_place is not None:
+        say(another_place, err=True)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 from imufield.acquire.recording.session_record import SiteRecord
 from imufield.dataclass import asdict, dataclass, fields, replace
-from imufield.earth import Gravity, choose_gravity, recorded_sigma
+from imufield.earth import GRAVITIES_DIFFER_SIGMA, Gravity, choose_gravity, recorded_sigma
 from imufield.errors import UsageError
-from imufield.sentences import Sentences
+from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
 
@@ -51,6 +53,19 @@ class SiteOptions(SiteRecord):
         # A value that is typed is as good as its digits; one that follows from a latitude has its own uncertainty.
         sigma_m_s2 = None if place.gravity_m_s2 is None else place.gravity_sigma_m_s2
         return choose_gravity(place.gravity_m_s2, place.latitude_deg, place.height_m, sigma_m_s2)
+
+    def another_place(self, recorded: SiteRecord) -> Sentence | None:
+        """Return a sentence where gravity at the typed place is not that at the recorded one."""
+        if not (self.is_typed and recorded.is_known):
+            return None
+        now, before = self.gravity(recorded), SiteOptions().gravity(recorded)
+        apart_m_s2 = abs(now.gravity_m_s2 - before.gravity_m_s2)
+        # A value that is typed is compared with its latitude elsewhere. A height contradicts none that was unknown.
+        adds_height = before.lacks_height and now.latitude_deg == before.latitude_deg
+        is_comparable = now.source == "normal" and before.source != "assumed" and not adds_height
+        if not is_comparable or apart_m_s2 <= GRAVITIES_DIFFER_SIGMA * math.hypot(now.sigma_m_s2, before.sigma_m_s2):
+            return None
+        return sentence("site.another_place", now=now, before=before, apart_ppm=apart_m_s2 / before.gravity_m_s2 * 1e6)
 
     def place(self, recorded: SiteRecord = NOWHERE) -> SiteOptions:
         """Return all that is known of a session's place: what is typed before what it recorded, that before the defaults.

@@ -98,10 +98,11 @@ def solve_session(
         between, best = reading.between(observations), reading.best
         is_import = session.record.kind == "import"
         of_recording = (*filter(None, (reading.saturated,)), *reading.refused, *reading.notes, *reading.lost)
+        site = site or SiteOptions()
         measured = Measured(
             observations=observations,
             left_out=left_out,
-            gravity=(site or SiteOptions()).gravity(session.record.site),
+            gravity=site.gravity(session.record.site),
             context=Context(
                 instrument=InstrumentFacts(**asdict(session.record.instrument)),
                 session=_facts(session, reading),
@@ -113,7 +114,7 @@ def solve_session(
             raw_zero=reading.raw_zero,
             gyroscope_scale=reading.gyroscope_scale,
             grade=reading.grade,
-            reasons=(*filter(None, (reading.compared,)), *of_recording),
+            reasons=(*filter(None, (site.another_place(session.record.site), reading.compared)), *of_recording),
             doubts=reading.sticking,
         )
         try:

@@ -95,6 +95,8 @@ def both(session: Session, monkeypatch: pytest.MonkeyPatch) -> Outcome:
     assert [(step.item, step.is_anew, arrays(step.samples)) for step in here.steps] == [
         (step.item, step.is_anew, arrays(step.samples)) for step in beside.steps
     ]
+    # What comes across belongs to who receives it.
+    assert all(step.samples.time_s.flags.writeable for step in beside.steps if step.samples is not None)
     assert (here.damage, here.statistics) == (beside.damage, beside.statistics)
     if here.error is not None:
         assert (type(here.error), here.error.reason, here.error.values, here.error.message) == (

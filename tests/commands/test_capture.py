@@ -353,7 +353,9 @@ def test_a_finished_session_measures_a_position_again(program: Program) -> None:
     assert newest_one.returncode == 2
     assert not missing(newest_one.stderr, "z+45", "+x", "imufield-sessions/20260801T100000Z-STIM300")
     # Which one that is, is said before its instrument is asked for.
-    no_port = program.run("capture", "--resume", "--port", "nowhere", "--retake", "+x")
+    no_port = program.run("capture", "--resume", "--port", "nowhere", "--retake", "+x", "--latitude", 75)
+    # Nor is another place than that it was begun at taken without a word.
+    assert not missing(no_port.stderr, "9.82870 m/s^2", "ppm", "--latitude")
     assert says(no_port.stderr, "commands", "capture.goes_on", session="imufield-sessions/20260801T100000Z-STIM300")
     again = program.run(*go_on, "--retake", "+x")
     assert again.returncode == 0, again.stderr
@@ -381,6 +383,9 @@ def test_quit_and_go_on(program: Program, open_terminal: Callable[..., Terminal]
     assert screen.wait() == 0
     session = newest(program)
     assert not session.finished
+    unknown = program.run("capture", "--resume", "--port", "nowhere", "--retake", "q+4")
+    assert unknown.returncode == 2
+    assert not missing(unknown.stderr, "q+4", "+x", "-z", session.folder.name)
     again = open_terminal("capture", "--session", str(session.folder))
     again.wait_for("Go on with the unfinished session")
     again.type("y\n")
@@ -426,7 +431,7 @@ def test_a_terminal_that_stands_still_loses_nothing_of_the_wire(
 def test_a_latitude_that_is_none(program: Program, screen: Terminal) -> None:
     screen.wait_for("Latitude in degrees")
     screen.type("here\n")
-    screen.wait_for("write decimal degrees")
+    screen.wait_for("is not a number")
     # It is asked again.
     screen.type("\x03")
     assert screen.wait() == 130

@@ -213,6 +213,32 @@ def test_a_session_has_one_place_whatever_is_typed_of_it() -> None:
         SiteOptions(height_m=600.0).gravity(SiteRecord(height_m=300.0))
 
 
+@pytest.mark.parametrize(
+    ("recorded", "typed", "is_another"),
+    [
+        ({"latitude_deg": 45.0, "height_m": 0.0}, {"latitude_deg": 48.1, "height_m": 0.0}, True),
+        ({"latitude_deg": 45.0, "height_m": 0.0}, {"latitude_deg": 45.4}, False),
+        # Of an unknown height nothing is known but the latitude.
+        ({"latitude_deg": 45.0}, {"height_m": 3000.0}, False),
+        ({"latitude_deg": 45.0}, {"latitude_deg": 75.0}, True),
+        ({"gravity_m_s2": 9.8081, "gravity_sigma_m_s2": 1e-5}, {"latitude_deg": 10.0, "height_m": 0.0}, True),
+        ({"gravity_m_s2": 9.81}, {"latitude_deg": 10.0}, False),
+        ({}, {"latitude_deg": 10.0}, False),
+        ({"latitude_deg": 45.0, "height_m": 0.0}, {}, False),
+    ],
+)
+def test_another_place_than_the_recorded_one_is_said(
+    recorded: dict[str, Any], typed: dict[str, Any], *, is_another: bool
+) -> None:
+    told = SiteOptions(**typed).another_place(SiteRecord(**recorded))
+    assert (told is not None) is is_another
+    if told is not None:
+        now = normal_gravity(typed["latitude_deg"])
+        before = recorded.get("gravity_m_s2") or normal_gravity(recorded["latitude_deg"])
+        assert float(told.values["apart_ppm"]) == pytest.approx(1e6 * abs(now - before) / before, rel=1e-9)
+        assert not missing(told, f"{now:.5f} m/s^2", f"{before:.5f}", "--latitude")
+
+
 def test_a_height_is_added_to_the_latitude_of_a_session(nowhere: Path) -> None:
     with_site(nowhere, latitude_deg=45.0)
     assert math.isnan(solved(nowhere)["site"]["height_m"])

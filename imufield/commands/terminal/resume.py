@@ -73,9 +73,17 @@ def find_unfinished(
         return session
     if not session.record.scheme:
         raise UsageError(sentence("resume.no_guide", folder=session.folder))
+    _check_planned(session, retake)
     if not resume and not (interactive and confirm(f"Go on with the unfinished session {session.folder}?")):
         raise RecordingError(sentence("resume.unfinished", folder=str(session.folder)), Reason.UNFINISHED)
     return session
+
+
+def _check_planned(session: Session, retake: tuple[str, ...]) -> None:
+    planned = [name for name, _ in _positions(str(ReadingPlan.of(session).scheme), Origin.INSIDE)]
+    for name in retake:
+        if name not in planned:
+            raise UsageError(sentence("resume.not_planned", folder=session.folder, name=name, planned=planned))
 
 
 def _check_goes_on(session: Session, *, resume: bool, retake: tuple[str, ...]) -> None:
