@@ -76,9 +76,10 @@ class Gravity:
     @property
     def has_few_digits(self) -> bool:
         """Whether its digits, and nothing given beside them, make its sigma more than that of a measurement."""
+        if self.source != "typed" or self.sigma_m_s2 <= MEASURED_GRAVITY_SIGMA_M_S2:
+            return False
         width = math.log10(self.sigma_m_s2 * math.sqrt(12))  # Of the last digit: see ``sigma_of_digits``.
-        is_of_digits = self.source == "typed" and math.isclose(width, round(width), abs_tol=1e-6)
-        return is_of_digits and self.sigma_m_s2 > MEASURED_GRAVITY_SIGMA_M_S2
+        return math.isclose(width, round(width), abs_tol=1e-6)
 
     @property
     def source_words(self) -> str:

@@ -53,10 +53,11 @@ def run_capture(options: CaptureOptions, clock: HostClock | None = None) -> Capt
             site.check()
             check_options(how)
             if interactive and not site.is_known:
-                site = ask_site(site, options.root)
-            elif not site.is_known and options.view != "json":
-                say(sentence("capture.gravity_unknown"), err=True)
-            site.gravity()
+                site = ask_site(options.site, options.root)
+            elif not site.is_known:
+                options.site.gravity()  # Refuses a typed height alone.
+                if options.view != "json":
+                    say(sentence("capture.gravity_unknown"), err=True)
             connected = connect(how, clock, say_assumed)
             stack.callback(connected.close)
         session = earlier or new_session(options, connected, site)

@@ -36,8 +36,7 @@ def run_init(options: InitOptions) -> None:
         The file cannot be written.
     """
     path = Path(FILE_NAME)
-    options = replace(options, site=options.site.place())
-    options.site.check()
+    options.site.place().check()
     if options.driver is not None:
         load_driver(options.driver)
     values = _values(options)
@@ -49,7 +48,7 @@ def run_init(options: InitOptions) -> None:
     if is_asked:
         values = _values(_asked(options))
     else:
-        options.site.gravity()  # Of which the answers make sure: refuses a height alone.
+        options.site.gravity()  # Refuses a typed height alone, as the questions do.
     if not values:
         raise UsageError(sentence("init.nothing"))
     text = f"# Defaults of imufield in this folder; all keys: docs/file-formats.md\n{tomli_w.dumps(values)}"
@@ -61,7 +60,7 @@ def run_init(options: InitOptions) -> None:
 
 def _values(options: InitOptions) -> dict[str, object]:
     """Return the content of the file."""
-    site = options.site
+    site = options.site.place()
     # As it is typed: with its standard deviation.
     sigma = "" if site.gravity_sigma_m_s2 is None else f"+-{site.gravity_sigma_m_s2:g}"
     values = {

@@ -79,9 +79,10 @@ class _Task:
         self.wants_navigation = options.turned or options.heading_deg is not None or "nav-nmi-per-h" in self.limits
         own, recorded = self.parameters.calibration.gravity, self.session.record.site
         # Where a session does not say where it was taken, what was typed to solve it goes before a default.
-        is_usual = options.site.usual.is_known and not (self.is_its_own and own.source != "assumed")
-        is_given = options.site.is_typed or is_usual or recorded.is_known
+        uses_default = options.site.usual.is_known and not (self.is_its_own and own.source != "assumed")
+        is_given = options.site.is_typed or uses_default or recorded.is_known
         self.gravity = options.site.gravity(recorded) if is_given else own
+        # A session's own parameters know more of its place than the defaults; those of another session know less.
         others = (options.site.usual.latitude_deg, own.latitude_deg)
         latitudes = (self.gravity.latitude_deg, *(reversed(others) if self.is_its_own else others))
         self.latitude_deg = next((latitude for latitude in latitudes if latitude is not None), None)

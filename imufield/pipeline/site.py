@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-import math
-
 from imufield.acquire.recording.session_record import SiteRecord
 from imufield.dataclass import asdict, dataclass, fields, replace
-from imufield.earth import GRAVITIES_DIFFER_SIGMA, Gravity, choose_gravity, recorded_sigma
+from imufield.earth import (
+    GRAVITIES_DIFFER_SIGMA,
+    NORMAL_GRAVITY_SIGMA_M_S2,
+    Gravity,
+    choose_gravity,
+    height_words,
+    recorded_sigma,
+)
 from imufield.errors import UsageError
 from imufield.sentences import Sentence, Sentences
 
@@ -56,23 +61,28 @@ class SiteOptions(SiteRecord):
 
     def another_place(self, recorded: SiteRecord) -> Sentence | None:
         """Return a sentence where gravity at the typed place is not that at the recorded one."""
-        if not (self.is_typed and recorded.is_known):
+        if not recorded.is_known:
             return None
         now, before = self.gravity(recorded), SiteOptions().gravity(recorded)
-        apart_m_s2 = abs(now.gravity_m_s2 - before.gravity_m_s2)
-        # A value that is typed is compared with its latitude elsewhere. A height contradicts none that was unknown.
-        adds_height = before.lacks_height and now.latitude_deg == before.latitude_deg
-        is_comparable = now.source == "normal" and before.source != "assumed" and not adds_height
-        if not is_comparable or apart_m_s2 <= GRAVITIES_DIFFER_SIGMA * math.hypot(now.sigma_m_s2, before.sigma_m_s2):
+        if before.lacks_height:
+            # A height contradicts none that was unknown: both at the one that is typed.
+            before = SiteOptions(height_m=now.height_m).gravity(recorded)
+        # A value that is typed is compared with its latitude elsewhere.
+        if now.source != "normal" or before.source == "assumed":
             return None
-        return sentence("site.another_place", now=now, before=before, apart_ppm=apart_m_s2 / before.gravity_m_s2 * 1e6)
+        apart_ppm = abs(now.gravity_m_s2 - before.gravity_m_s2) / before.gravity_m_s2 * 1e6
+        limit_ppm = GRAVITIES_DIFFER_SIGMA * NORMAL_GRAVITY_SIGMA_M_S2 / before.gravity_m_s2 * 1e6
+        if apart_ppm <= limit_ppm:
+            return None
+        values = {"now": now, "height": height_words(now), "before": before}
+        return sentence("site.another_place", **values, apart_ppm=apart_ppm, limit_ppm=limit_ppm)
 
     def place(self, recorded: SiteRecord = NOWHERE) -> SiteOptions:
         """Return all that is known of a session's place: what is typed before what it recorded, that before the defaults.
 
-        A session has one place: what is not typed of it stays known, but for the gravity of another latitude.
+        A session has one place: what is not typed of it stays known, but for gravity where another latitude is typed.
         """
-        if self.is_known:
+        if self.gravity_m_s2 is not None or self.latitude_deg not in (None, recorded.latitude_deg):
             # A typed latitude with the height of a default would be nowhere: of these nothing is taken.
             known, its_height_m = replace(self, usual=NOWHERE), recorded.height_m
             known = known if known.latitude_deg is not None else replace(known, latitude_deg=recorded.latitude_deg)

@@ -366,8 +366,8 @@ def _lost_temperature(before: Parameters, now: Parameters) -> tuple[str, ...]:
 
 def _better_gravity(before: Gravity, now: Gravity) -> tuple[str, ...]:
     # Earlier versions wrote 0 for a height that nobody gave: where none is given now, that is nothing to propose.
-    is_known = before.height_m != 0 or before.source != "normal" or not now.lacks_height
-    if not (is_known and before.sigma_m_s2 * _BETTER_KNOWN < now.sigma_m_s2):
+    has_height = before.height_m != 0 or before.source != "normal" or not now.lacks_height
+    if not (has_height and before.sigma_m_s2 * _BETTER_KNOWN < now.sigma_m_s2):
         return ()
     again = f"--gravity {before.gravity_m_s2:.8g}+-{before.sigma_m_s2:.2g}"
     if before.source == "normal" and before.latitude_deg is not None:

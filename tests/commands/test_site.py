@@ -23,7 +23,7 @@ from imufield.earth import Gravity, choose_gravity, normal_gravity, sigma_as_typ
 from imufield.errors import Reason, UsageError
 from imufield.pipeline import solving
 from imufield.pipeline.site import SiteOptions
-from tests.commands.told import fails, missing
+from tests.commands.told import fails, failure, missing
 
 
 def solved(folder: Path, *options: str) -> dict[str, Any]:
@@ -194,10 +194,14 @@ def test_a_session_has_one_place_whatever_is_typed_of_it() -> None:
     assert corrected.gravity_m_s2 == normal_gravity(47.0, 300.0)
     higher = SiteOptions(height_m=600.0).gravity(recorded)
     assert (higher.latitude_deg, higher.height_m, higher.gravity_m_s2) == (48.0, 600.0, normal_gravity(48.0, 600.0))
-    # A measured value is not given up for a height.
+    # A measured value is not given up for a height, or for the latitude that is known.
     measured = SiteRecord(gravity_m_s2=9.8081, gravity_sigma_m_s2=1e-5, gravity_sigma_is_given=True, latitude_deg=48.0)
     higher = SiteOptions(height_m=600.0).gravity(measured)
     assert (higher.source, higher.gravity_m_s2, higher.sigma_m_s2, higher.height_m) == ("typed", 9.8081, 1e-5, 600.0)
+    again = SiteOptions(latitude_deg=48.0).gravity(measured)
+    assert (again.source, again.gravity_m_s2, again.sigma_m_s2) == ("typed", 9.8081, 1e-5)
+    again = SiteOptions(latitude_deg=48.0).gravity(measured)
+    assert (again.source, again.gravity_m_s2, again.sigma_m_s2) == ("typed", 9.8081, 1e-5)
     # The place where someone usually works says nothing of where a session was recorded.
     usual = SiteOptions(usual=SiteRecord(latitude_deg=60.0, height_m=10.0))
     assert usual.place(recorded).record() == recorded
@@ -242,10 +246,18 @@ def test_another_place_than_the_recorded_one_is_said(
 def test_a_height_is_added_to_the_latitude_of_a_session(nowhere: Path) -> None:
     with_site(nowhere, latitude_deg=45.0)
     assert math.isnan(solved(nowhere)["site"]["height_m"])
+    assert "ppm apart" in reasons(solved(nowhere, "--latitude", "75"))
     site = solved(nowhere, "--height", "300")["site"]
     assert (site["latitude_deg"], site["height_m"]) == (45.0, 300.0)
     assert site["gravity_m_s2"] == pytest.approx(normal_gravity(45.0, 300.0), abs=1e-9)
     fails(["verify", str(nowhere.parent / "solved.toml"), str(nowhere), "--height", "900"], 2, Reason.USAGE, "--height")
+
+
+def test_a_usual_height_alone_is_no_refusal(monkeypatch: pytest.MonkeyPatch) -> None:
+    line = ["capture", "--port", "socket://127.0.0.1:1", "--driver", "stim300"]
+    fails([*line, "--height", "520"], 2, Reason.USAGE, "--latitude")
+    monkeypatch.setenv("IMUFIELD_HEIGHT_M", "520")
+    assert failure(*line).exit_code == 3  # Nobody listens there.
 
 
 @pytest.mark.parametrize(

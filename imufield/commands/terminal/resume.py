@@ -55,7 +55,8 @@ def find_unfinished(
     RecordingError
         If ``folder`` holds an unfinished session and nobody said that it should go on, or one that cannot be read.
     UsageError
-        If there is nothing to resume, ``folder`` is finished and nothing left to measure, or a position was never measured.
+        If there is nothing to resume, ``folder`` is finished and nothing left to measure, or a position was never
+        measured or is none of its plan.
     """
     if retake and not resume:
         raise UsageError(sentence("resume.retake_alone"))

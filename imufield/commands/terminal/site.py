@@ -27,7 +27,8 @@ def ask_site(site: SiteOptions, root: Path) -> SiteOptions:
     NoAnswer
         At the end of the input.
     """
-    known = site if site.is_known else _asked_latitude(site, root)
+    place = site.place()
+    known = place if place.is_known else _asked_latitude(site, root)
     return _asked_height(known) if known.gravity().lacks_height else known
 
 
@@ -36,7 +37,7 @@ def _asked_latitude(site: SiteOptions, root: Path) -> SiteOptions:
 
     def read(answer: str) -> SiteOptions:
         if answer == NOT_KNOWN or not (answer or last):
-            return site
+            return _on_earth(site)
         place = last if last and not answer else SiteOptions(latitude_deg=read_answer(answer))
         return _on_earth(place if site.height_m is None else replace(place, height_m=site.height_m))
 
