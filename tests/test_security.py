@@ -40,8 +40,14 @@ MAY_START_PROGRAMS = {
     "imufield/acquire/formats/table_arrays.py",
     "imufield/web/jobs.py",
 }
-MAY_USE = {("imufield/simulate/emulator/port.py", "pty"), ("imufield/dataclass.py", "exec")}
-"""The emulator makes pseudo-terminals; it starts nothing in them. A dataclass is made of the names of fields in the code."""
+MAY_USE = {
+    # The emulator makes pseudo-terminals; it starts nothing in them.
+    ("imufield/simulate/emulator/port.py", "pty"),
+    # A dataclass is made of the names of fields in the code.
+    ("imufield/dataclass.py", "exec"),
+    # Over a pipe to a process of its own, as multiprocessing itself does.
+    ("imufield/acquire/decoding_process.py", "pickle"),
+}
 SAMPLES = {
     "import pickle": "pickle",
     "from yaml import load": "yaml",
