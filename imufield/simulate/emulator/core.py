@@ -190,7 +190,11 @@ class EmulatorCore(ABC):
 
     def wait(self, timeout_s: float | None = None) -> bool:
         """Wait for the thread to end and return whether it did."""
-        return self._finished.wait(timeout_s)
+        end_s = time.monotonic() + (math.inf if timeout_s is None else timeout_s)
+        # Ctrl-C inside Event.wait can leave the event's lock held: the thread would wait for it and never end.
+        while not self._finished.is_set() and time.monotonic() < end_s:
+            time.sleep(SLICE_S)
+        return self._finished.is_set()
 
     def __enter__(self) -> Self:
         return self.start()

@@ -8,6 +8,7 @@ from itertools import accumulate
 import pytest
 
 from imufield.simulate.emulator.core import PaceWatch
+from imufield.simulate.emulator.emulate import Emulation, make_emulator
 
 SPEED = 60.0
 
@@ -38,3 +39,9 @@ def test_a_machine_that_stops_for_a_moment_is_not_slow() -> None:
 def test_slower_than_real_time_on_purpose() -> None:
     assert after(((1.0, 0.5) for _ in range(20)), 0.5).reached is None
     assert after(((1.0, 0.25) for _ in range(20)), 0.5).reached == 0.25
+
+
+def test_who_waits_takes_no_lock_that_an_interrupt_could_leave_held() -> None:
+    with make_emulator(Emulation(rate_hz=125.0)) as emulator, emulator._finished._cond:  # type: ignore[attr-defined]
+        assert not emulator.wait(0.05)
+    assert emulator.wait(10)
