@@ -16,8 +16,8 @@ from pathlib import Path
 from imufield import progress
 from imufield.errors import EXIT_INTERRUPTED
 
-END_S = 5.0
-"""What is interrupted closes its files; what has not ended by then is ended without."""
+END_S = 30.0
+"""What is interrupted closes its files, on a busy machine in seconds; what has not ended by then is ended without."""
 
 
 def _end_with(starter: int) -> None:
