@@ -15,5 +15,7 @@ BAUD_RANGE = (50, 100_000_000)
 """Of a port, or bits/s of a bus: 50 is the lowest that serial ports know; the fastest adapters are below 50 Mbit/s."""
 TEMPERATURE_RANGE_DEGC = (-100.0, 300.0)
 """Of an instrument that works: those for boreholes go to 225 degC."""
+LONGEST_CLOSING_S = 30.0
+"""Of a program that is to end: what is interrupted closes its files, which takes seconds on a busy machine."""
 PORT_RANGE = (1024, 65535)
 """TCP ports that a program may take without rights of its own."""

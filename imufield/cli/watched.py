@@ -15,9 +15,7 @@ from pathlib import Path
 
 from imufield import progress
 from imufield.errors import EXIT_INTERRUPTED
-
-END_S = 30.0
-"""What is interrupted closes its files, on a busy machine in seconds; what has not ended by then is ended without."""
+from imufield.limits import LONGEST_CLOSING_S
 
 
 def _end_with(starter: int) -> None:
@@ -31,7 +29,7 @@ def _end_with(starter: int) -> None:
         end(os.getpid(), signal.SIGTERM)
     else:
         _thread.interrupt_main(signal.SIGTERM)
-    time.sleep(END_S)
+    time.sleep(LONGEST_CLOSING_S)
     os._exit(EXIT_INTERRUPTED)
 
 

@@ -84,17 +84,18 @@ class SiteOptions(SiteRecord):
         """
         if self.gravity_m_s2 is not None or self.latitude_deg not in (None, recorded.latitude_deg):
             # A typed latitude with the height of a default would be nowhere: of these nothing is taken.
-            known, its_height_m = replace(self, usual=NOWHERE), recorded.height_m
-            known = known if known.latitude_deg is not None else replace(known, latitude_deg=recorded.latitude_deg)
+            latitude_deg = recorded.latitude_deg if self.latitude_deg is None else self.latitude_deg
+            known = replace(self, usual=NOWHERE, latitude_deg=latitude_deg, height_m=recorded.height_m)
         elif recorded.is_known:
-            known, its_height_m = SiteOptions(**asdict(recorded)), recorded.height_m
+            known = SiteOptions(**asdict(recorded))
             if not recorded.gravity_sigma_is_given:
                 sigma_m_s2 = recorded_sigma(recorded.gravity_m_s2, recorded.gravity_sigma_m_s2)
                 known = replace(known, gravity_sigma_m_s2=sigma_m_s2)
         else:
             known = SiteOptions(**asdict(self.usual))
-            its_height_m = known.height_m if recorded.height_m is None else recorded.height_m
-        return replace(known, height_m=its_height_m if self.height_m is None else self.height_m)
+            if recorded.height_m is not None:
+                known = replace(known, height_m=recorded.height_m)
+        return known if self.height_m is None else replace(known, height_m=self.height_m)
 
     def record(self) -> SiteRecord:
         """Return what was typed, as a session keeps it: nothing computed."""

@@ -14,6 +14,7 @@ from typing import IO
 
 from imufield.dataclass import asdict, dataclass, field
 from imufield.errors import EXIT_INTERRUPTED, UsageError
+from imufield.limits import LONGEST_CLOSING_S
 from imufield.progress import ERASE
 from imufield.sentences import Sentences, printable
 from imufield.web.board import Json
@@ -26,7 +27,7 @@ MOST_WAITING = 16
 """A page asks for one thing after the other; more is none of a person."""
 LONGEST_OUTPUT = 1 << 22
 """Characters of one line: the parameters of a thousand positions take half of it."""
-END_S = 10.0
+END_S = 2 * LONGEST_CLOSING_S
 """Twice what a command that is interrupted has by itself; then it is killed."""
 PROGRESS = "progress"
 # Live values of the guide, which has a page of its own for them.
