@@ -32,6 +32,7 @@ def run_apply(options: ApplyOptions) -> None:
         raise UsageError(sentence("apply.swapped", source=source))
     parameters = load(options.parameters)
     damage: list[Damage] = []
+    assumptions: list[str] = []
     if source.is_dir():
         if options.rate_hz is not None:
             raise UsageError(sentence("apply.rate_of_session"))
@@ -40,12 +41,13 @@ def run_apply(options: ApplyOptions) -> None:
         serial_number, blocks = session.serial_number, session_samples(session, damage)
     else:
         refuse_overwriting(output, [options.parameters, source], RecordingError)
-        serial_number, blocks = "", table_samples(source, options.rate_hz)
+        serial_number, blocks = "", table_samples(source, options.rate_hz, assumptions)
     count, flags = RowCount(), TemperatureFlags(parameters)
     rows = apply_session(parameters, count.through(blocks), output, serial_number=serial_number, flags=flags)
     # On the other stream: the rows say nothing of what is missing between them.
-    say_each((entry.what for entry in damage), err=True)
+    say_each((*assumptions, *(entry.what for entry in damage)), err=True)
     echo(beside(f"{rows} corrected samples in", output))
     say("time in s, specific force in m/s^2, angular rate in rad/s, temperature in degC")
-    for note in filter(None, (parameters.edited_note, parameters.verdict_note, count.flags(), *flags.notes())):
+    about_file = (parameters.edited_note, parameters.verdict_note, parameters.gyroscope_note)
+    for note in filter(None, (*about_file, count.flags(), *flags.notes())):
         echo(hanging("", note))

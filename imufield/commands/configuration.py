@@ -20,7 +20,8 @@ sentence = Sentences(__package__)
 
 FILE_NAME = "imufield.toml"
 KEYS: dict[str, tuple[str, ...]] = {
-    **dict.fromkeys(("port", "bus", "dbc", "mapping", "driver", "baud"), ("capture", "record")),
+    **dict.fromkeys(("port", "bus", "dbc", "mapping", "baud"), ("capture", "record")),
+    "driver": ("capture", "record", "plan"),
     **dict.fromkeys(("positions", "hold_s"), ("capture", "plan")),
     **dict.fromkeys(("target_bias_ug", "target_scale_ppm"), ("capture", "plan", "history")),
     **dict.fromkeys(("gravity", "latitude", "height"), ("capture", "record", "solve", "plan")),

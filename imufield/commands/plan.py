@@ -23,7 +23,7 @@ def run_plan(options: PlanOptions) -> None:
     Raises
     ------
     UsageError
-        If there is no such scheme, grade or place.
+        If there is no such scheme, driver, grade or place.
     CalibrationError
         If gravity is nowhere on Earth what was given.
     """
@@ -36,14 +36,12 @@ def run_plan(options: PlanOptions) -> None:
         gravity=options.site.gravity(),
     )
     noise = None if options.noise_ug is None else options.noise_ug * MICRO_G_M_S2
-    if options.grade is not None or noise is None:
-        grade = find_grade(options.grade or DEFAULT_GRADE)
-    else:
-        grade = grade_by_noise("accelerometer", noise)
+    stated = options.grade or _stated_grade(options.driver)
+    grade = find_grade(stated or DEFAULT_GRADE) if stated or noise is None else grade_by_noise("accelerometer", noise)
     noise = noise or grade.accelerometer.noise_density
     time = session_time(positions, settings, noise=noise, grade=grade)
     sizes = {"noise_ug": noise / MICRO_G_M_S2, "scatter_ug": grade.scatter_m_s2 / MICRO_G_M_S2}
-    is_known = options.noise_ug is not None or options.grade is not None
+    is_known = options.noise_ug is not None or stated
     source = time.gravity.source_words
     if time.gravity.source == "assumed":
         source = sentence("plan.place_unknown" if options.site.place().gravity_m_s2 is None else "plan.textbook")
@@ -60,3 +58,12 @@ def run_plan(options: PlanOptions) -> None:
         if remedy:
             say(remedy)
         say(assumed + place)
+
+
+def _stated_grade(driver: str | None) -> str:
+    """Return the grade that a driver states of its instruments; empty without a driver, or where they differ."""
+    if driver is None:
+        return ""
+    from imufield.acquire.registry import load_driver  # Late: most plans are made before there is an instrument.
+
+    return load_driver(driver).load_protocol().nominal.grade

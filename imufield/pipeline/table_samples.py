@@ -18,13 +18,16 @@ from imufield.sentences import Sentences
 sentence = Sentences(__package__)
 
 
-def table_samples(path: Path, rate_hz: float | None = None) -> Iterator[Samples]:
-    """Yield the samples of a table, e.g. an exported CSV, block by block."""
+def table_samples(path: Path, rate_hz: float | None, assumptions: list[str]) -> Iterator[Samples]:
+    """Yield the samples of a table, e.g. an exported CSV, block by block; ``assumptions`` receives what was assumed of it."""
     refuse_endless([path])
     decoder: Decoder | None = None
     # The way of an import, through rows and the decoder: a table gives the same numbers imported or not.
     for table in stream_table(path, rate_hz=rate_hz):
-        decoder = decoder or Decoder(load_protocol(ROWS_PROTOCOL, with_units_of_stills(table).settings))
+        if decoder is None:
+            first = with_units_of_stills(table)
+            assumptions += first.assumptions
+            decoder = Decoder(load_protocol(ROWS_PROTOCOL, first.settings))
         chunks = _Chunks()
         write_rows(chunks, table.rows, table.status, table.counter)
         for chunk in chunks:

@@ -374,7 +374,7 @@ def test_exported_samples_come_back_as_they_were(tmp_path: Path, to: str, suffix
 def test_a_table_piece_by_piece_keeps_the_counter(tmp_path: Path) -> None:
     sent = gappy()
     export_samples([sent], tmp_path / "samples.csv")
-    found = concatenate(table_samples(tmp_path / "samples.csv"))
+    found = concatenate(table_samples(tmp_path / "samples.csv", None, []))
     np.testing.assert_array_equal(found.counter, sent.counter)
     np.testing.assert_array_equal(found.status, sent.status)
     np.testing.assert_array_equal(found.time_s, sent.time_s)
@@ -387,7 +387,7 @@ def test_a_pipe_is_refused(tmp_path: Path, name: str) -> None:
         assert typed("import", tmp_path / name, *arguments, "-o", tmp_path / "s") == 2
     assert not (tmp_path / "s").exists()
     with refused(UsageError, Reason.USAGE, name, key="table_samples.pipe"):
-        next(table_samples(tmp_path / name))
+        next(table_samples(tmp_path / name, None, []))
 
 
 @pytest.mark.parametrize(("to", "suffix", "package"), FORMATS)

@@ -81,7 +81,10 @@ def test_units_that_nobody_stated(tmp_path: Path, accelerometer: float, gyroscop
     for triad, unit in zip(("accelerometer", "gyroscope"), units, strict=True):
         assert f"still_scales.{triad}" + ("_count" if unit == "count" else "") in said
     assert not [key for key in said if key.startswith("table_columns.") and "_by_" in key]
-    blocks = list(table_samples(tmp_path / "table.csv"))
+    # Who corrects the table without an import is told the same.
+    assumed: list[str] = []
+    blocks = list(table_samples(tmp_path / "table.csv", None, assumed))
+    assert [key_of(one) for one in assumed] == said
     assert blocks[0].units.gyroscope == ("count" if units[1] == "count" else "rad/s")
     solved = solve_session(session, SolveSettings(), SiteOptions(gravity_m_s2=G)).calibration
     nominal = {"m/s^2": accelerometer, "g": accelerometer * G, "count": accelerometer}[units[0]]

@@ -200,8 +200,13 @@ class PlanOptions:
     target_bias_ug: TargetBiasUg = None
     target_scale_ppm: TargetScalePpm = None
     site: PlaceOptions = field(default_factory=unknown_site)
+    driver: DriverName = None
     grade: Annotated[
-        str | None, option(help="Instrument grade, whose noise is assumed: navigation, tactical, industrial or mems (default).")
+        str | None,
+        option(
+            help="Instrument grade, whose noise is assumed: navigation, tactical, industrial or mems (default: as driver "
+            "states, else mems)."
+        ),
     ] = None
     noise_ug: Annotated[
         float | None,
