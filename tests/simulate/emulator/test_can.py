@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import select
 import subprocess
 import sys
 import time
@@ -40,6 +41,8 @@ settings = EmulatorSettings(duration_s=2.0)
 with CanEmulator(load_protocol("j1939_imu"), source, sys.argv[1], settings) as emulator:
     print(emulator.bus, flush=True)
     emulator.wait(60)
+    print("all sent", flush=True)
+    sys.stdin.read()
 """
 
 
@@ -117,13 +120,15 @@ def test_across_processes(kind: str) -> None:
             pytest.skip("this machine has no multicast network")
         bus = f"{kind}:{address}"
         opened = open_can(bus, driver="aceinna_can")
-    with subprocess.Popen([sys.executable, "-c", CHILD, bus], stdout=subprocess.PIPE, text=True) as child:
-        assert child.stdout is not None
-        told = child.stdout.readline().strip()
+    # Who sends keeps its port until it is read: a busy machine may leave either of the two waiting.
+    line, pipe = [sys.executable, "-c", CHILD, bus], subprocess.PIPE
+    with subprocess.Popen(line, stdin=pipe, stdout=pipe, text=True) as child:
+        told = child.stdout
+        assert told is not None
+        name = told.readline().strip()
         if kind == "slcan":
-            opened = open_can(f"{told}?sleep_after_open=0", driver="aceinna_can")
-        samples = read(opened, lambda: child.poll() is not None or kind == "slcan")
-        child.terminate()
+            opened = open_can(f"{name}?sleep_after_open=0", driver="aceinna_can")
+        samples = read(opened, lambda: bool(select.select([told], [], [], 0)[0]))
     # A busy machine may drop a datagram of UDP; an adapter drops nothing.
     fewest = 200 if kind == "udp_multicast" else 400
     whole = samples[(samples.status & np.uint32(Status.ACCELEROMETER_INVALID | Status.GYROSCOPE_INVALID)) == 0]
