@@ -9,6 +9,7 @@ import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 from imufield.acquire.decode.statistics import remarks, without_samples
@@ -34,11 +35,12 @@ from imufield.guide.lead.still_scales import find_scales
 from imufield.pipeline.still_units import settings_of_stills, with_units_of_stills
 from imufield.pipeline.table_samples import refuse_endless
 from imufield.samples import Samples, require_possible_degc
-from imufield.sentences import Sentences, printable
+from imufield.sentences import Sentence, Sentences, printable
 
 sentence = Sentences(__package__)
 
 DUMP_CHUNK_BYTES = 1 << 16  # Small beside a block of the recorder, large beside a call.
+_SINCE_1970_S = 946_684_800.0  # The year 2000: no clock that counts from its own start is so late.
 
 
 def run_import(options: ImportOptions) -> Session:
@@ -142,9 +144,10 @@ def _import_tables(options: ImportOptions) -> tuple[Session, list[str]]:
     # The unit of time is spent when the rows are made; their protocol does not know it.
     of_rows = {name: value for name, value in options.settings.items() if name != TIME_UNIT}
     protocol = load_protocol(ROWS_PROTOCOL, {**of_rows, **table.settings}, label="an imported table")
-    with _whole_or_nothing(_new_session(options, protocol, table), protocol) as (session, recorder):
+    began = _began(table.begin_s)
+    with _whole_or_nothing(_new_session(options, protocol, table, began), protocol) as (session, recorder):
         write_rows(recorder, table.rows, table.status, table.counter)
-    return session, list(table.assumptions)
+    return session, [*table.assumptions, *_said_of(began)]
 
 
 def _import_bytes(options: ImportOptions, protocol: Protocol) -> tuple[Session, list[str]]:
@@ -180,10 +183,22 @@ def _import_bytes(options: ImportOptions, protocol: Protocol) -> tuple[Session, 
     units, said_of_units = settings_of_stills(scales, protocol)
     if units:
         protocol = _protocol(replace(options, settings={**options.settings, **units})) or protocol
-    with _whole_or_nothing(_new_session(options, protocol, None), protocol) as (session, recorder):
+    began = _began(next(_chunks(options, protocol, [])).monotonic_s)
+    with _whole_or_nothing(_new_session(options, protocol, None, began), protocol) as (session, recorder):
         for chunk in _chunks(options, protocol, []):  # What is lost was said while they were tried.
             recorder.write_chunk(chunk)
-    return session, [*losses, said, *remarks([counts]), *assumed(protocol), *said_of_units]
+    return session, [*losses, said, *remarks([counts]), *assumed(protocol), *said_of_units, *_said_of(began)]
+
+
+def _began(time_s: float) -> str:
+    """Return when a recording began, UTC, ISO 8601, by its first time where that counts from 1970; else an empty text."""
+    if not _SINCE_1970_S < time_s < SystemClock().utc_ns() / 1e9:
+        return ""
+    return datetime.fromtimestamp(time_s, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+def _said_of(began: str) -> tuple[Sentence, ...]:
+    return (sentence("import_files.began", began=began),) if began else ()
 
 
 def _samples(options: ImportOptions, decoder: Decoder, losses: list[str]) -> Iterator[Samples]:
@@ -275,10 +290,11 @@ def _whole_or_nothing(session: Session, protocol: Protocol) -> Iterator[tuple[Se
     session.update(finished=True)
 
 
-def _new_session(options: ImportOptions, protocol: Protocol, table: ImportedTable | None) -> Session:
+def _new_session(options: ImportOptions, protocol: Protocol, table: ImportedTable | None, began: str) -> Session:
     model = printable(options.files[0].name.split(".")[0])
     metadata: dict[str, object] = {
         "kind": "import",
+        "began": began or None,
         "instrument": {"driver": options.driver or protocol.name, "model": model},
         "protocol": {"name": protocol.name, "sha256": protocol.sha256, "text": protocol.text},
         "settings": {name: SettingRecord(setting.value, setting.origin) for name, setting in protocol.settings.items()},

@@ -90,7 +90,7 @@ def sessions_of(serial_number: str, root: Path) -> list[Session]:
             found.append(session)
     if not found:
         raise UsageError(sentence("together.none_of_serial", serial_number=serial_number, folder=root))
-    return sorted(found, key=lambda session: (session.record.created, session.name))
+    return sorted(found, key=lambda session: (session.record.recorded or session.record.created, session.name))
 
 
 def solve_together(

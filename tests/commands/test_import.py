@@ -28,7 +28,7 @@ from imufield.pipeline.table_samples import table_samples
 from imufield.samples import NO_COUNTER, Samples, Status, concatenate, make_samples
 from imufield.simulate.wire.can_frames import CanEncoder
 from tests.acquire.formats.conftest import fork_readers
-from tests.commands.told import fails
+from tests.commands.told import fails, missing
 from tests.refused import refused
 
 N = 500
@@ -117,6 +117,7 @@ def test_a_log_of_a_can_bus(tmp_path: Path, suffix: str, packed: bool, capsys: p
     assert np.isnan(found.accelerometer[77]).all()
     assert np.flatnonzero(found.status & np.uint32(Status.ACCELEROMETER_INVALID)).tolist() == [77]
     assert Session.open(tmp_path / "mine").metadata["instrument"]["driver"] == "aceinna_can"
+    assert Session.open(tmp_path / "mine").record.recorded == "2023-11-14T22:13:20Z"
 
 
 def test_a_log_with_a_dbc_and_a_mapping(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -283,6 +284,29 @@ def test_the_unit_of_time_and_the_site_are_kept(tmp_path: Path) -> None:
     assert np.diff(samples.time_s).mean() == pytest.approx(0.01)
     assert run(["import", str(tmp_path / "a.csv"), "-o", str(tmp_path / "there"), "--latitude", "95"]) == 2
     assert not (tmp_path / "there").exists()
+
+
+@pytest.mark.parametrize(
+    ("begin_s", "unit", "recorded"),
+    [
+        (1_767_225_600.5, "s", "2026-01-01T00:00:00Z"),
+        (1_767_225_600_500.0, "ms", "2026-01-01T00:00:00Z"),
+        (0.0, "s", ""),
+        # A clock that is set to the future, and one that has run since 1998.
+        (4.1e9, "s", ""),
+        (9e8, "s", ""),
+    ],
+)
+def test_a_recording_began_when_its_times_say(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], begin_s: float, unit: str, recorded: str
+) -> None:
+    steps = np.arange(N) * {"s": 0.01, "ms": 10.0}[unit]
+    np.savetxt(tmp_path / "a.csv", np.column_stack([begin_s + steps, np.full((N, 3), 5.7)]), delimiter=",", fmt="%.3f")
+    assert run(["import", str(tmp_path / "a.csv"), "-o", str(tmp_path / "here")]) == 0
+    session = Session.open(tmp_path / "here")
+    assert session.record.recorded == recorded
+    assert (not missing(capsys.readouterr().err, "1970", "2026-01-01")) is bool(recorded)
+    assert session.record.created > "2026-02"
 
 
 def test_a_default_site_is_not_that_of_another_programs_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

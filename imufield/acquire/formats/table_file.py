@@ -50,6 +50,7 @@ class File:
     assumptions: tuple[str, ...]
     settings: dict[str, str | float] = field(default_factory=dict)
     raw_zero: tuple[float, float, float] | None = None
+    zero_s: float = 0.0
 
 
 def open_source(path: Path, topic: str | None) -> Source:
@@ -94,7 +95,7 @@ def file_of(source: Source, meaning: Meaning, values: FloatArray, first_row: int
     if isinstance(source, TextTable):
         return file
     said = (*source.assumptions, *meaning.assumptions)
-    return replace(file, assumptions=said, settings=source.settings, raw_zero=source.raw_zero)
+    return replace(file, assumptions=said, settings=source.settings, raw_zero=source.raw_zero, zero_s=source.zero_s)
 
 
 def is_empty(column: FloatArray) -> bool:

@@ -71,6 +71,8 @@ class ImportedTable:
         ``Status`` flags, where the file is an export of our own or a recording that tells.
     counter : ndarray of int64, shape (n,), or None
         Where the file is an export of our own, ``NO_COUNTER`` where the instrument sent none.
+    begin_s : float
+        Time of the first row, from 1970 where the files count from there.
     """
 
     rows: FloatArray
@@ -80,6 +82,7 @@ class ImportedTable:
     guessed: Mapping[str, str] = field(default_factory=dict)
     status: NDArray[np.uint32] | None = None
     counter: IntArray | None = None
+    begin_s: float = 0.0
 
     def __getitem__(self, rows: slice) -> ImportedTable:
         status, counter = self.status, self.counter
@@ -279,6 +282,7 @@ def _table(
         guessed=guessed,
         status=status,
         counter=counter,
+        begin_s=files[0].zero_s + float(rows[0, 0]),
     )
 
 

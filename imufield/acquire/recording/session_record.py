@@ -28,7 +28,7 @@ KEYS: Mapping[str, type] = {
     "accepted": int,
     "finished": bool,
     "notes": list,
-    **dict.fromkeys(("format", "created", "software", "model", "name", "kind", "scheme"), str),
+    **dict.fromkeys(("format", "created", "began", "software", "model", "name", "kind", "scheme"), str),
     **dict.fromkeys(("instrument", "link", "protocol", "settings", "units", "nominal", "guide", "site", "import"), dict),
 }
 """What ``session.toml`` may hold: ``kind`` is "capture", "record", "ramp" or "import"; who uses a table fills it."""
@@ -144,6 +144,8 @@ class SessionRecord:
     finished: bool
     software: str = "not known"
     kind: str = ""
+    began: str = ""
+    """When the recording of another program began, UTC, ISO 8601, where its own times tell it."""
     scheme: str | None = None
     accepted: int | None = None
     """Positions measured so far, of a guided session."""
@@ -157,12 +159,13 @@ class SessionRecord:
 
     @property
     def recorded(self) -> str:
-        """When the recording began, UTC, ISO 8601; empty for that of another program, and where the file was edited."""
+        """When the recording began, UTC, ISO 8601; empty where nobody knows, or where the file was edited."""
+        moment = self.began if self.kind == "import" else self.created
         try:
-            datetime.strptime(self.created, "%Y-%m-%dT%H:%M:%SZ").replace(tzinfo=UTC)
+            datetime.strptime(moment, "%Y-%m-%dT%H:%M:%SZ").replace(tzinfo=UTC)
         except ValueError:
             return ""
-        return "" if self.kind == "import" else self.created
+        return moment
 
     @property
     def setting_values(self) -> dict[str, object]:
@@ -199,7 +202,9 @@ class SessionRecord:
             if not isinstance(value, dict) or "value" not in value:
                 raise _refused("session_record.setting", path, key=key, value=value)
             settings[key] = SettingRecord(value["value"], str(value.get("origin", "")))
-        texts: Table = {key: printable(content[key]) for key in ("created", "model", "software", "kind") if key in content}
+        texts: Table = {
+            key: printable(content[key]) for key in ("created", "began", "model", "software", "kind") if key in content
+        }
         return cls(
             **texts,
             finished=content["finished"],

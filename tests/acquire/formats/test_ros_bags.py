@@ -88,6 +88,7 @@ def test_values(tmp_path: Path, kind: str, stamped: bool) -> None:
     assert table.status is not None
     assert not table.status.any()
     assert any(f"{STAMP_S} s" in sentence for sentence in table.assumptions)
+    assert table.begin_s == STAMP_S
 
 
 def test_what_is_not_available(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import zipfile
 from contextlib import suppress
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -74,6 +75,7 @@ def test_dates_count_from_the_first_row(tmp_path: Path) -> None:
     table = read_tables([tmp_path / "log.parquet"])
     np.testing.assert_allclose(table.rows[:, 0], TIME, atol=1e-12)
     assert any("dates" in sentence for sentence in table.assumptions)
+    assert table.begin_s == datetime(2026, 3, 1, 10, tzinfo=UTC).timestamp()
 
 
 def test_a_gap_is_named_by_its_row(tmp_path: Path) -> None:
