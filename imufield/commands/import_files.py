@@ -20,7 +20,7 @@ from imufield.acquire.formats.table_columns import TIME_UNIT
 from imufield.acquire.formats.table_text import read_pieces
 from imufield.acquire.formats.tables import ROWS_PROTOCOL, ImportedTable, read_tables, write_rows
 from imufield.acquire.link.chunk import Chunk
-from imufield.acquire.link.host_clock import SystemClock
+from imufield.acquire.link.host_clock import COUNTS_FROM_1970_S, SystemClock
 from imufield.acquire.protocol.protocol import Protocol, load_protocol
 from imufield.acquire.recording.part_file import is_part
 from imufield.acquire.recording.recorder import Recorder, part_metadata
@@ -40,7 +40,6 @@ from imufield.sentences import Sentence, Sentences, printable
 sentence = Sentences(__package__)
 
 DUMP_CHUNK_BYTES = 1 << 16  # Small beside a block of the recorder, large beside a call.
-_SINCE_1970_S = 946_684_800.0  # The year 2000: no clock that counts from its own start is so late.
 
 
 def run_import(options: ImportOptions) -> Session:
@@ -192,7 +191,7 @@ def _import_bytes(options: ImportOptions, protocol: Protocol) -> tuple[Session, 
 
 def _began(time_s: float) -> str:
     """Return when a recording began, UTC, ISO 8601, by its first time where that counts from 1970; else an empty text."""
-    if not _SINCE_1970_S < time_s < SystemClock().utc_ns() / 1e9:
+    if not COUNTS_FROM_1970_S < time_s < SystemClock().utc_ns() / 1e9:
         return ""
     return datetime.fromtimestamp(time_s, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 

@@ -18,7 +18,7 @@ from imufield.acquire.formats.table_arrays import missing_package, start_reader
 from imufield.acquire.formats.tables import ChunkWriter
 from imufield.acquire.link.can import make_message, open_bus, pack_message, parse_bus
 from imufield.acquire.link.chunk import Chunk
-from imufield.acquire.link.host_clock import NANOSECONDS
+from imufield.acquire.link.host_clock import COUNTS_FROM_1970_S, NANOSECONDS
 from imufield.acquire.link.serial import WRITE_TIMEOUT_S
 from imufield.acquire.protocol.can_frame import ERROR, MOST_DATA, SENT, Frame
 from imufield.acquire.protocol.can_frames import LATEST_S, Unpacker, unpack_frames
@@ -32,7 +32,6 @@ CHUNK_S = 0.05
 """Frames of this much time make a chunk, as they do when a bus is recorded live."""
 CHUNK_FRAMES = 2048
 _LONGEST_WAIT_S = 5.0  # Parts have clocks of their own: a jump of the stamps beyond this begins anew.
-_EPOCH_S = 1e8  # Time stamps below 1973 count from the start of the log, not from 1970.
 
 
 def read_log(path: str | Path, *, channel: str | None = None, losses: list[str] | None = None) -> Iterator[Chunk]:
@@ -78,7 +77,7 @@ def import_log(path: str | Path, recorder: ChunkWriter, *, channel: str | None =
 
 
 def _chunk(pieces: list[bytes], last_s: float) -> Chunk:
-    is_time_of_day = _EPOCH_S < last_s < LATEST_S
+    is_time_of_day = COUNTS_FROM_1970_S < last_s < LATEST_S
     return Chunk(b"".join(pieces), last_s, round(last_s * NANOSECONDS) if is_time_of_day else 0)
 
 

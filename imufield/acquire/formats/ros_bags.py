@@ -13,7 +13,7 @@ import numpy as np
 
 from imufield.acquire.formats.foreign_file_reader import DAMAGE, IMU_TYPE, first_line
 from imufield.acquire.formats.table_arrays import ArrayTable, handed_over, missing_package, start_reader, unread
-from imufield.acquire.link.host_clock import NANOSECONDS
+from imufield.acquire.link.host_clock import COUNTS_FROM_1970_S, NANOSECONDS
 from imufield.dataclass import replace
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.files import Origin, open_to_read
@@ -23,8 +23,6 @@ from imufield.sentences import Sentences
 sentence = Sentences(__package__)
 
 _MAGIC = (b"#ROSBAG V", b"\x89MCAP0\r\n", b"SQLite format 3\0")
-# Stamps beyond 1973 count from 1970: whole seconds of the first are subtracted, since a float holds only 0.2 us there.
-_EPOCH_S = 100_000_000
 _CONTENTS = "metadata.yaml"
 
 
@@ -104,7 +102,8 @@ def _only_topic(path: Path, there: Sequence[tuple[str, str]], topic: str | None)
 
 
 def _table(path: Path, rows: FloatArray, said: list[str]) -> ArrayTable:
-    from_s = rows[0, 0] if rows[0, 0] > _EPOCH_S else 0.0
+    # Whole seconds are subtracted from what counts from 1970, since a float holds only 0.2 us there.
+    from_s = rows[0, 0] if rows[0, 0] > COUNTS_FROM_1970_S else 0.0
     if from_s:
         said.append(sentence("ros_bags.time_from", name=path.name, from_s=from_s))
     n = len(rows)

@@ -10,6 +10,8 @@ import time
 from typing import Protocol
 
 NANOSECONDS = 1_000_000_000
+COUNTS_FROM_1970_S = 1e8
+"""A time beyond this, in 1973, counts from 1970; one below from a start of its own, of a clock or of a recording."""
 
 
 class HostClock(Protocol):
