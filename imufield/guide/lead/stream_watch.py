@@ -104,7 +104,8 @@ class StreamWatch:
         self._watch_clock(cells, row)
         floor = self._detector.floor
         usual = cells.count[row] if floor is None else floor.samples_per_cell
-        if cells.usable[row] >= USABLE_SHARE * usual:
+        # An integer of NumPy takes ten times as long to be compared with a float.
+        if int(cells.usable[row]) >= USABLE_SHARE * usual:
             self._bad_in_a_row = 0
             return
         self._bad_in_a_row += 1
