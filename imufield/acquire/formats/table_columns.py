@@ -185,14 +185,18 @@ def columns_by_user(path: Path, columns: str, width: int) -> Meaning:
     return _checked(path, found, ())
 
 
-def columns_by_header(path: Path, header: Sequence[str], units: Sequence[str] | None) -> Meaning:
-    """Understand a header line.
+def columns_by_header(path: Path, header: Sequence[str], units: Sequence[str] | None, width: int) -> Meaning:
+    """Understand a header line above rows of ``width`` cells.
 
     Raises
     ------
     UsageError
-        No accelerometer or gyroscope triad is found, or two columns mean the same.
+        No accelerometer or gyroscope triad is found, two columns mean the same, or some have no name.
     """
+    # Which of them have none, nobody can tell: rows may begin with a number of their own.
+    if len(header) < width:
+        known = {"found": len(header), "width": width, "example": ",".join(FIELDS)}
+        raise UsageError(sentence("table_columns.narrow_header", path=str(path), **known))
     below = units if units is not None and len(units) == len(header) else [None] * len(header)
     named = [named_column(name, index, unit) for index, (name, unit) in enumerate(zip(header, below, strict=True))]
     # Only an export of our own has all of these; columns of these names mean other things elsewhere.

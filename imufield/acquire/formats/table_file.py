@@ -66,7 +66,7 @@ def meaning_of(source: Source, columns: str | None, number: int, files: int) -> 
     if columns is not None:
         return columns_by_user(source.path, columns, source.width)
     if source.header is not None:
-        return columns_by_header(source.path, source.header, source.units)
+        return columns_by_header(source.path, source.header, source.units, source.width)
     return columns_by_count(source.path, source.width, number, files)
 
 

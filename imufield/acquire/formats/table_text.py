@@ -129,8 +129,10 @@ class TextTable:
         return (block + b"nan" if block.endswith(mark) else block).decode("latin-1")
 
     def _parse(self, rows: list[str], columns: Sequence[int], lines_before: int) -> FloatArray:
-        # Without a choice NumPy notices rows that are longer than the first, too.
+        # Without a choice NumPy notices rows of other widths itself; with one it would read them shifted.
         use = None if list(columns) == list(range(self.width)) else tuple(columns)
+        if use is not None and any(self._width_of(row) not in (0, self.width) for row in rows):
+            raise self._find_fault(rows, columns, lines_before)
         try:
             values = np.loadtxt(rows, delimiter=self.delimiter, ndmin=2, usecols=use)
         except ValueError as error:
@@ -139,18 +141,24 @@ class TextTable:
             raise self._find_fault(rows, columns, lines_before)
         return values
 
+    def _width_of(self, row: str) -> int:
+        """Return the number of cells of a row, 0 where there is none."""
+        text = row.split("#")[0].strip()
+        return len(text.split(self.delimiter)) if text else 0
+
     def _find_fault(self, rows: list[str], columns: Sequence[int], lines_before: int) -> RecordingError:
         """Name the first line that is not a row of the table, or what the heading promises more than the rows hold."""
         if max(columns) >= self.width:
             return _bad("table_text.narrow_rows", self.path, width=self.width, line=lines_before + 1)
         for number, row in enumerate(rows, start=lines_before + 1):
             text = row.split("#")[0].strip()
-            if not text:
+            width = self._width_of(row)
+            if width not in (0, self.width):
+                shown = {"found": width, "width": self.width, "line": number, "text": shortened(text)}
+                return _bad("table_text.other_width", self.path, **shown)
+            if not width:
                 continue
             cells = split_cells(text, self.delimiter)
-            if len(cells) != self.width:
-                shown = {"found": len(cells), "width": self.width, "line": number, "text": shortened(text)}
-                return _bad("table_text.other_width", self.path, **shown)
             wrong = next((cells[column] for column in columns if not is_number(cells[column])), None)
             if wrong is not None:
                 # A date is the usual one.
@@ -184,6 +192,9 @@ def open_table(path: str | Path) -> TextTable:
             cells = split_cells(text, delimiter)
             if any(is_number(cell.replace(",", ".") if decimal_comma else cell) and cell for cell in cells):
                 header, units = _header(path, names, marked, delimiter=delimiter, width=len(cells))
+                # What ends each row with a delimiter names no column behind it.
+                if header is not None and not any(cells[len(header) :]):
+                    header += ("",) * (len(cells) - len(header))
                 return TextTable(
                     path=path,
                     delimiter=delimiter,
