@@ -63,7 +63,7 @@ def test_the_file_names_it_beside_itself(tmp_path: Path, monkeypatch: pytest.Mon
     assert instrument_stl() is None
     Path("imufield.toml").write_text('driver = "stim300"\n[instrument]\nstl = "housing.stl"\n')
     assert instrument_stl() == Path("housing.stl")
-    assert default_map() == dict.fromkeys(("capture", "record", "plan"), {"driver": "stim300"})
+    assert default_map() == {name: {"driver": "stim300"} for name in ("capture", "record", "plan")}
     # Refused before an instrument is asked anything.
     with ExitStack() as stack, refused(UsageError, key="shape.unreadable"):
         bind_page(stack)

@@ -120,4 +120,4 @@ def _table(path: Path, rows: FloatArray, said: list[str]) -> ArrayTable:
     settings: dict[str, str | float] = {"accelerometer_unit": "m/s^2", "gyroscope_unit": "rad/s", "status": "true"}
     units = ("s", *[""] * (len(SAMPLE_COLUMNS) - 1))
     table = ArrayTable(path=path, header=SAMPLE_COLUMNS, values=values, units=units, settings=settings)
-    return replace(table, assumptions=tuple(said), zero_s=from_s)
+    return replace(table, assumptions=tuple(said), zero_s=(from_s,))

@@ -56,8 +56,8 @@ class ArrayTable:
     raw_zero : tuple of 3 floats or None
     assumptions : tuple of str
         Sentences.
-    zero_s : float
-        Seconds from 1970 to time 0, where that was taken off.
+    zero_s : tuple of float
+        Of each column of times that was counted from its own first: seconds from 1970 to that; 0 of others, or not there.
     """
 
     path: Path
@@ -67,7 +67,7 @@ class ArrayTable:
     settings: dict[str, str | float] = field(default_factory=dict)
     raw_zero: tuple[float, float, float] | None = None
     assumptions: tuple[str, ...] = ()
-    zero_s: float = 0.0
+    zero_s: tuple[float, ...] = ()
 
     @property
     def width(self) -> int:
@@ -215,18 +215,18 @@ def _table(path: Path, arrays: Arrays, stated: Mapping[str, str]) -> ArrayTable:
     columns: list[FloatArray] = []
     names: list[str] = []
     units: list[str] = []
-    zero_s = 0.0
+    zero_s: list[float] = []
     for name, array in zip(_without_group(list(used)), used.values(), strict=True):
         is_date = array.dtype.kind == foreign_file_reader.DATES
-        if is_date:
-            zero_s = float((array.flat[0] - np.datetime64(0, "s")) / np.timedelta64(1, "s"))
+        first_s = (array[0] - np.datetime64(0, "s")) / np.timedelta64(1, "s") if is_date else np.zeros(array.shape[1])
+        zero_s += first_s.tolist()
         columns.append((array - array[0]) / np.timedelta64(1, "s") if is_date else array.astype(np.float64))
         names += _names(name, array.shape[1])
         units += ["s" if is_date else ""] * array.shape[1]
     if any(units):
         said.append(sentence("table_arrays.dates", name=path.name))
     values = np.hstack(columns)
-    table = ArrayTable(path=path, header=None, values=values, assumptions=tuple(said), zero_s=zero_s)
+    table = ArrayTable(path=path, header=None, values=values, assumptions=tuple(said), zero_s=tuple(zero_s))
     # A single matrix has a name for itself and none for its columns.
     if len(used) == 1 and values.shape[1] > 1:
         return table

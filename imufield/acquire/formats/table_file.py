@@ -42,7 +42,7 @@ _LIMITS = {STATUS: (0, 2**32 - 1), COUNTER: (-(2**63), 2**63 - 1)}  # Of what is
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class File:
-    """Columns of one file by field, in the units that were found or assumed."""
+    """Columns of one file by field, in the units that were found or assumed; times count from ``zero_s`` seconds after 1970."""
 
     path: Path
     fields: dict[str, FloatArray]
@@ -95,7 +95,9 @@ def file_of(source: Source, meaning: Meaning, values: FloatArray, first_row: int
     if isinstance(source, TextTable):
         return file
     said = (*source.assumptions, *meaning.assumptions)
-    return replace(file, assumptions=said, settings=source.settings, raw_zero=source.raw_zero, zero_s=source.zero_s)
+    times = [column.index for column in meaning.columns if column.field == TIME]
+    zero_s = source.zero_s[times[0]] if times and source.zero_s else 0.0
+    return replace(file, assumptions=said, settings=source.settings, raw_zero=source.raw_zero, zero_s=zero_s)
 
 
 def is_empty(column: FloatArray) -> bool:

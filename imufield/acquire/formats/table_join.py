@@ -20,8 +20,14 @@ _GAP_STEPS = 1.5  # Between two samples further apart than this, in median steps
 
 def join(
     files: Sequence[File], rate_hz: float | None, time_unit: str | None = None
-) -> tuple[dict[str, FloatArray], dict[str, str], list[str]]:
-    """Bring the columns of all files onto one time in seconds; return them, their units and sentences."""
+) -> tuple[dict[str, FloatArray], float, dict[str, str], list[str]]:
+    """Bring the columns of all files onto one time in seconds.
+
+    Returns
+    -------
+    dict of ndarray, float, dict of str, list of str
+        The columns, seconds from 1970 to their time 0 if they count from there, their units, and sentences.
+    """
     units: dict[str, str] = {}
     timed: list[dict[str, FloatArray]] = []
     said: list[str] = []
@@ -31,6 +37,7 @@ def join(
             raise UsageError(sentence("table_join.doubled", path=str(file.path), fields=doubled))
         units = file.units | units
         timed.append(dict(file.fields))
+    zero_s = next((file.zero_s for file in files if TIME in file.fields), 0.0)
     for file, fields in zip(files, timed, strict=True):
         if TIME in fields:
             scale, assumption = choose_time_scale(file.path, fields[TIME], time_unit or file.units.get(TIME), rate_hz)
@@ -38,12 +45,14 @@ def join(
             # Seconds stay as they are, to the last bit.
             if scale != 1.0:
                 fields[TIME] = fields[TIME] * scale
+            if file.zero_s != zero_s:
+                fields[TIME] = fields[TIME] + (file.zero_s - zero_s)
     names = [file.path for file in files]
     if all(TIME in fields for fields in timed):
         joined, joining = _join_by_time(names, timed)
     else:
         joined, joining = _join_by_row(names, timed, rate_hz)
-    return joined, units, said + joining
+    return joined, zero_s, units, said + joining
 
 
 def _join_by_time(paths: Sequence[Path], files: Sequence[Fields]) -> tuple[dict[str, FloatArray], list[str]]:

@@ -143,7 +143,7 @@ class TextTable:
 
     def _width_of(self, row: str) -> int:
         """Return the number of cells of a row, 0 where there is none."""
-        text = row.split("#")[0].strip()
+        text = row.split("#", 1)[0].strip()
         return len(text.split(self.delimiter)) if text else 0
 
     def _find_fault(self, rows: list[str], columns: Sequence[int], lines_before: int) -> RecordingError:

@@ -246,7 +246,7 @@ def _table(
     """Join files and bring them to known units."""
     known = {name: value for file in files for name, value in file.settings.items()}
     given = {**known, **(settings or {})}
-    joined, units, joining = join(files, rate_hz, given_time_unit(settings or {}))
+    joined, zero_s, units, joining = join(files, rate_hz, given_time_unit(settings or {}))
     said = [*(assumption for file in files for assumption in file.assumptions), *joining]
     rows = np.full((len(joined[TIME]), len(FIELDS)), np.nan)
     for place, name in enumerate(FIELDS):
@@ -282,7 +282,7 @@ def _table(
         guessed=guessed,
         status=status,
         counter=counter,
-        begin_s=files[0].zero_s + float(rows[0, 0]),
+        begin_s=zero_s + float(rows[0, 0]),
     )
 
 

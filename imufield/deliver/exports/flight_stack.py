@@ -84,26 +84,29 @@ def _values(job: Job, offset: FloatArray, scale: FloatArray, gyroscope: Correcti
     instance, options = job.options.instance, job.options
     if job.target.name == "px4":
         names = (f"CAL_ACC{instance}", f"CAL_GYRO{instance}")
-        temperature, *places = ("_TEMP", "_%sOFF", "_%sSCALE")
+        temperatures, places = [f"{name}_TEMP" for name in names], ("_%sOFF", "_%sSCALE")
     else:
         # The names grew with the program: INS_ACC, INS_ACC2, INS_ACC3, and from the fourth on INS4_ACC, INS5_ACC.
         group = "INS" if instance < 3 else f"INS{instance + 1}"
         digit = str(instance + 1) if instance in (1, 2) else ""
         names = (f"{group}_ACC{digit}", f"{group}_GYR{digit}")
-        temperature, *places = ("_CALTEMP", "OFFS_%s", "SCAL_%s")
-    triads = [(names[0], options.accelerometer_id, [offset, scale])]
+        # Of the first, these alone have its number (AP_InertialSensor.cpp, ``_ACC1_CALTEMP``).
+        own = "1" if instance == 0 else digit
+        temperatures = [f"{group}_{triad}{own}_CALTEMP" for triad in ("ACC", "GYR")]
+        places = ("OFFS_%s", "SCAL_%s")
+    triads = [(names[0], temperatures[0], options.accelerometer_id, [offset, scale])]
     if gyroscope is not None:
-        triads.append((names[1], options.gyroscope_id, [gyroscope.offset]))
+        triads.append((names[1], temperatures[1], options.gyroscope_id, [gyroscope.offset]))
     low, high = job.parameters.context.session.temperature_degc
     if models := job.parameters.temperature_models:
         # Exactly there the offset over temperature is zero.
         low = high = models[0].reference_degc
     values: dict[str, int | float] = {}
-    for name, device_id, vectors in triads:
+    for name, temperature, device_id, vectors in triads:
         if device_id is not None:
             values[f"{name}_ID"] = device_id
         if not np.isnan(low + high):
-            values[name + temperature] = (low + high) / 2
+            values[temperature] = (low + high) / 2
         for place, vector in zip(places, vectors, strict=False):
             values |= {name + place % axis: float(value) for axis, value in zip("XYZ", vector, strict=True)}
     return values

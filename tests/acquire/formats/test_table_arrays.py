@@ -78,6 +78,34 @@ def test_dates_count_from_the_first_row(tmp_path: Path) -> None:
     assert table.begin_s == datetime(2026, 3, 1, 10, tzinfo=UTC).timestamp()
 
 
+def dates(begin: str) -> np.ndarray:
+    return np.datetime64(begin, "ns") + (np.arange(N) * 5_000_000).astype("timedelta64[ns]")
+
+
+def test_files_of_dates_are_joined_by_their_dates(tmp_path: Path) -> None:
+    np.savez(tmp_path / "force.npz", timestamp=dates("2026-03-01T10:00:00"), acc=FORCE)
+    np.savez(tmp_path / "rate.npz", timestamp=dates("2026-03-01T10:00:01"), gyro=RATE)
+    for names, skipped in ((("force", "rate"), (200, 0)), (("rate", "force"), (0, 200))):
+        table = read_tables([tmp_path / f"{name}.npz" for name in names])
+        np.testing.assert_allclose(table.rows[:, 1:4], FORCE[200:], atol=1e-9)
+        np.testing.assert_allclose(table.rows[:, 4:7], RATE[:-200], atol=1e-9)
+        assert table.begin_s == datetime(2026, 3, 1, 10, 0, 1, tzinfo=UTC).timestamp()
+        assert table.rows[0, 0] == TIME[skipped[0]]
+    # Days apart there is nothing to be joined.
+    np.savez(tmp_path / "rate.npz", timestamp=dates("2026-03-04T10:00:00"), gyro=RATE)
+    with refused(UsageError, Reason.USAGE, key="table_join.no_common_time"):
+        read_tables([tmp_path / "force.npz", tmp_path / "rate.npz"])
+
+
+def test_a_date_that_is_no_time_of_the_samples_dates_nothing(tmp_path: Path) -> None:
+    columns = {name: FORCE[:, axis] for axis, name in enumerate(("ax", "ay", "az"))}
+    other = {"calibrated_on": dates("2019-01-01")}
+    times = {"date": (dates("2026-03-01"), datetime(2026, 3, 1, tzinfo=UTC).timestamp()), "number": (TIME, 0.0)}
+    for name, (time, begin_s) in times.items():
+        parquet.write_table(pyarrow.table({"time": time, **columns, **other}), tmp_path / f"{name}.parquet")
+        assert read_tables([tmp_path / f"{name}.parquet"], settings={"time_unit": "s"}).begin_s == begin_s
+
+
 def test_a_gap_is_named_by_its_row(tmp_path: Path) -> None:
     force = FORCE.copy()
     force[41, 1] = np.nan

@@ -114,7 +114,18 @@ def test_instance_that_does_not_exist(target: str, instance: int) -> None:
 @pytest.mark.parametrize(
     ("instance", "names"),
     [
-        (0, ("INS_ACC_ID", "INS_ACC_CALTEMP", "INS_ACCOFFS_X", "INS_ACCSCAL_Z", "INS_GYR_ID", "INS_GYROFFS_Y")),
+        (
+            0,
+            (
+                "INS_ACC_ID",
+                "INS_ACC1_CALTEMP",
+                "INS_GYR1_CALTEMP",
+                "INS_ACCOFFS_X",
+                "INS_ACCSCAL_Z",
+                "INS_GYR_ID",
+                "INS_GYROFFS_Y",
+            ),
+        ),
         (1, ("INS_ACC2_ID", "INS_ACC2_CALTEMP", "INS_ACC2OFFS_X", "INS_ACC2SCAL_Z", "INS_GYR2_ID", "INS_GYR2OFFS_Y")),
         (3, ("INS4_ACC_ID", "INS4_ACC_CALTEMP", "INS4_ACCOFFS_X", "INS4_ACCSCAL_Z", "INS4_GYR_ID", "INS4_GYROFFS_Y")),
     ],

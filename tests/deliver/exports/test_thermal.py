@@ -85,7 +85,7 @@ def ardupilot(values: dict[str, np.float32], degc: float, acc: np.ndarray, gyr: 
     for name, raw in (("ACC", acc), ("GYR", gyr)):
         c = [vector(values, f"INS_TCAL1_{name}{power}_{{}}", "XYZ") for power in (1, 2, 3)]
         at_degc = []
-        for T in (np.float32(degc), values[f"INS_{name}_CALTEMP"]):
+        for T in (np.float32(degc), values[f"INS_{name}1_CALTEMP"]):
             x = np.float32(np.clip(T, low, high) - np.float32(35))
             at_degc.append((c[0] + (c[1] + c[2] * x) * x) * x * np.float32(1e-6))
         corrected.append(raw - at_degc[0] + at_degc[1])
