@@ -33,7 +33,7 @@ from imufield.guide.stillness.cells import CELL_S
 from imufield.guide.stillness.detector import LONGEST_WAIT_S, StillnessDetector
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import Judgement, Phase
-from imufield.samples import AXES, FloatArray, median
+from imufield.samples import AXES, FloatArray, Status, median
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -127,7 +127,9 @@ class MoveLog:
     def follow(self, judgement: Judgement, still_mean: list[float]) -> None:
         """Add one judgement and the running mean of the stretch in progress (6 raw rates; empty when there is none)."""
         slot = int(judgement.cells.slot[judgement.row])
-        unbroken = self._slot is not None and slot - self._slot == 1
+        # Of a gap of unknown length the clock need not show anything, and the unit may have turned during it.
+        gap = int(judgement.cells.flags[judgement.row]) & Status.GAP_ESTIMATED
+        unbroken = self._slot is not None and slot - self._slot == 1 and not gap
         self._slot, self._whole = slot, self._whole and unbroken
         if judgement.ended is not None:
             # A gap ends a stretch, too, and the unit may have turned during it.

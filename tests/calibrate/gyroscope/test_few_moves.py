@@ -36,7 +36,7 @@ def test_few_moves_tell_no_scatter(grade: str, lost: tuple[int, ...]) -> None:
         session = interrupted(seed, lost, grade=grade)
         result = calibrate_gyroscope(session.given)
         assert len(result.moves.after_deg) == 6 - len(lost)
-        assert [key_of(caution) for caution in result.cautions] == ["result.few_moves"]
+        assert "result.few_moves" in [key_of(caution) for caution in result.cautions]
         fitted = np.isfinite(vector(result.calibration.sigma))
         assert np.count_nonzero(fitted) >= 9
         found.append(ratios(session, result)[fitted])

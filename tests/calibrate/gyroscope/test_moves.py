@@ -197,6 +197,20 @@ def test_clock_jumps_drop_the_move() -> None:
     assert keys(moves) == ["moves.clock_jump"]
 
 
+@pytest.mark.parametrize("pause_s", [0.0, 0.02])
+def test_a_gap_that_the_clock_does_not_show_drops_the_move(pause_s: float) -> None:
+    """An hour without samples looks like a clock that was set; whether the unit turned meanwhile, nobody knows."""
+    samples = session()
+    keep = (samples.time_s < 2.5) | (samples.time_s >= 3.5)
+    behind = int(np.count_nonzero(samples.time_s < 2.5))
+    samples = samples[keep]
+    samples.time_s[behind:] -= 1.0 - pause_s
+    samples.status[behind] |= np.uint32(Status.GAP_ESTIMATED)
+    moves = collect_moves([samples], START_S - [0, 1 - pause_s, 1 - pause_s], DURATION_S)
+    # A pause that the clock shows is bridged, as one that was counted.
+    assert keys(moves) == (["moves.clock_jump"] if not pause_s else [])
+
+
 def test_invalid_and_missing_samples() -> None:
     samples = session()
     samples.gyroscope[2500:2900] = np.nan

@@ -10,7 +10,7 @@ from imufield.guide.cross_checks.axes import MoveLog, check_axes, signed_permuta
 from imufield.guide.refusals import AXES_DIFFER, AXES_LEFT_HANDED, AXES_OPEN, MOTIONLESS, SCALE_AND_AXES, SCALE_DIFFERS
 from imufield.guide.stillness.detector import StillnessDetector
 from imufield.guide.stillness.scale import RoughScale
-from imufield.samples import Samples
+from imufield.samples import Samples, Status
 from tests.guide.guided import cells_of, is_said_by, values_of
 
 pytestmark = pytest.mark.numerical
@@ -173,6 +173,22 @@ def test_a_gap_in_a_move_drops_it(make_path: Any, from_s: float, to_s: float) ->
     samples = path.samples()
     keep = (samples.time_s < from_s) | (samples.time_s >= to_s)
     moves = _moves_of(samples[keep])
+    assert len(moves) == 5
+    assert check_axes(moves, 1.0).agrees
+
+
+def test_a_gap_of_unknown_length_in_a_move_drops_it(make_path: Any) -> None:
+    """As of an hour without samples, which looks like a clock that was set."""
+    path = make_path(200.0).hold(ORDER[0], 5)
+    for up in ORDER[1:]:
+        path.turn(up, 1.2).hold(up, 3)
+    samples = path.samples()
+    behind = int(np.count_nonzero(samples.time_s < 5.2))
+    samples = samples[(samples.time_s < 5.2) | (samples.time_s >= 6.0)]
+    samples.time_s[behind:] -= 0.8
+    assert len(_moves_of(samples)) == 6
+    samples.status[behind] |= np.uint32(Status.GAP_ESTIMATED)
+    moves = _moves_of(samples)
     assert len(moves) == 5
     assert check_axes(moves, 1.0).agrees
 
