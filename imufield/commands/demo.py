@@ -90,7 +90,7 @@ def _write(solved: Parameters, captured: Captured) -> Parameters:
     kept = write_document(path, solved.document)
     site = Site()
     say(sentence("demo.site", latitude_deg=site.latitude_deg, gravity_m_s2=site.gravity_m_s2))
-    print_summary(solved, Outcome(path, kept, captured.session.folder))
+    print_summary(solved, Outcome(path, kept, captured.session))
     return solved
 
 

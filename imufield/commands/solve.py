@@ -74,7 +74,7 @@ def run_solve(options: SolveOptions) -> int:
         echo(json.dumps(document_with_gain(solved) | {"notes": lost}))
         tell_written(path, kept, as_json=True)
         return 0
-    print_summary(solved, Outcome(path, kept, None if session is None else session.folder))
+    print_summary(solved, Outcome(path, kept, session))
     said = base.calibration.quality.reasons
     for note in (*lost, *(reason for reason in solved.calibration.quality.reasons if reason not in said)):
         echo(hanging("", note))

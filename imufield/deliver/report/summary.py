@@ -10,6 +10,7 @@ import math
 import shlex
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Console, Group, RenderableType
@@ -36,6 +37,9 @@ from imufield.earth import MICRO_G_M_S2, height_words
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentence, Sentences, folded, printable
 
+if TYPE_CHECKING:
+    from imufield.acquire.recording.session import Session
+
 sentence = Sentences(__package__)
 
 _VERDICT_STYLES = {"good": "bold green", "usable": "bold yellow", "poor": "bold red"}
@@ -52,8 +56,27 @@ class Outcome:
     """The file written."""
     kept: Path | None = None
     """Where the file that stood there before is kept."""
-    session: Path | None = None
+    session: Session | None = None
     """The session they come from."""
+
+    @property
+    def is_cut(self) -> bool:
+        """Whether positions are left to be measured."""
+        return self.session is not None and not self.session.finished
+
+    def remedy(self) -> Iterator[RenderableType]:
+        """Yield what to do about positions that disagree, and the command for it; nothing of position means alone."""
+        if self.session is None:
+            return
+        folder = shlex.quote(str(self.session.folder))
+        if self.session.record.kind != "capture":
+            key, command = "summary.leave_out", f"imufield solve {folder} --without NAME"
+        elif self.is_cut:
+            key, command = "summary.go_on", f"imufield capture --resume --session {folder}"
+        else:
+            key, command = "summary.take_again", f"imufield capture --resume --session {folder} --retake NAME"
+        yield from _bullets([sentence(key)])
+        yield _unbroken(f"   {command}")
 
 
 def print_summary(parameters: Parameters, outcome: Outcome | None = None, console: Console | None = None) -> None:
@@ -257,13 +280,14 @@ def _next_steps(parameters: Parameters, outcome: Outcome) -> Iterator[Renderable
     steps = []
     calibration = parameters.calibration
     if calibration.gravity.source == "assumed":
-        again = "imufield solve" if outcome.session is None else f"imufield solve {shlex.quote(str(outcome.session))}"
+        again = "imufield solve" if outcome.session is None else f"imufield solve {shlex.quote(str(outcome.session.folder))}"
         yield from _bullets([sentence("summary.tell_place")])
         yield _unbroken(f"   {again} --latitude DEGREES --height METRES")
-    if calibration.quality.degrees_of_freedom < 1:
+    if calibration.quality.degrees_of_freedom < 1 and not outcome.is_cut:
         steps.append(sentence("summary.take_24"))
-    elif calibration.quality.verdict == "poor":
-        steps.append(sentence("summary.take_again"))
+    # Of a gyroscope that is poor alone its own reason says what to do.
+    elif (calibration.quality.accelerometer_verdict or calibration.quality.verdict) == "poor":
+        yield from outcome.remedy()
     if outcome.path is not None:
         if outcome.kept is not None:
             steps.append(sentence("summary.kept", name=outcome.kept.name))

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import io
+import shlex
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from imufield.acquire.recording.session import Session
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration, GyroscopeCalibration
 from imufield.deliver.parameters.context import Context
@@ -47,6 +49,30 @@ def test_fits_80_columns_and_ends_lines_without_blanks(full: Parameters) -> None
     assert max(len(line) for line in lines if line != path) <= 80
     assert all(line == line.rstrip() for line in lines)
     assert not any("…" in line for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("kind", "finished", "key", "command"),
+    [
+        ("capture", True, "take_again", "imufield capture --resume --session {} --retake NAME"),
+        ("capture", False, "go_on", "imufield capture --resume --session {}"),
+        ("import", True, "leave_out", "imufield solve {} --without NAME"),
+    ],
+)
+def test_the_remedy_is_one_that_the_session_takes(
+    full: Parameters, tmp_path: Path, *, kind: str, finished: bool, key: str, command: str
+) -> None:
+    folder = tmp_path / f"a session of {'x' * 60}"
+    session = Session.create_in(folder, "IMU", {"kind": kind})
+    session.update(finished=finished)
+    outcome = Outcome(tmp_path / "parameters.toml", session=session)
+    quality = full.calibration.quality
+    for verdict, accelerometer, is_said in (("poor", "poor", True), ("poor", "good", False), ("good", "good", False)):
+        judged = replace(quality, verdict=verdict, accelerometer_verdict=accelerometer)
+        text = summary_text(replace(full, calibration=replace(full.calibration, quality=judged)), outcome)
+        assert (sentence(f"summary.{key}") in text) is is_said
+        # Whole: in two pieces it cannot be copied.
+        assert (f"\n   {command.format(shlex.quote(str(folder)))}\n" in text) is is_said
 
 
 def test_the_end_fits_a_terminal_of_24_lines(full: Parameters) -> None:
@@ -98,15 +124,11 @@ def test_assumed_gravity_is_said_aloud_and_answered(
     assert "imufield solve --latitude DEGREES" in text
 
 
-@pytest.mark.parametrize(("freedom", "advice"), [(0, "summary.take_24"), (5, "summary.take_again")])
-def test_poor_says_what_to_do(
-    calibration: Calibration, observations: Observations, context: Context, freedom: int, advice: str
-) -> None:
-    factor = 2.57 if freedom else float("nan")
-    quality = replace(calibration.quality, verdict="poor", degrees_of_freedom=freedom, student_factor_95=factor)
+def test_poor_of_few_positions_says_what_to_do(calibration: Calibration, observations: Observations, context: Context) -> None:
+    quality = replace(calibration.quality, verdict="poor", degrees_of_freedom=0, student_factor_95=float("nan"))
     text = made(replace(calibration, quality=quality), observations, context)
     assert "POOR" in text
-    assert sentence(advice) in " ".join(text.split())
+    assert sentence("summary.take_24") in " ".join(text.split())
 
 
 def test_below_the_verdict_warnings_come_first(calibration: Calibration, observations: Observations, context: Context) -> None:
