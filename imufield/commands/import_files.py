@@ -293,14 +293,13 @@ def _new_session(options: ImportOptions, protocol: Protocol, table: ImportedTabl
     model = printable(options.files[0].name.split(".")[0])
     metadata: dict[str, object] = {
         "kind": "import",
-        "began": began or None,
         "instrument": {"driver": options.driver or protocol.name, "model": model},
         "protocol": {"name": protocol.name, "sha256": protocol.sha256, "text": protocol.text},
         "settings": {name: SettingRecord(setting.value, setting.origin) for name, setting in protocol.settings.items()},
         "units": {"accelerometer": protocol.units.accelerometer, "gyroscope": protocol.units.gyroscope},
         # What is a default of its own today says nothing about where files of another program were recorded.
         "site": options.site.record(),
-        "import": {"files": [str(path) for path in options.files]},
+        "import": {"files": [str(path) for path in options.files], "began": began or None},
     }
     if table is not None:
         metadata["nominal"] = {"raw_zero": list(table.raw_zero)}

@@ -54,6 +54,7 @@ class Entry:
     verdict: str
     session: str
     """SHA-256 of what was solved."""
+    session_name: str
     raw_unit: str
     gravity_m_s2: float
     gravity_source: str
@@ -95,6 +96,7 @@ class Entry:
             created=context.measured,
             verdict=calibration.quality.verdict,
             session=context.session.sha256,
+            session_name=context.session.name,
             raw_unit=calibration.accelerometer_raw_unit,
             gravity_m_s2=calibration.gravity.gravity_m_s2,
             gravity_source=calibration.gravity.source,
@@ -391,8 +393,8 @@ def _age(entry: Entry) -> tuple[str, ...]:
 
 
 def _session_of(entry: Entry) -> tuple[str, ...]:
-    """Return what the results of one session have in common: a retake changes the hash, not the begin or the folder."""
+    """Return what the results of one session have in common: a retake changes the hash, not begin, name and folder."""
     # Of instruments without a number, two may have begun in one second.
     if entry.recorded and entry.serial_number:
-        return entry.recorded, str(Path(entry.path).parent)
+        return entry.recorded, entry.session_name, str(Path(entry.path).parent)
     return (entry.session or entry.path,)

@@ -162,14 +162,17 @@ def context() -> Context:
 def write(tmp_path: Path, calibration: Calibration, observations: Observations, context: Context):  # type: ignore[no-untyped-def]
     """Return a writer of calibrations: date, bias y moved by so many sigma, and facts of the instrument."""
 
-    def writer(name: str, created: str, moved: float = 0.0, session: str = "", recorded: str = "", **who: str) -> Path:
+    def writer(
+        name: str, created: str, moved: float = 0.0, session: str = "", recorded: str = "", called: str = "", **who: str
+    ) -> Path:
         found = calibration.intrinsic
         raw = found.bias_raw + moved * found.bias_raw_sigma * np.array([0.0, 1.0, 0.0])
         K = calibration.accelerometer.scale
         moved_to = replace(calibration.accelerometer, bias_m_s2=raw / K)
         changed = replace(calibration, accelerometer=moved_to, intrinsic=replace(found, bias_raw=raw))
         seen = replace(observations, mean_raw=observations.mean_raw + raw - found.bias_raw)
-        facts = replace(context.session, sha256=session or hashlib.sha256(name.encode()).hexdigest(), recorded=recorded)
+        digest = session or hashlib.sha256(name.encode()).hexdigest()
+        facts = replace(context.session, name=called or context.session.name, sha256=digest, recorded=recorded)
         moment = created if "T" in created else f"{created}T10:00:00Z"
         instrument = replace(context.instrument, **{"serial_number": "N1", **who})
         where = replace(context, created=moment, instrument=instrument, session=facts)

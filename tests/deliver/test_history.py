@@ -298,6 +298,15 @@ def test_a_session_that_was_taken_up_again_is_one_calibration(tmp_path: Path, wr
     assert instrument.entries[1].path == "a/again.toml"
 
 
+def test_two_that_began_at_once_by_a_clock_that_nobody_has_set_are_two(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    began = "2000-01-01T00:00:00Z"
+    write("a", "2026-03-04", session="a" * 64, recorded=began, called="march")
+    write("a", "2026-08-04", session="b" * 64, recorded=began, called="august", moved=2.0)
+    (instrument,) = read_history(tmp_path).instruments
+    assert [entry.session[0] for entry in instrument.entries] == ["a", "b"]
+    assert instrument.not_listed == 0
+
+
 def test_instruments_are_kept_apart_and_one_can_be_chosen(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
     write("a", "2026-03-04", serial_number="N1")
     write("b", "2026-03-05", serial_number="N2")

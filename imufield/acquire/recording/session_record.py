@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from enum import Enum
@@ -28,7 +29,7 @@ KEYS: Mapping[str, type] = {
     "accepted": int,
     "finished": bool,
     "notes": list,
-    **dict.fromkeys(("format", "created", "began", "software", "model", "name", "kind", "scheme"), str),
+    **dict.fromkeys(("format", "created", "software", "model", "name", "kind", "scheme"), str),
     **dict.fromkeys(("instrument", "link", "protocol", "settings", "units", "nominal", "guide", "site", "import"), dict),
 }
 """What ``session.toml`` may hold: ``kind`` is "capture", "record", "ramp" or "import"; who uses a table fills it."""
@@ -41,6 +42,9 @@ _TINY = 1e-30
 _HUGE = 1e30
 _TYPES: Mapping[str, type] = {"str": str, "bool": bool, "int": int, "float": float}
 
+
+# Two digits each, of which Python takes one, too, and those of other scripts.
+_MOMENT = re.compile(r"(19[7-9]|20[0-9])[0-9](-[0-9]{2}){2}T[0-9]{2}(:[0-9]{2}){2}Z")
 
 _Number = TypeVar("_Number", int, float)
 
@@ -136,7 +140,7 @@ _TABLES: Mapping[str, type] = {"link": LinkRecord, "protocol": ProtocolRecord, "
 class SessionRecord:
     """Content of ``session.toml``.
 
-    Tables that programs of others may read and imufield never does (``units``, ``import``) are in the file alone.
+    What programs of others may read and imufield never does (``units``, the other keys of ``import``) is in the file alone.
     """
 
     created: str
@@ -145,7 +149,7 @@ class SessionRecord:
     software: str = "not known"
     kind: str = ""
     began: str = ""
-    """When the recording of another program began, UTC, ISO 8601, where its own times tell it."""
+    """When the recording of another program began, UTC, ISO 8601, where its own times tell it; of table ``import``."""
     scheme: str | None = None
     accepted: int | None = None
     """Positions measured so far, of a guided session."""
@@ -165,7 +169,7 @@ class SessionRecord:
             datetime.strptime(moment, "%Y-%m-%dT%H:%M:%SZ").replace(tzinfo=UTC)
         except ValueError:
             return ""
-        return moment
+        return moment if _MOMENT.fullmatch(moment) else ""
 
     @property
     def setting_values(self) -> dict[str, object]:
@@ -202,12 +206,11 @@ class SessionRecord:
             if not isinstance(value, dict) or "value" not in value:
                 raise _refused("session_record.setting", path, key=key, value=value)
             settings[key] = SettingRecord(value["value"], str(value.get("origin", "")))
-        texts: Table = {
-            key: printable(content[key]) for key in ("created", "began", "model", "software", "kind") if key in content
-        }
+        texts: Table = {key: printable(content[key]) for key in ("created", "model", "software", "kind") if key in content}
         return cls(
             **texts,
             finished=content["finished"],
+            began=printable(str(content.get("import", {}).get("began", ""))),
             scheme=content.get("scheme"),
             accepted=content.get("accepted"),
             instrument=InstrumentRecord(**instrument),

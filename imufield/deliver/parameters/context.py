@@ -47,7 +47,7 @@ class SessionFacts:
 
     ``sha256`` is the hash of what was solved (the session's parts in order, or the observation file); ``sample_rate_hz``
     is the true rate, device counter against host time; NaN where not known. ``recorded`` is when the recording began, UTC,
-    ISO 8601; empty where another program recorded it.
+    ISO 8601; empty where nobody knows.
     """
 
     name: str = ""
@@ -107,7 +107,7 @@ class JoinedSession:
     name: str
     sha256: str
     recorded: str
-    """UTC, ISO 8601; empty where another program recorded it."""
+    """UTC, ISO 8601; empty where nobody knows."""
     positions: int
 
 

@@ -11,6 +11,8 @@ import tomli_w
 
 from imufield.acquire.recording.session import Session
 from imufield.acquire.recording.session_record import (
+    FORMAT,
+    VERSION,
     GuideRecord,
     LinkRecord,
     ProtocolRecord,
@@ -155,3 +157,24 @@ def test_what_an_option_takes_a_session_can_hold(entry: Field[object], limits: d
     for value in limits.values():
         record = SessionRecord.read({**tomllib.loads(WHOLE), "guide": {entry.name: value}}, PATH)
         assert getattr(record.guide, entry.name) == value
+
+
+@pytest.mark.parametrize(
+    ("began", "recorded"),
+    [
+        ("2024-03-01T12:00:00Z", "2024-03-01T12:00:00Z"),
+        ("2024-3-1T12:0:0Z", ""),
+        ("2024-13-01T12:00:00Z", ""),
+        # Digits of another script, and what no calendar of a plot reaches.
+        ("\u0662\u0660\u0662\u0664-03-01T12:00:00Z", ""),
+        ("0001-01-01T00:00:00Z", ""),
+        ("9999-12-31T00:00:00Z", ""),
+        ("\x1b[31m", ""),
+        (20240301, ""),
+    ],
+)
+def test_a_moment_that_is_none_dates_nothing(began: object, recorded: str) -> None:
+    content = {"format": FORMAT, "version": VERSION, "created": "2026-03-01T12:00:00Z", "model": "IMU", "finished": True}
+    record = SessionRecord.read(content | {"kind": "import", "import": {"began": began}}, Path("session.toml"))
+    assert record.recorded == recorded
+    assert SessionRecord.read(content | {"kind": "import"}, Path("session.toml")).recorded == ""
