@@ -36,12 +36,15 @@ def run_plan(options: PlanOptions) -> None:
         gravity=options.site.gravity(),
     )
     noise = None if options.noise_ug is None else options.noise_ug * MICRO_G_M_S2
-    stated = options.grade or _stated_grade(options.driver)
-    grade = find_grade(stated or DEFAULT_GRADE) if stated or noise is None else grade_by_noise("accelerometer", noise)
+    by_driver = _stated_grade(options.driver)
+    if options.grade is None and noise is not None:
+        grade = grade_by_noise("accelerometer", noise)
+    else:
+        grade = find_grade(options.grade or by_driver or DEFAULT_GRADE)
     noise = noise or grade.accelerometer.noise_density
     time = session_time(positions, settings, noise=noise, grade=grade)
     sizes = {"noise_ug": noise / MICRO_G_M_S2, "scatter_ug": grade.scatter_m_s2 / MICRO_G_M_S2}
-    is_known = options.noise_ug is not None or stated
+    is_known = options.noise_ug is not None or options.grade is not None or by_driver
     source = time.gravity.source_words
     if time.gravity.source == "assumed":
         source = sentence("plan.place_unknown" if options.site.place().gravity_m_s2 is None else "plan.textbook")

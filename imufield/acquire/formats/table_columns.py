@@ -53,7 +53,9 @@ unit of time at most."""
 # A typed rate within 20 % of the time column's decides the unit of time; outside, one of the two is wrong.
 _RATE_TOLERANCE = 0.2
 
-_CONVERTED = {"mg": ("g", 1e-3)}  # Units that protocol ``rows_f64`` does not know: what they become, and the factor.
+_MOST_EQUAL = 0.5  # Share of rows with the time of the row before: by more of them nobody knows when the others were.
+# Units that protocol ``rows_f64`` does not know: what they become, and the factor.
+_CONVERTED = {"mg": ("g", 1e-3), "mdps": ("deg/s", 1e-3)}
 _FAST = 0.999  # Of all outputs; larger ones may be damage.
 _STANDS_FOR_G = (0.8, 1.25)
 _STANDS_FOR_M_S2 = (8.0, 12.0)  # Median norm of an accelerometer that is at rest most of the time.
@@ -279,10 +281,17 @@ def choose_time_scale(path: Path, time: FloatArray, unit: str | None, rate_hz: f
         No unit gives a plausible rate, or the typed rate contradicts the column.
     """
     steps = np.diff(time)
+    share = np.count_nonzero(steps == 0.0) / max(len(steps), 1)
+    if share > _MOST_EQUAL:
+        raise UsageError(sentence("table_columns.same_times", path=str(path), share=share))
     step = float(median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
     if unit is not None:
-        _check_rate(path, step * TIME_SCALE[unit], rate_hz)
-        return TIME_SCALE[unit], ""
+        step_s = step * TIME_SCALE[unit]
+        _check_rate(path, step_s, rate_hz)
+        if rate_hz is not None or not step_s or SHORTEST_STEP_S <= step_s <= LONGEST_STEP_S:
+            return TIME_SCALE[unit], ""
+        told = {"name": path.name, "unit": unit, "step": step, "rate_hz": 1.0 / step_s}
+        return TIME_SCALE[unit], sentence("table_columns.implausible", **told)
     low, high = SHORTEST_STEP_S, LONGEST_STEP_S
     if rate_hz is not None:
         low, high = (1.0 - _RATE_TOLERANCE) / rate_hz, (1.0 + _RATE_TOLERANCE) / rate_hz

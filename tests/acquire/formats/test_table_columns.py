@@ -1,6 +1,14 @@
+from pathlib import Path
+
+import numpy as np
 import pytest
 
 from imufield.acquire.formats.table_columns import named_column
+from imufield.acquire.formats.tables import read_tables
+from imufield.errors import Reason, UsageError
+from tests.acquire.table_files import ACCELEROMETER, GYROSCOPE, TIME, text_of, write
+from tests.refused import refused
+from tests.told import keys
 
 
 @pytest.mark.parametrize(
@@ -51,3 +59,43 @@ def test_column_names_are_understood(name: str, field: str | None, unit: str | N
 def test_a_long_heading_takes_no_longer_than_its_length() -> None:
     assert named_column("[" * 1_000_000, 3) is None
     assert named_column("acc_x [m/s^2" + "[" * 1_000_000 + "]", 3) == named_column("acc_x [m/s^2]", 3)
+
+
+@pytest.mark.parametrize(
+    ("header", "row"),
+    [
+        # As R writes the numbers of its rows.
+        ("time,ax,ay,az", "17,0.01,0.0,0.0,9.8"),
+        # Decimal commas between commas.
+        ("ax,ay,az", "0,123,-0,045,9,810"),
+    ],
+)
+def test_a_header_that_names_fewer_than_the_rows_hold(tmp_path: Path, header: str, row: str) -> None:
+    width = row.count(",") + 1
+    path = write(tmp_path, f"{header}\n{row}\n{row}\n")
+    with refused(UsageError, Reason.USAGE, "--columns", key="table_columns.narrow_header") as caught:
+        read_tables([path], rate_hz=100)
+    assert (caught.value.values["found"], caught.value.values["width"]) == (header.count(",") + 1, width)
+
+
+@pytest.mark.parametrize(("round_to", "unit"), [(1.0, None), (0.1, None), (0.1, "s"), (0.05, None)])
+def test_a_clock_too_coarse_for_its_samples_is_refused(tmp_path: Path, round_to: float, unit: str | None) -> None:
+    coarse = np.floor(np.arange(500) / 100 / round_to) * round_to + 1.7643e9
+    path = write(tmp_path, text_of(np.round(coarse, 2), np.full((500, 3), 5.7)))
+    with refused(UsageError, Reason.USAGE, "--columns", "--rate-hz", key="table_columns.same_times"):
+        read_tables([path], settings={"time_unit": unit} if unit else None)
+    read_tables([path], columns="-,ax,ay,az", rate_hz=100)
+
+
+def test_a_stated_unit_of_time_that_no_instrument_has_is_told(tmp_path: Path) -> None:
+    path = write(tmp_path, text_of(TIME, ACCELEROMETER))
+    assert "table_columns.implausible" in keys(read_tables([path], settings={"time_unit": "us"}).assumptions)
+    assert "table_columns.implausible" not in keys(read_tables([path], settings={"time_unit": "s"}).assumptions)
+
+
+def test_thousandths_are_understood(tmp_path: Path) -> None:
+    header = "time,ax_mg,ay_mg,az_mg,gx_mdps,gy_mdps,gz_mdps\n"
+    path = write(tmp_path, text_of(TIME, 1e3 * ACCELEROMETER, 1e3 * GYROSCOPE, header=header, delimiter=","))
+    table = read_tables([path])
+    np.testing.assert_allclose(table.rows[:, 1:7], np.column_stack([ACCELEROMETER, GYROSCOPE]), rtol=1e-9, atol=1e-12)
+    assert (table.settings["accelerometer_unit"], table.settings["gyroscope_unit"]) == ("g", "deg/s")

@@ -265,23 +265,6 @@ def test_a_heading_that_names_more_than_the_rows_hold(tmp_path: Path) -> None:
     assert caught.value.values["line"] == 2
 
 
-@pytest.mark.parametrize(
-    ("header", "row"),
-    [
-        # As R writes the numbers of its rows.
-        ("time,ax,ay,az", "17,0.01,0.0,0.0,9.8"),
-        # Decimal commas between commas.
-        ("ax,ay,az", "0,123,-0,045,9,810"),
-    ],
-)
-def test_a_header_that_names_fewer_than_the_rows_hold(tmp_path: Path, header: str, row: str) -> None:
-    width = row.count(",") + 1
-    path = write(tmp_path, f"{header}\n{row}\n{row}\n")
-    with refused(UsageError, Reason.USAGE, "--columns", key="table_columns.narrow_header") as caught:
-        read_tables([path], rate_hz=100)
-    assert (caught.value.values["found"], caught.value.values["width"]) == (header.count(",") + 1, width)
-
-
 @pytest.mark.parametrize("bad", ["0.02,0,0,9.8", "0.02,0,0,9.8,5,6", "0.02,0,0,9.8,5,6,7,8"])
 @pytest.mark.parametrize("delimiter", [",", "\t"])
 def test_a_row_of_another_width_is_named_beside_columns_that_are_skipped(tmp_path: Path, bad: str, delimiter: str) -> None:
