@@ -70,13 +70,10 @@ def instrument_stl() -> Path | None:
     drawing = None
     for path, content in _contents():
         match content.get("instrument", {}):
-            case {"stl": str(name), **others} if not others:
+            case {"stl": str(name)}:
                 drawing = path.parent / name
-            case {"stl": value, **others} if not others:
+            case {"stl": value}:
                 raise UsageError(sentence("configuration.no_path", path=str(path), value=value))
-            case {**table} if unknown_keys := sorted(map(str, table.keys() - {"stl"})):
-                unknown = sentence("configuration.unknown_key", path=str(path), unknown=unknown_keys, known=["stl"])
-                raise UsageError(unknown, Reason.UNKNOWN_KEY, key="instrument")
     return drawing
 
 
@@ -103,6 +100,10 @@ def _contents() -> Iterator[tuple[Path, dict[str, object]]]:
                 raise UsageError(sentence("configuration.no_text", path=str(path), name=key, value=value))
             if key in _TABLES and not isinstance(value, dict):
                 raise UsageError(sentence("configuration.no_table", name=key, file=FILE_NAME, example=_TABLES[key]))
+            foreign = sorted(map(str, value.keys() - {"stl"})) if key == "instrument" and isinstance(value, dict) else []
+            if foreign:
+                unknown = sentence("configuration.unknown_key", path=str(path), unknown=foreign, known=["stl"])
+                raise UsageError(unknown, Reason.UNKNOWN_KEY, key=key)
         yield path, dict(sorted(content.items()))
 
 

@@ -309,6 +309,18 @@ def test_a_recording_began_when_its_times_say(
     assert session.record.created > "2026-02"
 
 
+def test_what_is_told_of_the_instrument_and_what_is_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # The variable is of the instrument on the wire, and not of the one that other programs have recorded.
+    monkeypatch.setenv("IMUFIELD_DRIVER", "stim300")
+    instruments = []
+    for name in ("january", "february"):
+        write_lines(tmp_path / f"{name}.csv")
+        assert run(["import", str(tmp_path / f"{name}.csv"), "-o", str(tmp_path / name), "--serial", "A17"]) == 0
+        instruments.append(Session.open(tmp_path / name).record.instrument)
+    assert instruments[0] == instruments[1]
+    assert instruments[0].serial_number == "A17"
+
+
 def test_a_default_site_is_not_that_of_another_programs_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("IMUFIELD_LATITUDE_DEG", "45")
     write_lines(tmp_path / "a.csv")

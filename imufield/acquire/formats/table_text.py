@@ -34,6 +34,7 @@ LINE_LIMIT_BYTES = 1 << 20
 """No table has longer lines; a file without line ends is not one."""
 _GZIP_MAGIC = b"\x1f\x8b"
 _COMMENT_MARKS = ("#", "%", "//")
+_SEPARATING_COMMA = re.compile(r"(?<!\d),|,(?!\d)")
 _DATE = re.compile(r"\d{4}-\d\d-\d\d|\d\d:\d\d")
 
 
@@ -188,8 +189,9 @@ def open_table(path: str | Path) -> TextTable:
         if mark is not None:
             marked.append(text.lstrip(mark).strip())
         elif text:
-            delimiter, decimal_comma = delimiter_of(text)
-            cells = split_cells(text, delimiter)
+            bare = text.replace('"', "")
+            delimiter, decimal_comma = delimiter_of(bare)
+            cells = split_cells(bare, delimiter)
             if any(is_number(cell.replace(",", ".") if decimal_comma else cell) and cell for cell in cells):
                 header, units = _header(path, names, marked, delimiter=delimiter, width=len(cells))
                 # What ends each row with a delimiter names no column behind it.
@@ -237,7 +239,8 @@ def delimiter_of(line: str) -> tuple[str | None, bool]:
     if ";" in line:
         return ";", "," in line
     if "," in line:
-        return ",", False
+        # Between tabs a comma with digits on both sides is a decimal one.
+        return (None, True) if "\t" in line and not _SEPARATING_COMMA.search(line) else (",", False)
     # A tab separates even where cells are empty, but files padded with blanks and tabs are common: take both as blanks.
     return None, False
 

@@ -22,6 +22,7 @@ from imufield.commands.options.shared import (
     TableRateHz,
     TargetBiasUg,
     TargetScalePpm,
+    TypedDriverName,
     argument,
     option,
     unknown_site,
@@ -111,7 +112,7 @@ class InitOptions:
     """
 
     site: PlaceOptions = field(default_factory=unknown_site)
-    driver: DriverName = None
+    driver: TypedDriverName = None
     port: Port = None
     target_bias_ug: TargetBiasUg = None
     target_scale_ppm: TargetScalePpm = None
@@ -275,7 +276,7 @@ class ImportOptions:
 
     files: Annotated[list[Path], argument(help="Files of one recording; several are joined by time.")]
     output: Annotated[Path | None, option("-o", "--output", help="Folder of the new session.")] = None
-    driver: DriverName = None
+    driver: TypedDriverName = None
     # A name or a file: shipped protocols have names.
     protocol: Annotated[str | None, option(help="For a raw byte dump: protocol name or TOML file.")] = None
     dbc: Annotated[Path | None, option(help="For a log of a CAN bus: DBC file.")] = None
@@ -287,6 +288,10 @@ class ImportOptions:
     rate_hz: TableRateHz = None
     zero: Annotated[
         str | None, option(help="Raw output at zero input, one or three numbers (default: as the file states, else 0).")
+    ] = None
+    serial_number: Annotated[
+        str | None,
+        option("--serial", help="Serial number of the instrument, by which history and solve --together find its sessions."),
     ] = None
     site: PlaceOptions = field(default_factory=unknown_site)
     replace: Annotated[

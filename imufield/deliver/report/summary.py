@@ -33,7 +33,7 @@ from imufield.deliver.parameters.printed_numbers import (
 )
 from imufield.deliver.report.gain import gain
 from imufield.deliver.report.rows import GAUGE_WORDS, VERDICT_WORDS, Quantity, quantities
-from imufield.earth import MICRO_G_M_S2, height_words
+from imufield.earth import MICRO_G_M_S2, STANDARD_GRAVITY_M_S2, height_words
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentence, Sentences, folded, printable
 
@@ -176,7 +176,8 @@ def _facts(calibration: Calibration) -> Table:
     table.add_column()
     source: str = gravity.source_words
     if gravity.source == "assumed":
-        source = sentence("summary.assumed")
+        # The standard value itself stands where nothing was typed.
+        source = sentence("summary.assumed" if gravity.gravity_m_s2 == STANDARD_GRAVITY_M_S2 else "summary.textbook")
     elif gravity.source == "normal" and gravity.latitude_deg is not None:
         source = sentence("summary.normal", latitude_deg=gravity.latitude_deg, height=height_words(gravity))
     table.add_row("Gravity", f"{with_sigma(gravity.gravity_m_s2, gravity.sigma_m_s2)} m/s², {source}")

@@ -99,3 +99,25 @@ def test_thousandths_are_understood(tmp_path: Path) -> None:
     table = read_tables([path])
     np.testing.assert_allclose(table.rows[:, 1:7], np.column_stack([ACCELEROMETER, GYROSCOPE]), rtol=1e-9, atol=1e-12)
     assert (table.settings["accelerometer_unit"], table.settings["gyroscope_unit"]) == ("g", "deg/s")
+
+
+WIDE = np.column_stack([TIME, ACCELEROMETER, GYROSCOPE])
+
+
+@pytest.mark.parametrize(
+    ("delimiter", "decimal", "quoted"),
+    [(",", ".", True), (";", ",", True), (";", ",", False), ("\t", ",", False), ("\t", ",", True), ("\t", ".", False)],
+)
+def test_cells_as_spreadsheets_write_them(tmp_path: Path, delimiter: str, decimal: str, quoted: bool) -> None:
+    names = ["time", "ax", "ay", "az", "gx", "gy", "gz"]
+    rows = [names, *([f"{value:.6f}".replace(".", decimal) for value in row] for row in WIDE.tolist())]
+    mark = '"' if quoted else ""
+    path = write(tmp_path, "\n".join(delimiter.join(f"{mark}{cell}{mark}" for cell in row) for row in rows))
+    np.testing.assert_allclose(read_tables([path], settings={"accelerometer_unit": "g"}).rows[:, :7], WIDE, atol=1e-6)
+
+
+def test_decimal_commas_between_commas_are_asked_about(tmp_path: Path) -> None:
+    rows = "\n".join(",".join(f'"{value:.6f}"'.replace(".", ",") for value in row) for row in WIDE.tolist())
+    path = write(tmp_path, f"time,ax,ay,az,gx,gy,gz\n{rows}\n")
+    with refused(UsageError, Reason.USAGE, key="table_columns.narrow_header"):
+        read_tables([path])

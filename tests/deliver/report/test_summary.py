@@ -121,6 +121,9 @@ def test_assumed_gravity_is_said_aloud_and_answered(
 ) -> None:
     text = made(replace(calibration, gravity=choose_gravity()), observations, context)
     assert f"9.807 ± 0.018 m/s², {sentence('summary.assumed')}" in " ".join(text.split())
+    # Who has typed one is told why it counts for so little.
+    typed = made(replace(calibration, gravity=choose_gravity(gravity_m_s2=9.81)), observations, context)
+    assert f"9.810 ± 0.018 m/s², {sentence('summary.textbook')}" in " ".join(typed.split())
     assert "imufield solve --latitude DEGREES" in text
 
 
