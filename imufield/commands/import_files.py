@@ -290,12 +290,11 @@ def _whole_or_nothing(session: Session, protocol: Protocol) -> Iterator[tuple[Se
 
 
 def _new_session(options: ImportOptions, protocol: Protocol, table: ImportedTable | None, began: str) -> Session:
-    serial_number = printable(options.serial_number or "")
-    # One instrument has one model, whatever its files are called.
-    model = "IMU" if serial_number else printable(options.files[0].name.split(".")[0])
+    model = printable(options.model or options.files[0].name.split(".")[0])
+    serial_number = None if options.serial_number is None else printable(options.serial_number)
     metadata: dict[str, object] = {
         "kind": "import",
-        "instrument": {"driver": options.driver or protocol.name, "model": model, "serial_number": serial_number or None},
+        "instrument": {"driver": options.driver or protocol.name, "model": model, "serial_number": serial_number},
         "protocol": {"name": protocol.name, "sha256": protocol.sha256, "text": protocol.text},
         "settings": {name: SettingRecord(setting.value, setting.origin) for name, setting in protocol.settings.items()},
         "units": {"accelerometer": protocol.units.accelerometer, "gyroscope": protocol.units.gyroscope},

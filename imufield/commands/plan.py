@@ -44,7 +44,7 @@ def run_plan(options: PlanOptions) -> None:
     noise = noise or grade.accelerometer.noise_density
     time = session_time(positions, settings, noise=noise, grade=grade)
     sizes = {"noise_ug": noise / MICRO_G_M_S2, "scatter_ug": grade.scatter_m_s2 / MICRO_G_M_S2}
-    is_known = options.noise_ug is not None or options.grade is not None or by_driver
+    is_known = bool(options.noise_ug or options.grade or by_driver)
     source = time.gravity.source_words
     if time.gravity.source == "assumed":
         source = sentence("plan.place_unknown" if options.site.place().gravity_m_s2 is None else "plan.textbook")

@@ -14,7 +14,6 @@ import numpy as np
 from imufield.acquire.formats.foreign_file_reader import DAMAGE, IMU_TYPE, first_line
 from imufield.acquire.formats.table_arrays import ArrayTable, handed_over, missing_package, start_reader, unread
 from imufield.acquire.link.host_clock import COUNTS_FROM_1970_S, NANOSECONDS
-from imufield.dataclass import replace
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.files import Origin, open_to_read
 from imufield.samples import SAMPLE_COLUMNS, FloatArray, Status
@@ -119,5 +118,12 @@ def _table(path: Path, rows: FloatArray, said: list[str]) -> ArrayTable:
     # The flags are those of values: of gaps a recording of ROS says nothing.
     settings: dict[str, str | float] = {"accelerometer_unit": "m/s^2", "gyroscope_unit": "rad/s", "status": "true"}
     units = ("s", *[""] * (len(SAMPLE_COLUMNS) - 1))
-    table = ArrayTable(path=path, header=SAMPLE_COLUMNS, values=values, units=units, settings=settings)
-    return replace(table, assumptions=tuple(said), zero_s=(from_s,))
+    return ArrayTable(
+        path=path,
+        header=SAMPLE_COLUMNS,
+        values=values,
+        units=units,
+        settings=settings,
+        assumptions=tuple(said),
+        zero_s=(from_s, *[0.0] * (len(SAMPLE_COLUMNS) - 1)),
+    )

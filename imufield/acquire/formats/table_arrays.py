@@ -57,7 +57,7 @@ class ArrayTable:
     assumptions : tuple of str
         Sentences.
     zero_s : tuple of float
-        Of each column of times that was counted from its own first: seconds from 1970 to that; 0 of others, or not there.
+        For each column seconds from 1970 to its first time, where that was taken off, else 0; empty where there is none.
     """
 
     path: Path

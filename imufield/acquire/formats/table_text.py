@@ -34,6 +34,7 @@ LINE_LIMIT_BYTES = 1 << 20
 """No table has longer lines; a file without line ends is not one."""
 _GZIP_MAGIC = b"\x1f\x8b"
 _COMMENT_MARKS = ("#", "%", "//")
+_QUOTED = re.compile(r'"([^"\n]*)"')
 _SEPARATING_COMMA = re.compile(r"(?<!\d),|,(?!\d)")
 _DATE = re.compile(r"\d{4}-\d\d-\d\d|\d\d:\d\d")
 
@@ -114,7 +115,7 @@ class TextTable:
         """Bring what C parsers do not know into a form they do: quotes, decimal commas, empty cells."""
         # Most files have none of these; a search is faster than a copy.
         if b'"' in block:
-            block = block.replace(b'"', b"")
+            block = _without_quotes(block.decode("latin-1"), self.delimiter).encode("latin-1")
         if self.decimal_comma:
             block = block.replace(b",", b".")
         if self.delimiter is None:
@@ -132,7 +133,7 @@ class TextTable:
     def _parse(self, rows: list[str], columns: Sequence[int], lines_before: int) -> FloatArray:
         # Without a choice NumPy notices rows of other widths itself; with one it would read them shifted.
         use = None if list(columns) == list(range(self.width)) else tuple(columns)
-        if use is not None and any(self._width_of(row) not in (0, self.width) for row in rows):
+        if use is not None and any(map(self._has_other_width, rows)):
             raise self._find_fault(rows, columns, lines_before)
         try:
             values = np.loadtxt(rows, delimiter=self.delimiter, ndmin=2, usecols=use)
@@ -142,10 +143,12 @@ class TextTable:
             raise self._find_fault(rows, columns, lines_before)
         return values
 
-    def _width_of(self, row: str) -> int:
-        """Return the number of cells of a row, 0 where there is none."""
-        text = row.split("#", 1)[0].strip()
-        return len(text.split(self.delimiter)) if text else 0
+    def _has_other_width(self, row: str) -> bool:
+        # The usual case costs a tenth of a division.
+        if self.delimiter is not None and row.count(self.delimiter) == self.width - 1:
+            return False
+        # What stands behind a comment mark is no cell, or a cell that holds one.
+        return "#" not in row and bool(row.strip()) and len(split_cells(row.strip(), self.delimiter)) != self.width
 
     def _find_fault(self, rows: list[str], columns: Sequence[int], lines_before: int) -> RecordingError:
         """Name the first line that is not a row of the table, or what the heading promises more than the rows hold."""
@@ -153,13 +156,12 @@ class TextTable:
             return _bad("table_text.narrow_rows", self.path, width=self.width, line=lines_before + 1)
         for number, row in enumerate(rows, start=lines_before + 1):
             text = row.split("#")[0].strip()
-            width = self._width_of(row)
-            if width not in (0, self.width):
-                shown = {"found": width, "width": self.width, "line": number, "text": shortened(text)}
-                return _bad("table_text.other_width", self.path, **shown)
-            if not width:
+            if not text:
                 continue
             cells = split_cells(text, self.delimiter)
+            if len(cells) != self.width:
+                shown = {"found": len(cells), "width": self.width, "line": number, "text": shortened(text)}
+                return _bad("table_text.other_width", self.path, **shown)
             wrong = next((cells[column] for column in columns if not is_number(cells[column])), None)
             if wrong is not None:
                 # A date is the usual one.
@@ -189,9 +191,11 @@ def open_table(path: str | Path) -> TextTable:
         if mark is not None:
             marked.append(text.lstrip(mark).strip())
         elif text:
-            bare = text.replace('"', "")
-            delimiter, decimal_comma = delimiter_of(bare)
-            cells = split_cells(bare, delimiter)
+            delimiter, decimal_comma = delimiter_of(text)
+            # Blanks inside cells part nothing where the names above are parted by tabs.
+            if delimiter is None and "\t" in text and names and names[0].count("\t") == text.count("\t"):
+                delimiter = "\t"
+            cells = split_cells(_without_quotes(text, delimiter), delimiter)
             if any(is_number(cell.replace(",", ".") if decimal_comma else cell) and cell for cell in cells):
                 header, units = _header(path, names, marked, delimiter=delimiter, width=len(cells))
                 # What ends each row with a delimiter names no column behind it.
@@ -236,13 +240,23 @@ def _names(line: str, delimiter: str | None, width: int) -> tuple[str, ...]:
 
 def delimiter_of(line: str) -> tuple[str | None, bool]:
     """Return what separates cells, and whether commas are decimal ones."""
-    if ";" in line:
-        return ";", "," in line
-    if "," in line:
-        # Between tabs a comma with digits on both sides is a decimal one.
-        return (None, True) if "\t" in line and not _SEPARATING_COMMA.search(line) else (",", False)
+    # What stands in quotes separates nothing.
+    outside, bare = _QUOTED.sub("", line), line.replace('"', "")
+    if ";" in outside:
+        return ";", "," in bare
+    # Between tabs a comma with digits on both sides is a decimal one.
+    if "\t" in outside and "," in bare and not _SEPARATING_COMMA.search(bare):
+        return None, True
+    if "," in outside:
+        return ",", False
     # A tab separates even where cells are empty, but files padded with blanks and tabs are common: take both as blanks.
     return None, False
+
+
+def _without_quotes(text: str, delimiter: str | None) -> str:
+    """Leave out quotes; a delimiter inside them becomes what no number has: it may be a decimal comma, or one of thousands."""
+    inside = re.compile(r"\s" if delimiter is None else re.escape(delimiter))
+    return _QUOTED.sub(lambda quoted: inside.sub("_", quoted[1]), text).replace('"', "") if '"' in text else text
 
 
 def split_cells(line: str, delimiter: str | None) -> list[str]:

@@ -43,7 +43,7 @@ _HUGE = 1e30
 _TYPES: Mapping[str, type] = {"str": str, "bool": bool, "int": int, "float": float}
 
 
-# Two digits each, of which Python takes one, too, and those of other scripts.
+# As written here: Python's reader also takes single digits, those of other scripts, and years that no plot can show.
 _MOMENT = re.compile(r"(19[7-9]|20[0-9])[0-9](-[0-9]{2}){2}T[0-9]{2}(:[0-9]{2}){2}Z")
 
 _Number = TypeVar("_Number", int, float)

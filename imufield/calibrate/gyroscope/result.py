@@ -41,10 +41,8 @@ _HARDLY_BETTER = 0.8
 _WORSE = 1.1
 _FOUND_SIGMAS = 4.0  # A term as large on one axis is found in two of three sessions.
 _FOUND = 0.01  # A gyroscope's scale that differs by more is said not to be tested for it.
-APART_DEG = 5.0
-"""RMS of moves: one of some seconds that ends further from where gravity says was not seen whole, or not by this gyroscope."""
-COARSE_PPM = 10_000.0
-"""Of scale, 1 sigma: data sheets promise as much without a calibration."""
+_MOVE_ERROR_LIMIT_DEG = 5.0  # RMS: a move that ends further from where gravity says was not seen whole, or not by this unit.
+_SCALE_SIGMA_LIMIT_PPM = 10_000.0  # Data sheets promise as much without a calibration.
 _SUSPICIOUS_SIGMAS = 4.5  # A residual has two components; one good move in 25 000 is further off.
 
 
@@ -182,10 +180,10 @@ def joint_result(solution: JointSolution) -> GyroscopeResult:
     are_enough = turns_tell_scatter(fitted.scatter, now.jacobian[:, fitted.free], fitted.parts)
     few = (sentence("result.few_moves", moves=m),) if m and not are_enough else ()
     gyroscope = result.calibration
-    coarse_ppm = 1e6 * float(np.max(np.abs(gyroscope.sigma.scale / gyroscope.parameters.scale)))
-    coarse = (sentence("result.coarse", sigma_ppm=coarse_ppm, limit_ppm=COARSE_PPM),) if coarse_ppm > COARSE_PPM else ()
-    apart_deg = moves.rms_after_deg
-    apart = (sentence("result.apart", apart_deg=apart_deg, limit_deg=APART_DEG),) if apart_deg > APART_DEG else ()
+    # NaN where a scale is not observable, which is said elsewhere.
+    sigma_ppm = 1e6 * float(np.nan_to_num(np.abs(gyroscope.sigma.scale / gyroscope.parameters.scale)).max())
+    coarse = _beyond("result.coarse", sigma_ppm, _SCALE_SIGMA_LIMIT_PPM)
+    apart = _beyond("result.apart", moves.rms_after_deg, _MOVE_ERROR_LIMIT_DEG)
     unsettled = () if fitted.solved.converged else (_unsettled(fitted.solved.message, solution.given.latitude_deg),)
     return replace(
         result,
@@ -198,6 +196,10 @@ def joint_result(solution: JointSolution) -> GyroscopeResult:
         cautions=(*few, *coarse, *(linearity.sentences if linearity.matters else ())),
         faults=(*unsettled, *apart),
     )
+
+
+def _beyond(key: str, found: float, limit: float) -> tuple[Sentence, ...]:
+    return (sentence(key, found=found, limit=limit),) if found > limit else ()
 
 
 def static_bias_result(

@@ -22,7 +22,6 @@ from imufield.commands.options.shared import (
     TableRateHz,
     TargetBiasUg,
     TargetScalePpm,
-    TypedDriverName,
     argument,
     option,
     unknown_site,
@@ -112,7 +111,7 @@ class InitOptions:
     """
 
     site: PlaceOptions = field(default_factory=unknown_site)
-    driver: TypedDriverName = None
+    driver: DriverName = None
     port: Port = None
     target_bias_ug: TargetBiasUg = None
     target_scale_ppm: TargetScalePpm = None
@@ -276,7 +275,7 @@ class ImportOptions:
 
     files: Annotated[list[Path], argument(help="Files of one recording; several are joined by time.")]
     output: Annotated[Path | None, option("-o", "--output", help="Folder of the new session.")] = None
-    driver: TypedDriverName = None
+    driver: DriverName = None
     # A name or a file: shipped protocols have names.
     protocol: Annotated[str | None, option(help="For a raw byte dump: protocol name or TOML file.")] = None
     dbc: Annotated[Path | None, option(help="For a log of a CAN bus: DBC file.")] = None
@@ -289,10 +288,11 @@ class ImportOptions:
     zero: Annotated[
         str | None, option(help="Raw output at zero input, one or three numbers (default: as the file states, else 0).")
     ] = None
-    serial_number: Annotated[
+    model: Annotated[
         str | None,
-        option("--serial", help="Serial number of the instrument, by which history and solve --together find its sessions."),
+        option(help="Model of the instrument, for history with --serial (default: the name of the first file)."),
     ] = None
+    serial_number: Annotated[str | None, option("--serial", help="Serial number of the instrument.")] = None
     site: PlaceOptions = field(default_factory=unknown_site)
     replace: Annotated[
         bool, option("--replace", help="Overwrite an earlier import in the folder --output, if it has not been solved.")

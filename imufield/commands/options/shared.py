@@ -168,13 +168,15 @@ SignalMap = Annotated[
         _parse_mapping,
     ),
 ]
-_DRIVER_HELP = "Instrument family, see `imufield devices`."
 DriverName = Annotated[
     str | None,
-    option("--driver", help=_DRIVER_HELP, envvar="IMUFIELD_DRIVER", autocompletion=completion.drivers),
+    option(
+        "--driver",
+        help="Instrument family, see `imufield devices`.",
+        envvar="IMUFIELD_DRIVER",
+        autocompletion=completion.drivers,
+    ),
 ]
-TypedDriverName = Annotated[str | None, option("--driver", help=_DRIVER_HELP, autocompletion=completion.drivers)]
-"""Of commands that the variable is no default of: files of other programs come from other instruments."""
 Baud = Annotated[
     int | None,
     option(help="Baud rate of the port, or bit rate of the bus.", within=BAUD_RANGE, envvar="IMUFIELD_BAUD"),

@@ -33,7 +33,7 @@ from imufield.deliver.parameters.printed_numbers import (
 )
 from imufield.deliver.report.gain import gain
 from imufield.deliver.report.rows import GAUGE_WORDS, VERDICT_WORDS, Quantity, quantities
-from imufield.earth import MICRO_G_M_S2, STANDARD_GRAVITY_M_S2, height_words
+from imufield.earth import MICRO_G_M_S2, height_words
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentence, Sentences, folded, printable
 
@@ -58,25 +58,6 @@ class Outcome:
     """Where the file that stood there before is kept."""
     session: Session | None = None
     """The session they come from."""
-
-    @property
-    def is_cut(self) -> bool:
-        """Whether positions are left to be measured."""
-        return self.session is not None and not self.session.finished
-
-    def remedy(self) -> Iterator[RenderableType]:
-        """Yield what to do about positions that disagree, and the command for it; nothing of position means alone."""
-        if self.session is None:
-            return
-        folder = shlex.quote(str(self.session.folder))
-        if self.session.record.kind != "capture":
-            key, command = "summary.leave_out", f"imufield solve {folder} --without NAME"
-        elif self.is_cut:
-            key, command = "summary.go_on", f"imufield capture --resume --session {folder}"
-        else:
-            key, command = "summary.take_again", f"imufield capture --resume --session {folder} --retake NAME"
-        yield from _bullets([sentence(key)])
-        yield _unbroken(f"   {command}")
 
 
 def print_summary(parameters: Parameters, outcome: Outcome | None = None, console: Console | None = None) -> None:
@@ -176,8 +157,7 @@ def _facts(calibration: Calibration) -> Table:
     table.add_column()
     source: str = gravity.source_words
     if gravity.source == "assumed":
-        # The standard value itself stands where nothing was typed.
-        source = sentence("summary.assumed" if gravity.gravity_m_s2 == STANDARD_GRAVITY_M_S2 else "summary.textbook")
+        source = sentence("summary.assumed")
     elif gravity.source == "normal" and gravity.latitude_deg is not None:
         source = sentence("summary.normal", latitude_deg=gravity.latitude_deg, height=height_words(gravity))
     table.add_row("Gravity", f"{with_sigma(gravity.gravity_m_s2, gravity.sigma_m_s2)} m/s², {source}")
@@ -284,11 +264,7 @@ def _next_steps(parameters: Parameters, outcome: Outcome) -> Iterator[Renderable
         again = "imufield solve" if outcome.session is None else f"imufield solve {shlex.quote(str(outcome.session.folder))}"
         yield from _bullets([sentence("summary.tell_place")])
         yield _unbroken(f"   {again} --latitude DEGREES --height METRES")
-    if calibration.quality.degrees_of_freedom < 1 and not outcome.is_cut:
-        steps.append(sentence("summary.take_24"))
-    # Of a gyroscope that is poor alone its own reason says what to do.
-    elif (calibration.quality.accelerometer_verdict or calibration.quality.verdict) == "poor":
-        yield from outcome.remedy()
+    yield from _remedy(calibration.quality, outcome.session)
     if outcome.path is not None:
         if outcome.kept is not None:
             steps.append(sentence("summary.kept", name=outcome.kept.name))
@@ -298,6 +274,25 @@ def _next_steps(parameters: Parameters, outcome: Outcome) -> Iterator[Renderable
         yield Text("Written to", style="bold")
         yield _unbroken(str(outcome.path))
     yield from _bullets(steps)
+
+
+def _remedy(quality: Quality, session: Session | None) -> Iterator[RenderableType]:
+    """Yield what to do about positions that disagree or are too few, and the command that this session takes for it."""
+    is_poor = (quality.accelerometer_verdict or quality.verdict) == "poor"
+    guided = session if session is not None and session.record.kind == "capture" else None
+    folder = "" if session is None else shlex.quote(str(session.folder))
+    if guided is not None and not guided.finished and is_poor:
+        key, command = "summary.go_on", f"imufield capture --resume --session {folder}"
+    elif quality.degrees_of_freedom < 1:
+        key, command = "summary.take_24", "imufield capture"
+    elif not is_poor:
+        return
+    elif guided is not None:
+        key, command = "summary.take_again", f"imufield capture --resume --session {folder} --retake NAME"
+    else:
+        key, command = "summary.leave_out", f"imufield solve {folder or '--observations FILE'} --without NAME"
+    yield from _bullets([sentence(key)])
+    yield _unbroken(f"   {command}")
 
 
 def _unbroken(text: str) -> Text:

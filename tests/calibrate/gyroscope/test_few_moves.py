@@ -13,7 +13,7 @@ from imufield.calibrate.gyroscope import residual_covariance
 from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
 from imufield.guide.positions import scheme
 from imufield.samples import Samples
-from tests.told import key_of
+from tests.told import key_of, told
 
 
 def interrupted(seed: int, lost: Sequence[int], *, grade: str = "mems") -> Session:
@@ -43,6 +43,34 @@ def test_few_moves_tell_no_scatter(grade: str, lost: tuple[int, ...]) -> None:
     ratio = np.concatenate(found)
     assert np.abs(ratio).max() < 4.5
     assert 0.3 < np.sqrt(np.mean(ratio**2)) < 1.3
+
+
+def test_a_scale_that_is_hardly_known_is_not_good() -> None:
+    """Also where another is not observable at all: the sigma of that one is no number."""
+    result = calibrate_gyroscope(interrupted(1, (1, 3, 5)).given)
+    assert np.isnan(result.calibration.sigma.scale).any()
+    (coarse,) = told(result.cautions, "result.coarse")
+    share = result.calibration.sigma.scale / result.calibration.parameters.scale
+    assert coarse.values["found"] == pytest.approx(1e6 * np.nanmax(np.abs(share)))
+    assert coarse.values["found"] > coarse.values["limit"] == 1e4
+    assert not told(calibrate_gyroscope(simulate(1).given).cautions, "result.coarse")
+
+
+@pytest.mark.parametrize(("stands_still", "is_apart"), [(True, True), (False, False)])
+def test_a_gyroscope_that_contradicts_its_moves_is_poor(stands_still: bool, is_apart: bool) -> None:
+    given = simulate(2).given
+    begin_s, end_s = given.moves.start_s[5], given.moves.end_s[5]
+
+    def still(block: Samples) -> Samples:
+        inside = (block.time_s > begin_s) & (block.time_s < end_s)
+        return replace(block, gyroscope=np.where(inside[:, None] & stands_still, given.rest_raw, block.gyroscope))
+
+    result = calibrate_gyroscope(simulate(2, damage=still).given)
+    found = told(result.faults, "result.apart")
+    assert bool(found) is is_apart
+    if is_apart:
+        assert found[0].values["found"] == pytest.approx(result.moves.rms_after_deg)
+    assert (result.moves.rms_after_deg > 5) is is_apart
 
 
 @pytest.mark.parametrize("seed", range(4))

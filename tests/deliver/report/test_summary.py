@@ -51,28 +51,45 @@ def test_fits_80_columns_and_ends_lines_without_blanks(full: Parameters) -> None
     assert not any("…" in line for line in lines)
 
 
+AGAIN = "imufield capture --resume --session {} --retake NAME"
+ON = "imufield capture --resume --session {}"
+WITHOUT = "imufield solve {} --without NAME"
+MORE = "imufield capture"
+
+
 @pytest.mark.parametrize(
-    ("kind", "finished", "key", "command"),
+    ("kind", "finished", "to_spare", "none_to_spare"),
     [
-        ("capture", True, "take_again", "imufield capture --resume --session {} --retake NAME"),
-        ("capture", False, "go_on", "imufield capture --resume --session {}"),
-        ("import", True, "leave_out", "imufield solve {} --without NAME"),
+        ("capture", True, AGAIN, MORE),
+        ("capture", False, ON, ON),
+        ("record", True, WITHOUT, MORE),
+        ("record", False, WITHOUT, MORE),
+        ("import", True, WITHOUT, MORE),
+        (None, True, "imufield solve --observations FILE --without NAME", MORE),
     ],
 )
 def test_the_remedy_is_one_that_the_session_takes(
-    full: Parameters, tmp_path: Path, *, kind: str, finished: bool, key: str, command: str
+    full: Parameters, tmp_path: Path, *, kind: str | None, finished: bool, to_spare: str, none_to_spare: str
 ) -> None:
-    folder = tmp_path / f"a session of {'x' * 60}"
-    session = Session.create_in(folder, "IMU", {"kind": kind})
-    session.update(finished=finished)
-    outcome = Outcome(tmp_path / "parameters.toml", session=session)
-    quality = full.calibration.quality
-    for verdict, accelerometer, is_said in (("poor", "poor", True), ("poor", "good", False), ("good", "good", False)):
-        judged = replace(quality, verdict=verdict, accelerometer_verdict=accelerometer)
-        text = summary_text(replace(full, calibration=replace(full.calibration, quality=judged)), outcome)
-        assert (sentence(f"summary.{key}") in text) is is_said
-        # Whole: in two pieces it cannot be copied.
-        assert (f"\n   {command.format(shlex.quote(str(folder)))}\n" in text) is is_said
+    session, folder = None, tmp_path / f"a session of {'x' * 60}"
+    if kind is not None:
+        session = Session.create_in(folder, "IMU", {"kind": kind})
+        session.update(finished=finished)
+
+    def commands(verdict: str, accelerometer: str, freedom: int) -> list[str]:
+        quality = replace(full.calibration.quality, verdict=verdict, accelerometer_verdict=accelerometer)
+        quality = replace(quality, degrees_of_freedom=freedom, student_factor_95=2.0 if freedom else float("nan"))
+        judged = replace(full, calibration=replace(full.calibration, quality=quality))
+        lines = summary_text(judged, Outcome(tmp_path / "parameters.toml", session=session)).splitlines()
+        # Each on a line of its own: in two pieces it cannot be copied.
+        return [line.strip() for line in lines if line.startswith("   imufield")]
+
+    quoted = shlex.quote(str(folder))
+    assert commands("poor", "poor", 3) == [to_spare.format(quoted)]
+    assert commands("poor", "poor", 0) == [none_to_spare.format(quoted)]
+    # Of a gyroscope that is poor alone its own reason says what to do.
+    assert commands("poor", "good", 3) == []
+    assert commands("good", "good", 3) == []
 
 
 def test_the_end_fits_a_terminal_of_24_lines(full: Parameters) -> None:
@@ -123,7 +140,7 @@ def test_assumed_gravity_is_said_aloud_and_answered(
     assert f"9.807 ± 0.018 m/s², {sentence('summary.assumed')}" in " ".join(text.split())
     # Who has typed one is told why it counts for so little.
     typed = made(replace(calibration, gravity=choose_gravity(gravity_m_s2=9.81)), observations, context)
-    assert f"9.810 ± 0.018 m/s², {sentence('summary.textbook')}" in " ".join(typed.split())
+    assert f"9.810 ± 0.018 m/s², {sentence('summary.assumed')}" in " ".join(typed.split())
     assert "imufield solve --latitude DEGREES" in text
 
 

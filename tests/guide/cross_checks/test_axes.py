@@ -191,6 +191,9 @@ def test_a_gap_of_unknown_length_in_a_move_drops_it(make_path: Any) -> None:
     moves = _moves_of(samples)
     assert len(moves) == 5
     assert check_axes(moves, 1.0).agrees
+    # One that the clock shows is as short as it says.
+    samples.time_s[behind:] += 0.02
+    assert len(_moves_of(samples)) == 6
 
 
 def test_a_pause_with_a_few_more_samples_before_the_turn_drops_the_move(make_path: Any) -> None:
