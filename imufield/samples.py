@@ -58,6 +58,8 @@ class Status(IntFlag):
     """Of corrected samples: the temperature lies outside those of the calibration, and the nearest of them was taken."""
     TEMPERATURE_UNKNOWN = 2048
     """Of corrected samples: without a temperature, they were corrected as at the reference of the calibration."""
+    CLOCK_SET = 4096
+    """The instrument's clock was set anew before this sample; ``time_s`` does not show how long that took."""
 
 
 INSTRUMENT_STATUS_SHIFT = 16

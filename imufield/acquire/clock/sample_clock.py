@@ -233,7 +233,7 @@ class SampleClock(Clock):
         steps = ticks.astype(np.float64)
         if stamped is not None:
             time_s = stamped.time_s
-            flags[stamped.reset] |= np.uint32(Status.GAP_ESTIMATED)
+            flags[stamped.reset] |= np.uint32(Status.GAP_ESTIMATED | Status.CLOCK_SET)
             self._statistics.clock_resets += int(np.count_nonzero(stamped.reset))
             # The counter is exact but goes round; the stamps beside it tell how often it did.
             steps = self._add_wraps(steps, stamped.step_s) if self._has_counter else stamped.step_s

@@ -182,7 +182,7 @@ class DeviceClock(Clock):
         stamped = self._stamps.time(self._filled(block.ticks, step_s * self._rule.time_ticks_per_s), step_s)
         lost = self._steps.examine(stamped.step_s).lost
         flags = np.where(lost > 0, np.uint32(Status.AFTER_GAP), np.uint32(0))
-        flags[stamped.reset] |= np.uint32(Status.GAP_ESTIMATED)
+        flags[stamped.reset] |= np.uint32(Status.GAP_ESTIMATED | Status.CLOCK_SET)
         statistics = self._statistics
         statistics.samples_lost += int(lost.sum())
         statistics.gaps += int(np.count_nonzero(flags))

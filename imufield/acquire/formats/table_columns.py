@@ -53,7 +53,7 @@ unit of time at most."""
 # A typed rate within 20 % of the time column's decides the unit of time; outside, one of the two is wrong.
 _RATE_TOLERANCE = 0.2
 
-_MOST_EQUAL = 0.5  # Share of rows with the time of the row before: by more of them nobody knows when the others were.
+_MOST_EQUAL = 0.8  # Share of rows with the time of the row before: of more than five rows nobody knows when the others were.
 # Units that protocol ``rows_f64`` does not know: what they become, and the factor.
 _CONVERTED = {"mg": ("g", 1e-3), "mdps": ("deg/s", 1e-3)}
 _FAST = 0.999  # Of all outputs; larger ones may be damage.
@@ -281,9 +281,6 @@ def choose_time_scale(path: Path, time: FloatArray, unit: str | None, rate_hz: f
         No unit gives a plausible rate, or the typed rate contradicts the column.
     """
     steps = np.diff(time)
-    share = np.count_nonzero(steps == 0.0) / max(len(steps), 1)
-    if share > _MOST_EQUAL:
-        raise UsageError(sentence("table_columns.same_times", path=str(path), share=share))
     step = float(median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
     if unit is not None:
         step_s = step * TIME_SCALE[unit]
@@ -305,6 +302,13 @@ def choose_time_scale(path: Path, time: FloatArray, unit: str | None, rate_hz: f
     name = fitting[0]
     fitting_hz = 1.0 / (step * TIME_SCALE[name])
     return TIME_SCALE[name], sentence("table_columns.time_taken_as", name=path.name, unit=name, step=step, rate_hz=fitting_hz)
+
+
+def refuse_coarse_times(path: Path, time: FloatArray) -> None:
+    """Raise ``UsageError`` if most rows have the time of the row before."""
+    share = np.count_nonzero(np.diff(time) == 0.0) / max(len(time) - 1, 1)
+    if share > _MOST_EQUAL:
+        raise UsageError(sentence("table_columns.same_times", path=str(path), share=share, limit=_MOST_EQUAL))
 
 
 def _check_rate(path: Path, step_s: float, rate_hz: float | None) -> None:

@@ -35,7 +35,8 @@ LINE_LIMIT_BYTES = 1 << 20
 _GZIP_MAGIC = b"\x1f\x8b"
 _COMMENT_MARKS = ("#", "%", "//")
 _QUOTED = re.compile(r'"([^"\n]*)"')
-_SEPARATING_COMMA = re.compile(r"(?<!\d),|,(?!\d)")
+# Three digits behind it may be thousands, but for those of 0,123.
+_DECIMAL_COMMA = re.compile(r"(?<!\d)0,\d|\d,(?!\d{3}(?!\d))\d")
 _DATE = re.compile(r"\d{4}-\d\d-\d\d|\d\d:\d\d")
 
 
@@ -148,7 +149,12 @@ class TextTable:
         if self.delimiter is not None and row.count(self.delimiter) == self.width - 1:
             return False
         # What stands behind a comment mark is no cell, or a cell that holds one.
-        return "#" not in row and bool(row.strip()) and len(split_cells(row.strip(), self.delimiter)) != self.width
+        if "#" in row or not row.strip():
+            return False
+        cells = split_cells(row.strip(" \r"), self.delimiter)
+        # Empty cells behind the others shift nothing.
+        filled = max((place for place, cell in enumerate(cells, start=1) if cell not in ("", "nan")), default=0)
+        return not filled <= self.width <= len(cells)
 
     def _find_fault(self, rows: list[str], columns: Sequence[int], lines_before: int) -> RecordingError:
         """Name the first line that is not a row of the table, or what the heading promises more than the rows hold."""
@@ -191,16 +197,15 @@ def open_table(path: str | Path) -> TextTable:
         if mark is not None:
             marked.append(text.lstrip(mark).strip())
         elif text:
-            delimiter, decimal_comma = delimiter_of(text)
-            # Blanks inside cells part nothing where the names above are parted by tabs.
-            if delimiter is None and "\t" in text and names and names[0].count("\t") == text.count("\t"):
-                delimiter = "\t"
-            cells = split_cells(_without_quotes(text, delimiter), delimiter)
-            if any(is_number(cell.replace(",", ".") if decimal_comma else cell) and cell for cell in cells):
+            delimiter, decimal_comma = _delimiter_below(names, text)
+            cells = _first_cells(line, delimiter)
+            found = (cell.replace(",", ".") if decimal_comma else cell for cell in cells)
+            if any(map(is_number, filter(None, found))) and not _are_names(text, delimiter, lines[number + 1 : number + 2]):
                 header, units = _header(path, names, marked, delimiter=delimiter, width=len(cells))
-                # What ends each row with a delimiter names no column behind it.
-                if header is not None and not any(cells[len(header) :]):
-                    header += ("",) * (len(cells) - len(header))
+                if header is not None and len(header) < len(cells):
+                    # Of a comment behind the row nothing is read; what ends a row with a delimiter names no column.
+                    cells = _first_cells(line.split("#", 1)[0], delimiter)
+                    header += ("",) * (len(cells) - len(header) if not any(cells[len(header) :]) else 0)
                 return TextTable(
                     path=path,
                     delimiter=delimiter,
@@ -213,6 +218,24 @@ def open_table(path: str | Path) -> TextTable:
             # Lines before the first number are the heading.
             names.append(text)
     raise _bad("table_text.no_rows", path)
+
+
+def _delimiter_below(names: list[str], line: str) -> tuple[str | None, bool]:
+    """Return what ``delimiter_of`` does of the first row below some names."""
+    delimiter, decimal_comma = delimiter_of(line)
+    # Blanks inside cells part nothing where as many names are parted by tabs.
+    by_tabs = delimiter is None and "\t" in line and names and names[0].count("\t") == line.count("\t")
+    return "\t" if by_tabs else delimiter, decimal_comma
+
+
+def _first_cells(line: str, delimiter: str | None) -> list[str]:
+    # Tabs at the end are cells, where tabs part them.
+    return split_cells(_without_quotes(line.strip(" \r" if delimiter == "\t" else None), delimiter), delimiter)
+
+
+def _are_names(line: str, delimiter: str | None, below: list[str]) -> bool:
+    """Whether a line of numbers is one of names: all in quotes, above a line without any."""
+    return all(cell.startswith('"') for cell in split_cells(line, delimiter)) and bool(below) and '"' not in below[0]
 
 
 def _header(
@@ -244,8 +267,9 @@ def delimiter_of(line: str) -> tuple[str | None, bool]:
     outside, bare = _QUOTED.sub("", line), line.replace('"', "")
     if ";" in outside:
         return ";", "," in bare
-    # Between tabs a comma with digits on both sides is a decimal one.
-    if "\t" in outside and "," in bare and not _SEPARATING_COMMA.search(bare):
+    # Between tabs a comma is a decimal one where it cannot be another.
+    is_one_each = max(cell.count(",") for cell in bare.split("\t")) == 1
+    if "\t" in outside and is_one_each and "." not in bare and _DECIMAL_COMMA.search(bare):
         return None, True
     if "," in outside:
         return ",", False

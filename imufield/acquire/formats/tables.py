@@ -26,6 +26,7 @@ from imufield.acquire.formats.table_columns import (
     choose_time_scale,
     choose_unit,
     given_time_unit,
+    refuse_coarse_times,
 )
 from imufield.acquire.formats.table_file import File, file_of, is_empty, meaning_of, open_source
 from imufield.acquire.formats.table_join import join
@@ -153,6 +154,8 @@ def read_tables(
         meaning = meaning_of(source, names, number, len(paths))
         files.append(file_of(source, meaning, source.read(meaning.places)))
     _check_values([file.path for file in files], {name for file in files for name in file.fields})
+    for file in files:
+        refuse_coarse_times(file.path, file.fields.get(TIME, np.empty(0)))
     return _table(files, rate_hz, zero, settings)
 
 
@@ -178,6 +181,7 @@ def stream_table(path: str | Path, *, rate_hz: float | None = None) -> Iterator[
     file = file_of(source, meaning, values, known=late.keys())
     known = file.fields.keys() | late.keys()
     _check_values([file.path], known)
+    refuse_coarse_times(file.path, file.fields.get(TIME, np.empty(0)))
     head = _table([file], rate_hz, settings=_late_units(late, file.units))
     # What the first piece decided holds for all, even where another would be guessed from a later one.
     decided = {f"{quantity}_unit": head.settings[f"{quantity}_unit"] for quantity in _TRIADS if quantity not in file.units}

@@ -340,9 +340,8 @@ class MoveCollector:
         interval_s, flags = self.interval_s or 0.0, np.zeros(len(dt), dtype=np.uint8)
         flags[dt > _LOST_INTERVALS * interval_s] |= np.uint8(SlotFlag.BRIDGED)
         flags[dt > max(BRIDGED_S, BRIDGED_INTERVALS * interval_s)] |= np.uint8(SlotFlag.LOST)
-        # Behind a gap that the time does not show the clock was set anew: how long it was, nobody knows.
-        anew = (status[1:] & np.uint32(Status.GAP_ESTIMATED)) != 0
-        flags[(dt <= 0) | (anew & (dt <= _LOST_INTERVALS * interval_s))] |= np.uint8(SlotFlag.CLOCK_JUMP)
+        is_set = (status[1:] & np.uint32(Status.CLOCK_SET)) != 0
+        flags[(dt <= 0) | is_set] |= np.uint8(SlotFlag.CLOCK_JUMP)
         # An interval has the flags of both of its samples.
         for what, flag in _OF_STATUS.items():
             seen = (status & np.uint32(what)) != 0

@@ -121,18 +121,15 @@ class MoveLog:
         self._rates: list[list[float]] = []
         self._before: list[float] = []
         self._slot: int | None = None
-        self._count = 0  # Samples of the cell before.
         self._whole = False
         self._finished: deque[tuple[list[float], list[float], list[list[float]]]] = deque(maxlen=_MOVES_KEPT)
 
     def follow(self, judgement: Judgement, still_mean: list[float]) -> None:
         """Add one judgement and the running mean of the stretch in progress (6 raw rates; empty when there is none)."""
         slot = int(judgement.cells.slot[judgement.row])
-        # A gap of unknown length after which the cell is as full as before took no time: the clock was set anew, and the unit
-        # may have turned meanwhile.
-        before, self._count = self._count, int(judgement.cells.count[judgement.row])
-        is_anew = int(judgement.cells.flags[judgement.row]) & Status.GAP_ESTIMATED and self._count >= before - 1
-        unbroken = self._slot is not None and slot - self._slot == 1 and not is_anew
+        is_set = int(judgement.cells.flags[judgement.row]) & Status.CLOCK_SET
+        # Where its clock was set, the unit may have turned for as long as nobody knows.
+        unbroken = self._slot is not None and slot - self._slot == 1 and not is_set
         self._slot, self._whole = slot, self._whole and unbroken
         if judgement.ended is not None:
             # A gap ends a stretch, too, and the unit may have turned during it.
