@@ -204,8 +204,8 @@ class PlanOptions:
     grade: Annotated[
         str | None,
         option(
-            help="Instrument grade, whose noise is assumed: navigation, tactical, industrial or mems (default: as driver "
-            "states, else mems)."
+            help="Instrument grade, whose noise is assumed: navigation, tactical, industrial or mems (default: by "
+            "--noise-ug, else as driver states, else mems)."
         ),
     ] = None
     noise_ug: Annotated[

@@ -127,8 +127,8 @@ class MoveLog:
     def follow(self, judgement: Judgement, still_mean: list[float]) -> None:
         """Add one judgement and the running mean of the stretch in progress (6 raw rates; empty when there is none)."""
         slot = int(judgement.cells.slot[judgement.row])
-        is_set = int(judgement.cells.flags[judgement.row]) & Status.CLOCK_SET
         # Where its clock was set, the unit may have turned for as long as nobody knows.
+        is_set = int(judgement.cells.flags[judgement.row]) & Status.CLOCK_SET
         unbroken = self._slot is not None and slot - self._slot == 1 and not is_set
         self._slot, self._whole = slot, self._whole and unbroken
         if judgement.ended is not None:
