@@ -1,9 +1,9 @@
 """Run the tests marked ``numerical`` and not ``statistical`` with other kernels than those this processor takes by itself.
 
-``python .ci/numerical.py``: once under each OpenBLAS core type that the processor can run, and once with NumPy's choice of
-kernels switched off; those that it takes by itself are left to ``make test``. That a kernel was taken is read from the
-libraries, so that a new name cannot make this run the same tests four times. The rooms of all runs go side by side, one for
-each core.
+``python .ci/numerical.py``: once under each OpenBLAS core type that the processor can run; those that it takes by itself are
+left to ``make test``. In the last of them, the oldest, NumPy's choice of kernels is switched off too. That a kernel was taken
+is read from the libraries, so that a new name cannot make this run the same tests three times. The rooms of all runs go side
+by side, one for each core.
 """
 
 from __future__ import annotations
@@ -22,14 +22,15 @@ from pathlib import Path
 from typing import NamedTuple
 
 PROJECT = Path(__file__).resolve().parent.parent
+OLDEST = "Prescott"
 # What the kernels of a core type are compiled for, as /proc/cpuinfo names it ("pni" is SSE3).
 CORE_TYPES = {
     "Haswell": {"avx2", "fma"},
     "SkylakeX": {"avx512f", "avx512dq", "avx512cd", "avx512bw", "avx512vl"},
-    "Prescott": {"pni"},
+    OLDEST: {"pni"},
 }
 # The oldest kernels have one name for all the processors they serve.
-CORE_NAMES = {"Prescott": {"Prescott", "Katmai"}}
+CORE_NAMES = {OLDEST: {"Prescott", "Katmai"}}
 CORE_NAME = "OPENBLAS_CORETYPE"
 FEATURES_OFF = "NPY_DISABLE_CPU_FEATURES"
 LONGEST_S = 1200  # A room takes about 30 s, beside the tests some minutes; one that hangs must not take all that CI has.
@@ -45,16 +46,15 @@ class Kernels(NamedTuple):
 class Run(NamedTuple):
     """One way to run the tests."""
 
-    variable: str
-    value: str
+    variables: dict[str, str]
 
     def __str__(self) -> str:
-        return f'{self.variable}="{self.value}"'
+        return " ".join(f'{name}="{value}"' for name, value in self.variables.items())
 
     @property
     def environment(self) -> dict[str, str]:
         """Return the variables of the process."""
-        return {**os.environ, self.variable: self.value}
+        return {**os.environ, **self.variables}
 
 
 def chosen_kernels() -> Kernels:
@@ -95,22 +95,24 @@ def runs() -> Iterator[Run]:
     flags = next((set(line.split()) for line in text.splitlines() if line.startswith("flags")), set())
     usual = kernels_of(dict(os.environ))
     print(f"by itself this processor takes OpenBLAS {usual.openblas}, NumPy {usual.numpy}")
+    # Alone where the processor can run no core type.
+    oldest = Run({FEATURES_OFF: " ".join(usual.numpy)} if usual.numpy else {})
     for name, needed in CORE_TYPES.items():
-        run = Run(CORE_NAME, name)
+        run = Run({CORE_NAME: name})
         if not (usual.openblas and needed <= flags):
             print(f"{run}: not on this processor")
-            continue
-        if set(usual.openblas) <= CORE_NAMES.get(name, {name}):
+        elif set(usual.openblas) <= CORE_NAMES.get(name, {name}):
             print(f"{run}: taken by itself, so by `make test`")
-            continue
-        if not set(kernels_of(run.environment).openblas) <= CORE_NAMES.get(name, {name}):
+        elif not set(kernels_of(run.environment).openblas) <= CORE_NAMES.get(name, {name}):
             sys.exit(f"{run} has not taken: OpenBLAS says {kernels_of(run.environment).openblas}")
-        yield run
-    if usual.numpy:
-        run = Run(FEATURES_OFF, " ".join(usual.numpy))
-        if kernels_of(run.environment).numpy:
-            sys.exit(f"{run} has not taken: {kernels_of(run.environment).numpy} is still on")
-        yield run
+        elif name == OLDEST:
+            oldest.variables.update(run.variables)
+        else:
+            yield run
+    if oldest.variables:
+        if kernels_of(oldest.environment).numpy:
+            sys.exit(f"{oldest} has not taken: {kernels_of(oldest.environment).numpy} is still on")
+        yield oldest
 
 
 def marked() -> dict[str, list[str]]:
