@@ -83,16 +83,16 @@ class CanClock(Clock):
 
     def push(self, block: RawBlock, arrivals: Arrival | Arrivals) -> Samples | None:  # noqa: ARG002  frames have their own stamps
         """Return the samples whose time is settled now, None if there are none."""
-        stamp_s = self._continuous(block.stamp_s)
-        self._pending.append(block if stamp_s is block.stamp_s else replace(block, stamp_s=stamp_s))
+        self._pending.append(self._continuous(block))
         return self._release(last=False)
 
     def flush(self) -> Samples | None:
         """Return what is kept back; nothing will follow."""
         return self._release(last=True) if self._pending else None
 
-    def _continuous(self, stamp_s: FloatArray) -> FloatArray:
-        """Take out jumps of the clock that made the stamps."""
+    def _continuous(self, block: RawBlock) -> RawBlock:
+        """Take out jumps of the clock that made the stamps, and flag the samples behind them."""
+        stamp_s = block.stamp_s
         if self._last_stamp_s is None:
             self._last_stamp_s = float(stamp_s[0])
         step_s = steps_between(stamp_s, self._last_stamp_s)
@@ -109,8 +109,9 @@ class CanClock(Clock):
             moved_s = np.where(jumps, usual_s - step_s, 0.0)
             offset_s: FloatArray = np.cumsum(np.append(self._offset_s, moved_s))[1:]
             self._offset_s = float(offset_s[-1])
-            return np.asarray(np.nan_to_num(stamp_s) + offset_s)
-        return stamp_s + self._offset_s if self._offset_s else stamp_s
+            status = block.status | np.where(jumps, np.uint32(Status.CLOCK_SET), np.uint32(0))
+            return replace(block, stamp_s=np.nan_to_num(stamp_s) + offset_s, status=status)
+        return replace(block, stamp_s=stamp_s + self._offset_s) if self._offset_s else block
 
     def _release(self, *, last: bool) -> Samples | None:
         done: list[Samples] = []

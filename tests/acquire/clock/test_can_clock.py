@@ -289,7 +289,18 @@ def test_stamps_that_wrap_or_step_back() -> None:
     stamp_s = np.arange(9000) / 100.0 % 60.0
     samples, statistics = run(stamp_s)
     assert statistics.clock_resets == 1
+    assert np.flatnonzero(samples.status & Status.CLOCK_SET).tolist() == [6000]
     np.testing.assert_allclose(np.diff(samples.time_s), 0.01, atol=1e-4)
+
+
+@pytest.mark.parametrize("block", [7, 100, 4000])
+def test_a_pause_of_an_hour_is_flagged_in_any_pieces(block: int) -> None:
+    # Two logs in one: no move goes across the flag.
+    stamp_s = np.arange(4000) / 100.0
+    stamp_s[1234:] += 4000.0
+    samples, statistics = run(stamp_s, block=block)
+    assert statistics.clock_resets == 1
+    assert np.flatnonzero(samples.status & Status.CLOCK_SET).tolist() == [1234]
 
 
 def test_a_new_rate_is_learned() -> None:
