@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from imufield.deliver.exports.conventions import Correction, diagonal_corrections
+from imufield.deliver.exports.conventions import Correction, Corrections, diagonal_corrections
 from imufield.deliver.exports.job import BIAS_ONLY, Draft, Job, sentence
 from imufield.deliver.exports.text import comment, number, text_file
 from imufield.deliver.exports.thermal import ThermalOffsets
@@ -21,8 +21,12 @@ INSTANCES = {
     "px4": 4,  # MAX_SENSOR_COUNT in src/lib/sensor_calibration/Accelerometer.hpp and Gyroscope.hpp.
     "ardupilot": 5,  # INS_MAX_INSTANCES, 3, and INS_AUX_INSTANCES, up to 2 (AP_InertialSensor_config.h).
 }
-# @Range of ACCOFFS and ACCSCAL in AP_InertialSensor.cpp: values beyond are the sign of a wrong unit.
-ARDUPILOT_LIMITS = {"offset": (-3.5, 3.5), "scale": (0.8, 1.2)}
+# Values beyond are the sign of a wrong unit. ArduPilot: @Range of ACCOFFS and ACCSCAL in AP_InertialSensor.cpp; PX4: min and
+# max of CAL_ACC*_*SCALE in src/modules/sensors/module.yaml.
+LIMITS = {"px4": {"scale": (0.1, 3.0)}, "ardupilot": {"offset": (-3.5, 3.5), "scale": (0.8, 1.2)}}
+PX4_STEP = 0.01
+"""PX4 takes only what changes the offsets or the scales by more than this, root of the sum of squares; at each start they are 0
+and 1 (``set_offset`` and ``set_scale`` in src/lib/sensor_calibration, PX4#16920)."""
 # Types of a value in a QGroundControl file: MAV_PARAM_TYPE of MAVLink (common.xml).
 _INT32 = 6
 _REAL32 = 9
@@ -46,45 +50,63 @@ def export(job: Job) -> Draft:
     job.require_positive("accelerometer", scale)
     target_model = job.gyroscope_bias_only(corrections)
     single_precision = sentence("flight_stack.single_precision", program=program)
-    values = _values(job, offset, scale, si.gyroscope)
+    _check_ranges(program, LIMITS[job.target.name], {"offset": offset, "scale": scale})
+    known = _values(job, offset, scale, si.gyroscope)
     thermal = ThermalOffsets(job) if job.parameters.temperature_models else None
     if thermal is not None:
-        values |= thermal.px4() if is_px4 else thermal.ardupilot()
+        known |= thermal.px4() if is_px4 else thermal.ardupilot()
+    values = {name: value for name, value in known.items() if value is not None}
+    without_id = [name for name, value in known.items() if value is None]
+    notes = []
+    if without_id:
+        notes.append(sentence("flight_stack.px4_no_id" if is_px4 else "flight_stack.ardupilot_no_id", names=without_id))
+    lacks = sentence("flight_stack.lacks")
     if is_px4:
+        target_model, ignored = _as_px4_takes(job, target_model, si)
+        if ignored:
+            lacks = sentence("flight_stack.px4_ignores", lacks=lacks, ignored=ignored, limit=PX4_STEP)
         # Vehicle 1, component 1 (autopilot), name, value, type: the columns of a QGroundControl file.
         heading = ["Onboard parameters for Vehicle 1", "", *job.heading(), "", "Vehicle-Id Component-Id Name Value Type"]
         types = {name: _INT32 if isinstance(value, int) else _REAL32 for name, value in values.items()}
         lines = [f"1\t1\t{name}\t{_shown(value)}\t{types[name]}" for name, value in values.items()]
-        notes = [sentence("flight_stack.px4_frame"), single_precision]
-        if job.options.accelerometer_id is None:
-            notes.insert(0, sentence("flight_stack.px4_no_id", name=f"CAL_ACC{instance}_ID"))
+        notes += [sentence("flight_stack.px4_frame"), single_precision, sentence("flight_stack.px4_learns")]
     else:
-        _check_ranges({"offset": offset, "scale": scale})
         heading = job.heading()
         lines = [f"{name},{_shown(value)}" for name, value in values.items()]
-        notes = [sentence("flight_stack.ardupilot_frame"), single_precision]
+        notes += [sentence("flight_stack.ardupilot_frame"), single_precision]
         if si.gyroscope is not None:
             notes.append(sentence("flight_stack.learns"))
-        if not np.any(offset) and np.all(scale == 1):
+        if not np.any(offset):
             notes.append(sentence("flight_stack.not_calibrated"))
     if thermal is not None:
         notes.append(sentence("thermal.px4_order" if is_px4 else "thermal.ardupilot_order"))
     draft = Draft(
         files={"px4.params" if is_px4 else "ardupilot.param": text_file([*comment(heading), *lines])},
         target_model=target_model,
-        accelerometer_lacks=sentence("flight_stack.lacks"),
+        accelerometer_lacks=lacks,
         gyroscope_lacks=BIAS_ONLY,
         notes=tuple(notes),
     )
     return draft if thermal is None else replace(draft, losses=thermal.loss(draft))
 
 
-def _values(job: Job, offset: FloatArray, scale: FloatArray, gyroscope: Correction | None) -> dict[str, int | float]:
-    """Return the value of each parameter by its name: an int for a device ID, a float for all others."""
+def _as_px4_takes(job: Job, model: Corrections, si: Corrections) -> tuple[Corrections, list[str]]:
+    """Return what PX4 computes, which leaves small offsets at 0 and small changes of the scale at 1, and which it leaves."""
+    scale, zero = job.accelerometer_si()
+    accelerometer, ignored = model.accelerometer, []
+    if np.linalg.norm(si.accelerometer.offset) <= PX4_STEP:
+        accelerometer, ignored = replace(accelerometer, offset=zero), ["offsets"]
+    if np.linalg.norm(np.diag(si.accelerometer.matrix) - 1) <= PX4_STEP:
+        accelerometer, ignored = replace(accelerometer, matrix=np.eye(3) / scale), [*ignored, "scales"]
+    return replace(model, accelerometer=accelerometer), ignored
+
+
+def _values(job: Job, offset: FloatArray, scale: FloatArray, gyroscope: Correction | None) -> dict[str, int | float | None]:
+    """Return the value of each parameter by its name: an int for a device ID, None where it is not known, else a float."""
     instance, options = job.options.instance, job.options
     if job.target.name == "px4":
         names = (f"CAL_ACC{instance}", f"CAL_GYRO{instance}")
-        temperatures, places = [f"{name}_TEMP" for name in names], ("_%sOFF", "_%sSCALE")
+        temperatures, places = ["", ""], ("_%sOFF", "_%sSCALE")
     else:
         # The names grew with the program: INS_ACC, INS_ACC2, INS_ACC3, and from the fourth on INS4_ACC, INS5_ACC.
         group = "INS" if instance < 3 else f"INS{instance + 1}"
@@ -101,23 +123,22 @@ def _values(job: Job, offset: FloatArray, scale: FloatArray, gyroscope: Correcti
     if models := job.parameters.temperature_models:
         # Exactly there the offset over temperature is zero.
         low = high = models[0].reference_degc
-    values: dict[str, int | float] = {}
+    values: dict[str, int | float | None] = {}
     for name, temperature, device_id, vectors in triads:
-        if device_id is not None:
-            values[f"{name}_ID"] = device_id
-        if not np.isnan(low + high):
+        values[f"{name}_ID"] = device_id
+        if temperature and not np.isnan(low + high):
             values[temperature] = (low + high) / 2
         for place, vector in zip(places, vectors, strict=False):
             values |= {name + place % axis: float(value) for axis, value in zip("XYZ", vector, strict=True)}
     return values
 
 
-def _check_ranges(vectors: dict[str, FloatArray]) -> None:
-    for what, values in vectors.items():
-        low, high = ARDUPILOT_LIMITS[what]
-        for axis, value in zip(AXES, values.tolist(), strict=True):
+def _check_ranges(program: str, limits: dict[str, tuple[float, float]], vectors: dict[str, FloatArray]) -> None:
+    for what, (low, high) in limits.items():
+        for axis, value in zip(AXES, vectors[what].tolist(), strict=True):
             if not low <= value <= high:
-                refused = sentence("flight_stack.range", what=what, low=low, high=high, axis=axis, value=value)
+                values = {"what": what, "low": low, "high": high, "axis": axis, "value": value}
+                refused = sentence("flight_stack.range", program=program, **values)
                 raise ParameterFileError(refused, Reason.BOUNDS)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from imufield.deliver.exports.conventions import rotation_times_triangle
-from imufield.deliver.exports.job import Draft, Job
+from imufield.deliver.exports.job import Draft, Job, sentence
 from imufield.deliver.exports.text import comment, text_file, yaml_matrix
 from imufield.deliver.exports.vio import bias_lines, bias_loss, imu_lines
 
@@ -35,4 +35,9 @@ def export(job: Job) -> Draft:
         lines.append("  gyroscopes:")
         for name, matrix in {"M": M, "A": si.g_sensitivity @ turn, "C_gyro_i": turn.T}.items():
             lines += [f"    {name}:", *yaml_matrix(matrix, 6)]
-    return Draft(files={"imu.yaml": text_file(lines)}, target_model=corrections, losses=bias_loss(si), notes=unknown)
+    return Draft(
+        files={"imu.yaml": text_file(lines)},
+        target_model=corrections,
+        losses=bias_loss(si),
+        notes=(sentence("kalibr.results"), *unknown),
+    )

@@ -1,4 +1,4 @@
-"""RealSense calibration.json: ``S raw - b`` for each triad (librealsense, motion transform); S by rows."""
+"""RealSense calibration.json: ``S raw - b`` for each triad (librealsense, motion transform); S by columns."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from imufield.deliver.exports.text import json_file
 def export(job: Job) -> Draft:
     """Return calibration.json."""
     corrections = job.corrections(job.free_frame).without_g_sensitivity()
-    # Keys as rs-imu-calibration.py of librealsense writes and reads them.
+    # As rs-imu-calibration.py of librealsense writes them: its rows of X are multiplied with a row of values from the left.
     imu = {
-        triad: {"scale_and_alignment": correction.matrix.ravel(), "bias": correction.output_offset}
+        triad: {"scale_and_alignment": correction.matrix.T.ravel(), "bias": correction.output_offset}
         for triad, correction in job.in_si(corrections).triads.items()
     }
     notes = (sentence("realsense.order"), sentence("realsense.axes"))

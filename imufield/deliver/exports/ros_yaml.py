@@ -13,7 +13,7 @@ def export(job: Job) -> Draft:
     matrix, bias = row(si.accelerometer.matrix.ravel()), row(si.accelerometer.output_offset)
     lines = comment([*job.heading(), *job.example(si)[:1]])
     if job.target.name == "dlio":
-        notes = [sentence("ros_yaml.dlio")]
+        notes = [sentence("ros_yaml.dlio"), sentence("ros_yaml.dlio_frame"), sentence("ros_yaml.dlio_level")]
         # dlio.yaml: with calibration true, DLIO averages the biases at the start and ignores the numbers below.
         lines += ["dlio:", "  imu:", "    calibration: false", "    intrinsics:"]
         lines += ["      accel:", f"        bias: [{bias}]", f"        sm: [{matrix}]"]

@@ -71,18 +71,16 @@ class ThermalOffsets:
         d_degc = np.clip([temperature_degc], *self.range_degc) - self.reference_degc
         return np.asarray((powers(d_degc, ORDER) @ self.coefficients[triad])[0])
 
-    def px4(self) -> dict[str, int | float]:
-        """Return the parameters of PX4 by name."""
+    def px4(self) -> dict[str, int | float | None]:
+        """Return the parameters of PX4 by name, None for a device ID not known."""
         options, instance = self._job.options, self._job.options.instance
-        values: dict[str, int | float] = {}
+        values: dict[str, int | float | None] = {}
         ids = {"accelerometer": ("A", options.accelerometer_id), "gyroscope": ("G", options.gyroscope_id)}
         for triad, coefficients in self.coefficients.items():
             letter, device_id = ids[triad]
             start = f"TC_{letter}{instance}"
             values[f"TC_{letter}_ENABLE"] = 1
-            if device_id is not None:
-                values[f"{start}_ID"] = device_id
-            values |= {f"{start}_TREF": self.reference_degc}
+            values |= {f"{start}_ID": device_id, f"{start}_TREF": self.reference_degc}
             values |= {f"{start}_TMIN": self.range_degc[0], f"{start}_TMAX": self.range_degc[1]}
             for power, row in enumerate([np.zeros(3), *coefficients]):
                 values |= {f"{start}_X{power}_{axis}": float(value) for axis, value in enumerate(row)}

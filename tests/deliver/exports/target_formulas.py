@@ -69,9 +69,10 @@ def basalt(files: dict[str, bytes], acc: np.ndarray, gyr: np.ndarray) -> tuple[n
 
 def realsense(files: dict[str, bytes], acc: np.ndarray, gyr: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
     imu = json.loads(files["calibration.json"])["imus"][0]
-    pairs = ((imu["accelerometer"], acc), (imu["gyroscope"], gyr))
-    out = [raw @ square(triad["scale_and_alignment"]).T - triad["bias"] for triad, raw in pairs]
-    return out[0], out[1]
+    # rs-imu-calibration.py fits X of [raw, -1] X = true, and writes its twelve numbers one after the other.
+    X = {name: np.reshape([*triad["scale_and_alignment"], *triad["bias"]], (4, 3)) for name, triad in imu.items()}
+    ones = -np.ones((len(acc), 1))
+    return np.hstack([acc, ones]) @ X["accelerometer"], np.hstack([gyr, ones]) @ X["gyroscope"]
 
 
 def dlio(files: dict[str, bytes], acc: np.ndarray, gyr: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
@@ -152,7 +153,13 @@ def px4(files: dict[str, bytes], acc: np.ndarray, gyr: np.ndarray) -> tuple[np.n
     p = {name: float(value) for _, _, name, value, _ in rows}
     offset, scale, gyroscope = (np.array([p[name.format(axis)] for axis in "XYZ"])
                                 for name in ("CAL_ACC0_{}OFF", "CAL_ACC0_{}SCALE", "CAL_GYRO0_{}OFF"))  # fmt: skip
-    return (acc - offset) * scale, gyr - gyroscope
+    # What Accelerometer::set_offset and set_scale do of a new start: nothing where the vector hardly changes.
+    taken, factor = np.zeros(3), np.ones(3)
+    if np.linalg.norm(taken - offset) > 0.01:
+        taken = offset
+    if np.linalg.norm(factor - scale) > 0.01:
+        factor = scale
+    return (acc - taken) * factor, gyr - gyroscope
 
 
 def ardupilot(files: dict[str, bytes], acc: np.ndarray, gyr: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -20,7 +20,7 @@ from imufield.deliver.exports.text import number, yaml_lines
 from imufield.deliver.exports.vectornav import with_checksum
 from imufield.errors import ImufieldError, ParameterFileError, Reason, UsageError
 from tests.refused import refused
-from tests.told import keys, with_key
+from tests.told import keys, told, with_key
 
 SI_ONLY = sorted(set(TARGETS) - {"c", "binary", "json", "yaml", "imu_tk", "imucal"})
 ONE_FRAME = ("kalibr", "openvins", "basalt", "imu_tk", "psins")
@@ -105,6 +105,21 @@ def test_ardupilot_refuses_what_is_out_of_its_range() -> None:
             export_parameters(loaded(accelerometer, None, "lower", ("m/s^2", "rad/s")), "ardupilot")
 
 
+def test_px4_refuses_a_scale_of_another_unit() -> None:
+    with refused(ParameterFileError, Reason.BOUNDS, "PX4", key="flight_stack.range"):
+        export_parameters(made_up(8), "px4", ExportOptions(accelerometer_nominal=100.0))
+
+
+@pytest.mark.parametrize(
+    ("target", "names"), [("px4", ["CAL_ACC0_ID", "CAL_GYRO0_ID"]), ("ardupilot", ["INS_ACC_ID", "INS_GYR_ID"])]
+)
+def test_every_id_that_is_missing_is_named(target: str, names: list[str]) -> None:
+    one = ExportOptions(accelerometer_id=7)
+    for options, missing in ((ExportOptions(), names), (one, names[1:]), (replace(one, gyroscope_id=8), [])):
+        said = told(export_parameters(made_up(8), target, options).notes, f"flight_stack.{target}_no_id")
+        assert [note.values["names"] for note in said] == ([missing] if missing else [])
+
+
 @pytest.mark.parametrize(("target", "instance"), [("px4", 4), ("px4", -1), ("ardupilot", 5)])
 def test_instance_that_does_not_exist(target: str, instance: int) -> None:
     with refused(UsageError, Reason.USAGE, f"{instance}", "instance", key="flight_stack.instance"):
@@ -144,7 +159,7 @@ def test_px4_lines_are_those_of_qgroundcontrol() -> None:
     lines = exported.files["px4.params"].decode().splitlines()
     assert "# Vehicle-Id Component-Id Name Value Type" in lines
     assert "1\t1\tCAL_ACC2_ID\t1310988\t6" in lines
-    assert "1\t1\tCAL_ACC2_TEMP\t32.15\t9" in lines
+    assert not [line for line in lines if "_TEMP" in line]  # PX4 has no such parameters any more (PX4#19320)
     rows = [line.split("\t") for line in lines if not line.startswith("#")]
     assert all(len(row) == 5 for row in rows)
     assert {row[4] for row in rows} == {"6", "9"}

@@ -19,11 +19,11 @@ from target_formulas import (
     RAW_UNITS_KEPT,
     TURNED,
     WITH_G,
+    ardupilot,
     imucal_formula,
     imucal_package,
     kalibr_imu,
     psins,
-    px4,
     pyins_module,
     vectornav,
 )
@@ -266,10 +266,24 @@ def test_an_instrument_without_misalignment_is_held_exactly(target: str) -> None
     close(their_w, parameters.apply_gyroscope(gyr, acc), relative)
 
 
-@pytest.mark.parametrize("target", DIAGONAL)
-def test_what_a_diagonal_cannot_hold_is_what_is_printed(target: str) -> None:
+def small(bias_m_s2: float, scale_error: float) -> Parameters:
+    """Return an instrument whose offsets or scales are so good already that PX4 does not take them."""
+    like = made_up(28, angle_rad=3e-3).calibration
+    accelerometer = replace(
+        like.accelerometer, bias_m_s2=bias_m_s2 * np.array([1.0, -1.0, 0.5]), scale=1 + scale_error * np.array([1.0, 0.5, -1.0])
+    )
+    return loaded(accelerometer, like.gyroscope.parameters, "lower", ("m/s^2", "rad/s"))
+
+
+@pytest.mark.parametrize(
+    ("target", "parameters"),
+    [
+        *((target, made_up(28, angle_rad=3e-3, quadratic=2e-6)) for target in DIAGONAL),
+        *(("px4", small(bias, error)) for bias, error in ((5e-3, 5e-3), (5e-3, 2e-2), (5e-2, 5e-3))),
+    ],
+)
+def test_what_a_diagonal_cannot_hold_is_what_is_printed(target: str, parameters: Parameters) -> None:
     """The loss in the sentence is that of the target's formula on the written file, over other directions than ours."""
-    parameters = made_up(28, angle_rad=3e-3, quadratic=2e-6)
     exported = export_parameters(parameters, target)
     rng = np.random.default_rng(29)
     up = rng.normal(size=(20000, 3))
@@ -287,7 +301,7 @@ def test_what_a_diagonal_cannot_hold_is_what_is_printed(target: str) -> None:
 
 
 def test_refitted_diagonal_is_better_than_a_cut_one() -> None:
-    """Gravity's magnitude over all directions: the diagonal of M in the lower gauge against what PX4 gets."""
+    """Gravity's magnitude over all directions: the diagonal of M in the lower gauge against what ArduPilot gets."""
     up = np.random.default_rng(30).normal(size=(20000, 3))
     force = 9.8071 * up / np.linalg.norm(up, axis=1, keepdims=True)
     for seed in range(10):
@@ -297,7 +311,7 @@ def test_refitted_diagonal_is_better_than_a_cut_one() -> None:
         raw = p.scale * (s + p.bias_m_s2) + p.quadratic * s**2
         M = np.linalg.inv(p.scale[:, None] * (np.eye(3) + p.misalignment_rad))
         cut = (raw - p.scale * p.bias_m_s2) * np.diag(M)
-        refitted, _ = px4(dict(export_parameters(parameters, "px4").files), raw, raw)
+        refitted, _ = ardupilot(dict(export_parameters(parameters, "ardupilot").files), raw, raw)
         errors = [np.std(np.linalg.norm(value, axis=1) - 9.8071) + abs(np.mean(np.linalg.norm(value, axis=1)) - 9.8071)
                   for value in (refitted, cut)]  # fmt: skip
         assert errors[0] < errors[1]
@@ -322,7 +336,7 @@ def test_refit_over_all_directions_is_better_than_a_fit_to_the_positions() -> No
         ).vector
         output = predict(p, everywhere)
         fitted = output / diagonal[:3] - diagonal[3:6]
-        refitted, _ = px4(dict(export_parameters(parameters, "px4").files), output, output)
+        refitted, _ = ardupilot(dict(export_parameters(parameters, "ardupilot").files), output, output)
         losses.append(
             [np.linalg.norm(value - everywhere @ nearest_rotation(everywhere, value).T) for value in (refitted, fitted)]
         )

@@ -142,7 +142,7 @@ def test_the_fourth_sensor_and_device_ids() -> None:
     options = ExportOptions(instance=3, accelerometer_id=7, gyroscope_id=8)
     values = values_of(export_parameters(made(3, 2), "px4", options))
     assert [int(values["TC_A3_ID"]), int(values["TC_G3_ID"])] == [7, 8]
-    assert values["CAL_ACC3_TEMP"] == values["TC_A3_TREF"] == np.float32(REFERENCE_DEGC)
+    assert values["TC_A3_TREF"] == np.float32(REFERENCE_DEGC)
     values = values_of(export_parameters(made(3, 2), "ardupilot", options))
     assert "INS4_TCAL_GYR3_Z" in values
     assert values["INS4_TCAL_TMIN"] <= values["INS4_ACC_CALTEMP"] <= values["INS4_TCAL_TMAX"]
@@ -152,6 +152,11 @@ def test_no_gyroscope_no_parameters_of_it() -> None:
     values = values_of(export_parameters(made(3, 2, gyroscope=False), "px4"))
     assert "TC_A_ENABLE" in values
     assert not [name for name in values if name.startswith("TC_G")]
+
+
+def test_the_ids_of_the_polynomials_are_asked_for_too() -> None:
+    (note,) = told(export_parameters(made(3, 2), "px4", ExportOptions(accelerometer_id=7)).notes, "flight_stack.px4_no_id")
+    assert note.values["names"] == ["CAL_GYRO0_ID", "TC_G0_ID"]
 
 
 def test_others_get_one_temperature_and_its_cost() -> None:
