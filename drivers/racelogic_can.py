@@ -17,8 +17,9 @@ class RacelogicCan(Driver):
         603  z, g
         ===  ===================  ==================
 
-    Yaw is positive clockwise and y positive to the left by the maker's pages, hence the sign in the protocol. Never tried
-    on an instrument.
+    By the maker's pages y is positive to the left, yaw clockwise and pitch with the nose up, hence the signs in the protocol.
+    Roll is positive "counterclockwise", seen from where is not said: from the front, or the axes would be left-handed. Never
+    tried on an instrument.
     """
 
     name = "racelogic_can"

@@ -350,7 +350,8 @@ def test_floats_that_are_no_numbers(tmp_path: Path) -> None:
     assert len(samples) == 50
     assert np.isnan(samples.accelerometer[20]).tolist() == [False, False, True]
     assert samples.status[20] & Status.ACCELEROMETER_INVALID
-    np.testing.assert_allclose(np.degrees(samples.gyroscope[0]), [2.0, 1.0, -10.0])
+    # Racelogic's axes are x forward, y to the left, z up; its pitch is positive with the nose up, its yaw clockwise from above.
+    np.testing.assert_allclose(np.degrees(samples.gyroscope[0]), [2.0, -1.0, -10.0])
     assert samples.temperature_degc[0] == 25.0
 
 

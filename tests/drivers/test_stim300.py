@@ -11,7 +11,9 @@ from crccheck.crc import Crc32Mpeg2
 
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.protocol.protocol import load_protocol
+from imufield.errors import ProtocolError, Reason
 from imufield.samples import Status
+from tests.refused import refused
 
 if TYPE_CHECKING:
     from drivers import stim300
@@ -61,8 +63,13 @@ def test_settings_are_read_from_the_configuration(messages: list[dict[str, Any]]
     assert protocol.units.accelerometer == "m/s^2"
 
 
-def test_an_output_that_is_not_supported_is_not_read() -> None:
-    assert Stim300.read_settings([{"kind": "configuration", "gyroscope_output": "integrated", "rate_hz": None}]) == {}
+@pytest.mark.parametrize("triad", ["gyroscope", "accelerometer"])
+def test_an_output_that_is_not_supported_is_refused_and_no_rate(triad: str) -> None:
+    messages = [{"kind": "configuration", f"{triad}_output": "integrated", "rate_hz": None}]
+    with refused(ProtocolError, Reason.BAD_PROTOCOL, "integrated", f"{triad}_output"):
+        Stim300.load_protocol(messages=messages)
+    # Who knows better is believed.
+    assert Stim300.load_protocol({f"{triad}_output": "average"}, messages=messages)
 
 
 def test_status_flags_are_known() -> None:
