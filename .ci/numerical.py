@@ -95,8 +95,8 @@ def runs() -> Iterator[Run]:
     flags = next((set(line.split()) for line in text.splitlines() if line.startswith("flags")), set())
     usual = kernels_of(dict(os.environ))
     print(f"by itself this processor takes OpenBLAS {usual.openblas}, NumPy {usual.numpy}")
-    # Alone where the processor can run no core type.
-    oldest = Run({FEATURES_OFF: " ".join(usual.numpy)} if usual.numpy else {})
+    # Alone where the oldest core type is not to be run.
+    oldest = {FEATURES_OFF: " ".join(usual.numpy)} if usual.numpy else {}
     for name, needed in CORE_TYPES.items():
         run = Run({CORE_NAME: name})
         if not (usual.openblas and needed <= flags):
@@ -106,13 +106,14 @@ def runs() -> Iterator[Run]:
         elif not set(kernels_of(run.environment).openblas) <= CORE_NAMES.get(name, {name}):
             sys.exit(f"{run} has not taken: OpenBLAS says {kernels_of(run.environment).openblas}")
         elif name == OLDEST:
-            oldest.variables.update(run.variables)
+            oldest |= run.variables
         else:
             yield run
-    if oldest.variables:
-        if kernels_of(oldest.environment).numpy:
-            sys.exit(f"{oldest} has not taken: {kernels_of(oldest.environment).numpy} is still on")
-        yield oldest
+    if oldest:
+        last = Run(oldest)
+        if kernels_of(last.environment).numpy:
+            sys.exit(f"{last} has not taken: {kernels_of(last.environment).numpy} is still on")
+        yield last
 
 
 def marked() -> dict[str, list[str]]:

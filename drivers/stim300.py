@@ -12,7 +12,7 @@ from ._stim300_utility import enter_utility_mode, utility
 _RATE_CODES = {125: 0, 250: 1, 500: 2, 1000: 3, 2000: 4}
 _OUTPUTS = ("rate", "average", "increment")
 # Values of the configuration datagram that the datasheet knows; a rate of 0 is an external trigger. "integrated", of which no
-# sample is made, is refused where it is read: taken for a rate it would be one in silence.
+# sample is made, is refused at the connection: read as a rate, it would give wrong values without a warning.
 _KNOWN_SETTINGS = {
     "accelerometer_range_g": (2, 5, 10, 30, 80),
     "accelerometer_output": (*_OUTPUTS, "integrated"),

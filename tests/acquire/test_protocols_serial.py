@@ -253,13 +253,15 @@ def test_the_scale_of_sbg_rates_follows_the_status(shared_folder: Path) -> None:
     assert samples.gyroscope[0, 0] == pytest.approx(2**26 / 12304174)
 
 
-def test_kvh_as_it_can_be_configured(shared_folder: Path) -> None:
+@pytest.mark.parametrize(("velocity", "metre"), [("m/s", 1.0), ("ft/s", 0.3048)])
+@pytest.mark.parametrize(("temperature", "unit"), [("degF", 1.0), ("0.01 degF", 100.0)])
+def test_kvh_as_it_can_be_configured(velocity: str, metre: float, temperature: str, unit: float, shared_folder: Path) -> None:
     first = vectors(shared_folder, "kvh_17xx")[0]
-    given = {"accelerometer_output": "ft/s", "temperature_unit": "0.01 degF"}
+    given = {"accelerometer_output": velocity, "temperature_unit": temperature}
     samples, _ = samples_of(load_protocol("kvh_17xx", given), bytes.fromhex(first["hex"]))
     assert samples.units.accelerometer_is_increment
-    assert close(samples.accelerometer[0], np.multiply(first["decoded"]["acc_g"], 0.3048))
-    assert samples.temperature_degc[0] == pytest.approx((first["decoded"]["temp_raw"] / 100 - 32) / 1.8)
+    assert close(samples.accelerometer[0], np.multiply(first["decoded"]["acc_g"], metre))
+    assert samples.temperature_degc[0] == pytest.approx((first["decoded"]["temp_raw"] / unit - 32) / 1.8)
 
 
 def capture(shared: Path, name: str) -> tuple[Protocol, bytes, int]:

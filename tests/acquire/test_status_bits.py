@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 from imufield.acquire.decoder import Decoder
+from imufield.acquire.protocol.can_frame import Frame
 from imufield.acquire.protocol.checksum import make_checksum
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.samples import Samples, Status, concatenate
+from tests.acquire.plain_frames import pack_frames
 
 
 def sample_of(name: str, frame: bytes, given: Mapping[str, object]) -> Samples:
@@ -20,8 +22,8 @@ def sample_of(name: str, frame: bytes, given: Mapping[str, object]) -> Samples:
     return concatenate([decoder.feed(frame), decoder.flush()])
 
 
-def with_crc(algorithm: str, covered: bytes, order: Literal["little", "big"], **of_it: int) -> bytes:
-    crc = make_checksum(algorithm, **of_it).of_rows(np.frombuffer(covered, dtype=np.uint8).reshape(1, -1))
+def with_crc(algorithm: str, covered: bytes, order: Literal["little", "big"], **parameters: int) -> bytes:
+    crc = make_checksum(algorithm, **parameters).of_rows(np.frombuffer(covered, dtype=np.uint8).reshape(1, -1))
     return covered + int(crc[0]).to_bytes(4 if "32" in algorithm else 2, order)
 
 
@@ -48,6 +50,7 @@ def novatel(info: int) -> bytes:
     )
 
 
+RELEVANT = Status.INSTRUMENT_FAULT | Status.ACCELEROMETER_SATURATED | Status.GYROSCOPE_SATURATED
 SATURATED = Status.ACCELEROMETER_SATURATED, Status.GYROSCOPE_SATURATED
 
 
@@ -69,8 +72,27 @@ SATURATED = Status.ACCELEROMETER_SATURATED, Status.GYROSCOPE_SATURATED
 )
 def test_bits_that_make_a_sample_unusable(name: str, frame: bytes, flag: Status) -> None:
     samples = sample_of(name, frame, {"log": "imu_data"} if name.startswith("sbg") else {})
-    told = Status.INSTRUMENT_FAULT | SATURATED[0] | SATURATED[1]
-    assert [int(status) & told for status in samples.status] == [flag]
+    assert [int(status) & RELEVANT for status in samples.status] == [flag]
+
+
+@pytest.mark.parametrize(("status", "flag"), [(0x300, Status.GOOD), (0x200, SATURATED[0]), (0x100, SATURATED[1])])
+def test_the_same_bits_on_a_bus(status: int, flag: Status) -> None:
+    frames = [
+        Frame(can_id, data, number * 0.01 + (can_id & 3) * 2e-4)
+        for number in range(60)
+        for can_id, data in (
+            (0x120, struct.pack("<IHh", number * 10_000, status, 2000)),
+            (0x121, struct.pack("<3h", 0, 0, -980)),
+            (0x122, struct.pack("<3h", 1, 2, 3)),
+        )
+        # Without it nothing is known of the range.
+        if (number, can_id) != (30, 0x120)
+    ]
+    decoder = Decoder(load_protocol("sbg_can"))
+    samples = concatenate([decoder.feed(pack_frames(frames)), decoder.flush()])
+    found = [int(each) & RELEVANT for each in samples.status]
+    assert len(found) in (59, 60)
+    assert sorted(set(found)) == sorted({flag, *([Status.GOOD] if len(found) == 60 else [])})
 
 
 def test_the_bit_of_the_short_log_scales_no_other() -> None:

@@ -101,7 +101,9 @@ class CanClock(Clock):
         # A NaN counts as the least and as the most.
         if not (step_s[step_s.argmin()] >= -_RESET_S and step_s[step_s.argmax()] <= _LONGEST_PAUSE_S):
             jumps = ~((step_s >= -_RESET_S) & (step_s <= _LONGEST_PAUSE_S))
-            self._statistics.clock_resets += int(np.count_nonzero(jumps))
+            # A stamp that is no number is bridged and tells of no clock.
+            is_set = jumps & np.isfinite(step_s)
+            self._statistics.clock_resets += int(np.count_nonzero(is_set))
             step_s = np.where(np.isfinite(step_s), step_s, 0.0)
             # The last step that was none takes the place of a jump: it is the same in whatever pieces the frames come.
             usual_s = filled_in(np.maximum(step_s, 0.0), ~jumps, before_s, 0.0)
@@ -109,7 +111,7 @@ class CanClock(Clock):
             moved_s = np.where(jumps, usual_s - step_s, 0.0)
             offset_s: FloatArray = np.cumsum(np.append(self._offset_s, moved_s))[1:]
             self._offset_s = float(offset_s[-1])
-            status = block.status | np.where(jumps, np.uint32(Status.CLOCK_SET), np.uint32(0))
+            status = block.status | np.where(is_set, np.uint32(Status.CLOCK_SET), np.uint32(0))
             return replace(block, stamp_s=np.nan_to_num(stamp_s) + offset_s, status=status)
         return replace(block, stamp_s=stamp_s + self._offset_s) if self._offset_s else block
 

@@ -26,7 +26,7 @@ INSTANCES = {
 LIMITS = {"px4": {"scale": (0.1, 3.0)}, "ardupilot": {"offset": (-3.5, 3.5), "scale": (0.8, 1.2)}}
 PX4_STEP = 0.01
 """PX4 takes only what changes the offsets or the scales by more than this, root of the sum of squares; at each start they are 0
-and 1 (``set_offset`` and ``set_scale`` in src/lib/sensor_calibration, PX4#16920)."""
+and 1 (``set_offset`` and ``set_scale`` in src/lib/sensor_calibration, since PX4#16920; 0.001 before)."""
 # Types of a value in a QGroundControl file: MAV_PARAM_TYPE of MAVLink (common.xml).
 _INT32 = 6
 _REAL32 = 9
@@ -38,7 +38,7 @@ def export(job: Job) -> Draft:
     Raises
     ------
     ParameterFileError
-        If an axis is reversed: these programs know positive scales only.
+        If an axis is reversed, as these programs know positive scales only, or a value is outside their range.
     """
     is_px4, instance, most = job.target.name == "px4", job.options.instance, INSTANCES[job.target.name]
     program = "PX4" if is_px4 else "ArduPilot"
@@ -56,20 +56,23 @@ def export(job: Job) -> Draft:
     if thermal is not None:
         known |= thermal.px4() if is_px4 else thermal.ardupilot()
     values = {name: value for name, value in known.items() if value is not None}
-    without_id = [name for name, value in known.items() if value is None]
     notes = []
-    if without_id:
-        notes.append(sentence("flight_stack.px4_no_id" if is_px4 else "flight_stack.ardupilot_no_id", names=without_id))
+    if without_id := [name for name, value in known.items() if value is None]:
+        options = " ".join(f"--set {triad}_id=N" for triad in si.triads if getattr(job.options, f"{triad}_id") is None)
+        told = {"names": without_id, "options": options}
+        notes.append(sentence("flight_stack.px4_no_id" if is_px4 else "flight_stack.ardupilot_no_id", **told))
     lacks = sentence("flight_stack.lacks")
     if is_px4:
         target_model, ignored = _as_px4_takes(job, target_model, si)
         if ignored:
-            lacks = sentence("flight_stack.px4_ignores", lacks=lacks, ignored=ignored, limit=PX4_STEP)
+            lacks = sentence("flight_stack.px4_ignores", ignored=" and ".join(ignored), limit=PX4_STEP)
         # Vehicle 1, component 1 (autopilot), name, value, type: the columns of a QGroundControl file.
         heading = ["Onboard parameters for Vehicle 1", "", *job.heading(), "", "Vehicle-Id Component-Id Name Value Type"]
         types = {name: _INT32 if isinstance(value, int) else _REAL32 for name, value in values.items()}
         lines = [f"1\t1\t{name}\t{_shown(value)}\t{types[name]}" for name, value in values.items()]
         notes += [sentence("flight_stack.px4_frame"), single_precision, sentence("flight_stack.px4_learns")]
+        if si.gyroscope is not None:
+            notes.append(sentence("flight_stack.px4_learns_rates"))
     else:
         heading = job.heading()
         lines = [f"{name},{_shown(value)}" for name, value in values.items()]
@@ -91,7 +94,7 @@ def export(job: Job) -> Draft:
 
 
 def _as_px4_takes(job: Job, model: Corrections, si: Corrections) -> tuple[Corrections, list[str]]:
-    """Return what PX4 computes, which leaves small offsets at 0 and small changes of the scale at 1, and which it leaves."""
+    """Return what PX4 computes, and the names of the vectors it ignores."""
     scale, zero = job.accelerometer_si()
     accelerometer, ignored = model.accelerometer, []
     if np.linalg.norm(si.accelerometer.offset) <= PX4_STEP:
@@ -104,9 +107,10 @@ def _as_px4_takes(job: Job, model: Corrections, si: Corrections) -> tuple[Correc
 def _values(job: Job, offset: FloatArray, scale: FloatArray, gyroscope: Correction | None) -> dict[str, int | float | None]:
     """Return the value of each parameter by its name: an int for a device ID, None where it is not known, else a float."""
     instance, options = job.options.instance, job.options
+    temperatures: list[str | None] = [None, None]
     if job.target.name == "px4":
         names = (f"CAL_ACC{instance}", f"CAL_GYRO{instance}")
-        temperatures, places = ["", ""], ("_%sOFF", "_%sSCALE")
+        places = ("_%sOFF", "_%sSCALE")
     else:
         # The names grew with the program: INS_ACC, INS_ACC2, INS_ACC3, and from the fourth on INS4_ACC, INS5_ACC.
         group = "INS" if instance < 3 else f"INS{instance + 1}"
@@ -126,7 +130,7 @@ def _values(job: Job, offset: FloatArray, scale: FloatArray, gyroscope: Correcti
     values: dict[str, int | float | None] = {}
     for name, temperature, device_id, vectors in triads:
         values[f"{name}_ID"] = device_id
-        if temperature and not np.isnan(low + high):
+        if temperature is not None and not np.isnan(low + high):
             values[temperature] = (low + high) / 2
         for place, vector in zip(places, vectors, strict=False):
             values |= {name + place % axis: float(value) for axis, value in zip("XYZ", vector, strict=True)}

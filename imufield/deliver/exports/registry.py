@@ -20,6 +20,14 @@ if TYPE_CHECKING:  # the parameter file needs NumPy and SciPy; a list of targets
 
 sentence = Sentences(__package__)
 
+# IDs of sensors are 32-bit integers, 0 for none; of random walks in SI beyond these no inertial sensor is known.
+_LIMITS = {
+    "accelerometer_id": (1, 2**31 - 1),
+    "gyroscope_id": (1, 2**31 - 1),
+    "accelerometer_random_walk": (1e-12, 1.0),
+    "gyroscope_random_walk": (1e-12, 1.0),
+}
+
 TARGETS: Mapping[str, Target] = {
     name: Target(name, **facts)
     for name, facts in tomli.loads(Path(__file__).with_name("targets.toml").read_text(encoding="utf-8")).items()
@@ -89,11 +97,19 @@ def _value(name: str, kind: str, text: str) -> object:
         if text in choices:
             return text
         raise UsageError(sentence("registry.choice", name=name, value=text, choices=choices))
+    if not ("int" in kind or "float" in kind):
+        return text
     try:
         # Base 0: device IDs are written in hexadecimal as well.
-        return int(text, 0) if "int" in kind else float(text) if "float" in kind else text
+        value = int(text, 0) if "int" in kind else float(text)
     except ValueError as error:
-        raise UsageError(sentence("registry.number", name=name, value=text)) from error
+        raise UsageError(sentence("registry.whole" if "int" in kind else "registry.number", name=name, value=text)) from error
+    if name in _LIMITS:
+        low, high = _LIMITS[name]
+        # Not by a comparison that nan passes.
+        if not low <= value <= high:
+            raise UsageError(sentence("registry.limits", name=name, value=text, low=low, high=high))
+    return value
 
 
 class Written(NamedTuple):

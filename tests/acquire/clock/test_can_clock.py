@@ -303,6 +303,15 @@ def test_a_pause_of_an_hour_is_flagged_in_any_pieces(block: int) -> None:
     assert np.flatnonzero(samples.status & Status.CLOCK_SET).tolist() == [1234]
 
 
+@pytest.mark.parametrize("place", [0, 49, 50, 1234])
+def test_a_stamp_that_is_no_number_is_no_clock_that_was_set(place: int) -> None:
+    stamp_s = np.arange(4000) / 100.0
+    stamp_s[place] = np.nan
+    samples, statistics = run(stamp_s)
+    assert statistics.clock_resets == 0
+    assert not (samples.status & Status.CLOCK_SET).any()
+
+
 def test_a_new_rate_is_learned() -> None:
     stamp_s = np.concatenate([np.arange(1000) / 100.0, 10.0 + np.arange(4000) / 400.0])
     samples, statistics = run(stamp_s, block=20)

@@ -114,10 +114,29 @@ def test_px4_refuses_a_scale_of_another_unit() -> None:
     ("target", "names"), [("px4", ["CAL_ACC0_ID", "CAL_GYRO0_ID"]), ("ardupilot", ["INS_ACC_ID", "INS_GYR_ID"])]
 )
 def test_every_id_that_is_missing_is_named(target: str, names: list[str]) -> None:
-    one = ExportOptions(accelerometer_id=7)
-    for options, missing in ((ExportOptions(), names), (one, names[1:]), (replace(one, gyroscope_id=8), [])):
+    one, both = ExportOptions(accelerometer_id=7), ["--set accelerometer_id=N", "--set gyroscope_id=N"]
+    for options, first in ((ExportOptions(), 0), (one, 1), (replace(one, gyroscope_id=8), 2)):
         said = told(export_parameters(made_up(8), target, options).notes, f"flight_stack.{target}_no_id")
-        assert [note.values["names"] for note in said] == ([missing] if missing else [])
+        found = [(note.values["names"], note.values["options"]) for note in said]
+        assert found == ([] if first == 2 else [(names[first:], " ".join(both[first:]))])
+    (alone,) = told(export_parameters(made_up(8, gyroscope=False), target).notes, f"flight_stack.{target}_no_id")
+    assert (alone.values["names"], alone.values["options"]) == (names[:1], both[0])
+
+
+@pytest.mark.parametrize(
+    ("target", "name", "text"),
+    [
+        ("px4", "accelerometer_id", "0"),
+        ("px4", "gyroscope_id", "99999999999"),
+        ("ardupilot", "accelerometer_id", "-5"),
+        ("kalibr", "accelerometer_random_walk", "-1"),
+        ("kalibr", "gyroscope_random_walk", "0"),
+        ("kalibr", "gyroscope_random_walk", "nan"),
+    ],
+)
+def test_numbers_that_are_of_no_sensor_are_refused(target: str, name: str, text: str) -> None:
+    with refused(UsageError, Reason.USAGE, name, text, key="registry.limits"):
+        export_options({name: text}, target)
 
 
 @pytest.mark.parametrize(("target", "instance"), [("px4", 4), ("px4", -1), ("ardupilot", 5)])
@@ -287,7 +306,7 @@ def test_a_target_has_the_options_that_it_reads(target: str) -> None:
         ("c", {"colour": "red"}, "option"),
         ("c", {"instance": "1"}, "option"),
         ("px4", {"gauge": "upper"}, "option"),
-        ("px4", {"instance": "one"}, "number"),
+        ("px4", {"instance": "one"}, "whole"),
         ("c", {"gauge": "left"}, "choice"),
         ("openvins", {"model": "vins"}, "choice"),
     ],
