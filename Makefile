@@ -36,7 +36,8 @@ demo: $(CORE)
 
 # Tests often wait for ports: with four at a time two cores are idle for a minute of six, a sixth slows the others down. A file
 # stays in one process: the lines of a page, for example, build on each other. The order of files is that of tests/conftest.py.
-# .ci/run takes three, as it does other work beside them. Compiled modules are kept, also where the environment says otherwise: each process would compile seven hundred anew.
+# .ci/run takes three, as it does other work beside them. Compiled modules are kept, also where the environment says otherwise:
+# each process would compile seven hundred anew.
 WORKERS := 5
 test: $(TEST)
 	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
