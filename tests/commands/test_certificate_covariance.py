@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 from copy import deepcopy
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from scipy.special import chdtri, fdtri
 
+from imufield.cli.run import run
 from imufield.deliver.certificate.certificate import Certificate, Parties, to_json
 from imufield.deliver.certificate.dcc import to_xml
 from imufield.deliver.parameters.file import from_document, load
@@ -127,6 +129,20 @@ def test_the_joint_list_has_the_documented_structure(document: Document) -> None
     n, fewest = len(labels), min(parameter.degrees_of_freedom for parameter in parameters)
     assert k == pytest.approx(math.sqrt(n * fdtri(n, fewest, 0.95)), rel=1e-5)
     assert k > math.sqrt(chdtri(n, 0.05))
+
+
+def test_the_region_has_as_many_dimensions_as_are_free(whole_session: Path, tmp_path: Path) -> None:
+    shutil.copytree(whole_session, tmp_path / "session")
+    solve = ["solve", str(tmp_path / "session"), "--latitude", "48", "--gauge"]
+    factors, labels = [], []
+    for gauge in ("lower", "symmetric"):
+        assert run([*solve, gauge]) == 0
+        *_, joint = lists_of(load(tmp_path / "session").document)
+        factors.append(float(joint.findtext(".//coverageFactor", namespaces=NAMES) or "nan"))
+        labels.append(words(joint, "labelXMLList"))
+    # Six misalignments in place of three, of which three are free: it is the same region.
+    assert len(labels[1]) == len(labels[0]) + 3
+    assert factors[1] == pytest.approx(factors[0], rel=0.01)
 
 
 def test_the_json_has_the_covariance_of_its_budget(document: Document) -> None:

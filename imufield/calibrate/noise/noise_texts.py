@@ -2,11 +2,19 @@
 
 Filters take one number for a triad: the largest axis. A random walk that the recording was too short to see is given as its
 upper 95 % limit, and a comment says so; zero would make a filter trust a constant bias.
+
+VINS-Fusion [1]_ adds ``(dt n)^2 / 2`` to the variance of an integral in each step of ``dt``, and ``(dt w)^2`` to that of a bias:
+for a density N and a random walk K these are ``N^2 dt`` and ``K^2 dt`` where ``n = N sqrt(2 / dt)`` and ``w = K / sqrt(dt)``.
+
+References
+----------
+.. [1] VINS-Fusion, vins_estimator/src/factor/integration_base.h, ``midPointIntegration``.
 """
 
 from __future__ import annotations
 
 import io
+import math
 import re
 from typing import TYPE_CHECKING, Literal
 
@@ -47,9 +55,14 @@ def noise_text(result: NoiseResult, form: NoiseFormat, *, topic: str = "/imu0", 
     if form == "ros2":
         return _covariances(result)
     if form == "vins":
-        names = ("acc_n", "gyr_n", "acc_w", "gyr_w")
-        pairs = [(triad, figure) for figure in ("density", "walk") for triad in ("accelerometer", "gyroscope")]
-        lines = [f"{name}: {_largest(result, *pair)} SI" for name, pair in zip(names, pairs, strict=True)]
+        density, walk = math.sqrt(2 * result.rate_hz), math.sqrt(result.rate_hz)
+        lines = [
+            f"acc_n: {_largest(result, 'accelerometer', 'density', density)} m/s^2",
+            f"gyr_n: {_largest(result, 'gyroscope', 'density', density)} rad/s",
+            f"acc_w: {_largest(result, 'accelerometer', 'walk', walk)} m/s^3",
+            f"gyr_w: {_largest(result, 'gyroscope', 'walk', walk)} rad/s^2",
+        ]
+        source += f", for {result.rate_hz:.6g} Hz"
         gravity = STANDARD_GRAVITY_M_S2 if gravity_m_s2 is None else gravity_m_s2
         return "\n".join([source, *lines, f"g_norm: {gravity:.6f}"]) + "\n"
     indent = "  " if form == "openvins" else ""
@@ -60,7 +73,8 @@ def noise_text(result: NoiseResult, form: NoiseFormat, *, topic: str = "/imu0", 
         ("gyroscope", "random_walk", "walk", "rad/s^2/sqrt(Hz)"),
     )
     lines = [f"{indent}{triad}_{name}: {_largest(result, triad, figure)} {unit}" for triad, name, figure, unit in figures]
-    top = [source, "imu0:"] if form == "openvins" else [source]
+    # OpenVINS reads with cv::FileStorage, which refuses a file that does not begin so.
+    top = ["%YAML:1.0", source, "imu0:"] if form == "openvins" else [source]
     return "\n".join([*top, *lines, f"{indent}rostopic: {topic}", f"{indent}update_rate: {result.rate_hz:.6g}"]) + "\n"
 
 
@@ -81,12 +95,12 @@ def _covariances(result: NoiseResult) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _largest(result: NoiseResult, triad: str, figure: str) -> str:
+def _largest(result: NoiseResult, triad: str, figure: str, factor: float = 1.0) -> str:
     """Return the number and the start of a comment."""
     values = result.values(triad, figure)
     if np.isfinite(values).any():
-        return f"{np.nanmax(values):.6e}  #"
-    return f"{np.nanmax(result.upper_limits(triad, figure)):.6e}  # upper 95 % limit, not seen;"
+        return f"{factor * np.nanmax(values):.6e}  #"
+    return f"{factor * np.nanmax(result.upper_limits(triad, figure)):.6e}  # upper 95 % limit, not seen;"
 
 
 def _shown(figure: NoiseFigure) -> str:

@@ -44,6 +44,7 @@ SI = "https://ptb.de/si"
 SCHEMA_VERSION = "3.2.0"
 _NO_COUNTRY = "ZZ"  # ISO 3166-1: a code that stands for no country; the country of the parties is not asked for.
 _LANGUAGE = "en"
+_SINGULAR = 1e-9  # Of a correlation matrix: less is rounding of the file.
 _NORMAL = 1e6  # Degrees of freedom: with more, F is chi squared to five digits.
 # Of a raw unit: its exponents of SI units, and its size.
 _RAW: dict[str, tuple[Mapping[str, int], float]] = {
@@ -215,8 +216,12 @@ def _joint_result(certificate: Certificate, raw_units: Mapping[str, str]) -> Ite
         _si("column", *(_covariance(value, row, column) for value, (row, _) in zip(values, units, strict=True)))
         for values, (column, _) in zip((covariance * np.outer(sizes, sizes)).tolist(), units, strict=True)
     )
+    # A gauge that states T by more numbers than are free leaves as many directions without variance.
+    sigma = np.sqrt(np.diag(covariance))
+    sigma[sigma == 0] = 1.0
+    rank = int(np.linalg.matrix_rank(covariance / np.outer(sigma, sigma), tol=_SINGULAR, hermitian=True))
     # The least degrees of freedom among the parameters: the region is rather too large [2]_.
-    factor = math.sqrt(len(units) * f_quantile(len(units), min(freedom, _NORMAL), COVERAGE))
+    factor = math.sqrt(rank * f_quantile(rank, min(freedom, _NORMAL), COVERAGE))
     region = _si(
         "ellipsoidalRegionXMLList",
         _si("covarianceMatrix", *columns),

@@ -79,12 +79,37 @@ def test_transition_is_the_limit_of_small_steps() -> None:
     np.testing.assert_allclose(gain, b, rtol=1e-6, atol=1e-9)
 
 
-def test_gyroscope_bias_of_a_hundredth_makes_what_is_known_of_it() -> None:
-    # docs/maths.md: 0.01 deg/h make about 3.6 nmi in 5 h; in one horizontal axis, aligned with it, less or more.
-    drift, _ = simulate(
-        perfect(rate_sigma=0.01 * DEG_PER_HOUR), scene(random_attitude(1), 5.0), NOTHING, np.random.default_rng(0), runs=400
-    )
-    assert 2.0 < np.sqrt(np.mean(drift.position_nmi.max(axis=1) ** 2)) < 5.0
+@pytest.mark.parametrize(
+    ("name", "true_nmi", "aligned_nmi", "turned_nmi"),
+    [
+        ("force north", 0.69, 0.35, 1.37),
+        ("force east", 0.69, 0.0, 1.37),
+        ("rate north", 2.91, 2.91, None),
+        ("rate east", 2.56, 0.0, None),
+        ("rate down", 1.26, 1.26, None),
+    ],
+)
+def test_errors_of_one_axis_drift_as_the_documentation_says(
+    name: str, true_nmi: float, aligned_nmi: float, turned_nmi: float | None
+) -> None:
+    # docs/verify.md; the figures are of the phi-angle equations (Titterton and Weston, 12.3), integrated apart from this program.
+    force, rate = (np.array(part) for part in ERRORS[name])
+    north, _, down = earth_rate(LATITUDE_DEG)
+    tilt = np.array([force[1], -force[0]]) / GRAVITY_M_S2
+    forward, gain = transition(scene(np.eye(3)), 60.0)
+
+    def largest_nmi(x: FloatArray, force: FloatArray) -> float:
+        farthest = 0.0
+        for _ in range(5 * 60):
+            x = forward @ x + gain @ [*force[:2], *rate]
+            farthest = max(farthest, np.hypot(x[0], x[1] * np.cos(np.radians(LATITUDE_DEG))))
+        return np.degrees(farthest) * 60
+
+    aligned = np.array([0, 0, 0, 0, *tilt, (rate[1] + down * tilt[0]) / north])
+    assert largest_nmi(np.zeros(7), force) == pytest.approx(true_nmi, abs=0.02)
+    assert largest_nmi(aligned, force) == pytest.approx(aligned_nmi, abs=0.02)
+    if turned_nmi is not None:
+        assert largest_nmi(aligned, -force) == pytest.approx(turned_nmi, abs=0.02)
 
 
 def test_alignment_takes_off_what_it_caused() -> None:
