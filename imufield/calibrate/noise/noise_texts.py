@@ -3,7 +3,7 @@
 Filters take one number for a triad: the largest axis. A random walk that the recording was too short to see is given as its
 upper 95 % limit, and a comment says so; zero would make a filter trust a constant bias.
 
-VINS-Fusion [1]_ adds ``(dt n)^2 / 2`` to the variance of an integral in each step of ``dt``, and ``(dt w)^2`` to that of a bias:
+VINS-Fusion [1]_ adds ``(dt n)^2 / 2`` to the variance of an integral in each step ``dt``, and ``(dt w)^2`` to that of a bias:
 for a density N and a random walk K these are ``N^2 dt`` and ``K^2 dt`` where ``n = N sqrt(2 / dt)`` and ``w = K / sqrt(dt)``.
 
 References

@@ -92,7 +92,7 @@ def test_transition_is_the_limit_of_small_steps() -> None:
 def test_errors_of_one_axis_drift_as_the_documentation_says(
     name: str, true_nmi: float, aligned_nmi: float, turned_nmi: float | None
 ) -> None:
-    # docs/verify.md; the figures are of the phi-angle equations (Titterton and Weston, 12.3), integrated apart from this program.
+    # docs/verify.md; the figures are those of the phi-angle equations (Titterton and Weston, 12.3), integrated apart.
     force, rate = (np.array(part) for part in ERRORS[name])
     north, _, down = earth_rate(LATITUDE_DEG)
     tilt = np.array([force[1], -force[0]]) / GRAVITY_M_S2
