@@ -16,6 +16,7 @@ import importlib
 import io
 import json
 import mmap
+import re
 import signal
 import sqlite3
 import struct
@@ -428,11 +429,25 @@ def _log_reader(suffix: str, file: IO[bytes]) -> MessageReader:
 
     if suffix in (".blf", ".mf4"):
         return (BlfReader if suffix == ".blf" else can.MF4Reader)(cast("BinaryIO", file))
-    lines = cast("TextIO", text_lines(file))
+    lines = text_lines(file)
     if suffix == ".asc":
         # It counts from its start unless told otherwise; the date in its head makes it a time of day.
-        return can.ASCReader(lines, relative_timestamp=False)
-    return (can.TRCReader if suffix == ".trc" else can.CSVReader)(lines)
+        return can.ASCReader(cast("TextIO", _from_the_start(lines)), relative_timestamp=False)
+    return (can.TRCReader if suffix == ".trc" else can.CSVReader)(cast("TextIO", lines))
+
+
+def _from_the_start(lines: Iterator[str]) -> Iterator[str]:
+    """Yield the lines of an ASC file with times from its start, where its head says that each counts from the line before."""
+    is_relative, time_s = False, 0.0
+    for line in lines:
+        is_relative |= re.match(r"\s*base\s.*timestamps\s+relative", line, re.IGNORECASE) is not None
+        step = re.match(r"\s*(\d+\.\d+)(?=\s)", line) if is_relative else None
+        if step is None:
+            yield line
+            continue
+        # Lines that are no frames move the time, too.
+        time_s += float(step[1])
+        yield f"{time_s:.9f}{line[step.end() :]}"
 
 
 def _frame_line(message: can.Message, suffix: str) -> str:

@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 import tomli
 
+from imufield.acquire.protocol.units import SECONDS, TO_DEGC, TO_SI, unit_name
 from imufield.dataclass import dataclass
-from imufield.errors import UsageError
+from imufield.errors import Reason, UsageError
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, LARGEST_OUTPUT, SAMPLE_COLUMNS, FloatArray, median
 from imufield.sentences import Sentences, shortened
 
@@ -31,10 +32,6 @@ SKIPPED = ("-", "_", "skip")
 
 
 _WORDS = tomli.loads(Path(__file__).with_name("table_words.toml").read_text(encoding="utf-8"))
-UNITS_OF = {
-    quantity: {spelling: unit for unit, spellings in units.items() for spelling in spellings.split()}
-    for quantity, units in _WORDS["units"].items()
-}
 _NAMES = {quantity: frozenset(names.split()) for quantity, names in _WORDS["names"].items()}
 HEADERLESS = {
     3: ACCELEROMETER_COLUMNS,
@@ -43,7 +40,6 @@ HEADERLESS = {
     8: FIELDS,
 }
 
-TIME_SCALE = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 TIME_UNIT = "time_unit"
 """Setting of an import; rows themselves are in seconds."""
 SHORTEST_STEP_S = 2.5e-4
@@ -54,8 +50,8 @@ unit of time at most."""
 _RATE_TOLERANCE = 0.2
 
 _MOST_EQUAL = 0.8  # Share of rows with the time of the row before: of more than five rows nobody knows when the others were.
-# Units that protocol ``rows_f64`` does not know: what they become, and the factor.
-_CONVERTED = {"mg": ("g", 1e-3), "mdps": ("deg/s", 1e-3)}
+_THOUSANDTHS = {"mg": "g", "mdeg/s": "deg/s"}
+_KEPT = ("g", "deg/s", "deg")  # Beside SI: protocol ``rows_f64`` knows them.
 _FAST = 0.999  # Of all outputs; larger ones may be damage.
 _STANDS_FOR_G = (0.8, 1.25)
 _STANDS_FOR_M_S2 = (8.0, 12.0)  # Median norm of an accelerometer that is at rest most of the time.
@@ -69,8 +65,7 @@ class TableColumn:
 
     index: int
     field: str
-    unit: str | None = None
-    unknown_unit: str = ""  # What stands in the place of a unit and is none.
+    unit: str | None = None  # As it stands there if it is none that is known.
 
     @property
     def quantity(self) -> str:
@@ -125,13 +120,8 @@ def named_column(text: str, index: int, unit_below: str | None = None) -> TableC
     field, tail = _field_of(words)
     if field is None:
         return None
-    spelling = _spelling(stated or "".join(tail))
-    unit = UNITS_OF[quantity_of(field)].get(spelling)
-    return TableColumn(index, field, unit, stated if spelling and unit is None else "")
-
-
-def _spelling(unit: str) -> str:
-    return re.sub(r"[\s^*.()\[\]-]", "", unit.lower().replace("²", "2"))
+    unit = unit_name(stated or "".join(tail), quantity_of(field))
+    return TableColumn(index, field, unit or shortened(stated.strip()) or None)
 
 
 def _words(text: str) -> list[str]:
@@ -146,7 +136,7 @@ def _field_of(words: Sequence[str]) -> tuple[str | None, Sequence[str]]:
     for end in range(1, len(words) + 1):
         field = _field_of_name("".join(words[:end]))
         tail = words[end:]
-        if field is not None and (not tail or "".join(tail) in UNITS_OF[quantity_of(field)]):
+        if field is not None and (not tail or unit_name("".join(tail), quantity_of(field))):
             return field, tail
     return None, ()
 
@@ -252,9 +242,9 @@ def _checked(path: Path, found: Sequence[TableColumn], assumptions: tuple[str, .
         if before != column.unit:
             both = [before, column.unit]
             raise UsageError(sentence("table_columns.two_units", path=str(path), quantity=column.quantity, units=both))
-    unknown = [*dict.fromkeys(shortened(column.unknown_unit) for column in found if column.unknown_unit)]
-    if unknown:
-        assumptions += (sentence("table_columns.unknown_unit", name=path.name, units=unknown),)
+    # How far apart times are tells their unit, too.
+    if units.get(TIME, "s") not in SECONDS:
+        assumptions += (sentence("table_columns.unknown_time_unit", name=path.name, unit=units.pop(TIME)),)
     return Meaning(tuple(found), units, assumptions)
 
 
@@ -267,8 +257,8 @@ def given_time_unit(settings: Mapping[str, object]) -> str | None:
         If it is no unit of time.
     """
     unit = settings.get(TIME_UNIT)
-    if unit is not None and unit not in TIME_SCALE:
-        raise UsageError(sentence("table_columns.time_unit", unit=unit, known=[*TIME_SCALE]))
+    if unit is not None and unit not in SECONDS:
+        raise UsageError(sentence("table_columns.time_unit", unit=unit, known=[*SECONDS]))
     return None if unit is None else str(unit)
 
 
@@ -283,16 +273,16 @@ def choose_time_scale(path: Path, time: FloatArray, unit: str | None, rate_hz: f
     steps = np.diff(time)
     step = float(median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
     if unit is not None:
-        step_s = step * TIME_SCALE[unit]
+        step_s = step * SECONDS[unit]
         _check_rate(path, step_s, rate_hz)
         if rate_hz is not None or not step_s or SHORTEST_STEP_S <= step_s <= LONGEST_STEP_S:
-            return TIME_SCALE[unit], ""
+            return SECONDS[unit], ""
         told = {"name": path.name, "unit": unit, "step": step, "rate_hz": 1.0 / step_s}
-        return TIME_SCALE[unit], sentence("table_columns.implausible", **told)
+        return SECONDS[unit], sentence("table_columns.implausible", **told)
     low, high = SHORTEST_STEP_S, LONGEST_STEP_S
     if rate_hz is not None:
         low, high = (1.0 - _RATE_TOLERANCE) / rate_hz, (1.0 + _RATE_TOLERANCE) / rate_hz
-    fitting = [name for name, scale in TIME_SCALE.items() if low <= step * scale <= high]
+    fitting = [name for name, scale in SECONDS.items() if scale <= 1.0 and low <= step * scale <= high]
     if not fitting:
         # In seconds it would be plausible: then it is the rate that is wrong.
         if rate_hz is not None and SHORTEST_STEP_S <= step <= LONGEST_STEP_S:
@@ -300,8 +290,24 @@ def choose_time_scale(path: Path, time: FloatArray, unit: str | None, rate_hz: f
         key = "table_columns.no_rate_fits" if rate_hz is None else "table_columns.wrong_rate"
         raise UsageError(sentence(key, path=str(path), step=step, rate_hz=rate_hz))
     name = fitting[0]
-    fitting_hz = 1.0 / (step * TIME_SCALE[name])
-    return TIME_SCALE[name], sentence("table_columns.time_taken_as", name=path.name, unit=name, step=step, rate_hz=fitting_hz)
+    fitting_hz = 1.0 / (step * SECONDS[name])
+    return SECONDS[name], sentence("table_columns.time_taken_as", name=path.name, unit=name, step=step, rate_hz=fitting_hz)
+
+
+def in_degc(path: Path, values: FloatArray, unit: str) -> FloatArray:
+    """Return temperatures in degC.
+
+    Raises
+    ------
+    UsageError
+        If the header names a unit that is none.
+    """
+    if unit not in TO_DEGC:
+        raise UsageError(
+            sentence("table_columns.unknown_temperature_unit", path=str(path), unit=unit, known=[*TO_DEGC]), Reason.UNITS
+        )
+    factor, offset = TO_DEGC[unit]
+    return values * factor + offset
 
 
 def refuse_coarse_times(path: Path, time: FloatArray) -> None:
@@ -342,15 +348,23 @@ def choose_unit(
         By which the values are to be multiplied.
     sentence : str
         What was assumed or converted; empty if nothing.
+
+    Raises
+    ------
+    UsageError
+        If a header names a unit that is none, and the user none.
     """
     setting = given.get(f"{quantity}_unit")
     if setting is not None:
         return str(setting), 1.0, ""
     if quantity in stated:
-        unit, factor = _CONVERTED.get(stated[quantity], (stated[quantity], 1.0))
-        if factor == 1.0:
-            return unit, factor, ""
-        return unit, factor, sentence("table_columns.converted", quantity=quantity, stated=stated[quantity], unit=unit)
+        written = stated[quantity]
+        if written not in TO_SI:
+            raise UsageError(sentence("table_columns.unknown_unit", quantity=quantity, unit=written), Reason.UNITS)
+        unit, factor = (_THOUSANDTHS[written], 1e-3) if written in _THOUSANDTHS else TO_SI[written]
+        if factor == 1.0 or written in _KEPT:
+            return written, 1.0, ""
+        return unit, factor, sentence("table_columns.converted", quantity=quantity, stated=written, unit=unit)
     is_whole = ~np.isnan(values).any(axis=1)
     # A triad without values has any unit.
     if not is_whole.any():

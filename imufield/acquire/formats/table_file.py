@@ -19,6 +19,7 @@ from imufield.acquire.formats.table_columns import (
     columns_by_count,
     columns_by_header,
     columns_by_user,
+    in_degc,
 )
 from imufield.acquire.formats.table_text import TextTable, open_table
 from imufield.dataclass import dataclass, field, replace
@@ -86,6 +87,8 @@ def file_of(source: Source, meaning: Meaning, values: FloatArray, first_row: int
     # A column without a number may be left out; half a triad may not.
     _check_whole_triads(path, fields, kept)
     _check_whole_numbers(source, kept, first_row)
+    if TEMPERATURE in kept and TEMPERATURE in meaning.units:
+        kept[TEMPERATURE] = in_degc(path, kept[TEMPERATURE], meaning.units[TEMPERATURE])
     _check_temperatures(source, kept, first_row)
     for name, column in kept.items():
         if name not in (TEMPERATURE, COUNTER, STATUS):

@@ -20,7 +20,6 @@ from imufield.acquire.formats.table_columns import (
     FIELDS,
     STATUS,
     TIME,
-    TIME_SCALE,
     TIME_UNIT,
     Meaning,
     choose_time_scale,
@@ -32,6 +31,7 @@ from imufield.acquire.formats.table_file import File, file_of, is_empty, meaning
 from imufield.acquire.formats.table_join import join
 from imufield.acquire.formats.table_text import TextTable
 from imufield.acquire.link.chunk import Chunk
+from imufield.acquire.protocol.units import SECONDS
 from imufield.dataclass import dataclass, field, replace
 from imufield.errors import UsageError
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, NO_COUNTER, FloatArray, IntArray, Samples, median
@@ -187,7 +187,7 @@ def stream_table(path: str | Path, *, rate_hz: float | None = None) -> Iterator[
     decided = {f"{quantity}_unit": head.settings[f"{quantity}_unit"] for quantity in _TRIADS if quantity not in file.units}
     if TIME in file.fields and TIME not in file.units:
         scale, _ = choose_time_scale(file.path, file.fields[TIME], None, rate_hz)
-        decided[TIME_UNIT] = next(name for name, value in TIME_SCALE.items() if value == scale)
+        decided[TIME_UNIT] = next(name for name, value in SECONDS.items() if value == scale)
     yield head
     done, last = len(values), values[-1:]
     for values in pieces:

@@ -24,7 +24,7 @@ from imufield.acquire.protocol.samples_and_clock import (
     sample_units,
 )
 from imufield.acquire.protocol.toml import LARGEST, Table, near
-from imufield.acquire.protocol.units import TO_SI, UNITS_OF, unit_name
+from imufield.acquire.protocol.units import SECONDS, TO_DEGC, TO_SI, UNITS_OF, unit_name
 from imufield.dataclass import dataclass, field
 from imufield.errors import ProtocolError, Reason
 from imufield.limits import BAUD_RANGE
@@ -38,8 +38,6 @@ ANY_ADDRESS = 255
 TEMPERATURE = 6
 """Place of the temperature among the values of a sample, behind three of the accelerometer and three of the gyroscope."""
 _PLACES = {"accelerometer": 0, "gyroscope": 3}
-_TICKS_PER_S = {"s": 1.0, "sec": 1.0, "ms": 1e3, "us": 1e6, "µs": 1e6, "ns": 1e9}
-_ABSOLUTE_ZERO_DEGC = -273.15
 _LONGEST_LIMIT_S = 10.0
 _SHORTEST_LIMIT_S = 1e-6  # Below the time of one frame on the fastest bus.
 _MOST_BITS = 62  # Of a counter: arithmetic is done in 64 bits with a sign.
@@ -167,7 +165,7 @@ def read_can(top: Table) -> tuple[CanRule, SampleUnits, ClockRule]:
     dbc = DbcFile(embedded.text("text"), name, identifiers)
     mapped = _Mapping(top.table("map"), dbc)
     units_of = {part: mapped.triad(part) for part in _PLACES}
-    mapped.others()
+    mapped.others(knows_ticks=clock.has("time_ticks_per_s"))
     if not any(units_of.values()):
         raise mapped.table.error("", sentence("can_protocol.nothing_mapped", candidates=_candidates(dbc)))
     clock_rule = ClockRule(
@@ -226,7 +224,7 @@ class _Mapping:
         kind, signal = self._find(part, name.lstrip("-"))
         given = self.table.text(f"{part}_unit", "")
         written = given or signal.unit
-        unit, factor = TO_SI.get(unit_name(written) or "", ("", 0.0))
+        unit, factor = TO_SI.get(unit_name(written, part) or "", ("", 0.0))
         if unit not in UNITS_OF[part]:
             known = [name for name, (si, _) in TO_SI.items() if si in UNITS_OF[part]]
             shown = f"{written!r}" if written else "no unit"
@@ -236,24 +234,28 @@ class _Mapping:
         kind.columns.append(Column(_PLACES[part] + axis, signal, signal.factor * factor, signal.offset * factor))
         return unit
 
-    def others(self) -> None:
-        """Read temperature, counter, time, flags and status."""
+    def others(self, *, knows_ticks: bool) -> None:
+        """Read temperature, counter, time, flags and status; the unit of the time is needed unless its ticks are known."""
         if self.table.has("temperature"):
             kind, signal = self._find("temperature", self.table.text("temperature"))
-            unit = unit_name(self.table.text("temperature_unit", "") or signal.unit)
-            if unit not in ("degC", "K"):
-                wrong = sentence("can_protocol.temperature_unit", signal=signal.name, unit=signal.unit)
+            unit = unit_name(self.table.text("temperature_unit", "") or signal.unit, "temperature")
+            if unit is None:
+                wrong = sentence("can_protocol.temperature_unit", signal=signal.name, unit=signal.unit, known=[*TO_DEGC])
                 raise self.table.error("temperature", wrong)
-            offset = signal.offset + (_ABSOLUTE_ZERO_DEGC if unit == "K" else 0.0)
-            kind.columns.append(Column(TEMPERATURE, signal, signal.factor, offset))
+            factor, offset = TO_DEGC[unit]
+            kind.columns.append(Column(TEMPERATURE, signal, signal.factor * factor, signal.offset * factor + offset))
         if self.table.has("counter"):
             kind, signal = self._find("counter", self.table.text("counter"))
             kind.counter, self.counter_modulus = signal, self._modulus("counter", signal)
         if self.table.has("time"):
             kind, signal = self._find("time", self.table.text("time"))
             kind.time = signal
+            unit = unit_name(signal.unit, "time")
+            if unit is None and not knows_ticks:
+                shown = f"{signal.unit!r}" if signal.unit else "no unit"
+                raise self.table.error("time", sentence("can_protocol.time_unit", signal=signal.name, unit=shown), Reason.UNITS)
             # A factor of 0 is refused with the other rates that no clock has.
-            self.ticks_per_s = _TICKS_PER_S.get(signal.unit.lower(), 1.0) / (abs(signal.factor) or math.inf)
+            self.ticks_per_s = 1.0 / (SECONDS[unit or "s"] * abs(signal.factor) or math.inf)
             never_wraps = signal.is_float or signal.length >= _LONG_TIME_BITS
             self.time_modulus = 0 if never_wraps else self._modulus("time", signal)
         for each in self.table.tables("flags"):
@@ -321,6 +323,6 @@ def _candidates(dbc: DbcFile) -> str:
     found = [
         f"{message.name}.{signal.name}"
         for message, signal in dbc.signals()
-        if TO_SI.get(unit_name(signal.unit) or "", ("", 0.0))[0] in units
+        if any(TO_SI.get(unit_name(signal.unit, part) or "", ("", 0.0))[0] in units for part in _PLACES)
     ]
     return ", ".join(found[:20]) or "none has such a unit"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from pathlib import Path
 
 import tomli
@@ -12,8 +13,10 @@ TO_SI: dict[str, tuple[str, float]] = {name: (si, factor) for name, (si, factor)
 """Units a protocol may name: what a sample holds, and by what the number is multiplied."""
 UNITS_OF: dict[str, tuple[str, ...]] = {part: tuple(units) for part, units in _TABLES["units_of"].items()}
 """What each part of a sample may be in; the first where nothing else is known."""
-_SPELLED: dict[str, str] = {text: name for name, texts in _TABLES["spellings"].items() for text in texts}
-_SPELLED |= {name.lower(): name for name in TO_SI}
+TO_DEGC: dict[str, tuple[float, float]] = {name: (factor, offset) for name, (factor, offset) in _TABLES["to_degc"].items()}
+"""Units of temperature, with factor and offset."""
+SECONDS: dict[str, float] = _TABLES["seconds"]
+"""Units of time."""
 SI_UNITS = ("m/s^2", "m/s", "rad/s", "rad")
 
 
@@ -23,6 +26,30 @@ def nominal_scale(unit: str) -> float | None:
     return 1 / factor if si in SI_UNITS else None
 
 
-def unit_name(text: str) -> str | None:
-    """Return our name of a unit as DBC files write it; None where it is not known."""
-    return _SPELLED.get(re.sub(r"\s+", " ", text.strip().lower()).replace("[", "").replace("]", ""))
+def unit_name(text: str, quantity: str) -> str | None:
+    """Return our name of a unit as DBC files and tables write it; None where the quantity has none of that name.
+
+    Parameters
+    ----------
+    text : str
+    quantity : str
+        ``accelerometer``, ``gyroscope``, ``temperature`` or ``time``.
+    """
+    return _SPELLED[quantity].get(_plain(text))
+
+
+def _plain(text: str) -> str:
+    return re.sub(r"[\s^*.()\[\]-]", "", text.lower().translate(_ALIKE))
+
+
+_ALIKE = str.maketrans("²ºμ", "2°µ")
+_KNOWN: dict[str, Iterable[str]] = {
+    **{part: [name for name, (si, _) in TO_SI.items() if si in units] for part, units in UNITS_OF.items()},
+    "temperature": TO_DEGC,
+    "time": SECONDS,
+}
+_SPELLED = {
+    quantity: {_plain(name): name for name in _KNOWN[quantity]}
+    | {text: name for name, texts in spellings.items() for text in texts.split()}
+    for quantity, spellings in _TABLES["spellings"].items()
+}

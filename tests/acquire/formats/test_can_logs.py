@@ -6,6 +6,7 @@ import contextlib
 import gzip
 import os
 import random
+import re
 import struct
 import sys
 import time
@@ -70,6 +71,30 @@ def test_every_format(tmp_path: Path, suffix: str) -> None:
     )
     assert all(len(chunk.data) <= 12 * 24 for chunk in chunks), "50 ms a chunk"
     assert chunks[-1].monotonic_s == frames[-1].time_s
+
+
+def test_relative_times_of_an_asc_file_add_up(tmp_path: Path) -> None:
+    path, lines, before_s = tmp_path / "absolute.asc", [], 0.0
+    with can.Logger(path) as logger:
+        for message in make_messages():
+            logger(message)
+    # Also lines that are no frames stand at a time of their own, which those behind them count from.
+    for line in path.read_text().splitlines(keepends=True):
+        stamp, _, rest = line.lstrip().partition(" ")
+        if not re.fullmatch(r"\d+\.\d+", stamp):
+            lines.append(line.replace("timestamps absolute", "timestamps relative"))
+            continue
+        half_s = (float(stamp) - before_s) / 2
+        lines += [f"   {half_s:.6f} Start of something\n", f"   {half_s:.6f} {rest}"]
+        before_s = float(stamp)
+    relative = tmp_path / "relative.asc"
+    relative.write_text("".join(lines))
+    one, other = (
+        [frame.time_s for chunk in read_log(each) for frame in unpack_frames(chunk.data)] for each in (path, relative)
+    )
+    assert len(one) == 400
+    assert one[-1] - one[0] > 0.5
+    assert other == pytest.approx(one, abs=1e-3)
 
 
 def test_import_makes_a_session_that_decodes(tmp_path: Path) -> None:

@@ -11,7 +11,6 @@ from imufield.acquire.formats.tables import read_tables, write_rows
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.errors import ImufieldError, Reason, RecordingError, UsageError
-from imufield.sentences import Sentence
 from tests.acquire.table_files import ACCELEROMETER, GYROSCOPE, RNG, TIME, N, text_of, write
 from tests.refused import refused
 
@@ -53,12 +52,49 @@ def test_what_parts_the_rows_parts_their_heading(tmp_path: Path, header: str, de
 
 
 @pytest.mark.parametrize("mark", ["", "# "])
-def test_a_unit_that_is_none_is_said(tmp_path: Path, mark: str) -> None:
-    header = f"{mark}time_s,acc_x (m/s^2\x1b[2J),acc_y (m/s^2),acc_z (m/s^2),temp (degF)\n"
-    table = read_tables([write(tmp_path, text_of(TIME, ACCELEROMETER, TIME, delimiter=",", header=header))])
-    (said,) = (said for said in table.assumptions if getattr(said, "key", "") == "table_columns.unknown_unit")
-    assert isinstance(said, Sentence)
-    assert said.values["units"] == [r"m/s^2\x1b[2J", "degF"]
+@pytest.mark.parametrize(
+    ("unit_a", "unit_temperature", "key"),
+    [
+        ("furlong\x1b[2J", "degC", "table_columns.unknown_unit"),
+        ("m/s^2", "degR", "table_columns.unknown_temperature_unit"),
+    ],
+)
+def test_a_unit_that_is_none_is_refused(tmp_path: Path, mark: str, unit_a: str, unit_temperature: str, key: str) -> None:
+    header = f"{mark}time_s,acc_x ({unit_a}),acc_y ({unit_a}),acc_z ({unit_a}),temp ({unit_temperature})\n"
+    path = write(tmp_path, text_of(TIME, ACCELEROMETER, TIME, delimiter=",", header=header))
+    with refused(UsageError, Reason.UNITS, key=key) as caught:
+        read_tables([path])
+    assert "\x1b" not in caught.value.message
+
+
+def test_the_user_knows_better_than_a_header_with_an_unknown_unit(tmp_path: Path) -> None:
+    header = "time (UTC),acc_x (body),acc_y (body),acc_z (body)\n"
+    path = write(tmp_path, text_of(TIME, ACCELEROMETER, delimiter=",", header=header))
+    table = read_tables([path], settings={"accelerometer_unit": "m/s^2"})
+    assert np.array_equal(table.rows[:, 1:4], ACCELEROMETER)
+    assert table.settings["accelerometer_unit"] == "m/s^2"
+    assert [said for said in table.assumptions if getattr(said, "key", "") == "table_columns.unknown_time_unit"]
+
+
+@pytest.mark.parametrize(
+    ("unit", "kept", "factor"),
+    [
+        ("deg/sec", "deg/s", 1.0),
+        ("º/s", "deg/s", 1.0),
+        ("rad/sec", "rad/s", 1.0),
+        ("mrad/s", "rad/s", 1e-3),
+        ("mdps", "deg/s", 1e-3),
+        ("deg/h", "rad/s", np.pi / 648_000),
+    ],
+)
+def test_a_stated_unit_is_taken_at_its_word(tmp_path: Path, unit: str, kept: str, factor: float) -> None:
+    header = f"time [min],ax [g],ay [g],az [g],gx ({unit}),gy ({unit}),gz ({unit}),Temp (°F)\n"
+    columns = (TIME / 60, ACCELEROMETER, GYROSCOPE, 1.8 * (TIME + 20) + 32)
+    table = read_tables([write(tmp_path, text_of(*columns, delimiter=",", header=header))])
+    assert table.settings["gyroscope_unit"] == kept
+    np.testing.assert_allclose(table.rows[:, 4:7], factor * GYROSCOPE, rtol=1e-12)
+    np.testing.assert_allclose(table.rows[:, 0], TIME, atol=1e-9)
+    np.testing.assert_allclose(table.rows[:, 7], TIME + 20, rtol=1e-9)
 
 
 def test_columns_in_any_order_among_others(tmp_path: Path) -> None:
@@ -405,8 +441,8 @@ def test_the_unit_of_time_that_is_given_counts(tmp_path: Path, unit: str, per_s:
     np.testing.assert_allclose(read_tables([path], settings={"time_unit": unit}).rows[:, 0], TIME / per_s)
     by_name = read_tables([path], columns=f"time_{unit},ax,ay,az")
     np.testing.assert_allclose(by_name.rows[:, 0], TIME / per_s)
-    with refused(UsageError, Reason.USAGE, "time_unit", "min", "s, ms, us, ns"):
-        read_tables([path], settings={"time_unit": "min"})
+    with refused(UsageError, Reason.USAGE, "time_unit", "day", "s, ms, us, ns, min, h"):
+        read_tables([path], settings={"time_unit": "day"})
 
 
 OWN = "time_s,ax,ay,az,gx,gy,gz,temperature_degc,counter,status\n"

@@ -221,7 +221,9 @@ def test_code_page_of_windows_and_quotes(tmp_path: Path) -> None:
         ({"gyroscope.x": "Speed"}, "can_protocol.unit", ("Speed", "'km/h'", "gyroscope")),
         ({"gyroscope.x": "Nameless"}, "can_protocol.unit", ("Nameless", "no unit")),
         ({"gyroscope.x": "AccX"}, "can_protocol.unit", ("AccX", "'g'", "gyroscope")),
-        ({"temperature": "Speed"}, "can_protocol.temperature_unit", ("Speed", "'km/h'", "degC or K")),
+        ({"temperature": "Speed"}, "can_protocol.temperature_unit", ("Speed", "'km/h'", "degC")),
+        ({"time": "Nameless"}, "can_protocol.time_unit", ("Nameless", "no unit", "ticks_per_s")),
+        ({"time": "Speed"}, "can_protocol.time_unit", ("Speed", "'km/h'")),
         ({"counter": "Count"}, "can_dbc.several", ("Acc.Count, Gyro.Count",)),
         ({"counter": "AccX"}, "can_protocol.no_counter", ("AccX",)),
         ({"starts_with": "Housekeeping"}, "can_protocol.not_mapped", ("'Housekeeping'", "Acc, Gyro")),
@@ -233,8 +235,22 @@ def test_code_page_of_windows_and_quotes(tmp_path: Path) -> None:
 def test_what_is_wrong_with_a_map(dbc: Path, change: dict[str, str], key: str, wanted: tuple[str, ...]) -> None:
     with refused(ProtocolError, None, *wanted, key=key) as caught:
         protocol_from_dbc(dbc, {**MAP, **change})
-    assert caught.value.reason is (Reason.UNITS if key == "can_protocol.unit" else Reason.BAD_PROTOCOL)
+    is_unit = key in ("can_protocol.unit", "can_protocol.time_unit")
+    assert caught.value.reason is (Reason.UNITS if is_unit else Reason.BAD_PROTOCOL)
     assert re.search(r"line \d+, key `[a-z_.0-9]+`", caught.value.message)
+
+
+@pytest.mark.parametrize(
+    ("unit", "mapping", "ticks_per_s"),
+    [("msec", {}, 1e3), ("usec", {}, 1e6), ("s", {}, 1.0), ("10us", {"time.ticks_per_s": "1e5"}, 1e5)],
+)
+def test_a_time_stamp_counts_in_the_unit_of_the_file(
+    tmp_path: Path, unit: str, mapping: dict[str, str], ticks_per_s: float
+) -> None:
+    path = tmp_path / "mine.dbc"
+    path.write_text(DBC.replace('(1,0) [0|0] "km/h"', f'(1,0) [0|0] "{unit}"'), encoding="cp1252")
+    protocol = protocol_from_dbc(path, {**MAP, "time": "Housekeeping.Speed", **mapping})
+    assert protocol.clock.time_ticks_per_s == pytest.approx(ticks_per_s)
 
 
 def test_a_wrong_unit_can_be_overruled(dbc: Path) -> None:

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from imufield.acquire.protocol.units import TO_SI, nominal_scale, unit_name
+from imufield.acquire.protocol.units import SECONDS, TO_DEGC, TO_SI, UNITS_OF, nominal_scale, unit_name
 from imufield.earth import STANDARD_GRAVITY_M_S2
 
 
@@ -25,19 +25,43 @@ def test_factors_are_the_nearest_numbers() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "unit"),
+    ("quantity", "text", "unit"),
     [
-        ("m/s²", "m/s^2"),
-        ("m/s/s", "m/s^2"),
-        ("[m/s^2]", "m/s^2"),
-        ("G", "g"),
-        ("°/s", "deg/s"),
-        ("Deg/Sec", "deg/s"),
-        ("rad/s", "rad/s"),
-        ("°C", "degC"),
-        ("rps", None),
-        ("", None),
+        ("accelerometer", "m/s²", "m/s^2"),
+        ("accelerometer", "m/s/s", "m/s^2"),
+        ("accelerometer", "[m/s^2]", "m/s^2"),
+        ("accelerometer", "m s-2", "m/s^2"),
+        ("accelerometer", "G", "g"),
+        ("accelerometer", "g*s", "g*s"),
+        ("gyroscope", "°/s", "deg/s"),
+        ("gyroscope", "º/s", "deg/s"),
+        ("gyroscope", "Deg/Sec", "deg/s"),
+        ("gyroscope", "deg/h", "deg/h"),
+        ("gyroscope", "rad/s", "rad/s"),
+        ("gyroscope", "m/s^2", None),
+        ("gyroscope", "rps", None),
+        ("temperature", "°C", "degC"),
+        ("temperature", "degF", "degF"),
+        ("time", "msec", "ms"),
+        ("time", "\u03bcs", "us"),
+        ("time", "\u00b5s", "us"),
+        ("time", "10us", None),
+        ("time", "", None),
     ],
 )
-def test_spellings_of_units(text: str, unit: str | None) -> None:
-    assert unit_name(text) == unit
+def test_spellings_of_units(quantity: str, text: str, unit: str | None) -> None:
+    assert unit_name(text, quantity) == unit
+
+
+def test_every_unit_is_its_own_spelling() -> None:
+    for part, units in UNITS_OF.items():
+        names = {name for name, (si, _) in TO_SI.items() if si in units} if part != "temperature" else TO_DEGC
+        assert all(unit_name(name, part) == name for name in names)
+    assert all(unit_name(name, "time") == name for name in SECONDS)
+
+
+def test_temperatures_are_those_of_their_scales() -> None:
+    # Where Fahrenheit and Celsius agree, the boiling point of water, and absolute zero.
+    for unit, value, degc in (("degF", -40.0, -40.0), ("degF", 212.0, 100.0), ("K", 0.0, -273.15), ("degC", 20.0, 20.0)):
+        factor, offset = TO_DEGC[unit]
+        assert factor * value + offset == pytest.approx(degc, abs=1e-12)
