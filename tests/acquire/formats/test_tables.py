@@ -76,6 +76,15 @@ def test_the_user_knows_better_than_a_header_with_an_unknown_unit(tmp_path: Path
     assert [said for said in table.assumptions if getattr(said, "key", "") == "table_columns.unknown_time_unit"]
 
 
+def test_the_heading_of_euroc_data_sets_is_known(tmp_path: Path) -> None:
+    header = "#timestamp [ns]," + ",".join(f"w_RS_S_{axis} [rad s^-1]" for axis in "xyz")
+    header += "," + ",".join(f"a_RS_S_{axis} [m s^-2]" for axis in "xyz") + "\n"
+    table = read_tables([write(tmp_path, text_of(TIME * 1e9, GYROSCOPE, ACCELEROMETER, delimiter=",", header=header))])
+    np.testing.assert_array_equal(table.rows[:, 1:7], np.column_stack([ACCELEROMETER, GYROSCOPE]))
+    np.testing.assert_allclose(table.rows[:, 0], TIME, atol=1e-9)
+    assert table.settings == {"accelerometer_unit": "m/s^2", "gyroscope_unit": "rad/s"}
+
+
 @pytest.mark.parametrize(
     ("unit", "kept", "factor"),
     [
