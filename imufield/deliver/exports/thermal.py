@@ -15,7 +15,6 @@ each temperature, less that at the reference; it and the static offset must come
 from __future__ import annotations
 
 import numpy as np
-from numpy.polynomial import Polynomial
 
 from imufield.calibrate.model.models import predict, predict_gyroscope
 from imufield.calibrate.model.temperature_polynomials import powers
@@ -28,9 +27,6 @@ from imufield.samples import FloatArray
 
 ORDER = 3
 """Of both programs."""
-ARDUPILOT_REFERENCE_DEGC = 35.0
-"""TEMP_REFERENCE in AP_InertialSensor_tempcal.cpp."""
-_ARDUPILOT_UNIT = 1e6  # INV_SCALE_FACTOR there: numbers a person can type.
 _STEPS = 81  # Over the range: a polynomial of order 5 bends four times.
 
 
@@ -71,34 +67,6 @@ class ThermalOffsets:
         d_degc = np.clip([temperature_degc], *self.range_degc) - self.reference_degc
         return np.asarray((powers(d_degc, ORDER) @ self.coefficients[triad])[0])
 
-    def px4(self) -> dict[str, int | float | None]:
-        """Return the parameters of PX4 by name, None for a device ID not known."""
-        options, instance = self._job.options, self._job.options.instance
-        values: dict[str, int | float | None] = {}
-        ids = {"accelerometer": ("A", options.accelerometer_id), "gyroscope": ("G", options.gyroscope_id)}
-        for triad, coefficients in self.coefficients.items():
-            letter, device_id = ids[triad]
-            start = f"TC_{letter}{instance}"
-            values[f"TC_{letter}_ENABLE"] = 1
-            values |= {f"{start}_ID": device_id, f"{start}_TREF": self.reference_degc}
-            values |= {f"{start}_TMIN": self.range_degc[0], f"{start}_TMAX": self.range_degc[1]}
-            for power, row in enumerate([np.zeros(3), *coefficients]):
-                values |= {f"{start}_X{power}_{axis}": float(value) for axis, value in enumerate(row)}
-        return values
-
-    def ardupilot(self) -> dict[str, int | float]:
-        """Return the parameters of ArduPilot by name: the polynomials about 35 degC, times 1e6."""
-        instance = self._job.options.instance
-        start = f"INS_TCAL{instance + 1}" if instance < 3 else f"INS{instance + 1}_TCAL"
-        values: dict[str, int | float] = {f"{start}_ENABLE": 1}
-        values |= {f"{start}_TMIN": self.range_degc[0], f"{start}_TMAX": self.range_degc[1]}
-        for triad, coefficients in self.coefficients.items():
-            about = np.array([_about(column, ARDUPILOT_REFERENCE_DEGC - self.reference_degc) for column in coefficients.T])
-            for power, row in enumerate(in_single_precision(_ARDUPILOT_UNIT * about).T, start=1):
-                name = "ACC" if triad == "accelerometer" else "GYR"
-                values |= {f"{start}_{name}{power}_{axis}": float(value) for axis, value in zip("XYZ", row, strict=True)}
-        return values
-
     def loss(self, draft: Draft) -> tuple[str, ...]:
         """Say how far the target is from the whole model over the range: at 1 g, and for the gyroscope at rest."""
         model, parameters = draft.target_model, self._job.parameters
@@ -125,12 +93,3 @@ def in_single_precision(values: FloatArray) -> FloatArray:
     """Return values as single precision keeps them, with the fewest digits that name them."""
     rounded = np.asarray(values, dtype=np.float32)
     return np.array([float(str(value)) for value in rounded.ravel()], dtype=np.float64).reshape(rounded.shape)
-
-
-def _about(coefficients: FloatArray, shift_degc: float) -> FloatArray:
-    """Return the coefficients of powers of ``d - shift`` but the constant, for those of d, d^2, d^3."""
-    expanded = Polynomial([0.0, *coefficients])(Polynomial([shift_degc, 1.0]))
-    about = np.zeros(ORDER)
-    # NumPy may leave out last coefficients that are zero.
-    about[: len(expanded.coef) - 1] = expanded.coef[1:]
-    return about

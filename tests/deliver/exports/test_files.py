@@ -116,10 +116,10 @@ def test_px4_refuses_a_scale_of_another_unit() -> None:
 def test_every_id_that_is_missing_is_named(target: str, names: list[str]) -> None:
     one, both = ExportOptions(accelerometer_id=7), ["--set accelerometer_id=N", "--set gyroscope_id=N"]
     for options, first in ((ExportOptions(), 0), (one, 1), (replace(one, gyroscope_id=8), 2)):
-        said = told(export_parameters(made_up(8), target, options).notes, f"flight_stack.{target}_no_id")
+        said = told(export_parameters(made_up(8), target, options).notes, f"{target}.no_id")
         found = [(note.values["names"], note.values["options"]) for note in said]
         assert found == ([] if first == 2 else [(names[first:], " ".join(both[first:]))])
-    (alone,) = told(export_parameters(made_up(8, gyroscope=False), target).notes, f"flight_stack.{target}_no_id")
+    (alone,) = told(export_parameters(made_up(8, gyroscope=False), target).notes, f"{target}.no_id")
     assert (alone.values["names"], alone.values["options"]) == (names[:1], both[0])
 
 

@@ -155,7 +155,7 @@ def test_no_gyroscope_no_parameters_of_it() -> None:
 
 
 def test_the_ids_of_the_polynomials_are_asked_for_too() -> None:
-    (note,) = told(export_parameters(made(3, 2), "px4", ExportOptions(accelerometer_id=7)).notes, "flight_stack.px4_no_id")
+    (note,) = told(export_parameters(made(3, 2), "px4", ExportOptions(accelerometer_id=7)).notes, "px4.no_id")
     assert note.values["names"] == ["CAL_GYRO0_ID", "TC_G0_ID"]
 
 
