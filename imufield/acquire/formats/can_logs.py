@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import importlib.util
+import io
 import json
 import math
+import re
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import closing
 from pathlib import Path
-from typing import IO, Any, TextIO, cast
+from typing import IO, Any, cast
 
 import can
 
@@ -32,6 +34,8 @@ CHUNK_S = 0.05
 """Frames of this much time make a chunk, as they do when a bus is recorded live."""
 CHUNK_FRAMES = 2048
 _LONGEST_WAIT_S = 5.0  # Parts have clocks of their own: a jump of the stamps beyond this begins anew.
+# Those digits that have the bit ``ERROR`` of an identifier.
+_ERROR_DIGIT = re.compile(r"(?<=\s)[2367ABEF](?=[\dA-F]{7}#)", re.IGNORECASE)
 
 
 def read_log(path: str | Path, *, channel: str | None = None, losses: list[str] | None = None) -> Iterator[Chunk]:
@@ -137,7 +141,7 @@ def _frames(path: Path, end: dict[str, Any]) -> Generator[can.Message, None, Non
     if suffix == CANDUMP:
         # Its reader looks at one line after the other and makes nothing of a length that stands there.
         with foreign_file_reader.open_log(path) as file:
-            yield from can.CanutilsLogReader(cast("TextIO", foreign_file_reader.text_lines(file)))
+            yield from _of_candump(foreign_file_reader.text_lines(file))
         return
     if suffix == ".mf4" and importlib.util.find_spec("asammdf") is None:
         raise missing_package(f"{path} is MF4, which", "asammdf", "mf4")
@@ -153,6 +157,15 @@ def _frames(path: Path, end: dict[str, Any]) -> Generator[can.Message, None, Non
         finally:
             process.kill()
     end["code"] = process.returncode
+
+
+def _of_candump(lines: Iterable[str]) -> Iterator[can.Message]:
+    """Yield the frames of candump's lines, error frames with bus and data: python-can loses those, or takes them for data."""
+    for line in lines:
+        plain, errors = _ERROR_DIGIT.subn(lambda digit: f"{int(digit[0], 16) ^ 2:X}", line)
+        for message in can.CanutilsLogReader(io.StringIO(plain)):
+            message.is_error_frame = bool(errors)
+            yield message
 
 
 def _message(line: str) -> can.Message:

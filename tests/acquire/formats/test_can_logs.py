@@ -23,7 +23,7 @@ from imufield.acquire.formats.can_log_heads import begins_as_can_log, is_can_log
 from imufield.acquire.formats.can_logs import import_log, read_log, replay_to_bus
 from imufield.acquire.link.can import pack_message
 from imufield.acquire.link.serial import Chunk
-from imufield.acquire.protocol.can_frame import ERROR, Frame, pack_frame
+from imufield.acquire.protocol.can_frame import ERROR, EXTENDED, Frame, pack_frame
 from imufield.acquire.protocol.can_frames import unpack_frames
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.acquire.recording.reader import RecordingLink, read_part
@@ -414,6 +414,19 @@ def test_two_buses_must_be_told_apart(tmp_path: Path) -> None:
     assert [frame.data for frame in unpack_frames(chunk.data)] == [b"\x01"]
     with refused(RecordingError, Reason.NOT_A_RECORDING, "can7"):
         list(read_log(path, channel="can7"))
+
+
+@pytest.mark.parametrize("number", ["20000080", "20000004", "20000040", "3FFFFFFF"])
+def test_error_frames_of_candump_are_those_of_their_bus(tmp_path: Path, number: str) -> None:
+    path = tmp_path / "faults.log"
+    path.write_text(f"(1.0) can0 123#00\n(1.1) can0 {number}#0004000000000001\n(1.2) can0 0CF02A80#02 T\n(1.3) can1 123#03\n")
+    frames = [frame for chunk in read_log(path, channel="can0") for frame in unpack_frames(chunk.data)]
+    error = int(number, 16) | EXTENDED
+    assert [frame.can_id for frame in frames] == [0x123, error, 0x0CF02A80 | EXTENDED]
+    assert [frame.data.hex() for frame in frames] == ["00", "0004000000000001", "02"]
+    with refused(UsageError, Reason.USAGE, key="can_logs.several_buses") as caught:
+        list(read_log(path))
+    assert caught.value.values["channels"] == ("can0", "can1")
 
 
 @pytest.mark.parametrize("suffix", ["log", "asc", "blf", "trc"])
