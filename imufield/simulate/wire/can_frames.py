@@ -8,7 +8,7 @@ import numpy as np
 
 from imufield.acquire.protocol.can_dbc import CanSignal
 from imufield.acquire.protocol.can_frame import FD, Frame
-from imufield.acquire.protocol.can_protocol import TEMPERATURE, CanKind, Column
+from imufield.acquire.protocol.can_protocol import ANY_ADDRESS, TEMPERATURE, CanKind, Column
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.errors import UsageError
 from imufield.samples import FloatArray, IntArray, Samples, Status
@@ -30,9 +30,7 @@ class CanEncoder:
     Parameters
     ----------
     protocol : Protocol
-        Of kind "can".
-    source_address : int
-        Of J1939 frames.
+        Of kind "can". Its ``source_address`` sends J1939 frames, ``DEFAULT_ADDRESS`` where it takes any.
 
     Raises
     ------
@@ -40,13 +38,13 @@ class CanEncoder:
         The protocol is not one of a CAN bus.
     """
 
-    def __init__(self, protocol: Protocol, source_address: int = DEFAULT_ADDRESS) -> None:
+    def __init__(self, protocol: Protocol) -> None:
         if protocol.can is None:
             raise UsageError(sentence("can_frames.no_bus", protocol=protocol.name))
         self._rule = protocol.can
         self._ticks_per_s = protocol.clock.time_ticks_per_s
         self._counter_step = protocol.clock.counter_steps[0]
-        self._address = source_address
+        self._address = DEFAULT_ADDRESS if self._rule.source_address == ANY_ADDRESS else self._rule.source_address
         # The order in which frames win the bus; sorted() keeps the forms of one multiplexed message as they are.
         self._kinds = sorted(self._rule.kinds, key=lambda kind: self._rule.dbc.identifier(kind.message.name))
         self.counter_offset = 0  # Added to the counter: jumps of a faulty unit.

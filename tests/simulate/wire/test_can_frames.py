@@ -62,6 +62,15 @@ def test_invalid_samples_become_codes() -> None:
     assert frames[0].text.startswith("08F02D80#"), "priority of the file, address of the instrument"
 
 
+@pytest.mark.parametrize(("given", "sent_from"), [({}, 0x80), ({"source_address": 226}, 226), ({"source_address": 0}, 0)])
+def test_an_instrument_sends_from_its_address(given: dict[str, int], sent_from: int) -> None:
+    protocol, encoded = load_protocol("j1939_imu", given), make("j1939_imu", 50)
+    encoder, decoder = CanEncoder(protocol), Decoder(protocol)
+    frames = [*encoder.encode(encoded), encoder.frame("SoftwareVersion", {})]
+    assert {frame.can_id & 0xFF for frame in frames} == {sent_from}
+    assert len(concatenate([decoder.feed(pack_frames(frames)), decoder.flush()])) == 50
+
+
 def test_values_stop_at_the_last_that_is_no_code() -> None:
     protocol = load_protocol("j1939_imu")
     sent = make("j1939_imu", 2)
