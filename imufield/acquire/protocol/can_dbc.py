@@ -236,7 +236,7 @@ class DbcFile:
         Raises
         ------
         ProtocolError
-            If there is none, or more than one, of that name.
+            If there is none, or more than one, of that name, or no frame holds it whole.
         """
         wanted_message, _, wanted = name.rpartition(".")
         candidates = [message for message in self._database.messages if wanted_message in ("", message.name)]
@@ -248,6 +248,7 @@ class DbcFile:
         if len(found) > 1:
             where = [f"{message.name}.{wanted}" for message, _ in found]
             raise ProtocolError(sentence("can_dbc.several", label=self.label, count=len(found), name=wanted, where=where))
+        self._check_whole(found[0][0])
         return self._compile(*found[0])
 
     def message(self, name: str) -> CanMessage:
@@ -256,10 +257,11 @@ class DbcFile:
         Raises
         ------
         ProtocolError
-            If there is none.
+            If there is none, or no frame holds it whole.
         """
         for message in self._database.messages:
             if message.name == name:
+                self._check_whole(message)
                 return CanMessage.of(message, (), self._is_j1939(message))
         raise self._unknown("message", name, self._database.messages)
 
@@ -305,6 +307,12 @@ class DbcFile:
         for each in (compiled, *(selector for selector, _ in selectors)):
             self._check(message, each)
         return CanMessage.of(message, selectors, is_j1939), compiled
+
+    def _check_whole(self, message: Message) -> None:
+        """Refuse a message of several frames: the transport protocol of J1939-21 is not read."""
+        if self._is_j1939(message) and message.length > CLASSICAL_BYTES:
+            names = {"label": self.label, "message": message.name}
+            raise ProtocolError(sentence("can_dbc.transported", size=message.length, most=CLASSICAL_BYTES, **names))
 
     def _check(self, message: Message, signal: CanSignal) -> None:
         """Refuse a signal that no frame can hold, or that nothing can be computed with."""

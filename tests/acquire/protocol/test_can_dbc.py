@@ -137,6 +137,18 @@ def test_errors_of_names(name: str, key: str, reason: Reason, facts: tuple[str, 
         DbcFile(DBC, "test.dbc").find(name)
 
 
+def test_a_message_of_the_transport_protocol_is_refused() -> None:
+    text = DBC.replace(" 100 ", f" {0x18FEDA80 | EXTENDED} ").replace("Motion: 8", "Motion: 9")
+    dbc = DbcFile(text, "test.dbc", "j1939")
+    for find in (dbc.message, lambda name: dbc.find(f"{name}.Always")):
+        with refused(ProtocolError, Reason.BAD_PROTOCOL, "test.dbc", key="can_dbc.transported") as caught:
+            find("Motion")
+        assert (caught.value.values["message"], caught.value.values["size"], caught.value.values["most"]) == ("Motion", 9, 8)
+    # A frame of CAN FD holds it.
+    assert DbcFile(text, "test.dbc", "exact").find("Motion.Always")[0].can_id == 0x18FEDA80 | EXTENDED
+    assert DbcFile(text.replace("Motion: 9", "Motion: 8"), "test.dbc", "j1939").find("Motion.Always")[0].is_j1939
+
+
 def multiplexed(*statements: str) -> str:
     """Return a DBC file whose signals A to L select each other as the statements say."""
     signals = "".join(f' SG_ {name} m0M : {8 * place}|8@1+ (1,0) [0|0] "" R\n' for place, name in enumerate("ABCDEFGHIJKL"))
