@@ -52,12 +52,14 @@ _LONG_NUMBER = re.compile(r"(?<!\d)\d{1000}\d*+")
 _CHOICES = re.compile(r"\bVAL_\s++\+?(\d++)\s*+(\w++)([\d\s\"+-]*+);")
 # J1939: below this PDU format 240 the lower byte is a destination address and no part of the group number.
 _PDU1_BELOW = 0xF000
+# Parts texts of value tables into words, as the patterns that follow want them: SensorError, SENSOR_ERROR.
+_BETWEEN_WORDS = re.compile(r"(?<=[a-z\d])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])|[_-]+")
 _NOT_AVAILABLE = re.compile(
-    r"not[ _-]?(avail|valid)|n/?a\b|invalid|\bsna\b|unavail|undefined|reserved|no[ _-]?(data|signal)", re.IGNORECASE
+    r"not ?(avail|valid)|\bn[/ ]?a\b|invalid|\bsna\b|unavail|undefined|\breserved|\bno ?(data|signal)", re.IGNORECASE
 )
 _DAMAGE = (ValueError, KeyError, TypeError, AttributeError, IndexError, AssertionError, RecursionError)
-_ERROR = re.compile(r"err|fault|fail|defect", re.IGNORECASE)
-_NO_ERROR = re.compile(r"\b(no|without|ok)\b|not?[ _-]err|no[ _-]?fault", re.IGNORECASE)
+_ERROR = re.compile(r"\b(err(or)?|fault|fail|defect)(s|y|ed|ing|ures?|ive|oneous)?(?![a-z])", re.IGNORECASE)
+_NO_ERROR = re.compile(r"\b(no|without|ok|not (err|fault|fail|defect)\w*)\b", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -426,7 +428,8 @@ def _codes_of_table(signal: Signal) -> list[Code]:
     for value, text in (signal.choices or {}).items():
         if abs(value) >> _MOST_BITS:
             continue  # No signal has it.
-        is_error = bool(_ERROR.search(str(text)) and not _NO_ERROR.search(str(text)))
-        if is_error or _NOT_AVAILABLE.search(str(text)):
+        words = _BETWEEN_WORDS.sub(" ", str(text))
+        is_error = bool(_ERROR.search(words) and not _NO_ERROR.search(words))
+        if is_error or _NOT_AVAILABLE.search(words):
             codes.append(Code(value, value, is_error))
     return codes

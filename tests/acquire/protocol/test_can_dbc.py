@@ -108,6 +108,21 @@ def test_value_tables_name_codes() -> None:
     assert codes == {(4095, False), (4094, True), (7, False)}
 
 
+@pytest.mark.parametrize(
+    ("texts", "wanted"),
+    [
+        ("Default, noerror, NoError, NO_FAULT, not faulty, Terrain, Antenna, Preserved, Mono signal", set()),
+        ("ERR, Error1, sensor_error, ECUError, SensorFault, faulty, failed, Failure, defective", {True}),
+        ("n/a, NA, SNA_1, NotAvailable, NOT-AVAILABLE, SignalInvalid, Reserved2, no_data, undefined", {False}),
+    ],
+)
+def test_value_tables_are_read_by_whole_words(texts: str, wanted: set[bool]) -> None:
+    for text in texts.split(", "):
+        table = DBC.replace('7 "not available"', f'9 "{text}"')
+        _, signal = DbcFile(table, "test.dbc").find("Motion.Always")
+        assert {code.is_error for code in signal.codes if code.low == 9} == wanted, text
+
+
 def test_j1939_codes() -> None:
     rule = load_protocol("j1939_imu").can
     assert rule is not None
