@@ -7,7 +7,7 @@ Frames come the other way in the same form. Error frames have no form at all.
 
 from __future__ import annotations
 
-from imufield.acquire.protocol.can_frame import ERROR, EXTENDED, FD, ID_MASK, REMOTE, Frame
+from imufield.acquire.protocol.can_frame import BIT_RATE_SWITCH, ERROR, EXTENDED, FD, ID_MASK, REMOTE, Frame
 from imufield.simulate.emulator.port import BUFFER_BYTES, PseudoTerminal
 
 SLCAN = "slcan"
@@ -15,6 +15,7 @@ SLCAN = "slcan"
 _END = b"\r"
 _BELL = b"\a"
 _LONGEST_LINE = 200  # A CAN FD frame of 64 bytes has 138 characters.
+_FLAGS = {"t": 0, "r": 0, "d": FD, "b": FD | BIT_RATE_SWITCH}  # By the letter a frame begins with, a capital if extended.
 _FD_SIZES = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 
 
@@ -109,7 +110,7 @@ class SlcanDevice:
 def format_frame(frame: Frame) -> str:
     """Return a frame as an adapter writes it, CR included."""
     extended, remote = bool(frame.can_id & EXTENDED), bool(frame.can_id & REMOTE)
-    letter = "d" if frame.flags & FD else "r" if remote else "t"
+    letter = "b" if frame.flags & BIT_RATE_SWITCH else "d" if frame.flags & FD else "r" if remote else "t"
     identifier = f"{frame.can_id & ID_MASK:0{8 if extended else 3}X}"
     size = _FD_SIZES.index(len(frame.data)) if frame.flags & FD else len(frame.data)
     data = "" if remote else frame.data.hex().upper()
@@ -118,8 +119,9 @@ def format_frame(frame: Frame) -> str:
 
 def parse_frame(line: bytes) -> Frame | None:
     """Return the frame a host wrote; None for anything else."""
-    letter = line[:1]
-    if letter not in (b"t", b"T", b"r", b"R", b"d", b"D") or len(line) > _LONGEST_LINE:
+    letter = line[:1].decode("latin-1")
+    kind = letter.lower()
+    if kind not in _FLAGS or len(line) > _LONGEST_LINE:
         return None
     digits = 8 if letter.isupper() else 3
     try:
@@ -128,6 +130,6 @@ def parse_frame(line: bytes) -> Frame | None:
         data = bytes.fromhex(line[2 + digits :].decode("ascii"))
     except ValueError:
         return None
-    if letter in (b"r", b"R"):
+    if kind == "r":
         return Frame(can_id | REMOTE, b"")
-    return Frame(can_id, data, flags=FD if letter in (b"d", b"D") else 0) if len(data) == size else None
+    return Frame(can_id, data, flags=_FLAGS[kind]) if len(data) == size else None

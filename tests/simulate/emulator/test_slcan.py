@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from imufield.acquire.protocol.can_frame import ERROR, EXTENDED, FD, REMOTE, Frame
+from imufield.acquire.protocol.can_frame import BIT_RATE_SWITCH, ERROR, EXTENDED, FD, REMOTE, Frame
 from imufield.simulate.emulator.slcan import SlcanDevice, format_frame, parse_frame
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="this system has no pseudo-terminals")
@@ -71,6 +71,8 @@ def test_commands(adapter: tuple[SlcanDevice, int]) -> None:
         (Frame(0x08F02D80 | EXTENDED, bytes(8)), "T08F02D8080000000000000000\r"),
         (Frame(0x7 | REMOTE, b""), "r0070\r"),
         (Frame(0x9, bytes(12), flags=FD), "d0099" + "00" * 12 + "\r"),
+        (Frame(0x9, bytes(12), flags=FD | BIT_RATE_SWITCH), "b0099" + "00" * 12 + "\r"),
+        (Frame(0x9 | EXTENDED, b"\x01", flags=FD | BIT_RATE_SWITCH), "B00000009101\r"),
     ],
 )
 def test_frames_both_ways(frame: Frame, text: str) -> None:
