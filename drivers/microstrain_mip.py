@@ -43,7 +43,9 @@ class MicroStrainMip(Driver):
     last 2      two running sums modulo 256 over all bytes before
     ==========  ==============================================================
 
-    Acceleration is in g, delta velocity in g s. A packet of set 0x80 without acceleration and rate is no sample.
+    Acceleration is in g, delta velocity in g s. A packet of set 0x80 without acceleration and rate is no sample; one that an
+    event sent (field 0xD0) is flagged and enters no mean. The temperatures of field 0x14 are statistics since power-on, so
+    samples have none.
     """
 
     name = "microstrain_mip"
