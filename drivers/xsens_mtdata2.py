@@ -34,7 +34,9 @@ class XsensMtData2(Driver):
     ==========  ==============================================================
 
     The two lowest bits of a packet's id tell the number format: float32, fixed 12.20, fixed 16.32 (fraction first), float64.
-    Messages with GNSS data alone come in between, with an older time; they are no samples.
+    Messages with GNSS data alone come in between, with an older time; they are no samples. Nor are messages with HR outputs
+    alone, which have rates of their own, unless these are chosen (``--set accelerometer_output=high_rate --set
+    gyroscope_output=high_rate``).
     """
 
     name = "xsens_mtdata2"

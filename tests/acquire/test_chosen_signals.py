@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
+from imufield.acquire.decode.statistics import without_samples
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.protocol.checksum import make_checksum
 from imufield.acquire.protocol.protocol import load_protocol
@@ -42,4 +43,45 @@ def test_packets_of_an_event_enter_no_mean() -> None:
     by_event = (samples.status & np.uint32(Status.ACCELEROMETER_INVALID | Status.GYROSCOPE_INVALID)) != 0
     np.testing.assert_allclose(samples.time_s[by_event] % 0.25, 0.003, atol=1e-9)
     assert (len(samples), by_event.sum(), samples.usable.sum()) == (312, 12, 300)
-    assert (decoder.statistics.lost, decoder.statistics.nominal_rate_hz) == (0, pytest.approx(100))
+    assert decoder.statistics.lost == 0
+    assert decoder.statistics.nominal_rate_hz == pytest.approx(100)
+
+
+def mtdata2(counter: int, tenth_ms: int, *packets: tuple[int, float]) -> bytes:
+    """Return a message: counter, time, packets of three float32 of one value each."""
+    data = struct.pack(">HBHHBI", 0x1020, 2, counter % 65536, 0x1060, 4, tenth_ms)
+    data += b"".join(struct.pack(">HB3f", number, 12, *[value] * 3) for number, value in packets)
+    body = bytes([0xFF, 0x36, len(data)]) + data
+    return b"\xfa" + body + bytes([-sum(body) % 256])
+
+
+HIGH_RATE = {"accelerometer_output": "high_rate", "gyroscope_output": "high_rate"}
+
+
+def test_signal_paths_are_never_mixed() -> None:
+    # Both paths at rates of their own, the HR outputs in messages of their own (MTi 600 series: 2000 and 1600 Hz).
+    messages = [(10 * number, [(0x4040, 2.0)]) for number in range(1000)]
+    messages += [(10 * number + 5, [(0x8040, 4.0)]) for number in range(1000)]
+    messages += [(100 * number, [(0x4020, 1.0), (0x8020, 3.0)]) for number in range(100)]
+    data = b"".join(mtdata2(counter, at, *packets) for counter, (at, packets) in enumerate(sorted(messages)))
+    samples, decoder = decoded("xsens_mtdata2", data)
+    assert np.unique(samples.accelerometer).tolist() == [1.0]
+    assert np.unique(samples.gyroscope).tolist() == [3.0]
+    assert (len(samples), decoder.statistics.lost, decoder.statistics.samples_incomplete) == (100, 0, 0)
+
+
+@pytest.mark.parametrize(("given", "values"), [({}, (1.0, 3.0)), (HIGH_RATE, (2.0, 4.0))])
+def test_of_a_message_with_both_paths_the_chosen_one_is_read(given: Mapping[str, object], values: tuple[float, float]) -> None:
+    packets = ((0x4040, 2.0), (0x4020, 1.0), (0x8040, 4.0), (0x8020, 3.0))
+    samples, _ = decoded("xsens_mtdata2", mtdata2(0, 0, *packets), given)
+    assert (samples.accelerometer.tolist(), samples.gyroscope.tolist()) == ([[values[0]] * 3], [[values[1]] * 3])
+
+
+def test_high_rate_alone_is_no_sample_until_it_is_chosen() -> None:
+    data = b"".join(mtdata2(number, 10 * number, (0x4040, 2.0), (0x8040, 4.0)) for number in range(100))
+    samples, decoder = decoded("xsens_mtdata2", data)
+    assert len(samples) == 0
+    said = without_samples(decoder.protocol, [decoder.statistics])
+    assert all(f"--set {name}={value}" in said for name, value in HIGH_RATE.items())
+    samples, decoder = decoded("xsens_mtdata2", data, HIGH_RATE)
+    assert (len(samples), decoder.statistics.lost, decoder.statistics.samples_incomplete) == (100, 0, 0)
