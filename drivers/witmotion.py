@@ -34,10 +34,11 @@ class WitMotion(Driver):
     ======  ==============================================================
     0       0x55
     1       what: 0x51 acceleration, 0x52 angular rate, 0x53 angle, 0x54 magnetic
-    2 to 9  four numbers of 16 bits, little-endian; the fourth is a temperature
+    2 to 9  four numbers of 16 bits, little-endian; the fourth of 0x51 is a temperature
     10      sum of all bytes before
     ======  ==============================================================
 
+    The fourth number of 0x52 is a temperature or, of newer Bluetooth models, the battery voltage; that of 0x53 is the version.
     A sample takes several frames, and nothing numbers them. The frames of Bluetooth (``--set form=bluetooth``, 20 bytes) and
     of memory cards (``--set form=card``, 28 bytes) have no checksum: damage in them goes unseen.
     """
@@ -96,8 +97,11 @@ class WitMotion(Driver):
         words |= {message["asked"]: message["registers"] for message in messages if {"asked", "registers"} <= message.keys()}
         found: dict[str, str] = {}
         low, high, *_ = words["version"]
-        if low or high:
-            found["firmware"] = str(high << 16 | low)
+        # Newer firmware has three numbers in both registers; else the second is CCBW, which is none of the version.
+        if high & 0x8000:
+            found["firmware"] = f"{(high & 0x7FFF) << 2 | low >> 14}.{low >> 8 & 0x3F}.{low & 0xFF}"
+        elif low:
+            found["firmware"] = str(low)
         serial = struct.pack("<6H", *words["serial"], *words["serial end"][:2])
         text = serial.strip(b"\0 ").decode("ascii", "replace")
         if text.isalnum():

@@ -64,7 +64,7 @@ CASES = {
     "microstrain increments": Case("microstrain_mip", "increments", 100, CV7, 250),
     "aceinna OpenIMU": Case("aceinna_serial", "z1", 100, OPENIMU, 200),
     "aceinna DMU": Case("aceinna_serial", "S1", 100, DMU, 50),
-    "witmotion": Case("witmotion", "uart", 50, {"serial_number": "WT5500001234", "firmware": "68062"}, 100),
+    "witmotion": Case("witmotion", "uart", 50, {"serial_number": "WT5500001234", "firmware": "2526"}, 100),
 }
 
 
