@@ -10,6 +10,9 @@ class MotionCal(Driver):
     1/16 deg/s, magnetic field in 0.1 uT. Lines beginning with ``Uni:`` repeat the data in decimals and are ignored. There is
     no checksum, no counter and no time; sketches wait 10 ms between two samples. A step is 122 ug and 0.0625 deg/s: a unit
     whose noise is smaller is better read by a sketch of one's own (driver ``text``).
+
+    Adafruit's sketch takes 9.8 m/s^2 for 1 g, 0.068 % less than MotionCal (``--set g_m_s2=9.8``), and cuts every number toward
+    zero, by half a step on average.
     """
 
     name = "motioncal"

@@ -31,6 +31,14 @@ def test_numbers_by_hand() -> None:
     assert (decoder.statistics.samples_lost, decoder.statistics.gaps, decoder.statistics.bytes_skipped) == (0, 0, 0)
 
 
+@pytest.mark.parametrize("g_m_s2", [9.80665, 9.8])
+def test_one_g_is_what_the_sketch_takes_for_it(g_m_s2: float) -> None:
+    # Adafruit's sketch divides by 9.8, MotionCal counts in standard gravity.
+    decoder = Decoder(load_driver("motioncal").load_protocol({"g_m_s2": g_m_s2}))
+    samples = concatenate([decoder.feed(b"Raw:8192,-4096,0,0,0,0,0,0,0\r\n", 0.0), decoder.flush()])
+    np.testing.assert_allclose(samples.accelerometer, [[g_m_s2, -g_m_s2 / 2, 0.0]], rtol=1e-12)
+
+
 @pytest.mark.parametrize("bad", [b"Raw:36,-72,8412,-8,0,-3,-415,-310\r\n", b"Raw:36,-72,x,-8,0,-3,-415,-310,687\r\n"])
 def test_a_line_that_is_not_whole_is_no_sample(bad: bytes) -> None:
     decoder = Decoder(load_driver("motioncal").load_protocol())
