@@ -12,7 +12,7 @@ from ._stim300_utility import enter_utility_mode, utility
 _RATE_CODES = {125: 0, 250: 1, 500: 2, 1000: 3, 2000: 4}
 _OUTPUTS = ("rate", "average", "increment")
 # Values of the configuration datagram that the datasheet knows; a rate of 0 is an external trigger. "integrated", of which no
-# sample is made, is refused at the connection: read as a rate, it would give wrong values without a warning.
+# sample is made, is refused: read as a rate, it would give wrong values without a warning.
 _KNOWN_SETTINGS = {
     "accelerometer_range_g": (2, 5, 10, 30, 80),
     "accelerometer_output": (*_OUTPUTS, "integrated"),
@@ -99,6 +99,10 @@ class Stim300(Driver):
         for message in messages:
             if message["kind"] == "configuration":
                 found |= {name: message[name] for name, known in _KNOWN_SETTINGS.items() if message.get(name) in known}
+                ranges = [message.get(f"accelerometer_range{axis}_g") for axis in ("", "_y", "_z")]
+                # One setting scales all axes: ranges that differ are no value of it, and refused.
+                if len(set(ranges)) > 1:
+                    found["accelerometer_range_g"] = "x {}, y {}, z {}".format(*ranges)
         return found
 
     @classmethod

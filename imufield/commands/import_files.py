@@ -151,13 +151,19 @@ def _import_tables(options: ImportOptions) -> tuple[Session, list[str]]:
 
 def _import_bytes(options: ImportOptions, protocol: Protocol) -> tuple[Session, list[str]]:
     """Put the bytes of a dump or the frames of logs into a recording as they are."""
-    from imufield.acquire.instrument.connected import assumed  # With all that listens to ports, of which a table knows nothing.
+    # With all that listens to ports, of which a table knows nothing.
+    from imufield.acquire.instrument.connected import assumed, with_settings
 
     losses: list[str] = []
     decoder = Decoder(protocol)
     # Decoded before anything is made of them, so that nothing is put aside for files without a sample.
     blocks = _with_possible_temperatures(_samples(options, decoder, losses), options.files)
     scales = find_scales(blocks, protocol.nominal.raw_zero)
+    driver = None if options.driver is None else load_driver(options.driver)
+    told = with_settings(driver, protocol, decoder.messages())
+    if told.settings != protocol.settings:
+        # Messages among the samples say how the instrument is set.
+        return _import_bytes(options, told)
     counts = decoder.statistics
     if not counts.samples:
         foreign = "import_files.dump_without_samples" if protocol.can is None else "import_files.log_without_samples"

@@ -16,6 +16,9 @@ from imufield.acquire.recording.recorder import Recorder, part_metadata
 from imufield.acquire.recording.session import Session, create_session
 from imufield.acquire.registry import load_driver
 from imufield.errors import Reason
+from imufield.samples import SampleUnits, make_samples
+from imufield.simulate.instruments.stim300 import Stim300Device
+from imufield.simulate.wire.stim300 import Stim300Format, close_datagrams
 from tests.commands.test_import import imported, typed
 from tests.commands.told import fails, says
 from tests.simulate.accounting import Wire, random_samples
@@ -66,6 +69,36 @@ def test_a_dump_has_its_own_time_or_asks_for_the_rate(
         setting = Session.open(tmp_path / name).record.settings["rate_hz"]
         assert (setting.value, setting.origin) == (40.0, "given")
     fails([*command, "--rate-hz", "40", "--set", "rate_hz=50"], 2, Reason.USAGE, "40", "50", key="import_files.two_rates")
+
+
+def stim300_of_30_g(path: Path, gyroscope_output: int = 0) -> Path:
+    """Write a configuration datagram with this code of the gyroscope's output, and samples of 1 g along z."""
+    device = Stim300Device(Stim300Format(accelerometer_range_g=30, crlf=False))
+    configuration = np.frombuffer(device.answer(b"C").data[:-4], dtype=np.uint8).copy()
+    configuration[5] |= gyroscope_output
+    values = np.tile([0.0, 0.0, 9.80665], (400, 1))
+    samples = make_samples(np.arange(400) / device.rate_hz, values, np.zeros((400, 3)), units=SampleUnits())
+    data = close_datagrams(configuration[np.newaxis], crlf=False).tobytes() + device.encode(samples).data.tobytes()
+    path.write_bytes(data)
+    return path
+
+
+def test_a_dump_is_read_as_its_configuration_says(tmp_path: Path) -> None:
+    path = stim300_of_30_g(tmp_path / "dump.bin")
+    assert typed("import", path, "--driver", "stim300", "-o", tmp_path / "mine") == 0
+    np.testing.assert_allclose(imported(tmp_path / "mine").accelerometer[:, 2], 9.80665, rtol=1e-6)
+    setting = Session.open(tmp_path / "mine").record.settings["accelerometer_range_g"]
+    assert (setting.value, setting.origin) == (30, "read")
+    # Who knows better is believed.
+    assert typed("import", path, "--driver", "stim300", "--set", "accelerometer_range_g=10", "-o", tmp_path / "given") == 0
+    np.testing.assert_allclose(imported(tmp_path / "given").accelerometer[:, 2], 9.80665 / 2, rtol=1e-6)
+
+
+def test_a_dump_of_an_output_that_is_not_read_is_refused(tmp_path: Path) -> None:
+    path = stim300_of_30_g(tmp_path / "dump.bin", gyroscope_output=3)
+    command = ["import", str(path), "--driver", "stim300", "-o", str(tmp_path / "mine")]
+    fails(command, 4, Reason.BAD_PROTOCOL, "integrated", "gyroscope_output", key="settings.read")
+    assert not (tmp_path / "mine").exists()
 
 
 def test_a_real_recording_without_time_asks_for_the_rate(tmp_path: Path, shared_folder: Path) -> None:

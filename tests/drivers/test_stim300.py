@@ -66,10 +66,18 @@ def test_settings_are_read_from_the_configuration(messages: list[dict[str, Any]]
 @pytest.mark.parametrize("triad", ["gyroscope", "accelerometer"])
 def test_an_output_that_is_not_supported_is_refused_and_no_rate(triad: str) -> None:
     messages = [{"kind": "configuration", f"{triad}_output": "integrated", "rate_hz": None}]
-    with refused(ProtocolError, Reason.BAD_PROTOCOL, "integrated", f"{triad}_output"):
+    with refused(ProtocolError, Reason.BAD_PROTOCOL, "integrated", f"{triad}_output", key="settings.read"):
         Stim300.load_protocol(messages=messages)
     # Who knows better is believed.
     assert Stim300.load_protocol({f"{triad}_output": "average"}, messages=messages)
+
+
+def test_ranges_that_differ_are_refused_as_one_setting_scales_all() -> None:
+    ranges = {"accelerometer_range_g": 10, "accelerometer_range_y_g": 5, "accelerometer_range_z_g": 10}
+    messages = [{"kind": "configuration", **ranges}]
+    with refused(ProtocolError, Reason.BAD_PROTOCOL, "x 10, y 5, z 10", "accelerometer_range_g", key="settings.read"):
+        Stim300.load_protocol(messages=messages)
+    assert Stim300.load_protocol({"accelerometer_range_g": 10}, messages=messages)
 
 
 def test_status_flags_are_known() -> None:

@@ -119,6 +119,7 @@ def choose_settings(
         try:
             chosen[name] = Setting(rule.convert(value), origin)
         except ValueError as error:
-            refused = sentence("settings.value", name=name, label=source.label, value=value, allowed=error)
+            key = "settings.value" if origin == "given" else "settings.read"
+            refused = sentence(key, name=name, label=source.label, value=value, allowed=error)
             raise (SettingError if name in given else ProtocolError)(refused) from None
     return chosen
