@@ -16,9 +16,9 @@ class BoschMm510(Driver):
         17C                                      z, the same
         ===  ==================================  =========================================
 
-    There is no pitch rate, so the accelerometer alone is read. In the ABS M4 network of Bosch Motorsport the identifiers
-    are 070, 080 and 576: copy the DBC file and change them. Status, counter and checksum are not public. Never tried on
-    an instrument.
+    There is no pitch rate, so the accelerometer alone is read. Bosch prints bytes and identifiers, which are set by order, in
+    its MM510 Calibration Sheet, and the scales in the manual of its ABS M5 kit, where the identifiers are 070, 080 and 576:
+    copy the DBC file and change them. The other bytes are reserved. Never tried on an instrument.
     """
 
     name = "bosch_mm510"
@@ -27,7 +27,7 @@ class BoschMm510(Driver):
     wire = "can"
     bauds = (1_000_000, 500_000)
     status = "document only"
-    manual = "public DBC text of an ABS M4 network, nodes ABS and DRS_MM5_10"
+    manual = "Bosch Engineering, MM510 Calibration Sheet, 2016: CAN matrix; Bosch Motorsport, ABS M5 Kit manual: CAN protocol"
 
 
 DRIVER = BoschMm510
