@@ -16,7 +16,7 @@ from imufield.dataclass import dataclass
 from imufield.samples import FloatArray
 
 MOST_CONFUSION = 2.0
-"""Factor in sigma of the bias (``order_confusion``): 1.6 in the proposed order of paper24, 1.1 in that of corners24, and 2.5
+"""Factor in sigma of the bias (``order_confusion``): 1.7 in the proposed order of paper24, 1.1 in that of corners24, and 3.2
 with all faces before all edges."""
 
 DriftKind = Literal["time", "temperature"]

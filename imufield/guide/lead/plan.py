@@ -15,7 +15,7 @@ from imufield.guide.hold.observe import Observation
 from imufield.guide.positions import Position, Scheme, angle_deg
 from imufield.samples import FloatArray
 
-# Error of placement that the schemes allow: it costs 1 to 9 % of the uncertainty (docs/maths.md, positions).
+# Error of placement that the schemes allow: it costs up to 10 % of the linear model's uncertainty (docs/maths.md, positions).
 _TOLERANCE_DEG = 15.0
 # Added for the error of an uncalibrated accelerometer: 1 m/s^2 of bias turns the apparent direction by 6 degrees.
 _RECOGNITION_MARGIN_DEG = 5.0
