@@ -34,8 +34,9 @@ CHUNK_S = 0.05
 """Frames of this much time make a chunk, as they do when a bus is recorded live."""
 CHUNK_FRAMES = 2048
 _LONGEST_WAIT_S = 5.0  # Parts have clocks of their own: a jump of the stamps beyond this begins anew.
-# Those digits that have the bit ``ERROR`` of an identifier.
+# First digit of an identifier with CAN_ERR_FLAG (0x20000000, linux/can/error.h), and that bit of it.
 _ERROR_DIGIT = re.compile(r"(?<=\s)[2367ABEF](?=[\dA-F]{7}#)", re.IGNORECASE)
+_ERROR_BIT = 2
 
 
 def read_log(path: str | Path, *, channel: str | None = None, losses: list[str] | None = None) -> Iterator[Chunk]:
@@ -162,7 +163,7 @@ def _frames(path: Path, end: dict[str, Any]) -> Generator[can.Message, None, Non
 def _of_candump(lines: Iterable[str]) -> Iterator[can.Message]:
     """Yield the frames of candump's lines, error frames with bus and data: python-can loses those, or takes them for data."""
     for line in lines:
-        plain, errors = _ERROR_DIGIT.subn(lambda digit: f"{int(digit[0], 16) ^ 2:X}", line)
+        plain, errors = _ERROR_DIGIT.subn(lambda digit: f"{int(digit[0], 16) ^ _ERROR_BIT:X}", line)
         for message in can.CanutilsLogReader(io.StringIO(plain)):
             message.is_error_frame = bool(errors)
             yield message

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import tomli
 
-from imufield.acquire.protocol.units import SECONDS, TO_DEGC, TO_SI, unit_name
+from imufield.acquire.protocol.units import SECONDS, TO_DEGC, TO_SI, known_units, unit_name
 from imufield.dataclass import dataclass
 from imufield.errors import Reason, UsageError
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, LARGEST_OUTPUT, SAMPLE_COLUMNS, FloatArray, median
@@ -282,6 +282,7 @@ def choose_time_scale(path: Path, time: FloatArray, unit: str | None, rate_hz: f
     low, high = SHORTEST_STEP_S, LONGEST_STEP_S
     if rate_hz is not None:
         low, high = (1.0 - _RATE_TOLERANCE) / rate_hz, (1.0 + _RATE_TOLERANCE) / rate_hz
+    # Minutes and hours are never guessed: a step of seconds would be one of theirs, too.
     fitting = [name for name, scale in SECONDS.items() if scale <= 1.0 and low <= step * scale <= high]
     if not fitting:
         # In seconds it would be plausible: then it is the rate that is wrong.
@@ -359,8 +360,9 @@ def choose_unit(
         return str(setting), 1.0, ""
     if quantity in stated:
         written = stated[quantity]
-        if written not in TO_SI:
-            raise UsageError(sentence("table_columns.unknown_unit", quantity=quantity, unit=written), Reason.UNITS)
+        if unit_name(written, quantity) is None:
+            known = known_units(quantity)
+            raise UsageError(sentence("table_columns.unknown_unit", quantity=quantity, unit=written, known=known), Reason.UNITS)
         unit, factor = (_THOUSANDTHS[written], 1e-3) if written in _THOUSANDTHS else TO_SI[written]
         if factor == 1.0 or written in _KEPT:
             return written, 1.0, ""

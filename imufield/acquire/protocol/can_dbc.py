@@ -59,7 +59,7 @@ _NOT_AVAILABLE = re.compile(
 )
 _DAMAGE = (ValueError, KeyError, TypeError, AttributeError, IndexError, AssertionError, RecursionError)
 _ERROR = re.compile(r"\b(err(or)?|fault|fail|defect)(s|y|ed|ing|ures?|ive|oneous)?(?![a-z])", re.IGNORECASE)
-_NO_ERROR = re.compile(r"\b(no|without|ok|not (err|fault|fail|defect)\w*)\b", re.IGNORECASE)
+_NO_ERROR = re.compile(r"\b(no|not|without)( \w+)? (err|fault|fail|defect)|\bok\b", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,7 +24,7 @@ from imufield.acquire.protocol.samples_and_clock import (
     sample_units,
 )
 from imufield.acquire.protocol.toml import LARGEST, Table, near
-from imufield.acquire.protocol.units import SECONDS, TO_DEGC, TO_SI, UNITS_OF, unit_name
+from imufield.acquire.protocol.units import SECONDS, TO_DEGC, TO_SI, UNITS_OF, known_units, unit_name
 from imufield.dataclass import dataclass, field
 from imufield.errors import ProtocolError, Reason
 from imufield.limits import BAUD_RANGE
@@ -226,9 +226,8 @@ class _Mapping:
         written = given or signal.unit
         unit, factor = TO_SI.get(unit_name(written, part) or "", ("", 0.0))
         if unit not in UNITS_OF[part]:
-            known = [name for name, (si, _) in TO_SI.items() if si in UNITS_OF[part]]
             shown = f"{written!r}" if written else "no unit"
-            wrong = sentence("can_protocol.unit", signal=signal.name, unit=shown, part=part, known=known)
+            wrong = sentence("can_protocol.unit", signal=signal.name, unit=shown, part=part, known=known_units(part))
             raise self.table.error(f"{part}_unit" if given else part, wrong, Reason.UNITS)
         factor = -factor if name.startswith("-") else factor
         kind.columns.append(Column(_PLACES[part] + axis, signal, signal.factor * factor, signal.offset * factor))
@@ -238,10 +237,12 @@ class _Mapping:
         """Read temperature, counter, time, flags and status; the unit of the time is needed unless its ticks are known."""
         if self.table.has("temperature"):
             kind, signal = self._find("temperature", self.table.text("temperature"))
-            unit = unit_name(self.table.text("temperature_unit", "") or signal.unit, "temperature")
+            given = self.table.text("temperature_unit", "")
+            written = given or signal.unit
+            unit = unit_name(written, "temperature")
             if unit is None:
-                wrong = sentence("can_protocol.temperature_unit", signal=signal.name, unit=signal.unit, known=[*TO_DEGC])
-                raise self.table.error("temperature", wrong)
+                wrong = sentence("can_protocol.temperature_unit", signal=signal.name, unit=written, known=[*TO_DEGC])
+                raise self.table.error("temperature_unit" if given else "temperature", wrong, Reason.UNITS)
             factor, offset = TO_DEGC[unit]
             kind.columns.append(Column(TEMPERATURE, signal, signal.factor * factor, signal.offset * factor + offset))
         if self.table.has("counter"):

@@ -14,10 +14,28 @@ TO_SI: dict[str, tuple[str, float]] = {name: (si, factor) for name, (si, factor)
 UNITS_OF: dict[str, tuple[str, ...]] = {part: tuple(units) for part, units in _TABLES["units_of"].items()}
 """What each part of a sample may be in; the first where nothing else is known."""
 TO_DEGC: dict[str, tuple[float, float]] = {name: (factor, offset) for name, (factor, offset) in _TABLES["to_degc"].items()}
-"""Units of temperature, with factor and offset."""
+"""Units of temperature: value * factor + offset is in degC."""
 SECONDS: dict[str, float] = _TABLES["seconds"]
-"""Units of time."""
+"""Seconds in a unit of time."""
 SI_UNITS = ("m/s^2", "m/s", "rad/s", "rad")
+_ALIKE = str.maketrans("²ºμ", "2°µ")
+
+
+def _plain(text: str) -> str:
+    """Return a spelling without capitals, blanks and signs."""
+    return re.sub(r"\*\*|[\s^.()\[\]-]", "", text.lower().translate(_ALIKE))
+
+
+_KNOWN: dict[str, Iterable[str]] = {
+    **{quantity: [name for name, (si, _) in TO_SI.items() if si in units] for quantity, units in UNITS_OF.items()},
+    "temperature": TO_DEGC,
+    "time": SECONDS,
+}
+_SPELLED = {
+    quantity: {_plain(name): name for name in _KNOWN[quantity]}
+    | {text: name for name, texts in spellings.items() for text in texts.split()}
+    for quantity, spellings in _TABLES["spellings"].items()
+}
 
 
 def nominal_scale(unit: str) -> float | None:
@@ -38,18 +56,6 @@ def unit_name(text: str, quantity: str) -> str | None:
     return _SPELLED[quantity].get(_plain(text))
 
 
-def _plain(text: str) -> str:
-    return re.sub(r"[\s^*.()\[\]-]", "", text.lower().translate(_ALIKE))
-
-
-_ALIKE = str.maketrans("²ºμ", "2°µ")
-_KNOWN: dict[str, Iterable[str]] = {
-    **{part: [name for name, (si, _) in TO_SI.items() if si in units] for part, units in UNITS_OF.items()},
-    "temperature": TO_DEGC,
-    "time": SECONDS,
-}
-_SPELLED = {
-    quantity: {_plain(name): name for name in _KNOWN[quantity]}
-    | {text: name for name, texts in spellings.items() for text in texts.split()}
-    for quantity, spellings in _TABLES["spellings"].items()
-}
+def known_units(quantity: str) -> list[str]:
+    """Return our names of the units of a quantity."""
+    return list(_KNOWN[quantity])

@@ -8,7 +8,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from imufield.deliver.exports.flight_stack import FlightStack, Values, known, shown, triad_values, unknown
+from imufield.deliver.exports.flight_stack import (
+    FlightStack,
+    Values,
+    format_value,
+    known_values,
+    names_without_value,
+    triad_values,
+)
 from imufield.deliver.exports.job import Draft, Job, sentence
 from imufield.deliver.exports.text import comment, text_file
 from imufield.deliver.exports.thermal import ORDER, ThermalOffsets, in_single_precision
@@ -44,7 +51,7 @@ def export(job: Job) -> Draft:
     if fit.thermal is not None:
         values |= _over_temperature(fit.thermal, instance)
     notes = []
-    if names := unknown(values):
+    if names := names_without_value(values):
         notes.append(sentence("ardupilot.no_id", names=names, options=fit.ids_to_set(job)))
     notes += [sentence("ardupilot.frame"), sentence("flight_stack.single_precision", program=ARDUPILOT.name)]
     if fit.rate_offset is not None:
@@ -53,7 +60,7 @@ def export(job: Job) -> Draft:
         notes.append(sentence("ardupilot.not_calibrated"))
     if fit.thermal is not None:
         notes.append(sentence("thermal.ardupilot_order"))
-    lines = [f"{name},{shown(value)}" for name, value in known(values).items()]
+    lines = [f"{name},{format_value(value)}" for name, value in known_values(values).items()]
     files = {"ardupilot.param": text_file([*comment(job.heading()), *lines])}
     return fit.draft(files, sentence("flight_stack.lacks"), tuple(notes))
 

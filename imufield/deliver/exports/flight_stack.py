@@ -42,8 +42,8 @@ class FlightStack:
         """
         if not 0 <= job.options.instance < self.instances:
             most, last = self.instances, self.instances - 1
-            none = sentence("flight_stack.instance", program=self.name, most=most, last=last, instance=job.options.instance)
-            raise UsageError(none)
+            refusal = sentence("flight_stack.instance", program=self.name, most=most, last=last, instance=job.options.instance)
+            raise UsageError(refusal)
         corrections = diagonal_corrections(job.parameters.calibration)
         si = job.in_si(corrections)
         offset, scale = si.accelerometer.offset, np.diag(si.accelerometer.matrix)
@@ -68,7 +68,7 @@ class Fit:
     """Numbers in SI, as the program takes them."""
 
     model: Corrections
-    """What it computes from them."""
+    """The correction that the program computes from these numbers."""
     offset: FloatArray
     scale: FloatArray
     rate_offset: FloatArray | None
@@ -95,16 +95,16 @@ def triad_values(name: str, device_id: int | None, vectors: Mapping[str, FloatAr
     return values
 
 
-def known(values: Values) -> dict[str, int | float]:
+def known_values(values: Values) -> dict[str, int | float]:
     """Return those that are known."""
     return {name: value for name, value in values.items() if value is not None}
 
 
-def unknown(values: Values) -> list[str]:
+def names_without_value(values: Values) -> list[str]:
     """Return the names of those that are not."""
     return [name for name, value in values.items() if value is None]
 
 
-def shown(value: float) -> str:
+def format_value(value: float) -> str:
     """Return a value as both programs read it."""
     return str(value) if isinstance(value, int) else number(value)

@@ -9,7 +9,15 @@ import numpy as np
 
 from imufield.dataclass import replace
 from imufield.deliver.exports.conventions import Corrections
-from imufield.deliver.exports.flight_stack import Fit, FlightStack, Values, known, shown, triad_values, unknown
+from imufield.deliver.exports.flight_stack import (
+    Fit,
+    FlightStack,
+    Values,
+    format_value,
+    known_values,
+    names_without_value,
+    triad_values,
+)
 from imufield.deliver.exports.job import Draft, Job, sentence
 from imufield.deliver.exports.text import comment, text_file
 from imufield.deliver.exports.thermal import ThermalOffsets
@@ -34,7 +42,7 @@ def export(job: Job) -> Draft:
     if fit.thermal is not None:
         values |= _over_temperature(fit.thermal, job)
     notes = []
-    if names := unknown(values):
+    if names := names_without_value(values):
         notes.append(sentence("px4.no_id", names=names, options=fit.ids_to_set(job)))
     notes += [sentence("px4.frame"), sentence("flight_stack.single_precision", program=PX4.name), sentence("px4.learns")]
     if fit.rate_offset is not None:
@@ -46,7 +54,7 @@ def export(job: Job) -> Draft:
     # Vehicle 1, component 1 (autopilot), name, value, type: the columns of a QGroundControl file.
     heading = ["Onboard parameters for Vehicle 1", "", *job.heading(), "", "Vehicle-Id Component-Id Name Value Type"]
     types = {name: _INT32 if isinstance(value, int) else _REAL32 for name, value in values.items()}
-    lines = [f"1\t1\t{name}\t{shown(value)}\t{types[name]}" for name, value in known(values).items()]
+    lines = [f"1\t1\t{name}\t{format_value(value)}\t{types[name]}" for name, value in known_values(values).items()]
     return replace(fit, model=model).draft({"px4.params": text_file([*comment(heading), *lines])}, lacks, tuple(notes))
 
 
@@ -62,6 +70,7 @@ def _as_px4_takes(job: Job, fit: Fit) -> tuple[Corrections, list[str]]:
 
 
 def _over_temperature(thermal: ThermalOffsets, job: Job) -> Values:
+    """Return the polynomials about the reference."""
     values: Values = {}
     ids = {"accelerometer": ("A", job.options.accelerometer_id), "gyroscope": ("G", job.options.gyroscope_id)}
     for triad, coefficients in thermal.coefficients.items():

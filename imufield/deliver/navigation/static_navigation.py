@@ -1,9 +1,9 @@
 """Static navigation over one recording with several parameter sets at once, in bounded memory.
 
 What it can show. Alignment takes every constant accelerometer error for a tilt, and the tilt it finds takes the error off
-again: at 45 deg of latitude 100 ug that would make 0.7 nmi in five hours with a true attitude make half of it or nothing, and
-a gyroscope bias of 0.01 deg/h up to 2.9. So a recording that is not touched says much of the gyroscope, little of the
-accelerometer. Turned over after the alignment, the tilt that was found has the wrong sign and the same error counts four
+again. At 45 deg of latitude 100 ug make 0.7 nmi in five hours with a true attitude, and half of it or nothing after alignment;
+a gyroscope bias of 0.01 deg/h makes up to 2.9 nmi. So a recording that is not touched says much of the gyroscope, little of
+the accelerometer. Turned over after the alignment, the tilt that was found has the wrong sign and the same error counts four
 times. The proof of the accelerometer remains left-out positions (``imufield.deliver.verification.left_out``).
 """
 

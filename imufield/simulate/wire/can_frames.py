@@ -30,7 +30,7 @@ class CanEncoder:
     Parameters
     ----------
     protocol : Protocol
-        Of kind "can". Its ``source_address`` sends J1939 frames, ``DEFAULT_ADDRESS`` where it takes any.
+        Of kind "can". J1939 frames come from its ``source_address``, or from ``DEFAULT_ADDRESS`` where it takes any.
 
     Raises
     ------

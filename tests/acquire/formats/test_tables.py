@@ -56,6 +56,8 @@ def test_what_parts_the_rows_parts_their_heading(tmp_path: Path, header: str, de
     ("unit_a", "unit_temperature", "key"),
     [
         ("furlong\x1b[2J", "degC", "table_columns.unknown_unit"),
+        ("rad/s", "degC", "table_columns.unknown_unit"),
+        ("Gs", "degC", "table_columns.unknown_unit"),
         ("m/s^2", "degR", "table_columns.unknown_temperature_unit"),
     ],
 )

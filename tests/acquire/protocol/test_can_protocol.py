@@ -222,6 +222,7 @@ def test_code_page_of_windows_and_quotes(tmp_path: Path) -> None:
         ({"gyroscope.x": "Nameless"}, "can_protocol.unit", ("Nameless", "no unit")),
         ({"gyroscope.x": "AccX"}, "can_protocol.unit", ("AccX", "'g'", "gyroscope")),
         ({"temperature": "Speed"}, "can_protocol.temperature_unit", ("Speed", "'km/h'", "degC")),
+        ({"temperature": "Temp", "temperature.unit": "degR"}, "can_protocol.temperature_unit", ("Temp", "'degR'")),
         ({"time": "Nameless"}, "can_protocol.time_unit", ("Nameless", "no unit", "ticks_per_s")),
         ({"time": "Speed"}, "can_protocol.time_unit", ("Speed", "'km/h'")),
         ({"counter": "Count"}, "can_dbc.several", ("Acc.Count, Gyro.Count",)),
@@ -235,8 +236,7 @@ def test_code_page_of_windows_and_quotes(tmp_path: Path) -> None:
 def test_what_is_wrong_with_a_map(dbc: Path, change: dict[str, str], key: str, wanted: tuple[str, ...]) -> None:
     with refused(ProtocolError, None, *wanted, key=key) as caught:
         protocol_from_dbc(dbc, {**MAP, **change})
-    is_unit = key in ("can_protocol.unit", "can_protocol.time_unit")
-    assert caught.value.reason is (Reason.UNITS if is_unit else Reason.BAD_PROTOCOL)
+    assert caught.value.reason is (Reason.UNITS if key.endswith("unit") else Reason.BAD_PROTOCOL)
     assert re.search(r"line \d+, key `[a-z_.0-9]+`", caught.value.message)
 
 
