@@ -12,6 +12,8 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+import numpy as np
+
 from imufield.acquire.decode.statistics import remarks, without_samples
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.formats.can_log_heads import begins_as_can_log
@@ -146,7 +148,14 @@ def _import_tables(options: ImportOptions) -> tuple[Session, list[str]]:
     began = _began(table.begin_s)
     with _whole_or_nothing(_new_session(options, protocol, table, began), protocol) as (session, recorder):
         write_rows(recorder, table.rows, table.status, table.counter)
-    return session, [*table.assumptions, *_said_of(began)]
+    return session, [_said_of_table(table), *table.assumptions, *_said_of(began)]
+
+
+def _said_of_table(table: ImportedTable) -> Sentence:
+    triads = {"accelerometer": table.rows[:, 1:4], "gyroscope": table.rows[:, 4:7]}
+    units = [f"{triad} in {table.settings[f'{triad}_unit']}" for triad, values in triads.items() if np.isfinite(values).any()]
+    duration_s = float(table.rows[-1, 0] - table.rows[0, 0])
+    return sentence("import_files.table", samples=len(table.rows), duration_s=duration_s, units=units)
 
 
 def _import_bytes(options: ImportOptions, protocol: Protocol) -> tuple[Session, list[str]]:

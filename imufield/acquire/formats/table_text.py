@@ -6,6 +6,7 @@ are examined only to name the one that is wrong.
 
 from __future__ import annotations
 
+import codecs
 import errno
 import gzip
 import re
@@ -190,7 +191,7 @@ def open_table(path: str | Path) -> TextTable:
         raise _bad("table_text.no_text", path)
     marked: list[str] = []
     names: list[str] = []
-    lines = head.removeprefix(b"\xef\xbb\xbf").decode("utf-8", errors="replace").split("\n")
+    lines = _decoded(head.removeprefix(b"\xef\xbb\xbf")).split("\n")
     for number, line in enumerate(lines):
         text = line.strip()
         mark = next((mark for mark in _COMMENT_MARKS if text.startswith(mark)), None)
@@ -218,6 +219,14 @@ def open_table(path: str | Path) -> TextTable:
             # Lines before the first number are the heading.
             names.append(text)
     raise _bad("table_text.no_rows", path)
+
+
+def _decoded(head: bytes) -> str:
+    """Return the start of a text in UTF-8, whose last character may be cut, or as spreadsheets of Windows write it."""
+    try:
+        return codecs.getincrementaldecoder("utf-8")().decode(head)
+    except UnicodeDecodeError:
+        return head.decode("cp1252", errors="replace")
 
 
 def _delimiter_below(names: list[str], line: str) -> tuple[str | None, bool]:

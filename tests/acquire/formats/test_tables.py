@@ -51,6 +51,17 @@ def test_what_parts_the_rows_parts_their_heading(tmp_path: Path, header: str, de
     assert not [said for said in table.assumptions if getattr(said, "key", "") == "table_columns.taken_as"]
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252"])
+def test_units_with_signs_in_any_usual_encoding(tmp_path: Path, encoding: str) -> None:
+    header = "time [µs],ax [m/s²],ay [m/s²],az [m/s²],gx [°/s],gy [°/s],gz [°/s],temp [°C]\n"
+    path = tmp_path / "table.csv"
+    path.write_bytes(text_of(TIME * 1e6, ACCELEROMETER, GYROSCOPE, TIME, delimiter=",", header=header).encode(encoding))
+    table = read_tables([path])
+    assert table.settings == {"accelerometer_unit": "m/s^2", "gyroscope_unit": "deg/s"}
+    np.testing.assert_allclose(table.rows[:, 0], TIME, atol=1e-9)
+    assert table.assumptions == ()
+
+
 @pytest.mark.parametrize("mark", ["", "# "])
 @pytest.mark.parametrize(
     ("unit_a", "unit_temperature", "key"),
