@@ -187,11 +187,13 @@ class SessionRecord:
             a key or has an impossible value (``DAMAGED``).
         """
         _check_keys(content, path)
-        # Instruments are told apart by this table: a misspelt serial number would pass as one that is not known.
-        known = [entry.name for entry in fields(InstrumentRecord)]
-        for name in content.get("instrument", {}):
-            if name not in known:
-                raise _refused("session_record.unknown_instrument_key", path, Reason.UNKNOWN_KEY, key=name, known=known)
+        # A misspelt serial number would pass as one that is not known, a misspelt latitude as a place that is not known.
+        for table, record in (("instrument", InstrumentRecord), ("site", SiteRecord)):
+            known = [entry.name for entry in fields(record)]
+            for name in content.get(table, {}):
+                if name not in known:
+                    key = f"{table}.{name}"
+                    raise _refused("session_record.unknown_table_key", path, Reason.UNKNOWN_KEY, key=key, known=known)
         # A serial number of digits alone is a number in a file that a person has edited.
         instrument = {key: printable(str(value)) for key, value in content.get("instrument", {}).items()}
         tables = {name: _read_table(kind, name, content, path) for name, kind in _TABLES.items()}

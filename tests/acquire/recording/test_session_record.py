@@ -112,6 +112,7 @@ def test_what_nothing_reads_stays_in_the_file(tmp_path: Path) -> None:
     ("table", "reason"),
     [
         ({"instrument": {"colour": "red"}}, Reason.UNKNOWN_KEY),
+        ({"site": {"latitud_deg": 48.0}}, Reason.UNKNOWN_KEY),
         ({"guide": {"hold_s": 0}}, Reason.DAMAGED),
         ({"guide": {"hold_s": "8"}}, Reason.DAMAGED),
         ({"guide": {"earlier_scale_raw": float("nan")}}, Reason.DAMAGED),
