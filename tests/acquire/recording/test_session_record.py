@@ -102,7 +102,7 @@ def test_records_are_written_in_their_order_without_what_is_none(tmp_path: Path)
 
 def test_what_nothing_reads_stays_in_the_file(tmp_path: Path) -> None:
     content = tomllib.loads(WHOLE)
-    content["site"]["hut"] = "Refuge"
+    content["guide"]["assistant"] = "somebody"
     (tmp_path / "session.toml").write_text(tomli_w.dumps(content))
     Session.open(tmp_path).update(finished=True)
     assert (tmp_path / "session.toml").read_text() == tomli_w.dumps({**content, "finished": True})
