@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import importlib.util
-import io
 import json
 import math
 import re
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import closing
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import IO, Any, TextIO, cast
 
 import can
 
@@ -162,11 +161,19 @@ def _frames(path: Path, end: dict[str, Any]) -> Generator[can.Message, None, Non
 
 def _of_candump(lines: Iterable[str]) -> Iterator[can.Message]:
     """Yield the frames of candump's lines, error frames with bus and data: python-can loses those, or takes them for data."""
-    for line in lines:
-        plain, errors = _ERROR_DIGIT.subn(lambda digit: f"{int(digit[0], 16) ^ _ERROR_BIT:X}", line)
-        for message in can.CanutilsLogReader(io.StringIO(plain)):
-            message.is_error_frame = bool(errors)
-            yield message
+    is_error = False
+
+    def plain() -> Iterator[str]:
+        nonlocal is_error
+        for line in lines:
+            text, errors = _ERROR_DIGIT.subn(lambda digit: f"{int(digit[0], 16) ^ _ERROR_BIT:X}", line)
+            is_error = bool(errors)
+            yield text
+
+    # A line is taken only when the frame of the one before has been.
+    for message in can.CanutilsLogReader(cast("TextIO", plain())):
+        message.is_error_frame = is_error
+        yield message
 
 
 def _message(line: str) -> can.Message:

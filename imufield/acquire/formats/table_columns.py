@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import tomli
 
-from imufield.acquire.protocol.units import SECONDS, TO_DEGC, TO_SI, known_units, unit_name
+from imufield.acquire.protocol.units import SECONDS, TO_DEGC, TO_SI, known_units, plain_signs, unit_name
 from imufield.dataclass import dataclass
 from imufield.errors import Reason, UsageError
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, LARGEST_OUTPUT, SAMPLE_COLUMNS, FloatArray, median
@@ -51,6 +51,8 @@ _RATE_TOLERANCE = 0.2
 
 _MOST_EQUAL = 0.8  # Share of rows with the time of the row before: of more than five rows nobody knows when the others were.
 _THOUSANDTHS = {"mg": "g", "mdeg/s": "deg/s"}
+# Others stand behind names, too: "Acc X (forward)", "temp (IMU)".
+_LOOKS_LIKE_A_UNIT = re.compile(r"[/°˚·^*\d]|^[^\W\d_]$")
 _KEPT = ("g", "deg/s", "deg")  # Beside SI: protocol ``rows_f64`` knows them.
 _FAST = 0.999  # Of all outputs; larger ones may be damage.
 _STANDS_FOR_G = (0.8, 1.25)
@@ -65,7 +67,8 @@ class TableColumn:
 
     index: int
     field: str
-    unit: str | None = None  # As it stands there if it is none that is known.
+    unit: str | None = None  # As it stands there if it looks like one and is not known.
+    word: str = ""  # What stands in the place of a unit and does not look like one.
 
     @property
     def quantity(self) -> str:
@@ -121,12 +124,15 @@ def named_column(text: str, index: int, unit_below: str | None = None) -> TableC
     if field is None:
         return None
     unit = unit_name(stated or "".join(tail), quantity_of(field))
-    return TableColumn(index, field, unit or shortened(stated.strip()) or None)
+    text = shortened(stated.strip())
+    if unit is None and field != TIME and _LOOKS_LIKE_A_UNIT.search(text):
+        unit = text
+    return TableColumn(index, field, unit, "" if unit else text)
 
 
 def _words(text: str) -> list[str]:
     """Split at anything but letters and digits, and between small and capital letters."""
-    parted = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text)
+    parted = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", plain_signs(text))
     return [word for word in re.split(r"[^0-9a-z°µ]+", parted.lower()) if word and word not in _NAMES["noise"]]
 
 
@@ -242,9 +248,8 @@ def _checked(path: Path, found: Sequence[TableColumn], assumptions: tuple[str, .
         if before != column.unit:
             both = [before, column.unit]
             raise UsageError(sentence("table_columns.two_units", path=str(path), quantity=column.quantity, units=both))
-    # How far apart times are tells their unit, too.
-    if units.get(TIME, "s") not in SECONDS:
-        assumptions += (sentence("table_columns.unknown_time_unit", name=path.name, unit=units.pop(TIME)),)
+    if words := [*dict.fromkeys(column.word for column in found if column.word.strip("-"))]:
+        assumptions += (sentence("table_columns.no_units", name=path.name, words=words),)
     return Meaning(tuple(found), units, assumptions)
 
 
@@ -356,21 +361,21 @@ def choose_unit(
         If a header names a unit that is none, and the user none.
     """
     setting = given.get(f"{quantity}_unit")
-    if setting is not None:
-        return str(setting), 1.0, ""
-    if quantity in stated:
-        written = stated[quantity]
+    is_whole = ~np.isnan(values).any(axis=1)
+    # A triad without values has any unit.
+    if setting is None and not is_whole.any():
+        return ("m/s^2" if quantity == "accelerometer" else "rad/s"), 1.0, ""
+    written = stated.get(quantity) if setting is None else str(setting)
+    if written is not None:
         if unit_name(written, quantity) is None:
+            if setting is not None:
+                return written, 1.0, ""  # The protocol says what it takes.
             known = known_units(quantity)
             raise UsageError(sentence("table_columns.unknown_unit", quantity=quantity, unit=written, known=known), Reason.UNITS)
         unit, factor = (_THOUSANDTHS[written], 1e-3) if written in _THOUSANDTHS else TO_SI[written]
         if factor == 1.0 or written in _KEPT:
             return written, 1.0, ""
         return unit, factor, sentence("table_columns.converted", quantity=quantity, stated=written, unit=unit)
-    is_whole = ~np.isnan(values).any(axis=1)
-    # A triad without values has any unit.
-    if not is_whole.any():
-        return ("m/s^2" if quantity == "accelerometer" else "rad/s"), 1.0, ""
     # Neither one damaged number nor a gap decides for all the others.
     possible = (np.abs(values) <= LARGEST_OUTPUT).all(axis=1)
     guess, key, found = _guess(quantity, values[possible if possible.any() else is_whole], stated, has_zero=has_zero)

@@ -19,6 +19,7 @@ from imufield.acquire.link.host_clock import HostClock
 from imufield.acquire.protocol.can_protocol import dbc_table
 from imufield.acquire.protocol.protocol import DBC_LIMIT_BYTES, Protocol, decode_dbc, load_protocol, parse_protocol
 from imufield.acquire.protocol.toml import near
+from imufield.acquire.protocol.units import unit_name
 from imufield.acquire.registry import load_driver
 from imufield.dataclass import dataclass
 from imufield.errors import ProtocolError, Reason, UsageError
@@ -91,7 +92,13 @@ def protocol_from_dbc(path: str | Path, mapping: Mapping[str, str], settings: Ma
     except OSError as error:
         raise ProtocolError(sentence("can_map.unreadable", path=str(path), cause=error.strerror)) from error
     text = protocol_text(path.stem, path.name, mapping) + dbc_table(decode_dbc(content, path.name))
-    return parse_protocol(text, settings, label=f"{path.name} with --map")
+    protocol = parse_protocol(text, settings, label=f"{path.name} with --map")
+    if protocol.can is not None and "time" in mapping and "time.ticks_per_s" not in mapping:
+        _, signal = protocol.can.dbc.find(mapping["time"])
+        if unit_name(signal.unit, "time") is None:
+            shown = repr(signal.unit) if signal.unit else "no unit"
+            raise ProtocolError(sentence("can_map.time_unit", path=path.name, signal=signal.name, unit=shown), Reason.UNITS)
+    return protocol
 
 
 def protocol_text(name: str, dbc: str, mapping: Mapping[str, str]) -> str:

@@ -58,8 +58,10 @@ _NOT_AVAILABLE = re.compile(
     r"not ?(avail|valid)|\bn[/ ]?a\b|invalid|\bsna\b|unavail|undefined|\breserved|\bno ?(data|signal)", re.IGNORECASE
 )
 _DAMAGE = (ValueError, KeyError, TypeError, AttributeError, IndexError, AssertionError, RecursionError)
-_ERROR = re.compile(r"\b(err(or)?|fault|fail|defect)(s|y|ed|ing|ures?|ive|oneous)?(?![a-z])", re.IGNORECASE)
-_NO_ERROR = re.compile(r"\b(no|not|without)( \w+)? (err|fault|fail|defect)|\bok\b", re.IGNORECASE)
+_ERROR = re.compile(
+    r"((?<!\bt)err(ors?|oneous)?|(?<!\bde)fault(s|y|ed)?|fail(s|ed|ing|ures?)?|defect(s|ive)?)(?![a-z])", re.IGNORECASE
+)
+_NO_ERROR = re.compile(r"\b(no|not|without)( \w+)? ?(err|fault|fail|defect)|\bok\b", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -312,7 +314,7 @@ class DbcFile:
 
     def _check_whole(self, message: Message) -> None:
         """Refuse a message of several frames: the transport protocol of J1939-21 is not read."""
-        if self._is_j1939(message) and message.length > CLASSICAL_BYTES:
+        if self._is_j1939(message) and message.length > CLASSICAL_BYTES and not message.is_fd:
             names = {"label": self.label, "message": message.name}
             raise ProtocolError(sentence("can_dbc.transported", size=message.length, most=CLASSICAL_BYTES, **names))
 

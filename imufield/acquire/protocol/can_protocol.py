@@ -165,7 +165,7 @@ def read_can(top: Table) -> tuple[CanRule, SampleUnits, ClockRule]:
     dbc = DbcFile(embedded.text("text"), name, identifiers)
     mapped = _Mapping(top.table("map"), dbc)
     units_of = {part: mapped.triad(part) for part in _PLACES}
-    mapped.others(knows_ticks=clock.has("time_ticks_per_s"))
+    mapped.others()
     if not any(units_of.values()):
         raise mapped.table.error("", sentence("can_protocol.nothing_mapped", candidates=_candidates(dbc)))
     clock_rule = ClockRule(
@@ -233,8 +233,8 @@ class _Mapping:
         kind.columns.append(Column(_PLACES[part] + axis, signal, signal.factor * factor, signal.offset * factor))
         return unit
 
-    def others(self, *, knows_ticks: bool) -> None:
-        """Read temperature, counter, time, flags and status; the unit of the time is needed unless its ticks are known."""
+    def others(self) -> None:
+        """Read temperature, counter, time, flags and status."""
         if self.table.has("temperature"):
             kind, signal = self._find("temperature", self.table.text("temperature"))
             given = self.table.text("temperature_unit", "")
@@ -251,10 +251,8 @@ class _Mapping:
         if self.table.has("time"):
             kind, signal = self._find("time", self.table.text("time"))
             kind.time = signal
+            # What has no unit counts as seconds, as in sessions of earlier versions; ``--map`` refuses it.
             unit = unit_name(signal.unit, "time")
-            if unit is None and not knows_ticks:
-                shown = f"{signal.unit!r}" if signal.unit else "no unit"
-                raise self.table.error("time", sentence("can_protocol.time_unit", signal=signal.name, unit=shown), Reason.UNITS)
             # A factor of 0 is refused with the other rates that no clock has.
             self.ticks_per_s = 1.0 / (SECONDS[unit or "s"] * abs(signal.factor) or math.inf)
             never_wraps = signal.is_float or signal.length >= _LONG_TIME_BITS

@@ -18,12 +18,17 @@ TO_DEGC: dict[str, tuple[float, float]] = {name: (factor, offset) for name, (fac
 SECONDS: dict[str, float] = _TABLES["seconds"]
 """Seconds in a unit of time."""
 SI_UNITS = ("m/s^2", "m/s", "rad/s", "rad")
-_ALIKE = str.maketrans("²ºμ", "2°µ")
+_ALIKE = str.maketrans({"²": "2", "¹": "1", "⁻": "-", "º": "°", "˚": "°", "℃": "°C", "℉": "°F", "μ": "µ"})
+
+
+def plain_signs(text: str) -> str:
+    """Return a text with one sign for those that look alike."""
+    return text.translate(_ALIKE)
 
 
 def _plain(text: str) -> str:
-    """Return a spelling without capitals, blanks and signs."""
-    return re.sub(r"\*\*|[\s^.()\[\]-]", "", text.lower().translate(_ALIKE))
+    """Return a spelling without capitals, blanks and signs, and with one word for the second."""
+    return re.sub(r"(?<=/)sec(ond)?s?(?=2|$)", "s", re.sub(r"[\s^.*·()\[\]-]", "", plain_signs(text).lower()))
 
 
 _KNOWN: dict[str, Iterable[str]] = {
@@ -32,7 +37,8 @@ _KNOWN: dict[str, Iterable[str]] = {
     "time": SECONDS,
 }
 _SPELLED = {
-    quantity: {_plain(name): name for name in _KNOWN[quantity]}
+    # Without its star a product reads as a plural, g.
+    quantity: {_plain(name): name for name in _KNOWN[quantity] if "*" not in name}
     | {text: name for name, texts in spellings.items() for text in texts.split()}
     for quantity, spellings in _TABLES["spellings"].items()
 }
@@ -53,7 +59,7 @@ def unit_name(text: str, quantity: str) -> str | None:
     quantity : str
         ``accelerometer``, ``gyroscope``, ``temperature`` or ``time``.
     """
-    return _SPELLED[quantity].get(_plain(text))
+    return text if text in _KNOWN[quantity] else _SPELLED[quantity].get(_plain(text))
 
 
 def known_units(quantity: str) -> list[str]:

@@ -11,6 +11,7 @@ from imufield.acquire.formats.tables import read_tables, write_rows
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.errors import ImufieldError, Reason, RecordingError, UsageError
+from imufield.sentences import Sentence
 from tests.acquire.table_files import ACCELEROMETER, GYROSCOPE, RNG, TIME, N, text_of, write
 from tests.refused import refused
 
@@ -66,10 +67,9 @@ def test_units_with_signs_in_any_usual_encoding(tmp_path: Path, encoding: str) -
 @pytest.mark.parametrize(
     ("unit_a", "unit_temperature", "key"),
     [
-        ("furlong\x1b[2J", "degC", "table_columns.unknown_unit"),
+        ("fur/long\x1b[2J", "degC", "table_columns.unknown_unit"),
         ("rad/s", "degC", "table_columns.unknown_unit"),
-        ("Gs", "degC", "table_columns.unknown_unit"),
-        ("m/s^2", "degR", "table_columns.unknown_temperature_unit"),
+        ("m/s^2", "°R", "table_columns.unknown_temperature_unit"),
     ],
 )
 def test_a_unit_that_is_none_is_refused(tmp_path: Path, mark: str, unit_a: str, unit_temperature: str, key: str) -> None:
@@ -80,13 +80,32 @@ def test_a_unit_that_is_none_is_refused(tmp_path: Path, mark: str, unit_a: str, 
     assert "\x1b" not in caught.value.message
 
 
-def test_the_user_knows_better_than_a_header_with_an_unknown_unit(tmp_path: Path) -> None:
-    header = "time (UTC),acc_x (body),acc_y (body),acc_z (body)\n"
-    path = write(tmp_path, text_of(TIME, ACCELEROMETER, delimiter=",", header=header))
-    table = read_tables([path], settings={"accelerometer_unit": "m/s^2"})
+def test_words_in_the_place_of_units_are_said_and_ignored(tmp_path: Path) -> None:
+    header = "time (UTC),acc_x (forward),acc_y (left),acc_z (up),temp (IMU)\n"
+    table = read_tables([write(tmp_path, text_of(TIME, ACCELEROMETER, TIME, delimiter=",", header=header))])
     assert np.array_equal(table.rows[:, 1:4], ACCELEROMETER)
-    assert table.settings["accelerometer_unit"] == "m/s^2"
-    assert [said for said in table.assumptions if getattr(said, "key", "") == "table_columns.unknown_time_unit"]
+    (said,) = (said for said in table.assumptions if getattr(said, "key", "") == "table_columns.no_units")
+    assert isinstance(said, Sentence)
+    assert said.values["words"] == ["UTC", "forward", "left", "up", "IMU"]
+
+
+@pytest.mark.parametrize(("unit", "kept", "factor"), [("mg", "g", 1e-3), ("ft/s^2", "m/s^2", 0.3048), ("g", "g", 1.0)])
+def test_a_unit_that_is_given_is_converted_as_a_stated_one(tmp_path: Path, unit: str, kept: str, factor: float) -> None:
+    header = "time_s,acc_x (m/h),acc_y (m/h),acc_z (m/h)\n"
+    path = write(tmp_path, text_of(TIME, ACCELEROMETER, delimiter=",", header=header))
+    table = read_tables([path], settings={"accelerometer_unit": unit})
+    assert table.settings["accelerometer_unit"] == kept
+    np.testing.assert_allclose(table.rows[:, 1:4], factor * ACCELEROMETER, rtol=1e-12)
+
+
+def test_signs_stand_in_names_without_brackets(tmp_path: Path) -> None:
+    header = (
+        "Time \u03bcs," + ",".join(f"Acc {axis} m/s²" for axis in "XYZ") + "," + ",".join(f"Gyro {axis} °/s" for axis in "XYZ")
+    )
+    path = write(tmp_path, text_of(TIME * 1e6, ACCELEROMETER, GYROSCOPE, delimiter=",", header=header + "\n"))
+    table = read_tables([path])
+    assert table.settings == {"accelerometer_unit": "m/s^2", "gyroscope_unit": "deg/s"}
+    np.testing.assert_allclose(table.rows[:, 0], TIME, atol=1e-9)
 
 
 def test_the_heading_of_euroc_data_sets_is_known(tmp_path: Path) -> None:

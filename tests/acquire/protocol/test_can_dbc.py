@@ -114,6 +114,8 @@ def test_value_tables_name_codes() -> None:
         ("Default, noerror, NoError, NO_FAULT, not faulty, Terrain, Antenna, Preserved, Mono signal", set()),
         ("ERR, Error1, sensor_error, ECUError, SensorFault, faulty, failed, Failure, defective", {True}),
         ("ERROR_NO_COMM, FaultNoSupply, Error_No_Ack", {True}),
+        ("SENSORERROR, HWFAULT, SIGERR, TIMEOUTERROR, SELFTESTFAILED, DEVICEFAILURE, sensordefect", {True}),
+        ("terror, preferred, deferring, Interrupt", set()),
         ("n/a, NA, SNA_1, NotAvailable, NOT-AVAILABLE, SignalInvalid, Reserved2, no_data, undefined", {False}),
     ],
 )

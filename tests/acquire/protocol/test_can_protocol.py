@@ -16,7 +16,7 @@ import pytest
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.instrument.can_map import parse_map, protocol_from_dbc, protocol_text
 from imufield.acquire.protocol.can_frame import Frame, pack_frame
-from imufield.acquire.protocol.can_protocol import embed_dbc
+from imufield.acquire.protocol.can_protocol import dbc_table, embed_dbc
 from imufield.acquire.protocol.protocol import Protocol, load_protocol, parse_protocol
 from imufield.errors import ProtocolError, Reason, UsageError
 from imufield.samples import Samples, Status, concatenate
@@ -223,8 +223,6 @@ def test_code_page_of_windows_and_quotes(tmp_path: Path) -> None:
         ({"gyroscope.x": "AccX"}, "can_protocol.unit", ("AccX", "'g'", "gyroscope")),
         ({"temperature": "Speed"}, "can_protocol.temperature_unit", ("Speed", "'km/h'", "degC")),
         ({"temperature": "Temp", "temperature.unit": "degR"}, "can_protocol.temperature_unit", ("Temp", "'degR'")),
-        ({"time": "Nameless"}, "can_protocol.time_unit", ("Nameless", "no unit", "ticks_per_s")),
-        ({"time": "Speed"}, "can_protocol.time_unit", ("Speed", "'km/h'")),
         ({"counter": "Count"}, "can_dbc.several", ("Acc.Count, Gyro.Count",)),
         ({"counter": "AccX"}, "can_protocol.no_counter", ("AccX",)),
         ({"starts_with": "Housekeeping"}, "can_protocol.not_mapped", ("'Housekeeping'", "Acc, Gyro")),
@@ -238,6 +236,14 @@ def test_what_is_wrong_with_a_map(dbc: Path, change: dict[str, str], key: str, w
         protocol_from_dbc(dbc, {**MAP, **change})
     assert caught.value.reason is (Reason.UNITS if key.endswith("unit") else Reason.BAD_PROTOCOL)
     assert re.search(r"line \d+, key `[a-z_.0-9]+`", caught.value.message)
+
+
+@pytest.mark.parametrize(("signal", "unit"), [("Nameless", "no unit"), ("Speed", "'km/h'")])
+def test_a_time_stamp_without_a_unit_is_refused_but_in_earlier_sessions(dbc: Path, signal: str, unit: str) -> None:
+    with refused(ProtocolError, Reason.UNITS, signal, unit, "time.ticks_per_s", key="can_map.time_unit"):
+        protocol_from_dbc(dbc, {**MAP, "time": signal})
+    kept = protocol_text("mine", dbc.name, {**MAP, "time": signal}) + dbc_table(DBC)
+    assert parse_protocol(kept).clock.time_ticks_per_s == 1.0
 
 
 @pytest.mark.parametrize(
