@@ -104,7 +104,8 @@ def _planned(session: Session) -> int | None:
 def _what(row: Row) -> str:
     """Return all but instrument, folder and fault."""
     state = f"{row['state']}, not solved" if row["verdict"] is None else row["verdict"].upper()
-    complete = "" if row["positions"] is None else f"{row['positions']} of {row['planned'] or '?'} positions"
+    planned = f" of {row['planned']}" if row["planned"] else ""
+    complete = "" if row["positions"] is None else f"{row['positions']}{planned} positions"
     when = (row["created"] or "")[:16].replace("T", " ")
     return f"{when:<16}  {state:<22}  {complete:<18} "
 

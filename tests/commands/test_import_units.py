@@ -60,8 +60,11 @@ def table(
 
 
 def imported(path: Path, **settings: str) -> tuple[Session, list[str]]:
+    """Import a table; return the session and what was assumed, behind what was read."""
     session, said = import_session(ImportOptions(files=[path], output=path.parent / "session", settings=settings))
-    return session, [key_of(one) for one in said]
+    first, *assumed = [key_of(one) for one in said]
+    assert first == "import_files.table"
+    return session, assumed
 
 
 @pytest.mark.parametrize(

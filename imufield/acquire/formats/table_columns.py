@@ -367,15 +367,16 @@ def choose_unit(
         return ("m/s^2" if quantity == "accelerometer" else "rad/s"), 1.0, ""
     written = stated.get(quantity) if setting is None else str(setting)
     if written is not None:
-        if unit_name(written, quantity) is None:
+        name = unit_name(written, quantity)
+        if name is None:
             if setting is not None:
                 return written, 1.0, ""  # The protocol says what it takes.
             known = known_units(quantity)
             raise UsageError(sentence("table_columns.unknown_unit", quantity=quantity, unit=written, known=known), Reason.UNITS)
-        unit, factor = (_THOUSANDTHS[written], 1e-3) if written in _THOUSANDTHS else TO_SI[written]
-        if factor == 1.0 or written in _KEPT:
-            return written, 1.0, ""
-        return unit, factor, sentence("table_columns.converted", quantity=quantity, stated=written, unit=unit)
+        unit, factor = (_THOUSANDTHS[name], 1e-3) if name in _THOUSANDTHS else TO_SI[name]
+        if factor == 1.0 or name in _KEPT:
+            return name, 1.0, ""
+        return unit, factor, sentence("table_columns.converted", quantity=quantity, stated=name, unit=unit)
     # Neither one damaged number nor a gap decides for all the others.
     possible = (np.abs(values) <= LARGEST_OUTPUT).all(axis=1)
     guess, key, found = _guess(quantity, values[possible if possible.any() else is_whole], stated, has_zero=has_zero)

@@ -89,7 +89,9 @@ def test_words_in_the_place_of_units_are_said_and_ignored(tmp_path: Path) -> Non
     assert said.values["words"] == ["UTC", "forward", "left", "up", "IMU"]
 
 
-@pytest.mark.parametrize(("unit", "kept", "factor"), [("mg", "g", 1e-3), ("ft/s^2", "m/s^2", 0.3048), ("g", "g", 1.0)])
+@pytest.mark.parametrize(
+    ("unit", "kept", "factor"), [("mg", "g", 1e-3), ("ft/s^2", "m/s^2", 0.3048), ("g", "g", 1.0), ("m/sec^2", "m/s^2", 1.0)]
+)
 def test_a_unit_that_is_given_is_converted_as_a_stated_one(tmp_path: Path, unit: str, kept: str, factor: float) -> None:
     header = "time_s,acc_x (m/h),acc_y (m/h),acc_z (m/h)\n"
     path = write(tmp_path, text_of(TIME, ACCELEROMETER, delimiter=",", header=header))
