@@ -287,7 +287,7 @@ def choose_time_scale(path: Path, time: FloatArray, unit: str | None, rate_hz: f
     low, high = SHORTEST_STEP_S, LONGEST_STEP_S
     if rate_hz is not None:
         low, high = (1.0 - _RATE_TOLERANCE) / rate_hz, (1.0 + _RATE_TOLERANCE) / rate_hz
-    # Minutes and hours are never guessed: a step of seconds would be one of theirs, too.
+    # A step tells units apart that differ by 1000: minutes and hours are not among them.
     fitting = [name for name, scale in SECONDS.items() if scale <= 1.0 and low <= step * scale <= high]
     if not fitting:
         # In seconds it would be plausible: then it is the rate that is wrong.

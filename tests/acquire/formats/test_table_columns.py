@@ -8,7 +8,7 @@ from imufield.acquire.formats.tables import read_tables, stream_table
 from imufield.errors import Reason, RecordingError, UsageError
 from tests.acquire.table_files import ACCELEROMETER, GYROSCOPE, TIME, text_of, write
 from tests.refused import refused
-from tests.told import keys
+from tests.told import keys, told
 
 
 @pytest.mark.parametrize(
@@ -187,3 +187,90 @@ def test_a_tab_behind_each_row_is_no_column(tmp_path: Path) -> None:
     for header in ("time\tax\tay\taz\n", "time\tax\tay\taz\t\n"):
         table = read_tables([write(tmp_path, header + rows)], settings={"accelerometer_unit": "g"})
         np.testing.assert_allclose(table.rows[:, :4], WIDE[:, :4], atol=1e-6)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252"])
+def test_units_with_signs_in_any_usual_encoding(tmp_path: Path, encoding: str) -> None:
+    header = "time [µs],ax [m/s²],ay [m/s²],az [m/s²],gx [°/s],gy [°/s],gz [°/s],temp [°C]\n"
+    path = tmp_path / "table.csv"
+    path.write_bytes(text_of(TIME * 1e6, ACCELEROMETER, GYROSCOPE, TIME, delimiter=",", header=header).encode(encoding))
+    table = read_tables([path])
+    assert table.settings == {"accelerometer_unit": "m/s^2", "gyroscope_unit": "deg/s"}
+    np.testing.assert_allclose(table.rows[:, 0], TIME, atol=1e-9)
+    assert table.assumptions == ()
+
+
+@pytest.mark.parametrize("mark", ["", "# "])
+@pytest.mark.parametrize(
+    ("unit_a", "unit_temperature", "key"),
+    [
+        ("fur/long\x1b[2J", "degC", "table_columns.unknown_unit"),
+        ("rad/s", "degC", "table_columns.unknown_unit"),
+        ("m/s^2", "°R", "table_columns.unknown_temperature_unit"),
+    ],
+)
+def test_a_unit_that_is_none_is_refused(tmp_path: Path, mark: str, unit_a: str, unit_temperature: str, key: str) -> None:
+    header = f"{mark}time_s,acc_x ({unit_a}),acc_y ({unit_a}),acc_z ({unit_a}),temp ({unit_temperature})\n"
+    path = write(tmp_path, text_of(TIME, ACCELEROMETER, TIME, delimiter=",", header=header))
+    with refused(UsageError, Reason.UNITS, key=key) as caught:
+        read_tables([path])
+    assert "\x1b" not in caught.value.message
+
+
+def test_words_in_the_place_of_units_are_said_and_ignored(tmp_path: Path) -> None:
+    header = "time (UTC),acc_x (forward),acc_y (left),acc_z (up),temp (IMU)\n"
+    table = read_tables([write(tmp_path, text_of(TIME, ACCELEROMETER, TIME, delimiter=",", header=header))])
+    assert np.array_equal(table.rows[:, 1:4], ACCELEROMETER)
+    (said,) = told(table.assumptions, "table_columns.no_units")
+    assert said.values["words"] == ["UTC", "forward", "left", "up", "IMU"]
+
+
+@pytest.mark.parametrize(
+    ("unit", "kept", "factor"), [("mg", "g", 1e-3), ("ft/s^2", "m/s^2", 0.3048), ("g", "g", 1.0), ("m/sec^2", "m/s^2", 1.0)]
+)
+def test_a_unit_that_is_given_is_converted_as_a_stated_one(tmp_path: Path, unit: str, kept: str, factor: float) -> None:
+    header = "time_s,acc_x (m/h),acc_y (m/h),acc_z (m/h)\n"
+    path = write(tmp_path, text_of(TIME, ACCELEROMETER, delimiter=",", header=header))
+    table = read_tables([path], settings={"accelerometer_unit": unit})
+    assert table.settings["accelerometer_unit"] == kept
+    np.testing.assert_allclose(table.rows[:, 1:4], factor * ACCELEROMETER, rtol=1e-12)
+
+
+def test_signs_stand_in_names_without_brackets(tmp_path: Path) -> None:
+    header = (
+        "Time \u03bcs," + ",".join(f"Acc {axis} m/s²" for axis in "XYZ") + "," + ",".join(f"Gyro {axis} °/s" for axis in "XYZ")
+    )
+    path = write(tmp_path, text_of(TIME * 1e6, ACCELEROMETER, GYROSCOPE, delimiter=",", header=header + "\n"))
+    table = read_tables([path])
+    assert table.settings == {"accelerometer_unit": "m/s^2", "gyroscope_unit": "deg/s"}
+    np.testing.assert_allclose(table.rows[:, 0], TIME, atol=1e-9)
+
+
+def test_the_heading_of_euroc_data_sets_is_known(tmp_path: Path) -> None:
+    header = "#timestamp [ns]," + ",".join(f"w_RS_S_{axis} [rad s^-1]" for axis in "xyz")
+    header += "," + ",".join(f"a_RS_S_{axis} [m s^-2]" for axis in "xyz") + "\n"
+    table = read_tables([write(tmp_path, text_of(TIME * 1e9, GYROSCOPE, ACCELEROMETER, delimiter=",", header=header))])
+    np.testing.assert_array_equal(table.rows[:, 1:7], np.column_stack([ACCELEROMETER, GYROSCOPE]))
+    np.testing.assert_allclose(table.rows[:, 0], TIME, atol=1e-9)
+    assert table.settings == {"accelerometer_unit": "m/s^2", "gyroscope_unit": "rad/s"}
+
+
+@pytest.mark.parametrize(
+    ("unit", "kept", "factor"),
+    [
+        ("deg/sec", "deg/s", 1.0),
+        ("º/s", "deg/s", 1.0),
+        ("rad/sec", "rad/s", 1.0),
+        ("mrad/s", "rad/s", 1e-3),
+        ("mdps", "deg/s", 1e-3),
+        ("deg/h", "rad/s", np.pi / 648_000),
+    ],
+)
+def test_a_stated_unit_is_taken_at_its_word(tmp_path: Path, unit: str, kept: str, factor: float) -> None:
+    header = f"time [min],ax [g],ay [g],az [g],gx ({unit}),gy ({unit}),gz ({unit}),Temp (°F)\n"
+    columns = (TIME / 60, ACCELEROMETER, GYROSCOPE, 1.8 * (TIME + 20) + 32)
+    table = read_tables([write(tmp_path, text_of(*columns, delimiter=",", header=header))])
+    assert table.settings["gyroscope_unit"] == kept
+    np.testing.assert_allclose(table.rows[:, 4:7], factor * GYROSCOPE, rtol=1e-12)
+    np.testing.assert_allclose(table.rows[:, 0], TIME, atol=1e-9)
+    np.testing.assert_allclose(table.rows[:, 7], TIME + 20, rtol=1e-9)
