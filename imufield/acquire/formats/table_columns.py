@@ -40,6 +40,7 @@ HEADERLESS = {
     8: FIELDS,
 }
 
+TRIADS = {"accelerometer": ACCELEROMETER_COLUMNS, "gyroscope": GYROSCOPE_COLUMNS}
 TIME_UNIT = "time_unit"
 """Setting of an import; rows themselves are in seconds."""
 SHORTEST_STEP_S = 2.5e-4

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ from imufield.acquire.formats.table_columns import (
     STATUS,
     TEMPERATURE,
     TIME,
+    TRIADS,
     Meaning,
     columns_by_count,
     columns_by_header,
@@ -46,6 +47,8 @@ class File:
     """Columns of one file by field, in the units that were found or assumed; times count from ``zero_s`` seconds after 1970."""
 
     path: Path
+    name: str
+    """To be shown."""
     fields: dict[str, FloatArray]
     units: dict[str, str]
     assumptions: tuple[str, ...]
@@ -71,10 +74,60 @@ def meaning_of(source: Source, columns: str | None, number: int, files: int) -> 
     return columns_by_count(source.path, source.width, number, files)
 
 
-def file_of(source: Source, meaning: Meaning, values: FloatArray, first_row: int = 0, *, known: Collection[str] = ()) -> File:
-    """Return the columns of rows that were read, the first of which is row ``first_row`` of the file, checked.
+def files_of(source: Source, meaning: Meaning, values: FloatArray) -> list[File]:
+    """Return a file as it is, or each triad by itself where some rows lack it.
+
+    Programs that log two instruments write each sample into a row of its own, or leave a lost one empty: a triad consists of
+    the rows that have its values, and its times are its own. Raises as ``file_of``.
+    """
+    places = {column.field: place for place, column in enumerate(meaning.columns)}
+    lacks = {}
+    for quantity, triad in TRIADS.items():
+        columns = values[:, [places[name] for name in triad if name in places]]
+        if not all(map(is_empty, columns.T)):
+            lacks[quantity] = np.isnan(columns).any(axis=1)
+    # Without times nobody knows which rows belong together; our own export flags its gaps; a column may lack as a whole.
+    if TIME not in places or STATUS in places or not np.any([*lacks.values()]) or any(map(np.all, lacks.values())):
+        return [file_of(source, meaning, values, range(len(values)))]
+    if TEMPERATURE in places:
+        values = _filled(values, places[TIME], places[TEMPERATURE])
+    files: list[File] = []
+    for quantity, lack in lacks.items():
+        # What is of no triad comes with the first.
+        of_none = {TIME} if files else places.keys() - {name for triad in TRIADS.values() for name in triad}
+        fields = of_none.union(TRIADS[quantity])
+        used = tuple(column for column in meaning.columns if column.field in fields)
+        rows = np.flatnonzero(~lack)
+        part = values[rows][:, [places[column.field] for column in used]]
+        file = file_of(source, replace(meaning, columns=used), part, rows.tolist())
+        assumptions = () if files else file.assumptions
+        if lack.any():
+            said = sentence("table_file.part", name=file.name, found=len(rows), of=len(values), quantity=quantity)
+            assumptions = (*assumptions, said)
+        files.append(replace(file, name=f"{quantity} in {file.name}", assumptions=assumptions))
+    return files
+
+
+def _filled(values: FloatArray, time: int, temperature: int) -> FloatArray:
+    """Return rows with the temperature interpolated where it is missing; it changes slowly."""
+    known = np.flatnonzero(np.isfinite(values[:, [time, temperature]]).all(axis=1))
+    if not len(known):
+        return values
+    known = known[np.argsort(values[known, time])]
+    filled = values.copy()
+    filled[:, temperature] = np.interp(values[:, time], values[known, time], values[known, temperature])
+    return filled
+
+
+def file_of(source: Source, meaning: Meaning, values: FloatArray, rows: Sequence[int], *, known: Collection[str] = ()) -> File:
+    """Return the columns of rows that were read, checked; ``rows`` says which of the file they are.
 
     Columns that are ``known`` have numbers in other rows of the file, if not in these.
+
+    Raises
+    ------
+    RecordingError
+        ``BAD_DATA`` with the line that is wrong.
     """
     path = source.path
     # One row has no rate.
@@ -86,15 +139,15 @@ def file_of(source: Source, meaning: Meaning, values: FloatArray, first_row: int
         raise RecordingError(sentence("table_file.no_number", path=str(path)), Reason.BAD_DATA)
     # A column without a number may be left out; half a triad may not.
     _check_whole_triads(path, fields, kept)
-    _check_whole_numbers(source, kept, first_row)
+    _check_whole_numbers(source, kept, rows)
     if TEMPERATURE in kept and TEMPERATURE in meaning.units:
         kept[TEMPERATURE] = in_degc(path, kept[TEMPERATURE], meaning.units[TEMPERATURE])
-    _check_temperatures(source, kept, first_row)
+    _check_temperatures(source, kept, rows)
     for name, column in kept.items():
         if name not in (TEMPERATURE, COUNTER, STATUS):
-            _check_finite(source, name, column, kept.get(STATUS), first_row=first_row)
-    _check_no_step_back(source, kept.get(TIME), first_row, is_guess=meaning.is_guess)
-    file = File(path=path, fields=kept, units=meaning.units, assumptions=meaning.assumptions)
+            _check_finite(source, name, column, kept.get(STATUS), rows=rows)
+    _check_no_step_back(source, kept.get(TIME), rows, is_guess=meaning.is_guess)
+    file = File(path=path, name=path.name, fields=kept, units=meaning.units, assumptions=meaning.assumptions)
     if isinstance(source, TextTable):
         return file
     said = (*source.assumptions, *meaning.assumptions)
@@ -122,17 +175,17 @@ def _fault(key: str, source: Source, row: int, **values: object) -> RecordingErr
     return RecordingError(sentence(key, path=str(source.path), line=line, where=where, **values), Reason.BAD_DATA)
 
 
-def _check_finite(source: Source, name: str, column: FloatArray, status: FloatArray | None, *, first_row: int) -> None:
+def _check_finite(source: Source, name: str, column: FloatArray, status: FloatArray | None, *, rows: Sequence[int]) -> None:
     """Refuse what is no number, but for the gaps that say of themselves that they are."""
     wrong = ~np.isfinite(column)
     if status is not None and name in _MAY_LACK:
         wrong &= (status.astype(np.int64) & int(_MAY_LACK[name])) == 0
     if wrong.any():
         row = int(np.argmax(wrong))
-        raise _fault("table_file.not_finite", source, first_row + row, value=column[row], name=name)
+        raise _fault("table_file.not_finite", source, rows[row], value=column[row], name=name)
 
 
-def _check_whole_numbers(source: Source, kept: Fields, first_row: int) -> None:
+def _check_whole_numbers(source: Source, kept: Fields, rows: Sequence[int]) -> None:
     """Refuse flags and counters that are none; a counter may be missing."""
     for name, (low, high) in _LIMITS.items():
         if name not in kept:
@@ -145,23 +198,23 @@ def _check_whole_numbers(source: Source, kept: Fields, first_row: int) -> None:
         if not is_sound.all():
             row = int(np.argmin(is_sound))
             limits = {"low": low, "high": high}
-            raise _fault("table_file.no_whole_number", source, first_row + row, value=column[row], name=name, **limits)
+            raise _fault("table_file.no_whole_number", source, rows[row], value=column[row], name=name, **limits)
 
 
-def _check_temperatures(source: Source, kept: Fields, first_row: int) -> None:
+def _check_temperatures(source: Source, kept: Fields, rows: Sequence[int]) -> None:
     """Refuse what no thermometer of an instrument shows, e.g. the -999 that stands for "none" in tables of others."""
     is_possible = is_possible_degc(kept.get(TEMPERATURE, np.empty(0)))
     if not is_possible.all():
         row = int(np.argmin(is_possible))
         low, high = TEMPERATURE_RANGE_DEGC
-        raise _fault("table_file.impossible", source, first_row + row, found=kept[TEMPERATURE][row], low=low, high=high)
+        raise _fault("table_file.impossible", source, rows[row], found=kept[TEMPERATURE][row], low=low, high=high)
 
 
-def _check_no_step_back(source: Source, time: FloatArray | None, first_row: int, *, is_guess: bool) -> None:
+def _check_no_step_back(source: Source, time: FloatArray | None, rows: Sequence[int], *, is_guess: bool) -> None:
     """Refuse a time that decreases; ``is_guess``: nobody said that the column is the time."""
     if time is None or not (steps_back := np.diff(time) < 0.0).any():
         return
     row = int(np.argmax(steps_back)) + 1
     key = "table_file.guessed_time_back" if is_guess else "table_file.time_back"
     example = {"width": source.width, "example": ",".join(FIELDS[: source.width])}
-    raise _fault(key, source, first_row + row, before=time[row - 1], after=time[row], **example)
+    raise _fault(key, source, rows[row], before=time[row - 1], after=time[row], **example)

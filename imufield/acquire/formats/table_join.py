@@ -47,34 +47,36 @@ def join(
                 fields[TIME] = fields[TIME] * scale
             if file.zero_s != zero_s:
                 fields[TIME] = fields[TIME] + (file.zero_s - zero_s)
-    names = [file.path for file in files]
+    names = [file.name for file in files]
     if all(TIME in fields for fields in timed):
         joined, joining = _join_by_time(names, timed)
     else:
-        joined, joining = _join_by_row(names, timed, rate_hz)
+        joined, joining = _join_by_row([file.path for file in files], timed, rate_hz)
     return joined, zero_s, units, said + joining
 
 
-def _join_by_time(paths: Sequence[Path], files: Sequence[Fields]) -> tuple[dict[str, FloatArray], list[str]]:
+def _join_by_time(names: Sequence[str], files: Sequence[Fields]) -> tuple[dict[str, FloatArray], list[str]]:
     """Join files that have a time column each, in seconds; equal times as they are, others by linear interpolation."""
     time = files[0][TIME]
     joined = dict(files[0])
     said: list[str] = []
     usable = np.ones(len(time), dtype=bool)
-    for path, file in zip(paths[1:], files[1:], strict=True):
+    for name, file in zip(names[1:], files[1:], strict=True):
         if np.array_equal(file[TIME], time):
-            joined |= {name: column for name, column in file.items() if name != TIME}
+            joined |= {field: column for field, column in file.items() if field != TIME}
             continue
         covered = _covered(time, file[TIME])
         if not covered.any():
             spans = [f"{each[0]:.6g} to {each[-1]:.6g} s" for each in (file[TIME], time)]
-            raise UsageError(sentence("table_join.no_common_time", path=str(path), first=paths[0], spans=spans))
-        joined |= {name: np.interp(time, file[TIME], column) for name, column in file.items() if name != TIME}
+            raise UsageError(sentence("table_join.no_common_time", name=name, first=names[0], spans=spans))
+        joined |= {field: np.interp(time, file[TIME], column) for field, column in file.items() if field != TIME}
         usable &= covered
-        said.append(sentence("table_join.interpolated", name=path.name, first=paths[0].name))
+        # Of times that are all in both, interpolation takes the values as they are.
+        if not np.isin(time[covered], file[TIME]).all():
+            said.append(sentence("table_join.interpolated", name=name, first=names[0]))
     if not usable.all():
-        said.append(sentence("table_join.left_out", rows=int((~usable).sum()), of=len(time), first=paths[0].name))
-        joined = {name: column[usable] for name, column in joined.items()}
+        said.append(sentence("table_join.left_out", rows=int((~usable).sum()), of=len(time), first=names[0]))
+        joined = {field: column[usable] for field, column in joined.items()}
     return joined, said
 
 

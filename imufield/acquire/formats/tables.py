@@ -21,13 +21,14 @@ from imufield.acquire.formats.table_columns import (
     STATUS,
     TIME,
     TIME_UNIT,
+    TRIADS,
     Meaning,
     choose_time_scale,
     choose_unit,
     given_time_unit,
     refuse_coarse_times,
 )
-from imufield.acquire.formats.table_file import File, file_of, is_empty, meaning_of, open_source
+from imufield.acquire.formats.table_file import File, file_of, files_of, is_empty, meaning_of, open_source
 from imufield.acquire.formats.table_join import join
 from imufield.acquire.formats.table_text import TextTable
 from imufield.acquire.link.chunk import Chunk
@@ -48,7 +49,6 @@ LATEST_NS = 2**63 - 1
 """What a recording's time stamps hold: 292 years. Times beyond are kept in the rows themselves."""
 _ROWS_A_CHUNK = 4096  # 256 KiB: few messages, and well below what one damaged byte may cost.
 _ROWS_TO_GUESS_BY = 1 << 18  # 20 MiB of numbers; at 2000 Hz two minutes, in which nobody's unit looks like another's.
-_TRIADS = {"accelerometer": ACCELEROMETER_COLUMNS, "gyroscope": GYROSCOPE_COLUMNS}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -148,11 +148,11 @@ def read_tables(
         parts *= len(paths)
     if len(parts) != len(paths):
         raise UsageError(sentence("tables.other_number", found=len(parts), files=len(paths), columns=columns))
-    files = []
+    files: list[File] = []
     for number, (path, names) in enumerate(zip(paths, parts, strict=True)):
         source = open_source(Path(path), topic)
         meaning = meaning_of(source, names, number, len(paths))
-        files.append(file_of(source, meaning, source.read(meaning.places)))
+        files += files_of(source, meaning, source.read(meaning.places))
     _check_values([file.path for file in files], {name for file in files for name in file.fields})
     for file in files:
         refuse_coarse_times(file.path, file.fields.get(TIME, np.empty(0)))
@@ -178,13 +178,13 @@ def stream_table(path: str | Path, *, rate_hz: float | None = None) -> Iterator[
     pieces = _pieces(source, meaning)
     values = next(pieces)
     late = _late(source, meaning, values)
-    file = file_of(source, meaning, values, known=late.keys())
+    file = file_of(source, meaning, values, range(len(values)), known=late.keys())
     known = file.fields.keys() | late.keys()
     _check_values([file.path], known)
     refuse_coarse_times(file.path, file.fields.get(TIME, np.empty(0)))
     head = _table([file], rate_hz, settings=_late_units(late, file.units))
     # What the first piece decided holds for all, even where another would be guessed from a later one.
-    decided = {f"{quantity}_unit": head.settings[f"{quantity}_unit"] for quantity in _TRIADS if quantity not in file.units}
+    decided = {f"{quantity}_unit": head.settings[f"{quantity}_unit"] for quantity in TRIADS if quantity not in file.units}
     if TIME in file.fields and TIME not in file.units:
         scale, _ = choose_time_scale(file.path, file.fields[TIME], None, rate_hz)
         decided[TIME_UNIT] = next(name for name, value in SECONDS.items() if value == scale)
@@ -192,7 +192,8 @@ def stream_table(path: str | Path, *, rate_hz: float | None = None) -> Iterator[
     done, last = len(values), values[-1:]
     for values in pieces:
         # The row before stands in front, so that what must not change between two rows is seen here, too.
-        file = file_of(source, meaning, np.concatenate([last, values]), done - 1, known=known)
+        rows = range(done - 1, done + len(values))
+        file = file_of(source, meaning, np.concatenate([last, values]), rows, known=known)
         table = _table([file], rate_hz, settings=decided)
         # Each piece would count its time from 0.
         if rate_hz is not None and TIME not in file.fields:
@@ -234,7 +235,7 @@ def _late(source: TextTable, meaning: Meaning, head: FloatArray) -> dict[str, Fl
 def _late_units(late: Mapping[str, FloatArray], stated: Mapping[str, str]) -> dict[str, str]:
     """Return the units of triads that begin behind the head, as settings, where no header states them."""
     units: dict[str, str] = {}
-    for quantity, names in _TRIADS.items():
+    for quantity, names in TRIADS.items():
         if quantity not in stated and late.keys() >= set(names):
             values = np.column_stack([late[name] for name in names])
             units[f"{quantity}_unit"], _, _ = choose_unit(quantity, values, stated, {}, has_zero=False)

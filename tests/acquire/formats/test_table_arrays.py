@@ -106,11 +106,11 @@ def test_a_date_that_is_no_time_of_the_samples_dates_nothing(tmp_path: Path) -> 
         assert read_tables([tmp_path / f"{name}.parquet"], settings={"time_unit": "s"}).begin_s == begin_s
 
 
-def test_a_gap_is_named_by_its_row(tmp_path: Path) -> None:
+def test_an_infinity_is_named_by_its_row(tmp_path: Path) -> None:
     force = FORCE.copy()
-    force[41, 1] = np.nan
+    force[41, 1] = np.inf
     np.savez(tmp_path / "gap.npz", time=TIME, acc=force)
-    with refused(RecordingError, Reason.BAD_DATA, "nan", "ay", "42") as caught:
+    with refused(RecordingError, Reason.BAD_DATA, "inf", "ay", "42") as caught:
         read_tables([tmp_path / "gap.npz"])
     assert caught.value.values["line"] == 42
 
