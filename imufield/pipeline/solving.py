@@ -265,6 +265,8 @@ def _unguided(chain: Chain, session: Session) -> _Usable:
         raise
     if len(found.observations) < FEWEST_POSITIONS:
         _refuse_ramp(chain, session)
+    if len(found.observations) == 1 and not found.refused:
+        raise CalibrationError(sentence("solving.one_rest", name=session.name, limit=FEWEST_POSITIONS), Reason.TOO_FEW)
     clipped: list[tuple[float, str]] = []
     others: dict[RefusalCode, list[tuple[float, str]]] = {}
     for start_s, refusal in found.refused:

@@ -308,6 +308,14 @@ def test_a_ramp_alone_is_refused_as_what_it_is(folders: tuple[Path, Path, Path])
         solve_session(Session.open(folders[2]), SolveSettings())
 
 
+def test_a_rest_alone_is_refused_with_what_it_is_good_for(tmp_path: Path) -> None:
+    time_s = np.arange(0.0, 400.0, 0.01)
+    outputs = np.array([0.1, 0.2, 9.8, 0, 0, 0]) + 1e-3 * np.random.default_rng(4).normal(size=(len(time_s), 6))
+    rest = import_table(tmp_path, "rest", np.column_stack([time_s, outputs, np.full(len(time_s), 20.0)]))
+    with refused(CalibrationError, Reason.TOO_FEW, "imufield noise rest", "imufield verify", key="solving.one_rest"):
+        solve_session(Session.open(rest), SolveSettings())
+
+
 def test_a_file_over_temperature_is_not_replaced_without_a_word(
     sessions: tuple[Parameters, ...], folders: tuple[Path, Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
