@@ -161,7 +161,9 @@ def read_numpy(path: Path) -> Content:
     with path.open("rb") as file:
         content = np.load(file, allow_pickle=False)
         names = content.dtype.names if isinstance(content, np.ndarray) else content.files
-        return ({name: content[name] for name in names} if names else {"": content}), {}
+        found = {name: content[name] for name in names} if names else {"": content}
+        # Any ZIP archive begins as this one does: what else is in it comes as bytes.
+        return {name: np.empty(0, "S1") if isinstance(each, bytes) else each for name, each in found.items()}, {}
 
 
 def read_bag(path: Path, topic: str | None = None) -> Content:

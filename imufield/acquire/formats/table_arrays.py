@@ -19,7 +19,7 @@ import numpy as np
 
 from imufield.acquire.formats import foreign_file_reader
 from imufield.acquire.formats.foreign_file_reader import Array, Arrays
-from imufield.acquire.formats.table_columns import named_column
+from imufield.acquire.formats.table_names import named_column
 from imufield.acquire.formats.table_text import unreadable
 from imufield.dataclass import dataclass, field, replace
 from imufield.errors import Reason, RecordingError, UsageError

@@ -5,14 +5,21 @@ Every assumption that the header does not state is returned as a sentence.
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-import tomli
 
-from imufield.acquire.protocol.units import SECONDS, TO_DEGC, TO_SI, known_units, plain_signs, unit_name
+from imufield.acquire.formats.table_names import (
+    SAMPLE_TIME_FINE,
+    TEMPERATURE,
+    TIME,
+    TableColumn,
+    named_column,
+    one_of_each,
+    quantity_of_file,
+)
+from imufield.acquire.protocol.units import SECONDS, TO_DEGC, TO_SI, known_units, unit_name
 from imufield.dataclass import dataclass
 from imufield.errors import Reason, UsageError
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, LARGEST_OUTPUT, SAMPLE_COLUMNS, FloatArray, median
@@ -20,8 +27,6 @@ from imufield.sentences import Sentences, shortened
 
 sentence = Sentences(__package__)
 
-TIME = "time"
-TEMPERATURE = "temperature"
 FIELDS = (TIME, *ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS, TEMPERATURE)
 """The columns of a row of protocol ``rows_f64``, in its order."""
 STATUS = "status"
@@ -31,8 +36,6 @@ COUNTER = "counter"
 SKIPPED = ("-", "_", "skip")
 
 
-_WORDS = tomli.loads(Path(__file__).with_name("table_words.toml").read_text(encoding="utf-8"))
-_NAMES = {quantity: frozenset(names.split()) for quantity, names in _WORDS["names"].items()}
 HEADERLESS = {
     3: ACCELEROMETER_COLUMNS,
     6: (*ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS),
@@ -40,7 +43,6 @@ HEADERLESS = {
     8: FIELDS,
 }
 
-TRIADS = {"accelerometer": ACCELEROMETER_COLUMNS, "gyroscope": GYROSCOPE_COLUMNS}
 TIME_UNIT = "time_unit"
 """Setting of an import; rows themselves are in seconds."""
 SHORTEST_STEP_S = 2.5e-4
@@ -52,29 +54,12 @@ _RATE_TOLERANCE = 0.2
 
 _MOST_EQUAL = 0.8  # Share of rows with the time of the row before: of more than five rows nobody knows when the others were.
 _THOUSANDTHS = {"mg": "g", "mdeg/s": "deg/s"}
-# Others stand behind names, too: "Acc X (forward)", "temp (IMU)".
-_LOOKS_LIKE_A_UNIT = re.compile(r"[/°˚·^*\d]|^[^\W\d_]$")
 _KEPT = ("g", "deg/s", "deg")  # Beside SI: protocol ``rows_f64`` knows them.
 _FAST = 0.999  # Of all outputs; larger ones may be damage.
 _STANDS_FOR_G = (0.8, 1.25)
 _STANDS_FOR_M_S2 = (8.0, 12.0)  # Median norm of an accelerometer that is at rest most of the time.
 # Hands turn a unit faster than this in deg/s at once, and hardly ever in rad/s: 1150 deg/s, half the range of a chip.
 _FASTEST_RAD_S = 20.0
-
-
-@dataclass(frozen=True, slots=True)
-class TableColumn:
-    """One column that is used: where it stands, what it is, and the unit its header names (None if it names none)."""
-
-    index: int
-    field: str
-    unit: str | None = None  # As it stands there if it looks like one and is not known.
-    word: str = ""  # What stands in the place of a unit and does not look like one.
-
-    @property
-    def quantity(self) -> str:
-        """``time``, ``accelerometer``, ``gyroscope``, ``temperature``, ``status`` or ``counter``."""
-        return quantity_of(self.field)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,66 +87,6 @@ class Meaning:
         return [column.index for column in self.columns]
 
 
-def quantity_of(field: str) -> str:
-    """Return what a field measures."""
-    if field in ACCELEROMETER_COLUMNS:
-        return "accelerometer"
-    return "gyroscope" if field in GYROSCOPE_COLUMNS else field
-
-
-def named_column(text: str, index: int, unit_below: str | None = None) -> TableColumn | None:
-    """Understand one column name such as ``Acc X (m/s^2)``, ``gyro_z_dps``, ``linear_acceleration.x`` or ``time_ms``.
-
-    Returns
-    -------
-    TableColumn or None
-        None for a name that is none of ours.
-    """
-    # From the first bracket on, and from no other: a heading of brackets alone would take hours.
-    bracket = re.match(r"([^\[(]*+)[\[(]([^\])]*+)[\])]", text)
-    words = _words(bracket[1] + text[bracket.end() :] if bracket else text)
-    stated = bracket[2] if bracket else unit_below or ""
-    field, tail = _field_of(words)
-    if field is None:
-        return None
-    unit = unit_name(stated or "".join(tail), quantity_of(field))
-    text = shortened(stated.strip())
-    if unit is None and field != TIME and _LOOKS_LIKE_A_UNIT.search(text):
-        unit = text
-    return TableColumn(index, field, unit, "" if unit else text)
-
-
-def _words(text: str) -> list[str]:
-    """Split at anything but letters and digits, and between small and capital letters."""
-    parted = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", plain_signs(text))
-    return [word for word in re.split(r"[^0-9a-z°µ]+", parted.lower()) if word and word not in _NAMES["noise"]]
-
-
-def _field_of(words: Sequence[str]) -> tuple[str | None, Sequence[str]]:
-    """Find the field, and the words behind it, which may be a unit: "time s" is a time in seconds and not "times"."""
-    # The shortest name first: what follows it may be a unit.
-    for end in range(1, len(words) + 1):
-        field = _field_of_name("".join(words[:end]))
-        tail = words[end:]
-        if field is not None and (not tail or unit_name("".join(tail), quantity_of(field))):
-            return field, tail
-    return None, ()
-
-
-def _field_of_name(name: str) -> str | None:
-    for field in (TIME, TEMPERATURE):
-        if name in _NAMES[field]:
-            return field
-    # Both "acc x" and "x acc" are in use.
-    for axis, rest in ((name[-1:], name[:-1]), (name[:1], name[1:])):
-        if axis in ("x", "y", "z"):
-            if rest in _NAMES["accelerometer"]:
-                return f"a{axis}"
-            if rest in _NAMES["gyroscope"]:
-                return f"g{axis}"
-    return None
-
-
 def columns_by_user(path: Path, columns: str, width: int) -> Meaning:
     """Take the user's word, e.g. ``time,ax,ay,az,gx,gy,gz,temperature``; ``-`` skips a column.
 
@@ -184,8 +109,10 @@ def columns_by_user(path: Path, columns: str, width: int) -> Meaning:
     return _checked(path, found, ())
 
 
-def columns_by_header(path: Path, header: Sequence[str], units: Sequence[str] | None, width: int) -> Meaning:
-    """Understand a header line above rows of ``width`` cells.
+def columns_by_header(
+    path: Path, header: Sequence[str], units: Sequence[str] | None, width: int, texts: Collection[int]
+) -> Meaning:
+    """Understand a header line above rows of ``width`` cells, of which the columns ``texts`` have no numbers.
 
     Raises
     ------
@@ -197,14 +124,16 @@ def columns_by_header(path: Path, header: Sequence[str], units: Sequence[str] | 
         known = {"found": len(header), "width": width, "example": ",".join(FIELDS)}
         raise UsageError(sentence("table_columns.narrow_header", path=str(path), **known))
     below = units if units is not None and len(units) == len(header) else [None] * len(header)
-    named = [named_column(name, index, unit) for index, (name, unit) in enumerate(zip(header, below, strict=True))]
+    of_axes = quantity_of_file(path)
+    named = [named_column(name, index, unit, of_axes) for index, (name, unit) in enumerate(zip(header, below, strict=True))]
+    chosen = one_of_each([column for column in named if column is not None], header, texts)
     # Only an export of our own has all of these; columns of these names mean other things elsewhere.
     if set(SAMPLE_COLUMNS) <= set(header):
-        for name in (STATUS, COUNTER):
-            named[header.index(name)] = TableColumn(header.index(name), name)
-    ignored = [shortened(name) for name, column in zip(header, named, strict=True) if column is None and name]
+        chosen += [TableColumn(header.index(name), name) for name in (STATUS, COUNTER)]
+    used = {column.index for column in chosen}
+    ignored = [shortened(name) for index, name in enumerate(header) if index not in used and name]
     said = (sentence("table_columns.ignored", name=path.name, ignored=ignored),) if ignored else ()
-    return _checked(path, [column for column in named if column is not None], said)
+    return _checked(path, chosen, said)
 
 
 def columns_by_count(path: Path, width: int, number: int, files: int) -> Meaning:
@@ -278,6 +207,11 @@ def choose_time_scale(path: Path, time: FloatArray, unit: str | None, rate_hz: f
     """
     steps = np.diff(time)
     step = float(median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
+    if unit == SAMPLE_TIME_FINE:
+        # Their rates are so far apart that a step fits one of them.
+        tick_s = 1e-4 if step * 1e-4 <= LONGEST_STEP_S else 1e-6
+        _check_rate(path, step * tick_s, rate_hz)
+        return tick_s, ""
     if unit is not None:
         step_s = step * SECONDS[unit]
         _check_rate(path, step_s, rate_hz)

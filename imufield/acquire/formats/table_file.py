@@ -13,15 +13,13 @@ from imufield.acquire.formats.table_columns import (
     COUNTER,
     FIELDS,
     STATUS,
-    TEMPERATURE,
-    TIME,
-    TRIADS,
     Meaning,
     columns_by_count,
     columns_by_header,
     columns_by_user,
     in_degc,
 )
+from imufield.acquire.formats.table_names import TEMPERATURE, TIME, TRIADS, refuse_several_instruments
 from imufield.acquire.formats.table_text import TextTable, open_table
 from imufield.dataclass import dataclass, field, replace
 from imufield.errors import Reason, RecordingError
@@ -67,10 +65,13 @@ def open_source(path: Path, topic: str | None) -> Source:
 
 def meaning_of(source: Source, columns: str | None, number: int, files: int) -> Meaning:
     """Return what the columns of a file are: by the user, else by its header, else by their number."""
+    if isinstance(source, TextTable) and source.header is not None:
+        refuse_several_instruments(source.path, source.header, source.head)
     if columns is not None:
         return columns_by_user(source.path, columns, source.width)
     if source.header is not None:
-        return columns_by_header(source.path, source.header, source.units, source.width)
+        texts = source.text_columns if isinstance(source, TextTable) else ()
+        return columns_by_header(source.path, source.header, source.units, source.width, texts)
     return columns_by_count(source.path, source.width, number, files)
 
 
@@ -148,9 +149,9 @@ def file_of(source: Source, meaning: Meaning, values: FloatArray, rows: Sequence
             _check_finite(source, name, column, kept.get(STATUS), rows=rows)
     _check_no_step_back(source, kept.get(TIME), rows, is_guess=meaning.is_guess)
     file = File(path=path, name=path.name, fields=kept, units=meaning.units, assumptions=meaning.assumptions)
-    if isinstance(source, TextTable):
-        return file
     said = (*source.assumptions, *meaning.assumptions)
+    if isinstance(source, TextTable):
+        return replace(file, assumptions=said)
     times = [column.index for column in meaning.columns if column.field == TIME]
     zero_s = source.zero_s[times[0]] if times and source.zero_s else 0.0
     return replace(file, assumptions=said, settings=source.settings, raw_zero=source.raw_zero, zero_s=zero_s)
@@ -162,10 +163,10 @@ def is_empty(column: FloatArray) -> bool:
 
 
 def _check_whole_triads(path: Path, fields: Fields, kept: Fields) -> None:
-    """Refuse an axis without a number beside axes that have some, and a time without one."""
-    for group in (ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, (TIME,)):
+    """Refuse an axis without a number beside axes that have some."""
+    for group in TRIADS.values():
         empty = [name for name in group if name in fields and name not in kept]
-        if empty and (len(empty) < len(group) or group == (TIME,)):
+        if 0 < len(empty) < len(group):
             raise RecordingError(sentence("table_file.empty", path=str(path), columns=empty), Reason.BAD_DATA)
 
 

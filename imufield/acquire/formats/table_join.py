@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from imufield.acquire.formats.table_columns import TIME, choose_time_scale
+from imufield.acquire.formats.table_columns import choose_time_scale
 from imufield.acquire.formats.table_file import Fields, File
+from imufield.acquire.formats.table_names import TIME
 from imufield.errors import UsageError
 from imufield.samples import FloatArray, median
 from imufield.sentences import Sentences

@@ -12,13 +12,14 @@ import gzip
 import re
 import zlib
 from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime, time
 from pathlib import Path
 from typing import BinaryIO, cast
 
 import numpy as np
 
 from imufield.acquire.formats.foreign_file_reader import SoundGzip
-from imufield.dataclass import dataclass
+from imufield.dataclass import dataclass, field
 from imufield.errors import Reason, RecordingError
 from imufield.files import open_to_read
 from imufield.progress import task
@@ -38,7 +39,7 @@ _COMMENT_MARKS = ("#", "%", "//")
 _QUOTED = re.compile(r'"([^"\n]*)"')
 # Three digits behind it may be thousands, but for those of 0,123.
 _DECIMAL_COMMA = re.compile(r"(?<!\d)0,\d|\d,(?!\d{3}(?!\d))\d")
-_DATE = re.compile(r"\d{4}-\d\d-\d\d|\d\d:\d\d")
+_ROWS_LOOKED_AT = 200
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,6 +61,12 @@ class TextTable:
         Lines before the first row.
     decimal_comma : bool
         Numbers are written 1,5 and cells separated by semicolons.
+    head : tuple of tuple of str
+        The cells of the first rows.
+    text_columns : frozenset of int
+        Those without a number in any of these, e.g. dates.
+    assumptions : list of str
+        Sentences; what is found while rows are read is added.
     """
 
     path: Path
@@ -69,6 +76,9 @@ class TextTable:
     width: int
     lines_before: int
     decimal_comma: bool
+    head: tuple[tuple[str, ...], ...]
+    text_columns: frozenset[int]
+    assumptions: list[str] = field(default_factory=list)
 
     def blocks(self, columns: Sequence[int]) -> Iterator[FloatArray]:
         """Yield arrays of shape (n, len(columns)); NaN for empty cells.
@@ -83,6 +93,9 @@ class TextTable:
             text = self._clean(block)
             lines = text.split("\n")
             rows = lines[max(self.lines_before - line, 0) :]
+            if rows and self._is_cut(rows[-1]):
+                self.assumptions.append(sentence("table_text.cut", name=self.path.name, line=line + len(lines)))
+                rows.pop()
             if any(_is_row(row) for row in rows):
                 yield self._parse(rows, columns, line + len(lines) - len(rows))
             line += len(lines) - 1
@@ -138,12 +151,19 @@ class TextTable:
         if use is not None and any(map(self._has_other_width, rows)):
             raise self._find_fault(rows, columns, lines_before)
         try:
-            values = np.loadtxt(rows, delimiter=self.delimiter, ndmin=2, usecols=use)
+            # A time that is no number is a date; other columns of text are not read.
+            dates = dict.fromkeys(self.text_columns.intersection(columns), seconds_of_date)
+            values: FloatArray = np.loadtxt(rows, np.float64, delimiter=self.delimiter, converters=dates, usecols=use, ndmin=2)  # type: ignore[call-overload]
         except ValueError as error:
             raise self._find_fault(rows, columns, lines_before) from error
         if values.shape[1] != len(columns):
             raise self._find_fault(rows, columns, lines_before)
         return values
+
+    def _is_cut(self, last: str) -> bool:
+        """Whether a line without an end, which is the last of a file, is too short for a row."""
+        cells = split_cells(last, self.delimiter)
+        return _is_row(last) and (len(cells) < self.width or not (is_number(cells[-1]) or self.width - 1 in self.text_columns))
 
     def _has_other_width(self, row: str) -> bool:
         # The usual case costs a tenth of a division.
@@ -169,12 +189,39 @@ class TextTable:
             if len(cells) != self.width:
                 shown = {"found": len(cells), "width": self.width, "line": number, "text": shortened(text)}
                 return _bad("table_text.other_width", self.path, **shown)
-            wrong = next((cells[column] for column in columns if not is_number(cells[column])), None)
+            wrong = next((cells[column] for column in columns if not self._is_readable(cells[column], column)), None)
             if wrong is not None:
-                # A date is the usual one.
-                key = "table_text.date" if _DATE.match(wrong) else "table_text.no_number"
-                return _bad(key, self.path, text=shortened(wrong), line=number)
+                return _bad("table_text.no_number", self.path, text=shortened(wrong), line=number)
         return _bad("table_text.bad_row", self.path, line=lines_before)
+
+    def _is_readable(self, cell: str, column: int) -> bool:
+        if column not in self.text_columns:
+            return is_number(cell)
+        try:
+            seconds_of_date(cell)
+        except ValueError:
+            return False
+        return True
+
+
+def seconds_of_date(text: str) -> float:
+    """Return the seconds since 1970, or since midnight, of a date or time of day; without a time zone it is taken as UTC.
+
+    Raises
+    ------
+    ValueError
+        If it is none.
+    """
+    text = text.strip().replace("/", "-")
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        if ":" in text[:3]:
+            clock = time.fromisoformat(text)
+            return 3600.0 * clock.hour + 60.0 * clock.minute + clock.second + 1e-6 * clock.microsecond
+        # As MATLAB writes it.
+        moment = datetime.strptime(text, "%d-%b-%Y %H:%M:%S.%f")  # noqa: DTZ007  (the time zone follows)
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
 def open_table(path: str | Path) -> TextTable:
@@ -190,35 +237,61 @@ def open_table(path: str | Path) -> TextTable:
     if b"\0" in head:
         raise _bad("table_text.no_text", path)
     marked: list[str] = []
-    names: list[str] = []
+    texts: list[tuple[int, str]] = []
     lines = _decoded(head.removeprefix(b"\xef\xbb\xbf")).split("\n")
+    # A head that is not the whole file may end within a line.
+    if len(head) == HEAD_BYTES and len(lines) > 1:
+        lines.pop()
     for number, line in enumerate(lines):
         text = line.strip()
         mark = next((mark for mark in _COMMENT_MARKS if text.startswith(mark)), None)
         if mark is not None:
             marked.append(text.lstrip(mark).strip())
         elif text:
-            delimiter, decimal_comma = _delimiter_below(names, text)
-            cells = _first_cells(line, delimiter)
-            found = (cell.replace(",", ".") if decimal_comma else cell for cell in cells)
-            if any(map(is_number, filter(None, found))) and not _are_names(text, delimiter, lines[number + 1 : number + 2]):
-                header, units = _header(path, names, marked, delimiter=delimiter, width=len(cells))
-                if header is not None and len(header) < len(cells):
-                    # Of a comment behind the row nothing is read; what ends a row with a delimiter names no column.
-                    cells = _first_cells(line.split("#", 1)[0], delimiter)
-                    header += ("",) * (len(cells) - len(header) if not any(cells[len(header) :]) else 0)
-                return TextTable(
-                    path=path,
-                    delimiter=delimiter,
-                    header=header,
-                    units=units,
-                    width=len(cells),
-                    lines_before=number,
-                    decimal_comma=decimal_comma,
-                )
-            # Lines before the first number are the heading.
-            names.append(text)
-    raise _bad("table_text.no_rows", path)
+            texts.append((number, line))
+    # What stands above the rows may hold numbers, too, but fewer.
+    shapes = [_shape(texts, place) for place in range(len(texts))]
+    rows = sorted(shape for shape in shapes if shape[0])
+    if not rows:
+        raise _bad("table_text.no_rows", path)
+    numbers, width = rows[len(rows) // 2]
+    first = next(place for place, (found, cells) in enumerate(shapes) if found and (cells == width or 2 * found >= numbers))
+    names = [line.strip() for _, line in texts[:first]]
+    number, line = texts[first]
+    delimiter, decimal_comma = _delimiter_below(names, line.strip())
+    cells = _first_cells(line, delimiter)
+    header, units = _header(path, names, marked, delimiter=delimiter, width=len(cells))
+    if header is not None and len(header) < len(cells):
+        # Of a comment behind the row nothing is read; what ends a row with a delimiter names no column.
+        cells = _first_cells(line.split("#", 1)[0], delimiter)
+        header += ("",) * (len(cells) - len(header) if not any(cells[len(header) :]) else 0)
+    # The last line may be cut.
+    sound = texts[first : max(len(texts) - 1, first + 1)][:_ROWS_LOOKED_AT]
+    head_rows = tuple(tuple(_first_cells(row.replace(",", ".") if decimal_comma else row, delimiter)) for _, row in sound)
+    return TextTable(
+        path=path,
+        delimiter=delimiter,
+        header=header,
+        units=units,
+        width=len(cells),
+        lines_before=number,
+        decimal_comma=decimal_comma,
+        head=head_rows,
+        text_columns=frozenset(
+            column for column in range(len(cells)) if not any(is_number(row[column]) for row in head_rows if column < len(row))
+        ),
+    )
+
+
+def _shape(texts: list[tuple[int, str]], place: int) -> tuple[int, int]:
+    """Return how many cells of a line are numbers, none in a line of names, and how many cells it has."""
+    line = texts[place][1]
+    delimiter, decimal_comma = _delimiter_below([text.strip() for _, text in texts[:1]], line.strip())
+    cells = _first_cells(line, delimiter)
+    if _are_names(line.strip(), delimiter, [text for _, text in texts[place + 1 : place + 2]]):
+        return 0, len(cells)
+    found = (cell.replace(",", ".") if decimal_comma else cell for cell in cells)
+    return sum(map(is_number, filter(None, found))), len(cells)
 
 
 def _decoded(head: bytes) -> str:
@@ -233,7 +306,7 @@ def _delimiter_below(names: list[str], line: str) -> tuple[str | None, bool]:
     """Return what ``delimiter_of`` does of the first row below some names."""
     delimiter, decimal_comma = delimiter_of(line)
     # Blanks inside cells part nothing where as many names are parted by tabs.
-    by_tabs = delimiter is None and "\t" in line and names and names[0].count("\t") == line.count("\t")
+    by_tabs = delimiter is None and "\t" in line and any(name.count("\t") == line.count("\t") for name in names)
     return "\t" if by_tabs else delimiter, decimal_comma
 
 
@@ -251,10 +324,14 @@ def _header(
     path: Path, names: list[str], marked: list[str], *, delimiter: str | None, width: int
 ) -> tuple[tuple[str, ...] | None, tuple[str, ...] | None]:
     """Return names and units: the lines before the numbers, or the last commented line that has a name for each column."""
-    if len(names) > 2:
-        raise _bad("table_text.long_heading", path, lines=len(names), text=shortened(names[0]))
     if names:
-        header, *below = (_names(line, delimiter, width) for line in names)
+        rows = [_names(line, delimiter, width) for line in names]
+        # Titles stand above the names, and have fewer cells, or hardly any in them.
+        filled = [cells for cells in rows if 2 * sum(map(bool, cells)) > len(cells)] or rows
+        widest = [cells for cells in filled if len(cells) == max(map(len, filled))]
+        if len(widest) > 2:
+            raise _bad("table_text.long_heading", path, lines=len(names), text=shortened(names[0]))
+        header, *below = widest
         return header, below[0] if below else None
     # Comments may hold anything; the one right above the numbers is the likeliest heading.
     found = (_names(line, delimiter, width) for line in reversed(marked))
@@ -340,9 +417,13 @@ def read_pieces(path: Path, size: int) -> Iterator[bytes]:
     """
     try:
         with open_to_read(path) as raw:
-            packed = raw.read(len(_GZIP_MAGIC)) == _GZIP_MAGIC
+            start = raw.read(len(_GZIP_MAGIC))
+            packed = start == _GZIP_MAGIC
             raw.seek(0)
             file = cast("BinaryIO", SoundGzip(fileobj=raw)) if packed else raw
+            if start in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
+                # As PowerShell redirects and Excel's Unicode text are written.
+                file = cast("BinaryIO", codecs.EncodedFile(raw, "utf-8", "utf-16"))
             with task(f"reading {path.name}", path.stat().st_size) as reading:
                 while piece := file.read(size):
                     yield piece
@@ -351,6 +432,8 @@ def read_pieces(path: Path, size: int) -> Iterator[bytes]:
         raise RecordingError(sentence("table_text.too_packed", path=str(path), cause=error), Reason.DAMAGED) from error
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise RecordingError(sentence("table_text.bad_gzip", path=str(path), cause=error), Reason.DAMAGED) from error
+    except UnicodeError as error:
+        raise _bad("table_text.no_text", path) from error
     except OSError as error:
         raise unreadable(path, error) from error
 

@@ -19,9 +19,7 @@ from imufield.acquire.formats.table_columns import (
     COUNTER,
     FIELDS,
     STATUS,
-    TIME,
     TIME_UNIT,
-    TRIADS,
     Meaning,
     choose_time_scale,
     choose_unit,
@@ -30,13 +28,15 @@ from imufield.acquire.formats.table_columns import (
 )
 from imufield.acquire.formats.table_file import File, file_of, files_of, is_empty, meaning_of, open_source
 from imufield.acquire.formats.table_join import join
+from imufield.acquire.formats.table_names import TIME, TRIADS
 from imufield.acquire.formats.table_text import TextTable
 from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.protocol.units import SECONDS
 from imufield.dataclass import dataclass, field, replace
+from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import UsageError
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, NO_COUNTER, FloatArray, IntArray, Samples, median
-from imufield.sentences import Sentences
+from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
 
@@ -156,7 +156,9 @@ def read_tables(
     _check_values([file.path for file in files], {name for file in files for name in file.fields})
     for file in files:
         refuse_coarse_times(file.path, file.fields.get(TIME, np.empty(0)))
-    return _table(files, rate_hz, zero, settings)
+    table = _table(files, rate_hz, zero, settings)
+    doubts = _doubts(table.rows[:, 1:4], str(table.settings["accelerometer_unit"]))
+    return replace(table, assumptions=(*table.assumptions, *doubts))
 
 
 def stream_table(path: str | Path, *, rate_hz: float | None = None) -> Iterator[ImportedTable]:
@@ -289,6 +291,18 @@ def _table(
         counter=counter,
         begin_s=zero_s + float(rows[0, 0]),
     )
+
+
+def _doubts(accelerometer: FloatArray, unit: str) -> list[Sentence]:
+    """Return why no positions can be found, where that shows already."""
+    known = accelerometer[np.isfinite(accelerometer).all(axis=1)]
+    if not len(known):
+        return [sentence("tables.no_accelerometer")]
+    with np.errstate(over="ignore"):  # in damaged files
+        found = float(median(np.linalg.norm(known, axis=1)))
+    # Counts are integers, and hundreds.
+    is_small = found < (0.3 * STANDARD_GRAVITY_M_S2 if unit == "m/s^2" else 0.3) and unit in ("m/s^2", "g", "count")
+    return [sentence("tables.no_gravity", found=found, unit=unit)] if is_small else []
 
 
 def write_rows(

@@ -14,7 +14,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from imufield.acquire.formats.table_columns import HEADERLESS, TIME, named_column
+from imufield.acquire.formats.table_columns import HEADERLESS
+from imufield.acquire.formats.table_names import TIME, named_column
 from imufield.acquire.formats.table_text import delimiter_of, is_number, split_cells
 from imufield.acquire.instrument.recognise import CERTAIN_SAMPLES, FEWEST_SAMPLES, RATE_S, Candidate, Listener
 from imufield.acquire.link.chunk import Chunk

@@ -41,6 +41,7 @@ _HARDLY_BETTER = 0.8
 _WORSE = 1.1
 _FOUND_SIGMAS = 4.0  # A term as large on one axis is found in two of three sessions.
 _FOUND = 0.01  # A gyroscope's scale that differs by more is said not to be tested for it.
+_COMMON_SCALE_LIMIT = 0.1  # Makers of consumer chips state 3 % (MPU-6050).
 _MOVE_ERROR_LIMIT_DEG = 5.0  # RMS: a move that ends further from where gravity says was not seen whole, or not by this unit.
 _SCALE_SIGMA_LIMIT_PPM = 10_000.0  # Data sheets promise as much without a calibration.
 _SUSPICIOUS_SIGMAS = 4.5  # A residual has two components; one good move in 25 000 is further off.
@@ -183,6 +184,10 @@ def joint_result(solution: JointSolution) -> GyroscopeResult:
     # NaN where a scale is not observable, which is said elsewhere.
     sigma_ppm = 1e6 * float(np.nan_to_num(np.abs(gyroscope.sigma.scale / gyroscope.parameters.scale)).max())
     coarse = _beyond("result.coarse", sigma_ppm, _SCALE_SIGMA_LIMIT_PPM)
+    # A wrong rate, or unit, is one factor on all axes.
+    unit = solution.given.nominal_scale or (1.0 if solution.given.observations.units.gyroscope_rate_unit == "rad/s" else np.nan)
+    off = float(np.nan_to_num(np.abs(gyroscope.parameters.scale / unit - 1.0)).min())
+    off_unit = _beyond("result.off_unit", off, _COMMON_SCALE_LIMIT)
     apart = _beyond("result.apart", moves.rms_after_deg, _MOVE_ERROR_LIMIT_DEG)
     unsettled = () if fitted.solved.converged else (_unsettled(fitted.solved.message, solution.given.latitude_deg),)
     return replace(
@@ -193,7 +198,7 @@ def joint_result(solution: JointSolution) -> GyroscopeResult:
         turns=turns,
         unobservable=observability.hidden_names,
         reasons=_reasons(solution, moves, turns),
-        cautions=(*few, *coarse, *(linearity.sentences if linearity.matters else ())),
+        cautions=(*few, *coarse, *off_unit, *(linearity.sentences if linearity.matters else ())),
         faults=(*unsettled, *apart),
     )
 

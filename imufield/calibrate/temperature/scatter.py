@@ -151,9 +151,15 @@ def scatter_of(axes: Sequence[Equations]) -> Scatter:
 def _first(axes: Sequence[Equations]) -> FloatArray:
     """Return variances that are rather too large: from above, the first step is that of rows that count alike."""
     kind = np.concatenate([each.kind for each in axes])
-    off = np.concatenate([each.values - each.values.mean() for each in axes])
+    off = np.concatenate([each.values - _means_by_kind(each) for each in axes])
     mean_square = np.bincount(kind, off**2, minlength=3) / np.maximum(np.bincount(kind, minlength=3), 1)
     return np.asarray(np.maximum(mean_square * [1.0, 1.0, 0.0], LEAST))
+
+
+def _means_by_kind(equations: Equations) -> FloatArray:
+    """Return for each value the mean of its kind: the outputs of a ramp are gravity, beside which biases are nothing."""
+    counts = np.bincount(equations.kind, minlength=3)
+    return np.asarray((np.bincount(equations.kind, equations.values, minlength=3) / np.maximum(counts, 1))[equations.kind])
 
 
 def _sums(axes: Sequence[Equations], variances: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

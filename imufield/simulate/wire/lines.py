@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from imufield.acquire.formats.table_columns import quantity_of
+from imufield.acquire.formats.table_names import quantity_of
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.dataclass import dataclass
 from imufield.errors import UsageError

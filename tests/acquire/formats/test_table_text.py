@@ -1,0 +1,120 @@
+"""What stands above, beside and behind the numbers of a text: titles, dates, other encodings, a cut line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imufield.acquire.formats.table_text import open_table, seconds_of_date
+from imufield.acquire.formats.tables import read_tables
+from imufield.errors import Reason, RecordingError
+from tests.acquire.table_files import ACCELEROMETER, TIME, text_of
+from tests.refused import refused
+from tests.told import keys
+
+ROWS = np.array([[float(f"{value:.4f}") for value in row] for row in np.column_stack([TIME, ACCELEROMETER])])
+UNITS = "time_s,ax_m_s2,ay_m_s2,az_m_s2"
+
+
+def written(path: Path, text: str, encoding: str = "utf-8") -> Path:
+    path.write_bytes(text.encode(encoding))
+    return path
+
+
+def lines_of(delimiter: str = ",", end: str = "") -> list[str]:
+    return [delimiter.join(f"{value:.4f}" for value in row) + end for row in ROWS]
+
+
+@pytest.mark.parametrize(
+    ("above", "delimiter", "end"),
+    [
+        pytest.param(["sep=,", UNITS], ",", "", id="sep=, of Excel"),
+        pytest.param(['"sep=\t"', "t\tax\tay\taz\t", "s\tm/s^2\tm/s^2\tm/s^2\t"], "\t", "\t", id="sep, names and units"),
+        pytest.param(["GYROFLOW IMU LOG", "version,1.3", "tscale,0.001", UNITS], ",", "", id="titles with numbers"),
+        pytest.param(
+            ["Board X1 (chip)", "", "t [s] \t A_X [m/s^2] \t A_Y [m/s^2] \t A_Z [m/s^2] "], "\t", "", id="blanks and tabs"
+        ),
+        pytest.param(["Log of 2024-03-01", *["note"] * 9, UNITS], ",", "", id="many titles"),
+        pytest.param(["My log,,,", UNITS], ",", "", id="a title in a row of cells"),
+    ],
+)
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_titles_stand_above_the_names(tmp_path: Path, above: list[str], delimiter: str, end: str, encoding: str) -> None:
+    path = written(tmp_path / "table.csv", "\n".join([*above, *lines_of(delimiter, end), ""]), encoding)
+    table = read_tables([path])
+    assert np.array_equal(table.rows[:, :4], ROWS)
+    assert table.settings["accelerometer_unit"] == "m/s^2"
+    # The line of a fault is that of the file.
+    line = len(above) + 3
+    rows = path.read_bytes().decode(encoding).split("\n")
+    rows[line - 1] = delimiter.join(["0.02", "x", "0", "9.8"]) + end
+    with refused(RecordingError, Reason.BAD_DATA, key="table_text.no_number") as caught:
+        read_tables([written(path, "\n".join(rows), encoding)])
+    assert caught.value.values["line"] == line
+
+
+@pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be"])
+def test_a_damaged_text_of_two_bytes_is_refused(tmp_path: Path, encoding: str) -> None:
+    path = tmp_path / "table.csv"
+    mark = "\ufeff".encode(encoding)
+    path.write_bytes(mark + "t,ax\n".encode(encoding) + (b"\xd8\x00" if encoding.endswith("be") else b"\x00\xd8") * 3)
+    with refused(RecordingError, Reason.BAD_DATA):
+        read_tables([path])
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [
+        ("1970-01-01T00:01:00.250Z", 60.25),
+        ("1970-01-01 02:01:00.250+02:00", 60.25),
+        ("1970/01/01 00:01:00,250", 60.25),
+        ("01-Jan-1970 00:01:00.250", 60.25),
+        ("00:01:00.25", 60.25),
+        ("13:00:00", 46800.0),
+    ],
+)
+def test_dates_are_seconds(text: str, seconds: float) -> None:
+    assert seconds_of_date(text) == pytest.approx(seconds, abs=1e-6)
+
+
+@pytest.mark.parametrize("text", ["", "yesterday", "03/04/2023 11:12:13", "25:00:00", "-"])
+def test_what_is_no_date_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match=r".*"):
+        seconds_of_date(text)
+
+
+def test_times_as_dates(tmp_path: Path) -> None:
+    rows = [f"2023-03-04T11:12:{13 + row[0]:09.6f}Z,{row[1]:.4f},{row[2]:.4f},{row[3]:.4f},walking" for row in ROWS]
+    path = written(tmp_path / "dated.csv", "\n".join(["timestamp,ax,ay,az,label", *rows, ""]))
+    table = read_tables([path])
+    np.testing.assert_allclose(table.rows[:, 0] + table.begin_s - table.rows[0, 0], 1677928333.0 + TIME, atol=1e-6)
+    assert np.array_equal(table.rows[:, 1:4], ROWS[:, 1:])
+    # A clock that is a number is taken before a date.
+    counted = [f"{row},{1000 + 10 * number}" for number, row in enumerate(rows)]
+    path = written(tmp_path / "both.csv", "\n".join(["timestamp,ax,ay,az,label,time_ms", *counted, ""]))
+    np.testing.assert_allclose(read_tables([path]).rows[:, 0], 1.0 + TIME, atol=1e-9)
+    rows[7] = rows[7].replace("2023-03", "2023-13")
+    path = written(tmp_path / "wrong.csv", "\n".join(["timestamp,ax,ay,az,label", *rows, ""]))
+    with refused(RecordingError, Reason.BAD_DATA, key="table_text.no_number") as caught:
+        read_tables([path])
+    assert caught.value.values["line"] == 9
+
+
+@pytest.mark.parametrize("cut", ["0.50", "0.50,0.1,0.2", "0.50,0.1,0.2,-", "0.50,0.1,0.2,1e"])
+@pytest.mark.parametrize("rows", [3, 50])
+def test_a_last_line_that_is_cut_is_left_out_and_told(tmp_path: Path, cut: str, rows: int) -> None:
+    path = written(tmp_path / "cut.csv", "\n".join(["time_s,ax,ay,az", *lines_of()[:rows], cut]))
+    table = read_tables([path], settings={"accelerometer_unit": "m/s^2"})
+    assert np.array_equal(table.rows[:, :4], ROWS[:rows])
+    assert "table_text.cut" in keys(table.assumptions)
+    # With an end it is a row, and a wrong one.
+    with refused(RecordingError, Reason.BAD_DATA):
+        read_tables([written(path, path.read_text() + "\n")])
+
+
+def test_a_whole_last_line_needs_no_end(tmp_path: Path) -> None:
+    table = open_table(written(tmp_path / "whole.csv", text_of(TIME, ACCELEROMETER, delimiter=",").rstrip("\n")))
+    assert len(table.read([0, 1, 2, 3])) == len(TIME)
+    assert not table.assumptions
