@@ -37,6 +37,7 @@ _MEASURE_RATE_S = 0.5  # Host time over which the rate is first measured where t
 # Part by which the stated rate of increments may differ from the learned one: coarse time stamps learn badly.
 _LARGEST_RATE_ERROR = 0.25
 _SLEW = 0.1  # Largest part by which steps are stretched to follow the host clock.
+_LEAST_MOVING = 1 / 8  # Share of the first samples with another stamp than the one before.
 
 
 class SampleClock(Clock):
@@ -112,6 +113,9 @@ class SampleClock(Clock):
         first = join([block for block, _ in self._early])[: LEARN_FROM + 1]
         missing = np.isnan(first.ticks) if first.ticks.dtype.kind == "f" else first.ticks == NO_TICKS
         self._has_time = self._has_time and bool(2 * np.count_nonzero(~missing) > len(first))
+        # Of stamps that most samples share with the one before, the clock of the host tells more.
+        if len(first) > 1 and math.isfinite(self._early[0][1]):
+            self._has_time &= bool(np.count_nonzero(np.diff(first.ticks)) > _LEAST_MOVING * (len(first) - 1))
         counted = bool(2 * np.count_nonzero(first.counter != NO_COUNTER) > len(first))
         others = self._has_time and self._rule.counter_counts_others
         # A counter whose rate nobody told counts samples and tells no time: the clock of the host does.

@@ -83,8 +83,13 @@ class SameStream:
                 other = sentence("same_stream.kind", port=self._port, heard_s=self._unread_s)
                 raise LinkError(other, Reason.FOREIGN)
         elif self._times[-1][-1] - self._times[0][0] >= _RATE_S:
-            rate_hz = 1 / float(median(np.diff(np.concatenate(self._times))))
-            self._times, self._rate_hz = None, self._rate_hz or rate_hz
+            step_s = float(median(np.diff(np.concatenate(self._times))))
+            self._times = None
+            # A clock that jumps about tells no rate.
+            if step_s <= 0:
+                return
+            rate_hz = 1 / step_s
+            self._rate_hz = self._rate_hz or rate_hz
             if abs(rate_hz / self._rate_hz - 1) > _RATE_SHARE:
                 other = sentence("same_stream.rate", port=self._port, rate_hz=rate_hz, before_hz=self._rate_hz)
                 raise LinkError(other, Reason.FOREIGN)

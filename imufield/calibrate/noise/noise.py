@@ -191,6 +191,8 @@ class NoiseStream:
             if len(samples) < _FIRST_BLOCK:
                 return
             interval_s = self._units.interval_s or float(median(np.diff(samples.time_s)))
+            if interval_s <= 0:
+                raise RecordingError(sentence("noise.no_rate"), Reason.BAD_DATA)
             self._grid = EvenGrid(interval_s)
             # An instrument without a gyroscope has NaN there all along.
             self._columns = 6 if np.isfinite(values[:, 3:]).any() else 3

@@ -244,3 +244,18 @@ def test_few_samples_come_out_at_the_end() -> None:
         samples, _ = run(rule, [(one, np.nan)])
         assert len(samples) == 2
         assert np.diff(samples.time_s)[0] > 0
+
+
+@pytest.mark.parametrize("stamp_s", [np.floor(np.arange(3000) / 10) / 10, np.full(3000, 5.0)], ids=["tenths", "standing"])
+def test_a_clock_too_coarse_for_its_samples_gives_way_to_that_of_the_host(stamp_s: np.ndarray) -> None:
+    rule = ClockRule(time_field="time", time_ticks_per_s=1.0)
+    arrival_s = 50 + np.arange(3000) / 100
+    stamped = [(block(ticks=stamp_s[at : at + 10]), float(arrival_s[at + 9])) for at in range(0, 3000, 10)]
+    samples, _ = run(rule, stamped)
+    steps_s = np.diff(samples.time_s)
+    np.testing.assert_allclose(np.median(steps_s), 0.01, rtol=0.02)
+    assert steps_s.min() > 0
+    # In fours they keep their own.
+    fours = np.floor(np.arange(3000) / 4) / 25
+    samples, _ = run(rule, [(block(ticks=fours[at : at + 10]), float(arrival_s[at + 9])) for at in range(0, 3000, 10)])
+    assert np.array_equal(samples.time_s, fours)

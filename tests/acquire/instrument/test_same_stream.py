@@ -46,6 +46,16 @@ def test_another_rate_is_another_instrument(rate_hz: float) -> None:
         run(stream, rate_hz, 20.0, 5.0)
 
 
+def test_times_that_stand_or_jump_tell_no_rate() -> None:
+    stream = SameStream("port")
+    stream.begin()
+    for number in range(60):
+        stream.check(Chunk(b"?", 0.1 * number, 0))
+        time_s = np.repeat(float(number), 10)
+        stream.hear(make_samples(time_s, np.tile([0.0, 0.0, 9.8], (10, 1)), None, units=SampleUnits()))
+    run(stream, 200.0, 20.0, 5.0)
+
+
 def test_a_slow_crystal_is_the_same_instrument() -> None:
     stream = SameStream("port")
     for number, rate_hz in enumerate((100.0, 96.0, 104.0, 100.0)):

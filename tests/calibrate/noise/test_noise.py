@@ -128,6 +128,13 @@ def test_limits_of_the_deviation() -> None:
     assert np.all(np.diff(freedom) < 0)
 
 
+def test_times_that_repeat_tell_no_rate() -> None:
+    (samples,) = standstill(0.05)
+    coarse = make_samples(np.floor(samples.time_s), samples.accelerometer, samples.gyroscope, units=SampleUnits())
+    with refused(RecordingError, Reason.BAD_DATA, key="noise.no_rate"):
+        measure_noise([coarse])
+
+
 def test_too_short_is_said() -> None:
     result = measure_noise(standstill(0.1))
     # One sentence for each figure, whatever the number of axes.

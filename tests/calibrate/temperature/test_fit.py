@@ -56,8 +56,10 @@ def sessions(temperature_degc: list[float], rng: np.random.Generator, sigma: tup
     )
 
 
-def ramp(rng: np.random.Generator, sigma: float, *, force: np.ndarray = POSE, hysteresis: float = 0.0) -> RampBlocks:
-    up = np.arange(-20.0, 60.1, 2.0)
+def ramp(
+    rng: np.random.Generator, sigma: float, *, force: np.ndarray = POSE, hysteresis: float = 0.0, low_degc: float = -20.0
+) -> RampBlocks:
+    up = np.arange(low_degc, 60.1, 2.0)
     at, direction = np.concatenate([up, up[::-1]]), np.repeat([1.0, -1.0], len(up))
     bias, scale = true_change(at)
     output = (1 + scale) * (force + OFFSET + bias) + hysteresis * direction[:, None] + sigma * rng.normal(size=(len(at), 3))
@@ -86,6 +88,19 @@ def test_sessions_and_a_ramp_separate_bias_from_scale() -> None:
     assert np.abs((found.scale.at(d) - scale) / found.scale.sigma_at(d)).max() < 3.5
     assert found.scale.sigma_at(d).max() < 60e-6
     np.testing.assert_array_equal(found.bias.at(np.zeros(1)), 0.0)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("temperatures", [[20.0, 60.0, 40.0], [20.0, 60.0], [20.0, 60.0, 10.0], [20.0, -15.0, 55.0]])
+def test_a_ramp_on_one_side_of_the_reference(temperatures: list[float], seed: int) -> None:
+    """As where an instrument is only heated: an output of gravity must not pass for a bias that scatters by gravity."""
+    rng = np.random.default_rng(seed)
+    evidence = Evidence(reference_degc=20.0, points=sessions(temperatures, rng, SIGMA), ramps=[ramp(rng, 1e-4, low_degc=20.0)])
+    found = fit_temperature(evidence).temperature
+    bias, scale = true_change(np.array([60.0]))
+    d = found.degrees_above(np.array([60.0]))
+    assert np.abs(found.scale.at(d) - scale).max() < 5 * SIGMA[1] * np.sqrt(2)
+    assert np.abs(found.bias.at(d) - bias).max() < 5 * SIGMA[0] * np.sqrt(2)
 
 
 def test_the_covariance_of_bias_and_scale_gives_the_sigma_of_every_pose() -> None:
