@@ -34,7 +34,8 @@ sentence = Sentences(__package__)
 
 RECORD_LIMIT_BYTES = CHUNK_LIMIT_BYTES + (1 << 20)
 """Largest record accepted, a packed chunk being a little larger than an unpacked one at worst: limits what is allocated."""
-_SEARCH_BYTES = 1 << 20  # Window of the search for the next chunk: as large as a usual one, so that one read finds it.
+_SEARCH_BYTES = (4 << 10, 1 << 20)
+"""Windows of the search for the next chunk: many that are damaged cost little, and one read finds the end of a usual one."""
 _PROFILE = len(PROFILE).to_bytes(4, "little") + PROFILE.encode()
 _PROFILE_AT = len(MAGIC) + RECORD.size  # Where it stands in the file, behind the start of the Header record.
 _START_BYTES = 64  # Enough for the magic and the Header record up to its profile.
@@ -200,18 +201,19 @@ class PartFile:
 
     def _next_chunk(self, position: int) -> int | None:
         """Find the next Chunk record at or after ``position`` by its signature and matching lengths."""
-        window_start = position
+        window_start, (size, largest) = position, _SEARCH_BYTES
         while window_start < self._size:
             self._file.seek(window_start)
             # A signature may lie across two windows, with the head it is checked with before it.
-            window = self._file.read(_SEARCH_BYTES + SIGNATURE_OFFSET + CHUNK.size)
+            window = self._file.read(size + SIGNATURE_OFFSET + CHUNK.size)
             found = window.find(CHUNK_SIGNATURE, SIGNATURE_OFFSET)
             while found >= 0:
                 start = found - SIGNATURE_OFFSET
                 if self._is_chunk(window[start : start + RECORD.size + CHUNK.size], window_start + start):
                     return window_start + start
                 found = window.find(CHUNK_SIGNATURE, found + 1)
-            window_start += _SEARCH_BYTES
+            window_start += size
+            size = min(16 * size, largest)
         # Damage in the last chunk: DataEnd, Footer and magic say that nothing else is missing.
         start = self._size - END_SIZE
         if start < position:

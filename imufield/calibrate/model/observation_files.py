@@ -18,6 +18,7 @@ from imufield.calibrate.model.observations import Observations
 from imufield.dataclass import dataclass
 from imufield.errors import Reason, RecordingError
 from imufield.files import read_small_file
+from imufield.limits import TEMPERATURE_RANGE_DEGC
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, LARGEST_OUTPUT, FloatArray, SampleUnits, median
 from imufield.sentences import Sentences, printable
 
@@ -32,6 +33,7 @@ _COLUMNS = (*(column for triad in _TRIADS for column in triad), NAME, TEMPERATUR
 _SEPARATORS = (",", ";", "\t")  # No name of a column has one of these: the header tells which it is.
 _DECIMAL_COMMA = re.compile(r"(?<=\d),(?=\d)")
 _SMALLEST_SIGMA = 1e-30  # No mean is known so well in any unit, and its square would be zero.
+_MOST_POSITIONS = 2000  # Memory grows with their square: 32 MB for each matrix of these.
 _SHOWN = 40  # Characters of a cell that a sentence repeats.
 
 
@@ -104,6 +106,8 @@ def _read_table(content: bytes, path: Path) -> _Table:
         raise _refused("observation_files.empty", path)
     lines = [k for k, _ in numbered]
     separator = next((character for character in _SEPARATORS if character in numbered[0][1]), ",")
+    if len(numbered) - 1 > _MOST_POSITIONS:
+        raise _refused("observation_files.too_many", path, positions=len(numbered) - 1, limit=_MOST_POSITIONS)
     rows = []
     for number, text in numbered:
         try:
@@ -155,6 +159,7 @@ def _column(table: _Table, column: str) -> FloatArray:
         return np.full(len(table.rows), np.nan)
     place = table.header.index(column)
     least = _SMALLEST_SIGMA if column.startswith("sigma_") else -LARGEST_OUTPUT
+    least, most = TEMPERATURE_RANGE_DEGC if column == TEMPERATURE else (least, LARGEST_OUTPUT)
     values = np.full(len(table.rows), np.nan)
     for k, (line, row) in enumerate(zip(table.lines, table.rows, strict=True)):
         cell = row[place].strip()
@@ -164,7 +169,7 @@ def _column(table: _Table, column: str) -> FloatArray:
             values[k] = float(cell)
         except ValueError as error:
             raise _refused("observation_files.not_a_number", table.path, line, column, cell=cell[:_SHOWN]) from error
-        if not least <= values[k] <= LARGEST_OUTPUT:
+        if not least <= values[k] <= most:
             raise _refused("observation_files.impossible", table.path, line, column, cell=cell[:_SHOWN])
     return values
 

@@ -108,3 +108,19 @@ def test_unreadable_files(tmp_path: Path) -> None:
     binary.write_bytes(b"ax,ay,az\n\xff\xfe\n")
     with refused(RecordingError, Reason.BAD_DATA, key="observation_files.not_utf8"):
         read_observations(binary)
+
+
+def test_samples_are_no_positions(tmp_path: Path) -> None:
+    rows = "0.1,0.2,9.8\n" * 2000
+    assert len(read_observations(write(tmp_path, "ax,ay,az\n" + rows))) == 2000
+    with refused(RecordingError, Reason.BAD_DATA, key="observation_files.too_many") as caught:
+        read_observations(write(tmp_path, "ax,ay,az\n" + rows + "0.1,0.2,9.8\n"))
+    assert (caught.value.values["positions"], caught.value.values["limit"]) == (2001, 2000)
+
+
+@pytest.mark.parametrize("degc", ["-300", "99999"])
+def test_a_temperature_of_no_instrument_is_named(tmp_path: Path, degc: str) -> None:
+    path = write(tmp_path, f"ax,ay,az,temperature_degc\n0.1,0.2,9.8,25\n0.1,0.2,-9.8,{degc}\n")
+    with refused(RecordingError, Reason.BAD_DATA, degc, key="observation_files.impossible") as caught:
+        read_observations(path)
+    assert (caught.value.values["line"], caught.value.values["column"]) == (3, "temperature_degc")
