@@ -90,6 +90,17 @@ def test_the_window_is_used_whatever_its_size(program: Program, terminals: list[
     assert terminal.wait() == 0
 
 
+def test_a_terminal_that_cannot_draw_gets_lines(program: Program, terminals: list[Terminal]) -> None:
+    port = program.emulate("--positions", "faces6", "--hold-s", 6, "--wait")
+    terminal = open_terminal(terminals, program, *program.capture(port, "--quiet", "--latitude", 48), TERM="dumb")
+    place = terminal.expect("accepted")
+    terminal.type("?")
+    terminal.expect("retake", after=place)
+    terminal.type("q")
+    assert terminal.wait() == 0
+    assert "\x1b" not in terminal.raw
+
+
 def test_quiet_is_quiet_and_no_colour_is_none(program: Program, terminals: list[Terminal]) -> None:
     port = program.emulate("--positions", "faces6", "--hold-s", 6, "--wait")
     arguments = program.capture(port, "--quiet", "--latitude", 48)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shlex
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
@@ -24,7 +23,7 @@ from imufield.acquire.recording.recorder import Recorder, part_metadata
 from imufield.acquire.recording.session import Session, create_session
 from imufield.acquire.recording.session_record import GuideRecord
 from imufield.commands.options.acquire_commands import CaptureOptions, ViewName
-from imufield.commands.terminal.output import echo, say
+from imufield.commands.terminal.output import can_draw, echo, say
 from imufield.commands.terminal.page import SHOWN_EVERY_S, serve_page
 from imufield.commands.terminal.views import View, make_view
 from imufield.dataclass import dataclass, replace
@@ -400,7 +399,7 @@ def farewell(captured: Captured, view: ViewName, clock: HostClock) -> None:
     if view == "json" or not folder.exists():
         return
     # Whoever reads lines has read these already.
-    for line in captured.summary if view == "auto" and sys.stdout.isatty() else ():
+    for line in captured.summary if view == "auto" and can_draw() else ():
         say(line)
     for line in captured.remarks:
         say(line)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from imufield.commands.options.acquire_commands import CaptureOptions
-from imufield.commands.terminal.output import echo, say
+from imufield.commands.terminal.output import can_draw, echo, say
 from imufield.deliver.parameters.printed_numbers import beside
 from imufield.guide.events import EVENT_VERSION, Event
 from imufield.guide.lead.guide import Snapshot
@@ -79,7 +78,7 @@ class View:
 
 @contextmanager
 def make_view(options: CaptureOptions, session: Path, positions: Scheme, origin_s: Callable[[], float]) -> Iterator[View]:
-    """Yield the view asked for; "auto" is the terminal view where there is a terminal, else plain lines.
+    """Yield the view asked for; "auto" is the terminal view where there is a terminal that can draw, else plain lines.
 
     Sound goes with every view that a person reads; ``origin_s`` is what plain lines count their time from.
     """
@@ -88,7 +87,7 @@ def make_view(options: CaptureOptions, session: Path, positions: Scheme, origin_
             # The version first: a reader must know it before it reads anything else.
             echo(json.dumps({"version": EVENT_VERSION, "event": "session", "session": str(session)}))
             view = View(lines=JsonLinesView(echo))
-        elif options.view == "plain" or not sys.stdout.isatty():
+        elif options.view == "plain" or not can_draw():
             echo(beside("session", session))
             view = View(lines=PlainView(lambda line: say(line, indent=PLAIN_INDENT), origin_s=origin_s))
         else:
