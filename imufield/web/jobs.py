@@ -57,7 +57,8 @@ class Jobs:
     def start(self, action: str, values: Json, words: list[str], *, is_alone: bool = False) -> int:
         """Start ``imufield WORDS``, now or when another has ended, and return its number.
 
-        With ``is_alone`` one of the same action that runs is returned in its place; one that is ending is waited for.
+        With ``is_alone`` one of the same action at the same port that runs is returned in its place; one that is ending is
+        waited for.
 
         Raises
         ------
@@ -65,7 +66,7 @@ class Jobs:
             If too many are waiting.
         """
         with self._lock:
-            same = [number for number in self._of(action) if is_alone and number not in self._ending]
+            same = [number for number in self._of(action, values.get("port")) if is_alone and number not in self._ending]
             if same:
                 self._handed_out.add(same[0])
                 return same[0]
@@ -84,8 +85,8 @@ class Jobs:
         self._begin_next()
         return number
 
-    def _of(self, action: str) -> list[int]:
-        return [number for number, head in self._heads.items() if head.action == action]
+    def _of(self, action: str, port: object) -> list[int]:
+        return [number for number, head in self._heads.items() if (head.action, head.values.get("port")) == (action, port)]
 
     def _offering(self, port: object) -> set[int]:
         """Return the virtual instruments at a port."""
@@ -93,7 +94,10 @@ class Jobs:
 
     def _next(self) -> int | None:
         """Return the number of the next one; what is alone begins behind the one before it, at whose port it will be."""
-        before = {number: {*self._of(self._heads[number].action)} & self._running.keys() for number in self._waiting}
+        heads = {number: self._heads[number] for number in self._waiting}
+        before = {
+            number: {*self._of(head.action, head.values.get("port"))} & self._running.keys() for number, head in heads.items()
+        }
         return next((number for number in self._waiting if not (number in self._alone and before[number])), None)
 
     def _begin_next(self) -> None:

@@ -192,12 +192,13 @@ class Action:
     needs: tuple[str, ...] = ()
     """Without these it would be about the newest session, or a new one of another folder."""
     is_alone: bool = False
-    """Whether one that runs is taken in place of a second one."""
+    """Whether one that runs at the same port is taken in place of a second one."""
 
 
 ACTIONS: Mapping[str, Action] = {
     "devices": Action("devices --json", {"driver": lambda value, _: [_matching(_WORD)(value)]}),
-    "probe": Action("probe --json", _PLACE),
+    # A page that is loaded anew would find the port in use by the probe of the one before.
+    "probe": Action("probe --json", _PLACE, is_alone=True),
     "emulate": Action(
         f"emulate stim300 --json --wait --rate-hz=500 --link={{root}}/{VIRTUAL}",
         {"speed": _option("--speed", _number)},

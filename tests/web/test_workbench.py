@@ -241,6 +241,23 @@ def test_an_instrument_that_ends_is_given_to_nobody_and_one_that_is_given_does_n
     assert not Path(port).exists()
 
 
+# Two programs, at two terminals that send nothing.
+def test_a_port_that_is_probed_is_not_probed_by_a_second_page(served: Served, page: Page) -> None:
+    pairs = [os.openpty() for _ in range(2)]
+    ports = [os.ttyname(slave) for _, slave in pairs]
+    first = page.run("probe", port=ports[0])
+    # A page that is loaded anew asks for the same, by another socket.
+    with served.open() as line:
+        again = Page(line)
+        assert again.run("probe", port=ports[0]) == first
+        other = again.run("probe", port=ports[1])
+        assert other != first
+        for job in (first, other):
+            assert again.heard(job, "value")["ports"][0]["error"]["reason"] == "silence"
+    for descriptor in (descriptor for pair in pairs for descriptor in pair):
+        os.close(descriptor)
+
+
 # Two programs.
 def test_a_virtual_instrument_ends_with_the_session_that_reads_it(page: Page) -> None:
     virtual = page.run("emulate")
