@@ -305,7 +305,8 @@ class CaptureLoop:
         """Say how well the parameters are known, what was advised at the end, and what solving will refuse."""
         guide = self.chain.guide
         known = None if guide is None else guide.snapshot().forecast
-        if known is not None:
+        # With fewer there is nothing to solve.
+        if guide is not None and known is not None and len(guide.plan.accepted) >= FEWEST_POSITIONS:
             yield sentence("guided.known", bias=known_words(known, "bias_ug"), scale=known_words(known, "scale_ppm"))
         yield from (words(advice) for advice in self._advice.values())
         wrong = None if guide is None else guide.check_axes().error
