@@ -94,13 +94,13 @@ def plot_history(history: JudgedHistory) -> bytes:
     found = charts(history)
     rows = [row for kind in dict.fromkeys(kind_of(chart.name) for chart in found) for row in _rows(found, kind)]
     with plot_style():
-        from matplotlib.dates import AutoDateFormatter
+        from matplotlib.dates import ConciseDateFormatter
 
         drawn = figure(_PANEL_IN * max(len(rows), 1) + 0.6)
         panels = drawn.subplots(max(len(rows), 1), _COLUMNS, sharex=True, squeeze=False)
         dates = date_locator()
         panels[0, 0].xaxis.set_major_locator(dates)
-        panels[0, 0].xaxis.set_major_formatter(AutoDateFormatter(dates))  # type: ignore[no-untyped-call]  # the same
+        panels[0, 0].xaxis.set_major_formatter(ConciseDateFormatter(dates))  # type: ignore[no-untyped-call]  # the same
         for axes in panels.flat:
             axes.set_axis_off()
         for of_row, row in zip(panels, rows, strict=False):
