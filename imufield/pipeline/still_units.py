@@ -11,8 +11,10 @@ from imufield.acquire.formats.tables import ImportedTable
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.protocol.units import nominal_scale
 from imufield.guide.lead.still_scales import StillScales, find_scales
-from imufield.samples import LARGEST_OUTPUT, Samples, SampleUnits, make_samples
-from imufield.sentences import Sentence
+from imufield.samples import LARGEST_OUTPUT, FloatArray, Samples, SampleUnits, make_samples
+from imufield.sentences import Sentence, Sentences
+
+sentence = Sentences(__package__)
 
 _TRIADS = ("accelerometer", "gyroscope")
 _ROWS_AT_ONCE = 4096
@@ -21,13 +23,27 @@ _ROWS_AT_ONCE = 4096
 def with_units_of_stills(table: ImportedTable) -> ImportedTable:
     """Return a table with the units that its stills show in place of guesses, and what is to be said of them."""
     stated = {triad: str(table.settings[f"{triad}_unit"]) for triad in _TRIADS}
-    units, said = find_scales(_blocks(table), np.array(table.raw_zero)).choose(stated, table.guessed)
+    found = find_scales(_blocks(table), np.array(table.raw_zero))
+    units, said = found.choose(stated, table.guessed)
+    if units.get("gyroscope") == "count" and "rate_hz" in table.settings:
+        said |= _other_rate(found.scales["gyroscope"], float(table.settings["rate_hz"]), table.rows[:, 4:7])
     guesses = {guess: said.pop(triad) for triad, guess in table.guessed.items() if triad in said}
     return replace(
         table,
         settings=table.settings | {f"{triad}_unit": unit for triad, unit in units.items()},
         assumptions=(*(guesses.get(assumption, assumption) for assumption in table.assumptions), *said.values()),
     )
+
+
+def _other_rate(scale: float, rate_hz: float, rate_raw: FloatArray) -> dict[str, Sentence]:
+    """Return what is to be said where outputs are no counts, and would be in a usual unit at another sample rate."""
+    known = rate_raw[np.isfinite(rate_raw)]
+    if np.array_equal(known, np.rint(known)):
+        return {}
+    # Turns are rate times step: a step that is wrong by a factor looks like a unit that is.
+    rates_hz = {unit: rate_hz * scale / (nominal_scale(unit) or 1.0) for unit in ("rad/s", "deg/s")}
+    unit = min(rates_hz, key=lambda name: abs(np.log(rates_hz[name] / rate_hz)))
+    return {"gyroscope": sentence("still_units.other_rate", unit=unit, right_hz=rates_hz[unit], rate_hz=rate_hz)}
 
 
 def _blocks(table: ImportedTable) -> Iterator[Samples]:

@@ -216,14 +216,11 @@ def test_a_protocol_that_does_not_exist_is_a_typing_error(tmp_path: Path, capsys
 def test_sentences_about_cells_are_short_and_have_a_remedy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "table.csv"
     rows = "".join(f"{number / 100},0,0,9.8\n" for number in range(50))
-    for cell, remedy in (
-        ("2026-01-01T00:00:00", "write times in seconds"),
-        ("x" * 5000, "correct or remove it"),
-    ):
+    for cell in ("2026-01-01T00:00:00", "x" * 5000):
         path.write_text(f"t,ax,ay,az\n{rows}{cell},0,0,9.8\n")
         assert typed("import", path, "-o", tmp_path / "mine") == 4
         error = capsys.readouterr().err
-        assert remedy in error
+        assert "correct or remove it" in error
         assert len(error) < 300
     path.write_text(f"t,ax,ay,az,{'h' * 4000}\n" + rows.replace("\n", ",1\n"))
     assert typed("import", path, "-o", tmp_path / "mine") == 0

@@ -37,7 +37,8 @@ _MEASURE_RATE_S = 0.5  # Host time over which the rate is first measured where t
 # Part by which the stated rate of increments may differ from the learned one: coarse time stamps learn badly.
 _LARGEST_RATE_ERROR = 0.25
 _SLEW = 0.1  # Largest part by which steps are stretched to follow the host clock.
-_LEAST_MOVING = 1 / 8  # Share of the first samples with another stamp than the one before.
+# Share of the first samples with another stamp than the one before: of eight with the same, the host dates each better.
+_LEAST_MOVING = 1 / 8
 
 
 class SampleClock(Clock):

@@ -102,7 +102,8 @@ def columns_by_user(path: Path, columns: str, width: int) -> Meaning:
     for index, name in enumerate(names):
         if name in SKIPPED:
             continue
-        column = named_column(name, index)
+        # A sign would be dropped without a word.
+        column = None if name.startswith(("-", "+")) else named_column(name, index)
         if column is None:
             raise UsageError(sentence("table_columns.unknown_name", name=name, known=FIELDS))
         found.append(column)
@@ -110,9 +111,9 @@ def columns_by_user(path: Path, columns: str, width: int) -> Meaning:
 
 
 def columns_by_header(
-    path: Path, header: Sequence[str], units: Sequence[str] | None, width: int, texts: Collection[int]
+    path: Path, header: Sequence[str], units: Sequence[str] | None, width: int, text_columns: Collection[int]
 ) -> Meaning:
-    """Understand a header line above rows of ``width`` cells, of which the columns ``texts`` have no numbers.
+    """Understand a header line above rows of ``width`` cells, of which ``text_columns`` have no numbers.
 
     Raises
     ------
@@ -126,7 +127,7 @@ def columns_by_header(
     below = units if units is not None and len(units) == len(header) else [None] * len(header)
     of_axes = quantity_of_file(path)
     named = [named_column(name, index, unit, of_axes) for index, (name, unit) in enumerate(zip(header, below, strict=True))]
-    chosen = one_of_each([column for column in named if column is not None], header, texts)
+    chosen = one_of_each([column for column in named if column is not None], header, text_columns)
     # Only an export of our own has all of these; columns of these names mean other things elsewhere.
     if set(SAMPLE_COLUMNS) <= set(header):
         chosen += [TableColumn(header.index(name), name) for name in (STATUS, COUNTER)]

@@ -46,7 +46,7 @@ class File:
 
     path: Path
     name: str
-    """To be shown."""
+    """In sentences, e.g. ``gyroscope in log.csv``."""
     fields: dict[str, FloatArray]
     units: dict[str, str]
     assumptions: tuple[str, ...]
@@ -65,14 +65,20 @@ def open_source(path: Path, topic: str | None) -> Source:
 
 def meaning_of(source: Source, columns: str | None, number: int, files: int) -> Meaning:
     """Return what the columns of a file are: by the user, else by its header, else by their number."""
-    if isinstance(source, TextTable) and source.header is not None:
-        refuse_several_instruments(source.path, source.header, source.head)
     if columns is not None:
-        return columns_by_user(source.path, columns, source.width)
-    if source.header is not None:
-        texts = source.text_columns if isinstance(source, TextTable) else ()
-        return columns_by_header(source.path, source.header, source.units, source.width, texts)
-    return columns_by_count(source.path, source.width, number, files)
+        meaning = columns_by_user(source.path, columns, source.width)
+    elif source.header is not None:
+        text_columns = source.text_columns if isinstance(source, TextTable) else ()
+        meaning = columns_by_header(source.path, source.header, source.units, source.width, text_columns)
+        if isinstance(source, TextTable):
+            refuse_several_instruments(source.path, source.header, source.head)
+    else:
+        meaning = columns_by_count(source.path, source.width, number, files)
+    dated = isinstance(source, TextTable) and any(
+        column.field == TIME and column.index in source.text_columns for column in meaning.columns
+    )
+    # Dates are read in seconds, whatever the heading says of them.
+    return replace(meaning, units=meaning.units | {TIME: "s"}) if dated else meaning
 
 
 def files_of(source: Source, meaning: Meaning, values: FloatArray) -> list[File]:
@@ -87,8 +93,10 @@ def files_of(source: Source, meaning: Meaning, values: FloatArray) -> list[File]
         columns = values[:, [places[name] for name in triad if name in places]]
         if not all(map(is_empty, columns.T)):
             lacks[quantity] = np.isnan(columns).any(axis=1)
-    # Without times nobody knows which rows belong together; our own export flags its gaps; a column may lack as a whole.
-    if TIME not in places or STATUS in places or not np.any([*lacks.values()]) or any(map(np.all, lacks.values())):
+    is_timed = TIME in places and not is_empty(values[:, places[TIME]])
+    # Without times nobody knows which rows belong together, and our own export flags its gaps. A triad that no row has whole is
+    # refused below.
+    if not is_timed or STATUS in places or not np.any([*lacks.values()]) or any(map(np.all, lacks.values())):
         return [file_of(source, meaning, values, range(len(values)))]
     if TEMPERATURE in places:
         values = _filled(values, places[TIME], places[TEMPERATURE])
@@ -99,8 +107,12 @@ def files_of(source: Source, meaning: Meaning, values: FloatArray) -> list[File]
         fields = of_none.union(TRIADS[quantity])
         used = tuple(column for column in meaning.columns if column.field in fields)
         rows = np.flatnonzero(~lack)
+        if len(rows) < 2:
+            few = sentence("table_file.one_row_of_triad", path=str(source.path), quantity=quantity)
+            raise RecordingError(few, Reason.BAD_DATA)
         part = values[rows][:, [places[column.field] for column in used]]
         file = file_of(source, replace(meaning, columns=used), part, rows.tolist())
+        # What was assumed of the file is told once.
         assumptions = () if files else file.assumptions
         if lack.any():
             said = sentence("table_file.part", name=file.name, found=len(rows), of=len(values), quantity=quantity)

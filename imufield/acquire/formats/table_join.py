@@ -38,11 +38,16 @@ def join(
             raise UsageError(sentence("table_join.doubled", path=str(file.path), fields=doubled))
         units = file.units | units
         timed.append(dict(file.fields))
+    scales: dict[Path, float] = {}
     zero_s = next((file.zero_s for file in files if TIME in file.fields), 0.0)
     for file, fields in zip(files, timed, strict=True):
         if TIME in fields:
-            scale, assumption = choose_time_scale(file.path, fields[TIME], time_unit or file.units.get(TIME), rate_hz)
-            said += [assumption] if assumption else []
+            # The times of triads of one file are of one column.
+            if file.path not in scales:
+                unit = time_unit or file.units.get(TIME)
+                scales[file.path], assumption = choose_time_scale(file.path, fields[TIME], unit, rate_hz)
+                said += [assumption] if assumption else []
+            scale = scales[file.path]
             # Seconds stay as they are, to the last bit.
             if scale != 1.0:
                 fields[TIME] = fields[TIME] * scale

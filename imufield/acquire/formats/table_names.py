@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import tomli
 
-from imufield.acquire.protocol.units import plain_signs, unit_name
+from imufield.acquire.protocol.units import TO_SI, plain_signs, unit_name
 from imufield.dataclass import dataclass, replace
 from imufield.errors import UsageError
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS
@@ -24,12 +25,17 @@ TRIADS = {"accelerometer": ACCELEROMETER_COLUMNS, "gyroscope": GYROSCOPE_COLUMNS
 
 _WORDS = tomli.loads(Path(__file__).with_name("table_words.toml").read_text(encoding="utf-8"))
 _NAMES = {quantity: frozenset(names.split()) for quantity, names in _WORDS["names"].items()}
-_FIRST, _LAST = (frozenset(_WORDS["order"][place].split()) for place in ("first", "last"))
+_FIRST = frozenset(_WORDS["order"]["first"].split())
+_LAST = frozenset(_WORDS["order"]["last"].split())
+# What may end in the number of a sensor; one letter may not: "a1" is no acceleration.
 _NUMBERED = _NAMES["noise"].union(name for triad in TRIADS for name in _NAMES[triad] if len(name) > 1)
 _AXES = {"x": "x", "y": "y", "z": "z", "0": "x", "1": "y", "2": "z"}
+_RATES = ("m/s^2", "rad/s")
 # Others stand behind names, too: "Acc X (forward)", "temp (IMU)".
 _LOOKS_LIKE_A_UNIT = re.compile(r"[/°˚·^*\d]|^[^\W\d_]$")
-_MOST_PARTS = 6  # Of a name that is a path, e.g. /camera/imu/linear_acceleration/x.
+_MOST_INSTRUMENTS = 16
+_MOST_WORDS = 12  # Of a name: the time that it takes grows with their square.
+_MOST_PARTS = 6  # Of a path, e.g. /camera/imu/linear_acceleration/x; it bounds the time that a hostile name takes.
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,8 +46,8 @@ class TableColumn:
     field: str
     unit: str | None = None  # As it stands there if it looks like one and is not known.
     word: str = ""  # What stands in the place of a unit and does not look like one.
-    source: str = ""  # What its name says beside the quantity: a topic, "raw", the number of a sensor.
-    name: str = ""  # Of the quantity, as it stands there.
+    qualifier: str = ""  # What tells columns of one quantity apart: a topic, "raw", the number of a sensor.
+    name: str = ""  # Of the quantity, in small letters and without signs; empty where the unit tells the quantity.
 
     @property
     def quantity(self) -> str:
@@ -69,33 +75,27 @@ def named_column(text: str, index: int, unit_below: str | None = None, of_axes: 
     Returns
     -------
     TableColumn or None
-        None for a name that is none of ours.
+        None if the name is not known.
     """
     parts = re.split(r"(?<=[/:])", text, maxsplit=_MOST_PARTS)
     for start in range(len(parts)):
-        column = _understood("".join(parts[start:]), index, unit_below or "", of_axes)
-        if column is not None:
-            return replace(column, source="".join(parts[:start]) + column.source)
+        topic = "".join(parts[:start])
+        if not _NAMES["of_others"].isdisjoint(_split(topic)):
+            return None
+        column = _understood("".join(parts[start:]), index, unit_below or "", "" if topic else of_axes)
+        # The time or temperature of another topic is another one.
+        if column is not None and (column.quantity in TRIADS or _NAMES["noise"].issuperset(_split(topic))):
+            return replace(column, qualifier=topic + column.qualifier)
     return None
 
 
 def _understood(text: str, index: int, unit_below: str, of_axes: str) -> TableColumn | None:
+    """Return what a name without the topic before it means."""
     name, stated = _without_unit(text)
     stated = stated or unit_below
-    words: list[str] = []
-    source: list[str] = []
-    for word in _split(name):
-        # "acc1 x", "imu0 gyro x", "shimmer 8665 accel x".
-        numbered = re.fullmatch(r"([a-z]*)(\d+)", word)
-        if numbered and (numbered[1] in _NUMBERED or not (numbered[1] or words)):
-            known, number = numbered.groups()
-            source.append(number)
-        else:
-            known = word
-        if known in _NAMES["source"]:
-            source.append(known)
-        elif known and known not in _NAMES["noise"]:
-            words.append(known)
+    words, qualifiers = _words_of(name)
+    if len(words) > _MOST_WORDS:
+        return None
     found = _field_of(words) or _axis_of(words, stated, of_axes)
     if found is None:
         return None
@@ -105,11 +105,28 @@ def _understood(text: str, index: int, unit_below: str, of_axes: str) -> TableCo
         field = TEMPERATURE
     unit = unit_name(stated or "".join(tail), quantity_of(field))
     if field == TIME and unit is None:
-        unit = SAMPLE_TIME_FINE if known == SAMPLE_TIME_FINE.lower() else unit_name(known, TIME)
+        unit = SAMPLE_TIME_FINE if known == SAMPLE_TIME_FINE.lower() else unit_name(known.removeprefix(TIME), TIME)
     text = shortened(stated.strip())
     if unit is None and field != TIME and _LOOKS_LIKE_A_UNIT.search(text):
         unit = text
-    return TableColumn(index, field, unit, "" if unit else text, " ".join(source), known)
+    return TableColumn(index, field, unit, word="" if unit else text, qualifier=" ".join(qualifiers), name=known)
+
+
+def _words_of(name: str) -> tuple[list[str], list[str]]:
+    """Return the words that tell the quantity, and those that tell which of several columns of it this is."""
+    words: list[str] = []
+    qualifiers: list[str] = []
+    for word in _split(name):
+        # "acc1 x", "imu0 gyro x", "shimmer 8665 accel x".
+        numbered = re.fullmatch(r"([a-z]*)(\d+)", word)
+        is_numbered = numbered is not None and (numbered[1] in _NUMBERED or not (numbered[1] or words))
+        known, number = numbered.groups() if numbered is not None and is_numbered else (word, "")
+        qualifiers += [number] if number else []
+        if known in _NAMES["qualifier"]:
+            qualifiers.append(known)
+        elif known and known not in _NAMES["noise"]:
+            words.append(known)
+    return words, qualifiers
 
 
 def _without_unit(text: str) -> tuple[str, str]:
@@ -147,9 +164,10 @@ def _field_of(words: Sequence[str]) -> tuple[str, str, Sequence[str]] | None:
 
 
 def _field_of_name(name: str) -> tuple[str, str]:
-    for field in (TIME, TEMPERATURE):
-        if name in _NAMES[field]:
-            return field, name
+    if name in _NAMES[TIME] | _NAMES["other_time"]:
+        return TIME, name
+    if name in _NAMES[TEMPERATURE]:
+        return TEMPERATURE, name
     # Both "acc x" and "x acc" are in use.
     for axis, rest in ((name[-1:], name[:-1]), (name[:1], name[1:])):
         for quantity, triad in TRIADS.items():
@@ -162,7 +180,9 @@ def _axis_of(words: Sequence[str], stated: str, of_axes: str) -> tuple[str, str,
     """Find the field of a name that is an axis alone, by its unit."""
     if len(words) != 1 or words[0] not in ("x", "y", "z"):
         return None
-    quantities = [quantity for quantity in TRIADS if unit_name(stated, quantity)] or [of_axes]
+    # Increments are no output that is told by its unit: angles and velocities have the same.
+    quantities = [quantity for quantity in TRIADS if TO_SI.get(unit_name(stated, quantity) or "", ("",))[0] in _RATES]
+    quantities = quantities if stated else [of_axes]
     if len(quantities) != 1 or quantities[0] not in TRIADS:
         return None
     return TRIADS[quantities[0]]["xyz".index(words[0])], "", ()
@@ -171,58 +191,93 @@ def _axis_of(words: Sequence[str], stated: str, of_axes: str) -> tuple[str, str,
 def quantity_of_file(path: Path) -> str:
     """Return the quantity that the name of a file tells, e.g. ``Gyroscope.csv``; empty where it tells none or two."""
     words = _split(path.name.split(".")[0])
-    parts = {"".join(words[start:end]) for start in range(len(words)) for end in range(start + 1, len(words) + 1)}
-    # One letter is no name here.
-    told = [quantity for quantity in TRIADS if any(len(name) > 1 and name in _NAMES[quantity] for name in parts)]
-    return told[0] if len(told) == 1 else ""
+    pairs = map("".join, pairwise(words))
+    told = {quantity for name in (*words, *pairs) for quantity in TRIADS if name in _NAMES["file"] & _NAMES[quantity]}
+    return told.pop() if len(told) == 1 else ""
 
 
-def one_of_each(columns: Sequence[TableColumn], header: Sequence[str], texts: Collection[int]) -> list[TableColumn]:
-    """Return one column of each meaning: raw outputs before computed ones, numbers before text, then the first.
+def one_of_each(columns: Sequence[TableColumn], header: Sequence[str], text_columns: Collection[int]) -> list[TableColumn]:
+    """Return one column for time and temperature, and one triad of each quantity, in the order of the file.
 
     Parameters
     ----------
     columns : sequence of TableColumn
     header : sequence of str
-    texts : collection of int
-        The columns that hold no numbers.
+    text_columns : collection of int
+        Those that hold no numbers, e.g. dates.
     """
-    # Four of them are a quaternion.
-    of_four = {tuple(_split(name)[:-1]) for name in header if _split(name)[-1:] == ["w"]}
-    columns = [column for column in columns if tuple(_split(header[column.index])[:-1]) not in of_four]
-    times = sorted((column for column in columns if column.field == TIME), key=lambda column: column.index in texts)
-    kelvins = [column for column in columns if column.field == TEMPERATURE]
-    # Beside a time it is the other thing the letter stands for.
-    kelvins += [
-        replace(column, field=TEMPERATURE) for column in times[1:] if header[column.index].strip() == "T" and not kelvins
-    ]
-    chosen = times[:1] + kelvins[:1] + [column for column in columns if column.quantity not in (TIME, TEMPERATURE, *TRIADS)]
-    source = None
-    for quantity in TRIADS:
-        triads: dict[tuple[str, str], list[TableColumn]] = {}
-        for column in columns:
-            if column.quantity == quantity:
-                triads.setdefault((column.source, column.name), []).append(column)
-        whole = [key for key, triad in triads.items() if len({column.field for column in triad}) == len(triad) == len("xyz")]
-        # Axes that go by several names, or do not make a triad, are looked at later.
-        best = min(whole, key=lambda key: (source not in (None, key[0]), _rank(key)), default=None)
-        chosen += triads[best] if best else [column for triad in triads.values() for column in triad]
-        source = best[0] if best else None
+    columns = _without_quaternions(columns, header)
+    # Axes without a name are those of the file's sensor where it has no others.
+    named = [column for column in columns if column.quantity not in TRIADS or column.name or column.unit]
+    columns = named if any(column.quantity in TRIADS for column in named) else columns
+    chosen = [*_time_and_temperature(columns, header, text_columns), *_triads(columns)]
     return sorted(chosen, key=lambda column: column.index)
 
 
-def _rank(key: tuple[str, str]) -> int:
-    source, name = key
-    is_first = name in _FIRST or not _FIRST.isdisjoint(_split(source))
-    return 0 if is_first else 1 + (name in _LAST)
+def _without_quaternions(columns: Sequence[TableColumn], header: Sequence[str]) -> list[TableColumn]:
+    """Leave out x, y and z, or 0, 1 and 2, where there is a fourth of the same name."""
+    words = [_split(name) for name in header]
+    of_four = {tuple(each[:-1]) for each in words if each[-1:] in (["w"], ["3"])}
+    axes = {*"xyz012"}
+    return [
+        column
+        for column in columns
+        if not (words[column.index][-1:] and words[column.index][-1] in axes and tuple(words[column.index][:-1]) in of_four)
+    ]
+
+
+def _time_and_temperature(
+    columns: Sequence[TableColumn], header: Sequence[str], text_columns: Collection[int]
+) -> list[TableColumn]:
+    """Return one of each: a usual name before others, a number before a date, then the first."""
+    times = sorted(
+        (column for column in columns if column.field == TIME),
+        key=lambda column: (column.index in text_columns, column.name not in _NAMES[TIME] or bool(column.qualifier)),
+    )
+    temperatures = sorted((column for column in columns if column.field == TEMPERATURE), key=lambda each: bool(each.qualifier))
+    if not temperatures:
+        # "T" beside another time is the temperature.
+        temperatures = [replace(column, field=TEMPERATURE) for column in times[1:] if header[column.index].strip() == "T"]
+    return times[:1] + temperatures[:1]
+
+
+def _triads(columns: Sequence[TableColumn]) -> list[TableColumn]:
+    """Return one triad of each quantity: both of one source where it has them, and plain names before others."""
+    triads: dict[str, dict[tuple[str, str], list[TableColumn]]] = {quantity: {} for quantity in TRIADS}
+    for column in columns:
+        if column.quantity in TRIADS:
+            triads[column.quantity].setdefault((column.qualifier, column.name), []).append(column)
+    whole = {
+        quantity: [key for key, triad in of.items() if len({column.field for column in triad}) == len(triad) == len("xyz")]
+        for quantity, of in triads.items()
+    }
+    sources = [{qualifier for qualifier, _ in keys} for keys in whole.values()]
+    both = set.intersection(*sources)
+    chosen: list[TableColumn] = []
+    for quantity, keys in whole.items():
+        best = min(keys, key=lambda key: (bool(both) and key[0] not in both, _rank(*key)), default=None)
+        both = both if best is None or best[0] not in both else {best[0]}
+        of = triads[quantity]
+        # Axes that go by several names, or do not make a triad, are looked at later.
+        chosen += of[best] if best else [column for triad in of.values() for column in triad]
+    return chosen
+
+
+def _rank(qualifier: str, name: str) -> int:
+    """Return a smaller number for what is rather taken."""
+    if qualifier or not name:
+        return 3
+    return 0 if name in _FIRST else 1 + (name in _LAST)
 
 
 def refuse_several_instruments(path: Path, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Raise ``UsageError`` where a column says that rows are in turns of several instruments."""
+    """Raise ``UsageError`` where a column names the instrument of each row, and there are several."""
     for index, name in enumerate(header):
         if "".join(_split(name)) in _NAMES["instrument"]:
-            found = sorted({row[index] for row in rows if index < len(row)})
-            # A number of its own for each row is none of an instrument.
-            if 1 < len(found) < len(rows) / 2:
+            named = [row[index] for row in rows if index < len(row) and row[index]]
+            found = sorted(set(named))
+            changes = sum(before != after for before, after in pairwise(named))
+            # Instruments take turns; positions and labels last, counters go on, and measured numbers are no names.
+            if 1 < len(found) <= _MOST_INSTRUMENTS and 4 * changes > len(rows) and not any("." in each for each in found):
                 told = {"name": shortened(name), "found": [*map(shortened, found[:4])]}
                 raise UsageError(sentence("table_names.several_instruments", path=str(path), **told))

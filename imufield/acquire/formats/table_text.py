@@ -12,7 +12,7 @@ import gzip
 import re
 import zlib
 from collections.abc import Iterator, Sequence
-from datetime import UTC, datetime, time
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import BinaryIO, cast
 
@@ -94,7 +94,9 @@ class TextTable:
             lines = text.split("\n")
             rows = lines[max(self.lines_before - line, 0) :]
             if rows and self._is_cut(rows[-1]):
-                self.assumptions.append(sentence("table_text.cut", name=self.path.name, line=line + len(lines)))
+                said = sentence("table_text.cut", name=self.path.name, line=line + len(lines))
+                # A table may be read twice.
+                self.assumptions.extend([said] if said not in self.assumptions else [])
                 rows.pop()
             if any(_is_row(row) for row in rows):
                 yield self._parse(rows, columns, line + len(lines) - len(rows))
@@ -213,14 +215,15 @@ def seconds_of_date(text: str) -> float:
         If it is none.
     """
     text = text.strip().replace("/", "-")
+    # A time of day counts from midnight; two numbers are minutes and seconds, as Excel shows them.
+    if ":" in text[:3]:
+        text = f"1970-01-01T{'00:' if text.count(':') == 1 else ''}{text}"
     try:
         moment = datetime.fromisoformat(text)
     except ValueError:
-        if ":" in text[:3]:
-            clock = time.fromisoformat(text)
-            return 3600.0 * clock.hour + 60.0 * clock.minute + clock.second + 1e-6 * clock.microsecond
         # As MATLAB writes it.
-        moment = datetime.strptime(text, "%d-%b-%Y %H:%M:%S.%f")  # noqa: DTZ007  (the time zone follows)
+        whole = text if "." in text else f"{text}.0"
+        moment = datetime.strptime(whole, "%d-%b-%Y %H:%M:%S.%f")  # noqa: DTZ007  (the time zone follows)
     return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
@@ -255,7 +258,12 @@ def open_table(path: str | Path) -> TextTable:
     if not rows:
         raise _bad("table_text.no_rows", path)
     numbers, width = rows[len(rows) // 2]
-    first = next(place for place, (found, cells) in enumerate(shapes) if found and (cells == width or 2 * found >= numbers))
+    # A line of numbers alone is a row, if a wrong one.
+    first = next(
+        place
+        for place, (found, cells) in enumerate(shapes)
+        if found and (found == cells or cells == width or 2 * found >= numbers)
+    )
     names = [line.strip() for _, line in texts[:first]]
     number, line = texts[first]
     delimiter, decimal_comma = _delimiter_below(names, line.strip())
@@ -325,13 +333,16 @@ def _header(
 ) -> tuple[tuple[str, ...] | None, tuple[str, ...] | None]:
     """Return names and units: the lines before the numbers, or the last commented line that has a name for each column."""
     if names:
-        rows = [_names(line, delimiter, width) for line in names]
-        # Titles stand above the names, and have fewer cells, or hardly any in them.
-        filled = [cells for cells in rows if 2 * sum(map(bool, cells)) > len(cells)] or rows
-        widest = [cells for cells in filled if len(cells) == max(map(len, filled))]
-        if len(widest) > 2:
+        # A title is words: what parts the cells of the rows is not in it, or hardly anything stands between.
+        parted = [line for line in names if delimiter is not None and delimiter in line] or names
+        rows = [_names(line, delimiter, width) for line in parted]
+        usual = width if any(len(cells) == width for cells in rows) else max(map(len, rows))
+        wide = [cells for cells in rows if len(cells) == usual]
+        while len(wide) > 1 and 2 * sum(map(bool, wide[0])) <= usual:
+            wide.pop(0)
+        header, *below = wide
+        if len(below) > 1:
             raise _bad("table_text.long_heading", path, lines=len(names), text=shortened(names[0]))
-        header, *below = widest
         return header, below[0] if below else None
     # Comments may hold anything; the one right above the numbers is the likeliest heading.
     found = (_names(line, delimiter, width) for line in reversed(marked))

@@ -47,6 +47,8 @@ _FLAGGED_ROW = np.dtype([("numbers", "<f8", (len(FIELDS),)), ("status", "<u4")])
 _COUNTED_ROW = np.dtype([*((name, _FLAGGED_ROW[name]) for name in ("numbers", "status")), ("counter", "<i8")])
 LATEST_NS = 2**63 - 1
 """What a recording's time stamps hold: 292 years. Times beyond are kept in the rows themselves."""
+# Of 1 g, which an accelerometer shows that is mostly at rest; without gravity it shows bias and noise. Counts are whole.
+_LEAST_GRAVITY = 0.05
 _ROWS_A_CHUNK = 4096  # 256 KiB: few messages, and well below what one damaged byte may cost.
 _ROWS_TO_GUESS_BY = 1 << 18  # 20 MiB of numbers; at 2000 Hz two minutes, in which nobody's unit looks like another's.
 
@@ -157,8 +159,8 @@ def read_tables(
     for file in files:
         refuse_coarse_times(file.path, file.fields.get(TIME, np.empty(0)))
     table = _table(files, rate_hz, zero, settings)
-    doubts = _doubts(table.rows[:, 1:4], str(table.settings["accelerometer_unit"]))
-    return replace(table, assumptions=(*table.assumptions, *doubts))
+    faults = _no_positions(table.rows[:, 1:4], str(table.settings["accelerometer_unit"]))
+    return replace(table, assumptions=(*table.assumptions, *faults))
 
 
 def stream_table(path: str | Path, *, rate_hz: float | None = None) -> Iterator[ImportedTable]:
@@ -293,16 +295,15 @@ def _table(
     )
 
 
-def _doubts(accelerometer: FloatArray, unit: str) -> list[Sentence]:
-    """Return why no positions can be found, where that shows already."""
+def _no_positions(accelerometer: FloatArray, unit: str) -> list[Sentence]:
+    """Return why no positions will be found in these outputs, shape (n, 3)."""
     known = accelerometer[np.isfinite(accelerometer).all(axis=1)]
     if not len(known):
         return [sentence("tables.no_accelerometer")]
+    limit = _LEAST_GRAVITY * {"m/s^2": STANDARD_GRAVITY_M_S2, "g": 1.0, "count": 1.0}.get(unit, 0.0)
     with np.errstate(over="ignore"):  # in damaged files
         found = float(median(np.linalg.norm(known, axis=1)))
-    # Counts are integers, and hundreds.
-    is_small = found < (0.3 * STANDARD_GRAVITY_M_S2 if unit == "m/s^2" else 0.3) and unit in ("m/s^2", "g", "count")
-    return [sentence("tables.no_gravity", found=found, unit=unit)] if is_small else []
+    return [sentence("tables.no_gravity", found=found, limit=limit, unit=unit)] if found < limit else []
 
 
 def write_rows(

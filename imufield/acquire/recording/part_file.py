@@ -34,8 +34,10 @@ sentence = Sentences(__package__)
 
 RECORD_LIMIT_BYTES = CHUNK_LIMIT_BYTES + (1 << 20)
 """Largest record accepted, a packed chunk being a little larger than an unpacked one at worst: limits what is allocated."""
-_SEARCH_BYTES = (4 << 10, 1 << 20)
-"""Windows of the search for the next chunk: many that are damaged cost little, and one read finds the end of a usual one."""
+# Windows of the search for the next chunk.
+_FIRST_SEARCH_BYTES = 4 << 10  # Many damaged places cost little.
+_LARGEST_SEARCH_BYTES = 1 << 20  # As large as a usual chunk, so that one read finds its end.
+_SEARCH_GROWTH = 16
 _PROFILE = len(PROFILE).to_bytes(4, "little") + PROFILE.encode()
 _PROFILE_AT = len(MAGIC) + RECORD.size  # Where it stands in the file, behind the start of the Header record.
 _START_BYTES = 64  # Enough for the magic and the Header record up to its profile.
@@ -201,7 +203,7 @@ class PartFile:
 
     def _next_chunk(self, position: int) -> int | None:
         """Find the next Chunk record at or after ``position`` by its signature and matching lengths."""
-        window_start, (size, largest) = position, _SEARCH_BYTES
+        window_start, size = position, _FIRST_SEARCH_BYTES
         while window_start < self._size:
             self._file.seek(window_start)
             # A signature may lie across two windows, with the head it is checked with before it.
@@ -213,7 +215,7 @@ class PartFile:
                     return window_start + start
                 found = window.find(CHUNK_SIGNATURE, found + 1)
             window_start += size
-            size = min(16 * size, largest)
+            size = min(_SEARCH_GROWTH * size, _LARGEST_SEARCH_BYTES)
         # Damage in the last chunk: DataEnd, Footer and magic say that nothing else is missing.
         start = self._size - END_SIZE
         if start < position:

@@ -184,10 +184,12 @@ def joint_result(solution: JointSolution) -> GyroscopeResult:
     # NaN where a scale is not observable, which is said elsewhere.
     sigma_ppm = 1e6 * float(np.nan_to_num(np.abs(gyroscope.sigma.scale / gyroscope.parameters.scale)).max())
     coarse = _beyond("result.coarse", sigma_ppm, _SCALE_SIGMA_LIMIT_PPM)
-    # A wrong rate, or unit, is one factor on all axes.
-    unit = solution.given.nominal_scale or (1.0 if solution.given.observations.units.gyroscope_rate_unit == "rad/s" else np.nan)
-    off = float(np.nan_to_num(np.abs(gyroscope.parameters.scale / unit - 1.0)).min())
-    off_unit = _beyond("result.off_unit", off, _COMMON_SCALE_LIMIT)
+    nominal = solution.given.nominal_scale or (
+        1.0 if solution.given.observations.units.gyroscope_rate_unit == "rad/s" else np.nan
+    )
+    # A wrong rate or unit multiplies all axes, so the axis that is least off decides.
+    smallest_off = float(np.nan_to_num(np.abs(gyroscope.parameters.scale / nominal - 1.0)).min())
+    off_unit = _beyond("result.off_unit", smallest_off, _COMMON_SCALE_LIMIT)
     apart = _beyond("result.apart", moves.rms_after_deg, _MOVE_ERROR_LIMIT_DEG)
     unsettled = () if fitted.solved.converged else (_unsettled(fitted.solved.message, solution.given.latitude_deg),)
     return replace(

@@ -27,13 +27,13 @@ _ROUNDING_M_S2 = 1e-6 * MICRO_G_M_S2  # What is left of ideal outputs.
 
 @dataclass(frozen=True, slots=True)
 class Gain:
-    """Norm of the specific force less gravity at the positions used."""
+    """Norm of the specific force less gravity at the positions that others can check."""
 
     names: tuple[str, ...]
     before_m_s2: FloatArray
     """By the parameters in force before; where there were none by the nominal scale, or one scale that fits. Shape (m,)."""
     after_m_s2: FloatArray
-    """With each position left out of the fit where others are left to check it, else the residual. Shape (m,)."""
+    """With this position left out of the fit. Shape (m,)."""
     by: Literal["preset", "nominal", "fitted"] = "nominal"
     """What gave the error before: the parameters in force, the nominal scale, or one scale that fits."""
 
@@ -49,14 +49,15 @@ class Gain:
 
 
 def gain(parameters: Parameters, preset: Parameters | None = None) -> Gain | None:
-    """Return what the calibration has gained; None where no position is left to tell it."""
-    tables = [table for table in parameters.document["position"] if table["used"]]
+    """Return what the calibration has gained; None where no position can be left out."""
     calibration = parameters.calibration
-    # As many parameters as positions fit them all, and that is no gain.
-    if not tables or calibration.quality.degrees_of_freedom < 1:
+    # The residual of a position that no other checks tells no gain: the fit goes through it.
+    left_out = np.where(calibration.positions.used, calibration.positions.leave_one_out_m_s2, np.nan)
+    is_checked = np.isfinite(left_out)
+    if not is_checked.any() or calibration.quality.degrees_of_freedom < 1:
         return None
+    tables = [table for table, checked in zip(parameters.document["position"], is_checked, strict=True) if checked]
     accelerometer, gravity = calibration.accelerometer, calibration.gravity.gravity_m_s2
-    used, results = calibration.positions.used, calibration.positions
     raw = np.array([table["mean_raw"] for table in tables], dtype=np.float64)
     by: Literal["preset", "nominal", "fitted"] = "preset"
     before = None if preset is None else _norms(preset.calibration.accelerometer, raw)
@@ -65,9 +66,7 @@ def gain(parameters: Parameters, preset: Parameters | None = None) -> Gain | Non
         nominal = nominal_scale(calibration.accelerometer_raw_unit)
         by = "nominal" if nominal else "fitted"
         before = outputs / (nominal or float(np.mean(outputs)) / gravity)
-    left_out = results.leave_one_out_m_s2[used]
-    after = left_out if np.isfinite(left_out).all() else results.residual_m_s2[used]
-    return Gain(tuple(table["name"] for table in tables), before - gravity, after, by)
+    return Gain(tuple(table["name"] for table in tables), before - gravity, left_out[is_checked], by)
 
 
 def document_with_gain(parameters: Parameters) -> Document:

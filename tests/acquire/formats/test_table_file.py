@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from imufield.acquire.formats.tables import ImportedTable, read_tables, stream_table
-from imufield.errors import ImufieldError, Reason, RecordingError
+from imufield.errors import Reason, RecordingError
 from imufield.sentences import Sentence
 from tests.acquire.table_files import write
 from tests.refused import refused
@@ -118,14 +118,29 @@ def test_a_fault_in_a_part_is_named_with_its_line(tmp_path: Path) -> None:
     assert caught.value.values["line"] == 1 + 2 * 30 + 1
 
 
-@pytest.mark.parametrize("samples", [0, 1])
-def test_a_part_needs_two_samples(tmp_path: Path, samples: int) -> None:
+def test_a_part_needs_two_samples(tmp_path: Path) -> None:
     rows = rows_of(TIME, accelerometers=True, gyroscopes=False)
-    rows[:samples, 4:7] = 0.1
-    path = write(tmp_path, text_of(rows), "merged.csv")
-    if samples:
-        with pytest.raises(ImufieldError) as caught:
-            read_tables([path])
-        assert caught.value.reason is Reason.BAD_DATA
-    else:
-        assert np.isnan(read_tables([path]).rows[:, 4:7]).all()
+    assert np.isnan(read_tables([write(tmp_path, text_of(rows), "alone.csv")]).rows[:, 4:7]).all()
+    rows[0, 4:7] = 0.1
+    with refused(RecordingError, Reason.BAD_DATA, key="table_file.one_row_of_triad") as caught:
+        read_tables([write(tmp_path, text_of(rows), "merged.csv")])
+    assert caught.value.values["quantity"] == "gyroscope"
+
+
+def test_an_empty_time_joins_no_rows(tmp_path: Path) -> None:
+    both = [rows_of(TIME, accelerometers=True, gyroscopes=False), rows_of(TIME, accelerometers=False, gyroscopes=True)]
+    text = text_of(*both).replace("\n0", "\n").splitlines()
+    lines = [text[0], *("," + line.split(",", 1)[1] for line in text[1:])]
+    with refused(RecordingError, Reason.BAD_DATA, key="table_file.not_finite"):
+        read_tables([write(tmp_path, "\n".join(lines) + "\n", "untimed.csv")], rate_hz=100.0)
+
+
+def test_one_column_of_times_has_one_unit(tmp_path: Path) -> None:
+    """By its own steps of 0.25 s the gyroscope's would be milliseconds."""
+    slow = np.arange(0.0, 0.5, 0.25)
+    rows = [rows_of(TIME, accelerometers=True, gyroscopes=False), rows_of(slow, accelerometers=False, gyroscopes=True)]
+    text = text_of(*rows).replace("time_s", "time")
+    table = read_tables([write(tmp_path, text, "merged.csv")], settings={"accelerometer_unit": "m/s^2"})
+    between = table.rows[table.rows[:, 0] <= 0.25]
+    assert len(between) == 26
+    np.testing.assert_allclose(between[:, 4:7], gyroscope(between[:, 0]), atol=1e-12)

@@ -54,6 +54,8 @@ def found(tmp_path: Path, header: str, name: str = "table.csv", row: str = "") -
         ("time_s", "time", "s"),
         ("Time (ms)", "time", "ms"),
         ("timestamp_us", "time", "us"),
+        ("timeus", "time", "us"),
+        ("TimeNS", "time", "ns"),
         ("timestamp [ns]", "time", "ns"),
         ("t_s", "time", "s"),
         ("temperature_degc", "temperature", "degC"),
@@ -70,8 +72,7 @@ def found(tmp_path: Path, header: str, name: str = "table.csv", row: str = "") -
 )
 def test_column_names_are_understood(name: str, field: str | None, unit: str | None) -> None:
     column = named_column(name, 3)
-    assert (column.field, column.unit, column.index) if column else (field, unit, 3)[: 3 if column else 2] == (None, None)
-    assert (column.field if column else None, column.unit if column else None) == (field, unit)
+    assert (column and (column.field, column.unit, column.index)) == (field and (field, unit, 3))
 
 
 def test_a_long_heading_takes_no_longer_than_its_length() -> None:
@@ -118,23 +119,23 @@ def test_a_long_heading_takes_no_longer_than_its_length() -> None:
         pytest.param("time,acc_x,acc_y,acc_z,rot_x,rot_y,rot_z,rot_w", [0, 1, 2, 3], T + A, {}, id="a quaternion"),
         pytest.param(
             "timestamp,raw_acc_x,raw_acc_y,raw_acc_z,user_acc_x,user_acc_y,user_acc_z,acc_x,acc_y,acc_z,gyro_x,gyro_y,gyro_z",
-            [0, 1, 2, 3, 10, 11, 12],
+            [0, 7, 8, 9, 10, 11, 12],
             T + A + G,
             {},
-            id="raw before computed",
+            id="plain before qualified",
         ),
         pytest.param(
             "TimeStartup,AccX,AccY,AccZ,UnCompAccX,UnCompAccY,UnCompAccZ,GyroX,GyroY,GyroZ,UnCompGyroX,UnCompGyroY,UnCompGyroZ",
-            [0, 4, 5, 6, 10, 11, 12],
+            [0, 1, 2, 3, 7, 8, 9],
             T + A + G,
             {},
             id="VectorNav",
         ),
         pytest.param(
-            "epoc (ms),timestamp (-0700),elapsed (s),x-axis (g),y-axis (g),z-axis (g)",
-            [0, 3, 4, 5],
+            "epoc (ms),timestamp,elapsed (s),x-axis (g),y-axis (g),z-axis (g)",
+            [1, 3, 4, 5],
             T + A,
-            {"time": "ms", "accelerometer": "g"},
+            {"accelerometer": "g"},
             id="MetaBase",
         ),
         pytest.param(
@@ -160,18 +161,18 @@ def test_a_long_heading_takes_no_longer_than_its_length() -> None:
             id="GoPro",
         ),
         pytest.param(
-            "Clock:offsetTime,IMU_ATTI(0):accelX,IMU_ATTI(0):accelY,IMU_ATTI(0):accelZ,IMU_ATTI(0):gyroX,IMU_ATTI(0):gyroY,"
+            "time,IMU_ATTI(0):accelX,IMU_ATTI(0):accelY,IMU_ATTI(0):accelZ,IMU_ATTI(0):gyroX,IMU_ATTI(0):gyroY,"
             "IMU_ATTI(0):gyroZ,IMU_ATTI(1):accelX,IMU_ATTI(1):accelY,IMU_ATTI(1):accelZ",
             [*range(7)],
             T + A + G,
             {},
-            id="DJI, the first of two",
+            id="DJI, the one that has both",
         ),
         pytest.param(
             "Phone timestamp;sensor timestamp [ns];X [mg];Y [mg];Z [mg]",
-            [0, 2, 3, 4],
+            [1, 2, 3, 4],
             T + A,
-            {"accelerometer": "mg"},
+            {"time": "ns", "accelerometer": "mg"},
             id="Polar",
         ),
         pytest.param(
@@ -231,17 +232,67 @@ def test_axes_without_a_name_are_of_what_the_file_is_named(tmp_path: Path, name:
 def test_rows_of_several_instruments_are_no_table_of_one(tmp_path: Path, named: str, values: tuple[str, str]) -> None:
     lines = [f"time_s,{named},ax,ay,az", *(f"{row * 0.005},{values[row % 2]},0.1,0.2,{9.8 - row % 2}" for row in range(40))]
     path = write(tmp_path, "\n".join(lines) + "\n", "two.csv")
-    for columns in (None, "time_s,-,ax,ay,az"):
-        with refused(UsageError, Reason.USAGE, *values, key="table_names.several_instruments") as caught:
-            read_tables([path], columns=columns)
-        assert caught.value.values["name"] == named
+    with refused(UsageError, Reason.USAGE, *values, key="table_names.several_instruments") as caught:
+        read_tables([path])
+    assert caught.value.values["name"] == named
+    # Whoever names the columns knows better.
+    assert len(read_tables([path], columns="time_s,-,ax,ay,az").rows) == 40
     one = write(tmp_path, "\n".join([lines[0], *lines[1::2]]) + "\n", "one.csv")
     assert len(read_tables([one]).rows) == 20
 
 
-def test_a_number_of_each_row_is_no_instrument(tmp_path: Path) -> None:
-    lines = ["i,time_s,ax,ay,az", *(f"{row},{row * 0.01},0.1,0.2,9.8" for row in range(40))]
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        [*range(40)],
+        [row // 20 for row in range(40)],
+        [f"{0.1 * (row % 3):.1f}" for row in range(40)],
+        ["A", *[""] * 39],
+        [int(row == 7) for row in range(40)],
+    ],
+    ids=["of each row", "of positions", "measured", "a label", "a flag"],
+)
+def test_what_is_no_instrument(tmp_path: Path, numbers: list[object]) -> None:
+    lines = ["i,time_s,ax,ay,az", *(f"{number},{row * 0.01},0.1,0.2,9.8" for row, number in enumerate(numbers))]
     assert len(read_tables([write(tmp_path, "\n".join(lines) + "\n")]).rows) == 40
+
+
+# What a column that is new here must not take from one that was understood before.
+@pytest.mark.parametrize(
+    ("header", "name", "first"),
+    [
+        ("time,bias/acc_x,bias/acc_y,bias/acc_z,acc_x,acc_y,acc_z", "table.csv", [0, 4, 5, 6]),
+        ("time,ref:gx,ref:gy,ref:gz,gx,gy,gz", "table.csv", [0, 4, 5, 6]),
+        ("time,other/gx,other/gy,other/gz,gx,gy,gz", "table.csv", [0, 4, 5, 6]),
+        ("gps/time,time,ax,ay,az,baro/temperature,temp", "table.csv", [1, 2, 3, 4, 6]),
+        ("time,rotation_x,rotation_y,rotation_z,gx,gy,gz", "table.csv", [0, 4, 5, 6]),
+        ("time,rot[0],rot[1],rot[2],rot[3],ax,ay,az", "table.csv", [0, 5, 6, 7]),
+        ("time,w,x,y,z,ax,ay,az", "accelerometer.csv", [0, 5, 6, 7]),
+        ("time,imu_w,imu_x,imu_y,imu_z,imu_ax,imu_ay,imu_az", "table.csv", [0, 5, 6, 7]),
+        ("time,x,y,z,gx,gy,gz", "gyro_rate_100hz.csv", [0, 4, 5, 6]),
+        ("time,x,y,z,ax,ay,az", "acc_pos.csv", [0, 4, 5, 6]),
+        ("time,mag/x,mag/y,mag/z,ax,ay,az", "mag_acc.csv", [0, 4, 5, 6]),
+        ("time,x (m/s),y (m/s),z (m/s),ax,ay,az", "table.csv", [0, 4, 5, 6]),
+        ("time,a_sx,a_sy,a_sz,gx,gy,gz", "table.csv", [0, 4, 5, 6]),
+        ("time,ax,ay,az,ax_cal,ay_cal,az_cal", "table.csv", [0, 1, 2, 3]),
+        ("millis,timestamp,ax,ay,az", "table.csv", [1, 2, 3, 4]),
+        ("seconds,timestamp,ax,ay,az", "table.csv", [1, 2, 3, 4]),
+        ("m/s,time,ax,ay,az", "table.csv", [1, 2, 3, 4]),
+        ("time,linear_acceleration_x,linear_acceleration_y,linear_acceleration_z,acc_x,acc_y,acc_z", "table.csv", [0, 4, 5, 6]),
+        ("time,imu1_acc_x,imu1_acc_y,imu1_acc_z,imu2_acc_x,imu2_acc_y,imu2_acc_z,imu2_gyr_x,imu2_gyr_y,imu2_gyr_z",
+         "table.csv", [0, 4, 5, 6, 7, 8, 9]),
+    ],
+)  # fmt: skip
+def test_other_columns_of_like_names_are_left(tmp_path: Path, header: str, name: str, first: list[int]) -> None:
+    assert [place for place, _ in found(tmp_path, header, name)[0]] == first
+
+
+@pytest.mark.parametrize(
+    "header", ["time,bias/acc_x,bias/acc_y,bias/acc_z", "time,X (counts),Y (counts),Z (counts)", "time,p/q"]
+)
+def test_columns_of_no_instrument(tmp_path: Path, header: str) -> None:
+    with refused(UsageError, Reason.USAGE, key="table_columns.no_triad"):
+        found(tmp_path, header)
 
 
 @pytest.mark.parametrize(("step", "tick_s"), [(100, 1e-4), (25, 1e-4), (16667, 1e-6), (8333, 1e-6)])

@@ -38,6 +38,7 @@ def lines_of(delimiter: str = ",", end: str = "") -> list[str]:
         ),
         pytest.param(["Log of 2024-03-01", *["note"] * 9, UNITS], ",", "", id="many titles"),
         pytest.param(["My log,,,", UNITS], ",", "", id="a title in a row of cells"),
+        pytest.param(["Log of one small board", UNITS], ",", "", id="a title of as many words"),
     ],
 )
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
@@ -73,6 +74,10 @@ def test_a_damaged_text_of_two_bytes_is_refused(tmp_path: Path, encoding: str) -
         ("01-Jan-1970 00:01:00.250", 60.25),
         ("00:01:00.25", 60.25),
         ("13:00:00", 46800.0),
+        ("13:00:00+01:00", 43200.0),
+        # As Excel shows minutes and seconds.
+        ("12:13.010", 733.01),
+        ("01-Jan-1970 00:01:00", 60.0),
     ],
 )
 def test_dates_are_seconds(text: str, seconds: float) -> None:
@@ -100,6 +105,30 @@ def test_times_as_dates(tmp_path: Path) -> None:
     with refused(RecordingError, Reason.BAD_DATA, key="table_text.no_number") as caught:
         read_tables([path])
     assert caught.value.values["line"] == 9
+
+
+def test_dates_are_in_seconds_whatever_the_heading_says(tmp_path: Path) -> None:
+    rows = [f"2023-03-04T11:12:{row:02d}Z,0.1,0.2,9.8" for row in range(40)]
+    for heading in ("time", "time (ms)", "timestamp_us"):
+        path = written(tmp_path / "dated.csv", "\n".join([f"{heading},ax,ay,az", *rows, ""]))
+        np.testing.assert_allclose(np.diff(read_tables([path]).rows[:, 0]), 1.0)
+
+
+def test_a_line_of_units_may_be_sparse(tmp_path: Path) -> None:
+    names = "time,ax,ay,az,status,n,lat,lon,alt,sat"
+    rows = [f"{0.01 * row:.2f},0.1,0.2,1.0,0,{row},48,11,500,7" for row in range(40)]
+    path = written(tmp_path / "units.csv", "\n".join([names, "s,mg,mg,mg,,,,,,", *rows, ""]))
+    assert np.array_equal(read_tables([path]).rows[0, 1:4], np.array([0.1, 0.2, 1.0]) * 1e-3)
+
+
+def test_rows_that_begin_short_are_no_titles(tmp_path: Path) -> None:
+    rows = [*["0.00,1,2,3"] * 5, *(f"{0.01 * row:.2f},1,2,3,4,5,6,7,8,9" for row in range(5, 60))]
+    path = written(tmp_path / "short.csv", "\n".join(["time,ax,ay,az,gx,gy,gz,mx,my,mz", *rows, ""]))
+    with refused(RecordingError, Reason.BAD_DATA):
+        read_tables([path])
+    path = written(tmp_path / "cut.csv", "\n".join([UNITS, "3.01,4.01", *lines_of(), ""]))
+    with refused(RecordingError, Reason.BAD_DATA):
+        read_tables([path])
 
 
 @pytest.mark.parametrize("cut", ["0.50", "0.50,0.1,0.2", "0.50,0.1,0.2,-", "0.50,0.1,0.2,1e"])
