@@ -66,7 +66,7 @@ class Jobs:
             If too many are waiting.
         """
         with self._lock:
-            same = [number for number in self._of(action, values.get("port")) if is_alone and number not in self._ending]
+            same = [number for number in self._at(_place(action, values)) if is_alone and number not in self._ending]
             if same:
                 self._handed_out.add(same[0])
                 return same[0]
@@ -85,8 +85,8 @@ class Jobs:
         self._begin_next()
         return number
 
-    def _of(self, action: str, port: object) -> list[int]:
-        return [number for number, head in self._heads.items() if (head.action, head.values.get("port")) == (action, port)]
+    def _at(self, place: tuple[object, ...]) -> list[int]:
+        return [number for number, head in self._heads.items() if _place(head.action, head.values) == place]
 
     def _offering(self, port: object) -> set[int]:
         """Return the virtual instruments at a port."""
@@ -94,10 +94,8 @@ class Jobs:
 
     def _next(self) -> int | None:
         """Return the number of the next one; what is alone begins behind the one before it, at whose port it will be."""
-        heads = {number: self._heads[number] for number in self._waiting}
-        before = {
-            number: {*self._of(head.action, head.values.get("port"))} & self._running.keys() for number, head in heads.items()
-        }
+        places = {number: _place(self._heads[number].action, self._heads[number].values) for number in self._waiting}
+        before = {number: {*self._at(place)} & self._running.keys() for number, place in places.items()}
         return next((number for number in self._waiting if not (number in self._alone and before[number])), None)
 
     def _begin_next(self) -> None:
@@ -227,6 +225,11 @@ class _Head:
     def port(self) -> object:
         """That it offers."""
         return self.told.get("started", {}).get("port")
+
+
+def _place(action: str, values: Json) -> tuple[object, ...]:
+    """Return what a command does, and where."""
+    return action, values.get("port"), values.get("bus")
 
 
 def _started(words: list[str]) -> subprocess.Popen[str]:

@@ -418,6 +418,19 @@ def test_mpu_9150(shared_folder: Path, name: str) -> None:
     assert calibrate_gyroscope(real_session(samples, 0.0, 9.81)).moves.rms_after_deg <= 0.15
 
 
+@pytest.mark.parametrize(("factor", "is_told"), [(1.2, True), (0.8, True), (1.05, False)])
+def test_scales_that_are_all_off_their_unit_are_told(factor: float, is_told: bool) -> None:
+    """As by a wrong unit, or sample rate: turns are rate times step."""
+    still = simulate(1, grade="tactical")
+    scale = float(calibrate_gyroscope(still.given).calibration.parameters.scale.mean())
+    found = calibrate_gyroscope(replace(still.given, nominal_scale=scale / factor))
+    caution = told(found.cautions, "result.off_unit")
+    assert bool(caution) is is_told
+    if is_told:
+        assert caution[0].values["found"] == pytest.approx(abs(factor - 1), abs=0.01)
+        assert found.join(still.calibration).quality.verdict == "usable"
+
+
 def test_a_fit_that_does_not_end_makes_the_whole_poor(monkeypatch: pytest.MonkeyPatch) -> None:
     """A latitude for data without the Earth's rate, as simulators that leave it out write them."""
     monkeypatch.setattr(Site, "earth_rate_n", property(lambda _: np.zeros(3)))
