@@ -138,7 +138,8 @@ def _without_unit(text: str) -> tuple[str, str]:
     before, inside, behind = bracket[1], bracket[2].strip().lower(), text[bracket.end() :]
     if inside in _AXES and re.match(r"\s*+(?:$|[\[(])", behind):
         unit = re.match(r"\s*+[\[(]([^\])]*+)[\])]", behind)
-        return f"{before} {_AXES[inside]}", unit[1] if unit else ""
+        # A number may be that of anything, so that a name with a letter is rather an axis.
+        return f"{before} {_AXES[inside]}{' index' if inside.isdigit() else ''}", unit[1] if unit else ""
     return before + behind, bracket[2]
 
 
@@ -230,14 +231,17 @@ def _time_and_temperature(
     columns: Sequence[TableColumn], header: Sequence[str], text_columns: Collection[int]
 ) -> list[TableColumn]:
     """Return one of each: a usual name before others, a number before a date, then the first."""
+    # "T" beside another time is the temperature.
+    is_letter = {column.index: header[column.index].strip() == "T" for column in columns if column.field == TIME}
     times = sorted(
         (column for column in columns if column.field == TIME),
-        key=lambda column: (column.index in text_columns, column.name not in _NAMES[TIME] or bool(column.qualifier)),
+        key=lambda column: (
+            column.index in text_columns,
+            is_letter[column.index] or column.name not in _NAMES[TIME] or bool(column.qualifier),
+        ),
     )
     temperatures = sorted((column for column in columns if column.field == TEMPERATURE), key=lambda each: bool(each.qualifier))
-    if not temperatures:
-        # "T" beside another time is the temperature.
-        temperatures = [replace(column, field=TEMPERATURE) for column in times[1:] if header[column.index].strip() == "T"]
+    temperatures += [replace(column, field=TEMPERATURE) for column in times[1:] if is_letter[column.index]]
     return times[:1] + temperatures[:1]
 
 

@@ -155,7 +155,10 @@ class TextTable:
         try:
             # A time that is no number is a date; other columns of text are not read.
             dates = dict.fromkeys(self.text_columns.intersection(columns), seconds_of_date)
-            values: FloatArray = np.loadtxt(rows, np.float64, delimiter=self.delimiter, converters=dates, usecols=use, ndmin=2)  # type: ignore[call-overload]
+            # Its stubs ask for converters of any column by name, too.
+            values: FloatArray = np.loadtxt(  # type: ignore[call-overload]
+                rows, np.float64, delimiter=self.delimiter, converters=dates, usecols=use, ndmin=2
+            )
         except ValueError as error:
             raise self._find_fault(rows, columns, lines_before) from error
         if values.shape[1] != len(columns):
