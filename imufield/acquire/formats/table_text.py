@@ -11,7 +11,7 @@ import errno
 import gzip
 import re
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import BinaryIO, cast
@@ -154,11 +154,10 @@ class TextTable:
             raise self._find_fault(rows, columns, lines_before)
         try:
             # A time that is no number is a date; other columns of text are not read.
-            dates = dict.fromkeys(self.text_columns.intersection(columns), seconds_of_date)
-            # Its stubs ask for converters of any column by name, too.
-            values: FloatArray = np.loadtxt(  # type: ignore[call-overload]
-                rows, np.float64, delimiter=self.delimiter, converters=dates, usecols=use, ndmin=2
+            dates: dict[int | str, Callable[[str], float]] = dict.fromkeys(
+                self.text_columns.intersection(columns), seconds_of_date
             )
+            values = np.loadtxt(rows, delimiter=self.delimiter, converters=dates, usecols=use, ndmin=2)
         except ValueError as error:
             raise self._find_fault(rows, columns, lines_before) from error
         if values.shape[1] != len(columns):
