@@ -37,7 +37,8 @@ _TABLES = {
     "mapping": '"accelerometer.x" = "AccLong"',
     "instrument": 'stl = "housing.stl"',
 }
-_TEXTS = ("laboratory", "customer", "operator")
+_TEXTS = ("port", "bus", "dbc", "driver", "positions", "laboratory", "customer", "operator")
+_NUMBERS = ("baud", "hold_s", "target_bias_ug", "target_scale_ppm", "gravity", "latitude", "height")
 
 
 def default_map() -> dict[str, dict[str, object]]:
@@ -97,7 +98,9 @@ def _contents() -> Iterator[tuple[Path, dict[str, object]]]:
                 unknown = sentence("configuration.unknown_key", path=str(path), unknown=key, known=[*KEYS])
                 raise UsageError(unknown, Reason.UNKNOWN_KEY, key=key)
             if key in _TEXTS and not isinstance(value, str):
-                raise UsageError(sentence("configuration.no_text", path=str(path), name=key, value=value))
+                raise UsageError(sentence("configuration.no_text", path=str(path), name=key, value=str(value)))
+            if key in _NUMBERS and not _is_number(value):
+                raise UsageError(sentence("configuration.no_number", path=str(path), name=key, value=str(value)))
             if key in _TABLES and not isinstance(value, dict):
                 raise UsageError(sentence("configuration.no_table", name=key, file=FILE_NAME, example=_TABLES[key]))
             foreign = sorted(map(str, value.keys() - {"stl"})) if key == "instrument" and isinstance(value, dict) else []
@@ -105,6 +108,14 @@ def _contents() -> Iterator[tuple[Path, dict[str, object]]]:
                 unknown = sentence("configuration.unknown_key", path=str(path), unknown=foreign, known=["stl"])
                 raise UsageError(unknown, Reason.UNKNOWN_KEY, key=key)
         yield path, dict(sorted(content.items()))
+
+
+def _is_number(value: object) -> bool:
+    try:
+        # Gravity may be a text with its uncertainty, "9.8089+-0.0001".
+        return math.isfinite(float(str(value).replace("±", "+-").partition("+-")[0]))
+    except ValueError:
+        return False
 
 
 def parse_settings(options: list[str] | None) -> dict[str, str]:

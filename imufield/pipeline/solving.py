@@ -93,7 +93,12 @@ def solve_session(
         Recording unreadable, calibration impossible or refused.
     """
     damage: list[Damage] = []
-    with read_recording(session, damage, listeners, keeps=keeps) as reading, naming_damage(session, damage), task("solving"):
+    with (
+        _naming_unfinished(session),
+        read_recording(session, damage, listeners, keeps=keeps) as reading,
+        naming_damage(session, damage),
+        task("solving"),
+    ):
         observations, left_out = leave_out(reading.observations, settings.without)
         between, best = reading.between(observations), reading.best
         is_import = session.record.kind == "import"
@@ -125,6 +130,19 @@ def solve_session(
             # Clipped outputs are the cause where what is left cannot be calibrated from.
             why = sentence("solving.rest", saturated=reading.saturated.removesuffix("."), error=error.message)
             raise CalibrationError(why, Reason.SATURATED, **error.values) from error
+
+
+@contextmanager
+def _naming_unfinished(session: Session) -> Iterator[None]:
+    """Say of a guided session that has too few positions how it goes on."""
+    try:
+        yield
+    except CalibrationError as error:
+        is_finished = session.record.scheme is None or session.finished or session.is_being_recorded
+        if is_finished or error.reason is not Reason.TOO_FEW:
+            raise
+        values = {"error": error.message.removesuffix("."), "folder": shlex.quote(str(session.folder))}
+        raise CalibrationError(sentence("solving.unfinished", **values), Reason.TOO_FEW, **error.values) from error
 
 
 @contextmanager

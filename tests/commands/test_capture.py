@@ -140,7 +140,7 @@ def test_resume(program: Program) -> None:
     solved = program.run("solve", folder)
     assert solved.returncode == 6
     # Broken off in a hold that a busy machine had delayed, there is a refusal to name as well.
-    assert not missing(solved.stderr, "2 positions", "scale and bias need 6")
+    assert not missing(solved.stderr, "2 positions", "scale and bias need 6", f"imufield capture --session {folder} --resume")
 
     for options, code, words in (
         ((), 4, "--resume"),

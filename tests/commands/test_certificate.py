@@ -81,17 +81,6 @@ def test_the_budget_of_a_session_is_in_file_and_report(solved_session: Path, tmp
     assert max(true[1:], key=float) == figures.values["true"]
 
 
-@pytest.mark.parametrize("name", ["laboratory", "customer", "operator"])
-@pytest.mark.parametrize("value", ["[1]", "{a = 1}", "true"])
-def test_a_name_that_is_no_text_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str, value: str
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("imufield.toml").write_text(f"{name} = {value}\n")
-    assert run(["certificate", "solved"]) == 2
-    assert name in capsys.readouterr().err
-
-
 def test_a_file_alone_has_a_certificate_without_the_protocol(solved_session: Path, tmp_path: Path) -> None:
     file = Path(shutil.copy(solved_session / "parameters.toml", tmp_path / "mine.toml"))
     paths = run_certificate(CertificateOptions(source=file))

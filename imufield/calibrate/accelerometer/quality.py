@@ -187,7 +187,9 @@ def poor_sentences(unsettled: str | None, degrees_of_freedom: int, leave_one_out
         reasons.append(sentence("quality.none_to_spare"))
     if leave_one_out_rms_m_s2 > POOR_RESIDUAL_M_S2:
         off_mg, limit_mg = leave_one_out_rms_m_s2 / MILLI_G_M_S2, POOR_RESIDUAL_M_S2 / MILLI_G_M_S2
-        reasons.append(sentence("quality.disagree", off_mg=off_mg, limit_mg=limit_mg))
+        # The residuals of few positions do not show which of them is wrong.
+        key = "quality.few_disagree" if degrees_of_freedom < SPARE_POSITIONS else "quality.disagree"
+        reasons.append(sentence(key, off_mg=off_mg, limit_mg=limit_mg))
     return reasons
 
 

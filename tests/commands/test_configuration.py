@@ -1,0 +1,41 @@
+"""What ``imufield.toml`` may say: a value of the wrong kind is named with the file, and no option is blamed for it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from imufield.commands.configuration import FILE_NAME, KEYS, default_map
+from imufield.errors import UsageError
+from tests.refused import refused
+
+TEXTS = ("port", "bus", "dbc", "driver", "positions", "laboratory", "customer", "operator")
+TABLES = ("settings", "mapping", "instrument")
+
+
+@pytest.fixture(autouse=True)
+def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.parametrize("name", TEXTS)
+@pytest.mark.parametrize("value", ["[1]", "{a = 1}", "true", "5"])
+def test_a_text_is_no_other_value(name: str, value: str) -> None:
+    Path(FILE_NAME).write_text(f"{name} = {value}\n")
+    with refused(UsageError, None, FILE_NAME, name, key="configuration.no_text"):
+        default_map()
+
+
+@pytest.mark.parametrize("name", sorted(KEYS.keys() - {*TEXTS, *TABLES}))
+@pytest.mark.parametrize("value", ["[1]", "{a = 1}", "true", '"abc"', "2020-01-01", "1979-05-27T07:32:00Z", "nan"])
+def test_a_number_is_no_other_value(name: str, value: str) -> None:
+    Path(FILE_NAME).write_text(f"{name} = {value}\n")
+    with refused(UsageError, None, FILE_NAME, name, key="configuration.no_number"):
+        default_map()
+
+
+@pytest.mark.parametrize("value", ["9.8089", '"9.8089"', '"9.8089+-0.0001"', '"9.8089±0.0001"'])
+def test_gravity_may_have_its_uncertainty(value: str) -> None:
+    Path(FILE_NAME).write_text(f"gravity = {value}\n", encoding="utf-8")
+    assert str(default_map()["solve"]["gravity"]).startswith("9.8089")
