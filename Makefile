@@ -9,7 +9,7 @@ TEST := $(VENV)/.test
 DEV := $(VENV)/.dev
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test bench study fuzz lint style mypy pyright docs torture coverage audit lock changelog wheel clean screens scripts
+.PHONY: help demo test bench study fuzz lint style mypy pyright numerical docs torture coverage audit lock changelog wheel clean screens scripts
 
 help:
 	@echo "make demo    the whole chain on a virtual instrument, about a minute"
@@ -18,6 +18,7 @@ help:
 	@echo "make study   the papers' tables and figures, and the answers, in full: some two hours of one core; writes docs/study.md, docs/answers.md"
 	@echo "make fuzz    a minute of random and damaged bytes for every instrument"
 	@echo "make lint    style, types"
+	@echo "make numerical  the tests of numbers with the oldest kernels that the processor can run"
 	@echo "make scripts  types of the page's scripts, by tools that npm installs; make test then looks for barriers, too"
 	@echo "make docs    build the documentation into build/docs; broken links and examples fail"
 	@echo "make torture  kills, cuts, bad wires and damaged files, in full, about 4 h on two cores; writes docs/reliability.md"
@@ -65,6 +66,9 @@ mypy: $(DEV)
 
 pyright: $(DEV)
 	$(BIN)/pyright --pythonpath $(BIN)/python
+
+numerical: $(TEST)
+	$(BIN)/python .ci/numerical.py
 
 # Nothing of what npm installs is shipped.
 SCRIPTS := tests/web/scripts
