@@ -228,7 +228,8 @@ class DbcFile:
             raise
         # cantools raises its own errors, and others where a file is damaged in a place it did not think of.
         except (cantools.Error, *_DAMAGE) as error:
-            cause = (str(error) or repr(error)).splitlines()[0]
+            # It quotes the line.
+            cause = shortened((str(error) or repr(error)).splitlines()[0])
             raise ProtocolError(sentence("can_dbc.unreadable", label=label, cause=cause)) from error
         if not isinstance(found, Database) or not found.messages:
             raise ProtocolError(sentence("can_dbc.no_message", label=label))
