@@ -18,7 +18,8 @@ LEARN_FROM = 8
 """Steps from which the regular one is learned."""
 _RELEARN_AFTER = 16  # Equal irregular steps in a row: at 2000 Hz 8 ms, and no pattern of losses is that regular.
 _SHORTEST_S = 1e-6  # No instrument sends a million samples per second; steps below are rounding.
-_TOLERANCE = 0.25  # Time stamps may jitter by this part of a step and still count as equal.
+TOLERANCE = 0.25
+"""Time stamps may jitter by this part of a step and still count as equal."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +68,7 @@ class StepRule:
         inexact = np.zeros(len(steps), dtype=np.bool_)
         at = 0
         while at < len(steps) and self.step > 0:
-            tolerance = self._jitter if self._allowed else 2 * _TOLERANCE * self.step
+            tolerance = self._jitter if self._allowed else 2 * TOLERANCE * self.step
             odd = np.flatnonzero(np.abs(steps[at:] - self.step) > tolerance) + at
             if not len(odd):
                 self._run_length = 0
@@ -87,7 +88,7 @@ class StepRule:
 
     def are_regular(self, lowest: float, highest: float) -> bool:
         """Whether all steps between these two are regular; if they are, they count as examined."""
-        limit = self._jitter if self._allowed else 2 * _TOLERANCE * self.step
+        limit = self._jitter if self._allowed else 2 * TOLERANCE * self.step
         regular = self.step > 0 and abs(lowest - self.step) <= limit and abs(highest - self.step) <= limit
         if regular:
             self._run_length = 0
@@ -98,7 +99,7 @@ class StepRule:
         previous = -1 if self._run_length else -2
         for place in odd_at.tolist():
             value = float(steps[place])
-            tolerance = self._jitter if self._allowed else _TOLERANCE * abs(self._run_value)
+            tolerance = self._jitter if self._allowed else TOLERANCE * abs(self._run_value)
             goes_on = place == previous + 1 and abs(value - self._run_value) <= tolerance
             self._run_length = self._run_length + 1 if goes_on else 1
             self._run_value = self._run_value if goes_on else value

@@ -21,7 +21,7 @@ import numpy as np
 from imufield.acquire.clock.clock import Arrival, Arrivals, Clock
 from imufield.acquire.clock.host_lag import LossWatch, TimedBlock
 from imufield.acquire.clock.missing_samples import LEARN_FROM, StepRule
-from imufield.acquire.clock.stamp_clock import StampClock, Stamped, steps_between
+from imufield.acquire.clock.stamp_clock import MeanStep, StampClock, Stamped, steps_between
 from imufield.acquire.decode.assembly import NO_TICKS, RawBlock, join
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
@@ -55,6 +55,8 @@ class SampleClock(Clock):
         self._early: list[tuple[RawBlock, float]] = []
         self._started = False
         self._stamps = StampClock(rule)
+        self._mean = MeanStep()
+        self._mean_step_s = 0.0  # Of the time stamps; 0 while not known.
         self._last_counter = 0
         self._stamped_step_s = 0.0  # Regular step by the first time stamps, where a counter comes beside them.
         # Without time stamps, time is origin_s + ticks / tick_rate_hz: whole numbers, so that nothing adds up.
@@ -181,6 +183,8 @@ class SampleClock(Clock):
     def _time(self, block: RawBlock) -> TimedBlock:
         """Put one block on the clock."""
         stamped = self._stamps.time(block.ticks, self._step_s) if self._has_time else None
+        if stamped is not None:
+            self._mean_step_s = self._mean.add(stamped, self._stamped_step_s or self._step_s)
         return self._time_evenly(block, stamped) or self._time_with_gaps(block, stamped)
 
     def _time_evenly(self, block: RawBlock, stamped: Stamped | None) -> TimedBlock | None:
@@ -359,7 +363,7 @@ class SampleClock(Clock):
 
     def _measure(self) -> None:
         """Write the sample rate by the instrument's clock and by the host's into the statistics."""
-        step_s = self._step_s
+        step_s = self._mean_step_s or self._step_s
         if step_s <= 0:
             return
         self._statistics.nominal_rate_hz = 1 / step_s

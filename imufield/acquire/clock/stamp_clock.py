@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.acquire.clock.clock import Arrival, Arrivals, Clock, filled_in
-from imufield.acquire.clock.missing_samples import LEARN_FROM, StepRule
+from imufield.acquire.clock.missing_samples import LEARN_FROM, TOLERANCE, StepRule
 from imufield.acquire.decode.assembly import NO_TICKS, RawBlock, Ticks, join
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
@@ -24,6 +24,7 @@ _Number = TypeVar("_Number", bound=np.number)
 _LARGEST_TIME_S = 1e11  # 3000 years; in an unchecked stream anything further from zero, infinity and NaN are garbage.
 # A time stamp further ahead than this is a clock being set, e.g. by GNSS, not an hour without samples.
 _LONGEST_PAUSE_S = 3600.0
+_ROUNDING = 1e-9  # Relative, of the sum of a day of time stamps: even ones have the mean of each step.
 
 
 @dataclass(slots=True)  # One for each read: a frozen one takes five times as long to make.
@@ -137,6 +138,32 @@ class StampClock:
         return unwrapped
 
 
+class MeanStep:
+    """Mean of the steps of time stamps that are near the regular one: single steps are off by the jitter of the stamps."""
+
+    def __init__(self) -> None:
+        self._regular_s = 0.0
+        self._end_s = 0.0
+        self._sum_s = 0.0
+        self._count = 0
+
+    def add(self, stamped: Stamped, regular_s: float) -> float:
+        """Take note of the next samples; return the mean so far, or ``regular_s`` where that is the same or there is none."""
+        if regular_s != self._regular_s:
+            self._regular_s, self._sum_s, self._count = regular_s, 0.0, 0
+        lowest_s, highest_s = regular_s * (1 - TOLERANCE), regular_s * (1 + TOLERANCE)
+        begin_s, self._end_s = self._end_s, stamped.time_s.item(-1)
+        if stamped.range_s is not None and lowest_s <= stamped.range_s[0] <= stamped.range_s[1] <= highest_s:
+            self._sum_s += self._end_s - begin_s
+            self._count += len(stamped.time_s)
+        else:
+            near = stamped.step_s[(stamped.step_s >= lowest_s) & (stamped.step_s <= highest_s)]
+            self._sum_s += float(near.sum())
+            self._count += len(near)
+        mean_s = self._sum_s / self._count if self._count else regular_s
+        return regular_s if math.isclose(mean_s, regular_s, rel_tol=_ROUNDING) else mean_s
+
+
 def steps_between(values: NDArray[_Number], before: float) -> NDArray[_Number]:
     """Return how far each value is from the one before it; as ``np.diff(values, prepend=before)``, many times faster."""
     all_values = np.empty(len(values) + 1, dtype=values.dtype)
@@ -152,6 +179,7 @@ class DeviceClock(Clock):
         super().__init__(rule, units, statistics)
         self._stamps = StampClock(rule)
         self._steps = StepRule()
+        self._mean = MeanStep()
         self._early: list[RawBlock] = []
         self._started = False
         self._last = 0.0
@@ -187,7 +215,8 @@ class DeviceClock(Clock):
         statistics.samples_lost += int(lost.sum())
         statistics.gaps += int(np.count_nonzero(flags))
         statistics.clock_resets += int(np.count_nonzero(stamped.reset))
-        statistics.nominal_rate_hz = 1 / self._steps.step if self._steps.step else None
+        mean_s = self._mean.add(stamped, self._steps.step)
+        statistics.nominal_rate_hz = 1 / mean_s if mean_s else None
         return self._timed(block, stamped.time_s, flags)
 
     def _filled(self, ticks: Ticks, step: float) -> Ticks:

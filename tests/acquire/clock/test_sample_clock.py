@@ -10,6 +10,7 @@ from imufield.acquire.clock.sample_clock import SampleClock
 from imufield.acquire.decode.assembly import RawBlock
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
+from imufield.dataclass import replace
 from imufield.samples import NO_COUNTER, Samples, SampleUnits, Status, concatenate
 
 COUNTER = ClockRule(counter_field="counter", counter_modulus=256, counter_ticks_per_s=2000.0, counter_steps=(1, 2, 4, 8, 16))
@@ -73,6 +74,24 @@ def test_a_rate_that_nobody_told_is_that_of_arrival(rule: ClockRule) -> None:
     assert statistics.nominal_rate_hz == pytest.approx(100, rel=0.02)
     np.testing.assert_allclose(np.diff(samples.time_s), 0.01, rtol=0.1)
     assert statistics.gaps == 0
+
+
+@pytest.mark.parametrize("has_counter", [False, True])
+@pytest.mark.parametrize("size", [1, 80, 3000])
+def test_the_rate_is_that_of_all_stamps_and_not_of_the_first(has_counter: bool, size: int) -> None:
+    # Milliseconds, as of many loggers: most steps of 101.3 Hz are 10, and some 9. Some samples are lost, and one pause is long.
+    numbers = np.delete(np.arange(9000), [*range(100, 120), 4000])
+    ticks = (1e3 * numbers / 101.3 + 5000.0 * (numbers > 6000)).astype(np.int64)
+    rule = ClockRule(time_field="time", time_ticks_per_s=1e3)
+    if has_counter:
+        # What somebody typed is not what the stamps show.
+        rule = replace(rule, counter_field="counter", counter_modulus=1 << 16, rate_hz=100.0)
+    blocks = [
+        (block(numbers[at : at + size], ticks[at : at + size]), float(ticks[at : at + size][-1] / 1e3))
+        for at in range(0, len(numbers), size)
+    ]
+    _, statistics = run(rule, blocks)
+    assert statistics.nominal_rate_hz == pytest.approx(101.3, rel=1e-4)
 
 
 def test_a_burst_of_late_data_is_no_loss() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from imufield.calibrate.accelerometer.quality import POOR_RESIDUAL_M_S2, poor_sentences
 from imufield.calibrate.model.uncertainty import SPARE_POSITIONS
-from tests.told import key_of, told
+from tests.told import told
 
 
 @pytest.mark.parametrize("spare", range(1, 2 * SPARE_POSITIONS))
