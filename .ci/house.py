@@ -75,7 +75,6 @@ ROOMS = (
     ("study/answers",),
     ("pipeline",),
     ("web",),
-    ("commands/configuration",),
     ("commands/options",),
     ("commands/terminal",),
     ("commands",),

@@ -16,7 +16,7 @@ from typer.main import get_command
 from imufield import errors
 from imufield.cli.app import make_app
 from imufield.cli.run import run
-from imufield.commands.configuration import KEYS
+from imufield.commands.options.configuration import KEYS
 from imufield.deliver.parameters.file import parameter_schema
 from imufield.errors import ImufieldError, Reason
 

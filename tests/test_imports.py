@@ -58,7 +58,7 @@ def test_options_are_light() -> None:
         "imufield.files",
         "imufield.limits",
         "imufield.dataclass",
-        "imufield.commands.configuration",
+        "imufield.toml_and_json",
         "imufield.commands.options",
     )
     for module in modules().values():

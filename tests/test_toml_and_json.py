@@ -13,7 +13,7 @@ import pytest
 
 from imufield.acquire.protocol.protocol import parse_protocol
 from imufield.acquire.recording.session import Session
-from imufield.commands.configuration import default_map
+from imufield.commands.options.configuration import default_map
 from imufield.deliver.parameters.read import read_document
 from imufield.errors import ParameterFileError, ProtocolError, RecordingError, UsageError
 from imufield.guide.positions import read_positions

@@ -79,7 +79,7 @@ def _root(
         bool, typer.Option("--version", help="Print the version.", is_eager=True, callback=_print_version)
     ] = False,
 ) -> None:
-    from imufield.commands.configuration import default_map
+    from imufield.commands.options.configuration import default_map
 
     context.default_map = default_map()
 

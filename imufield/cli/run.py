@@ -110,7 +110,7 @@ def run_line(arguments: list[str]) -> int:
     if arguments and arguments[0] in NAMES:
         from imufield.cli.command import find_command
         from imufield.cli.plain import read
-        from imufield.commands.configuration import default_map
+        from imufield.commands.options.configuration import default_map
 
         command, wanted = find_command(arguments[0]), arguments[:1]
         found = None if os.environ.get(COMPLETION) else read(command, arguments[1:], default_map().get(command.name, {}))

@@ -17,13 +17,13 @@ import numpy as np
 from imufield.acquire.protocol.toml import spell
 from imufield.acquire.registry import driver_names, load_driver
 from imufield.commands.options.acquire_commands import EmulateOptions
+from imufield.commands.options.shared import one_of
 from imufield.commands.terminal.output import echo, replace_only, say
 from imufield.deliver.parameters.printed_numbers import WIDTH, beside
 from imufield.errors import UsageError
 from imufield.files import read_small_file
 from imufield.guide.positions import DEFAULT_SCHEME, REVISIT_FROM, named_direction, scheme
 from imufield.limits import TEMPERATURE_RANGE_DEGC
-from imufield.pipeline.calibration import one_of
 from imufield.pipeline.chain import ROTATIONS
 from imufield.progress import hidden
 from imufield.sentences import Sentences

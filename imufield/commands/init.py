@@ -12,8 +12,8 @@ import tomli_w
 
 from imufield.acquire.link.ports import serial_ports
 from imufield.acquire.registry import load_driver
-from imufield.commands.configuration import FILE_NAME
 from imufield.commands.options.acquire_commands import InitOptions
+from imufield.commands.options.configuration import FILE_NAME
 from imufield.commands.terminal.output import say, tell_written
 from imufield.commands.terminal.questions import ask, ask_until, confirm
 from imufield.commands.terminal.site import NOT_KNOWN, ask_site, read_answer

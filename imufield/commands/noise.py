@@ -15,12 +15,12 @@ from imufield.calibrate.noise.noise import NoiseResult, measure_noise
 from imufield.calibrate.noise.noise_fit import NoiseFigure
 from imufield.calibrate.noise.noise_texts import NoiseFormat, draw_plot, noise_text
 from imufield.commands.options.result_commands import NoiseOptions
+from imufield.commands.options.shared import one_of
 from imufield.commands.terminal.output import echo, say, say_each, tell_written, write_output
 from imufield.deliver.parameters.document import noise_table
 from imufield.deliver.parameters.file import Noise, Parameters, load, write_document
 from imufield.errors import Reason, UsageError
 from imufield.files import refuse_overwriting, source_date
-from imufield.pipeline.calibration import one_of
 from imufield.pipeline.chain import session_samples
 from imufield.pipeline.damage import naming_damage
 from imufield.samples import AXES, FloatArray

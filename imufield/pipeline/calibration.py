@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import cache
-from typing import TypeVar
 
 import numpy as np
 
@@ -26,16 +25,12 @@ from imufield.dataclass import dataclass, field, replace
 from imufield.deliver.parameters.clock import clock_words
 from imufield.deliver.parameters.file import Context, Parameters, from_document, to_document
 from imufield.earth import MILLI_G_M_S2, Gravity
-from imufield.errors import CalibrationError, Reason, UsageError
+from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
 
-AChoice = TypeVar("AChoice")
-
-FEWEST_POSITIONS = 6
-"""For scale and bias, each axis up and down."""
 FEWEST_CHECKED = FEWEST_FOR_MISALIGNMENT + 1
 """For misalignment, too, and one that checks the others: with fewer a result is POOR, or lacks parameters."""
 _NOT_CALIBRATED = "not calibrated"
@@ -66,7 +61,7 @@ class Measured:
     """Of the instrument; empty where it is not known."""
     reasons: tuple[str, ...] = ()
     """Sentences about the recording that belong to the verdict."""
-    doubts: tuple[str, ...] = ()
+    cautions: tuple[str, ...] = ()
     """The same that keep the verdict from being good."""
 
 
@@ -152,8 +147,8 @@ def calibrate(measured: Measured, settings: SolveSettings) -> Parameters:
         accelerometer_verdict=accelerometer_verdict,
         gyroscope_verdict=gyroscope_verdict,
     )
-    if measured.doubts:
-        quality = quality.lowered("usable", *measured.doubts)
+    if measured.cautions:
+        quality = quality.lowered("usable", *measured.cautions)
     calibration, observations = replace(calibration, quality=quality), measured.observations
     if measured.left_out is not None and len(measured.left_out):
         observations = join_observations(observations, measured.left_out)
@@ -242,18 +237,3 @@ def _with_gyroscope(
     if clock is not None and np.isfinite(result.calibration.sigma.scale).any():
         quality = replace(quality, reasons=(*quality.reasons, clock_words(clock)))
     return replace(joined, quality=quality), verdict
-
-
-def one_of(name: str, value: str, choices: tuple[AChoice, ...]) -> AChoice:
-    """Return the value of an option that has a few names only.
-
-    Raises
-    ------
-    UsageError
-        If it is none of them.
-    """
-    # Returned is the choice and not the text, which has its type.
-    for choice in choices:
-        if choice == value:
-            return choice
-    raise UsageError(sentence("calibration.unknown_choice", name=name, value=value, choices=choices))

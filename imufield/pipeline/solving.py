@@ -17,6 +17,7 @@ import numpy as np
 from imufield.acquire.recording.part_file import open_part
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
+from imufield.calibrate.accelerometer.ellipsoid_start import FEWEST_FOR_SCALE_AND_BIAS
 from imufield.calibrate.gyroscope.whole_turns import stops_at
 from imufield.calibrate.model.observation_files import parse_observations, read_content
 from imufield.calibrate.model.observations import Observations, count_repeats_once, join_observations, leave_out
@@ -30,7 +31,7 @@ from imufield.guide.cross_checks.axes import AxesCheck
 from imufield.guide.events import RefusalCode, Rejected
 from imufield.guide.refusals import Refusal
 from imufield.guide.view.marks import with_keys
-from imufield.pipeline.calibration import FEWEST_POSITIONS, Measured, SolveSettings, calibrate
+from imufield.pipeline.calibration import Measured, SolveSettings, calibrate
 from imufield.pipeline.chain import Chain, ReadingPlan, SamplesListener, replay_into
 from imufield.pipeline.damage import naming_damage
 from imufield.pipeline.kept import is_kept, keep, kept
@@ -120,7 +121,7 @@ def solve_session(
             gyroscope_scale=reading.gyroscope_scale,
             grade=reading.grade,
             reasons=(*filter(None, (site.another_place(session.record.site), reading.compared)), *of_recording),
-            doubts=reading.sticking,
+            cautions=reading.sticking,
         )
         try:
             return replace(calibrate(measured, settings), of_recording=of_recording)
@@ -281,10 +282,10 @@ def _unguided(chain: Chain, session: Session) -> _Usable:
     except CalibrationError as error:
         _refuse_ramp(chain, session, error)
         raise
-    if len(found.observations) < FEWEST_POSITIONS:
+    if len(found.observations) < FEWEST_FOR_SCALE_AND_BIAS:
         _refuse_ramp(chain, session)
     if len(found.observations) == 1 and not found.refused:
-        raise CalibrationError(sentence("solving.one_rest", name=session.name, limit=FEWEST_POSITIONS), Reason.TOO_FEW)
+        raise CalibrationError(sentence("solving.one_rest", name=session.name, limit=FEWEST_FOR_SCALE_AND_BIAS), Reason.TOO_FEW)
     clipped: list[tuple[float, str]] = []
     others: dict[RefusalCode, list[tuple[float, str]]] = {}
     for start_s, refusal in found.refused:
@@ -301,7 +302,7 @@ def _unguided(chain: Chain, session: Session) -> _Usable:
 def _refuse_ramp(chain: Chain, session: Session, error: CalibrationError | None = None) -> None:
     """Say of a ramp of temperature what it is good for: a person needs that more than why none of its stills counts."""
     if chain.protocol is not None and is_ramp(session, chain.raw_zero(chain.protocol)):
-        values = {"name": session.name, "limit": FEWEST_POSITIONS}
+        values = {"name": session.name, "limit": FEWEST_FOR_SCALE_AND_BIAS}
         raise CalibrationError(sentence("solving.one_pose", **values), Reason.TOO_FEW) from error
 
 
@@ -324,7 +325,7 @@ def _check_count(count: int, refusals: Sequence[Rejected | Refusal]) -> None:
     CalibrationError
         If fewer are left than scale and bias need.
     """
-    if count >= FEWEST_POSITIONS or not refusals:
+    if count >= FEWEST_FOR_SCALE_AND_BIAS or not refusals:
         return
     ((code, _),) = Counter(refusal.reason for refusal in refusals).most_common(1)
     last = next(refusal for refusal in reversed(refusals) if refusal.reason is code)
@@ -332,7 +333,7 @@ def _check_count(count: int, refusals: Sequence[Rejected | Refusal]) -> None:
         "solving.too_few" if len(refusals) > 1 else "solving.too_few_one",
         positions=count,
         are="is" if count == 1 else "are",
-        limit=FEWEST_POSITIONS,
+        limit=FEWEST_FOR_SCALE_AND_BIAS,
         refused=len(refusals),
         words=last.words,
         remedy=with_keys(last.remedy),

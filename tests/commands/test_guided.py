@@ -230,4 +230,4 @@ def test_whole_turns_are_asked_for_after_the_positions(program: Program, termina
     refused = program.run(*program.capture(port, "--rotations", "sideways"))
     assert refused.returncode == 2
     unknown = {"name": "rotations", "value": "sideways", "choices": ("rolled", "table")}
-    assert says(refused.stderr, "pipeline", "calibration.unknown_choice", **unknown)
+    assert says(refused.stderr, "commands/options", "shared.unknown_choice", **unknown)

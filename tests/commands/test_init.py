@@ -12,7 +12,7 @@ import tomli_w
 
 from imufield.acquire.recording.session import Session
 from imufield.cli.run import run
-from imufield.commands.configuration import default_map
+from imufield.commands.options.configuration import default_map
 from imufield.errors import Reason
 from imufield.files import DEFAULT_ROOT
 from tests.commands.conftest import Program

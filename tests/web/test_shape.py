@@ -12,7 +12,7 @@ import pytest
 
 pytest.importorskip("websockets", reason="the page needs websockets")
 
-from imufield.commands.configuration import default_map, instrument_stl
+from imufield.commands.options.configuration import default_map, instrument_stl
 from imufield.commands.terminal.page import bind_page
 from imufield.errors import Reason, UsageError
 from imufield.web.shape import MOST_TRIANGLES, read_stl

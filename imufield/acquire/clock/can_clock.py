@@ -40,9 +40,8 @@ _USUAL_DELAY = 0.95
 _BURST_S = 0.02  # Least step that counts where frames come in bursts: a host under load is late by as much at any time.
 _RESET_S = 1.0  # A stamp that runs back by more is another clock (the adapter's wrapped), by less frames out of order.
 _LONGEST_PAUSE_S = 3600.0
-# So many samples in a row that each move the phase by this part of a period: the rate has changed.
-_DRIFT = 0.1
-_DRIFT_RUN = 64
+_DRIFT = 0.1  # Part of a period by which a sample moves the phase where the rate has changed,
+_DRIFT_RUN = 64  # and how many in a row do.
 _LEAST_STEP = 0.25  # Part of a period by which time goes on from one sample to the next.
 
 
@@ -59,7 +58,7 @@ class _Phase:
     burst: int = 0  # How many samples usually come at once.
     is_blind: bool = False  # The stamps stand still: there is nothing but the number of the sample.
     base_s: float = 0.0  # Phase at the last sample given out.
-    # Phases at as many samples given out as come in a burst, and one.
+    # Phases of the last samples given out: one more than a burst has.
     before_s: FloatArray = field(default_factory=lambda: np.empty(0))
     last_time_s: float = -np.inf
     run: int = 0
@@ -72,13 +71,14 @@ class CanClock(Clock):
         super().__init__(rule, units, statistics)
         self._pending: list[RawBlock] = []
         self._phase: _Phase | None = None
-        self._tried = LEARN_SAMPLES  # From so many samples no period could be learned yet.
+        self._tried = LEARN_SAMPLES  # Samples from which no period could be learned yet.
         self._offset_s = 0.0
         self._last_time_s = -np.inf
         self._last_stamp_s: float | None = None
         self._step_s = 0.0  # The last step of the stamps that was no jump.
         self._last_counter: int | None = None
         self._counter_step = 1
+        # Number and time of the first sample since the period was learned.
         self._begin: tuple[float, float] | None = None
 
     def push(self, block: RawBlock, arrivals: Arrival | Arrivals) -> Samples | None:  # noqa: ARG002  frames have their own stamps
@@ -195,7 +195,8 @@ class CanClock(Clock):
         envelope_s = np.zeros(ready) if phase.is_blind else _minimum_ahead(lag_s, block.stamp_s, phase.window_s, ready)
         moved_s = steps_between(envelope_s, phase.base_s)
         least_s, most_s = moved_s.item(moved_s.argmin()), moved_s.item(moved_s.argmax())
-        if max(-least_s, most_s) <= _DRIFT * phase.period_s:
+        is_steady = max(-least_s, most_s) <= _DRIFT * phase.period_s
+        if is_steady:
             phase.run = 0
         else:
             ready = _until_rate_changes(moved_s, phase)
@@ -203,7 +204,7 @@ class CanClock(Clock):
         time_s = envelope_s + number[:ready] * phase.period_s
         steps = None if self._last_counter is None else self._steps(block.counter[:ready])
         phase.base_s, phase.number = float(envelope_s[-1]), float(number[ready - 1])
-        stands = least_s > -_DRIFT * phase.period_s and most_s < min(phase.visible_s, _DRIFT * phase.period_s)
+        stands = is_steady and most_s < phase.visible_s
         repeated = steps is not None and not every(steps >= 1)
         if stands and not repeated and time_s[0] >= phase.last_time_s + _LEAST_STEP * phase.period_s:
             # No loss by time, and time runs forward, from the end of a period learned before as well.

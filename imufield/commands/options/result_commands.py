@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, get_args
 
-from imufield.commands.configuration import parse_zero
 from imufield.commands.options import completion
+from imufield.commands.options.configuration import parse_zero
 from imufield.commands.options.shared import (
     LARGEST_SEED,
     AsJson,
@@ -16,6 +16,7 @@ from imufield.commands.options.shared import (
     TableRateHz,
     Workers,
     argument,
+    one_of,
     option,
     session_argument,
     unknown_site,
@@ -129,7 +130,7 @@ class SolveOptions:
         from imufield.calibrate.model.result import Gauge, ModelChoice
         from imufield.calibrate.solvers.registry import load_solver
         from imufield.deliver.parameters.file import load
-        from imufield.pipeline.calibration import SolveSettings, one_of
+        from imufield.pipeline.calibration import SolveSettings
 
         zero = parse_zero(self.zero)
         # Refused before a long session is read.

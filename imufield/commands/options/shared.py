@@ -8,10 +8,10 @@ postponed, because the command line is made from them.
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, Self, TypeVar
 
-from imufield.commands.configuration import parse_settings
 from imufield.commands.options import completion
+from imufield.commands.options.configuration import parse_settings
 from imufield.dataclass import dataclass, fields
 from imufield.errors import UsageError
 from imufield.limits import BAUD_RANGE, RATE_RANGE_HZ, TARGET_RANGE
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from imufield.pipeline.site import SiteOptions
 
 sentence = Sentences(__package__)
+
+AChoice = TypeVar("AChoice")
 
 LARGEST_SEED = 2**63 - 1
 """What a parameter file can hold."""
@@ -285,6 +287,21 @@ def _connect_options(given: PortOrBus | Connection, typed: frozenset[str]) -> "C
     values: dict[str, Any] = {entry.name: getattr(given, entry.name) for entry in fields(given)}
     values |= {"port": port, "bus": bus}
     return ConnectOptions(**values)
+
+
+def one_of(name: str, value: str, choices: tuple[AChoice, ...]) -> AChoice:
+    """Return the value of an option that has a few names only.
+
+    Raises
+    ------
+    UsageError
+        If it is none of them.
+    """
+    # Returned is the choice and not the text, which has its type.
+    for choice in choices:
+        if choice == value:
+            return choice
+    raise UsageError(sentence("shared.unknown_choice", name=name, value=value, choices=choices))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

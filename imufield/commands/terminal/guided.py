@@ -22,7 +22,9 @@ from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.recorder import Recorder, part_metadata
 from imufield.acquire.recording.session import Session, create_session
 from imufield.acquire.recording.session_record import GuideRecord
+from imufield.calibrate.accelerometer.ellipsoid_start import FEWEST_FOR_SCALE_AND_BIAS
 from imufield.commands.options.acquire_commands import CaptureOptions, ViewName
+from imufield.commands.options.shared import one_of
 from imufield.commands.terminal.output import can_draw, echo, say
 from imufield.commands.terminal.page import SHOWN_EVERY_S, serve_page
 from imufield.commands.terminal.views import View, make_view
@@ -36,7 +38,7 @@ from imufield.guide.positions import DEFAULT_SCHEME, REVISIT_FROM, SCHEME_FILE, 
 from imufield.guide.view.marks import AGAIN_WITHIN_S, KEYS
 from imufield.guide.view.plain import known_words, words
 from imufield.guide.view.terminal import Keyboard
-from imufield.pipeline.calibration import FEWEST_CHECKED, FEWEST_POSITIONS, one_of
+from imufield.pipeline.calibration import FEWEST_CHECKED
 from imufield.pipeline.chain import ROTATIONS, Chain, ReadingPlan, replay_into, require_gravity
 from imufield.pipeline.intake import Intake
 from imufield.pipeline.kept import keep
@@ -306,7 +308,7 @@ class CaptureLoop:
         guide = self.chain.guide
         known = None if guide is None else guide.snapshot().forecast
         # With fewer there is nothing to solve.
-        if guide is not None and known is not None and len(guide.plan.accepted) >= FEWEST_POSITIONS:
+        if guide is not None and known is not None and len(guide.plan.accepted) >= FEWEST_FOR_SCALE_AND_BIAS:
             yield sentence("guided.known", bias=known_words(known, "bias_ug"), scale=known_words(known, "scale_ppm"))
         yield from (words(advice) for advice in self._advice.values())
         wrong = None if guide is None else guide.check_axes().error
@@ -407,7 +409,7 @@ def farewell(captured: Captured, view: ViewName, clock: HostClock) -> None:
     measured = f"{captured.accepted} of {captured.planned} positions measured"
     echo(beside(f"{measured}, session" if captured.can_be_solved else f"{measured} so far, all on disk in", folder))
     if captured.finished and captured.missing:
-        to_solve = FEWEST_POSITIONS - captured.accepted
+        to_solve = FEWEST_FOR_SCALE_AND_BIAS - captured.accepted
         key, missing = ("guided.too_few", to_solve) if to_solve > 0 else ("guided.missing", captured.missing)
         say(sentence(key, missing=missing))
     echo(beside("next: " if captured.can_be_solved else "go on:", _next_command(captured, clock)))

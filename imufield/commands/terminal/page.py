@@ -10,8 +10,8 @@ from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
 from imufield.acquire.recording.session import Session
-from imufield.commands.configuration import instrument_stl
 from imufield.commands.options.acquire_commands import CaptureOptions
+from imufield.commands.options.configuration import instrument_stl
 from imufield.commands.terminal.output import echo, say
 from imufield.errors import Reason, UsageError
 from imufield.guide.events import EVENT_VERSION

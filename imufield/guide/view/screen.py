@@ -47,7 +47,6 @@ _BAR_ROWS = 4
 _BESIDE_BAR = 26  # Columns of its name and of what stands behind it.
 _DETAIL_ROWS = 3
 _MAP_ROWS = 12
-_MESSAGES = 4
 _BIG_MESSAGES = 3  # Below the big letters.
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from imufield.commands.configuration import FILE_NAME, KEYS, default_map
+from imufield.commands.options.configuration import FILE_NAME, KEYS, default_map
 from imufield.errors import UsageError
 from tests.refused import refused
 
