@@ -20,6 +20,7 @@ from typing import Protocol
 import numpy as np
 
 from imufield.calibrate.model.aliasing import open_terms
+from imufield.calibrate.model.coverage_factors import student_quantile
 from imufield.calibrate.model.grades import Grade
 from imufield.calibrate.model.models import PARAMETERS, norm_derivatives
 from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS, observe
@@ -41,8 +42,6 @@ _LEAST_VARIANCE = 0.05  # Of the expected one: positions that agree by chance ma
 _SUSPECT_SIGMAS = 5.0  # A position that the others contradict by this much is a suspect, where there are many.
 # Share of good positions that may become suspects in one fit: a session of 24 makes some hundred fits, to much the same data.
 SUSPECT_SHARE = 3e-5
-# Two-sided quantiles of Student's distribution at ``SUSPECT_SHARE``, from ``EXPECTED_FREEDOM`` degrees of freedom on.
-_FEW = (182.6, 41.9, 21.1, 14.3, 11.2, 9.5, 8.43, 7.7, 7.18, 6.79, 6.49, 6.24, 6.05, 5.88, 5.75, 5.63, 5.53, 5.44, 5.36, 5.29)
 SUSPECT_M_S2 = 3e-4 * STANDARD_GRAVITY_M_S2  # And by this much: less does no harm that another hold would cure.
 _TOLD_SHARE = 0.5  # A sigma of more than this share of the prior's was assumed rather than measured.
 _STEPS = 8  # Of Gauss-Newton at most: with priors it converges in four.
@@ -180,13 +179,13 @@ class RunningFit:
         ratio = self.residual_m_s2 / self.expected_m_s2
         without = ratio / (1 - leverage)
         squares = ratio**2 / (1 - leverage)
-        freedom = max(float((1 - leverage).sum()), 0.0)
+        freedom = EXPECTED_FREEDOM + max(float((1 - leverage).sum()) - 1, 0.0)
         # Few degrees of freedom leave large ratios to chance.
-        limit = max(_SUSPECT_SIGMAS, float(np.interp(max(freedom - 1, 0.0), np.arange(len(_FEW)), _FEW)))
+        limit = max(_SUSPECT_SIGMAS, student_quantile(freedom, 1 - SUSPECT_SHARE / 2))
         found = []
         for k, name in enumerate(self.names):
             others = max(float(ratio @ ratio - squares[k]), 0.0)
-            variance = (EXPECTED_FREEDOM + others) / (EXPECTED_FREEDOM + max(freedom - 1, 0.0))
+            variance = (EXPECTED_FREEDOM + others) / freedom
             sigmas = without[k] * math.sqrt(1 - leverage[k]) / math.sqrt(max(variance, _LEAST_VARIANCE))
             found.append(Disagreement(name, float(without[k] * self.expected_m_s2[k]), float(sigmas), limit))
         return found
