@@ -37,7 +37,7 @@ UNKNOWN_HEIGHT_GRAVITY_SIGMA_M_S2 = 1.6e-3
 MEASURED_GRAVITY_SIGMA_M_S2 = 1e-5
 """Least 1 sigma of a value the user typed: a gravimeter or a geodetic survey, 1 mGal."""
 GRAVITIES_DIFFER_SIGMA = 3.0
-"""A typed value further from that of the latitude than this is reported."""
+"""A typed value this far from that of its latitude is reported, and a typed place from the recorded one."""
 ASSUMED_GRAVITY_SIGMA_M_S2 = 0.018
 """1 sigma where nothing is known: gravity runs from 9.764 to 9.834 m/s^2 over the Earth's surface."""
 _TEXTBOOK_GRAVITIES_M_S2 = (STANDARD_GRAVITY_M_S2, 9.81, 9.807, 9.8)

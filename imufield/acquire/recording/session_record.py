@@ -37,7 +37,7 @@ KEYS: Mapping[str, type] = {
 Table = dict[str, Any]  # Of a TOML document, whose values have every type that TOML knows.
 
 
-# Squares and quotients of what stands between them are numbers.
+# Limits of numbers whose squares and quotients are finite.
 _TINY = 1e-30
 _HUGE = 1e30
 _TYPES: Mapping[str, type] = {"str": str, "bool": bool, "int": int, "float": float}

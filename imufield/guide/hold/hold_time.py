@@ -22,7 +22,7 @@ from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import FloatArray
 
 SHORTEST_S = 3.0  # The scatter of a shorter hold does not tell how well its mean is known.
-LONGEST_S = 60.0  # Where a target needs it: a person's patience with a purpose.
+LONGEST_HOLD_S = 60.0  # Where a target needs it: a person's patience with a purpose.
 USUAL_S = 10.0  # Longest hold where no target needs more: a person's patience.
 # Good enough where no target is given: below what most instruments repeat from hold to hold.
 _USUAL_SIGMA_M_S2 = 10e-6 * STANDARD_GRAVITY_M_S2
@@ -30,8 +30,8 @@ _FEWEST_DIFFERENCES = 50  # Of two neighbouring means; the Allan deviation of fe
 _STILL_FALLING = 0.85  # White noise falls by 0.71 when the time doubles; above this the minimum is near.
 _OCTAVES = 9  # Averaging times up to 25 s: longer ones do not occur twice in a hold.
 _FEWEST_CELLS = 8  # The autocorrelation of fewer cells says nothing.
-# Later than with a sigma that is known: that of a hold scatters, white noise looks a little correlated by chance, and both are
-# looked at each half second. Simulated, 0.9 to 1.3 s for holds of 3 to 8 s.
+# A hold ends this much later than white noise alone says: its sigma is estimated, and tested every half second. Simulated:
+# 0.9 to 1.3 s for holds of 3 to 8 s.
 _LATE_S = 1.0
 _ROUNDING_S = 1e-9  # A whole number of cells is its length but for rounding.
 
@@ -56,7 +56,7 @@ class HoldTarget:
     @classmethod
     def fixed(cls, length_s: float) -> HoldTarget:
         """Return what ends a hold at this length, whatever its noise."""
-        return cls(length_s, 0.0, length_s)
+        return cls(fixed_s=length_s, sigma_m_s2=0.0, longest_s=length_s)
 
     @classmethod
     def lasting(cls, length_s: float, noise: float) -> HoldTarget:
@@ -64,7 +64,7 @@ class HoldTarget:
 
         Where it is not, a hold of less than 10 s may last up to 10 s; a longer one never exceeds its length.
         """
-        return cls(None, noise / math.sqrt(length_s - _LATE_S), max(length_s, USUAL_S))
+        return cls(sigma_m_s2=noise / math.sqrt(length_s - _LATE_S), longest_s=max(length_s, USUAL_S))
 
     def latest_s(self, minimum_s: float) -> float:
         """Return the length at which a hold ends at the latest; ``minimum_s`` is that of the Allan deviation."""

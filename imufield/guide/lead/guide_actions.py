@@ -30,7 +30,7 @@ from imufield.guide.lead.turns import TurnLeader
 from imufield.guide.positions import Scheme, angle_deg
 from imufield.guide.refusals import Refusal
 from imufield.guide.stillness.cells import CELL_S
-from imufield.guide.stillness.detector import LONGEST_S, StillnessDetector
+from imufield.guide.stillness.detector import LONGEST_KEPT_S, StillnessDetector
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import LEAVE_FACTOR, Judgement, Phase, Stretch
 from imufield.samples import FloatArray
@@ -123,7 +123,7 @@ class GuideActions:
     """
 
     def __init__(self, scheme: Scheme, scale: RoughScale, settings: GuideSettings) -> None:
-        longest_s = max(LONGEST_S, settings.longest_hold_s + _HOLD_MARGIN_S)
+        longest_s = max(LONGEST_KEPT_S, settings.longest_hold_s + _HOLD_MARGIN_S)
         self.plan = Plan(scheme)
         self.detector = StillnessDetector(scale, hand=True, longest_s=longest_s)
         self.speaker = Speaker()

@@ -20,7 +20,7 @@ from imufield.calibrate.model.grades import Grade
 from imufield.dataclass import dataclass, replace
 from imufield.earth import Gravity
 from imufield.guide.cross_checks.running_fit import FEWEST, LINEAR, SHOWS_SCATTER, RunningFit, running_fit
-from imufield.guide.hold.hold_time import LONGEST_S, SHORTEST_S, HoldTarget
+from imufield.guide.hold.hold_time import LONGEST_HOLD_S, SHORTEST_S, HoldTarget
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.positions import SCHEMES, Scheme
 from imufield.guide.positions import scheme as shipped
@@ -35,7 +35,7 @@ BETWEEN_S = 7.0
 BEGIN_S = 10.0
 """Until the first hold: three seconds of it are the noise floor."""
 # Lengths of a hold that are tried, a tenth apart: the shortest session is hardly shorter between two of them.
-_LENGTHS_S = np.geomspace(SHORTEST_S, LONGEST_S, 32)
+_LENGTHS_S = np.geomspace(SHORTEST_S, LONGEST_HOLD_S, 32)
 # Of what is wanted: noise and scatter of the session to come are known to a tenth.
 _WITH_MARGIN = 0.9
 # Of the sigma with the longest holds: what is left is scatter between positions, gravity, or typical of the grade.
@@ -228,11 +228,11 @@ def _session_time(scheme: Scheme, settings: GuideSettings, *, noise: float, grad
         holds = positions + int(settings.revisit_first and positions == len(scheme))
         return (BEGIN_S + holds * (hold_s + BETWEEN_S)) / 60
 
-    best = forecast(len(scheme), LONGEST_S)
+    best = forecast(len(scheme), LONGEST_HOLD_S)
     limits = {name: max(value, _HARDLY_WORSE * best.get(name, math.inf)) for name, value in settings.targets.items()}
     free_s = HoldTarget().expected_s(noise)
     longer_s = [free_s, *(hold_s for hold_s in _LENGTHS_S.tolist() if hold_s > free_s)]
-    helps_s = next((hold_s for hold_s in longer_s if _is_within(limits, forecast(len(scheme), hold_s))), LONGEST_S)
+    helps_s = next((hold_s for hold_s in longer_s if _is_within(limits, forecast(len(scheme), hold_s))), LONGEST_HOLD_S)
 
     # With a margin and without it the same are tried.
     @cache

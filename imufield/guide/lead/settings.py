@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from imufield.dataclass import dataclass
 from imufield.earth import Gravity, choose_gravity
-from imufield.guide.hold.hold_time import LONGEST_S, HoldTarget
+from imufield.guide.hold.hold_time import LONGEST_HOLD_S, HoldTarget
 
 # A unit that moved for less than both was not lifted: it rests where it was.
 MOVED_S = 1.0
@@ -58,4 +58,4 @@ class GuideSettings:
     @property
     def longest_hold_s(self) -> float:
         """Length that no hold exceeds."""
-        return LONGEST_S if self.targets and self.hold_s is None else self.hold_target.longest_s
+        return LONGEST_HOLD_S if self.targets and self.hold_s is None else self.hold_target.longest_s

@@ -55,7 +55,7 @@ from imufield.guide.stillness.stretch import JudgedCell, Judgement, Phase, Stand
 from imufield.samples import median
 
 # No more than this of a stretch is kept: beyond the minimum of the Allan deviation a hold gains nothing.
-LONGEST_S = 60.0
+LONGEST_KEPT_S = 60.0
 USABLE_SHARE = 0.5  # A cell with fewer usable samples than this share of the usual number counts as lost.
 # Vibration of the gyroscope beyond its noise that tells a hand: the smallest tremor (0.02 deg rms at 8 Hz) makes 1 deg/s.
 _HAND_RAD_S = math.radians(0.35)
@@ -84,7 +84,7 @@ class StillnessDetector:
         Length of a stretch that is kept.
     """
 
-    def __init__(self, scale: RoughScale, *, hand: bool = False, longest_s: float = LONGEST_S) -> None:
+    def __init__(self, scale: RoughScale, *, hand: bool = False, longest_s: float = LONGEST_KEPT_S) -> None:
         self.scale = scale
         self.knows_hands = hand
         self.floor: NoiseFloor | None = None  # None until there was a quiet stretch.

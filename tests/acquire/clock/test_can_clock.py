@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from imufield.acquire.clock.can_clock import CanClock, _minimum_ahead
+from imufield.acquire.clock.can_stamp_clock import CanStampClock
 from imufield.acquire.clock.clock import Arrivals
-from imufield.acquire.clock.stamp_clock import DeviceClock
 from imufield.acquire.decode.assembly import RawBlock
 from imufield.acquire.decode.statistics import DecoderStatistics, remarks
 from imufield.acquire.decoder import Decoder
@@ -37,7 +37,7 @@ def run(
     n = len(stamp_s)
     statistics = DecoderStatistics()
     rule = rule or ClockRule(counter_modulus=modulus, counter_steps=steps)
-    clock = (CanClock if ticks is None else DeviceClock)(rule, SampleUnits(), statistics)
+    clock = (CanClock if ticks is None else CanStampClock)(rule, SampleUnits(), statistics)
     values = np.zeros((n, 7))
     values[:, 0] = np.arange(n)
     whole = RawBlock(

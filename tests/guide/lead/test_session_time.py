@@ -14,7 +14,7 @@ from imufield.calibrate.model.grades import GRADES
 from imufield.earth import MEASURED_GRAVITY_SIGMA_M_S2, Gravity, choose_gravity
 from imufield.guide.cross_checks.running_fit import running_fit
 from imufield.guide.events import Accepted, Advice, Event, Hold, Move, Topic
-from imufield.guide.hold.hold_time import LONGEST_S, SHORTEST_S
+from imufield.guide.hold.hold_time import LONGEST_HOLD_S, SHORTEST_S
 from imufield.guide.lead.guide import Guide
 from imufield.guide.lead.session_time import BETWEEN_S, SessionTime, session_time
 from imufield.guide.lead.settings import GuideSettings
@@ -58,7 +58,7 @@ def test_a_target_takes_the_shortest_session_that_meets_it() -> None:
 def test_a_target_makes_no_hold_worse_unless_it_is_met_and_says_so(grade: str, wanted: Any) -> None:
     usual, found = said(grade), said(grade, **wanted)
     assert found.usual_hold_s == usual.hold_s
-    assert SHORTEST_S <= found.hold_s <= LONGEST_S
+    assert SHORTEST_S <= found.hold_s <= LONGEST_HOLD_S
     if found.hold_s < usual.hold_s:
         assert found.is_met
         assert found.words.key == "session_time.met_shorter"
@@ -76,8 +76,8 @@ def test_more_is_wanted_more_is_needed() -> None:
     assert (never.is_met, never.positions) == (False, 24)
     assert (never.words.key, never.remedy.key) == ("session_time.unmet", "session_time.unmet_remedy")
     # As long as they help, and no longer: with holds of a minute it would be no better than by some percent.
-    forever = said(target_bias_ug=5.0, hold_s=LONGEST_S)
-    assert never.hold_s < LONGEST_S
+    forever = said(target_bias_ug=5.0, hold_s=LONGEST_HOLD_S)
+    assert never.hold_s < LONGEST_HOLD_S
     assert never.forecast["bias_ug"] < 1.05 * forever.forecast["bias_ug"]
     # More positions, a better instrument.
     assert said(target_bias_ug=5.0, positions="paper36").forecast["bias_ug"] < never.forecast["bias_ug"]
