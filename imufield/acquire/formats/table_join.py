@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,16 +20,18 @@ sentence = Sentences(__package__)
 _GAP_STEPS = 1.5  # Between two samples further apart than this, in median steps, nothing is interpolated.
 
 
-def join(
-    files: Sequence[File], rate_hz: float | None, time_unit: str | None = None
-) -> tuple[dict[str, FloatArray], float, dict[str, str], list[str]]:
-    """Bring the columns of all files onto one time in seconds.
+class Joined(NamedTuple):
+    """Columns of several files on one time in seconds."""
 
-    Returns
-    -------
-    dict of ndarray, float, dict of str, list of str
-        The columns, seconds from 1970 to their time 0 if they count from there, their units, and sentences.
-    """
+    columns: dict[str, FloatArray]
+    zero_s: float
+    """Seconds from 1970 to their time 0 if they count from there, else 0."""
+    units: dict[str, str]
+    assumptions: list[str]
+
+
+def join(files: Sequence[File], rate_hz: float | None, time_unit: str | None = None) -> Joined:
+    """Bring the columns of all files onto one time in seconds."""
     units: dict[str, str] = {}
     timed: list[dict[str, FloatArray]] = []
     said: list[str] = []
@@ -55,10 +58,10 @@ def join(
                 fields[TIME] = fields[TIME] + (file.zero_s - zero_s)
     names = [file.name for file in files]
     if all(TIME in fields for fields in timed):
-        joined, joining = _join_by_time(names, timed)
+        columns, joining = _join_by_time(names, timed)
     else:
-        joined, joining = _join_by_row([file.path for file in files], timed, rate_hz)
-    return joined, zero_s, units, said + joining
+        columns, joining = _join_by_row([file.path for file in files], timed, rate_hz)
+    return Joined(columns, zero_s, units, said + joining)
 
 
 def _join_by_time(names: Sequence[str], files: Sequence[Fields]) -> tuple[dict[str, FloatArray], list[str]]:

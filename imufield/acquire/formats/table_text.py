@@ -14,7 +14,7 @@ import zlib
 from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import BinaryIO, cast
+from typing import BinaryIO, NamedTuple, cast
 
 import numpy as np
 
@@ -238,39 +238,13 @@ def open_table(path: str | Path) -> TextTable:
         The file cannot be read, is not text, or holds no numbers.
     """
     path = Path(path)
-    head = next(read_pieces(path, HEAD_BYTES), b"")
-    if b"\0" in head:
-        raise _bad("table_text.no_text", path)
-    marked: list[str] = []
-    texts: list[tuple[int, str]] = []
-    lines = _decoded(head.removeprefix(b"\xef\xbb\xbf")).split("\n")
-    # A head that is not the whole file may end within a line.
-    if len(head) == HEAD_BYTES and len(lines) > 1:
-        lines.pop()
-    for number, line in enumerate(lines):
-        text = line.strip()
-        mark = next((mark for mark in _COMMENT_MARKS if text.startswith(mark)), None)
-        if mark is not None:
-            marked.append(text.lstrip(mark).strip())
-        elif text:
-            texts.append((number, line))
-    # What stands above the rows may hold numbers, too, but fewer.
-    shapes = [_shape(texts, place) for place in range(len(texts))]
-    rows = sorted(shape for shape in shapes if shape[0])
-    if not rows:
-        raise _bad("table_text.no_rows", path)
-    numbers, width = rows[len(rows) // 2]
-    # A line of numbers alone is a row, if a wrong one.
-    first = next(
-        place
-        for place, (found, cells) in enumerate(shapes)
-        if found and (found == cells or cells == width or 2 * found >= numbers)
-    )
+    comments, texts = _head_lines(path)
+    first = _first_row(path, texts)
     names = [line.strip() for _, line in texts[:first]]
     number, line = texts[first]
     delimiter, decimal_comma = _delimiter_below(names, line.strip())
     cells = _first_cells(line, delimiter)
-    header, units = _header(path, names, marked, delimiter=delimiter, width=len(cells))
+    header, units = _header(path, names, comments, delimiter=delimiter, width=len(cells))
     if header is not None and len(header) < len(cells):
         # Of a comment behind the row nothing is read; what ends a row with a delimiter names no column.
         cells = _first_cells(line.split("#", 1)[0], delimiter)
@@ -293,15 +267,58 @@ def open_table(path: str | Path) -> TextTable:
     )
 
 
-def _shape(texts: list[tuple[int, str]], place: int) -> tuple[int, int]:
-    """Return how many cells of a line are numbers, none in a line of names, and how many cells it has."""
+def _head_lines(path: Path) -> tuple[list[str], list[tuple[int, str]]]:
+    """Return the comments in the head of a file, and its other lines that are not empty, each with its number."""
+    head = next(read_pieces(path, HEAD_BYTES), b"")
+    if b"\0" in head:
+        raise _bad("table_text.no_text", path)
+    lines = _decoded(head.removeprefix(b"\xef\xbb\xbf")).split("\n")
+    # A head that is not the whole file may end within a line.
+    if len(head) == HEAD_BYTES and len(lines) > 1:
+        lines.pop()
+    comments: list[str] = []
+    texts: list[tuple[int, str]] = []
+    for number, line in enumerate(lines):
+        text = line.strip()
+        mark = next((mark for mark in _COMMENT_MARKS if text.startswith(mark)), None)
+        if mark is not None:
+            comments.append(text.lstrip(mark).strip())
+        elif text:
+            texts.append((number, line))
+    return comments, texts
+
+
+def _first_row(path: Path, texts: list[tuple[int, str]]) -> int:
+    """Return which of the lines is the first row: what stands above the rows may hold numbers, too, but fewer."""
+    shapes = [_shape(texts, place) for place in range(len(texts))]
+    rows = sorted(shape for shape in shapes if shape.numbers)
+    if not rows:
+        raise _bad("table_text.no_rows", path)
+    usual = rows[len(rows) // 2]
+
+    def is_row(shape: _Shape) -> bool:
+        # A line of numbers alone is a row, if a wrong one.
+        is_of_numbers_alone, is_as_wide = shape.numbers == shape.cells, shape.cells == usual.cells
+        return shape.numbers > 0 and (is_of_numbers_alone or is_as_wide or 2 * shape.numbers >= usual.numbers)
+
+    return next(place for place, shape in enumerate(shapes) if is_row(shape))
+
+
+class _Shape(NamedTuple):
+    """How many cells of a line are numbers, none in a line of names, and how many there are."""
+
+    numbers: int
+    cells: int
+
+
+def _shape(texts: list[tuple[int, str]], place: int) -> _Shape:
     line = texts[place][1]
     delimiter, decimal_comma = _delimiter_below([text.strip() for _, text in texts[:1]], line.strip())
     cells = _first_cells(line, delimiter)
     if _are_names(line.strip(), delimiter, [text for _, text in texts[place + 1 : place + 2]]):
-        return 0, len(cells)
+        return _Shape(0, len(cells))
     found = (cell.replace(",", ".") if decimal_comma else cell for cell in cells)
-    return sum(map(is_number, filter(None, found))), len(cells)
+    return _Shape(sum(map(is_number, filter(None, found))), len(cells))
 
 
 def _decoded(head: bytes) -> str:

@@ -255,8 +255,8 @@ def _table(
     """Join files and bring them to known units."""
     known = {name: value for file in files for name, value in file.settings.items()}
     given = {**known, **(settings or {})}
-    joined, zero_s, units, joining = join(files, rate_hz, given_time_unit(settings or {}))
-    said = [*(assumption for file in files for assumption in file.assumptions), *joining]
+    joined, zero_s, units, assumptions = join(files, rate_hz, given_time_unit(settings or {}))
+    said = [*(assumption for file in files for assumption in file.assumptions), *assumptions]
     rows = np.full((len(joined[TIME]), len(FIELDS)), np.nan)
     for place, name in enumerate(FIELDS):
         if name in joined:
