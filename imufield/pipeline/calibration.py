@@ -40,7 +40,7 @@ _CONTRADICTED = (Reason.UNITS, Reason.HANDEDNESS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Measured:
+class SolveInput:
     """What is calibrated from, wherever it came from."""
 
     observations: Observations
@@ -87,7 +87,7 @@ class SolveSettings:
     """1 sigma of the sample period, relative; None: by what clock it is."""
 
 
-def calibrate(measured: Measured, settings: SolveSettings) -> Parameters:
+def calibrate(measured: SolveInput, settings: SolveSettings) -> Parameters:
     """Return the parameters of both triads.
 
     Raises
@@ -185,7 +185,12 @@ def _recording_left_out(calibration: Calibration, observations: Observations) ->
 
 
 def _with_gyroscope(
-    calibration: Calibration, measured: Measured, settings: SolveSettings, rng: Callable[[], np.random.Generator], *, grade: str
+    calibration: Calibration,
+    measured: SolveInput,
+    settings: SolveSettings,
+    rng: Callable[[], np.random.Generator],
+    *,
+    grade: str,
 ) -> tuple[Calibration, str]:
     """Join the gyroscope, where the session holds its output; return the verdict on it too."""
     observations = measured.observations if measured.rests is None else join_observations(measured.observations, measured.rests)

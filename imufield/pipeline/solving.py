@@ -31,7 +31,7 @@ from imufield.guide.cross_checks.axes import AxesCheck
 from imufield.guide.events import RefusalCode, Rejected
 from imufield.guide.refusals import Refusal
 from imufield.guide.view.marks import with_keys
-from imufield.pipeline.calibration import Measured, SolveSettings, calibrate
+from imufield.pipeline.calibration import SolveInput, SolveSettings, calibrate
 from imufield.pipeline.chain import Chain, ReadingPlan, SamplesListener, replay_into
 from imufield.pipeline.damage import naming_damage
 from imufield.pipeline.kept import is_kept, keep, kept
@@ -105,7 +105,7 @@ def solve_session(
         is_import = session.record.kind == "import"
         of_recording = (*filter(None, (reading.saturated,)), *reading.refused, *reading.notes, *reading.lost)
         site = site or SiteOptions()
-        measured = Measured(
+        measured = SolveInput(
             observations=observations,
             left_out=left_out,
             gravity=site.gravity(session.record.site),
@@ -248,7 +248,9 @@ def solve_observations(path: Path, settings: SolveSettings, site: SiteOptions) -
     facts = SessionFacts(printable(utf8_text(path.name)), hashlib.sha256(content).hexdigest())
     observations, left_out = leave_out(observations, settings.without)
     context = Context(session=facts)
-    measured = Measured(observations=observations, left_out=left_out, gravity=site.gravity(), context=context, reasons=repeats)
+    measured = SolveInput(
+        observations=observations, left_out=left_out, gravity=site.gravity(), context=context, reasons=repeats
+    )
     return calibrate(measured, settings)
 
 

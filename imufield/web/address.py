@@ -25,7 +25,7 @@ _FAR = ((socket.AF_INET, "192.0.2.1"), (socket.AF_INET6, "2001:db8::1"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Place:
+class PageAddress:
     """A bound socket and the names it answers to.
 
     Attributes
@@ -69,7 +69,7 @@ def _is_in_a_network(address: str) -> bool:
     return not (parsed.is_loopback or parsed.is_link_local or parsed.is_unspecified or parsed.is_multicast)
 
 
-def open_place(lan: str | None, port: int | None) -> Place:
+def open_place(lan: str | None, port: int | None) -> PageAddress:
     """Bind the socket of the page.
 
     Parameters
@@ -98,7 +98,7 @@ def open_place(lan: str | None, port: int | None) -> Place:
     bound = listening.getsockname()[1]
     shown = f"[{address}]" if ":" in address else address
     names = {shown, *(("localhost",) if lan is None else ())}
-    return Place(
+    return PageAddress(
         listening=listening,
         url=f"http://{shown}:{bound}/",
         hosts=frozenset(f"{name.lower()}:{bound}" for name in names),

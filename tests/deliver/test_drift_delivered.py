@@ -18,7 +18,7 @@ from imufield.deliver.parameters.gauge_free import gauge_free
 from imufield.deliver.report.data import observations_of
 from imufield.deliver.verification.left_out import cross_validate
 from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2, Gravity
-from imufield.pipeline.calibration import Measured, SolveSettings, calibrate
+from imufield.pipeline.calibration import SolveInput, SolveSettings, calibrate
 from imufield.simulate.truth.effects import NO_EFFECTS, Effects
 from imufield.simulate.truth.grades import TACTICAL, perfect_instrument
 from imufield.study.answers.means import MeanSession
@@ -47,7 +47,7 @@ def parameters() -> Parameters:
 def solved(session: Observations) -> Parameters:
     """Return the parameters of a session without one position."""
     observations, left_out = leave_out(session, (NAME,))
-    measured = Measured(observations=observations, left_out=left_out, gravity=GRAVITY, context=Context())
+    measured = SolveInput(observations=observations, left_out=left_out, gravity=GRAVITY, context=Context())
     return calibrate(measured, SolveSettings(grade="tactical"))
 
 

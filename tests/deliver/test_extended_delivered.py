@@ -22,7 +22,7 @@ from imufield.deliver.report.rows import parameter_rows
 from imufield.deliver.verification.left_out import cross_validate
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity
 from imufield.errors import Reason, UsageError
-from imufield.pipeline.calibration import Measured, SolveSettings, calibrate
+from imufield.pipeline.calibration import SolveInput, SolveSettings, calibrate
 from imufield.sentences import Sentences
 from imufield.simulate.truth.effects import Effects
 from imufield.simulate.truth.grades import TACTICAL, draw_truth
@@ -55,7 +55,7 @@ def observations(session: Observed) -> Observations:
 @pytest.fixture(scope="module")
 def parameters(observations: Observations) -> Parameters:
     kept, left_out = leave_out(observations, (NAME,))
-    measured = Measured(observations=kept, left_out=left_out, gravity=GRAVITY, context=Context())
+    measured = SolveInput(observations=kept, left_out=left_out, gravity=GRAVITY, context=Context())
     return calibrate(measured, SolveSettings(model="extended", grade="tactical"))
 
 

@@ -11,7 +11,7 @@ import pytest
 from imufield.deliver.parameters.file import Context, Parameters, from_document, load, write_document
 from imufield.deliver.parameters.write import EDITED
 from imufield.earth import Gravity
-from imufield.pipeline.calibration import Measured, SolveSettings, calibrate
+from imufield.pipeline.calibration import SolveInput, SolveSettings, calibrate
 from imufield.simulate.truth.grades import TACTICAL, perfect_instrument
 from imufield.study.answers.means import MeanSession
 from tests.told import keys
@@ -20,13 +20,13 @@ GRAVITY = Gravity(gravity_m_s2=9.81, sigma_m_s2=1e-5, source="measured")
 
 
 @pytest.fixture(scope="module")
-def measured() -> Measured:
+def measured() -> SolveInput:
     session = MeanSession(instrument=perfect_instrument(TACTICAL), gravity_m_s2=GRAVITY.gravity_m_s2)
-    return Measured(observations=session.observe(np.random.default_rng(4)).observations, gravity=GRAVITY, context=Context())
+    return SolveInput(observations=session.observe(np.random.default_rng(4)).observations, gravity=GRAVITY, context=Context())
 
 
 @pytest.fixture(scope="module")
-def tactical(measured: Measured) -> Parameters:
+def tactical(measured: SolveInput) -> Parameters:
     return calibrate(measured, SolveSettings(grade="tactical"))
 
 
@@ -38,7 +38,7 @@ def test_the_file_says_whose_priors_it_holds(tactical: Parameters, tmp_path: Pat
     assert "calibration.range" in keys(tactical.calibration.quality.reasons)
 
 
-def test_without_a_word_it_is_the_presets_grade_and_then_the_worst(measured: Measured, tactical: Parameters) -> None:
+def test_without_a_word_it_is_the_presets_grade_and_then_the_worst(measured: SolveInput, tactical: Parameters) -> None:
     unnamed = calibrate(measured, SolveSettings())
     assert (unnamed.context.instrument.grade, unnamed.context.instrument.stated_grade) == ("mems", "")
     assert unnamed.document["instrument"]["grade_source"] == "assumed"

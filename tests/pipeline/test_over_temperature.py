@@ -27,7 +27,7 @@ from imufield.deliver.report.page import render_report
 from imufield.earth import MILLI_G_M_S2, Gravity
 from imufield.errors import CalibrationError, ParameterFileError, Reason, RecordingError
 from imufield.guide.positions import scheme
-from imufield.pipeline.calibration import Measured, SolveSettings, calibrate
+from imufield.pipeline.calibration import SolveInput, SolveSettings, calibrate
 from imufield.pipeline.solving import lost_by_replacing, solve_session
 from imufield.pipeline.temperature import RampMeans, read_ramp, with_temperature
 from imufield.samples import SampleUnits
@@ -99,7 +99,7 @@ def solved(
         ),
     )
     settings = SolveSettings(model="linear", gauge=gauge, grade="industrial")  # type: ignore[arg-type]
-    return calibrate(Measured(observations=observations, gravity=gravity, context=context), settings)
+    return calibrate(SolveInput(observations=observations, gravity=gravity, context=context), settings)
 
 
 @pytest.fixture(scope="module")

@@ -49,7 +49,7 @@ from imufield.progress import hidden
 from imufield.sentences import Sentences
 
 if TYPE_CHECKING:
-    from imufield.web.address import Place
+    from imufield.web.address import PageAddress
 
 sentence = Sentences(__package__)
 
@@ -162,7 +162,7 @@ def guided_session(
     clock: HostClock,
     options: CaptureOptions,
     *,
-    place: Place | None = None,
+    place: PageAddress | None = None,
     check: Callable[[], None] = lambda: None,
 ) -> Captured:
     """Run the loop and say what there is and how to go on, also where it is broken off; the reason is passed on.

@@ -20,7 +20,7 @@ from imufield.guide.positions import Scheme
 from imufield.sentences import Sentences
 
 if TYPE_CHECKING:
-    from imufield.web.address import Place
+    from imufield.web.address import PageAddress
     from imufield.web.guide_page import GuidePage
     from imufield.web.server import PageServer
 
@@ -30,7 +30,7 @@ SHOWN_EVERY_S = 0.05
 """On a page that looks: its box follows each state within two frames, so that a turn is seen while it is made."""
 
 
-def open_page(options: CaptureOptions, stack: ExitStack) -> Place | None:
+def open_page(options: CaptureOptions, stack: ExitStack) -> PageAddress | None:
     """Bind the socket of a capture's page before anything else begins; None where no page is wanted.
 
     Raises
@@ -45,7 +45,7 @@ def open_page(options: CaptureOptions, stack: ExitStack) -> Place | None:
     return bind_page(stack, options.web_lan, options.web_port)
 
 
-def bind_page(stack: ExitStack, lan: str | None = None, port: int | None = None) -> Place:
+def bind_page(stack: ExitStack, lan: str | None = None, port: int | None = None) -> PageAddress:
     """Bind the socket of a page; address and port as ``open_place`` takes them.
 
     Raises
@@ -111,7 +111,7 @@ class ServedPage:
 
 @contextmanager
 def serve_page(
-    place: Place,
+    place: PageAddress,
     positions: Scheme,
     session: Session,
     *,
