@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import re
+import shutil
 import textwrap
 from unicodedata import east_asian_width
 
@@ -53,10 +54,15 @@ def with_sigma_within(width: int, value: float, sigma: float, *, sign: bool = Fa
     return next((text for text in texts if len(text) <= width), min(texts, key=len))
 
 
+def line_width() -> int:
+    """Return the columns of the terminal, 80 at most; 80 where there is none."""
+    return min(WIDTH, shutil.get_terminal_size((WIDTH, 24)).columns)
+
+
 def hanging(start: str, sentence: str) -> str:
-    """Return a sentence in lines of 80 columns behind ``start``, words whole, the lines below it indented as far."""
+    """Return a sentence in lines of ``line_width`` behind ``start``, words whole, the lines below it indented as far."""
     return textwrap.fill(
-        start + sentence, WIDTH, subsequent_indent=" " * len(start), break_long_words=False, break_on_hyphens=False
+        start + sentence, line_width(), subsequent_indent=" " * len(start), break_long_words=False, break_on_hyphens=False
     )
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import io
 import math
 import shlex
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -65,7 +65,7 @@ def print_summary(parameters: Parameters, outcome: Outcome | None = None, consol
     console = console or PlainTextConsole()
     if console.is_terminal and not console.options.ascii_only:
         # Not cropped: a path longer than the line is still to be copied.
-        console.print(summary(parameters, outcome), crop=False)
+        console.print(summary(parameters, outcome, console.width), crop=False)
         return
     text = summary_text(parameters, outcome)
     console.out(to_ascii(text) if console.options.ascii_only else text, end="", highlight=False)
@@ -80,13 +80,13 @@ def summary_text(parameters: Parameters, outcome: Outcome | None = None) -> str:
     return "".join(f"{line.rstrip()}\n" for line in capture.get().splitlines())
 
 
-def summary(parameters: Parameters, outcome: Outcome | None = None) -> RenderableType:
-    """Return the summary as something rich can draw in 80 columns or more."""
+def summary(parameters: Parameters, outcome: Outcome | None = None, width: int = WIDTH) -> RenderableType:
+    """Return the summary as something rich can draw in that width; below 80 columns each axis has a line of its own."""
     calibration = parameters.calibration
-    parts: list[RenderableType] = [_heading(parameters), "", _table("Accelerometer", calibration)]
+    parts: list[RenderableType] = [_heading(parameters), "", _table("Accelerometer", calibration, width)]
     if calibration.gyroscope is not None:
-        parts += ["", _table("Gyroscope", calibration), Text(calibration.gyroscope.path, style="dim")]
-    parts += ["", _facts(calibration), "", *_residuals(parameters)]
+        parts += ["", _table("Gyroscope", calibration, width), Text(calibration.gyroscope.path, style="dim")]
+    parts += ["", _facts(calibration), "", *_residuals(parameters, width)]
     if calibration.quality.details:
         parts += ["", Text("Details", style="bold"), *_bullets(calibration.quality.details)]
     parts += ["", _verdict(parameters)]
@@ -105,13 +105,38 @@ def _heading(parameters: Parameters) -> RenderableType:
     return Group(Text(f"Calibration of {who}", style="bold"), Text(" · ".join(facts), style="dim"))
 
 
-def _table(title: str, calibration: Calibration) -> Table:
+class _TriadTable:
+    """Rows of three numbers, each in a line or, in a narrow window, in a line for each axis."""
+
+    def __init__(self, title: str, width: int) -> None:
+        self._is_narrow = width < WIDTH
+        self.table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False)
+        self.table.add_column(Text(title, style="bold"), no_wrap=True, min_width=13)
+        self.table.add_column("", no_wrap=True, style="dim", min_width=6)
+        if self._is_narrow:
+            self.table.add_column("", no_wrap=True, style="bold")
+        for axis in AXES[:1] if self._is_narrow else AXES:
+            name = "" if self._is_narrow else axis
+            self.table.add_column(name, justify="right", no_wrap=True, min_width=_NUMBER_WIDTH, header_style="bold")
+
+    def add(self, name: str, unit: str, cells: Sequence[str], *, places: Sequence[str] = AXES, style: str = "") -> None:
+        """Add a row; ``places`` are what lines of a narrow window call the cells."""
+        if not self._is_narrow:
+            self.table.add_row(name, unit, *cells, style=style)
+            return
+        for place, cell in zip(places, cells, strict=False):
+            self.table.add_row(name, unit, place, cell, style=style)
+            name = unit = ""
+
+    def add_numbers(self, name: str, unit: str, values: FloatArray, sigma: FloatArray, *, sign: bool = True) -> None:
+        """Add a row of numbers with their uncertainty."""
+        numbers = zip(values.tolist(), sigma.tolist(), strict=True)
+        self.add(name, unit, [with_sigma_within(_NUMBER_WIDTH, value, spread, sign=sign) for value, spread in numbers])
+
+
+def _table(title: str, calibration: Calibration, width: int) -> Table:
     """Return the table of one triad."""
-    table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False)
-    table.add_column(Text(title, style="bold"), no_wrap=True, min_width=13)
-    table.add_column("", no_wrap=True, style="dim", min_width=6)
-    for axis in AXES:
-        table.add_column(axis, justify="right", no_wrap=True, min_width=_NUMBER_WIDTH, header_style="bold")
+    table = _TriadTable(title, width)
     for quantity in quantities(calibration):
         value, sigma = quantity.value, quantity.sigma
         if quantity.triad != title:
@@ -121,33 +146,29 @@ def _table(title: str, calibration: Calibration) -> Table:
         elif quantity.name == "g-sensitivity":
             # A row for each axis of the specific force: what the gyroscopes x, y, z show of it.
             for j, axis in enumerate(AXES):
-                _add_row(table, f"g-sens. of a{axis}", quantity.unit, value.reshape(3, 3)[:, j], sigma.reshape(3, 3)[:, j])
+                table.add_numbers(f"g-sens. of a{axis}", quantity.unit, value.reshape(3, 3)[:, j], sigma.reshape(3, 3)[:, j])
         elif quantity.name == "scale":
-            _add_row(table, quantity.unit, "", value, sigma, sign=False)
+            table.add_numbers(quantity.unit, "", value, sigma, sign=False)
         else:
-            _add_row(table, quantity.name, quantity.unit, value, sigma)
+            table.add_numbers(quantity.name, quantity.unit, value, sigma)
         if quantity.name == "bias" and title == "Accelerometer":
-            _add_row(table, "", "m/s²", calibration.accelerometer.bias_m_s2, calibration.accelerometer_sigma.bias_m_s2)
-    return table
+            table.add_numbers("", "m/s²", calibration.accelerometer.bias_m_s2, calibration.accelerometer_sigma.bias_m_s2)
+    return table.table
 
 
-def _add_row(table: Table, name: str, unit: str, values: FloatArray, sigma: FloatArray, *, sign: bool = True) -> None:
-    numbers = zip(values.tolist(), sigma.tolist(), strict=True)
-    table.add_row(name, unit, *(with_sigma_within(_NUMBER_WIDTH, value, spread, sign=sign) for value, spread in numbers))
-
-
-def _add_misalignment(table: Table, quantity: Quantity) -> None:
+def _add_misalignment(table: _TriadTable, quantity: Quantity) -> None:
     every = list(zip(quantity.places, quantity.value.tolist(), quantity.sigma.tolist(), strict=True))
     shown = [(pair, value, sigma) for pair, value, sigma in every if value != 0 or sigma != 0]
     if not any(math.isfinite(sigma) and value for _, value, sigma in shown):
-        table.add_row("misalignment", "", *(["not estimated"] * 3))
+        table.add("misalignment", "", ["not estimated"] * 3)
         return
     for start in range(0, len(shown), 3):
         part = shown[start : start + 3]
+        pairs = [pair for pair, *_ in part]
         cells = [f"{pair} {with_sigma(value, sigma, sign=True)}" for pair, value, sigma in part]
-        table.add_row("misalignment" if start == 0 else "", "mrad", *cells)
+        table.add("misalignment" if start == 0 else "", "mrad", cells, places=[""] * 3)
         minutes = [f"{value * 1e-3 / ARC_MINUTE_RAD:+.1f}" if math.isfinite(sigma) else "" for _, value, sigma in part]
-        table.add_row("", "arcmin", *minutes, style="dim")
+        table.add("", "arcmin", minutes, places=pairs, style="dim")
 
 
 def _facts(calibration: Calibration) -> Table:
@@ -175,7 +196,7 @@ def sigma_words(quality: Quality) -> Sentence:
     return sentence("summary.sigma" if math.isfinite(freedom) else "summary.sigma_normal", factor=factor, freedom=freedom)
 
 
-def _residuals(parameters: Parameters) -> Iterator[RenderableType]:
+def _residuals(parameters: Parameters, width: int) -> Iterator[RenderableType]:
     tables = parameters.document["position"]
     residual = np.array([table["residual_m_s2"] for table in tables], dtype=np.float64)
     used = np.array([table["used"] for table in tables], dtype=np.bool_)
@@ -203,7 +224,7 @@ def _residuals(parameters: Parameters) -> Iterator[RenderableType]:
         bar_of = Text(bar(abs(value) / (largest / size) if worst >= 0 else 0, _BAR_WIDTH), style=style or "cyan")
         number = f"{value:+.0f}" if worst >= 0 and largest / size >= 10 else f"{value:+.2f}"
         cells.append((table["name"], bar_of, Text(number + (" ◄" if k == worst else "  "), style=style)))
-    yield _in_columns(cells, max(len(table["name"]) for table in tables))
+    yield _in_columns(cells, max(len(table["name"]) for table in tables), width)
 
 
 def _short(value: float) -> str:
@@ -212,9 +233,9 @@ def _short(value: float) -> str:
     return f"{value:.3g}" if abs(value) < 100 else f"{value:.0f}"
 
 
-def _in_columns(cells: list[tuple[str, Text, Text]], name_width: int) -> Table:
+def _in_columns(cells: list[tuple[str, Text, Text]], name_width: int, width: int) -> Table:
     # Name, bar, number and their gaps; three columns at most, so that 24 positions take eight lines.
-    columns = max(1, min(3, WIDTH // (name_width + _BAR_WIDTH + 10)))
+    columns = max(1, min(3, width // (name_width + _BAR_WIDTH + 10)))
     rows = -(-len(cells) // columns)
     table = Table.grid(padding=(0, 1, 0, 0))
     for _ in range(columns):

@@ -20,7 +20,7 @@ from imufield.deliver.navigation.drift import QUANTITIES
 from imufield.deliver.navigation.static_navigation import NavigationResult
 from imufield.deliver.parameters.context import SOFTWARE, now_text
 from imufield.deliver.parameters.file import Parameters, json_ready
-from imufield.deliver.parameters.printed_numbers import acceleration_unit
+from imufield.deliver.parameters.printed_numbers import acceleration_unit, line_width
 from imufield.deliver.parameters.schema import Document
 from imufield.deliver.parameters.write import content_sha256
 from imufield.deliver.verification.left_out import LeftOutPositions
@@ -36,7 +36,6 @@ FORMAT = "imufield-verification"
 VERSION = 1  # A report leaves out results of another one.
 # RMS residual of held-out positions, micro-g; largest position error over the time navigated, nautical miles an hour.
 REQUIREMENTS = ("residual-ug", "nav-nmi-per-h")
-_WIDTH = 80
 _HOURS_FROM_S = 7200.0  # Shorter recordings are told in minutes: a sixth of them has one decimal in hours.
 _POINTS = 600  # Of each curve in the file: more than a plot shows.
 
@@ -231,7 +230,7 @@ def verification_note(path: Path, parameters_sha256: str) -> str:
 
 
 def verification_text(verification: Verification) -> str:
-    """Return the results for a person at a terminal, 80 columns."""
+    """Return the results for a person at a terminal, in at most 80 columns."""
     lines: list[str] = []
     left_out = verification.left_out
     if left_out is not None:
@@ -239,7 +238,7 @@ def verification_text(verification: Verification) -> str:
     if verification.navigation is not None:
         lines += [*_navigation_lines(verification.navigation), ""]
     for note in folded(verification.notes):
-        lines += textwrap.wrap(f" · {note}", _WIDTH, subsequent_indent="   ")
+        lines += textwrap.wrap(f" · {note}", line_width(), subsequent_indent="   ")
     for objection in verification.objections:
         if left_out is None or objection != left_out.objection:  # which stands below its table
             lines += _wrapped(f"Objection: {objection}")
@@ -253,7 +252,7 @@ def verification_text(verification: Verification) -> str:
 
 
 def _wrapped(text: str) -> list[str]:
-    return textwrap.wrap(text, _WIDTH, subsequent_indent="  ")
+    return textwrap.wrap(text, line_width(), subsequent_indent="  ")
 
 
 def _position_lines(left_out: LeftOutPositions, *, has_preset: bool) -> Iterator[str]:

@@ -94,3 +94,12 @@ def test_a_wide_character_takes_two_columns() -> None:
     # "written to " and 34 of them are 79 columns, 35 are 81.
     assert beside("written to", "東" * 34) == f"written to {'東' * 34}"
     assert beside("written to", "東" * 35) == f"written to\n{'東' * 35}"
+
+
+@pytest.mark.parametrize(("columns", "width"), [("200", 80), ("80", 80), ("60", 60)])
+def test_sentences_fill_a_terminal_up_to_80_columns(monkeypatch: pytest.MonkeyPatch, columns: str, width: int) -> None:
+    monkeypatch.setenv("COLUMNS", columns)
+    words = "a word of five letters and another one " * 10
+    lines = hanging(" · ", words).splitlines()
+    assert width - len("another") <= max(map(len, lines)) <= width
+    assert " ".join(line.strip(" ·") for line in lines) == words.strip()

@@ -215,3 +215,17 @@ def test_ascii_files_get_ascii(full: Parameters, tmp_path: Path) -> None:
     with (tmp_path / "log.txt").open("w", encoding="ascii") as file:
         print_summary(full, console=Console(file=file))
     assert "+3.182 +-0.011" in (tmp_path / "log.txt").read_text(encoding="ascii")
+
+
+def test_a_narrow_window_has_every_number_in_a_line_of_its_own(full: Parameters) -> None:
+    console = Console(width=60, file=io.StringIO(), force_terminal=True, color_system=None, legacy_windows=False)
+    with console.capture() as capture:
+        print_summary(full, console=console)
+    lines = capture.get().splitlines()
+    assert max(map(len, lines)) <= 60
+    assert not any("…" in line for line in lines)
+    numbers = [line.split() for line in summary_text(full).splitlines() if "±" in line and line.split()[0] in ("bias", "scale")]
+    assert numbers
+    for words in numbers:
+        for place in (place for place, word in enumerate(words) if word == "±"):
+            assert sum(" ".join(words[place - 1 : place + 2]) in line for line in lines) >= 1
