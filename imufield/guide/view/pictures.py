@@ -19,8 +19,11 @@ from numpy.typing import NDArray
 from imufield.drawing.box import HALF_SIZE, ONLOOKER, visible_faces
 from imufield.samples import AXES, FloatArray
 
-_DOT = "##"  # A character is twice as high as wide.
-LETTER_WIDTH = 12  # Five dots and a gap.
+_DOTS = 6  # Of a letter, side by side: five and a gap.
+_DOT_WIDTH = 2  # A character is twice as high as wide.
+LETTER_WIDTH = _DOTS * _DOT_WIDTH
+LETTERS = 6
+"""Of the longest words."""
 ROWS = 7
 
 
@@ -42,9 +45,11 @@ def big_lines(text: str, width: int, times: int = 1) -> list[str]:
     times : int
         Size, in that of the smallest letters.
     """
-    letters = text.upper()[: width // (LETTER_WIDTH * times)]
-    dots = b"".join(_letters().get(letter, bytes(6)) for letter in letters)
-    dot, blank = _DOT * times, " " * len(_DOT) * times
+    # Narrow letters are better than a word without its end.
+    dot_width = _DOT_WIDTH * times if width >= LETTERS * LETTER_WIDTH else 1
+    letters = text.upper()[: width // (_DOTS * dot_width)]
+    dots = b"".join(_letters().get(letter, bytes(_DOTS)) for letter in letters)
+    dot, blank = "#" * dot_width, " " * dot_width
     lines = ["".join(dot if column >> row & 1 else blank for column in dots).rstrip() for row in range(ROWS)]
     return [line for line in lines for _ in range(times)]
 

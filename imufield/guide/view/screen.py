@@ -45,9 +45,14 @@ _PICTURE_SIZE = (20, 8)  # Of the least picture.
 _BAR_WIDTH = 16
 _BAR_ROWS = 4
 _BESIDE_BAR = 26  # Columns of its name and of what stands behind it.
+_BESIDE_BIG_BARS = 30  # The same of both bars below big letters.
 _DETAIL_ROWS = 3
 _MAP_ROWS = 12
-_BIG_MESSAGES = 3  # Below the big letters.
+BIG_WIDTH = 40
+"""Columns of the smallest window with big letters."""
+BIG_HEIGHT = 20
+"""Its lines."""
+_FRAME = 2 * ROWS + 4  # Lines of big letters with what always stands with them: a blank, what to do, the bars, the keys.
 
 
 _KEYS = "r retake  s skip  u undo  p pause  f finish  ? keys  q quit (resume later)"
@@ -151,13 +156,17 @@ def draw_big(screen: Screen, snapshot: Snapshot, link: LinkState, size: tuple[in
     times = max(1, min(width // WIDTH, (height - HEIGHT) // (2 * ROWS) + 1))
     first, second = (big_lines(word, width, times) for word in now.big)
     link_lines = _link_lines(screen, snapshot, link, width)
-    messages = _BIG_MESSAGES + height - HEIGHT - 2 * ROWS * (times - 1) - len(link_lines) + 1
+    room = height - _FRAME - 2 * ROWS * (times - 1) - len(link_lines)
+    blank = [Text()] if room >= 2 else []
+    messages = max(room - 2 * len(blank), 0)
+    bar_width = min(_BAR_WIDTH, (width - _BESIDE_BIG_BARS) // 2)
+    stillness, hold = _stillness_bar(snapshot, bar_width), bar(snapshot.fraction, "green", bar_width)
     return Group(
         *(Text(line, style=now.style, no_wrap=True) for line in (*first, "", *second)),
-        Text(),
+        *blank,
         Text(_whole(f"{now.headline}: {now.details}", width, 1)[0], no_wrap=True, overflow="crop"),
-        Text.assemble(" still ", _stillness_bar(snapshot), "  hold ", bar(snapshot.fraction, "green"), f"  {_done(snapshot)}"),
-        Text(),
+        Text.assemble(" still ", stillness, "  hold ", hold, f"  {_done(snapshot)}"),
+        *blank,
         *link_lines,
         *_messages(screen, messages, width),
         _keys(width),

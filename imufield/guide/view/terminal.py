@@ -22,7 +22,7 @@ from imufield.guide.events import Event
 from imufield.guide.lead.guide import Snapshot
 from imufield.guide.positions import Scheme
 from imufield.guide.view.instruction import Screen
-from imufield.guide.view.screen import HEIGHT, WIDTH, LinkState, draw, draw_big, draw_small
+from imufield.guide.view.screen import BIG_HEIGHT, BIG_WIDTH, HEIGHT, WIDTH, LinkState, draw, draw_big, draw_small
 
 
 class Keyboard(ExitStack):
@@ -123,10 +123,10 @@ class TerminalView:
         picture: RenderableType
         if self.notice:
             picture = Text(self.notice, no_wrap=True, overflow="crop")
+        elif self.big and width >= BIG_WIDTH and height >= BIG_HEIGHT:
+            picture = draw_big(self._screen, snapshot, link, (width, height))
         elif width < WIDTH or height < HEIGHT:
             picture = draw_small(self._screen, snapshot, link, width=width, height=height, ascii_only=ascii_only)
-        elif self.big:
-            picture = draw_big(self._screen, snapshot, link, (width, height))
         else:
             picture = draw(self._screen, snapshot, self._scheme, link, ascii_only=ascii_only, size=(width, height))
         self._live.update(picture, refresh=True)

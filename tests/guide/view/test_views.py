@@ -26,9 +26,9 @@ from imufield.guide.lead.state_table import State
 from imufield.guide.positions import SCHEMES, scheme
 from imufield.guide.view.instruction import Screen, instruct
 from imufield.guide.view.marks import with_keys
-from imufield.guide.view.pictures import big_lines
+from imufield.guide.view.pictures import ROWS, big_lines
 from imufield.guide.view.plain import line
-from imufield.guide.view.screen import HEIGHT, WIDTH, LinkState, _in_corner, draw, draw_big, draw_small
+from imufield.guide.view.screen import BIG_HEIGHT, BIG_WIDTH, HEIGHT, WIDTH, LinkState, _in_corner, draw, draw_big, draw_small
 from imufield.guide.view.terminal import TerminalView
 
 
@@ -438,19 +438,22 @@ def test_live_view_draws_through_rich(session: Any) -> None:
     ("until_s", "first"),
     [(1.0, "LEAVE"), (3.35, "HOLD"), (5.0, "GOOD"), (6.8, "TURN"), (12.5, "AGAIN")],
 )
-def test_big_letters_say_the_same_and_fit(session: Any, until_s: Any, first: Any) -> None:
+@pytest.mark.parametrize("size", [(WIDTH, HEIGHT), (60, 20), (BIG_WIDTH, BIG_HEIGHT)])
+def test_big_letters_say_the_same_and_fit(session: Any, until_s: Any, first: Any, size: tuple[int, int]) -> None:
     screen = Screen()
     played = list(session(until_s))
     for events, _ in played:
         screen.follow(events)
     snapshot = played[-1][1].snapshot()
     assert instruct(screen, snapshot).big[0] == first
-    console = Console(width=WIDTH, height=HEIGHT, record=True, file=open_nothing())
-    console.print(draw_big(screen, snapshot, LinkState(0)))
+    width, height = size
+    console = Console(width=width, height=height, record=True, file=open_nothing())
+    console.print(draw_big(screen, snapshot, LinkState(0), size))
     lines = console.export_text().rstrip("\n").split("\n")
-    assert len(lines) <= HEIGHT
-    assert max(map(len, lines)) <= WIDTH
-    assert lines[0].rstrip() == big_lines(first, WIDTH)[0]
+    assert len(lines) <= height
+    assert max(map(len, lines)) <= width
+    assert [line.rstrip() for line in lines[:ROWS]] == big_lines(first, width)
+    assert "of 6 done" in "".join(lines)
 
 
 def test_the_screen_is_ascii_where_the_terminal_is(session: Any) -> None:
