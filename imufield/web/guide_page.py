@@ -135,8 +135,9 @@ class GuidePage:
         }
         # Of what was undone the page knows nothing.
         self._forecasts = {done: values for done, values in self._forecasts.items() if done < len(snapshot.accepted)}
-        if forecast is not None:
-            self._forecasts[len(snapshot.accepted)] = [_number(forecast.get(name, math.nan)) for name in _FORECAST]
+        values = [_number((forecast or {}).get(name, math.nan)) for name in _FORECAST]
+        if any(value is not None for value in values):
+            self._forecasts[len(snapshot.accepted)] = values
         positions: Json = {
             "accepted": {
                 name: {"leave_one_out_mg": _number(snapshot.leave_one_out_m_s2.get(name, math.nan) / MILLI_G_M_S2)}

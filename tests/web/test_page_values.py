@@ -21,7 +21,7 @@ def whole(staged: StagedSession) -> dict[str, Any]:
     return found
 
 
-# Seven positions of a session: accuracy begins with the fourth.
+# Seven positions of a session: accuracy begins with the fourth, numbers of it later.
 def test_what_a_page_is_given() -> None:
     staged = StagedSession()
     assert "rejected" in iter(staged.stages())
@@ -33,6 +33,7 @@ def test_what_a_page_is_given() -> None:
 
     done, *accuracies = zip(*given["map"]["forecasts"], strict=True)
     assert list(done) == sorted(set(done))
+    assert all(any(value is not None for value in values) for values in zip(*accuracies, strict=True))
     assert done[-1] == given["state"]["done"] == 7
     assert len(accuracies) == len(given["state"]["known"])
 

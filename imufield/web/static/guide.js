@@ -212,7 +212,7 @@ function showPositions(places) {
   const known = Object.values(state.known ?? {}).map(pretty);
   drawForecast(at("forecast"), map.forecasts, state.planned, known);
   at("forecast").hidden = !map.forecasts.length;
-  write("known", state.known ? "" : text("accuracy_later"));
+  write("known", map.forecasts.length ? "" : text("accuracy_later"));
 }
 
 /** @param {{outcome: string, accepted: number, planned: number, missing: number, command: string, reason: string}} last */
