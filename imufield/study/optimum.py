@@ -75,7 +75,7 @@ def squares_optimum(problem: Problem) -> tuple[float, FloatArray]:
     """Return the minimum of a root-sum-of-squares cost within the bounds and where it is, from their middle."""
     from scipy.optimize import least_squares  # slow to load, and only a study needs it
 
-    x = solve_least_squares(problem, loss="linear").x
+    x = solve_least_squares(problem).x
     lower, upper = problem.bounds
     if not np.all((lower <= x) & (x <= upper)):
         tolerance = 1e-14

@@ -55,7 +55,6 @@ from imufield.calibrate.model.result import (
     QuadraticAxes,
 )
 from imufield.calibrate.model.uncertainty import estimated_share, known_covariance
-from imufield.calibrate.solvers.least_squares import Loss
 from imufield.earth import STANDARD_GRAVITY_M_S2, Gravity
 from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.samples import FloatArray
@@ -82,7 +81,6 @@ def calibrate_accelerometer(  # noqa: PLR0913 (the settings of `solve`, by keywo
     preset: AccelerometerParameters | None = None,
     quadratic_axes: QuadraticAxes = "sensing",
     raw_zero: FloatArray | float | None = None,
-    loss: Loss = "linear",
     grade: str | None = None,
     seed: int = 0,
 ) -> Calibration:
@@ -102,8 +100,6 @@ def calibrate_accelerometer(  # noqa: PLR0913 (the settings of `solve`, by keywo
     quadratic_axes : {"sensing", "body"}
     raw_zero : float or ndarray, shape (3,), optional
         Mid-scale output, raw unit. Default: the preset's, else zero.
-    loss : {"linear", "soft_l1", "huber", "cauchy"}
-        Robust losses play down positions that do not fit.
     grade : {"navigation", "tactical", "industrial", "mems"}, optional
         Whose typical errors stand in the uncertainty for what these positions do not show; without it nothing does.
     seed : int
@@ -124,7 +120,7 @@ def calibrate_accelerometer(  # noqa: PLR0913 (the settings of `solve`, by keywo
     usual_zero = 0.0 if preset is None else preset.raw_zero
     zero = np.full(3, usual_zero if raw_zero is None else raw_zero, dtype=np.float64)
     typical = None if grade is None else find_grade(grade)
-    data = _checked_data(observations, gravity, zero, quadratic_axes, loss=loss, typical=typical)
+    data = _checked_data(observations, gravity, zero, quadratic_axes, typical=typical)
     before = None if preset is None else _checked_preset(preset)
     signs = find_signs(data.raw, observations.direction, None if before is None else before[SCALE])
     origin, observability = find_origin(data, signs.sign, before, model)
@@ -211,7 +207,7 @@ def _intrinsic(vector: FloatArray, data: FitData, known: Uncertainty) -> Intrins
 
 
 def _checked_data(
-    observations: Observations, gravity: Gravity, zero: FloatArray, axes: QuadraticAxes, *, loss: Loss, typical: Grade | None
+    observations: Observations, gravity: Gravity, zero: FloatArray, axes: QuadraticAxes, *, typical: Grade | None
 ) -> FitData:
     m = len(observations)
     if m < FEWEST_FOR_SCALE_AND_BIAS:
@@ -234,7 +230,6 @@ def _checked_data(
         covariance_raw=covariance,
         gravity_m_s2=gravity.gravity_m_s2,
         quadratic_axes=axes,
-        loss=loss,
         least_scatter_m_s2=0.0 if typical is None else typical.scatter_m_s2,
         typical_quadratic_m_s2=math.inf if typical is None else typical.quadratic * STANDARD_GRAVITY_M_S2,
     )

@@ -15,7 +15,7 @@ from imufield.calibrate.model.observability import parameter_scale
 from imufield.calibrate.model.result import QuadraticAxes, SolverSummary
 from imufield.calibrate.model.uncertainty import SPARE_POSITIONS, between_position_sigma, within_variance
 from imufield.calibrate.solvers.base import SolverResult
-from imufield.calibrate.solvers.least_squares import Loss, solve_least_squares
+from imufield.calibrate.solvers.least_squares import solve_least_squares
 from imufield.calibrate.solvers.norm_problem import NormProblem
 from imufield.dataclass import dataclass, replace
 from imufield.samples import FloatArray
@@ -34,7 +34,6 @@ class FitData:
     """Shape (m, 3, 3); None where it is not known."""
     gravity_m_s2: float
     quadratic_axes: QuadraticAxes
-    loss: Loss = "linear"
     least_scatter_m_s2: float = 0.0
     """Typical scatter between positions, taken where there are too few to show it."""
     typical_quadratic_m_s2: float = math.inf
@@ -136,12 +135,12 @@ def fit(
         higher=higher,
     )
     # Unweighted first: within needs parameters to carry raw covariances to the norm.
-    solved = solve_least_squares(problem, loss="linear")
+    solved = solve_least_squares(problem)
     current = _evaluate(data, problem, solved)
     evaluations = solved.evaluations
-    for _ in range(_REWEIGHTINGS if data.covariance_raw is not None or data.loss != "linear" else 0):
+    for _ in range(_REWEIGHTINGS if data.covariance_raw is not None else 0):
         problem = replace(problem, origin=current.vector, sigma_m_s2=current.sigma_m_s2)
-        solved = solve_least_squares(problem, loss=data.loss)
+        solved = solve_least_squares(problem)
         evaluations += solved.evaluations
         before, current = current, _evaluate(data, problem, solved)
         if abs(current.tau_m_s2 - before.tau_m_s2) <= _SETTLED * before.tau_m_s2:

@@ -1,4 +1,4 @@
-"""Least squares: Levenberg and Marquardt's method on the analytic Jacobian, or SciPy's trust region where the loss is robust.
+"""Least squares by Levenberg and Marquardt's method on the analytic Jacobian.
 
 Each step is that of Gauss and Newton, by singular values; where it does not lower the cost as foretold, a damping in units of
 the columns shortens it. It ends as MINPACK's ``lmder`` does [1]_.
@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,8 +26,6 @@ from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
-
-Loss = Literal["linear", "soft_l1", "huber", "cauchy"]
 
 # Relative change of cost and coordinates at which it stops: a few ulp above what double precision can resolve.
 _TOLERANCE = 1e-14
@@ -53,7 +51,6 @@ def solve_least_squares(
     *,
     rng: np.random.Generator | None = None,  # noqa: ARG001 (one signature for all solvers)
     callback: Callback | None = None,
-    loss: Loss = "linear",
     max_evaluations: int = 200,
 ) -> SolverResult:
     """Minimise the sum of squared residuals from the problem's start.
@@ -65,14 +62,12 @@ def solve_least_squares(
         Not used: the method is deterministic.
     callback : callable, optional
         Told the end result once.
-    loss : {"linear", "soft_l1", "huber", "cauchy"}
-        As scipy.optimize.least_squares has them, on residuals in units of sigma.
     max_evaluations : int
 
     Returns
     -------
     SolverResult
-        ``cost`` is the plain sum of squared residuals (chi squared), whatever the loss.
+        ``cost`` is the sum of squared residuals (chi squared).
 
     Raises
     ------
@@ -83,7 +78,7 @@ def solve_least_squares(
     left_domain = sentence("least_squares.left_domain")
     failed = SolverResult(x=problem.start, cost=np.inf, status=SolverStatus.FAILED, message=left_domain, evaluations=0)
     try:
-        end = _end(problem, loss, max_evaluations)
+        end = _end(problem, max_evaluations)
     except np.linalg.LinAlgError as error:
         # A candidate outside the model's domain has NaN residuals; scipy and LAPACK refuse those.
         return replace(failed, message=sentence("least_squares.refused_values", cause=error))
@@ -109,18 +104,16 @@ class _End(NamedTuple):
     message: str = ""
 
 
-def _end(problem: Problem, loss: Loss, most: int) -> _End:
-    """Minimise by SciPy where the loss is robust, or residuals are fewer than coordinates."""
-    if loss != "linear":
-        return _trust_region(problem, loss, most)
+def _end(problem: Problem, most: int) -> _End:
+    """Minimise by SciPy's trust region where residuals are fewer than coordinates, else by Marquardt's method."""
     residual = problem.residuals(problem.start)
     if len(residual) >= len(problem.start):
         return _marquardt(problem, residual, most)
-    end = _trust_region(problem, loss, most)
+    end = _trust_region(problem, most)
     return end._replace(evaluations=end.evaluations + 1)
 
 
-def _trust_region(problem: Problem, loss: Loss, most: int) -> _End:
+def _trust_region(problem: Problem, most: int) -> _End:
     import scipy.optimize  # here, because it takes longer to load than the fit to run
 
     try:
@@ -128,7 +121,6 @@ def _trust_region(problem: Problem, loss: Loss, most: int) -> _End:
             problem.residuals,
             problem.start,
             jac=problem.jacobian,
-            loss=loss,
             ftol=_TOLERANCE,
             xtol=_TOLERANCE,
             gtol=_TOLERANCE,

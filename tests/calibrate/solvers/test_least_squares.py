@@ -9,7 +9,7 @@ import pytest
 import scipy.optimize
 
 from imufield.calibrate.solvers.base import Solver, SolverStatus
-from imufield.calibrate.solvers.least_squares import Loss, solve_least_squares
+from imufield.calibrate.solvers.least_squares import solve_least_squares
 from imufield.samples import FloatArray
 from tests.told import key_of
 
@@ -63,10 +63,6 @@ def test_minimum_is_that_of_the_normal_equations(line: Line) -> None:
     assert result.history[-1] == result.cost
 
 
-def test_a_robust_loss_ignores_the_outlier(line: Line) -> None:
-    assert solve_least_squares(line, loss="cauchy").x == pytest.approx([1.0, 2.0], abs=0.05)
-
-
 def test_the_callback_hears_the_end(line: Line) -> None:
     heard: list[float] = []
 
@@ -79,7 +75,7 @@ def test_the_callback_hears_the_end(line: Line) -> None:
 
 
 def test_too_few_evaluations_is_a_status(line: Line) -> None:
-    result = solve_least_squares(line, loss="cauchy", max_evaluations=1)
+    result = solve_least_squares(line, max_evaluations=1)
     assert not result.converged
     assert result.message
 
@@ -126,21 +122,24 @@ def test_a_curved_problem_ends_where_that_of_scipy_does(start: tuple[float, floa
 
 @dataclass
 class Counted(Valley):
+    rows: int = 4
     calls: int = 0
 
     def residuals(self, z: FloatArray) -> FloatArray:
         self.calls += 1
-        return super().residuals(z)
+        return super().residuals(z)[: self.rows]
 
     def jacobian(self, z: FloatArray) -> FloatArray:
         self.calls += 1
-        return super().jacobian(z)
+        return super().jacobian(z)[: self.rows]
 
 
-@pytest.mark.parametrize("loss", ["linear", "soft_l1"])
-def test_every_evaluation_is_counted(loss: Loss) -> None:
-    valley = Counted(np.empty(0), np.empty(0), np.array([-1.2, 1.0]))
-    assert solve_least_squares(valley, loss=loss).evaluations == valley.calls
+@pytest.mark.parametrize("rows", [4, 1], ids=["enough", "fewer than coordinates"])
+def test_every_evaluation_is_counted(rows: int) -> None:
+    valley = Counted(np.empty(0), np.empty(0), np.array([-1.2, 1.0]), rows)
+    found = solve_least_squares(valley)
+    assert found.converged
+    assert found.evaluations == valley.calls
 
 
 def test_a_jacobian_is_decomposed_once_however_many_dampings_are_tried(monkeypatch: pytest.MonkeyPatch) -> None:
