@@ -32,7 +32,6 @@ from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration, without_drift
 from imufield.calibrate.model.uncertainty import known_covariance, rms, within_variance
 from imufield.calibrate.solvers.agreement import CROSS_CHECKED, LEAST_SQUARES, Attempt, CrossCheck, compare
-from imufield.calibrate.solvers.base import Callback
 from imufield.calibrate.solvers.least_squares import solve_least_squares
 from imufield.calibrate.solvers.norm_problem import CostName, NormProblem
 from imufield.calibrate.solvers.registry import find_method, load_solver
@@ -132,7 +131,7 @@ def restart(observations: Observations, calibration: Calibration, preset: Accele
     return Restart(calibration=calibration, problem=problem, vector=vector, preset=before, free=free)
 
 
-def solve_with(  # noqa: PLR0913 (the settings of `solve`, by keyword)
+def solve_with(
     method: str,
     observations: Observations,
     calibration: Calibration,
@@ -141,7 +140,6 @@ def solve_with(  # noqa: PLR0913 (the settings of `solve`, by keyword)
     preset: AccelerometerParameters | None = None,
     polish: bool = True,
     settings: Mapping[str, str] | None = None,
-    callback: Callback | None = None,
     seed: int | None = None,
 ) -> Calibration:
     """Return the calibration with parameters found by another method.
@@ -160,7 +158,6 @@ def solve_with(  # noqa: PLR0913 (the settings of `solve`, by keyword)
         Finish by least squares.
     settings : mapping of str, optional
         Of the method, as ``load_solver`` takes them.
-    callback : callable, optional
     seed : int, optional
         Written to the result.
 
@@ -180,7 +177,7 @@ def solve_with(  # noqa: PLR0913 (the settings of `solve`, by keyword)
         return calibration
     again = restart(observations, calibration, preset)
     problem = problem_for(again, method)
-    found = load_solver(method, settings)(problem, rng=rng, callback=callback)
+    found = load_solver(method, settings)(problem, rng=rng)
     vector, basis = again.in_gauge(problem.vector(found.x))
     if polish and found.converged:
         problem = replace(again.problem, origin=vector, basis=basis)

@@ -240,7 +240,7 @@ def search(
         cost = float(rows_cost(fitted.linearise(x)[0], cost_name))
         ended = replace(found, x=x, cost=cost, evaluations=evaluations)
         # A round that came near but not all the way is followed by one with a smaller unit; only the last has to converge.
-        if found.status in (SolverStatus.FAILED, SolverStatus.STOPPED) or moved <= _SETTLED_SIGMA * np.sqrt(len(found.x)):
+        if found.status is SolverStatus.FAILED or moved <= _SETTLED_SIGMA * np.sqrt(len(found.x)):
             return replace(ended, message=sentence("methods.round", message=found.message, round=number))
         if number == _ROUNDS:
             message = sentence("methods.round_limit", moved_sigma=moved, rounds=_ROUNDS)

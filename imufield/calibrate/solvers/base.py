@@ -1,12 +1,11 @@
 """One interface for every solver: a problem in, a result out.
 
-A solver is a function ``solve(problem, *, rng, callback, **options) -> SolverResult``. It sees coordinates ``z`` only, never
+A solver is a function ``solve(problem, *, rng, **options) -> SolverResult``. It sees coordinates ``z`` only, never
 parameters, positions or gauges. Not converging is a status of the result, not an exception, and nothing is printed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from enum import IntEnum
 from typing import Protocol
 
@@ -18,15 +17,11 @@ from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
 
-Callback = Callable[[int, FloatArray, float], bool]
-"""Called as ``callback(iteration, best z, best cost)``; a solver stops with status STOPPED when it returns True."""
-
 
 class SolverStatus(IntEnum):
     """How a solver ended; as in scipy.optimize positive means converged, so the numbers in files tell it too."""
 
     STALLED = -3
-    STOPPED = -2
     FAILED = -1
     ITERATION_LIMIT = 0
     CONVERGED = 1
@@ -86,8 +81,6 @@ class SolverResult:
 class Solver(Protocol):
     """The signature every solver has."""
 
-    def __call__(
-        self, problem: Problem, /, *, rng: np.random.Generator | None = None, callback: Callback | None = None
-    ) -> SolverResult:
+    def __call__(self, problem: Problem, /, *, rng: np.random.Generator | None = None) -> SolverResult:
         """Solve the problem."""
         ...

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from imufield.calibrate.solvers.base import Callback, Problem, SolverResult
+from imufield.calibrate.solvers.base import Problem, SolverResult
 from imufield.calibrate.solvers.population import Record, into_bounds
 from imufield.dataclass import dataclass
 from imufield.samples import FloatArray
@@ -75,11 +75,10 @@ def solve_bas(
     problem: Problem,
     *,
     rng: np.random.Generator | None = None,
-    callback: Callback | None = None,
     settings: BasSettings = BAS_SETTINGS,
 ) -> SolverResult:
     """Minimise with one beetle (Algorithm 1)."""
-    record = Record(problem, callback, rng)
+    record = Record(problem, rng)
     x = np.asarray(problem.start, dtype=np.float64)
     record.offer(x, float(record.cost(x[None])[0]))
     s, d = settings.s, settings.d
@@ -90,8 +89,7 @@ def solve_bas(
         x = into_bounds(problem, x - s * towards * u)[0]  # eq. 5, minimising
         record.offer(x, float(record.cost(x[None])[0]))
         s, d = _attenuate(s, d, settings)
-        if record.end_of_iteration():
-            return record.stopped()
+        record.end_of_iteration()
     finished = smelled <= settings.tolerance * record.best_cost
     ending = sentence("beetles.smelled", tolerance=settings.tolerance) if finished else _limit_reached(settings)
     return record.result(settings.s, ending, converged=finished)
@@ -101,7 +99,6 @@ def solve_bsas(
     problem: Problem,
     *,
     rng: np.random.Generator | None = None,
-    callback: Callback | None = None,
     settings: BsasSettings = WHITENED_SETTINGS,
 ) -> SolverResult:
     """Minimise with a swarm of beetles (Algorithm 2).
@@ -111,11 +108,10 @@ def solve_bsas(
     problem : Problem
         All coordinates should weigh alike: ``swarm_coordinates.whitened_problem`` makes them so.
     rng : Generator, optional
-    callback : callable, optional
     settings : BsasSettings
         The default is for whitened coordinates; ``BsasSettings()`` is the paper's.
     """
-    record = Record(problem, callback, rng)
+    record = Record(problem, rng)
     x = np.asarray(problem.start, dtype=np.float64)
     f = float(record.cost(x[None])[0])
     record.offer(x, f)
@@ -137,8 +133,7 @@ def solve_bsas(
             if record.rng.random() < settings.p_st or invalid > settings.n_st:  # Algorithm 2, line 16
                 s, d = _attenuate(s, d, settings)
                 invalid = 0
-        if record.end_of_iteration():
-            return record.stopped()
+        record.end_of_iteration()
         if len(better):
             continue
         if smelled <= settings.tolerance * f:

@@ -21,7 +21,7 @@ from typing import Literal
 
 import numpy as np
 
-from imufield.calibrate.solvers.base import Callback, Problem, SolverResult
+from imufield.calibrate.solvers.base import Problem, SolverResult
 from imufield.calibrate.solvers.population import Record, check_finite_bounds, relative_spread
 from imufield.dataclass import dataclass
 from imufield.errors import UsageError
@@ -76,7 +76,6 @@ def evolve(
     *,
     strategy: Strategy,
     rng: np.random.Generator | None = None,
-    callback: Callback | None = None,
     settings: DeSettings | IdeSettings = DE_SETTINGS,
 ) -> SolverResult:
     """Minimise within the problem's bounds by one of the strategies, with a mutation factor that stays or one that adapts.
@@ -91,7 +90,7 @@ def evolve(
     lower, upper = check_finite_bounds(problem)
     if settings.NP < _FEWEST:
         raise UsageError(sentence("evolution.small_population", members=settings.NP, fewest=_FEWEST))
-    record = Record(problem, callback, rng)
+    record = Record(problem, rng)
     rng = record.rng
     members = lower + rng.random((settings.NP, len(lower))) * (upper - lower)  # eq. 9
     costs = record.cost(members)
@@ -108,8 +107,7 @@ def evolve(
         wins = trial_costs < costs  # eq. 13
         members[wins], costs[wins] = trials[wins], trial_costs[wins]
         record.offer_best(members, costs)
-        if record.end_of_iteration():
-            return record.stopped()
+        record.end_of_iteration()
         if relative_spread(costs) <= settings.interval:
             break
     return record.population_result(relative_spread(costs), settings.tolerance, settings.EG)

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imufield.calibrate.solvers.base import Callback, Problem, SolverResult, SolverStatus
+from imufield.calibrate.solvers.base import Problem, SolverResult, SolverStatus
 from imufield.calibrate.solvers.population import check_start
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
@@ -50,7 +50,6 @@ def solve_least_squares(
     problem: Problem,
     *,
     rng: np.random.Generator | None = None,  # noqa: ARG001 (one signature for all solvers)
-    callback: Callback | None = None,
     max_evaluations: int = 200,
 ) -> SolverResult:
     """Minimise the sum of squared residuals from the problem's start.
@@ -60,8 +59,6 @@ def solve_least_squares(
     problem : Problem
     rng : Generator, optional
         Not used: the method is deterministic.
-    callback : callable, optional
-        Told the end result once.
     max_evaluations : int
 
     Returns
@@ -84,8 +81,6 @@ def solve_least_squares(
         return replace(failed, message=sentence("least_squares.refused_values", cause=error))
     if not np.isfinite(end.cost):
         return replace(failed, evaluations=end.evaluations)
-    if callback is not None:
-        callback(end.evaluations, end.x, end.cost)
     return SolverResult(
         x=end.x,
         cost=end.cost,

@@ -8,7 +8,7 @@ from types import ModuleType
 
 import numpy as np
 
-from imufield.calibrate.solvers.base import Callback, Problem, SolverResult
+from imufield.calibrate.solvers.base import Problem, SolverResult
 from imufield.calibrate.solvers.population import Record, check_finite_bounds
 from imufield.dataclass import dataclass
 from imufield.errors import Reason, UsageError
@@ -43,13 +43,12 @@ def solve_with_pymoo(
     *,
     name: str,
     rng: np.random.Generator | None = None,
-    callback: Callback | None = None,
     settings: LibrarySettings = LIBRARY_SETTINGS,
 ) -> SolverResult:
     """Minimise with a class of pymoo's single-objective algorithms."""
     algorithm = getattr(_pymoo(f"pymoo.algorithms.soo.nonconvex.{name.lower()}"), name)(pop_size=settings.population)
     lower, upper = check_finite_bounds(problem)
-    record = Record(problem, callback, rng)
+    record = Record(problem, rng)
 
     def evaluate(x: FloatArray, out: dict[str, FloatArray]) -> None:
         costs = record.cost(x)
@@ -67,8 +66,7 @@ def solve_with_pymoo(
     )
     while algorithm.has_next():
         algorithm.next()
-        if record.end_of_iteration():
-            return record.stopped()
+        record.end_of_iteration()
     costs = np.asarray(algorithm.pop.get("F"), dtype=np.float64).ravel()
     spread = float((costs.max() - costs.min()) / costs.min()) if costs.min() > 0 else float("inf")
     return record.population_result(spread, settings.tolerance, settings.generations)

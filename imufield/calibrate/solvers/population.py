@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from imufield.calibrate.solvers.base import Callback, Problem, SolverResult, SolverStatus
+from imufield.calibrate.solvers.base import Problem, SolverResult, SolverStatus
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
 from imufield.sentences import Sentence, Sentences
@@ -30,7 +30,6 @@ class Record:
     Parameters
     ----------
     problem : Problem
-    callback : callable, optional
     rng : Generator, optional
         Default: one with the seed 0.
 
@@ -40,7 +39,7 @@ class Record:
         If the problem starts outside its bounds.
     """
 
-    def __init__(self, problem: Problem, callback: Callback | None, rng: np.random.Generator | None) -> None:
+    def __init__(self, problem: Problem, rng: np.random.Generator | None) -> None:
         check_start(problem)
         self.rng = rng or np.random.default_rng(0)
         self.evaluations = 0
@@ -48,7 +47,6 @@ class Record:
         self.best = problem.start
         self.history: list[float] = []
         self._problem = problem
-        self._callback = callback
 
     def cost(self, candidates: FloatArray) -> FloatArray:
         """Return the cost of a population and count it."""
@@ -66,14 +64,9 @@ class Record:
         best = int(np.argmin(costs))
         self.offer(members[best], float(costs[best]))
 
-    def end_of_iteration(self) -> bool:
-        """Write the history; whether the callback asks to stop."""
+    def end_of_iteration(self) -> None:
+        """Write the history."""
         self.history.append(self.best_cost)
-        return self._callback is not None and bool(self._callback(len(self.history), self.best, self.best_cost))
-
-    def stopped(self) -> SolverResult:
-        """Return the result of a run that the callback ended."""
-        return self._result(SolverStatus.STOPPED, sentence("population.stopped", iterations=len(self.history)))
 
     def result(self, reach: float | FloatArray, message: Sentence, *, converged: bool) -> SolverResult:
         """Return the result, once a probe around the best point has had its say.

@@ -18,7 +18,7 @@ from functools import partial
 import numpy as np
 
 from imufield.calibrate.model.models import BIAS, MISALIGNMENT, PARAMETERS, QUADRATIC, SCALE
-from imufield.calibrate.solvers.base import Callback, Problem, Solver, SolverResult, SolverStatus
+from imufield.calibrate.solvers.base import Problem, Solver, SolverResult
 from imufield.calibrate.solvers.beetles import BsasSettings, solve_bsas
 from imufield.calibrate.solvers.population import Record
 from imufield.dataclass import dataclass, replace
@@ -70,10 +70,6 @@ class CategoryProblem:
         filled[..., list(self.members)] = z
         return filled
 
-    def tell(self, callback: Callback, before: int, iteration: int, z: FloatArray, cost: float) -> bool:
-        """Call the callback of the whole with its coordinates and its iteration."""
-        return bool(callback(before + iteration, self.fill(z), cost))
-
     def cost(self, candidates: FloatArray) -> FloatArray:
         """Return the cost of a population of members."""
         return self.whole.cost(self.fill(candidates))
@@ -92,7 +88,6 @@ def solve_stages(
     categories: Categories,
     *,
     rng: np.random.Generator,
-    callback: Callback | None = None,
     rounds: int = 1,
     solver: Solver = solve_bsas,
 ) -> tuple[SolverResult, ...]:
@@ -102,12 +97,9 @@ def solve_stages(
     # Section 3.4 of [1]_, steps 1 to 4, each from where the one before ended.
     for members in categories * rounds:
         part = CategoryProblem(problem, x, members)
-        before = sum(len(stage.history) for stage in stages)
-        solved = solver(part, rng=rng, callback=None if callback is None else partial(part.tell, callback, before))
+        solved = solver(part, rng=rng)
         x = part.fill(solved.x)
         stages.append(replace(solved, x=x))
-        if solved.status is SolverStatus.STOPPED:
-            break
     return tuple(stages)
 
 
@@ -115,20 +107,17 @@ def solve_bsas_staged(
     problem: Problem,
     *,
     rng: np.random.Generator | None = None,
-    callback: Callback | None = None,
     settings: StagedSettings = STAGED_SETTINGS,
 ) -> SolverResult:
     """Minimise category by category (section 3.4 of [1]_)."""
-    record = Record(problem, callback, rng)
+    record = Record(problem, rng)
     swarm = partial(solve_bsas, settings=settings)
     categories = default_categories(len(problem.start))
-    stages = solve_stages(problem, categories, rng=record.rng, callback=callback, rounds=settings.rounds, solver=swarm)
+    stages = solve_stages(problem, categories, rng=record.rng, rounds=settings.rounds, solver=swarm)
     # Converged only if the last round is, and nothing nearby is better.
     record.evaluations = sum(stage.evaluations for stage in stages)
     record.history = [float(cost) for stage in stages for cost in stage.history]
     record.offer(stages[-1].x, stages[-1].cost)
-    if stages[-1].status is SolverStatus.STOPPED:
-        return record.stopped()
     # Earlier rounds may stop early: only the last has to converge.
     last_round = stages[-(len(stages) // settings.rounds) :]
     open_stages = [stage for stage in last_round if not stage.converged]

@@ -75,20 +75,8 @@ class SolverContract:
         assert np.linalg.norm(found.x - problem.centre) < self.tolerance
         assert found.converged, found.message
 
-    @classmethod
-    @cache
-    def listened(cls) -> tuple[SolverResult, list[float]]:
-        """Return what the solver finds in a bowl while a callback listens, with the costs that it was told."""
-        told: list[float] = []
-
-        def listen(_iteration: int, _x: FloatArray, cost: float) -> bool:
-            told.append(cost)
-            return False
-
-        return cls().solve(Bowl(), callback=listen), told
-
     def test_one_seed_gives_one_result(self) -> None:
-        first, second = self.plain()[0], self.listened()[0]
+        first, second = self.plain()[0], self.solve(Bowl())
         assert np.array_equal(first.x, second.x)
         assert first.cost == second.cost
         assert np.array_equal(first.history, second.history)
@@ -124,10 +112,6 @@ class SolverContract:
         assert caught.value.values["parameter"] == "angle"
         assert caught.value.reason is Reason.NOT_FINITE
 
-    def test_callback_is_told_the_best(self) -> None:
-        found, told = self.listened()
-        assert told[-1] == found.cost
-
 
 class SwarmContract(SolverContract):
     """What holds for every method with a population."""
@@ -146,12 +130,6 @@ class SwarmContract(SolverContract):
         assert np.all((seen >= problem.lower) & (seen <= problem.upper))
         # The nearest point of the box is the minimum.
         assert found.x == pytest.approx([0.2, -0.1, 0.1, 0.4], abs=max(5e-3, self.tolerance))
-
-    def test_callback_stops_the_run(self) -> None:
-        found = self.solve(Bowl(), callback=lambda iteration, _x, _cost: iteration >= 3)
-        assert found.status is SolverStatus.STOPPED
-        assert not found.converged
-        assert len(found.history) == 3
 
     def test_a_short_run_does_not_claim_to_have_converged(self) -> None:
         found = self.solve(Bowl(), settings=self.short)

@@ -63,17 +63,6 @@ def test_minimum_is_that_of_the_normal_equations(line: Line) -> None:
     assert result.history[-1] == result.cost
 
 
-def test_the_callback_hears_the_end(line: Line) -> None:
-    heard: list[float] = []
-
-    def callback(iteration: int, best: FloatArray, cost: float) -> bool:
-        heard.append(cost)
-        return False
-
-    result = solve_least_squares(line, callback=callback)
-    assert heard == [result.cost]
-
-
 def test_too_few_evaluations_is_a_status(line: Line) -> None:
     result = solve_least_squares(line, max_evaluations=1)
     assert not result.converged

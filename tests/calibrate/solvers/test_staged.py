@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imufield.calibrate.solvers.base import Callback, Problem, SolverResult, SolverStatus
+from imufield.calibrate.solvers.base import Problem, SolverResult, SolverStatus
 from imufield.calibrate.solvers.norm_problem import NormProblem
 from imufield.calibrate.solvers.staged import (
     PAPER_CATEGORIES,
@@ -67,7 +67,7 @@ def test_realistic_presets_stall_far_above_and_are_not_called_converged() -> Non
 def test_stages_follow_one_another_for_any_solver() -> None:
     calls: list[int] = []
 
-    def count(problem: Problem, *, rng: np.random.Generator | None = None, callback: Callback | None = None) -> SolverResult:
+    def count(problem: Problem, *, rng: np.random.Generator | None = None) -> SolverResult:
         calls.append(len(problem.start))
         return SolverResult(
             x=problem.start, cost=1.0, status=SolverStatus.CONVERGED, message="", evaluations=1, history=np.ones(1)
