@@ -48,7 +48,7 @@ from imufield.calibrate.gyroscope.residuals import GyroscopeData
 from imufield.calibrate.model.coverage_factors import NORMAL_FACTOR_95, f_limit_95, f_tail
 from imufield.calibrate.model.grades import Grade
 from imufield.calibrate.model.rotation import skew
-from imufield.calibrate.model.uncertainty import told_apart
+from imufield.calibrate.model.uncertainty import block_diagonal, told_apart
 from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray
@@ -238,13 +238,11 @@ def _rate_columns(data: GyroscopeData, fit: JointFit) -> tuple[FloatArray, Float
 
 def _half_sums(data: GyroscopeData, fit: JointFit) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return residuals (3 t,) of the half sums of turntable pairs, what else they hold, and the root of their covariance."""
-    A, table, t = fit.p[INVERSE].reshape(3, 3), data.table, len(data.table)
+    A, table = fit.p[INVERSE].reshape(3, 3), data.table
     # Without ``numpy.unique``, which imports NumPy's masked arrays.
     own = (table.axis[:, None] == np.array(sorted({*table.axis.tolist()}))).astype(np.float64)
     square = np.sum(table.rate_rad_s**2, axis=1)
     else_held = np.kron(np.hstack([own, own * square[:, None]]), np.eye(3))
-    covariance = np.zeros((3 * t, 3 * t))
-    for k, block in enumerate(A @ table.covariance_raw @ A.T + fit.scatter.drift_rad_s**2 * np.eye(3)):
-        covariance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = block
+    covariance = block_diagonal(A @ table.covariance_raw @ A.T + fit.scatter.drift_rad_s**2 * np.eye(3))
     residual: FloatArray = ((table.half_sum_raw - data.rest_raw) @ A.T).ravel()
     return residual, np.asarray(else_held, dtype=np.float64), np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)

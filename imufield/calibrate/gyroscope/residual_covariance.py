@@ -36,7 +36,7 @@ from imufield.calibrate.model.models import norm_derivatives, recover_vectors, t
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, GRAVITY_NAME, AccelerometerParameters, Calibration
 from imufield.calibrate.model.rotation import skew
-from imufield.calibrate.model.uncertainty import rms
+from imufield.calibrate.model.uncertainty import block_diagonal, rms
 from imufield.dataclass import dataclass
 from imufield.samples import FloatArray, IntArray
 
@@ -186,9 +186,9 @@ def covariances(evaluation: Evaluation, x: FloatArray, data: GyroscopeData) -> C
     from_rest = by_parameters @ np.column_stack([errors.rest, errors.with_gravity])
     with_accelerometer = from_rest + np.pad(from_means, ((0, 0), (0, 1)))
     moving = known["gyroscope_moving"]
-    _add_blocks(moving, to_tangent @ evaluation.turns.spread @ np.swapaxes(to_tangent, 1, 2), 0)
+    moving[: 2 * m, : 2 * m] = block_diagonal(to_tangent @ evaluation.turns.spread @ np.swapaxes(to_tangent, 1, 2))
     within = known["gyroscope_within_hold"]
-    _add_blocks(within, A @ data.rate_covariance @ A.T, 2 * m)
+    within[2 * m : 2 * m + 3 * s, 2 * m : 2 * m + 3 * s] = block_diagonal(A @ data.rate_covariance @ A.T)
     for row, k, sigma in zip(stops, data.stops, data.stop_sigma_rad, strict=True):
         # A stop shares the noise of its move.
         to_stop = -data.up[data.moves.after[k]]
@@ -200,8 +200,9 @@ def covariances(evaluation: Evaluation, x: FloatArray, data: GyroscopeData) -> C
         for still in (data.moves.before[k], data.moves.after[k]):
             drift[row, 3 * still : 3 * still + 3] += to_stop @ evaluation.turns.duration[k] / 2
     table = data.table
-    _add_blocks(within, A @ table.covariance_raw @ A.T, rows - 3 * len(table))
-    _add_blocks(known["turntable"], table.rate_covariance, rows - 3 * len(table))
+    of_table = slice(rows - 3 * len(table), rows)
+    within[of_table, of_table] = block_diagonal(A @ table.covariance_raw @ A.T)
+    known["turntable"][of_table, of_table] = block_diagonal(table.rate_covariance)
     turn = np.zeros((rows, rows))
     turning = [*range(2 * m), *stops]
     turn[turning, turning] = 1.0
@@ -253,13 +254,6 @@ def random_walk(time_s: FloatArray) -> FloatArray:
 def _by_stills(rows: FloatArray, matrices: FloatArray) -> FloatArray:
     """Return rows times the matrix of each still, shape (r, s, 3) and (s, 3, 3) to (r, s, 3)."""
     return np.swapaxes(np.swapaxes(rows, 0, 1) @ matrices, 0, 1)
-
-
-def _add_blocks(target: FloatArray, blocks: FloatArray, start: int) -> None:
-    size = blocks.shape[1]
-    for k, block in enumerate(blocks):
-        place = slice(start + k * size, start + (k + 1) * size)
-        target[place, place] += block
 
 
 def next_scatter(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, parts: Covariances) -> Scatter:
