@@ -255,7 +255,9 @@ def _result(
     sigma = np.where(known, np.sqrt(np.diag(covariance)), np.nan)
     unit = solution.given.observations.units.gyroscope_rate_unit
     return GyroscopeResult(
-        calibration=GyroscopeCalibration(as_parameters(values), as_parameters(sigma), path, unit),
+        calibration=GyroscopeCalibration(
+            GyroscopeParameters.from_vector(values), GyroscopeParameters.from_vector(sigma), path, unit
+        ),
         names=tuple(name for name, kept in zip(GYROSCOPE_NAMES, known, strict=True) if kept),
         covariance=covariance[np.ix_(known, known)],
         with_accelerometer=np.zeros((int(known.sum()), 16)),
@@ -351,13 +353,6 @@ def _before(given: GyroscopeInput, data: GyroscopeData, fitted: JointFit) -> Eva
 def _angles_deg(evaluation: Evaluation | None, data: GyroscopeData) -> FloatArray:
     after = data.moves.after
     return np.full(len(after), np.nan) if evaluation is None else np.degrees(evaluation.angle_error_rad(data.up[after]))
-
-
-def as_parameters(vector: FloatArray) -> GyroscopeParameters:
-    """Return the parameters of a vector in the order of ``GYROSCOPE_NAMES``."""
-    misalignment = np.zeros((3, 3))
-    misalignment[MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS] = vector[3:9]
-    return GyroscopeParameters(vector[:3].copy(), misalignment, vector[9:12].copy(), vector[12:].reshape(3, 3).copy())
 
 
 def _path(solution: JointSolution, turns: tuple[Sentence, ...]) -> str:

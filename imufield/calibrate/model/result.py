@@ -92,6 +92,14 @@ class GyroscopeParameters:
     g_sensitivity: FloatArray
     """G, shape (3, 3), raw unit per m/s^2."""
 
+    @classmethod
+    def from_vector(cls, vector: FloatArray) -> GyroscopeParameters:
+        """Return the parameters of a vector in the order of ``GYROSCOPE_NAMES``, shape (21,)."""
+        scale, off_diagonal, bias, sensitivity = np.split(vector.copy(), (3, 9, 12))
+        misalignment = np.zeros((3, 3))
+        misalignment[~np.eye(3, dtype=np.bool_)] = off_diagonal  # Row by row, as their names are.
+        return cls(scale, misalignment, bias, sensitivity.reshape(3, 3))
+
 
 @dataclass(frozen=True, slots=True)
 class GyroscopeCalibration:

@@ -237,12 +237,8 @@ def _off_diagonal(values: FloatArray) -> FloatArray:
 def _gyroscope(base: GyroscopeCalibration | None, vector: FloatArray, sigma: FloatArray) -> GyroscopeCalibration | None:
     if base is None or not len(vector):
         return None
-    return replace(base, parameters=_gyroscope_parameters(vector), sigma=_gyroscope_parameters(sigma))
-
-
-def _gyroscope_parameters(vector: FloatArray) -> GyroscopeParameters:
-    scale, misalignment, bias, sensitivity = np.split(vector, (3, 9, 12))
-    return GyroscopeParameters(scale, _off_diagonal(misalignment), bias, sensitivity.reshape(3, 3))
+    parameters, own = GyroscopeParameters.from_vector(vector), GyroscopeParameters.from_vector(sigma)
+    return replace(base, parameters=parameters, sigma=own)
 
 
 def _quality(joined: JoinedFrom, joint: Joint, warnings: Sequence[str], notes: Sequence[str]) -> Quality:
