@@ -44,11 +44,27 @@ from imufield.sentences import Sentence, Sentences
 sentence = Sentences(__package__)
 
 CELL_S = 0.1
-"""The guide's cell."""
+"""What stillness is told by: short against a turn (0.5 s and more), long against the tremor of a hand (8 to 12 Hz)."""
 GUARD_CELLS = 10
 """Kept between the stretched still and what looks like motion."""
 _SIGMAS = 5.0  # Of the cells inside the still; what is further off looks like motion.
 _FEWEST = 5  # Cells inside a still that tell its scatter.
+SLOT_S = 0.005
+QUIET_SLOTS = round(CELL_S / SLOT_S)
+"""Slots of a quiet stretch that are joined: those of a cell."""
+BRIDGED_S = 0.03
+"""Longest loss of samples that a straight line bridges: a hand at 2 Hz and 1 rad/s then strays by 0.4 mrad."""
+BRIDGED_INTERVALS = 3.5
+"""The same for slow instruments: two lost samples."""
+LONGEST_MOVE_S = 300.0
+"""The noise of a longer one says nothing any more."""
+INTERRUPTED_S = 1.0
+"""A hole as long is no loss on the wire: the session was broken off and resumed, or the cable was out."""
+_LOST_INTERVALS = 1.5  # Between one interval, however unsteady the clock, and the two of a lost sample.
+_PLATEAU = 4  # Equal values in a row at the largest or smallest output of the session that make it a saturated axis.
+_COMPACT_AT = 1_000_000  # Slots before quiet stretches are joined: 83 minutes, 170 MB.
+_JOINED_AT_ONCE = 16  # Parts of slots that are joined at once: as much as stays in the cache.
+_SLOT_MARGIN = 1e-6  # Of a slot, or s: rounding may put a time just below the edge it stands on.
 
 
 def stretch_stills(cell_s: FloatArray, sums: FloatArray, *, stills: FloatArray) -> FloatArray:
@@ -81,24 +97,6 @@ def stretch_stills(cell_s: FloatArray, sums: FloatArray, *, stills: FloatArray) 
         stretched[k, 0] = min(stills[k, 0], cell_s[min(left, len(cell_s) - 1)])
         stretched[k, 1] = max(stills[k, 1], cell_s[min(right, len(cell_s) - 1)])
     return stretched
-
-
-SLOT_S = 0.005
-QUIET_SLOTS = 20
-"""Slots of a quiet stretch that are joined: 0.1 s, the guide's cell."""
-BRIDGED_S = 0.03
-"""Longest loss of samples that a straight line bridges: a hand at 2 Hz and 1 rad/s then strays by 0.4 mrad."""
-BRIDGED_INTERVALS = 3.5
-"""The same for slow instruments: two lost samples."""
-LONGEST_MOVE_S = 300.0
-"""The noise of a longer one says nothing any more."""
-INTERRUPTED_S = 1.0
-"""A hole as long is no loss on the wire: the session was broken off and resumed, or the cable was out."""
-_LOST_INTERVALS = 1.5  # Between one interval, however unsteady the clock, and the two of a lost sample.
-_PLATEAU = 4  # Equal values in a row at the largest or smallest output of the session that make it a saturated axis.
-_COMPACT_AT = 1_000_000  # Slots before quiet stretches are joined: 83 minutes, 170 MB.
-_JOINED_AT_ONCE = 16  # Parts of slots that are joined at once: as much as stays in the cache.
-_SLOT_MARGIN = 1e-6  # Of a slot, or s: rounding may put a time just below the edge it stands on.
 
 
 class SlotFlag(IntFlag):
