@@ -8,14 +8,21 @@ import numpy as np
 
 from imufield.calibrate.gyroscope.move_integration import centre
 from imufield.calibrate.gyroscope.moves import Moves
-from imufield.calibrate.gyroscope.residual_covariance import accelerometer_force, force_errors
-from imufield.calibrate.gyroscope.residuals import GyroscopeData, chains_of
+from imufield.calibrate.gyroscope.residuals import ForceErrors, GyroscopeData, chains_of
 from imufield.calibrate.gyroscope.stills_alone import StaticFree
 from imufield.calibrate.gyroscope.turntable import TurntableRun, no_table, pair_runs
 from imufield.calibrate.gyroscope.whole_turns import Stop
-from imufield.calibrate.model.models import recover
+from imufield.calibrate.model.coverage_factors import degrees_of_freedom
+from imufield.calibrate.model.models import PARAMETERS as ACCELEROMETER_PARAMETERS
+from imufield.calibrate.model.models import SCALE, norm_derivatives, recover, recover_vectors, to_vector
 from imufield.calibrate.model.observations import Observations
-from imufield.calibrate.model.result import Calibration, GyroscopeParameters
+from imufield.calibrate.model.result import (
+    ACCELEROMETER_NAMES,
+    GRAVITY_NAME,
+    AccelerometerParameters,
+    Calibration,
+    GyroscopeParameters,
+)
 from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray, median
@@ -31,6 +38,8 @@ _MOVED = 0.05  # Share of all turning that an axis must have to be compared.
 # Of the output at rest: more than sums of equal numbers differ by, and less than the last bit of any instrument.
 _CONSTANT = 1e-9
 _NOISE_ONLY = 3.0  # Turns of the slots beyond what noise gives; a hand that turns a unit is hundreds of times beyond.
+# Relative step for the derivative of the specific force by the accelerometer's parameters; it is nearly linear in them.
+_DIFFERENCE = 1e-6
 _TURNED = 0.98  # Cosine of 11 deg between the directions of gravity before and after a move.
 
 
@@ -117,7 +126,7 @@ def make_data(given: GyroscopeInput) -> GyroscopeData:
         rate_raw=observations.gyroscope_mean_raw - rest,
         rate_covariance=covariance,
         force=given.force_m_s2,
-        moves=centre(moves, rest, accelerometer_force(parameters, moves.slots.force / duration)),
+        moves=centre(moves, rest, _slot_force(parameters, moves.slots.force / duration)),
         chain=chains_of(len(observations), moves.before, moves.after),
         noise_density_raw=density,
         rest_raw=rest,
@@ -126,6 +135,73 @@ def make_data(given: GyroscopeInput) -> GyroscopeData:
         latitude_deg=given.latitude_deg,
         table=pair_runs(given.turntable) if given.turntable else no_table(),
     )
+
+
+def _slot_force(parameters: AccelerometerParameters, mean_raw: FloatArray) -> FloatArray:
+    """Return the specific force of slot means without the quadratic term, shape (k, 3): enough for g-sensitivity in a move."""
+    s = (mean_raw - parameters.raw_zero) / parameters.scale - parameters.bias_m_s2
+    return np.asarray(s @ np.linalg.inv(np.eye(3) + parameters.misalignment_rad).T)
+
+
+def force_errors(observations: Observations, calibration: Calibration, rests: int = 0) -> ForceErrors:
+    """Return how errors of the accelerometer and its calibration reach the specific force of each still.
+
+    The calibration came from all stills but the last ``rests``.
+    """
+    parameters, n = calibration.accelerometer, ACCELEROMETER_PARAMETERS
+    p, axes = to_vector(parameters), parameters.quadratic_axes
+    raw = observations.mean_raw - parameters.raw_zero
+
+    def difference(change: FloatArray, shift: FloatArray) -> FloatArray:
+        size = float(np.abs(change).max() + np.abs(shift).max())
+        ends = (recover_vectors(p + sign * change, raw + sign * shift, axes, parameters.higher) for sign in (1.0, -1.0))
+        return (next(ends) - next(ends)) / (2 * size)
+
+    raw_step = _DIFFERENCE * np.abs(raw).max()
+    by_noise = np.stack([difference(np.zeros(n), np.eye(3)[k] * raw_step) for k in range(3)], axis=2)
+    # Parameters may be zero: a bias counts by m/s^2, a misalignment by rad, a quadratic term by a tenth of the scale.
+    K = np.abs(p[SCALE])
+    steps = _DIFFERENCE * np.maximum(np.abs(p), np.concatenate([K, np.ones(9), K / 10]))
+    by_parameters = np.stack([difference(np.eye(n)[k] * steps[k], np.zeros(3)) for k in range(n)], axis=2)
+    covariance, with_gravity, by_gravity = _accelerometer_covariance(calibration)
+    tau = calibration.quality.between_position_sigma_m_s2
+    noise = np.nan_to_num(observations.covariance_raw) + np.diag((tau * parameters.scale) ** 2)
+    # The gain of the accelerometer fit: weighted least squares moves its parameters by -C J^T v / s^2 for noise in a mean.
+    derivatives = norm_derivatives(p, raw, axes, parameters.higher)
+    v = derivatives.raw_gradient
+    variance = np.einsum("mi,mij,mj->m", v, noise, v)
+    measured = len(raw) - rests
+    usable = (variance > 0) & (np.count_nonzero(calibration.positions.used) == measured) & (np.arange(len(raw)) < measured)
+    weight = np.where(usable, 1 / np.where(variance > 0, variance, 1.0), 0.0)
+    gain = -(derivatives.jacobian * weight[:, None] @ (covariance - by_gravity))[:, :, None] * v[:, None, :]
+    # What the covariance holds beyond the noise of these means; rounding must not make it negative.
+    values, vectors = np.linalg.eigh(covariance - by_gravity - np.einsum("mij,mjk,mlk->il", gain, noise, gain))
+    beyond = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return ForceErrors(
+        by_noise=by_noise,
+        noise=noise,
+        by_parameters=by_parameters,
+        gain=gain,
+        rest=beyond + by_gravity,
+        with_gravity=with_gravity,
+        by_gravity=by_gravity,
+        freedom=degrees_of_freedom(calibration.quality.student_factor_95),
+    )
+
+
+def _accelerometer_covariance(calibration: Calibration) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the covariance of the parameters, shape (15, 15), that with gravity, (15,), and what of the first is gravity's."""
+    places = {name: k for k, name in enumerate(calibration.covariance_names)}
+    rows = [k for k, name in enumerate(ACCELEROMETER_NAMES) if name in places]
+    columns = [places[ACCELEROMETER_NAMES[row]] for row in rows]
+    shape = (ACCELEROMETER_PARAMETERS, ACCELEROMETER_PARAMETERS)
+    covariance, by_gravity, with_gravity = np.zeros(shape), np.zeros(shape), np.zeros(ACCELEROMETER_PARAMETERS)
+    covariance[np.ix_(rows, rows)] = calibration.covariance[np.ix_(columns, columns)]
+    g = places.get(GRAVITY_NAME)
+    if g is not None and calibration.covariance[g, g] > 0:
+        with_gravity[rows] = calibration.covariance[columns, g]
+        by_gravity = np.outer(with_gravity, with_gravity) / calibration.covariance[g, g]
+    return covariance, with_gravity, by_gravity
 
 
 def refuse_dead(given: GyroscopeInput, data: GyroscopeData) -> None:

@@ -31,74 +31,16 @@ import numpy as np
 from imufield.calibrate.gyroscope.move_integration import INVERSE, SENSITIVITY
 from imufield.calibrate.gyroscope.residuals import Evaluation, ForceErrors, GyroscopeData
 from imufield.calibrate.model.budget import Share
-from imufield.calibrate.model.coverage_factors import degrees_of_freedom
-from imufield.calibrate.model.models import norm_derivatives, recover_vectors, to_vector
-from imufield.calibrate.model.observations import Observations
-from imufield.calibrate.model.result import ACCELEROMETER_NAMES, GRAVITY_NAME, AccelerometerParameters, Calibration
+from imufield.calibrate.model.models import PARAMETERS as ACCELEROMETER_PARAMETERS
 from imufield.calibrate.model.rotation import skew
 from imufield.calibrate.model.uncertainty import block_diagonal, rms
 from imufield.dataclass import dataclass
 from imufield.samples import FloatArray, IntArray
 
-# Relative step for the derivative of the specific force by the accelerometer's parameters; it is nearly linear in them.
-_DIFFERENCE = 1e-6
 # Degrees of freedom from which on a scatter is estimated: 4 tell it to a factor of three (chi-square, 95 %).
 _LEAST_FREEDOM = 4.0
 _OUTWEIGHED = 100.0  # Times the largest variance of the noise: a scatter beside which it does not count.
 _MOST_SCATTER = 1e4  # Times the largest squared residual: no scatter beyond it explains anything, and the numbers stay finite.
-
-
-def force_errors(observations: Observations, calibration: Calibration, rests: int = 0) -> ForceErrors:
-    """Return how errors of the accelerometer and its calibration reach the specific force of each still.
-
-    The calibration came from all stills but the last ``rests``.
-    """
-    parameters = calibration.accelerometer
-    p, axes = to_vector(parameters), parameters.quadratic_axes
-    raw = observations.mean_raw - parameters.raw_zero
-
-    def difference(change: FloatArray, shift: FloatArray) -> FloatArray:
-        size = float(np.abs(change).max() + np.abs(shift).max())
-        ends = (recover_vectors(p + sign * change, raw + sign * shift, axes, parameters.higher) for sign in (1.0, -1.0))
-        return (next(ends) - next(ends)) / (2 * size)
-
-    raw_step = _DIFFERENCE * np.abs(raw).max()
-    by_noise = np.stack([difference(np.zeros(15), np.eye(3)[k] * raw_step) for k in range(3)], axis=2)
-    steps = _DIFFERENCE * np.maximum(np.abs(p), [*np.abs(p[:3]), *[1.0] * 9, *np.abs(p[:3]) / 10])
-    by_parameters = np.stack([difference(np.eye(15)[k] * steps[k], np.zeros(3)) for k in range(15)], axis=2)
-    # The covariance of the 15 parameters, the part of it that comes from gravity, and that with gravity.
-    places = {name: k for k, name in enumerate(calibration.covariance_names)}
-    known = [name for name in ACCELEROMETER_NAMES if name in places]
-    rows, columns = [ACCELEROMETER_NAMES.index(name) for name in known], [places[name] for name in known]
-    covariance, by_gravity, with_gravity = np.zeros((15, 15)), np.zeros((15, 15)), np.zeros(15)
-    covariance[np.ix_(rows, rows)] = calibration.covariance[np.ix_(columns, columns)]
-    g = places.get(GRAVITY_NAME)
-    if g is not None and calibration.covariance[g, g] > 0:
-        with_gravity[rows] = calibration.covariance[columns, g]
-        by_gravity = np.outer(with_gravity, with_gravity) / calibration.covariance[g, g]
-    tau = calibration.quality.between_position_sigma_m_s2
-    noise = np.nan_to_num(observations.covariance_raw) + np.diag((tau * parameters.scale) ** 2)
-    # The gain of the accelerometer fit: weighted least squares moves its parameters by -C J^T v / s^2 for noise in a mean.
-    derivatives = norm_derivatives(p, raw, axes, parameters.higher)
-    v = derivatives.raw_gradient
-    variance = np.einsum("mi,mij,mj->m", v, noise, v)
-    measured = len(raw) - rests
-    usable = (variance > 0) & (np.count_nonzero(calibration.positions.used) == measured) & (np.arange(len(raw)) < measured)
-    weight = np.where(usable, 1 / np.where(variance > 0, variance, 1.0), 0.0)
-    gain = -(derivatives.jacobian * weight[:, None] @ (covariance - by_gravity))[:, :, None] * v[:, None, :]
-    # What the covariance holds beyond the noise of these means; rounding must not make it negative.
-    values, vectors = np.linalg.eigh(covariance - by_gravity - np.einsum("mij,mjk,mlk->il", gain, noise, gain))
-    beyond = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    return ForceErrors(
-        by_noise=by_noise,
-        noise=noise,
-        by_parameters=by_parameters,
-        gain=gain,
-        rest=beyond + by_gravity,
-        with_gravity=with_gravity,
-        by_gravity=by_gravity,
-        freedom=degrees_of_freedom(calibration.quality.student_factor_95),
-    )
 
 
 class Scatter(NamedTuple):
@@ -158,56 +100,67 @@ class Covariances:
 
 def covariances(evaluation: Evaluation, x: FloatArray, data: GyroscopeData) -> Covariances:
     """Return the parts of S at one evaluation."""
-    m, s, rows, errors = evaluation.moves, len(data.force), len(evaluation.residual), data.errors
-    A, H = x[INVERSE].reshape(3, 3), x[SENSITIVITY].reshape(3, 3)
-    stops = range(2 * m + 3 * s, 2 * m + 3 * s + len(data.stops))
-    to_tangent = -evaluation.tangent @ skew(evaluation.predicted)
+    A, table, rows, m = x[INVERSE].reshape(3, 3), data.table, len(evaluation.residual), 2 * evaluation.moves
+    of_stills, of_table = slice(m, m + 3 * len(data.force)), slice(rows - 3 * len(table), rows)
+    stops = np.arange(of_stills.stop, of_table.start)
+    by_turn, by_force, drift = _derivatives(evaluation, x, data)
+    # A stop shares the noise of its move.
+    moving = _by_each(by_turn, evaluation.turns.spread).reshape(rows, -1) @ by_turn.reshape(rows, -1).T
+    within, at_stops, of_rates, turn = np.zeros((4, rows, rows))
+    within[of_stills, of_stills] = block_diagonal(A @ data.rate_covariance @ A.T)
+    within[of_table, of_table] = block_diagonal(A @ table.covariance_raw @ A.T)
+    of_rates[of_table, of_table] = block_diagonal(table.rate_covariance)
+    at_stops[stops, stops] = data.stop_sigma_rad**2
+    turning = [*range(m), *stops]
+    turn[turning, turning] = 1.0
+    known = {"gyroscope_within_hold": within, "gyroscope_moving": moving, "stops": at_stops, "turntable": of_rates}
+    shares, with_accelerometer = _accelerometer_shares(by_force, data.errors)
+    walk = drift @ np.kron(random_walk(data.time_s), np.eye(3)) @ drift.T
+    return Covariances(
+        known=known | shares, drift=drift @ drift.T, wander=walk, turn=turn, with_accelerometer=with_accelerometer
+    )
+
+
+def _derivatives(evaluation: Evaluation, x: FloatArray, data: GyroscopeData) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return d residual / d turn of each move, / d specific force of each still and / d its drift.
+
+    Of shape (r, m, 3), (r, s, 3) and (r, 3 s).
+    """
+    m, s, rows = evaluation.moves, len(data.force), len(evaluation.residual)
+    before, after, moves, stills = data.moves.before, data.moves.after, np.arange(m), np.arange(s)
+    stops = 2 * m + 3 * s + np.arange(len(data.stops))
+    by_turn, by_force, drift = np.zeros((rows, m, 3)), np.zeros((rows, s, 3)), np.zeros((rows, s, 3))
+    of_moves = slice(2 * m)
+    by_turn[of_moves].reshape(m, 2, m, 3)[moves, :, moves] = -evaluation.tangent @ skew(evaluation.predicted)
+    by_turn[stops, data.stops] = -data.up[after[data.stops]]
     # d (a / norm(a)) / d a
     to_up = (np.eye(3) - data.up[:, :, None] * data.up[:, None, :]) / np.linalg.norm(data.force, axis=1)[:, None, None]
-    # d residual / d specific force of each still, and / d its drift in rad/s: a move has the mean of the biases of its two.
-    by_force, drift = np.zeros((rows, s, 3)), np.zeros((rows, 3 * s))
-    moves, before, after = np.arange(m), data.moves.before, data.moves.after
-    of_moves, drift_of_moves = (part[: 2 * m].reshape(m, 2, s, 3) for part in (by_force, drift))
-    of_moves[moves, :, after] += evaluation.tangent @ to_up[after]
-    of_moves[moves, :, before] -= evaluation.tangent @ evaluation.carry @ to_up[before]
-    for stills in (before, after):
-        drift_of_moves[moves, :, stills] += to_tangent @ evaluation.turns.duration / 2
-    by_force[2 * m : 2 * m + 3 * s].reshape(s, 3, s, 3)[range(s), :, range(s)] = -H
-    drift[2 * m : 2 * m + 3 * s] = np.eye(3 * s)
-    by_parameters = by_force.reshape(rows, -1) @ errors.by_parameters.reshape(-1, 15)
-    gain = np.swapaxes(errors.gain, 1, 2).reshape(-1, 15)
-    by_raw = _by_stills(by_force, errors.by_noise) + (by_parameters @ gain.T).reshape(rows, s, 3)
-    noisy = _by_stills(by_raw, errors.noise).reshape(rows, -1)
+    force_of_moves = by_force[of_moves].reshape(m, 2, s, 3)
+    force_of_moves[moves, :, after] += evaluation.tangent @ to_up[after]
+    force_of_moves[moves, :, before] -= evaluation.tangent @ evaluation.carry @ to_up[before]
+    of_stills = slice(2 * m, 2 * m + 3 * s)
+    by_force[of_stills].reshape(s, 3, s, 3)[stills, :, stills] = -x[SENSITIVITY].reshape(3, 3)
+    # A move has the mean of the biases of its two stills.
+    by_bias = _by_each(by_turn, evaluation.turns.duration) / 2
+    drift[:, before] += by_bias
+    drift[:, after] += by_bias
+    drift[of_stills] = np.eye(3 * s).reshape(3 * s, s, 3)
+    return by_turn, by_force, drift.reshape(rows, -1)
+
+
+def _accelerometer_shares(by_force: FloatArray, errors: ForceErrors) -> tuple[dict[str, FloatArray], FloatArray]:
+    """Return the shares of accelerometer and gravity, and the covariance of r residuals with both, shape (r, 16)."""
+    rows, stills, _ = by_force.shape
+    by_parameters = by_force.reshape(rows, -1) @ errors.by_parameters.reshape(-1, ACCELEROMETER_PARAMETERS)
+    gain = np.swapaxes(errors.gain, 1, 2).reshape(-1, ACCELEROMETER_PARAMETERS)
+    # Noise of a mean comes by the force of its own still, and by the calibration to all.
+    by_raw = _by_each(by_force, errors.by_noise) + (by_parameters @ gain.T).reshape(rows, stills, 3)
+    noisy = _by_each(by_raw, errors.noise).reshape(rows, -1)
     rest = by_parameters @ (errors.rest - errors.by_gravity) @ by_parameters.T
-    known = {name: np.zeros((rows, rows)) for name in ("gyroscope_within_hold", "gyroscope_moving", "stops", "turntable")}
-    known["accelerometer"] = noisy @ by_raw.reshape(rows, -1).T + rest
-    known["gravity"] = by_parameters @ errors.by_gravity @ by_parameters.T
-    from_means = noisy @ gain
-    from_rest = by_parameters @ np.column_stack([errors.rest, errors.with_gravity])
-    with_accelerometer = from_rest + np.pad(from_means, ((0, 0), (0, 1)))
-    moving = known["gyroscope_moving"]
-    moving[: 2 * m, : 2 * m] = block_diagonal(to_tangent @ evaluation.turns.spread @ np.swapaxes(to_tangent, 1, 2))
-    within = known["gyroscope_within_hold"]
-    within[2 * m : 2 * m + 3 * s, 2 * m : 2 * m + 3 * s] = block_diagonal(A @ data.rate_covariance @ A.T)
-    for row, k, sigma in zip(stops, data.stops, data.stop_sigma_rad, strict=True):
-        # A stop shares the noise of its move.
-        to_stop = -data.up[data.moves.after[k]]
-        shared = to_tangent[k] @ evaluation.turns.spread[k] @ to_stop
-        moving[row, row] += to_stop @ evaluation.turns.spread[k] @ to_stop
-        known["stops"][row, row] = sigma**2
-        moving[row, 2 * k : 2 * k + 2] += shared
-        moving[2 * k : 2 * k + 2, row] += shared
-        for still in (data.moves.before[k], data.moves.after[k]):
-            drift[row, 3 * still : 3 * still + 3] += to_stop @ evaluation.turns.duration[k] / 2
-    table = data.table
-    of_table = slice(rows - 3 * len(table), rows)
-    within[of_table, of_table] = block_diagonal(A @ table.covariance_raw @ A.T)
-    known["turntable"][of_table, of_table] = block_diagonal(table.rate_covariance)
-    turn = np.zeros((rows, rows))
-    turning = [*range(2 * m), *stops]
-    turn[turning, turning] = 1.0
-    walk = drift @ np.kron(random_walk(data.time_s), np.eye(3)) @ drift.T
-    return Covariances(known=known, drift=drift @ drift.T, wander=walk, turn=turn, with_accelerometer=with_accelerometer)
+    with_both = by_parameters @ np.column_stack([errors.rest, errors.with_gravity])
+    with_both[:, :ACCELEROMETER_PARAMETERS] += noisy @ gain
+    gravity = by_parameters @ errors.by_gravity @ by_parameters.T
+    return {"accelerometer": noisy @ by_raw.reshape(rows, -1).T + rest, "gravity": gravity}, with_both
 
 
 def gyroscope_share(name: str, sigma: FloatArray, *, stills: int, accelerometer_freedom: float, input_sigma: float) -> Share:
@@ -251,8 +204,8 @@ def random_walk(time_s: FloatArray) -> FloatArray:
     return np.asarray(centring @ np.minimum(elapsed[:, None], elapsed) @ centring)
 
 
-def _by_stills(rows: FloatArray, matrices: FloatArray) -> FloatArray:
-    """Return rows times the matrix of each still, shape (r, s, 3) and (s, 3, 3) to (r, s, 3)."""
+def _by_each(rows: FloatArray, matrices: FloatArray) -> FloatArray:
+    """Return rows times the matrix of each still, or move, shape (r, s, 3) and (s, 3, 3) to (r, s, 3)."""
     return np.swapaxes(np.swapaxes(rows, 0, 1) @ matrices, 0, 1)
 
 
@@ -332,9 +285,3 @@ def _projection(S: FloatArray, jacobian: FloatArray) -> FloatArray:
     inverse = np.linalg.inv(S)
     weighted = inverse @ jacobian
     return np.asarray(inverse - weighted @ np.linalg.pinv(jacobian.T @ weighted, hermitian=True) @ weighted.T)
-
-
-def accelerometer_force(parameters: AccelerometerParameters, mean_raw: FloatArray) -> FloatArray:
-    """Return the specific force of slot means without the quadratic term, shape (k, 3): enough for g-sensitivity in a move."""
-    s = (mean_raw - parameters.raw_zero) / parameters.scale - parameters.bias_m_s2
-    return np.asarray(s @ np.linalg.inv(np.eye(3) + parameters.misalignment_rad).T)

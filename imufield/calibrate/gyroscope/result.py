@@ -20,6 +20,7 @@ from imufield.calibrate.gyroscope.whole_turns import find_whole_turns
 from imufield.calibrate.model.budget import Share, joined_shares, picked, root_of
 from imufield.calibrate.model.coverage_factors import degrees_of_freedom
 from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS
+from imufield.calibrate.model.models import PARAMETERS as ACCELEROMETER_PARAMETERS
 from imufield.calibrate.model.result import (
     ACCELEROMETER_NAMES,
     GRAVITY_NAME,
@@ -104,7 +105,7 @@ class GyroscopeResult:
         a, n = len(accelerometer), len(self.names)
         outer = [*range(a), *range(a + n, len(names))]
         theirs = calibration.covariance[np.ix_([*accelerometer, *gravity], [*accelerometer, *gravity])]
-        columns = [*(ACCELEROMETER_NAMES.index(old[k]) for k in accelerometer), *([15] if gravity else [])]
+        columns = [*(ACCELEROMETER_NAMES.index(old[k]) for k in accelerometer), *(ACCELEROMETER_PARAMETERS for _ in gravity)]
         cross = bounded_cross_covariance(self.with_accelerometer[:, columns], self.covariance, theirs)
         covariance = np.zeros((len(names), len(names)))
         covariance[a : a + n, a : a + n] = self.covariance
@@ -161,7 +162,7 @@ def joint_result(solution: JointSolution) -> GyroscopeResult:
     hidden = {"g_sensitivity_not_fitted": chosen.hidden_change[:, None], "rate_nonlinearity": linearity.hidden_root}
     own |= {name: root[:PARAMETERS] @ root[:PARAMETERS].T for name, root in hidden.items()}
     # An error of the accelerometer moves the residuals, and the fit follows with -gain.
-    with_accelerometer = np.zeros((PARAMETERS, 16))
+    with_accelerometer = np.zeros((PARAMETERS, ACCELEROMETER_PARAMETERS + 1))
     with_accelerometer[columns] = -fitted.gain[places] @ fitted.parts.with_accelerometer
     known = np.array([name not in observability.hidden_names for name in GYROSCOPE_NAMES])
     known[12:] &= chosen.g_sensitive
@@ -219,7 +220,7 @@ def static_bias_result(
         calibration=gyroscope,
         names=GYROSCOPE_BIAS_NAMES,
         covariance=np.diag(gyroscope.sigma.bias**2),
-        with_accelerometer=np.zeros((len(GYROSCOPE_BIAS_NAMES), 16)),
+        with_accelerometer=np.zeros((len(GYROSCOPE_BIAS_NAMES), ACCELEROMETER_PARAMETERS + 1)),
         budget=tuple(
             gyroscope_share(name, sigma, stills=stills, accelerometer_freedom=math.inf, input_sigma=math.nan)
             for name, sigma in parts.items()
@@ -260,7 +261,7 @@ def _result(
         ),
         names=tuple(name for name, kept in zip(GYROSCOPE_NAMES, known, strict=True) if kept),
         covariance=covariance[np.ix_(known, known)],
-        with_accelerometer=np.zeros((int(known.sum()), 16)),
+        with_accelerometer=np.zeros((int(known.sum()), ACCELEROMETER_PARAMETERS + 1)),
         budget=picked(_shares(solution, shares), np.flatnonzero(known).tolist()),
         unobservable=(),
         reasons=(),

@@ -37,6 +37,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from imufield.calibrate.gyroscope.residual_covariance import Covariances, Scatter, next_scatter, random_walk
+from imufield.calibrate.model.models import PARAMETERS as ACCELEROMETER_PARAMETERS
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import GyroscopeCalibration, GyroscopeParameters
 from imufield.calibrate.model.uncertainty import block_diagonal
@@ -281,6 +282,6 @@ def linearise_static(p: FloatArray, data: StaticData) -> tuple[FloatArray, Float
         drift=spread @ spread.T,
         wander=wander,
         turn=np.zeros_like(at_pole),
-        with_accelerometer=np.zeros((2 * s, 16)),
+        with_accelerometer=np.zeros((2 * s, ACCELEROMETER_PARAMETERS + 1)),
     )
     return residual.ravel(), jacobian.reshape(2 * s, 13), parts
