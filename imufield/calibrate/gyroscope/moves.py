@@ -409,6 +409,11 @@ class Moves:
         """Slots of each move, shape (m,)."""
         return np.diff(np.append(self.first, len(self.slots)))
 
+    @property
+    def duration_s(self) -> FloatArray:
+        """Time that the slots of each move cover, shape (m,)."""
+        return np.add.reduceat(self.slots.duration_s, self.first)
+
 
 def cut_moves(
     slots: Slots, start_s: FloatArray, duration_s: FloatArray, limits: tuple[FloatArray, FloatArray] | None = None

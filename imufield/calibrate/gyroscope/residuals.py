@@ -196,67 +196,102 @@ def chains_of(stills: int, before: IntArray, after: IntArray) -> IntArray:
 
 def evaluate(p: FloatArray, data: GyroscopeData) -> Evaluation:
     """Return residuals and derivatives at ``p``."""
-    x, v = p[:PARAMETERS], p[VERTICAL]
-    h = p[FIRST_HORIZONTAL:].reshape(-1, 2)
-    A, b, H = x[INVERSE].reshape(3, 3), x[BIAS], x[SENSITIVITY].reshape(3, 3)
-    turns = data.turns(x)
-    up = data.up
-    Q, carry = carry_azimuth(data, turns, v, h)
-    # move: u_after - R^T exp([w_e T]) u_before, at right angles to u_after
-    m, s, n = len(data.moves.before), len(up), data.parameters
+    x, v, h = p[:PARAMETERS], p[VERTICAL], p[FIRST_HORIZONTAL:].reshape(-1, 2)
+    turns, up, duration_s = data.turns(x), data.up, data.moves.duration_s
+    Q, carry = carry_azimuth(data, turns, v, h, duration_s=duration_s)
     predicted = (carry @ up[data.moves.before][:, :, None])[:, :, 0]
     tangent = _tangent(up[data.moves.after])
-    residual_moves = (tangent @ (up[data.moves.after] - predicted)[:, :, None])[:, :, 0]
-    move_rows = np.zeros((m, 2, n))
-    # u_pred' = exp(-d turn) u_pred, so d u_pred = u_pred x d turn.
-    move_rows[:, :, :PARAMETERS] = -tangent @ skew(predicted) @ turns.jacobian
-    duration = np.add.reduceat(data.moves.slots.duration_s, data.moves.first)
-    # exp([(w_e + d) T]) u = exp([w_e T]) u + T d x u to first order
-    by_earth = tangent @ carry @ skew(up[data.moves.before]) * duration[:, None, None]
-    by_horizontal = by_earth @ Q[data.moves.before]
-    for k, column in enumerate(FIRST_HORIZONTAL + 2 * data.chain[data.moves.before]):
-        move_rows[k, :, column : column + 2] = by_horizontal[k]
-    # still: A n - b - H a - w_e
     earth = v * up + (Q @ h[data.chain][:, :, None])[:, :, 0]
-    residual_stills = data.rate_raw @ A.T - b - data.force @ H.T - earth
-    still_rows = np.zeros((s, 3, n))
-    still_rows[:, :, BIAS] = -np.eye(3)
-    still_rows[:, :, VERTICAL] = -up
-    for k, column in enumerate(FIRST_HORIZONTAL + 2 * data.chain):
-        still_rows[k, :, column : column + 2] = -Q[k]
-    # stop: log(R^T exp([w_e T])) . u_after
-    c = data.stops
-    stopped_up = up[data.moves.after[c]]
-    residual_stops = np.sum(logarithm(from_matrix(carry[c])) * stopped_up, axis=1)
-    stop_rows = np.zeros((len(c), n))
-    stop_rows[:, :PARAMETERS] = -(stopped_up[:, None, :] @ turns.jacobian[c])[:, 0, :]
-    # table: A d - w u
-    difference = data.table.half_difference_raw
-    residual_table = difference @ A.T - data.table.rate_rad_s
-    table_rows = np.zeros((len(data.table), 3, n))
-    for axis in range(3):
-        # Row of A, and of H, that an axis multiplies.
-        by_row, force_start = slice(3 * axis, 3 * axis + 3), SENSITIVITY.start + 3 * axis
-        still_rows[:, axis, by_row], table_rows[:, axis, by_row] = data.rate_raw, difference
-        still_rows[:, axis, force_start : force_start + 3] = -data.force
-    jacobian = np.vstack([move_rows.reshape(-1, n), still_rows.reshape(-1, n), stop_rows, table_rows.reshape(-1, n)])
-    residual = np.concatenate([residual_moves.ravel(), residual_stills.ravel(), residual_stops, residual_table.ravel()])
+    # exp([(w_e + d) T]) u = exp([w_e T]) u + T d x u to first order
+    by_earth = tangent @ carry @ skew(up[data.moves.before]) * duration_s[:, None, None]
+    residuals, rows = zip(
+        _of_moves(data, turns, tangent, predicted, by_horizontal=by_earth @ Q[data.moves.before]),
+        _of_stills(data, x, up, earth, Q=Q),
+        _of_stops(data, turns, carry),
+        _of_table(data, x),
+        strict=True,
+    )
+    n = data.parameters
     return Evaluation(
-        residual=residual, jacobian=jacobian, turns=turns, tangent=tangent, predicted=predicted, carry=carry, stills=s
+        residual=np.concatenate([residual.ravel() for residual in residuals]),
+        jacobian=np.vstack([part.reshape(-1, n) for part in rows]),
+        turns=turns,
+        tangent=tangent,
+        predicted=predicted,
+        carry=carry,
+        stills=len(up),
     )
 
 
-def carry_azimuth(data: GyroscopeData, turns: Turns, v: float, h: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _of_moves(
+    data: GyroscopeData, turns: Turns, tangent: FloatArray, predicted: FloatArray, *, by_horizontal: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return u_after - R^T exp([w_e T]) u_before at right angles to u_after, shape (m, 2), and its derivative, (m, 2, n)."""
+    residual = (tangent @ (data.up[data.moves.after] - predicted)[:, :, None])[:, :, 0]
+    rows = np.zeros((*residual.shape, data.parameters))
+    # u_pred' = exp(-d turn) u_pred, so d u_pred = u_pred x d turn.
+    rows[:, :, :PARAMETERS] = -tangent @ skew(predicted) @ turns.jacobian
+    _fill_horizontal(rows, data.chain[data.moves.before], by_horizontal)
+    return residual, rows
+
+
+def _of_stills(
+    data: GyroscopeData, x: FloatArray, up: FloatArray, earth: FloatArray, *, Q: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return A n - b - H a - w_e, shape (s, 3), and its derivative, (s, 3, n)."""
+    A, H = x[INVERSE].reshape(3, 3), x[SENSITIVITY].reshape(3, 3)
+    residual = data.rate_raw @ A.T - x[BIAS] - data.force @ H.T - earth
+    rows = np.zeros((*residual.shape, data.parameters))
+    _fill_matrix(rows, INVERSE, data.rate_raw)
+    rows[:, :, BIAS] = -np.eye(3)
+    _fill_matrix(rows, SENSITIVITY, -data.force)
+    rows[:, :, VERTICAL] = -up
+    _fill_horizontal(rows, data.chain, -Q)
+    return residual, rows
+
+
+def _of_stops(data: GyroscopeData, turns: Turns, carry: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return log(R^T exp([w_e T])) . u_after, shape (c,), and its derivative, (c, n)."""
+    c = data.stops
+    up = data.up[data.moves.after[c]]
+    rows = np.zeros((len(c), data.parameters))
+    rows[:, :PARAMETERS] = -(up[:, None, :] @ turns.jacobian[c])[:, 0, :]
+    return np.sum(logarithm(from_matrix(carry[c])) * up, axis=1), rows
+
+
+def _of_table(data: GyroscopeData, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return A d - w u, shape (t, 3), and its derivative, (t, 3, n)."""
+    difference = data.table.half_difference_raw
+    residual = difference @ x[INVERSE].reshape(3, 3).T - data.table.rate_rad_s
+    rows = np.zeros((*residual.shape, data.parameters))
+    _fill_matrix(rows, INVERSE, difference)
+    return residual, rows
+
+
+def _fill_matrix(rows: FloatArray, columns: slice, v: FloatArray) -> None:
+    """Write d (X v) / d X for the nine entries of X, which are these columns, row by row; shape (k, 3, n) and (k, 3)."""
+    for axis, first in enumerate(range(columns.start, columns.stop, 3)):
+        rows[:, axis, first : first + 3] = v
+
+
+def _fill_horizontal(rows: FloatArray, chain: IntArray, values: FloatArray) -> None:
+    """Write the derivative by h of the chain of each, shape (k, r, n), (k,) and (k, r, 2)."""
+    for k, column in enumerate(FIRST_HORIZONTAL + 2 * chain):
+        rows[k, :, column : column + 2] = values[k]
+
+
+def carry_azimuth(
+    data: GyroscopeData, turns: Turns, v: float, h: FloatArray, *, duration_s: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Return the horizontal axes at each still, shape (s, 3, 2), and R^T exp([w_e T]) of each move, shape (m, 3, 3)."""
     up = data.up
     across = skew(up)
     Q = np.swapaxes(_tangent(up), 1, 2).copy()
     back = np.swapaxes(matrix(turns.quaternion), 1, 2)
     carry = np.empty_like(back)
-    duration = np.add.reduceat(data.moves.slots.duration_s, data.moves.first)
     for k, (i, j) in enumerate(zip(data.moves.before, data.moves.after, strict=True)):
         earth = v * up[i] + Q[i] @ h[data.chain[i]]
-        carry[k] = back[k] @ one_rotation_matrix(earth * duration[k])
+        carry[k] = back[k] @ one_rotation_matrix(earth * duration_s[k])
         # The carried axes are made orthonormal again, and at right angles to up.
         axis = (carry[k] @ Q[i])[:, 0]
         first = axis - up[j] * (up[j] @ axis)
