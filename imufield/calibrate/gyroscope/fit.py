@@ -1,7 +1,8 @@
 """Fit of a gyroscope's bias, scale, misalignment and g-sensitivity, and the covariance of what is fitted.
 
 Gauss-Newton on the residuals of ``residuals`` with their full covariance ``S`` of ``residual_covariance``, the Earth's rate as
-prior knowledge. The two scatters of S are estimated along the way. Half of a step is tried where the whole one does not help.
+prior knowledge. The three scatters of S (drift, wander and turn) are estimated along the way. Half of a step is tried where
+the whole one does not help.
 """
 
 from __future__ import annotations
@@ -124,10 +125,11 @@ def fit_jointly(data: GyroscopeData, start: FloatArray, free: IntArray, scatter:
     nuisance = [VERTICAL] if data.latitude_deg is None else []
     columns = np.array([*free, *nuisance, *range(FIRST_HORIZONTAL, data.parameters)], dtype=np.int64)
     strict = make_prior(data, heading=True)
-    # One azimuth serves each chain of moves; once every chain knows it, the known length is kept strictly.
-    settled = _NEAR if strict.length_rad_s else _SETTLED
+    # One azimuth serves each chain of moves; once every chain knows it, the known length is kept strictly. A fit that is near
+    # shows whether they do.
+    is_rough = bool(strict.length_rad_s)
     while True:
-        fitted = _gauss_newton(data, p, columns, prior, scatter, settled=settled)
+        fitted = _gauss_newton(data, p, columns, prior, scatter, is_rough=is_rough)
         p, scatter = fitted.p.copy(), fitted.scatter
         places = np.flatnonzero(fitted.free >= FIRST_HORIZONTAL)
         spread = np.sqrt(np.diag(fitted.covariance)[places].reshape(-1, 2).sum(axis=1))
@@ -135,9 +137,9 @@ def fit_jointly(data: GyroscopeData, start: FloatArray, free: IntArray, scatter:
             h = p[FIRST_HORIZONTAL:].reshape(-1, 2)
             h *= strict.length_rad_s / np.linalg.norm(h, axis=1)[:, None]
             return _gauss_newton(data, p, columns, strict, scatter)
-        if settled == _SETTLED:
+        if not is_rough:
             return fitted
-        settled = _SETTLED
+        is_rough = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -159,8 +161,9 @@ def _gauss_newton(
     prior: _Prior,
     scatter: Scatter | None,
     *,
-    settled: float = _SETTLED,
+    is_rough: bool = False,
 ) -> JointFit:
+    """Fit from ``p``; a rough fit ends where it is near, whatever the scatters do."""
     now = evaluate(p, data)
     scatter = scatter or first_scatter(now)
     status, count = SolverStatus.ITERATION_LIMIT, 1
@@ -183,13 +186,11 @@ def _gauss_newton(
         p = trial
         parts = covariances(now, p[:PARAMETERS], data)
         before, scatter = scatter, _next_scatter(scatter, now, free, parts)
-        last = before  # a step of the scatters ago
-        for _ in range(_ITERATIONS if step.size < _NEAR * len(free) else 0):
-            # The turns hardly change any more, and they cost most of a step: the scatters settle at these.
-            if _is_same(last, scatter):
-                break
-            last, scatter = scatter, _next_scatter(scatter, now, free, parts)
-        if step.size < settled * len(free) and (_is_same(before, scatter) or settled > _SETTLED):
+        is_near = step.size < _NEAR * len(free)
+        if is_near and not _is_same(before, scatter):
+            scatter = _settle_scatter(scatter, now, free, parts)
+        has_settled = step.size < _SETTLED * len(free) and _is_same(before, scatter)
+        if has_settled or (is_rough and is_near):
             status = SolverStatus.CONVERGED
             break
     step = _linear_step(now, parts, scatter, p, free=free, prior=prior)
@@ -206,6 +207,15 @@ def _gauss_newton(
         solved=solved,
         heading_fitted=prior.length_rad_s is not None,
     )
+
+
+def _settle_scatter(scatter: Scatter, now: Evaluation, free: IntArray, parts: Covariances) -> Scatter:
+    """Return the scatters where they settle at these turns, which hardly change any more and cost most of a step."""
+    for _ in range(_ITERATIONS):
+        last, scatter = scatter, _next_scatter(scatter, now, free, parts)
+        if _is_same(last, scatter):
+            break
+    return scatter
 
 
 def _is_same(before: Scatter, after: Scatter) -> bool:
