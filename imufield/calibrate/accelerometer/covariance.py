@@ -35,7 +35,7 @@ class Uncertainty:
     covariance: FloatArray
     """Of 15 parameters and gravity."""
     sigma: FloatArray
-    """Of the parameters; NaN where one hangs on what was not fitted."""
+    """Of the parameters; NaN where one depends on what was not fitted."""
     higher_sigma: HigherTerms | None
     by_left_out: FloatArray
     """How parameters that were not fitted, in steps of their scale, reach all, shape (15, k)."""
@@ -87,7 +87,7 @@ def propagate(
 
 
 def is_known(by_left_out: FloatArray, size: FloatArray) -> NDArray[np.bool_]:
-    """Return which numbers have a sigma: those that do not hang on parameters which were not fitted."""
+    """Return which numbers have a sigma: those that do not depend on parameters which were not fitted."""
     return np.asarray(~np.any(np.abs(by_left_out) / size[:, None] > _MIXED, axis=1))
 
 

@@ -1,12 +1,15 @@
 """Calibrate a gyroscope with whatever the session contains: the one call behind the gyroscope half of ``imufield solve``.
 
-Paths; what a session has of c, d and e goes into one weighted fit with its stills:
+Stills alone give one of two paths:
 
-a   static bias: the still means, Earth rate accounted for
-b   static norm: for instruments that see the Earth turn and a session without moves (``gyroscope.stills_alone``)
-c   moves between still positions, against gravity
-d   whole turns by hand: rolled ones are moves, those about the vertical close against a stop
-e   turntable rates, both ways
+static bias     the still means, Earth rate accounted for
+static norm     for instruments that see the Earth turn (``gyroscope.stills_alone``)
+
+What a session has beside them goes into one weighted fit with its stills:
+
+moves           between still positions, against gravity
+whole turns     by hand: rolled ones are moves, those about the vertical close against a stop
+turntable       rates, both ways
 
 ``model_choice`` decides whether the g-sensitivity is fitted, ``fit`` fits bias, scale and misalignment, ``residual_covariance``
 says how sure the residuals are, ``result`` puts it together.

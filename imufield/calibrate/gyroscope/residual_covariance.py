@@ -172,7 +172,7 @@ def gyroscope_share(name: str, sigma: FloatArray, *, stills: int, accelerometer_
     sigma : ndarray, shape (n,)
         Contribution to each of n parameters.
     stills : int
-        A bias hangs on the scatter between them, and everything else on their biases: one less is the degrees of freedom.
+        A bias depends on the scatter between them, and all else on their biases: one less is the degrees of freedom.
     accelerometer_freedom : float
         Degrees of freedom of the accelerometer's covariance.
     input_sigma : float

@@ -41,7 +41,7 @@ sentence = Sentences(__package__)
 _HARDLY_BETTER = 0.8
 _WORSE = 1.1
 _FOUND_SIGMAS = 4.0  # A term as large on one axis is found in two of three sessions.
-_FOUND = 0.01  # A gyroscope's scale that differs by more is said not to be tested for it.
+_SHOWN_BELOW = 0.01  # Of a scale: where a term has to be as large to be found, these turns are said not to show it.
 _COMMON_SCALE_LIMIT = 0.1  # Makers of consumer chips state 3 % (MPU-6050).
 _MOVE_ERROR_LIMIT_DEG = 5.0  # RMS: a move that ends further from where gravity says was not seen whole, or not by this unit.
 _SCALE_SIGMA_LIMIT_PPM = 10_000.0  # Data sheets promise as much without a calibration.
@@ -375,10 +375,10 @@ def _path(solution: JointSolution, turns: tuple[Sentence, ...]) -> str:
 def _reasons(solution: JointSolution, moves: MoveReport, turns: tuple[Sentence, ...]) -> tuple[str, ...]:
     linearity = solution.linearity
     found_from = dict(zip(("asymmetry", "nonlinearity"), _FOUND_SIGMAS * linearity.sigma * [2, 1], strict=True))
-    key = "result.range" if max(found_from.values()) < _FOUND else "result.range_not_shown"
+    key = "result.range" if max(found_from.values()) < _SHOWN_BELOW else "result.range_not_shown"
     if linearity.sentences and key == "result.range":
         key = "result.range_of_named"  # A limit of detection says nothing beside a term that was found.
-    not_shown = " and ".join(kind for kind, size in found_from.items() if not size < _FOUND)
+    not_shown = " and ".join(kind for kind, size in found_from.items() if not size < _SHOWN_BELOW)
     rates_deg_s = np.degrees(linearity.range_rad_s).tolist()
     sentences: list[str] = [sentence(key, rates_deg_s=rates_deg_s, not_shown=not_shown, **found_from)]
     if solution.given.grade is not None:

@@ -31,9 +31,9 @@ _NORMAL_NEARLY = 1.9602  # A Student factor below it stands for more than 10,000
 _MANY = 1000  # Degrees of freedom from which the terms of [2] left out are below 1e-11.
 _TERMS = 1000  # Of the continued fraction; it takes some root of the larger argument.
 _SMALLEST = 1e-300
-_EXACTLY = 1e-9  # 1 sigma of a number that is known, in units of those beside it.
-# Nearer to one than a product that swings by an ulp or two; what is left out is of the size of rounding.
-_EXACT = 4 * sys.float_info.epsilon
+_LEAST_SIGMA = 1e-9  # 1 sigma of a number that is known, in units of those beside it.
+# Of the next factor, off one: a product swings by an ulp or two, and what is left out is of the size of rounding.
+_CONVERGED = 4 * sys.float_info.epsilon
 
 
 @cache
@@ -131,7 +131,7 @@ def sigma_of_mixture(weight: FloatArray, shift: FloatArray, sigma: FloatArray) -
 
 def _limit_of_mixture(weight: FloatArray, shift: FloatArray, sigma: FloatArray) -> float:
     # A term that a model leaves out is exactly zero there.
-    width = math.sqrt(2) * np.maximum(sigma, _EXACTLY)
+    width = math.sqrt(2) * np.maximum(sigma, _LEAST_SIGMA)
     parts, erfc = list(zip(weight.tolist(), shift.tolist(), width.tolist(), strict=True)), math.erfc
     return _positive_root(lambda limit: sum(w * (erfc((limit - d) / s) + erfc((limit + d) / s)) for w, d, s in parts) - 0.1)
 
@@ -208,7 +208,7 @@ def _beta(a: float, b: float, x: float) -> float:
         d = 1 / _no_zero(1 + factor * d)
         c = _no_zero(1 + factor / c)
         value *= c * d
-        if abs(c * d - 1) < _EXACT:
+        if abs(c * d - 1) < _CONVERGED:
             break
     return front / value
 

@@ -251,7 +251,7 @@ def _through_higher(
     H = higher.slope(s)
     by_felt = np.linalg.solve(np.eye(3) + np.swapaxes(H, 1, 2), (u @ np.linalg.inv(T))[:, :, None])
     y = np.asarray(by_felt[:, :, 0], dtype=np.float64)
-    # f = T a + h(T a) hangs on T itself, and T^-1 f once more.
+    # f = T a + h(T a) depends on T itself, and T^-1 f once more.
     bent = (y[:, None, :] @ H)[:, 0]
     rows, columns = MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS
     by_T = bent[:, rows] * a[:, columns] - y[:, rows] * (felt - a)[:, columns]
