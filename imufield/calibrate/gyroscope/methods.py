@@ -83,14 +83,12 @@ class SearchedFit:
         if isinstance(solution, JointSolution):
             now = evaluate(p, solution.data)
             residual, jacobian = now.residual, now.jacobian
+            known, by_known = make_prior(solution.data, heading=solution.chosen.fit.heading_fitted).rows(p, self.free)
         else:
             residual, jacobian, _ = linearise_static(p, solution.data)
+            known, by_known = np.empty(0), np.empty((0, len(x)))
         rows = np.asarray(np.linalg.solve(self.root, np.column_stack([residual, jacobian[:, self.free]])), dtype=np.float64)
-        if not isinstance(solution, JointSolution):
-            return rows[:, 0], rows[:, 1:]
-        prior = make_prior(solution.data, heading=solution.chosen.fit.heading_fitted)
-        prior_residual, prior_jacobian = prior.rows(p, self.free)
-        return np.concatenate([rows[:, 0], prior_residual]), np.vstack([rows[:, 1:], prior_jacobian])
+        return np.concatenate([rows[:, 0], known]), np.vstack([rows[:, 1:], by_known])
 
     def instrument(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the 21 numbers of the instrument and their derivative by ``x``, shape (21, n)."""
