@@ -54,7 +54,7 @@ from imufield.calibrate.model.result import (
     PositionResult,
     QuadraticAxes,
 )
-from imufield.calibrate.model.uncertainty import estimated_share, known_covariance
+from imufield.calibrate.model.uncertainty import known_covariance
 from imufield.earth import STANDARD_GRAVITY_M_S2, Gravity
 from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.samples import FloatArray
@@ -141,17 +141,13 @@ def calibrate_accelerometer(  # noqa: PLR0913 (the settings of `solve`, by keywo
         data=data,
         chosen=chosen,
         fitted=fitted,
-        spread=known.spread,
-        geometry=known.geometry,
-        factors=known.factors,
+        known=known,
+        hidden=hidden,
         observability=observe(derivatives, chosen.fit.vector, gravity.gravity_m_s2, quadratic=chosen.quadratic),
         unobservable=_unobservable(known.sigma, observability),
         sign_source=signs.source,
         scale_ratio=None if before is None else common_scale_ratio(fitted.vector[SCALE], before[SCALE]),
-        sigma=known.sigma,
-        estimated_share=estimated_share(known.covariance, hidden.typical),
         grade=grade,
-        typical_sigma=np.linalg.norm(hidden.typical, axis=1),
     )
     keep = np.append(np.isfinite(known.sigma), True)
     return Calibration(

@@ -43,7 +43,7 @@ class Uncertainty:
     geometry: Influence
     """The same without a drift."""
     factors: FloatArray
-    """By which coordinates were raised."""
+    """By how much the sigma of each coordinate is raised, shape (n,)."""
     shares: tuple[Share, ...]
     """Of the fit, in the uncertainty of the parameters."""
     gravity: Share

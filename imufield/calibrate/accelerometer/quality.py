@@ -6,17 +6,19 @@ import shlex
 
 import numpy as np
 
+from imufield.calibrate.accelerometer.covariance import Uncertainty
 from imufield.calibrate.accelerometer.drift import MOST_CONFUSION
 from imufield.calibrate.accelerometer.fit import Fit, FitData
-from imufield.calibrate.accelerometer.leave_one_out import PAIR_SHARE, Influence, position_pairs, single_positions
+from imufield.calibrate.accelerometer.leave_one_out import PAIR_SHARE, position_pairs, single_positions
 from imufield.calibrate.accelerometer.model_choice import VERDICT_LEVEL, ChosenModel
 from imufield.calibrate.accelerometer.outliers import Outlier, find_outliers
+from imufield.calibrate.accelerometer.unfitted_terms import Unshown
 from imufield.calibrate.model.coverage_factors import student_factor
 from imufield.calibrate.model.models import BIAS, SCALE
 from imufield.calibrate.model.observability import Observability
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, Quality
-from imufield.calibrate.model.uncertainty import SPARE_POSITIONS, rms
+from imufield.calibrate.model.uncertainty import SPARE_POSITIONS, estimated_share, rms
 from imufield.dataclass import dataclass
 from imufield.earth import MILLI_G_M_S2, Gravity, contradiction
 from imufield.errors import CalibrationError, Reason
@@ -63,35 +65,27 @@ class Evidence:
     chosen: ChosenModel
     fitted: Fit
     """In the wanted gauge; that of ``chosen`` is in the lower one."""
-    spread: Influence
-    geometry: Influence
-    """The same without a drift."""
-    factors: FloatArray
-    """By how much the sigma of each coordinate is raised, shape (n,)."""
+    known: Uncertainty
+    hidden: Unshown
     observability: Observability
     unobservable: tuple[str, ...]
     sign_source: str
     scale_ratio: float | None
     """Common scale over the preset's; None without a preset."""
-    sigma: FloatArray
-    """1 sigma of the 15 parameters."""
-    estimated_share: float
-    """Share of their variance that the residuals tell."""
     grade: str | None
     """Whose typical errors stand for what no residual shows."""
-    typical_sigma: FloatArray
-    """What they make of the sigma of the 15 parameters."""
 
     @property
     def leave_one_out_m_s2(self) -> FloatArray:
         """Residual of each position with parameters fitted without it, shape (m,)."""
-        return self.spread.leave_one_out * self.fitted.sigma_m_s2
+        return self.known.spread.leave_one_out * self.fitted.sigma_m_s2
 
     @property
     def student_factor_95(self) -> float:
         """From sigma to the 95 % limit: one for all numbers, so that of their mean."""
         freedom = self.fitted.effective_degrees_of_freedom * self.chosen.choice.freedom_ratio
-        return student_factor(freedom / max(self.estimated_share, _LEAST_SHARE) ** 2)
+        told = estimated_share(self.known.covariance, self.hidden.typical)
+        return student_factor(freedom / max(told, _LEAST_SHARE) ** 2)
 
 
 def judge(evidence: Evidence) -> Quality:
@@ -256,8 +250,8 @@ def _unobservable_sentence(evidence: Evidence) -> str:
 
 
 def _sigma_sentences(evidence: Evidence) -> list[str]:
-    relative = evidence.sigma[SCALE] / np.abs(evidence.fitted.vector[SCALE])
-    bias = evidence.sigma[BIAS]
+    relative = evidence.known.sigma[SCALE] / np.abs(evidence.fitted.vector[SCALE])
+    bias = evidence.known.sigma[BIAS]
     reasons: list[str] = []
     # Written so that NaN (no uncertainty at all) counts as too large.
     if not np.all(relative <= USABLE_SCALE_SIGMA) and evidence.gravity.source != "assumed":
@@ -280,16 +274,16 @@ def _position_sentences(evidence: Evidence) -> list[str]:
     sentences: list[str] = []
     if evidence.fitted.degrees_of_freedom < 1:
         return sentences
-    for single in single_positions(evidence.geometry):
+    for single in single_positions(evidence.known.geometry):
         names = [_words(ACCELEROMETER_NAMES[free[k]]) for k in single.coordinates]
-        raised = float(evidence.factors[list(single.coordinates)].max())
+        raised = float(evidence.known.factors[list(single.coordinates)].max())
         key = "quality.carries_raised" if raised > _WORTH_TELLING else "quality.carries"
         position = evidence.observations.name[single.position]
         sentences.append(sentence(key, position=position, names=names, leverage=single.leverage, raised=raised))
     # Of two holds that were touched and two that were not the residuals often cannot say which are which: whoever left out the
     # wrong ones sees nothing more. Without a hold that was left out there is no reason to doubt two that agree.
     left_out = list(evidence.observations.left_out)
-    for pair in position_pairs(evidence.geometry) if left_out else ():
+    for pair in position_pairs(evidence.known.geometry) if left_out else ():
         told = {"name": _words(ACCELEROMETER_NAMES[free[pair.coordinate]]), "share": pair.share, "limit": PAIR_SHARE}
         two = [evidence.observations.name[position] for position in pair.positions]
         sentences.append(sentence("quality.carried_by_two", positions=two, left_out=left_out, **told))
@@ -318,8 +312,9 @@ def _notes(evidence: Evidence) -> list[str]:
     if chosen.terms_p >= VERDICT_LEVEL:
         notes += _order_sentences(chosen)
     if evidence.grade is not None:
-        scale_ppm = 1e6 * np.max(evidence.typical_sigma[SCALE] / np.abs(evidence.fitted.vector[SCALE]))
-        bias_mg = np.max(evidence.typical_sigma[BIAS]) / MILLI_G_M_S2
+        typical = np.linalg.norm(evidence.hidden.typical, axis=1)
+        scale_ppm = 1e6 * np.max(typical[SCALE] / np.abs(evidence.fitted.vector[SCALE]))
+        bias_mg = np.max(typical[BIAS]) / MILLI_G_M_S2
         notes.append(sentence("quality.typical", grade=evidence.grade, bias_mg=bias_mg, scale_ppm=scale_ppm))
     if evidence.data.covariance_raw is None:
         notes.append(sentence("quality.no_covariance"))
