@@ -21,15 +21,15 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from imufield.calibrate.model.coverage_factors import NORMAL_FACTOR_95, f_tail, student_factor
+from imufield.calibrate.model.coverage_factors import f_tail, student_factor
 from imufield.calibrate.sessions.kinds import DAILY, kind_of
 from imufield.calibrate.sessions.repeatability import (
     Contrasts,
     Repeatability,
     contrasts,
-    half_widths,
     reml_variance,
     repeatability,
+    sigmas,
     studentised,
 )
 from imufield.dataclass import dataclass
@@ -153,11 +153,11 @@ def adjust(sessions: Sequence[SessionNumbers], prior_scales: Mapping[str, float]
     for kind, of_kind in found.items():
         rows = [k for k, name in enumerate(names) if kind_of(name) == kind]
         prior_scale = prior_scales.get(kind, math.inf) if counted[kind] < FEWEST_WITHOUT_PRIOR else math.inf
-        widths = half_widths(of_kind, prior_scale, values[rows])
+        spread = sigmas(of_kind, prior_scale, values[rows])
         # Correlations, those with gravity too, are those of the mean; the day is independent of everything.
         own = np.sqrt(np.diag(covariance)[rows])
-        mean_sigma = np.maximum(widths.mean / NORMAL_FACTOR_95, own)
-        day_sigma = np.maximum(widths.day / NORMAL_FACTOR_95, mean_sigma)
+        mean_sigma = np.maximum(spread.mean, own)
+        day_sigma = np.maximum(spread.day, mean_sigma)
         size = np.ones(n)
         size[rows] = mean_sigma / own
         covariance *= np.outer(size, size)

@@ -32,7 +32,7 @@ import math
 
 import numpy as np
 
-from imufield.calibrate.model.coverage_factors import chi_squared_quantile
+from imufield.calibrate.model.coverage_factors import chi_squared_quantile, sigma_of_mixture
 from imufield.dataclass import dataclass
 from imufield.samples import FloatArray
 
@@ -73,8 +73,8 @@ class Repeatability:
 
 
 @dataclass(frozen=True, slots=True)
-class HalfWidths:
-    """Half of 95 % intervals about the estimate, shape (a,)."""
+class Sigmas:
+    """About the estimate, shape (a,): their 1.96-fold is the 95 % half width."""
 
     mean: FloatArray
     """Of the mean over all days."""
@@ -128,8 +128,8 @@ def _where_q_is(found: Contrasts, limit: float) -> float:
     return math.sqrt(high)
 
 
-def half_widths(found: Contrasts, prior_scale: float, estimate: FloatArray) -> HalfWidths:
-    """Return the 95 % half widths of mean and new day, about an estimate of mu, shape (a,).
+def sigmas(found: Contrasts, prior_scale: float, estimate: FloatArray) -> Sigmas:
+    """Return the sigmas of mean and new day about an estimate of mu, shape (a,).
 
     Parameters
     ----------
@@ -153,22 +153,10 @@ def half_widths(found: Contrasts, prior_scale: float, estimate: FloatArray) -> H
     mean = np.einsum("jab,jm,mb,m->ja", mean_covariance, gain, rows, vectors.T @ found.y)
     variance = np.diagonal(mean_covariance, axis1=1, axis2=2)
     offset, weight = mean - estimate, weight / weight.sum()
-    return HalfWidths(
-        mean=_mixture_limit(weight, offset, np.sqrt(variance)),
-        day=_mixture_limit(weight, offset, np.sqrt(variance + s[:, None] ** 2)),
+    return Sigmas(
+        mean=sigma_of_mixture(weight, offset, np.sqrt(variance)),
+        day=sigma_of_mixture(weight, offset, np.sqrt(variance + s[:, None] ** 2)),
     )
-
-
-def _mixture_limit(weight: FloatArray, offset: FloatArray, deviation: FloatArray) -> FloatArray:
-    """Return the limit of |x| that is passed in 5 %, x drawn from normal distributions with these weights, shape (a,)."""
-    from scipy.special import ndtr  # slow to load, and only sessions solved together need it
-
-    low, high = np.zeros(offset.shape[1]), np.max(np.abs(offset) + 4 * deviation, axis=0)
-    for _ in range(_HALVINGS):
-        middle = (low + high) / 2
-        inside = weight @ (ndtr((middle - offset) / deviation) - ndtr((-middle - offset) / deviation))
-        low, high = np.where(inside < 1 - _CHANCE, middle, low), np.where(inside < 1 - _CHANCE, high, middle)
-    return np.asarray(high)
 
 
 def studentised(found: Contrasts, variance: float) -> FloatArray:

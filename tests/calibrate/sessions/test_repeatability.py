@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.special import chdtri, stdtrit
 
-from imufield.calibrate.sessions.repeatability import Contrasts, contrasts, half_widths, repeatability, studentised
+from imufield.calibrate.model.coverage_factors import NORMAL_FACTOR_95
+from imufield.calibrate.sessions.repeatability import Contrasts, contrasts, repeatability, sigmas, studentised
 
 FLAT = math.inf
 
@@ -44,24 +45,25 @@ def test_sessions_that_scatter_no_more_than_their_errors_show_none() -> None:
     quiet = contrasts(0.3 * (found.y - np.tile(np.arange(3), 5)), found.axes, found.covariance)
     own = repeatability(quiet)
     assert (own.sigma, own.low) == (0.0, 0.0)
-    widths = half_widths(quiet, FLAT, np.zeros(3))
-    assert np.all(widths.day > widths.mean)
+    found_sigmas = sigmas(quiet, FLAT, np.zeros(3))
+    assert np.all(found_sigmas.day > found_sigmas.mean)
 
 
 def test_a_new_day_is_student_where_the_sessions_have_no_errors() -> None:
     found = balanced(np.random.default_rng(4), sessions=8, own=1e-6)
     mean = found.y.reshape(8, 3).mean(axis=0)
-    widths = half_widths(found, FLAT, mean)
+    found_sigmas = sigmas(found, FLAT, mean)
     # With a prior that is flat in s the degrees of freedom are one less than with one that is flat in log s.
     spread = math.sqrt(float(np.sum(found.u**2)) / 20)
-    assert widths.day == pytest.approx(stdtrit(20, 0.975) * spread * math.sqrt(1 + 1 / 8), rel=1e-3)
-    assert widths.mean == pytest.approx(stdtrit(20, 0.975) * spread * math.sqrt(1 / 8), rel=1e-3)
+    factor = stdtrit(20, 0.975) / NORMAL_FACTOR_95
+    assert found_sigmas.day == pytest.approx(factor * spread * math.sqrt(1 + 1 / 8), rel=1e-3)
+    assert found_sigmas.mean == pytest.approx(factor * spread * math.sqrt(1 / 8), rel=1e-3)
 
 
 def test_a_prior_bounds_what_two_sessions_leave_open() -> None:
     found = balanced(np.random.default_rng(5), sessions=2, own=0.1)
     estimate = found.y.reshape(2, 3).mean(axis=0)
-    open_ended, bounded, wide = (half_widths(found, scale, estimate).day for scale in (FLAT, 0.3, 1e4))
+    open_ended, bounded, wide = (sigmas(found, scale, estimate).day for scale in (FLAT, 0.3, 1e4))
     assert np.all(bounded < 0.8 * open_ended)
     assert wide == pytest.approx(open_ended, rel=0.01)
 
@@ -76,7 +78,7 @@ def test_intervals_hold_as_often_as_they_say(sessions: int, own: float) -> None:
         inside.append(interval.low <= 1.0 <= interval.high)
         estimate = found.y.reshape(sessions, 3).mean(axis=0)
         off = np.arange(3) + rng.standard_normal(3) - estimate
-        days.append(np.abs(off) <= half_widths(found, FLAT, estimate).day)
+        days.append(np.abs(off) <= NORMAL_FACTOR_95 * sigmas(found, FLAT, estimate).day)
     # 95 % of 200 are 190 +- 3.1; the study counts more of them.
     assert 0.90 <= np.mean(inside) <= 0.99
     assert 0.92 <= np.mean(days) <= 0.985
