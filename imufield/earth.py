@@ -3,7 +3,7 @@
 References
 ----------
 .. [1] NIMA TR8350.2, "Department of Defense World Geodetic System 1984", 3rd edition, 2000: equations 4-1 (Somigliana)
-   and 4-3 (height), table 3.1 and 3.4 (constants).
+   and 4-3 (height), tables 3.1, 3.3 and 3.4 (constants).
 """
 
 from __future__ import annotations
@@ -22,11 +22,14 @@ STANDARD_GRAVITY_M_S2 = 9.80665
 """By definition (CGPM 1901)."""
 MILLI_G_M_S2 = 9.80665e-3
 MICRO_G_M_S2 = 9.80665e-6
+SAME_GRAVITY_M_S2 = 1e-7
+"""Rounding of the figures in a file: a larger difference is another value."""
+SEMI_MAJOR_AXIS_M = 6378137.0
+"""Of the ellipsoid, as the eccentricity."""
+ECCENTRICITY_SQUARED = 0.00669437999014
 
 _GRAVITY_EQUATOR_M_S2 = 9.7803253359
 _SOMIGLIANA_K = 0.00193185265241
-_ECCENTRICITY_SQUARED = 0.00669437999014
-_SEMI_MAJOR_AXIS_M = 6378137.0
 _FLATTENING = 1 / 298.257223563
 _M = 0.00344978650684  # centrifugal over gravitational acceleration at the equator
 
@@ -90,8 +93,8 @@ class Gravity:
 def normal_gravity(latitude_deg: float, height_m: float = 0.0) -> float:
     """Return WGS-84 normal gravity in m/s^2 ([1]_ eq. 4-1 and 4-3)."""
     sin2 = math.sin(math.radians(latitude_deg)) ** 2
-    surface = _GRAVITY_EQUATOR_M_S2 * (1 + _SOMIGLIANA_K * sin2) / math.sqrt(1 - _ECCENTRICITY_SQUARED * sin2)  # eq. 4-1
-    ratio = height_m / _SEMI_MAJOR_AXIS_M  # eq. 4-3
+    surface = _GRAVITY_EQUATOR_M_S2 * (1 + _SOMIGLIANA_K * sin2) / math.sqrt(1 - ECCENTRICITY_SQUARED * sin2)  # eq. 4-1
+    ratio = height_m / SEMI_MAJOR_AXIS_M  # eq. 4-3
     return surface * (1 - 2 * ratio * (1 + _FLATTENING + _M - 2 * _FLATTENING * sin2) + 3 * ratio**2)
 
 

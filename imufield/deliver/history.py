@@ -20,6 +20,7 @@ from imufield.deliver.history_index import Index, Row, State, UnsoundIndexError,
 from imufield.deliver.pair_test import Shared
 from imufield.deliver.parameters.file import Parameters, load_found
 from imufield.deliver.parameters.gauge_free import GaugeFree, LinearFit, Number, linear_places
+from imufield.earth import SAME_GRAVITY_M_S2
 from imufield.errors import ImufieldError, ParameterFileError, Reason, UsageError
 from imufield.files import Origin
 from imufield.progress import task
@@ -31,7 +32,6 @@ sentence = Sentences(__package__)
 _AT_ONCE = 5_000  # Files that are read before they are written to the index: 30 MB, and some 20 s that an interrupt loses.
 _FILES_A_WORKER = 200  # A process takes as long to start as a hundred files to read.
 STALE_DAYS = 365.0  # The usual interval of calibration; --stale-days says another.
-_SAME_GRAVITY_M_S2 = 1e-7  # Rounding of the figures in a file: a larger difference is another value.
 # Of the fields that an index holds.
 _TYPES: dict[object, type | tuple[type, ...]] = {
     "str": str,
@@ -182,7 +182,7 @@ class Entry:
     def shared_with(self, other: Entry) -> Shared:
         """Return what both sessions have in common."""
         known = "assumed" not in (self.gravity_source, other.gravity_source)
-        same = abs(self.gravity_m_s2 - other.gravity_m_s2) < _SAME_GRAVITY_M_S2
+        same = abs(self.gravity_m_s2 - other.gravity_m_s2) < SAME_GRAVITY_M_S2
         return Shared(gravity=known and same, setup=self.setup == other.setup)
 
 

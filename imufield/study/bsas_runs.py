@@ -14,6 +14,7 @@ import numpy as np
 
 from imufield.calibrate.accelerometer.swarm_coordinates import whitened_problem
 from imufield.calibrate.model.gauge import intrinsic
+from imufield.calibrate.model.uncertainty import rms
 from imufield.calibrate.solvers.base import Solver, SolverResult
 from imufield.calibrate.solvers.beetles import BasSettings, BsasSettings, solve_bas, solve_bsas
 from imufield.calibrate.solvers.least_squares import solve_least_squares
@@ -156,10 +157,10 @@ def table_3(context: StudyContext) -> Findings:
             "paper RMSE": paper["rmse"][k],
             "paper SD": paper["sd"][k],
             "mean": BSAS_TRUTH[k] + errors[:, k].mean(),
-            "RMSE": _rms(errors[:, k]),
+            "RMSE": rms(errors[:, k]),
             "SD": float(errors[:, k].std()),
-            "RMSE fresh noise": _rms(fresh_errors[:, k]),
-            "RMSE BAS": _rms(bas_errors[:, k]),
+            "RMSE fresh noise": rms(fresh_errors[:, k]),
+            "RMSE BAS": rms(bas_errors[:, k]),
         }
         for k, name in enumerate(BSAS_NAMES)
     }
@@ -182,10 +183,6 @@ def table_3(context: StudyContext) -> Findings:
         tables=(keyed_table("parameters", "parameter", parameters),),
         draw=figures.bars(BSAS_NAMES, {"paper": np.array(paper["rmse"]), "ours": ours}, "RMSE", log=True),
     )
-
-
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 _PAIRS = ((0, 2), (1, 4), (3, 5))  # Misalignments of which only the sum is seen: xy and yx, xz and zx, yz and zy.

@@ -32,6 +32,7 @@ from imufield.dataclass import dataclass, field
 from imufield.deliver.navigation.alignment import Alignment, earth_rate
 from imufield.deliver.navigation.drift import QUANTITIES, Drift
 from imufield.deliver.navigation.uncertain import DrawnParameters, draw_parameters
+from imufield.earth import ECCENTRICITY_SQUARED, SEMI_MAJOR_AXIS_M
 from imufield.samples import FloatArray
 
 RUNS = 1000  # The 95 % limit has 50 runs above it and is known to 3 %.
@@ -43,9 +44,6 @@ _SPACING = math.sqrt(10.0)
 _TIME_CONSTANTS_S = 50.0 * _SPACING ** np.arange(5)
 _TURNED_RAD = 1e-3  # A turn of the body by less leaves its errors what they were.
 _TERMS = 12  # Of the exponential series: below rounding for steps of a minute.
-# WGS-84 (NIMA TR8350.2, tables 3.1 and 3.3).
-_EQUATOR_RADIUS_M = 6378137.0
-_ECCENTRICITY_SQUARED = 0.00669437999014
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,9 +193,9 @@ def transition(scene: Scene, step_s: float) -> tuple[FloatArray, FloatArray]:
 def system(latitude_deg: float, height_m: float, gravity_m_s2: float) -> tuple[FloatArray, FloatArray]:
     """Return F and G of x' = F x + G (df_n, df_e, dw), shapes (7, 7) and (7, 5)."""
     latitude = math.radians(latitude_deg)
-    shape = 1 - _ECCENTRICITY_SQUARED * math.sin(latitude) ** 2
-    east_m = _EQUATOR_RADIUS_M / math.sqrt(shape)
-    north_m = east_m * (1 - _ECCENTRICITY_SQUARED) / shape + height_m
+    shape = 1 - ECCENTRICITY_SQUARED * math.sin(latitude) ** 2
+    east_m = SEMI_MAJOR_AXIS_M / math.sqrt(shape)
+    north_m = east_m * (1 - ECCENTRICITY_SQUARED) / shape + height_m
     east_m += height_m
     W = earth_rate(latitude_deg)
     F, G = np.zeros((7, 7)), np.zeros((7, 5))

@@ -40,7 +40,7 @@ from imufield.calibrate.model.result import (
 from imufield.calibrate.model.uncertainty import known_covariance, within_variance
 from imufield.calibrate.solvers.agreement import AGREEMENT_SIGMA
 from imufield.dataclass import dataclass, replace
-from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2, Gravity
+from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2, SAME_GRAVITY_M_S2, Gravity
 from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.progress import one_by_one
 from imufield.samples import FloatArray
@@ -57,7 +57,6 @@ STRONG = 1e-3
 FOREIGN = 10.0
 """Misfit of another session beyond this, three times the forecast: no uncertainty that was honest at all is so far off."""
 _TELLS_LITTLE = 10.0  # Limit of the misfit from which on hardly anything would contradict.
-_SAME_GRAVITY_M_S2 = 1e-7  # Rounding of a file; two places that differ by less are one.
 _ROUNDING_M_S2 = 1e-9  # Where nothing is uncertain (simulations without noise), this keeps a comparison finite.
 _TINY = 1e-22  # Square of a nanogal, with which a covariance of zeros can be inverted.
 _NEWTON_STEPS = 20  # Of the scatter: it converges quadratically.
@@ -317,6 +316,7 @@ def cross_validate(
 
 
 def _rms(values: FloatArray) -> float:
+    # NaN where any value is: a position without a specific force must not leave the others' figure.
     return float(np.sqrt(np.mean(values**2)))
 
 
@@ -374,7 +374,7 @@ def _within(at: NormDerivatives, observations: Observations) -> FloatArray:
 def _residual(calibration: Calibration, observations: Observations, gravity: Gravity) -> tuple[FloatArray, FloatArray]:
     """Return r, shape (m,), and S, shape (m, m)."""
     at = _derivatives(calibration.accelerometer, observations)
-    one_place = abs(gravity.gravity_m_s2 - calibration.gravity.gravity_m_s2) < _SAME_GRAVITY_M_S2
+    one_place = abs(gravity.gravity_m_s2 - calibration.gravity.gravity_m_s2) < SAME_GRAVITY_M_S2
     own = calibration.quality.between_position_sigma_m_s2**2 + _within(at, observations)
     S = _forecast(calibration, at, one_place=one_place) + np.diag(own) + (0.0 if one_place else gravity.sigma_m_s2**2)
     return at.norm - gravity.gravity_m_s2, S

@@ -14,6 +14,7 @@ from imufield.calibrate.model.grades import GRADES, Grade
 from imufield.calibrate.model.models import at_temperature
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration
 from imufield.calibrate.model.temperature_polynomials import Polynomials, TriadTemperature
+from imufield.calibrate.model.uncertainty import rms
 from imufield.calibrate.temperature.fit import Evidence, fit_temperature
 from imufield.calibrate.temperature.points import accelerometer_points
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity
@@ -95,10 +96,6 @@ def _solved(truth: AccelerometerParameters, grade: Grade, rng: np.random.Generat
     return calibrate_accelerometer(session.observations, _KNOWN, model="linear", grade=grade.name)
 
 
-def _rms(off: FloatArray) -> float:
-    return float(np.sqrt(np.mean(off**2)))
-
-
 _WAYS = {"five sessions, quadratic": (5, 2), "three sessions, linear": (3, 1)}
 _ROWS: Rows = {
     f"{way}, {name}": partial(covered, *numbers, grade) for way, numbers in _WAYS.items() for name, grade in GRADES.items()
@@ -109,6 +106,6 @@ temperatures = Study(
         campaign="answers-new-day",
         rows=_ROWS,
         runs=(1000, 1),
-        statistics={"bias_mg": _rms, "scale_ppm": _rms},
+        statistics={"bias_mg": rms, "scale_ppm": rms},
     )
 )

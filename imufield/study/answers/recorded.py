@@ -27,6 +27,7 @@ from imufield.calibrate.model.gauge import change_gauge, turn_gyroscope
 from imufield.calibrate.model.grades import find_grade
 from imufield.calibrate.model.models import to_vector
 from imufield.calibrate.model.observations import Observations
+from imufield.calibrate.model.uncertainty import rms
 from imufield.deliver.parameters.clock import HOST_SIGMA, clock_facts
 from imufield.earth import STANDARD_GRAVITY_M_S2, Gravity
 from imufield.errors import CalibrationError
@@ -42,7 +43,7 @@ from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.operator import Operator, OperatorSettings
 from imufield.simulate.truth.source import VirtualImu
 from imufield.study.answers.means import answer_of
-from imufield.study.answers.tables import Rows, Statistics, Study, Table, rms
+from imufield.study.answers.tables import Rows, Statistics, Study, Table
 
 HOLDS = 40
 OFFSETS_G = (0.0, 0.25, 0.5)

@@ -23,11 +23,6 @@ Statistics = Mapping[str, Callable[[FloatArray], ArrayLike]]
 Row = dict[str, float]
 
 
-def rms(values: FloatArray) -> float:
-    """Return the root mean square."""
-    return float(np.sqrt(np.mean(values**2)))
-
-
 def least(values: FloatArray) -> float:
     """Return the mean of the kind of sessions that has the smallest."""
     return float(values.reshape(len(values), -1).mean(axis=1).min())

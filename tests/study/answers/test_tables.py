@@ -6,7 +6,8 @@ from functools import partial
 
 import numpy as np
 
-from imufield.study.answers.tables import Study, Table, least, rms
+from imufield.calibrate.model.uncertainty import rms
+from imufield.study.answers.tables import Study, Table, least
 from imufield.study.context import StudyContext
 
 QUICK = StudyContext(quick=True, workers=1)
