@@ -62,9 +62,7 @@ _TINY = 1e-22  # Square of a nanogal, with which a covariance of zeros can be in
 _NEWTON_STEPS = 20  # Of the scatter: it converges quadratically.
 
 
-def _simulated_misfits(
-    calibration: Calibration, observations: Observations, groups: list[NDArray[np.bool_]], seed: int = 0
-) -> FloatArray:
+def _simulated_misfits(calibration: Calibration, observations: Observations, groups: list[NDArray[np.bool_]]) -> FloatArray:
     """Return the pooled misfit of simulated sessions whose noise is as the calibration states, shape (RUNS,).
 
     Every position is in one of the groups that are left out together. The session is linearised: residual = J z + noise.
@@ -77,7 +75,7 @@ def _simulated_misfits(
     J = np.linalg.svd((at.jacobian * size)[:, fitted], full_matrices=False)[0][:, : quality.parameters_fitted]
     within, m = _within(at, observations), len(observations)
     sigma = np.sqrt(within + quality.between_position_sigma_m_s2**2)
-    noise = sigma * np.random.default_rng(seed).standard_normal((RUNS, m))
+    noise = sigma * np.random.default_rng(0).standard_normal((RUNS, m))
     squares = [_squares(J, within, group, noise, sigma=sigma) for group in one_by_one("simulating sessions", groups)]
     return np.asarray(np.sum(squares, axis=0) / m)
 
