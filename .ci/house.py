@@ -96,6 +96,7 @@ APART = {
 MANY_OF_A_KIND = ("commands", "deliver/exports", "study", "study/answers", "drivers", "protocols")
 SETTINGS = ("GuideSettings",)
 _KEY = re.compile(r"\w+\.\w+")  # Of a sentence: module and name.
+_SECTION = re.compile(r"\w+\.")  # Its module.
 POSITIONAL = 6  # From this number on, arguments without a name cannot be understood at the place of the call.
 
 
@@ -246,8 +247,12 @@ def unset_settings(found: list[Module]) -> list[str]:
 
 
 def sentences_astray(found: list[Module]) -> list[str]:
-    """Return keys and values in the code that a room's ``sentences.toml`` lacks, and sentences there that no code names."""
+    """Return keys and values in the code that a room's ``sentences.toml`` lacks, and sentences there that no code names.
+
+    A string "section.", as an f-string begins, names those of its sentences whose names stand somewhere in the code.
+    """
     astray = []
+    words = {node.value for module in found for node in ast.walk(module.tree) if isinstance(node, ast.Constant)}
     folders: dict[Path, list[Module]] = defaultdict(list)
     for module in found:
         folders[module.path.parent].append(module)
@@ -260,6 +265,8 @@ def sentences_astray(found: list[Module]) -> list[str]:
             for node in ast.walk(module.tree):
                 if isinstance(node, ast.Constant):
                     unnamed.discard(node.value)
+                    if isinstance(node.value, str) and _SECTION.fullmatch(node.value):
+                        unnamed -= {f"{node.value}{word}" for word in words}
                 if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "sentence" and node.args:
                     place = f"{module.path.relative_to(PROJECT).as_posix()}:{node.lineno}"
                     astray += [f"{place} {what}" for what in _lacking(node, texts)]

@@ -108,6 +108,11 @@ class Sentences:
     def __init__(self, package: str | None) -> None:
         self._package = package or ""
 
+    def __contains__(self, key: str) -> bool:
+        """Whether there is a sentence of a key, which may be a word out of somebody's file."""
+        section, _, name = key.partition(".")
+        return name in _table(self._package).get(section, {})
+
     def __call__(self, key: str, /, **values: object) -> Sentence:
         """Return the sentence of a key, with its values filled in."""
         section, _, name = key.partition(".")

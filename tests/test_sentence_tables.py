@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
 import imufield
 from imufield.guide.view.marks import AGAIN_WITHIN_S, NAMES
+from tests.sources import house
 
 MOST_WORDS = 25
 LIMIT_WORDS = re.compile(
@@ -85,3 +89,19 @@ def test_the_second_finish_is_asked_for_within_its_time() -> None:
     asked = [text for _, text in sentences() if re.search(r"\[finish\] (again|twice)", text)]
     assert asked
     assert not [text for text in asked if f"within {AGAIN_WITHIN_S:g} s" not in text]
+
+
+def test_sentences_that_no_code_names_and_names_without_a_sentence_are_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table = '[parts]\nread = "{size} bytes"\nunread = "none"\n[shares]\ndrift = "Drift"\nwarm = "Warm"\n'
+    (tmp_path / "sentences.toml").write_text(table)
+    source = 'sentence("parts.read")\nsentence("parts.reed", size=1)\nsentence(f"shares.{name}")\nname = "drift"\n'
+    monkeypatch.setattr(house(), "PROJECT", tmp_path)
+    module = house().Module(tmp_path / "part.py", "part", source, ast.parse(source))
+    assert house().sentences_astray([module]) == [
+        "part.py:1 parts.read: {size} is not given",
+        "part.py:2 parts.reed: no such sentence",
+        "sentences.toml parts.unread: no code names it",
+        "sentences.toml shares.warm: no code names it",
+    ]

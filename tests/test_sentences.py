@@ -42,6 +42,11 @@ def test_a_key_that_is_not_there_is_a_defect() -> None:
         sentence("files.no_such_sentence")
 
 
+def test_whether_there_is_a_sentence_can_be_asked() -> None:
+    assert "earth.latitude" in sentence
+    assert not [key for key in ("earth.no_such_sentence", "nowhere.latitude", "latitude", "") if key in sentence]
+
+
 def test_numbers_are_counted_and_lists_joined(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "sentences.toml").write_text('[a]\nb = """\n  {found:#position} of\n  {names}"""\n')
     monkeypatch.setattr("imufield.sentences.__file__", str(tmp_path / "sentences.py"))

@@ -45,35 +45,6 @@ _TITLES = {
     "gyroscope.g_sensitivity": "titles.gyroscope_g_sensitivity",
 }
 _INPUT_UNITS = {"accelerometer": "m/s²", "gyroscope": "rad/s"}
-_SHARES = frozenset(
-    (
-        "shares.within_hold",
-        "shares.between_holds",
-        "shares.drift",
-        "shares.higher_terms",
-        "shares.model_choice",
-        "shares.nonlinearity",
-        "shares.misalignment_not_shown",
-        "shares.quadratic_not_shown",
-        "shares.gravity",
-        "shares.accelerometer",
-        "shares.gyroscope_within_hold",
-        "shares.gyroscope_moving",
-        "shares.gyroscope_between_holds",
-        "shares.gyroscope_wander",
-        "shares.gyroscope_turns",
-        "shares.stops",
-        "shares.turntable",
-        "shares.earth_rate",
-        "shares.g_sensitivity_not_fitted",
-        "shares.rate_nonlinearity",
-        "shares.time_base",
-        "shares.sessions",
-        "shares.day_to_day",
-        "shares.no_session_shows",
-        "shares.not_recorded_apart",
-    )
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,7 +250,7 @@ def _worst(triad: str, model: TriadTemperature, sigmas: Sequence[tuple[str, floa
 def share_words(share: Share) -> str:
     """Return a share in words; its key where a file has one of somebody else."""
     key = f"shares.{share.name}"
-    return sentence(key) if key in _SHARES else share.name
+    return sentence(key) if key in sentence else share.name
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
