@@ -21,7 +21,7 @@ from imufield.calibrate.model.grades import GRADES
 from imufield.calibrate.model.result import Calibration
 from imufield.calibrate.sessions.changes import DatedNumbers, judge
 from imufield.calibrate.sessions.joint import Joint, SessionNumbers, adjust
-from imufield.calibrate.temperature.fit import Evidence, fit_orders
+from imufield.calibrate.temperature.fit import TemperatureData, fit_orders
 from imufield.calibrate.temperature.points import accelerometer_points, gyroscope_points
 from imufield.deliver.parameters.gauge_free import GaugeFree, gauge_free
 from imufield.deliver.parameters.joined import numbers_of, prior_scales
@@ -72,7 +72,7 @@ def over_temperature(solved: list[tuple[Calibration, GaugeFree]]) -> None:
         gyroscope_points(gyroscopes[base].parameters, gyroscopes, at_degc),
     )
     for of_triad in points:
-        fit_orders(Evidence(reference_degc=at_degc[base], points=of_triad, ramps=[]), ORDER, ORDER)
+        fit_orders(TemperatureData(reference_degc=at_degc[base], points=of_triad, ramps=[]), ORDER, ORDER)
 
 
 def together(given: list[GyroscopeInput]) -> Joint:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
 from imufield.calibrate.model.grades import DEFAULT_GRADE, find_grade
 from imufield.calibrate.model.temperature_polynomials import TriadTemperature
-from imufield.calibrate.temperature.fit import Evidence, SessionPoints, TemperatureFit, fit_temperature, fit_warnings
+from imufield.calibrate.temperature.fit import SessionPoints, TemperatureData, TemperatureFit, fit_temperature, fit_warnings
 from imufield.calibrate.temperature.one_pose import gyroscope_sentence, pose_sentence
 from imufield.calibrate.temperature.points import accelerometer_points, gyroscope_points
 from imufield.calibrate.temperature.ramp import RampWindows, cut_ramp, in_one_pose, ramp_sentences, turns
@@ -66,10 +66,11 @@ def read_ramp(session: Session, base: Parameters) -> RampMeans:
         marks.feed(samples)
     means = windows.means()
     remarks = [entry.what for entry in damage]
-    kept = in_one_pose(_felt(base, means.accelerometer))
+    kept = in_one_pose(_specific_force(base, means.accelerometer))
     share = (kept.stop - kept.start) / max(len(means), 1)
     # A session of positions stays one; who was led through a ramp was told where it begins anew.
-    if 1.0 > share >= (0.0 if session.record.kind == RAMP else _MOST_OF_IT):
+    least_kept = 0.0 if session.record.kind == RAMP else _MOST_OF_IT
+    if least_kept <= share < 1.0:
         remarks.append(sentence("temperature.moved", name=session.name, kept=share))
         means = means[kept]
     require_possible_degc(session.name, means.temperature_degc)
@@ -111,7 +112,9 @@ def over_temperature(
     others = replace(settings, without=(), model=base.parameters.calibration.model)
     for session in recorded:
         means = None if session.record.kind == "capture" else read_ramp(session, base.parameters)
-        is_turned = means is not None and session.record.kind != RAMP and turns(_felt(base.parameters, means.accelerometer))
+        is_turned = (
+            means is not None and session.record.kind != RAMP and turns(_specific_force(base.parameters, means.accelerometer))
+        )
         if means is None or is_turned:
             marks = RecordingMarks()
             found.append(MarkedSession(solve_session(session, others, site, (marks.feed,)), marks))
@@ -151,42 +154,56 @@ def with_temperature(
     """
     for other in sessions:
         _require_comparable(base, other)
-    reference_degc, grade = _temperature(base), find_grade(base.context.instrument.grade or DEFAULT_GRADE)
-    models: dict[str, TriadTemperature] = {}
-    told = [*notes, *(remark for means in ramps for remark in means.remarks)]
-    described = set[RampMeans]()
-    warnings: dict[str, list[str]] = {triad: [] for triad in _TRIADS}
+    reference_degc = _temperature(base)
     triads = _TRIADS if base.gyroscope_is_complete else _TRIADS[:1]
     for means in ramps:
         _require_output(means, triads)
-    for triad in triads:
-        # A ramp without one triad is still good for the other.
-        shown = [means for means in ramps if _shows(means, triad)]
-        cut = [cut_ramp(_windows(base, triad, means)) for means in shown]
-        for ramp, means in zip(cut, shown, strict=True):
-            told += ramp_sentences(ramp, means.name) if means not in described else ()
-        described.update(shown)
-        points = _points(base, triad, sessions) if sessions else None
-        # A ramp is by the temperature of the instrument, and no curve belongs to two thermometers.
-        if points is not None and not shown:
-            points = _by_sensors(points, base, triad, sessions)
-        evidence = Evidence(reference_degc=reference_degc, points=points, ramps=[ramp.blocks for ramp in cut])
-        highest = evidence.highest_orders()
-        if triad == "gyroscope" and highest.bias == 0:
-            told.append(sentence("temperature.gyroscope_unknown"))
-            continue
-        found = fit_temperature(evidence)
-        models[triad] = found.temperature
-        told.append(_words(triad, found))
-        if points is not None and points.sensor_degc is not None:
-            apart = float(np.abs(points.sensor_degc - points.temperature_degc[:, np.newaxis]).max())
-            told.append(sentence("temperature.by_sensors", triad=triad, apart=apart))
-        warnings[triad] += fit_warnings(found, triad)
-        if triad == "accelerometer" and not found.temperature.scale_separated:
-            warnings[triad].append(pose_sentence(found.temperature, grade))
-        if triad == "gyroscope" and highest.scale == 0:
-            told.append(gyroscope_sentence(found.temperature, grade))
-    return _joined(base, models, sources=_sources(sessions, ramps), told=told, warnings=warnings)
+    fits = {triad: _fit_triad(base, triad, sessions, ramps, reference_degc=reference_degc) for triad in triads}
+    told = [*notes, *(remark for means in ramps for remark in means.remarks)]
+    told += [note for fit in fits.values() for note in fit.notes]
+    return _joined(base, fits, sources=_sources(sessions, ramps), told=told)
+
+
+@dataclass(frozen=True, slots=True)
+class _TriadFit:
+    """What is known of one triad over temperature, and what there is to say of it."""
+
+    temperature: TriadTemperature | None
+    """None for a gyroscope at too few temperatures."""
+    notes: Sequence[str]
+    warnings: Sequence[str] = ()
+
+
+def _fit_triad(
+    base: Parameters, triad: str, sessions: Sequence[Parameters], ramps: Sequence[RampMeans], *, reference_degc: float
+) -> _TriadFit:
+    # A ramp without one triad is still good for the other.
+    shown = [means for means in ramps if _shows(means, triad)]
+    cut = [cut_ramp(_windows(base, triad, means)) for means in shown]
+    notes: list[str] = []
+    for ramp, means in zip(cut, shown, strict=True):
+        # Once for both triads.
+        if triad == "accelerometer" or not _shows(means, "accelerometer"):
+            notes += ramp_sentences(ramp, means.name)
+    points = _points(base, triad, sessions) if sessions else None
+    # A ramp is by the temperature of the instrument, and no curve belongs to two thermometers.
+    if points is not None and not shown:
+        points = _by_sensors(points, base, triad, sessions)
+    data = TemperatureData(reference_degc=reference_degc, points=points, ramps=[ramp.blocks for ramp in cut])
+    highest = data.highest_orders()
+    if triad == "gyroscope" and highest.bias == 0:
+        return _TriadFit(None, [*notes, sentence("temperature.gyroscope_unknown")])
+    found = fit_temperature(data)
+    notes.append(_words(triad, found))
+    if points is not None and points.sensor_degc is not None:
+        apart = float(np.abs(points.sensor_degc - points.temperature_degc[:, np.newaxis]).max())
+        notes.append(sentence("temperature.by_sensors", triad=triad, apart=apart))
+    warnings, grade = [*fit_warnings(found, triad)], find_grade(base.context.instrument.grade or DEFAULT_GRADE)
+    if triad == "accelerometer" and not found.temperature.scale_separated:
+        warnings.append(pose_sentence(found.temperature, grade))
+    if triad == "gyroscope" and highest.scale == 0:
+        notes.append(gyroscope_sentence(found.temperature, grade))
+    return _TriadFit(found.temperature, notes, warnings)
 
 
 def _shows(means: RampMeans, triad: str) -> bool:
@@ -255,14 +272,14 @@ def _by_sensors(points: SessionPoints, base: Parameters, triad: str, sessions: S
 
 def _windows(base: Parameters, triad: str, means: RampMeans) -> RampWindows:
     """Return a ramp's means over the scale at the reference."""
-    felt = _felt(base, means.accelerometer)
-    output = felt + base.calibration.accelerometer.bias_m_s2
+    force = _specific_force(base, means.accelerometer)
+    output = force + base.calibration.accelerometer.bias_m_s2
     if triad == "gyroscope" and base.calibration.gyroscope is not None:
-        output, felt = means.gyroscope / base.calibration.gyroscope.parameters.scale, np.zeros_like(felt)
-    return RampWindows(time_s=means.time_s, temperature_degc=means.temperature_degc, output=output, specific_force_m_s2=felt)
+        output, force = means.gyroscope / base.calibration.gyroscope.parameters.scale, np.zeros_like(force)
+    return RampWindows(time_s=means.time_s, temperature_degc=means.temperature_degc, output=output, specific_force_m_s2=force)
 
 
-def _felt(base: Parameters, accelerometer: FloatArray) -> FloatArray:
+def _specific_force(base: Parameters, accelerometer: FloatArray) -> FloatArray:
     """Return the specific force along the sensing axes for raw outputs, both of shape (n, 3)."""
     parameters = base.calibration.accelerometer
     return (accelerometer - parameters.raw_zero) / parameters.scale - parameters.bias_m_s2
@@ -288,24 +305,19 @@ def _sources(sessions: Sequence[Parameters], ramps: Sequence[RampMeans]) -> tupl
 
 
 def _joined(
-    base: Parameters,
-    models: dict[str, TriadTemperature],
-    *,
-    sources: tuple[TemperatureSource, ...],
-    told: Sequence[str],
-    warnings: dict[str, list[str]],
+    base: Parameters, fits: Mapping[str, _TriadFit], *, sources: tuple[TemperatureSource, ...], told: Sequence[str]
 ) -> Parameters:
     """Return the parameters with what was found; a warning keeps the verdict from being good."""
-    calibration = base.calibration
+    calibration, accelerometer = base.calibration, fits["accelerometer"]
     quality = replace(calibration.quality, reasons=(*calibration.quality.reasons, *told))
-    if any(warnings.values()):
-        quality = quality.lowered("usable", *warnings["accelerometer"], *warnings["gyroscope"])
-    if warnings["accelerometer"] and quality.accelerometer_verdict == "good":
+    if warnings := [warning for fit in fits.values() for warning in fit.warnings]:
+        quality = quality.lowered("usable", *warnings)
+    if accelerometer.warnings and quality.accelerometer_verdict == "good":
         quality = replace(quality, accelerometer_verdict="usable")
     gyroscope = calibration.gyroscope
-    if gyroscope is not None and "gyroscope" in models:
-        gyroscope = replace(gyroscope, temperature=models["gyroscope"])
-    calibration = replace(calibration, accelerometer_temperature=models["accelerometer"], gyroscope=gyroscope)
+    if gyroscope is not None and "gyroscope" in fits and fits["gyroscope"].temperature is not None:
+        gyroscope = replace(gyroscope, temperature=fits["gyroscope"].temperature)
+    calibration = replace(calibration, accelerometer_temperature=accelerometer.temperature, gyroscope=gyroscope)
     judged = {"verdict": quality.verdict, "reasons": list(quality.reasons), "warnings": list(quality.warnings)}
     if quality.accelerometer_verdict:
         judged["accelerometer_verdict"] = quality.accelerometer_verdict

@@ -133,7 +133,7 @@ class Orders(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Evidence:
+class TemperatureData:
     """All that is known of a triad over temperature."""
 
     reference_degc: float
@@ -148,12 +148,12 @@ class Evidence:
 
     def highest_orders(self) -> Orders:
         """Return the highest order of bias and of scale that these temperatures and poses can show."""
-        bias = min(HIGHEST_ORDER, _most(distinct(self.temperature_degc)))
+        bias = min(HIGHEST_ORDER, _highest_order(distinct(self.temperature_degc)))
         scale = 0
         if self.points is not None:
             seen = distinct(self.points.temperature_degc[np.isfinite(self.points.scale).all(axis=1)])
             # Where a ramp sees both, it checks what two sessions say of each.
-            scale = _most(seen + self.ramps_feel)
+            scale = _highest_order(seen + self.ramps_show_scale)
         if len(self.ramps) > 1 and np.all(np.ptp([ramp.specific_force_m_s2 for ramp in self.ramps], axis=0) > _OTHER_POSE_M_S2):
             scale = max(scale, bias)
         return Orders(max(bias, 0), min(max(scale, 0), HIGHEST_ORDER))
@@ -161,15 +161,15 @@ class Evidence:
     @property
     def separates_scale(self) -> bool:
         """Whether no drift of the scale can pose as one of the bias: it does in ramps, by the specific force of their pose."""
-        return not self.ramps_feel or self.highest_orders().scale > 0
+        return not self.ramps_show_scale or self.highest_orders().scale > 0
 
     @property
-    def ramps_feel(self) -> bool:
+    def ramps_show_scale(self) -> bool:
         """Whether ramps show the scale beside the bias: those of a gyroscope at rest do not."""
         return any(np.any(ramp.specific_force_m_s2) for ramp in self.ramps)
 
 
-def _most(temperatures: int) -> int:
+def _highest_order(temperatures: int) -> int:
     """Return the highest order that leaves as many temperatures as it has coefficients: fewer make a small scatter by luck."""
     return (temperatures - 1) // 2
 
@@ -183,7 +183,7 @@ def distinct(temperature_degc: FloatArray) -> int:
     return count
 
 
-def fit_temperature(evidence: Evidence) -> TemperatureFit:
+def fit_temperature(data: TemperatureData) -> TemperatureFit:
     """Return bias and scale of a triad over temperature, of the orders that the data ask for.
 
     Raises
@@ -191,12 +191,12 @@ def fit_temperature(evidence: Evidence) -> TemperatureFit:
     CalibrationError
         If there are fewer than three distinct temperatures: nothing would check a straight line.
     """
-    temperature_degc = evidence.temperature_degc
+    temperature_degc = data.temperature_degc
     blocks = distinct(temperature_degc)
-    if evidence.highest_orders().bias == 0:
+    if data.highest_orders().bias == 0:
         span = float(np.ptp(temperature_degc)) if blocks else 0.0
         raise CalibrationError(sentence("fit.too_few", blocks=blocks, span=span), Reason.TOO_FEW)
-    return fit_orders(evidence, *_chosen_orders(evidence))
+    return fit_orders(data, *_chosen_orders(data))
 
 
 def fit_warnings(found: TemperatureFit, triad: str) -> tuple[str, ...]:
@@ -210,15 +210,15 @@ def fit_warnings(found: TemperatureFit, triad: str) -> tuple[str, ...]:
     return tuple(told)
 
 
-def _chosen_orders(evidence: Evidence) -> Orders:
+def _chosen_orders(data: TemperatureData) -> Orders:
     """Return the orders with the lowest information criterion, of a kind with few free rows the highest."""
-    most_bias, most_scale = evidence.highest_orders()
-    full = [_equations(evidence, most_bias, most_scale, axis) for axis in range(3)]
+    most_bias, most_scale = data.highest_orders()
+    full = [_equations(data, most_bias, most_scale, axis) for axis in range(3)]
     scatter = scatter_of(full)
     white = [whitened(each, scatter.variances) for each in full]
     rows = sum(len(each.values) for each in white)
     # A ramp shows the bias, and of an accelerometer the scale beside it.
-    by_ramps = scatter.freedom[RAMP] * np.array([1, evidence.ramps_feel])
+    by_ramps = scatter.freedom[RAMP] * np.array([1, data.ramps_show_scale])
     is_open = scatter.freedom[[BIAS, SCALE]] + by_ramps >= _FEWEST_TO_CHOOSE
     criteria: dict[Orders, float] = {}
     for bias in range(0 if is_open[BIAS] else most_bias, most_bias + 1):
@@ -235,38 +235,38 @@ def _square(values: FloatArray) -> float:
     return float(values @ values)
 
 
-def fit_orders(evidence: Evidence, bias: int, scale: int) -> TemperatureFit:
+def fit_orders(data: TemperatureData, bias: int, scale: int) -> TemperatureFit:
     """Return the fit of polynomials of these orders."""
-    axes = [_equations(evidence, bias, scale, axis) for axis in range(3)]
+    axes = [_equations(data, bias, scale, axis) for axis in range(3)]
     scatter = scatter_of(axes)
-    unit = np.concatenate([_span(evidence) ** -np.arange(1.0, order + 1) for order in (bias, scale)])
+    unit = np.concatenate([_span(data) ** -np.arange(1.0, order + 1) for order in (bias, scale)])
     # The unknowns behind the coefficients are constants.
     inverses = [whitened(each, scatter.variances).inverse()[: bias + scale] * unit[:, None] for each in axes]
     coefficients = np.stack([inverse @ each.values for inverse, each in zip(inverses, axes, strict=True)], axis=1)
-    shares = np.array([_shares(evidence.points, axis, *each) for axis, each in enumerate(zip(axes, inverses, strict=True))])
+    shares = np.array([_shares(data.points, axis, *each) for axis, each in enumerate(zip(axes, inverses, strict=True))])
     covariance = np.einsum("s,aspq->apq", scatter.weights, shares)
     of_bias, of_scale = np.r_[_BIAS_OF_REFERENCE, 2 : 2 + bias], np.r_[_SCALE_OF_REFERENCE, 2 + bias : 2 + bias + scale]
-    measured_degc = evidence.temperature_degc
-    sensor_degc = None if evidence.points is None else evidence.points.sensor_degc
-    reached_degc = [evidence.reference_degc, *measured_degc, *(() if sensor_degc is None else sensor_degc.ravel())]
+    measured_degc = data.temperature_degc
+    sensor_degc = None if data.points is None else data.points.sensor_degc
+    reached_degc = [data.reference_degc, *measured_degc, *(() if sensor_degc is None else sensor_degc.ravel())]
     range_degc = float(min(reached_degc)), float(max(reached_degc))
-    range_d_degc = np.array(range_degc) - evidence.reference_degc
+    range_d_degc = np.array(range_degc) - data.reference_degc
     temperature = TriadTemperature(
-        reference_degc=evidence.reference_degc,
+        reference_degc=data.reference_degc,
         range_degc=range_degc,
         bias=Polynomials(coefficients[:bias], _block(covariance, of_bias[1:], of_bias[1:])),
         scale=Polynomials(_scale_of_share(coefficients[bias:], range_d_degc), _block(covariance, of_scale[1:], of_scale[1:])),
-        hysteresis=_hysteresis(evidence.ramps),
-        scale_separated=evidence.separates_scale,
+        hysteresis=_hysteresis(data.ramps),
+        scale_separated=data.separates_scale,
         new_day=None,
-        sensor_offset_degc=None if evidence.points is None else evidence.points.sensor_offset_degc,
-        sessions=None if evidence.points is None else _changes(evidence.points),
+        sensor_offset_degc=None if data.points is None else data.points.sensor_offset_degc,
+        sessions=None if data.points is None else _changes(data.points),
         bias_scale_covariance=_block(covariance, of_bias[1:], of_scale[1:]),
     )
     if scatter.freedom[BIAS] >= _FEWEST_FREEDOM:
         is_shown = scatter.freedom[SCALE] >= _FEWEST_FREEDOM
         days = np.sqrt(scatter.variances)
-        left = np.array([_left(evidence.points, axis, each, scatter.variances) for axis, each in enumerate(axes)])
+        left = np.array([_variance_in_residuals(data.points, axis, each, scatter.variances) for axis, each in enumerate(axes)])
         d = np.linspace(range_d_degc[0], range_d_degc[1], _STEPS)
         freedom = [
             _freedom(scatter, shares[:, :, of[:, None], of], left[:, kind], kind, d)
@@ -282,8 +282,10 @@ def fit_orders(evidence: Evidence, bias: int, scale: int) -> TemperatureFit:
             scale_freedom=freedom[SCALE] if is_shown else 0.0,
         )
         temperature = replace(temperature, new_day=new_day)
-    gap_degc = float(np.abs(measured_degc - evidence.reference_degc).min())
-    return TemperatureFit(temperature=temperature, blocks=distinct(measured_degc), factor=_factor(axes), gap_degc=gap_degc)
+    gap_degc = float(np.abs(measured_degc - data.reference_degc).min())
+    return TemperatureFit(
+        temperature=temperature, blocks=distinct(measured_degc), factor=_scatter_ratio(axes), gap_degc=gap_degc
+    )
 
 
 def _block(covariance: FloatArray, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> FloatArray:
@@ -310,7 +312,7 @@ def _shares(points: SessionPoints | None, axis: int, equations: Equations, inver
     return shares
 
 
-def _left(points: SessionPoints | None, axis: int, equations: Equations, variances: FloatArray) -> FloatArray:
+def _variance_in_residuals(points: SessionPoints | None, axis: int, equations: Equations, variances: FloatArray) -> FloatArray:
     """Return the variance of the part of bias and scale of the reference that residuals of the fit show, shape (2,)."""
     found = np.zeros(2)
     if points is not None and points.reference is not None:
@@ -331,7 +333,7 @@ def _freedom(scatter: Scatter, shares: FloatArray, left: FloatArray, kind: int, 
     return float(median(np.concatenate([scatter.freedom_of(of_day[:, axis], kind, left[axis, None]) for axis in range(3)])))
 
 
-def _factor(axes: Sequence[Equations]) -> float:
+def _scatter_ratio(axes: Sequence[Equations]) -> float:
     """Return the scatter about the polynomials over the sigma given, 1 at least."""
     given = [whitened(each, LEAST) for each in axes]
     spare = sum(len(each.values) - each.matrix.shape[1] for each in given)
@@ -354,20 +356,20 @@ def _scale_of_share(coefficients: FloatArray, range_d_degc: FloatArray) -> Float
     return np.asarray(np.linalg.lstsq(V, share / (1 - share), rcond=None)[0], float) if order else coefficients
 
 
-def _span(evidence: Evidence) -> float:
+def _span(data: TemperatureData) -> float:
     """Return the largest distance from the reference, degC: powers of d over it are of one size."""
-    return float(np.abs(evidence.temperature_degc - evidence.reference_degc).max())
+    return float(np.abs(data.temperature_degc - data.reference_degc).max())
 
 
-def _equations(evidence: Evidence, bias: int, scale: int, axis: int) -> Equations:
+def _equations(data: TemperatureData, bias: int, scale: int, axis: int) -> Equations:
     """Return the equations of one axis; the unknowns are B and q in powers of d over the span, then the constants."""
-    points, ramps, span = evidence.points, evidence.ramps, _span(evidence)
+    points, ramps, span = data.points, data.ramps, _span(data)
     unknowns = bias + scale + 2 * (points is not None) + len(ramps)
     matrices, values, kinds, own = [np.empty((0, unknowns))], [np.empty(0)], [np.empty(0, np.intp)], np.empty((0, 0))
     if points is not None:
         m = len(points)
         at_degc = points.temperature_degc if points.sensor_degc is None else points.sensor_degc[:, axis]
-        d = (at_degc - evidence.reference_degc) / span
+        d = (at_degc - data.reference_degc) / span
         pairs = np.zeros((m, 2, unknowns))
         pairs[:, 0, :bias], pairs[:, 1, bias : bias + scale] = powers(d, bias), powers(d, scale)
         pairs[:, 0, bias + scale] = pairs[:, 1, bias + scale + 1] = 1.0
@@ -380,7 +382,7 @@ def _equations(evidence: Evidence, bias: int, scale: int, axis: int) -> Equation
         values.append(found[shown])
         kinds.append(np.tile([BIAS, SCALE], m)[shown])
     for number, ramp in enumerate(ramps):
-        d = (ramp.temperature_degc - evidence.reference_degc) / span
+        d = (ramp.temperature_degc - data.reference_degc) / span
         block = np.zeros((len(ramp), unknowns))
         block[:, :bias] = powers(d, bias)
         block[:, bias : bias + scale] = ramp.output[:, axis, None] * powers(d, scale)

@@ -15,7 +15,7 @@ from imufield.calibrate.model.models import at_temperature
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration
 from imufield.calibrate.model.temperature_polynomials import Polynomials, TriadTemperature
 from imufield.calibrate.model.uncertainty import rms
-from imufield.calibrate.temperature.fit import Evidence, fit_temperature
+from imufield.calibrate.temperature.fit import TemperatureData, fit_temperature
 from imufield.calibrate.temperature.points import accelerometer_points
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity
 from imufield.samples import FloatArray
@@ -47,7 +47,7 @@ def covered(sessions: int, order: int, grade: Grade, rng: np.random.Generator) -
     reference = at_degc.index(_REFERENCE_DEGC)
     base = found[reference]
     points = accelerometer_points(base.accelerometer, found, at_degc, reference)
-    model = fit_temperature(Evidence(reference_degc=_REFERENCE_DEGC, points=points)).temperature
+    model = fit_temperature(TemperatureData(reference_degc=_REFERENCE_DEGC, points=points)).temperature
     new_degc = float(rng.uniform(at_degc[0], at_degc[-1]))
     stated, day = at_temperature(base.accelerometer, model, new_degc), _of_day(truth, over, new_degc, grade, rng=rng)
     own = base.accelerometer_sigma

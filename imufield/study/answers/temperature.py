@@ -14,7 +14,7 @@ from imufield.calibrate.model.grades import GRADES
 from imufield.calibrate.model.models import at_temperature, predict, recover
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration
 from imufield.calibrate.model.temperature_polynomials import HIGHEST_ORDER, Polynomials, TriadTemperature, powers, unchanging
-from imufield.calibrate.temperature.fit import Evidence, RampBlocks, fit_orders, fit_temperature
+from imufield.calibrate.temperature.fit import RampBlocks, TemperatureData, fit_orders, fit_temperature
 from imufield.calibrate.temperature.points import accelerometer_points
 from imufield.calibrate.temperature.ramp import RampWindows, cut_ramp
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity
@@ -53,7 +53,7 @@ def order_of_blocks(order: int, blocks: int, axes: int, rng: np.random.Generator
         direction=np.ones(blocks),
         specific_force_m_s2=np.zeros(3),
     )
-    return _order_found(Evidence(reference_degc=REFERENCE_DEGC, ramps=[ramp]), truth, order)
+    return _order_found(TemperatureData(reference_degc=REFERENCE_DEGC, ramps=[ramp]), truth, order)
 
 
 def order_of_wave(rng: np.random.Generator) -> dict[str, ArrayLike]:
@@ -69,19 +69,19 @@ def order_of_wave(rng: np.random.Generator) -> dict[str, ArrayLike]:
     windows = RampWindows(time_s=time_s, temperature_degc=at_degc, output=output, specific_force_m_s2=force)
     blocks = cut_ramp(windows).blocks
     truth = chebyshev.chebval((blocks.temperature_degc - REFERENCE_DEGC) / AWAY_DEGC, wave).T
-    return _order_found(Evidence(reference_degc=REFERENCE_DEGC, ramps=[blocks]), truth, HIGHEST_ORDER)
+    return _order_found(TemperatureData(reference_degc=REFERENCE_DEGC, ramps=[blocks]), truth, HIGHEST_ORDER)
 
 
-def _order_found(evidence: Evidence, truth: NDArray[np.floating], order: int) -> dict[str, ArrayLike]:
+def _order_found(data: TemperatureData, truth: NDArray[np.floating], order: int) -> dict[str, ArrayLike]:
     """Return whether the order is right, and the error over that of the best order."""
 
     def error(temperature: TriadTemperature) -> float:
-        off = temperature.bias.at(evidence.temperature_degc - evidence.reference_degc) - truth
+        off = temperature.bias.at(data.temperature_degc - data.reference_degc) - truth
         # A constant is the business of the session at the reference.
         return float(np.sqrt(np.mean((off - off.mean(axis=0)) ** 2)))
 
-    found = fit_temperature(evidence).temperature
-    best = min(error(fit_orders(evidence, bias, 0).temperature) for bias in range(HIGHEST_ORDER + 1))
+    found = fit_temperature(data).temperature
+    best = min(error(fit_orders(data, bias, 0).temperature) for bias in range(HIGHEST_ORDER + 1))
     ratio = error(found) / best
     return {"right": found.bias.order == order, "near": ratio <= 1.1, "ratio_95": ratio}
 
@@ -113,8 +113,8 @@ def left_after(repeatability_mg: float, repeatability_ppm: float, rng: np.random
     points = accelerometer_points(base, sessions, at_degc)
     ways = {
         "one session": None,
-        "one pose": fit_temperature(Evidence(reference_degc=REFERENCE_DEGC, ramps=[ramp])).temperature,
-        "joint": fit_temperature(Evidence(reference_degc=REFERENCE_DEGC, points=points, ramps=[ramp])).temperature,
+        "one pose": fit_temperature(TemperatureData(reference_degc=REFERENCE_DEGC, ramps=[ramp])).temperature,
+        "joint": fit_temperature(TemperatureData(reference_degc=REFERENCE_DEGC, points=points, ramps=[ramp])).temperature,
     }
     end_degc = float(rng.choice([at_degc[0], at_degc[2]]))
     up = rng.standard_normal((_POSES, 3))

@@ -12,9 +12,9 @@ from imufield.calibrate.model.models import at_temperature, predict, predict_gyr
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters
 from imufield.calibrate.model.temperature_polynomials import Polynomials, TriadTemperature, unchanging
 from imufield.calibrate.temperature.fit import (
-    Evidence,
     RampBlocks,
     SessionPoints,
+    TemperatureData,
     distinct,
     fit_orders,
     fit_temperature,
@@ -78,8 +78,8 @@ ENDS = np.array([-20.0, 60.0])
 
 def test_sessions_and_a_ramp_separate_bias_from_scale() -> None:
     rng = np.random.default_rng(1)
-    evidence = Evidence(reference_degc=20.0, points=sessions([-18.0, 20.0, 58.0], rng, SIGMA), ramps=[ramp(rng, 1e-4)])
-    found = fit_temperature(evidence).temperature
+    data = TemperatureData(reference_degc=20.0, points=sessions([-18.0, 20.0, 58.0], rng, SIGMA), ramps=[ramp(rng, 1e-4)])
+    found = fit_temperature(data).temperature
     assert (found.bias.order, found.scale.order) == (2, 1)
     assert found.scale_separated
     bias, scale = true_change(ENDS)
@@ -95,8 +95,10 @@ def test_sessions_and_a_ramp_separate_bias_from_scale() -> None:
 def test_a_ramp_on_one_side_of_the_reference(temperatures: list[float], seed: int) -> None:
     """As where an instrument is only heated: an output of gravity must not pass for a bias that scatters by gravity."""
     rng = np.random.default_rng(seed)
-    evidence = Evidence(reference_degc=20.0, points=sessions(temperatures, rng, SIGMA), ramps=[ramp(rng, 1e-4, low_degc=20.0)])
-    found = fit_temperature(evidence).temperature
+    data = TemperatureData(
+        reference_degc=20.0, points=sessions(temperatures, rng, SIGMA), ramps=[ramp(rng, 1e-4, low_degc=20.0)]
+    )
+    found = fit_temperature(data).temperature
     bias, scale = true_change(np.array([60.0]))
     d = found.degrees_above(np.array([60.0]))
     assert np.abs(found.scale.at(d) - scale).max() < 5 * SIGMA[1] * np.sqrt(2)
@@ -108,7 +110,7 @@ def test_the_covariance_of_bias_and_scale_gives_the_sigma_of_every_pose() -> Non
     rng, off, stated, apart = np.random.default_rng(13), [], [], []
     for _ in range(60):
         points = sessions([-18.0, 20.0, 58.0], rng, SIGMA)
-        found = fit_orders(Evidence(reference_degc=20.0, points=points, ramps=[ramp(rng, 1e-4)]), 2, 1).temperature
+        found = fit_orders(TemperatureData(reference_degc=20.0, points=points, ramps=[ramp(rng, 1e-4)]), 2, 1).temperature
         bias, scale = true_change(ENDS[1:])
         d = found.degrees_above(ENDS[1:])
         of_force = POSE + OFFSET
@@ -125,13 +127,13 @@ def test_two_sessions_need_the_ramp() -> None:
     rng = np.random.default_rng(2)
     points = sessions([-10.0, 20.0], rng, SIGMA)
     with refused(CalibrationError, Reason.TOO_FEW, key="fit.too_few"):
-        fit_temperature(Evidence(reference_degc=20.0, points=points))
-    found = fit_temperature(Evidence(reference_degc=20.0, points=points, ramps=[ramp(rng, 1e-4)])).temperature
+        fit_temperature(TemperatureData(reference_degc=20.0, points=points))
+    found = fit_temperature(TemperatureData(reference_degc=20.0, points=points, ramps=[ramp(rng, 1e-4)])).temperature
     assert found.scale.order == 1
 
 
 def test_a_one_pose_ramp_puts_the_scale_into_the_bias_and_says_how_much() -> None:
-    found = fit_temperature(Evidence(reference_degc=20.0, ramps=[ramp(np.random.default_rng(3), 1e-4)])).temperature
+    found = fit_temperature(TemperatureData(reference_degc=20.0, ramps=[ramp(np.random.default_rng(3), 1e-4)])).temperature
     assert not found.scale_separated
     assert found.scale.order == 0
     bias, scale = true_change(ENDS)
@@ -146,14 +148,16 @@ def test_a_one_pose_ramp_puts_the_scale_into_the_bias_and_says_how_much() -> Non
 
 def test_ramps_in_opposite_poses_separate_them_without_a_session() -> None:
     rng = np.random.default_rng(4)
-    found = fit_temperature(Evidence(reference_degc=20.0, ramps=[ramp(rng, 1e-4), ramp(rng, 1e-4, force=-POSE)])).temperature
+    found = fit_temperature(
+        TemperatureData(reference_degc=20.0, ramps=[ramp(rng, 1e-4), ramp(rng, 1e-4, force=-POSE)])
+    ).temperature
     assert found.scale_separated
     assert np.abs(found.scale.coefficients[0] - SCALE[0]).max() < 5e-6
 
 
 def test_hysteresis_is_half_the_difference_of_the_branches() -> None:
     rng = np.random.default_rng(5)
-    found = fit_temperature(Evidence(reference_degc=20.0, ramps=[ramp(rng, 1e-5, hysteresis=2e-3)])).temperature
+    found = fit_temperature(TemperatureData(reference_degc=20.0, ramps=[ramp(rng, 1e-5, hysteresis=2e-3)])).temperature
     np.testing.assert_allclose(found.hysteresis, 2e-3, rtol=0.02)
     assert np.all(found.bias_sigma_at(ENDS) > 1.9e-3)
 
@@ -161,19 +165,19 @@ def test_hysteresis_is_half_the_difference_of_the_branches() -> None:
 def test_the_noise_of_blocks_is_no_hysteresis() -> None:
     rng, sigma = np.random.default_rng(11), 1e-3
     ramps = [ramp(rng, sigma) for _ in range(20)]
-    found = fit_temperature(Evidence(reference_degc=20.0, ramps=ramps)).temperature
+    found = fit_temperature(TemperatureData(reference_degc=20.0, ramps=ramps)).temperature
     # Half of the difference of two blocks has 0.71 sigma.
     assert np.all(found.hysteresis < 0.3 * sigma)
     ramps = [ramp(rng, sigma, hysteresis=sigma) for _ in range(20)]
-    found = fit_temperature(Evidence(reference_degc=20.0, ramps=ramps)).temperature
+    found = fit_temperature(TemperatureData(reference_degc=20.0, ramps=ramps)).temperature
     np.testing.assert_allclose(found.hysteresis, sigma, rtol=0.1)
 
 
 def test_scatter_beyond_the_stated_sigma_widens_the_uncertainty() -> None:
     rng = np.random.default_rng(6)
-    honest = fit_temperature(Evidence(reference_degc=20.0, ramps=[ramp(rng, 1e-3)]))
+    honest = fit_temperature(TemperatureData(reference_degc=20.0, ramps=[ramp(rng, 1e-3)]))
     bold = ramp(np.random.default_rng(6), 1e-3)
-    scattered = fit_temperature(Evidence(reference_degc=20.0, ramps=[replace(bold, sigma=bold.sigma / 10)]))
+    scattered = fit_temperature(TemperatureData(reference_degc=20.0, ramps=[replace(bold, sigma=bold.sigma / 10)]))
     assert honest.factor < 1.2
     assert scattered.factor == pytest.approx(10, rel=0.2)
     assert scattered.temperature.bias.order == honest.temperature.bias.order
@@ -185,7 +189,7 @@ def test_a_reference_far_from_what_was_measured_is_told() -> None:
     whole = ramp(np.random.default_rng(10), 1e-4)
     warm = whole.temperature_degc >= 44
     kept = replace(whole, **{name: getattr(whole, name)[warm] for name in ("temperature_degc", "output", "sigma", "direction")})
-    found = fit_temperature(Evidence(reference_degc=20.0, ramps=[kept]))
+    found = fit_temperature(TemperatureData(reference_degc=20.0, ramps=[kept]))
     assert found.gap_degc == 24.0
     assert keys(fit_warnings(found, "accelerometer")) == ["fit.gap"]
 
@@ -200,7 +204,7 @@ def test_temperatures_nearer_than_half_a_degree_are_one() -> None:
 )
 def test_orders_never_exceed_distinct_temperatures_less_two(temperatures: list[float], orders: tuple[int, int]) -> None:
     points = sessions(temperatures, np.random.default_rng(7), SIGMA)
-    assert Evidence(reference_degc=20.0, points=points).highest_orders() == orders
+    assert TemperatureData(reference_degc=20.0, points=points).highest_orders() == orders
 
 
 def test_raw_output_at_a_temperature_becomes_that_of_the_reference() -> None:
@@ -252,5 +256,5 @@ def test_the_order_is_found_and_a_fifth_order_ramp_is_fitted_well() -> None:
             direction=np.ones(20),
             specific_force_m_s2=np.zeros(3),
         )
-        right += fit_temperature(Evidence(reference_degc=20.0, ramps=[blocks])).temperature.bias.order == order
+        right += fit_temperature(TemperatureData(reference_degc=20.0, ramps=[blocks])).temperature.bias.order == order
     assert right >= 0.85 * 60

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from imufield.calibrate.model.coverage_factors import student_factor
 from imufield.calibrate.model.temperature_polynomials import TriadTemperature
-from imufield.calibrate.temperature.fit import Evidence, RampBlocks, SessionPoints, fit_orders, fit_temperature
+from imufield.calibrate.temperature.fit import RampBlocks, SessionPoints, TemperatureData, fit_orders, fit_temperature
 from imufield.samples import FloatArray
 
 pytestmark = pytest.mark.numerical
@@ -47,7 +47,7 @@ def points(at_degc: FloatArray, rng: np.random.Generator, day: FloatArray, rho: 
 
 def model_of(found: SessionPoints) -> TriadTemperature:
     """Return the straight lines through sessions."""
-    return fit_orders(Evidence(reference_degc=REFERENCE_DEGC, points=found), 1, 1).temperature
+    return fit_orders(TemperatureData(reference_degc=REFERENCE_DEGC, points=found), 1, 1).temperature
 
 
 @pytest.mark.statistical
@@ -77,7 +77,7 @@ def test_days_that_differ_by_more_than_the_slope_choose_no_order_of_small_scatte
     rng, inside = np.random.default_rng(9), []
     for _ in range(150):
         found = points(np.array([-10.0, 20.0, 50.0]), rng, 40 * DAY)
-        model = fit_temperature(Evidence(reference_degc=REFERENCE_DEGC, points=found)).temperature
+        model = fit_temperature(TemperatureData(reference_degc=REFERENCE_DEGC, points=found)).temperature
         assert (model.bias.order, model.scale.order) == (1, 1)
         inside.append(is_new_day_inside(found, model, 40 * DAY, rng))
     # 150 days of three axes know a share to 1 %.
@@ -98,7 +98,7 @@ def test_a_ramp_that_shows_no_scale_opens_no_choice_of_its_order() -> None:
         )
         found = points(np.array([-10.0, 20.0, 50.0]), rng, 40 * DAY)
         orders.append(
-            fit_temperature(Evidence(reference_degc=REFERENCE_DEGC, points=found, ramps=[ramp])).temperature.scale.order
+            fit_temperature(TemperatureData(reference_degc=REFERENCE_DEGC, points=found, ramps=[ramp])).temperature.scale.order
         )
     assert orders == [1] * 20
 
@@ -168,8 +168,8 @@ def test_a_quiet_ramp_does_not_hide_how_days_differ() -> None:
         specific_force_m_s2=np.full(3, 9.0),
     )
     found = points(np.array([-10.0, 20.0, 50.0]), rng, 20 * DAY)
-    model = fit_orders(Evidence(reference_degc=REFERENCE_DEGC, points=found, ramps=[ramp]), 1, 1).temperature
+    model = fit_orders(TemperatureData(reference_degc=REFERENCE_DEGC, points=found, ramps=[ramp]), 1, 1).temperature
     assert model.new_day is not None
     assert np.all(model.new_day.bias > 5 * DAY[0])
-    alone = fit_orders(Evidence(reference_degc=REFERENCE_DEGC, ramps=[ramp]), 1, 0).temperature
+    alone = fit_orders(TemperatureData(reference_degc=REFERENCE_DEGC, ramps=[ramp]), 1, 0).temperature
     assert alone.new_day is None

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imufield.calibrate.temperature.fit import Evidence, fit_temperature
+from imufield.calibrate.temperature.fit import TemperatureData, fit_temperature
 from imufield.calibrate.temperature.ramp import RampWindows, cut_ramp, ramp_sentences
 from imufield.errors import CalibrationError, Reason
 from tests.refused import refused
@@ -61,7 +61,7 @@ def test_hysteresis_is_no_lag() -> None:
 def test_a_coarse_thermometer_neither_hides_hysteresis_nor_lags() -> None:
     slow = windows(hysteresis=2e-3, seconds=40000.0)
     ramp = cut_ramp(replace(slow, temperature_degc=np.round(slow.temperature_degc * 2) / 2))
-    found = fit_temperature(Evidence(reference_degc=20.0, ramps=[ramp.blocks])).temperature
+    found = fit_temperature(TemperatureData(reference_degc=20.0, ramps=[ramp.blocks])).temperature
     assert ramp.lag_s == 0.0
     np.testing.assert_allclose(found.hysteresis, 2e-3, rtol=0.25)
 
@@ -77,7 +77,7 @@ def test_a_soak_at_the_end_is_no_way_back() -> None:
 def test_an_axis_that_stands_still_leaves_the_others_their_orders() -> None:
     still = windows()
     still.output[:, 0] = 1.25
-    found = fit_temperature(Evidence(reference_degc=20.0, ramps=[cut_ramp(still).blocks])).temperature
+    found = fit_temperature(TemperatureData(reference_degc=20.0, ramps=[cut_ramp(still).blocks])).temperature
     assert found.bias.order >= 1
     np.testing.assert_allclose(found.bias.coefficients[0][1:], [-1e-3 + 4e-4, 3e-3 + 4e-4], atol=2e-4)
     np.testing.assert_allclose(found.bias.coefficients[0][0], 0.0, atol=1e-6)
