@@ -72,7 +72,7 @@ class Scene:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Forecast:
+class DriftForecast:
     """Bands in which the errors lie with 95 % probability, arrays of shape (n,)."""
 
     time_s: FloatArray
@@ -96,7 +96,7 @@ class Forecast:
 
 def forecast(
     calibration: Calibration, scene: Scene, random: RandomErrors, rng: np.random.Generator, *, runs: int = RUNS
-) -> Forecast:
+) -> DriftForecast:
     """Return the drift to be expected, and how much of it each source makes alone."""
     # A stream for each source: what one draws does not move the numbers of another.
     seed = rng.spawn(1 + len(SOURCES))
@@ -112,7 +112,7 @@ def forecast(
     }
     median, most = np.quantile(drift.position_nmi, [0.5, 0.95], axis=0)
     rate_median, rate_most = np.quantile(rates, [0.5, 0.95])
-    return Forecast(
+    return DriftForecast(
         time_s=drift.time_s,
         low=low,
         high=high,

@@ -18,7 +18,7 @@ from imufield.calibrate.model.result import Calibration
 from imufield.dataclass import dataclass, field
 from imufield.deliver.navigation.alignment import Alignment, Heading, RestMeans, align
 from imufield.deliver.navigation.drift import Drift
-from imufield.deliver.navigation.forecast import RUNS, Forecast, RandomErrors, Scene, forecast
+from imufield.deliver.navigation.forecast import RUNS, DriftForecast, RandomErrors, Scene, forecast
 from imufield.deliver.navigation.mechanise import Mechanisation, load_pyins
 from imufield.deliver.navigation.rest import SECOND_S, IntervalMeans, RestNoise, fill_gaps, measure_noise, moving_seconds
 from imufield.deliver.parameters.file import Corrected
@@ -69,7 +69,7 @@ class NavigationResult:
 
     drifts: dict[str, Drift]
     """By name of parameter set, the one under test last."""
-    forecast: Forecast | None
+    forecast: DriftForecast | None
     """Of the parameter set under test; None where there is none, see ``notes``."""
     settings: CheckSettings
     navigated_s: float
@@ -196,7 +196,7 @@ class StaticNavigation:
 
     def _forecast(
         self, tested: ParameterSet, calibration: Calibration | None, noise: RestNoise
-    ) -> tuple[Forecast | None, tuple[str, ...]]:
+    ) -> tuple[DriftForecast | None, tuple[str, ...]]:
         settings, alignment, flown = self.settings, tested.alignment, tested.mechanisation
         if calibration is None or alignment is None or flown is None:
             return None, ()
