@@ -143,39 +143,27 @@ def adjust(sessions: Sequence[SessionNumbers], prior_scales: Mapping[str, float]
     variances = {kind: reml_variance(of_kind) for kind, of_kind in found.items()}
     adjusted = _adjust(sessions, names, variances)
     n = len(names)
-    values, covariance = adjusted.values[:n], adjusted.covariance[:n, :n].copy()
-    sites = {column.name: k for k, column in enumerate(adjusted.columns) if column.what == "site"}
-    of_site = [*sites.values()]
-    with_sites = adjusted.covariance[:n, of_site]
-    by_gravity = with_sites @ np.linalg.solve(adjusted.covariance[np.ix_(of_site, of_site)], with_sites.T)
-    day = np.zeros((n, n))
+    values, own = adjusted.values[:n], np.sqrt(np.diag(adjusted.covariance))
     daily = {}
     for kind, of_kind in found.items():
-        rows = [k for k, name in enumerate(names) if kind_of(name) == kind]
+        rows = _rows(names, kind)
         prior_scale = prior_scales.get(kind, math.inf) if counted[kind] < FEWEST_WITHOUT_PRIOR else math.inf
         spread = sigmas(of_kind, prior_scale, values[rows])
-        # Correlations, those with gravity too, are those of the mean; the day is independent of everything.
-        own = np.sqrt(np.diag(covariance)[rows])
-        mean_sigma = np.maximum(spread.mean, own)
-        day_sigma = np.maximum(spread.day, mean_sigma)
-        size = np.ones(n)
-        size[rows] = mean_sigma / own
-        covariance *= np.outer(size, size)
-        by_gravity *= np.outer(size, size)
-        day[rows, rows] = day_sigma**2 - covariance[rows, rows]
-        covariance[rows, rows] = day_sigma**2
+        mean_sigma = np.maximum(spread.mean, own[rows])
         daily[kind] = Daily(
             repeatability=repeatability(of_kind),
             places=tuple(names[k].rpartition(" ")[2] for k in rows),
             mean_sigma=mean_sigma,
-            day_sigma=day_sigma,
+            day_sigma=np.maximum(spread.day, mean_sigma),
             prior_scale=prior_scale,
         )
+    sites = {column.name: k for k, column in enumerate(adjusted.columns) if column.what == "site"}
+    covariance, shares = _of_new_day(names, adjusted.covariance, [*sites.values()], daily)
     return Joint(
         names=names,
         values=values,
         covariance=covariance,
-        shares={"sessions": covariance - day - by_gravity, "gravity": by_gravity, "day_to_day": day},
+        shares=shares,
         # gamma is how far the gravity taken is off the true one; the unknown numbers go the other way than their errors.
         with_gravity={site: -adjusted.covariance[:n, k] for site, k in sites.items()},
         gravity_variance={site: float(adjusted.covariance[k, k]) for site, k in sites.items()},
@@ -184,6 +172,28 @@ def adjust(sessions: Sequence[SessionNumbers], prior_scales: Mapping[str, float]
         trends=tuple(name for kind, of_kind in found.items() for name in _trends(kind, of_kind, names)),
         differs=_differs(sessions, names, adjusted),
     )
+
+
+def _of_new_day(
+    names: tuple[str, ...], adjusted: FloatArray, sites: list[int], daily: Mapping[str, Daily]
+) -> tuple[FloatArray, dict[str, FloatArray]]:
+    """Return ``Joint.covariance`` and ``Joint.shares`` from the covariance of an adjustment and its rows of sites."""
+    n = len(names)
+    with_sites = adjusted[:n, sites]
+    by_gravity = with_sites @ np.linalg.solve(adjusted[np.ix_(sites, sites)], with_sites.T)
+    factor, variance_of_day = np.ones(n), np.zeros(n)
+    for kind, of_kind in daily.items():
+        rows = _rows(names, kind)
+        factor[rows] = of_kind.mean_sigma / np.sqrt(np.diag(adjusted)[rows])
+        variance_of_day[rows] = of_kind.day_sigma**2 - of_kind.mean_sigma**2
+    # Correlations, those with gravity too, are those of the mean; the day is independent of everything.
+    of_mean, by_gravity = (part * np.outer(factor, factor) for part in (adjusted[:n, :n], by_gravity))
+    day = np.diag(variance_of_day)
+    return of_mean + day, {"sessions": of_mean - by_gravity, "gravity": by_gravity, "day_to_day": day}
+
+
+def _rows(names: tuple[str, ...], kind: str) -> list[int]:
+    return [k for k, name in enumerate(names) if kind_of(name) == kind]
 
 
 def _variances(sessions: Sequence[SessionNumbers], names: tuple[str, ...], kinds: list[str]) -> dict[str, Contrasts]:

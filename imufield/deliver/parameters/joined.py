@@ -45,7 +45,7 @@ from imufield.deliver.parameters.gauge_free import (
     si_values,
 )
 from imufield.deliver.parameters.printed_numbers import DEG_PER_HOUR_RAD_S
-from imufield.earth import MILLI_G_M_S2
+from imufield.earth import MILLI_G_M_S2, Gravity
 from imufield.samples import AXES, FloatArray, SampleUnits
 from imufield.sentences import Sentences
 
@@ -130,12 +130,16 @@ def numbers_of(calibration: Calibration, found: GaugeFree, reference: GaugeFree)
         values=np.array([number.value for number in adjusted.numbers]),
         covariance=scatter,
         by_gravity=np.array(by_gravity),
-        # Assumed gravity counts as one place: its error does not average out, and what places differ by widens repeatability.
-        site=f"{gravity.gravity_m_s2:.6f}",
+        site=_site(gravity),
         freedom=calibration.quality.degrees_of_freedom,
     )
     table = {(one, two): float(shared[i, j]) for i, one in enumerate(names) for j, two in enumerate(names)}
     return Gathered(own, table)
+
+
+def _site(gravity: Gravity) -> str:
+    # Assumed gravity counts as one place: its error does not average out, and what places differ by widens repeatability.
+    return f"{gravity.gravity_m_s2:.6f}"
 
 
 def joined_parameters(
@@ -182,7 +186,7 @@ def _calibration(base: Calibration, joint: Joint, shared: FloatArray, reference:
     values[places] = scales + units * joint.values
     vector = lower_parameters(values)
     J = lower_jacobian(values)[:, places] * units
-    gravity, site = base.gravity, f"{base.gravity.gravity_m_s2:.6f}"
+    gravity, site = base.gravity, _site(base.gravity)
     sigma_m_s2 = gravity.sigma_m_s2 * math.sqrt(joint.gravity_variance[site])
     with_gravity = J @ joint.with_gravity[site] * gravity.sigma_m_s2
     full = np.block([[J @ (joint.covariance + shared) @ J.T, with_gravity[:, None]], [with_gravity, np.array([sigma_m_s2**2])]])
