@@ -5,7 +5,7 @@ both triads are turned together so that the sensing x axis is the body's and the
 "lower"). That frame is found from parameters that are uncertain themselves, so sigma is that of the whole function, ``J C J^T``
 with the joint covariance C; it is smooth and nearly linear.
 
-The numbers of one calibration hang together: for a known gravity their covariance is ``J (C - c c^T / C_gg) J^T``, with c the
+The numbers of one calibration are correlated: for a known gravity their covariance is ``J (C - c c^T / C_gg) J^T``, with c the
 column of gravity in C. Much of that is the same in every session of an instrument, so that it is no reason for two of them to
 differ: what a term that was not fitted may hide, a prior. What differs is the covariance of the fit alone, rebuilt from the
 positions: ``(r^T W r / n) (A^T W A)^-1`` with A the Jacobian of the norms, that of a fitted drift with it, W their weights, r
@@ -29,6 +29,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imufield.calibrate.accelerometer.fit import column_basis
 from imufield.calibrate.model.coverage_factors import degrees_of_freedom
@@ -158,7 +159,7 @@ class GaugeFree:
             value = numbers[place].value + float(change[place])
             numbers[place] = replace(numbers[place], value=value, scatter_freedom=self.linear.freedom)
         error, scatter = (part[np.ix_(kept, kept)] for part in (self.error, self.scatter))
-        # The gyroscope's numbers hang on the frame of the other fit.
+        # The gyroscope's numbers depend on the frame of the other fit.
         scatter[own] = scatter[:, own] = 0.0
         scatter[np.ix_(own, own)] = self.linear.scatter
         # A term that is there and is not fitted moves the numbers by as much.
@@ -194,7 +195,7 @@ def unit_of(name: str) -> str:
 
 
 def gauge_free(calibration: Calibration, mean_raw: FloatArray, sigma_raw: FloatArray) -> GaugeFree:
-    """Return the gauge-free numbers of a calibration, those that were estimated, and how their errors hang together.
+    """Return the gauge-free numbers of a calibration, those that were estimated, and how their errors are correlated.
 
     Parameters
     ----------
@@ -217,52 +218,57 @@ def gauge_free(calibration: Calibration, mean_raw: FloatArray, sigma_raw: FloatA
     numbers = (*_accelerometer(calibration), *_gyroscope(calibration, values[_GYROSCOPE:], sigma[_GYROSCOPE:]))
     error = J @ without_gravity(names, C) @ J.T
     scatter = error.copy()
-    fitted = _fitted(calibration, lower.vector, mean_raw, sigma_raw)
-    if fitted is not None:
+    fit = _linearised_fit(calibration, lower.vector, mean_raw, sigma_raw)
+    if fit is not None:
         numbers = tuple(
-            replace(number, scatter_freedom=fitted.freedom) if number.name in _ACCELEROMETER_NAMES else number
+            replace(number, scatter_freedom=fit.freedom) if number.name in _ACCELEROMETER_NAMES else number
             for number in numbers
         )
         # A part is no larger than the whole: correlations between the axes of a mean are not in the file.
-        ratio = np.diag(error)[:_GYROSCOPE] / np.maximum(np.diag(fitted.covariance), _TINY)
+        of_fit = _scatter(fit.J, fit.A, fit.residual, fit.freedom)
+        ratio = np.diag(error)[:_GYROSCOPE] / np.maximum(np.diag(of_fit), _TINY)
         size = np.sqrt(np.where(ratio < _LEAST_RATIO, ratio, 1.0))
-        scatter[:_GYROSCOPE, :_GYROSCOPE] = fitted.covariance * np.outer(size, size)
+        scatter[:_GYROSCOPE, :_GYROSCOPE] = of_fit * np.outer(size, size)
     places = [NAMES.index(number.name) for number in numbers]
     stated = np.sqrt([max(number.sigma**2 - number.common**2, 0.0) for number in numbers])
     own = np.sqrt(np.maximum(np.diag(error)[places], 0.0))
-    # From SI to the unit of each number: its stated sigma over that of its error.
+    # ``stated`` is in the unit of each number, ``own`` in SI: their ratio is that unit.
     unit = np.divide(stated, own, out=np.zeros_like(own), where=own > 0)
     error, scatter = (part[np.ix_(places, places)] * np.outer(unit, unit) for part in (error, scatter))
     # What the covariance does not hold stands by itself.
     alone = np.flatnonzero(own == 0)
     error[alone, alone] = scatter[alone, alone] = stated[alone] ** 2
-    linear = _fitted(calibration, lower.vector, mean_raw, sigma_raw, linear=True)
-    if linear is None:
-        return GaugeFree(numbers, error, scatter)
-    own_places = linear_places(numbers)
-    size, rows = unit[own_places], [places[k] for k in own_places]
-    of_fit = linear.covariance[np.ix_(rows, rows)] * np.outer(size, size)
-    fit = LinearFit(change=linear.change[rows] * size, scatter=of_fit, freedom=linear.freedom)
-    return GaugeFree(numbers, error, scatter, fit)
+    linear = None if fit is None else _without_terms(fit)
+    if linear is not None:
+        own_places = linear_places(numbers)
+        size, rows = unit[own_places], [places[k] for k in own_places]
+        of_rows = linear.scatter[np.ix_(rows, rows)] * np.outer(size, size)
+        linear = LinearFit(change=linear.change[rows] * size, scatter=of_rows, freedom=linear.freedom)
+    return GaugeFree(numbers, error, scatter, linear)
 
 
-class _Fitted(NamedTuple):
-    """What a fit alone says of the accelerometer's values."""
+class _LinearisedFit(NamedTuple):
+    """A fit of k coordinates to m positions: its weighted residuals are r + A step."""
 
-    change: FloatArray
-    """From those of the calibration, shape (12,)."""
-    covariance: FloatArray
-    """Shape (12, 12)."""
+    A: FloatArray
+    """Shape (m, k)."""
+    residual: FloatArray
+    """r, shape (m,)."""
+    J: FloatArray
+    """d values of the accelerometer / d coordinates, shape (12, k)."""
+    coordinates: FloatArray
+    """Found by the fit, shape (k,)."""
+    is_term: NDArray[np.bool_]
+    """Whether a coordinate is of the quadratic term or of a drift, shape (k,)."""
     freedom: float
 
 
-def _fitted(
-    calibration: Calibration, vector: FloatArray, mean_raw: FloatArray, sigma_raw: FloatArray, *, linear: bool = False
-) -> _Fitted | None:
-    """Return the fit that the calibration comes from, or the same without its quadratic term and drift.
+def _linearised_fit(
+    calibration: Calibration, vector: FloatArray, mean_raw: FloatArray, sigma_raw: FloatArray
+) -> _LinearisedFit | None:
+    """Return the fit that the calibration comes from; ``vector`` is in the lower gauge.
 
-    ``vector`` is in the lower gauge.
-    None where the residuals do not tell the weights, the file does not say which parameters were fitted, or it had neither.
+    None where the residuals do not tell the weights, or the file does not say which parameters were fitted.
     """
     used, quality, positions = calibration.accelerometer, calibration.quality, calibration.positions
     columns = tuple(
@@ -291,23 +297,32 @@ def _fitted(
     variance = within + quality.between_position_sigma_m_s2**2
     if jacobian.shape[1] != quality.parameters_fitted or quality.degrees_of_freedom < 1 or not np.all(variance > 0):
         return None
-    out = [k for k in range(len(coordinates)) if k >= len(columns) or columns[k] >= QUADRATIC.start] if linear else []
-    if linear and not out:
+    return _LinearisedFit(
+        A=jacobian / np.sqrt(variance)[:, None],
+        residual=positions.residual_m_s2[rows] / np.sqrt(variance),
+        J=_accelerometer_values(vector, used.quadratic_axes)[1] @ problem.basis,
+        coordinates=coordinates + vector @ np.linalg.pinv(problem.basis).T,
+        is_term=np.array([k >= len(columns) or columns[k] >= QUADRATIC.start for k in range(len(coordinates))]),
+        freedom=float(quality.degrees_of_freedom),
+    )
+
+
+def _without_terms(fit: _LinearisedFit) -> LinearFit | None:
+    """Return the same fit without quadratic term and drift, of the values in SI; None where it has neither."""
+    if not fit.is_term.any():
         return None
-    stays = np.setdiff1d(np.arange(len(coordinates)), out)
-    A, residual = jacobian / np.sqrt(variance)[:, None], positions.residual_m_s2[rows] / np.sqrt(variance)
-    step = np.zeros_like(coordinates)
-    if linear:
-        # To terms of zero, in the linearisation of the fit: what bends beyond it goes with their squares.
-        terms = coordinates + vector @ np.linalg.pinv(problem.basis).T
-        step[out] = -terms[out]
-        step[stays] = -np.linalg.lstsq(A[:, stays], residual + A @ step, rcond=None)[0]
-        residual = residual + A @ step
-    J = _accelerometer_values(vector, used.quadratic_axes)[1] @ problem.basis
-    freedom = quality.degrees_of_freedom + len(out)
+    # Set the left-out terms to zero in the linearised fit; what bends beyond it goes with their squares.
+    step, stays = np.where(fit.is_term, -fit.coordinates, 0.0), ~fit.is_term
+    step[stays] = -np.linalg.lstsq(fit.A[:, stays], fit.residual + fit.A @ step, rcond=None)[0]
+    freedom = fit.freedom + np.count_nonzero(fit.is_term)
+    scatter = _scatter(fit.J[:, stays], fit.A[:, stays], fit.residual + fit.A @ step, freedom)
+    return LinearFit(change=fit.J @ step, scatter=scatter, freedom=freedom)
+
+
+def _scatter(J: FloatArray, A: FloatArray, residual: FloatArray, freedom: float) -> FloatArray:
+    """Return the covariance of the values by the residuals of their fit alone, shape (12, 12)."""
     birge = float(np.sum(residual**2)) / freedom
-    to_values, A = J[:, stays], A[:, stays]
-    return _Fitted(J @ step, birge * to_values @ np.linalg.inv(A.T @ A) @ to_values.T, float(freedom))
+    return np.asarray(birge * J @ np.linalg.inv(A.T @ A) @ J.T)
 
 
 def _accelerometer(calibration: Calibration) -> Iterator[Number]:
@@ -331,7 +346,7 @@ def _gyroscope(calibration: Calibration, values: FloatArray, sigma: FloatArray) 
     keys = (("bias", AXES), ("scale", AXES), ("misalignment_rad", _MISALIGNMENTS), ("g_sensitivity", _SENSITIVITIES))
     own = [f"gyroscope.{key}.{place}" in calibration.covariance_names for key, places in keys for place in places]
     sigma = np.where(own, sigma, np.nan)
-    # A bias hangs on the scatter between the stills, and everything else on their biases.
+    # A bias depends on the scatter between the stills, and everything else on their biases.
     freedom = float(np.count_nonzero(calibration.positions.used) - 1)
     units = UNITS | {"gyroscope scale": (f"{gyroscope.raw_unit} per rad/s", 1.0)}
     kinds = dict.fromkeys(kind_of(name) for name in NAMES[_GYROSCOPE:])
