@@ -155,7 +155,7 @@ class Entry:
 
     @property
     def gauge_free(self) -> GaugeFree:
-        """The numbers, and how their errors hang together."""
+        """The numbers, and how their errors are correlated."""
         error, scatter = (_square(triangle, len(self.numbers)) for triangle in (self.error, self.scatter))
         linear, count = None, len(linear_places(self.numbers))
         if self.linear:

@@ -1,6 +1,6 @@
 """Whether two calibrations of one instrument differ: the largest of all their numbers against what unchanged pairs show.
 
-Each of up to 33 numbers has a difference D and its sigma s. By chance one of so many is far off more often than a single one,
+Each of up to 33 numbers has a difference D and its sigma s. By chance one of 33 is far off more often than a single one,
 and sigma is itself found from few residuals. So the whole family is tested at once (max-T, [1]_): the limit is what
 ``max_k |D_k| / s_k`` of an unchanged pair passes in 5 %. Its distribution is drawn, 20,000 times with a fixed seed:
 

@@ -160,7 +160,7 @@ def context() -> Context:
 
 @pytest.fixture
 def write(tmp_path: Path, calibration: Calibration, observations: Observations, context: Context):  # type: ignore[no-untyped-def]
-    """Return a writer of calibrations: date, bias y moved by so many sigma, and facts of the instrument."""
+    """Return a writer of calibrations: date, bias y moved by a number of sigma, and facts of the instrument."""
 
     def writer(
         name: str, created: str, moved: float = 0.0, session: str = "", recorded: str = "", called: str = "", **who: str

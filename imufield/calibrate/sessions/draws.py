@@ -15,7 +15,7 @@ FAMILY_CHANCE = 0.05
 def symmetric_root(covariance: FloatArray) -> FloatArray:
     """Return R with R^T R the covariance: the symmetric one, as another sign of an eigenvector would be other draws."""
     own = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    # A difference of two covariances may be negative: such a number has no variance, and hangs together with no other.
+    # A difference of two covariances may be negative: such a number has no variance, and is correlated with no other.
     inverse = np.divide(1.0, own, out=np.zeros_like(own), where=own > 0)
     values, vectors = np.linalg.eigh(covariance * np.outer(inverse, inverse))
     return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T * own)

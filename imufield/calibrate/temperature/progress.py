@@ -65,7 +65,7 @@ def ramp_progress(time_s: FloatArray, temperature_degc: FloatArray, force: Float
 
 
 def _degc_per_min(time_s: FloatArray, temperature_degc: FloatArray, over_s: float) -> float:
-    """Return the slope of the last ``over_s``; NaN before there are so many."""
+    """Return the slope of the last ``over_s``; NaN before that time has passed."""
     last = time_s > time_s[-1] - over_s
     if time_s[-1] - time_s[0] < over_s or last.sum() < 3:
         return math.nan

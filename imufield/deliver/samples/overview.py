@@ -53,6 +53,6 @@ def overview(blocks: Iterable[Samples]) -> tuple[dict[str, FloatArray], int]:
 
 
 def _joined(parts: tuple[FloatArray, ...], number: int) -> tuple[FloatArray, ...]:
-    """Return the parts with so many neighbours joined to one; the last may have fewer."""
+    """Return the parts with ``number`` neighbours joined to one; the last may have fewer."""
     starts = np.arange(0, len(parts[0]), number)
     return tuple(join.reduceat(part, starts, axis=0) for join, part in zip(_JOIN, parts, strict=True))

@@ -71,7 +71,7 @@ def _simulated_misfits(calibration: Calibration, observations: Observations, gro
     at = _derivatives(p, observations)
     fitted = np.diag(_covariance(calibration))[:-1] > 0
     size = parameter_scale(to_vector(p), calibration.gravity.gravity_m_s2)
-    # In most gauges columns hang together; as many as were fitted are independent.
+    # In most gauges columns depend on each other; as many as were fitted are independent.
     J = np.linalg.svd((at.jacobian * size)[:, fitted], full_matrices=False)[0][:, : quality.parameters_fitted]
     within, m = _within(at, observations), len(observations)
     sigma = np.sqrt(within + quality.between_position_sigma_m_s2**2)

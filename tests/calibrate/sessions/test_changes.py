@@ -41,7 +41,7 @@ def test_a_step_of_what_days_do_not_change_has_the_stated_sigma() -> None:
     assert change.first_after == 1
     assert change.size == pytest.approx(1.0)
     assert change.sigma == pytest.approx(0.1 * math.sqrt(1.5))
-    # Steps at two places and a drift hang together: less than three independent ones.
+    # Steps at two places and a drift are correlated: less than three independent ones.
     assert ndtri(0.975) < change.limit_sigma < ndtri(0.5 + 0.95 ** (1 / 3) / 2)
 
 
