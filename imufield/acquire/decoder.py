@@ -110,11 +110,16 @@ class Decoder:
         return messages
 
     @property
+    def time_is_counted(self) -> bool:
+        """Whether samples are timed at the stated rate: neither the stream nor its arrival tells it."""
+        return self._clock.by_rate
+
+    @property
     def time_is_assumed(self) -> bool:
-        """Whether samples were timed by a rate that nobody told: that of a setting left at its default, or none."""
+        """Whether that rate is one that nobody told: that of a setting left at its default, or none."""
         rate = self.protocol.settings.get("rate_hz")
         is_told = self.protocol.clock.rate_hz > 0 and (rate is None or rate.origin != "assumed")
-        return self._clock.by_rate and not is_told
+        return self.time_is_counted and not is_told
 
     def _keep(self, message: Message) -> None:
         if len(self._messages) < _MESSAGES_KEPT:

@@ -179,13 +179,13 @@ def _introduced(
     result: Search, listener: Listener, instrument: Instrument | None, options: ConnectOptions, *, say: Say
 ) -> Connected:
     """Ask who it is, set what was asked for, and begin to read in the background."""
-    candidate, chunks, port = listener.candidate, result.last.chunks, result.link.name
+    (candidate, other_rate), chunks, port = listener.at_pace(), result.last.chunks, result.link.name
     # Where the baud rate means nothing to the port, the instrument's own is what a real port would need.
     baud = candidate.bauds[0] if options.baud is None and has_no_baud(port) else result.last.baud
     if candidate.driver is not None and options.driver is None:
         evidence = listener.finding().evidence()
         say(sentence("connect.recognised", driver=candidate.name, evidence=evidence, title=candidate.title))
-    for taken in candidate.taken():
+    for taken in (*candidate.taken(), *filter(None, (other_rate,))):
         say(taken)
     # An address has no baud rate that anybody could set.
     if options.baud is None and "://" not in port:

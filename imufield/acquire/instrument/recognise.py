@@ -24,7 +24,7 @@ from imufield.dataclass import asdict, dataclass, field, replace
 from imufield.earth import MICRO_G_M_S2
 from imufield.errors import ProtocolError
 from imufield.samples import Samples, median
-from imufield.sentences import Sentences
+from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
 
@@ -33,6 +33,10 @@ CERTAIN_SAMPLES = 20
 """Samples that end the listening."""
 RATE_S = 0.3
 """Least listening where the rate is to be told, in chunks of 20 ms."""
+_PACE_S = 1.0  # The same where the time of samples will follow it.
+_USUAL_HZ = (1, 2, 5, 10, 20, 25, 40, 50, 100, 125, 200, 250, 400, 500, 800, 1000, 2000)
+_SAME_RATE = 0.1  # By arrival, in a second.
+_OTHER_RATE = 0.2  # From this on it is not the rate that was set: neither delays nor quartzes make as much.
 STRONG_BITS = 24  # Two sync bytes and a checksum of one byte, the least of binary protocols that have one.
 STRONG_SHARE = 0.5
 """Share of the bytes in good frames: text of a receiver or a damaged line may take the rest."""
@@ -206,15 +210,40 @@ class Listener:
                 self._count(self.decoder.flush())
         except ProtocolError as error:
             # Increments may turn out to need a rate, which the error has: listen again with it, unless it is known already.
-            candidate, rate_hz = self.candidate, error.values.get("rate_hz")
-            setting = candidate.protocol.settings.get("rate_hz")
-            if rate_hz is None or candidate.driver is None or setting is None or setting.origin == "given":
+            rate_hz = error.values.get("rate_hz")
+            candidate = None if rate_hz is None else self._at_rate(float(f"{rate_hz:.4g}"))
+            if candidate is None:
                 self._fault = error.message
                 return
-            given = {name: known.value for name, known in candidate.protocol.settings.items() if known.origin == "given"}
-            variant = {**candidate.variant, "rate_hz": float(f"{rate_hz:.4g}")}
-            self._begin(replace(candidate, protocol=candidate.driver.load_protocol({**given, **variant}), variant=variant))
+            self._begin(candidate)
             self._decode(self._chunks)
+
+    def _at_rate(self, rate_hz: float) -> Candidate | None:
+        """Return the candidate at another rate; None where the user gave one, or it cannot be set."""
+        candidate = self.candidate
+        setting = candidate.protocol.settings.get("rate_hz")
+        if candidate.driver is None or setting is None or setting.origin == "given":
+            return None
+        given = {name: known.value for name, known in candidate.protocol.settings.items() if known.origin == "given"}
+        variant = {**candidate.variant, "rate_hz": rate_hz}
+        return replace(candidate, protocol=candidate.driver.load_protocol({**given, **variant}), variant=variant)
+
+    def at_pace(self) -> tuple[Candidate, Sentence | None]:
+        """Return the candidate at the rate at which samples come, where their time is counted at a rate that is another.
+
+        With it comes a sentence where that rate was given, or cannot be set here.
+        """
+        set_hz, (arrival_hz, is_steady) = self.candidate.protocol.clock.rate_hz, self._pace(by_arrival=True)
+        if not (self.decoder.time_is_counted and set_hz and arrival_hz and is_steady):
+            return self.candidate, None
+        if abs(arrival_hz / set_hz - 1) <= _OTHER_RATE:
+            return self.candidate, None
+        rate_hz = usual_rate(arrival_hz)
+        candidate = self._at_rate(rate_hz)
+        if candidate is None:
+            return self.candidate, sentence("recognise.other_rate", arrival_hz=arrival_hz, set_hz=set_hz, rate_hz=rate_hz)
+        reason = sentence("recognise.rate", rate_hz=arrival_hz)
+        return replace(candidate, reasons={**candidate.reasons, "rate_hz": reason}), None
 
     def messages(self) -> list[Message]:
         """Return the messages that arrived and are no samples."""
@@ -258,9 +287,10 @@ class Listener:
         """Whether listening longer would add nothing."""
         if self.decoder.statistics.samples < CERTAIN_SAMPLES:
             return False
-        # The rate is part of the evidence; a user who named the instrument need not wait for it.
+        # The rate is part of the evidence; who named the instrument need not wait for it, unless samples are timed by it.
+        least_s = _PACE_S if self.decoder.time_is_counted else 0.0 if self._is_given else RATE_S
         heard_s = self._arrivals[-1][0] - self._arrivals[0][0] if self._arrivals else 0.0
-        return (self._is_given or heard_s >= RATE_S) and self.finding().found
+        return heard_s >= least_s and self.finding().found
 
     def _count(self, samples: Samples) -> None:
         # Messages of rates alone have no acceleration to judge by.
@@ -308,8 +338,8 @@ class Listener:
             return sentence("recognise.no_gravity", norm_m_s2=norm)
         return "" if steady else sentence("recognise.unsteady")
 
-    def _pace(self) -> tuple[float | None, bool]:
-        """Return frames of samples for each second of the host, and whether they come evenly."""
+    def _pace(self, *, by_arrival: bool = False) -> tuple[float | None, bool]:
+        """Return samples in each second, by the protocol where it knows that, and whether they come evenly to the host."""
         # A line through two points fits any pace.
         if len(self._arrivals) < 3:
             return None, False
@@ -322,8 +352,15 @@ class Listener:
         # Frames may hold several samples, or several make one.
         each = counts.samples / counts.frames if counts.frames else math.nan
         # The rate that the protocol knows is exact; the slope has the jitter of the host.
-        rate_hz = counts.nominal_rate_hz or (slope * each if each > 0 else None)
+        known_hz = None if by_arrival else counts.nominal_rate_hz
+        rate_hz = known_hz or (slope * each if each > 0 else None)
         return rate_hz, bool(departure <= max(_STEADY_FRAMES / max(each, 1e-9), _STEADY_SHARE * (frames[-1] - frames[0])))
+
+
+def usual_rate(rate_hz: float) -> float:
+    """Return the usual rate that one by arrival stands for, or that in three digits where none is near."""
+    nearest = min(_USUAL_HZ, key=lambda usual_hz: abs(math.log(usual_hz / rate_hz)))
+    return float(nearest if abs(nearest / rate_hz - 1) < _SAME_RATE else f"{rate_hz:.3g}")
 
 
 def best(listeners: Iterable[Listener]) -> Listener | None:

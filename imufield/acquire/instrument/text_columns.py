@@ -17,7 +17,7 @@ import numpy as np
 from imufield.acquire.formats.table_columns import HEADERLESS
 from imufield.acquire.formats.table_names import TIME, named_column
 from imufield.acquire.formats.table_text import delimiter_of, is_number, split_cells
-from imufield.acquire.instrument.recognise import CERTAIN_SAMPLES, FEWEST_SAMPLES, RATE_S, Candidate, Listener
+from imufield.acquire.instrument.recognise import CERTAIN_SAMPLES, FEWEST_SAMPLES, RATE_S, Candidate, Listener, usual_rate
 from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.acquire.protocol.units import nominal_scale
@@ -55,8 +55,6 @@ _MEAN_S = 0.1  # Shorter than any turn, longer than a tremor.
 _TURNED_RAD = 0.2
 _CORRELATED = 0.8
 _SAME_UNIT = 2.0  # Units are a factor of 57 apart.
-_USUAL_HZ = (1, 2, 5, 10, 20, 25, 40, 50, 100, 125, 200, 250, 400, 500, 800, 1000, 2000)
-_SAME_RATE = 0.1  # By arrival, in a second.
 _TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 
 
@@ -132,8 +130,7 @@ def find_columns(lines: Lines, rate_hz: float) -> Columns | None:
         names[left.pop(0)] = clock.pop("name")
         settings |= clock
     if "counter" in names and TIME not in names:
-        nearest = min(_USUAL_HZ, key=lambda usual_hz: abs(math.log(usual_hz / rate_hz)))
-        settings["rate_hz"] = f"{nearest if abs(nearest / rate_hz - 1) < _SAME_RATE else rate_hz:.3g}"
+        settings["rate_hz"] = f"{usual_rate(rate_hz):.3g}"
         reasons["rate_hz"] = sentence("text_columns.rate", rate_hz=rate_hz)
     units = _by_heading(lines.heading, names)
     if units:

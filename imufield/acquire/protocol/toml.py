@@ -179,9 +179,9 @@ class Table:
         """Return an array of strings, empty where the key is absent; numbers as they are written."""
         return tuple(map(str, self.items(key, [])))
 
-    def hexadecimal(self, key: str, default: str = "") -> bytes:
-        """Return bytes written as "0D 0A"."""
-        found = self.text(key, default)
+    def hexadecimal(self, key: str) -> bytes:
+        """Return bytes written as "0D 0A"; none where the key is absent."""
+        found = self.text(key, "")
         try:
             return bytes.fromhex(found)
         except ValueError:

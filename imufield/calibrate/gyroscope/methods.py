@@ -19,7 +19,7 @@ the start of a round as unit,
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -36,7 +36,7 @@ from imufield.calibrate.gyroscope.result import (
 )
 from imufield.calibrate.gyroscope.stills_alone import linearise_static
 from imufield.calibrate.model.result import GYROSCOPE_NAMES
-from imufield.calibrate.solvers.agreement import CROSS_CHECKED, LEAST_SQUARES, Attempt, CrossCheck, compare
+from imufield.calibrate.solvers.agreement import LEAST_SQUARES, Attempt, CrossCheck, compare
 from imufield.calibrate.solvers.base import SolverResult, SolverStatus
 from imufield.calibrate.solvers.norm_problem import Coordinates, CostName
 from imufield.calibrate.solvers.registry import find_method, load_solver
@@ -290,15 +290,11 @@ def solve_gyroscope_with(
     return fitted.result(found.x, found), found
 
 
-def cross_check_gyroscope(
-    result: GyroscopeResult, *, rng: np.random.Generator, methods: Sequence[str] = CROSS_CHECKED
-) -> CrossCheck | None:
+def cross_check_gyroscope(result: GyroscopeResult, *, rng: np.random.Generator) -> CrossCheck | None:
     """Search with several methods and compare in units of sigma of the fit alone; None for a static bias.
 
     Raises
     ------
-    UsageError
-        If there is no such method.
     CalibrationError
         If a method cannot start.
     """
@@ -314,4 +310,4 @@ def cross_check_gyroscope(
     A = fitted.linearise(best)[1]
     J = fitted.instrument(best)[1]
     variance = np.einsum("ij,jk,ik->i", J, np.linalg.pinv(A.T @ A, hermitian=True), J)
-    return compare("gyroscope", attempt, GYROSCOPE_NAMES, np.sqrt(np.maximum(variance, 0.0)), methods=methods)
+    return compare("gyroscope", attempt, GYROSCOPE_NAMES, np.sqrt(np.maximum(variance, 0.0)))

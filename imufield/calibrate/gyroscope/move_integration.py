@@ -30,6 +30,7 @@ INVERSE = slice(0, 9)
 BIAS = slice(9, 12)
 SENSITIVITY = slice(12, 21)
 _LEAST_SHOWN = 0.3  # Of the length of what is shown best: less is the hand's acceleration rather than the turn.
+_WINDOW_S = 0.1  # Over which a rough inverse takes the specific force to turn at one rate.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -169,7 +170,7 @@ class _AlongMoves:
         return np.array(each).reshape(-1, len(factors), len(others))  # also of no move at all
 
 
-def rough_inverse(moves: Moves, preset: FloatArray | None = None, window_s: float = 0.1) -> FloatArray:
+def rough_inverse(moves: Moves, preset: FloatArray | None = None) -> FloatArray:
     """Return A from how the specific force turns during centred moves, shape (3, 3); the preset's where few moves show nothing.
 
     A vector fixed in space turns in the body as ``da/dt = a x w``, so ``a_2 - a_1 = a x A turn`` for a short window: linear in
@@ -179,7 +180,7 @@ def rough_inverse(moves: Moves, preset: FloatArray | None = None, window_s: floa
     slots = moves.slots
     elapsed = np.cumsum(slots.duration_s) - slots.duration_s
     chain = np.repeat(np.arange(len(moves)), moves.length)
-    window = np.floor((elapsed - elapsed[moves.first][chain]) / window_s).astype(np.int64)
+    window = np.floor((elapsed - elapsed[moves.first][chain]) / _WINDOW_S).astype(np.int64)
     starts = np.concatenate(([0], np.flatnonzero((np.diff(window) != 0) | (np.diff(chain) != 0)) + 1))
     T = np.add.reduceat(slots.duration_s, starts)
     force = np.add.reduceat(slots.force, starts) / T[:, None]

@@ -36,7 +36,7 @@ sentence = Sentences(__package__)
 NoiseFormat = Literal["kalibr", "openvins", "vins", "ros2"]
 
 
-def noise_text(result: NoiseResult, form: NoiseFormat, *, topic: str = "/imu0", gravity_m_s2: float | None = None) -> str:
+def noise_text(result: NoiseResult, form: NoiseFormat) -> str:
     """Return YAML text for Kalibr, OpenVINS, VINS-Fusion, or the publisher of a ROS 2 ``sensor_msgs/Imu``.
 
     Raises
@@ -63,8 +63,7 @@ def noise_text(result: NoiseResult, form: NoiseFormat, *, topic: str = "/imu0", 
             f"gyr_w: {_largest(result, 'gyroscope', 'walk', walk)} rad/s^2",
         ]
         source += f", for {result.rate_hz:.6g} Hz"
-        gravity = STANDARD_GRAVITY_M_S2 if gravity_m_s2 is None else gravity_m_s2
-        return "\n".join([source, *lines, f"g_norm: {gravity:.6f}"]) + "\n"
+        return "\n".join([source, *lines, f"g_norm: {STANDARD_GRAVITY_M_S2:.6f}"]) + "\n"
     indent = "  " if form == "openvins" else ""
     figures = (
         ("accelerometer", "noise_density", "density", "m/s^2/sqrt(Hz)"),
@@ -75,7 +74,7 @@ def noise_text(result: NoiseResult, form: NoiseFormat, *, topic: str = "/imu0", 
     lines = [f"{indent}{triad}_{name}: {_largest(result, triad, figure)} {unit}" for triad, name, figure, unit in figures]
     # OpenVINS reads with cv::FileStorage, which refuses a file that does not begin so.
     top = ["%YAML:1.0", source, "imu0:"] if form == "openvins" else [source]
-    return "\n".join([*top, *lines, f"{indent}rostopic: {topic}", f"{indent}update_rate: {result.rate_hz:.6g}"]) + "\n"
+    return "\n".join([*top, *lines, f"{indent}rostopic: /imu0", f"{indent}update_rate: {result.rate_hz:.6g}"]) + "\n"
 
 
 def _covariances(result: NoiseResult) -> str:

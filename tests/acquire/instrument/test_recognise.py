@@ -121,6 +121,32 @@ def test_lines_that_come_in_bursts_are_doubted() -> None:
     assert text.finding().reason == "its frames arrive irregularly"
 
 
+@pytest.mark.parametrize(("arrival_hz", "is_other"), [(250.0, True), (900.0, False), (1100.0, False), (2000.0, True)])
+@pytest.mark.parametrize("given", [{}, {"rate_hz": 1000}])
+def test_the_rate_is_that_of_arrival_where_time_is_counted(
+    arrival_hz: float, *, is_other: bool, given: dict[str, object]
+) -> None:
+    # Of this instrument a counter alone tells how many samples there were, and nothing at what rate.
+    data, bytes_per_s = stream("kvh")
+    driver = load_driver("kvh_17xx")
+    protocol = driver.load_protocol(given)
+    listener = Listener(
+        Candidate(name="kvh_17xx", title=driver.title, protocol=protocol, bauds=driver.bauds, driver=driver), is_given=True
+    )
+    for chunk in chunks(data, bytes_per_s * arrival_hz / INSTRUMENTS["kvh"][1]):
+        listener.feed(chunk)
+        if listener.is_certain:
+            break
+    assert listener.decoder.time_is_counted
+    listener.close()
+    found, remark = listener.at_pace()
+    is_taken = is_other and not given
+    assert found.protocol.clock.rate_hz == (arrival_hz if is_taken else 1000)
+    assert bool(found.taken()) is is_taken
+    assert (remark is not None) is (is_other and bool(given))
+    assert remark is None or float(remark.values["rate_hz"]) == arrival_hz
+
+
 def test_how_much_a_frame_proves() -> None:
     def bits(name: str) -> int:
         driver: type[Driver] = load_driver(name)
