@@ -20,7 +20,7 @@ from imufield.sentences import Sentences, printable
 
 sentence = Sentences(__package__)
 
-# Settings that change every number, so that an assumed value must be seen.
+# Settings that change every number, so that an assumed value must be seen; so does one that is "unknown".
 _WORTH_SAYING = ("accelerometer_range_g", "columns", "accelerometer_unit", "gyroscope_unit")
 
 
@@ -180,6 +180,6 @@ def assumed(protocol: Protocol) -> list[str]:
         *(
             sentence("connected.assumed", name=name, value=setting.value)
             for name, setting in protocol.settings.items()
-            if setting.origin == "assumed" and name in _WORTH_SAYING
+            if setting.origin == "assumed" and (name in _WORTH_SAYING or setting.value == "unknown")
         ),
     ]
