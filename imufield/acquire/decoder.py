@@ -13,7 +13,6 @@ feeds, except where host arrival time is used because the stream cannot tell (``
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -26,6 +25,7 @@ from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.decode.text_lines import LineReader, SentenceReader
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.protocol.samples_and_clock import NANOSECONDS, ClockRule
+from imufield.dataclass import replace
 from imufield.samples import FloatArray, IntArray, Samples, Status, concatenate, no_samples
 
 _INCOMPLETE = np.uint32(Status.ACCELEROMETER_INVALID | Status.GYROSCOPE_INVALID)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.recording.reader import RecordedBlock
+from imufield.dataclass import replace
 from imufield.errors import ProtocolError, Reason, RecordingError
 from imufield.samples import Samples, Status
 from imufield.sentences import Sentences

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Collection, Iterable
-from dataclasses import MISSING
 from functools import partial
 from typing import Annotated, cast, get_args
 
@@ -14,6 +13,7 @@ from typer.core import TyperCommand, TyperGroup
 from imufield.cli.command import Command, Parameter, find_command, parameters
 from imufield.cli.table import COMMANDS, NAMES
 from imufield.commands.options.shared import UnfitValueError, read_number
+from imufield.dataclass import MISSING
 from imufield.sentences import Sentences, printable_lines
 from imufield.version import __version__
 

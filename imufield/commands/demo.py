@@ -6,7 +6,6 @@ import json
 import shlex
 import tempfile
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from imufield.commands.options.acquire_commands import DemoOptions
 from imufield.commands.terminal.emulated import capture, emulator
 from imufield.commands.terminal.guided import Captured
 from imufield.commands.terminal.output import echo, say
+from imufield.dataclass import replace
 from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, write_document
 from imufield.deliver.parameters.printed_numbers import hanging
 from imufield.deliver.report.summary import Outcome, print_summary

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import inspect
 import json
-from dataclasses import asdict
 from typing import Any
 
 from imufield.acquire.link.ports import can_channels, serial_ports
 from imufield.acquire.registry import driver_names, load_driver
 from imufield.commands.options.acquire_commands import DevicesOptions
 from imufield.commands.terminal.output import echo
+from imufield.dataclass import asdict
 from imufield.deliver.parameters.printed_numbers import hanging
 from imufield.errors import ProtocolError
 from imufield.sentences import Sentences, printable

@@ -8,7 +8,6 @@ import re
 import shlex
 import sys
 from collections.abc import Iterable, Iterator
-from dataclasses import fields
 from pathlib import Path
 from typing import Any, get_args
 
@@ -19,6 +18,7 @@ from imufield.acquire.registry import driver_names, load_driver
 from imufield.commands.options.acquire_commands import EmulateOptions
 from imufield.commands.options.shared import one_of
 from imufield.commands.terminal.output import echo, replace_only, say
+from imufield.dataclass import fields
 from imufield.deliver.parameters.printed_numbers import WIDTH, beside
 from imufield.errors import UsageError
 from imufield.files import read_small_file

@@ -8,7 +8,6 @@ import shlex
 import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -31,6 +30,7 @@ from imufield.acquire.recording.session_record import SettingRecord
 from imufield.acquire.registry import load_driver
 from imufield.commands.options.acquire_commands import ImportOptions
 from imufield.commands.terminal.output import echo, say_each
+from imufield.dataclass import replace
 from imufield.deliver.parameters.printed_numbers import beside
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.guide.lead.still_scales import find_scales

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import tomli_w
@@ -17,6 +16,7 @@ from imufield.commands.options.configuration import FILE_NAME
 from imufield.commands.terminal.output import say, tell_written
 from imufield.commands.terminal.questions import ask, ask_until, confirm
 from imufield.commands.terminal.site import NOT_KNOWN, ask_site, read_answer
+from imufield.dataclass import replace
 from imufield.errors import UsageError
 from imufield.files import typed_write_errors, write_keeping
 from imufield.limits import TARGET_RANGE

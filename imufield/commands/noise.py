@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
@@ -17,6 +16,7 @@ from imufield.calibrate.noise.noise_texts import NoiseFormat, draw_plot, noise_t
 from imufield.commands.options.result_commands import NoiseOptions
 from imufield.commands.options.shared import one_of
 from imufield.commands.terminal.output import echo, say, say_each, tell_written, write_output
+from imufield.dataclass import replace
 from imufield.deliver.parameters.document import noise_table
 from imufield.deliver.parameters.file import Noise, Parameters, load, write_document
 from imufield.errors import Reason, UsageError

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
 
 from imufield.calibrate.model.grades import DEFAULT_GRADE, find_grade, grade_by_noise
 from imufield.commands.options.acquire_commands import PlanOptions
 from imufield.commands.terminal.output import echo, say
+from imufield.dataclass import asdict
 from imufield.earth import MICRO_G_M_S2
 from imufield.guide.lead.session_time import session_time
 from imufield.guide.lead.settings import GuideSettings

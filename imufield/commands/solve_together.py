@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 from rich.table import Table
@@ -13,6 +12,7 @@ from imufield.acquire.recording.session import Session
 from imufield.commands.options.result_commands import SolveOptions
 from imufield.commands.terminal.output import echo, say, say_each, tell_written
 from imufield.console import PlainTextConsole
+from imufield.dataclass import replace
 from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, as_written, json_ready, write_document
 from imufield.deliver.parameters.joined import shown_unit
 from imufield.deliver.parameters.printed_numbers import WIDTH, to_ascii

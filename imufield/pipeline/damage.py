@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 
 from imufield.acquire.decode.statistics import DecoderStatistics, without_samples
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
+from imufield.dataclass import replace
 from imufield.errors import CalibrationError, Reason, RecordingError
 from imufield.sentences import Sentences
 

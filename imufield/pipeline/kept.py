@@ -14,7 +14,6 @@ import math
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import fields, is_dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar, cast
@@ -25,6 +24,7 @@ from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.recording.session import SETTINGS_FILE, Session
 from imufield.calibrate.gyroscope.moves import Slots
 from imufield.calibrate.model.observations import Observations
+from imufield.dataclass import fields, is_dataclass
 from imufield.deliver.report.trace import TraceCells
 from imufield.files import SMALL_FILE_LIMIT_BYTES, Origin, read_small_file, write_atomically
 from imufield.guide.positions import SCHEME_FILE

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
 from imufield.acquire.formats.tables import ImportedTable
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.protocol.units import nominal_scale
+from imufield.dataclass import replace
 from imufield.guide.lead.still_scales import StillScales, find_scales
 from imufield.samples import LARGEST_OUTPUT, FloatArray, Samples, SampleUnits, make_samples
 from imufield.sentences import Sentence, Sentences

@@ -9,13 +9,13 @@ References
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
 
 from imufield.calibrate.model.models import BIAS, MISALIGNMENT, SCALE
 from imufield.calibrate.solvers.registry import load_solver
+from imufield.dataclass import replace
 from imufield.study import figures
 from imufield.study.bsas_hardware import TURNTABLE_RAD
 from imufield.study.context import StudyContext

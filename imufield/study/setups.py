@@ -5,13 +5,13 @@ These tables are inputs, so there is nothing to reproduce; they are here so that
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from typing import Literal
 
 import numpy as np
 
 from imufield.calibrate.solvers.beetles import BsasSettings
 from imufield.calibrate.solvers.triad_costs import TRIAD_NAMES
+from imufield.dataclass import asdict
 from imufield.earth import MICRO_G_M_S2
 from imufield.study import instruments
 from imufield.study.bsas_hardware import GYROSCOPE_BIAS_DEG_PER_H, OLD, REPEATABILITY_M_S2

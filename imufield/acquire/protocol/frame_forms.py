@@ -8,15 +8,13 @@ and all frames of that shape are recognised by comparing those bytes.
 
 from __future__ import annotations
 
-from dataclasses import field as dataclass_field
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
 from imufield.acquire.protocol.checksum import Checksum
 from imufield.acquire.protocol.layout import Field, Layout
-from imufield.dataclass import dataclass
+from imufield.dataclass import dataclass, replace
+from imufield.dataclass import field as dataclass_field
 
 Bytes = NDArray[np.uint8]
 Positions = NDArray[np.intp]

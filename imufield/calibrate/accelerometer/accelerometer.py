@@ -8,7 +8,6 @@ the quadratic term (``fit``); choose the model (``model_choice``); turn into the
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,6 +54,7 @@ from imufield.calibrate.model.result import (
     QuadraticAxes,
 )
 from imufield.calibrate.model.uncertainty import known_covariance
+from imufield.dataclass import replace
 from imufield.earth import STANDARD_GRAVITY_M_S2, Gravity
 from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.samples import FloatArray

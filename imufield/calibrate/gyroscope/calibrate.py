@@ -17,8 +17,6 @@ says how sure the residuals are, ``result`` puts it together.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from imufield.calibrate.gyroscope.fit import fit_jointly
@@ -46,6 +44,7 @@ from imufield.calibrate.gyroscope.stills_alone import (
 from imufield.calibrate.gyroscope.whole_turns import find_stops, misses_and_limits
 from imufield.calibrate.model.grades import find_grade
 from imufield.calibrate.model.uncertainty import rms
+from imufield.dataclass import replace
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences

@@ -15,13 +15,13 @@ References
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from imufield.calibrate.solvers.base import Problem, SolverResult, SolverStatus
 from imufield.calibrate.solvers.population import check_start
+from imufield.dataclass import replace
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from imufield.calibrate.model.models import at_temperature
 from imufield.calibrate.model.result import Calibration, GyroscopeCalibration
 from imufield.calibrate.model.temperature_polynomials import TriadTemperature
+from imufield.dataclass import replace
 from imufield.samples import AXES, FloatArray
 
 

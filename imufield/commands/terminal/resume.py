@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 
 from imufield.acquire.instrument.connected import Connected, ConnectOptions
@@ -12,6 +11,7 @@ from imufield.acquire.recording.session import Session
 from imufield.acquire.recording.session_record import GuideRecord
 from imufield.acquire.registry import driver_names
 from imufield.commands.terminal.questions import confirm
+from imufield.dataclass import replace
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.files import Origin
 from imufield.guide.lead.guide import Guide

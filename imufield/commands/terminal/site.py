@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 
 from imufield.acquire.recording.session import Session
 from imufield.commands.terminal.output import say
 from imufield.commands.terminal.questions import ask_until
+from imufield.dataclass import replace
 from imufield.errors import RecordingError, UsageError
 from imufield.pipeline.site import SiteOptions
 from imufield.sentences import Sentences

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import tomli
 
+from imufield.dataclass import fields
 from imufield.deliver.exports.target import Exported, ExportOptions, Target
 from imufield.errors import UsageError
 from imufield.files import refuse_overwriting, typed_write_errors, write_keeping

@@ -6,7 +6,6 @@ Keys and shapes are docs/parameter-file.md and ``parameters.schema.json``. NaN s
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, fields
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from imufield.calibrate.model.result import (
     Quality,
     SolverSummary,
 )
+from imufield.dataclass import asdict, fields
 from imufield.deliver.parameters.context import (
     ClockFacts,
     Context,

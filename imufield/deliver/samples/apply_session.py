@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from imufield.dataclass import replace
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.samples.export_data import export_csv
 from imufield.samples import Samples, SampleUnits, Status, TemperatureHold, require_possible_degc

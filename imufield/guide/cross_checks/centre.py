@@ -17,10 +17,9 @@ References
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
+from imufield.dataclass import replace
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import FloatArray, median

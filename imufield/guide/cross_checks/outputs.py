@@ -31,11 +31,11 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import replace
 from statistics import NormalDist
 
 import numpy as np
 
+from imufield.dataclass import replace
 from imufield.guide import refusals
 from imufield.guide.events import RefusalCode
 from imufield.guide.hold.checks import CLIPPED_SAMPLES, CLIPPED_SHARE

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
+from imufield.dataclass import replace
 from imufield.guide.cross_checks.running_fit import Disagreement, RunningFit
 from imufield.guide.events import Accepted, Event, Move, NoiseFloorMeasured, vector
 from imufield.guide.hold.observe import Observation

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import contextlib
 import time
-from dataclasses import replace
 
 import can
 import numpy as np
@@ -21,6 +20,7 @@ import numpy as np
 from imufield.acquire.link.can import make_message, open_bus, parse_bus
 from imufield.acquire.protocol.can_frame import EXTENDED, Frame
 from imufield.acquire.protocol.protocol import Protocol
+from imufield.dataclass import replace
 from imufield.samples import Samples, Status
 from imufield.simulate.emulator.core import LINGER_S, EmulatorCore, EmulatorSettings
 from imufield.simulate.emulator.faults import CanFaultInjector, CanFaults, error_burst

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
 from imufield.acquire.protocol.protocol import Protocol
+from imufield.dataclass import replace
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.samples import FloatArray, Samples
 from imufield.simulate.instruments.device import Answer, Device, Frames

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import cache, partial
 
 import numpy as np
@@ -17,6 +16,7 @@ from imufield.calibrate.sessions.changes import DatedNumbers, judge
 from imufield.calibrate.sessions.forecast import Forecast, forecast
 from imufield.calibrate.sessions.joint import SessionNumbers
 from imufield.calibrate.sessions.kinds import kind_of
+from imufield.dataclass import replace
 from imufield.deliver.parameters.joined import numbers_of
 from imufield.simulate.truth.grades import TrueInstrument, draw_truth
 from imufield.study.answers.tables import Study, Table

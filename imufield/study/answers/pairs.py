@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -13,6 +12,7 @@ from imufield.calibrate.gyroscope.moves import MoveCollector
 from imufield.calibrate.model.grades import find_grade
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration, ModelChoice
+from imufield.dataclass import replace
 from imufield.deliver.pair_test import Shared, family_of, typical_turn_on
 from imufield.deliver.parameters.gauge_free import GaugeFree, gauge_free
 from imufield.deliver.parameters.printed_numbers import DEG_PER_HOUR_RAD_S

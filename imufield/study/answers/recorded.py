@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -28,6 +27,7 @@ from imufield.calibrate.model.grades import find_grade
 from imufield.calibrate.model.models import to_vector
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.uncertainty import rms
+from imufield.dataclass import replace
 from imufield.deliver.parameters.clock import HOST_SIGMA, clock_facts
 from imufield.earth import STANDARD_GRAVITY_M_S2, Gravity
 from imufield.errors import CalibrationError

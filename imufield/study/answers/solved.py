@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache, partial
 from itertools import product
 
@@ -13,6 +12,7 @@ from imufield.calibrate.accelerometer.accelerometer import calibrate_acceleromet
 from imufield.calibrate.model.grades import GRADES
 from imufield.calibrate.model.models import BIAS, SCALE
 from imufield.calibrate.model.result import VERDICTS
+from imufield.dataclass import replace
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity, choose_gravity, sigma_of_digits
 from imufield.sentences import Sentence
 from imufield.simulate.truth.effects import Effects

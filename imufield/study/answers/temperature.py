@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -17,6 +16,7 @@ from imufield.calibrate.model.temperature_polynomials import HIGHEST_ORDER, Poly
 from imufield.calibrate.temperature.fit import RampBlocks, TemperatureData, fit_orders, fit_temperature
 from imufield.calibrate.temperature.points import accelerometer_points
 from imufield.calibrate.temperature.ramp import RampWindows, cut_ramp
+from imufield.dataclass import replace
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity
 from imufield.samples import FloatArray
 from imufield.simulate.truth.grades import draw_truth, perfect_instrument

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -16,6 +15,7 @@ from imufield.calibrate.model.models import to_vector
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration
 from imufield.calibrate.sessions.joint import Joint, adjust
 from imufield.calibrate.sessions.kinds import PPM
+from imufield.dataclass import replace
 from imufield.deliver.parameters.gauge_free import GaugeFree, gauge_free
 from imufield.deliver.parameters.joined import numbers_of, prior_scales
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity
