@@ -252,7 +252,8 @@ def sentences_astray(found: list[Module]) -> list[str]:
     A string "section.", as an f-string begins, names those of its sentences whose names stand somewhere in the code.
     """
     astray = []
-    words = {node.value for module in found for node in ast.walk(module.tree) if isinstance(node, ast.Constant)}
+    constants = (node.value for module in found for node in ast.walk(module.tree) if isinstance(node, ast.Constant))
+    words = {value for value in constants if isinstance(value, str)}
     folders: dict[Path, list[Module]] = defaultdict(list)
     for module in found:
         folders[module.path.parent].append(module)

@@ -28,7 +28,7 @@ from imufield.simulate.truth.grades import TACTICAL, perfect_instrument
 from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.operator import Operator, OperatorSettings
 from imufield.web.access import PROTOCOL, Access
-from imufield.web.address import Place, open_place
+from imufield.web.address import PageAddress, open_place
 from imufield.web.guide_page import GuidePage
 from imufield.web.server import PageServer
 from tests.web.browser import Screens, open_browser
@@ -92,7 +92,7 @@ class Turned:
 
 
 @contextmanager
-def served(turned: Turned) -> Iterator[tuple[Place, Access]]:
+def served(turned: Turned) -> Iterator[tuple[PageAddress, Access]]:
     """Serve the page of a guide."""
     place = open_place(None, None)
     access = Access(place.hosts)

@@ -43,7 +43,7 @@ from tests.guide.test_event_schema import read_schema
 
 if TYPE_CHECKING:
     from imufield.commands.terminal.page import ServedPage
-    from imufield.web.address import Place
+    from imufield.web.address import PageAddress
     from tests.commands.conftest import Program
 
 WAIT_S = 300.0  # Only a program that hangs takes so long, however busy the machine.
@@ -336,7 +336,7 @@ class Keys:
 
 
 def capture_again(
-    source: Session, folder: Path, place: Place | None, make: Callable[[str], None], is_heard: Any
+    source: Session, folder: Path, place: PageAddress | None, make: Callable[[str], None], is_heard: Any
 ) -> list[object]:
     """Capture the stream of a recording anew, with marks at certain places; return what is recorded."""
     metadata = {name: value for name, value in source.metadata.items() if name not in ("created", "software")}
