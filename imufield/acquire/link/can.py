@@ -59,6 +59,7 @@ _HOST_CLOCK_S = 60.0  # A time stamp nearer than this to the host's clock was ma
 _FAULTS_BORNE = 3
 # Interfaces whose bit rate is set elsewhere, or that have none.
 _NO_BIT_RATE = ("socketcan", "virtual", "udp_multicast", "socketcand")
+_EXTRAS = {"udp_multicast": "multicast", "slcan": "serial"}  # Of python-can, where they have another name than the interface.
 # What python-can's drivers raise where a bus cannot be opened. Besides its own errors: OSError of the system, ValueError and
 # TypeError for options that the interface does not know, and ImportError, AttributeError or NameError (kvaser) where the
 # vendor's library is missing or older than the driver expects.
@@ -170,7 +171,8 @@ def open_bus(address: BusAddress, bit_rate: int | None = None) -> can.BusABC:
         bus = _make_bus(address.interface, address.channel, options)
     except can.CanInterfaceNotImplementedError as error:
         # The driver of the interface, or the package that holds it, is not installed.
-        missing = sentence("can.no_driver", interface=address.interface, cause=error)
+        extra = _EXTRAS.get(address.interface, address.interface)
+        missing = sentence("can.no_driver", interface=address.interface, cause=error, extra=extra)
         raise UsageError(missing, Reason.MISSING_PACKAGE) from error
     except _OPEN_FAILURES as error:
         name, number = f"{address.interface}:{address.channel}", system_errno(error)

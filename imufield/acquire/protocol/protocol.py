@@ -323,6 +323,14 @@ def _check_fields(top: Table, frame: FrameRule, samples: SampleRule, clock: Cloc
     for where, key, name in used:
         if name not in known:
             raise where.error(key, sentence("protocol.field", name=name, near=near(name, known)))
+    # A bit of a status may bear the same name.
+    sizes = {name: max(field.count for field in frame.all_fields() if field.name == name) for name in known}
+    for part in ("accelerometer", "gyroscope"):
+        names = samples.quantity(part).fields
+        counts = [sizes[name] for name in names]
+        # Alternatives of three values each, or the three axes.
+        if counts not in ([], [3] * len(counts), [1, 1, 1]):
+            raise table.error(part, sentence("protocol.triad", names=names, counts=counts))
     of_sensors = {samples.quantity(part).sensor_temperature for part in PARTS}
     for each in frame.all_fields():
         if each.name in of_sensors and each.count not in (1, 3):

@@ -134,6 +134,15 @@ def test_wrong_settings_name_what_is_allowed(given: dict[str, object], reason: R
             "protocol.field",
             "'acceleration'",
         ),
+        # A frame is one sample: of several in it the others would be lost.
+        (
+            '"accelerometer", type = "i24", count = 3',
+            '"accelerometer", type = "i24", count = 6',
+            "accelerometer = { fields",
+            "samples.accelerometer",
+            "protocol.triad",
+            "6",
+        ),
         ("[nominal]", "[nominals]", "[nominal]", "nominals", "toml.unknown", "'nominal'"),
         ("version = 1", "version = 2", "version = 1", "version", "protocol.version", "2"),
         (
