@@ -139,8 +139,8 @@ def _naming_unfinished(session: Session) -> Iterator[None]:
     try:
         yield
     except CalibrationError as error:
-        is_finished = session.record.scheme is None or session.finished or session.is_being_recorded
-        if is_finished or error.reason is not Reason.TOO_FEW:
+        can_go_on = session.record.scheme is not None and not session.finished and not session.is_being_recorded
+        if error.reason is not Reason.TOO_FEW or not can_go_on:
             raise
         values = {"error": error.message.removesuffix("."), "folder": shlex.quote(str(session.folder))}
         raise CalibrationError(sentence("solving.unfinished", **values), Reason.TOO_FEW, **error.values) from error

@@ -40,8 +40,8 @@ _USUAL_DELAY = 0.95
 _BURST_S = 0.02  # Least step that counts where frames come in bursts: a host under load is late by as much at any time.
 _RESET_S = 1.0  # A stamp that runs back by more is another clock (the adapter's wrapped), by less frames out of order.
 _LONGEST_PAUSE_S = 3600.0
-_DRIFT = 0.1  # Part of a period by which a sample moves the phase where the rate has changed,
-_DRIFT_RUN = 64  # and how many in a row do.
+_DRIFT = 0.1  # Part of a period: a sample that moves the phase by more is off.
+_DRIFT_RUN = 64  # Samples off in a row from which the rate has changed.
 _LEAST_STEP = 0.25  # Part of a period by which time goes on from one sample to the next.
 
 

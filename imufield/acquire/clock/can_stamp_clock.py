@@ -56,7 +56,7 @@ class CanStampClock(Clock):
         statistics.samples_lost += int(lost.sum())
         statistics.gaps += int(np.count_nonzero(flags))
         statistics.clock_resets += int(np.count_nonzero(stamped.reset))
-        mean_s = self._mean.add(stamped, self._steps.step)
+        mean_s = self._mean.by_stamps(stamped, self._steps.step)
         statistics.nominal_rate_hz = 1 / mean_s if mean_s else None
         return self._timed(block, stamped.time_s, flags)
 

@@ -8,8 +8,8 @@ Three sources, in this order of trust:
   back until it is clear whether the lag is a burst of late data (nothing is missing) or whole wraps are;
 * the *host clock*: samples in even steps at the measured rate, kept to the line of earliest arrivals.
 
-Time never runs backwards. A time stamp that does (the instrument restarted, or set its clock) becomes a gap. Counters and time
-stamps in messages of a CAN bus are unwrapped in ``can_clock``.
+Time never runs backwards. A time stamp that does (the instrument restarted, or set its clock) becomes a gap. On a CAN bus
+``can_clock`` unwraps counters, and ``can_stamp_clock`` time stamps.
 """
 
 from __future__ import annotations
@@ -59,6 +59,7 @@ class SampleClock(Clock):
         self._mean_step_s = 0.0  # Of the time stamps; 0 while not known.
         self._last_counter = 0
         self._stamped_step_s = 0.0  # Regular step by the first time stamps, where a counter comes beside them.
+        self._stamped_tick_s = 0.0  # The same of one tick of the counter.
         # Without time stamps, time is origin_s + ticks / tick_rate_hz: whole numbers, so that nothing adds up.
         self._tick_rate_hz = 1.0
         self._ticks = 0
@@ -138,6 +139,7 @@ class SampleClock(Clock):
             self._steps.learn(self._counter_steps(first)[1:].astype(np.float64))
             self._last_counter = int(first.counter[0]) - int(self._steps.step)
             self._stamped_step_s = _usual(first_steps_s)
+            self._stamped_tick_s = self._stamped_step_s / self._steps.step
             self._tick_rate_hz = self._rule.counter_ticks_per_s or self._rule.rate_hz or 1.0
             self.by_rate = not self._has_time and self._tick_rate_hz == self._rule.rate_hz
         elif self._has_time:
@@ -183,8 +185,6 @@ class SampleClock(Clock):
     def _time(self, block: RawBlock) -> TimedBlock:
         """Put one block on the clock."""
         stamped = self._stamps.time(block.ticks, self._step_s) if self._has_time else None
-        if stamped is not None:
-            self._mean_step_s = self._mean.add(stamped, self._stamped_step_s or self._step_s)
         return self._time_evenly(block, stamped) or self._time_with_gaps(block, stamped)
 
     def _time_evenly(self, block: RawBlock, stamped: Stamped | None) -> TimedBlock | None:
@@ -203,6 +203,8 @@ class SampleClock(Clock):
         if stamped is None:
             self._block_ticks = self._even_ticks(len(block)) + self._ticks
             self._ticks = int(self._block_ticks[-1])
+        else:
+            self._learn_mean(stamped, np.full(len(block), self._steps.step) if self._has_counter else None)
         flags = np.zeros(len(block), dtype=np.uint32)
         if not (self._has_time or self._has_counter):
             flags.fill(Status.TIME_ESTIMATED)
@@ -250,6 +252,8 @@ class SampleClock(Clock):
             self._block_ticks = self._ticks + ticks.cumsum()
             self._ticks = int(self._block_ticks[-1])
             time_s = self._time_of(self._block_ticks)
+        if stamped is not None:
+            self._learn_mean(stamped, steps if self._has_counter else None)
         found = self._steps.examine(steps)
         fault = np.zeros(len(block), dtype=np.bool_)
         if self._rule.gaps_told:
@@ -271,6 +275,14 @@ class SampleClock(Clock):
             if not (self._has_time or self._has_counter):
                 flags |= np.uint32(Status.TIME_ESTIMATED)
         return TimedBlock(block=block, time_s=time_s, flags=flags, fault=fault, arrival_s=math.nan)
+
+    def _learn_mean(self, stamped: Stamped, ticks: FloatArray | None) -> None:
+        """Take note of how long samples take by their stamps; ``ticks`` are the steps of a counter beside them."""
+        step = self._steps.step
+        if ticks is None:
+            self._mean_step_s = self._mean.by_stamps(stamped, step)
+        elif self._stamped_tick_s > 0:
+            self._mean_step_s = self._mean.by_counter(stamped, ticks, step, self._stamped_tick_s)
 
     def _counter_steps(self, block: RawBlock) -> IntArray:
         """Return how far the counter went to each sample; a standing one went round once. Shape (n,)."""

@@ -22,6 +22,7 @@ _Number = TypeVar("_Number", bound=np.number)
 _LARGEST_TIME_S = 1e11  # 3000 years; in an unchecked stream anything further from zero, infinity and NaN are garbage.
 # A time stamp further ahead than this is a clock being set, e.g. by GNSS, not an hour without samples.
 _LONGEST_PAUSE_S = 3600.0
+_PAUSE = 2.5  # Times a tick: stamps of whole milliseconds make two of one.
 _ROUNDING = 1e-9  # Relative, of the sum of a day of time stamps: even ones have the mean of each step.
 
 
@@ -137,27 +138,50 @@ class StampClock:
 
 
 class MeanStep:
-    """Mean of the steps of time stamps that are near the regular one: single steps are off by the jitter of the stamps."""
+    """Mean time from sample to sample by all time stamps: single steps are off by jitter and resolution of the stamps."""
 
     def __init__(self) -> None:
         self._regular_s = 0.0
-        self._end_s = 0.0
         self._sum_s = 0.0
-        self._count = 0
+        self._count = 0.0
+        self._end_s = 0.0
+        self._has_begun = False
 
-    def add(self, stamped: Stamped, regular_s: float) -> float:
-        """Take note of the next samples; return the mean so far, or ``regular_s`` where that is the same or there is none."""
-        if regular_s != self._regular_s:
-            self._regular_s, self._sum_s, self._count = regular_s, 0.0, 0
-        lowest_s, highest_s = regular_s * (1 - TOLERANCE), regular_s * (1 + TOLERANCE)
+    def by_stamps(self, stamped: Stamped, regular_s: float) -> float:
+        """Take note of the next samples; return the mean of the regular steps so far, ``regular_s`` where there is none.
+
+        A step beside one that is not regular does not count either: samples of an event stand between those of the schedule.
+        """
         begin_s, self._end_s = self._end_s, stamped.time_s.item(-1)
+        if regular_s <= 0:
+            return 0.0
+        if regular_s != self._regular_s:
+            self._regular_s, self._sum_s, self._count = regular_s, 0.0, 0.0
+        lowest_s, highest_s = regular_s * (1 - 2 * TOLERANCE), regular_s * (1 + 2 * TOLERANCE)
         if stamped.range_s is not None and lowest_s <= stamped.range_s[0] <= stamped.range_s[1] <= highest_s:
             self._sum_s += self._end_s - begin_s
             self._count += len(stamped.time_s)
         else:
-            near = stamped.step_s[(stamped.step_s >= lowest_s) & (stamped.step_s <= highest_s)]
-            self._sum_s += float(near.sum())
-            self._count += len(near)
+            near = np.pad((stamped.step_s >= lowest_s) & (stamped.step_s <= highest_s), 1, constant_values=True)
+            kept = stamped.step_s[near[:-2] & near[1:-1] & near[2:]]
+            self._sum_s += float(kept.sum())
+            self._count += len(kept)
+        return self._mean(regular_s)
+
+    def by_counter(self, stamped: Stamped, ticks: FloatArray, step: float, tick_s: float) -> float:
+        """Take note of the next samples, which a counter knows to be ``ticks`` apart; return the mean time of ``step`` ticks.
+
+        ``tick_s`` is the time of a tick by the first stamps: what takes more than twice as long is a pause.
+        """
+        good = ~stamped.reset & (stamped.step_s <= _PAUSE * ticks * tick_s)
+        # The first sample of all is behind none.
+        good[0] &= self._has_begun
+        self._has_begun = True
+        self._sum_s += float(stamped.step_s[good].sum())
+        self._count += float(ticks[good].sum())
+        return step * self._mean(tick_s)
+
+    def _mean(self, regular_s: float) -> float:
         mean_s = self._sum_s / self._count if self._count else regular_s
         return regular_s if math.isclose(mean_s, regular_s, rel_tol=_ROUNDING) else mean_s
 

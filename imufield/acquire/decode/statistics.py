@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Sequence
 
@@ -17,7 +16,6 @@ LEFT_OUT = "without a sample"
 """Kind under which frames of a bus are counted that belong to no sample."""
 _FEW_LEFT_OUT = 10  # A stream begins and ends within a sample, and a bus sends a frame again now and then.
 _KINDS_NAMED = 8  # An instrument sends a few kinds of frames; thousands would fill a page.
-_OTHER_CLOCK = 0.2  # From this on it is a wrong setting: the worst oscillators are off by a twentieth.
 _MANY_PERCENT = 25.0  # Of the samples incomplete: more than a bus loses that works.
 
 
@@ -124,12 +122,6 @@ def remarks(parts: Sequence[DecoderStatistics]) -> list[Sentence]:
     left_out = sum(part.by_kind.get(LEFT_OUT, 0) for part in parts)
     if left_out > _FEW_LEFT_OUT and 100 * left_out >= samples:
         found.append(sentence("statistics.left_out", left_out=left_out, samples=samples))
-    for part in parts:
-        # Without a slope of its own against the host there is nothing to compare.
-        ratio = (part.rate_hz or math.nan) / (part.nominal_rate_hz or math.nan)
-        if abs(ratio - 1) > _OTHER_CLOCK and (part.rate_sigma or 0.0) < _OTHER_CLOCK:
-            found.append(sentence("statistics.other_clock", ratio=ratio))
-            break
     if resets:
         found.append(sentence("statistics.resets", times="once" if resets == 1 else f"{resets} times"))
     least_loss_s = max((part.least_loss_s for part in parts), default=0.0)

@@ -33,7 +33,7 @@ CERTAIN_SAMPLES = 20
 """Samples that end the listening."""
 RATE_S = 0.3
 """Least listening where the rate is to be told, in chunks of 20 ms."""
-_PACE_S = 1.0  # The same where the time of samples will follow it.
+_PACE_S = 1.0  # Least listening where samples are timed by the rate that is measured.
 _USUAL_HZ = (1, 2, 5, 10, 20, 25, 40, 50, 100, 125, 200, 250, 400, 500, 800, 1000, 2000)
 _SAME_RATE = 0.1  # By arrival, in a second.
 _OTHER_RATE = 0.2  # From this on it is not the rate that was set: neither delays nor quartzes make as much.
@@ -226,7 +226,11 @@ class Listener:
             return None
         given = {name: known.value for name, known in candidate.protocol.settings.items() if known.origin == "given"}
         variant = {**candidate.variant, "rate_hz": rate_hz}
-        return replace(candidate, protocol=candidate.driver.load_protocol({**given, **variant}), variant=variant)
+        try:
+            protocol = candidate.driver.load_protocol({**given, **variant})
+        except ProtocolError:  # Beyond what the setting may be.
+            return None
+        return replace(candidate, protocol=protocol, variant=variant)
 
     def at_pace(self) -> tuple[Candidate, Sentence | None]:
         """Return the candidate at the rate at which samples come, where their time is counted at a rate that is another.
@@ -234,8 +238,11 @@ class Listener:
         With it comes a sentence where that rate was given, or cannot be set here.
         """
         set_hz, (arrival_hz, is_steady) = self.candidate.protocol.clock.rate_hz, self._pace(by_arrival=True)
+        counts = self.decoder.statistics
         if not (self.decoder.time_is_counted and set_hz and arrival_hz and is_steady):
             return self.candidate, None
+        # The counter tells what was lost on the way.
+        arrival_hz *= (counts.samples + counts.samples_lost) / counts.samples
         if abs(arrival_hz / set_hz - 1) <= _OTHER_RATE:
             return self.candidate, None
         rate_hz = usual_rate(arrival_hz)

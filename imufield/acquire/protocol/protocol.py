@@ -323,7 +323,7 @@ def _check_fields(top: Table, frame: FrameRule, samples: SampleRule, clock: Cloc
     for where, key, name in used:
         if name not in known:
             raise where.error(key, sentence("protocol.field", name=name, near=near(name, known)))
-    # A bit of a status may bear the same name.
+    # A status bit of the same name counts 1, and is no value of the triad.
     sizes = {name: max(field.count for field in frame.all_fields() if field.name == name) for name in known}
     for part in ("accelerometer", "gyroscope"):
         names = samples.quantity(part).fields

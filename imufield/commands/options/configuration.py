@@ -13,7 +13,7 @@ from pathlib import Path
 
 from imufield.errors import Reason, UsageError
 from imufield.files import Origin, read_small_file
-from imufield.sentences import Sentences
+from imufield.sentences import Sentences, shortened
 from imufield.toml_and_json import decode_toml, parse_toml
 
 sentence = Sentences(__package__)
@@ -97,10 +97,11 @@ def _contents() -> Iterator[tuple[Path, dict[str, object]]]:
             if key not in KEYS:
                 unknown = sentence("configuration.unknown_key", path=str(path), unknown=key, known=[*KEYS])
                 raise UsageError(unknown, Reason.UNKNOWN_KEY, key=key)
+            shown = {"path": str(path), "name": key, "value": shortened(str(value))}
             if key in _TEXTS and not isinstance(value, str):
-                raise UsageError(sentence("configuration.no_text", path=str(path), name=key, value=str(value)))
-            if key in _NUMBERS and not _is_number(value):
-                raise UsageError(sentence("configuration.no_number", path=str(path), name=key, value=str(value)))
+                raise UsageError(sentence("configuration.no_text", **shown))
+            if key in _NUMBERS and not _is_number(key, value):
+                raise UsageError(sentence("configuration.no_number", **shown))
             if key in _TABLES and not isinstance(value, dict):
                 raise UsageError(sentence("configuration.no_table", name=key, file=FILE_NAME, example=_TABLES[key]))
             foreign = sorted(map(str, value.keys() - {"stl"})) if key == "instrument" and isinstance(value, dict) else []
@@ -110,10 +111,13 @@ def _contents() -> Iterator[tuple[Path, dict[str, object]]]:
         yield path, dict(sorted(content.items()))
 
 
-def _is_number(value: object) -> bool:
+def _is_number(key: str, value: object) -> bool:
+    text = str(value)
+    if key == "gravity":
+        # It may be a text with its uncertainty, "9.8089+-0.0001".
+        text = text.replace("±", "+-").partition("+-")[0]
     try:
-        # Gravity may be a text with its uncertainty, "9.8089+-0.0001".
-        return math.isfinite(float(str(value).replace("±", "+-").partition("+-")[0]))
+        return math.isfinite(int(text) if key == "baud" else float(text))
     except ValueError:
         return False
 

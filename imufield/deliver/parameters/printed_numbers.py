@@ -72,7 +72,7 @@ def beside(words: str, path: object, indent: int = 0) -> str:
     line = f"{words} {shown}"
     # Chinese and Japanese characters take two columns.
     columns = sum(1 + (east_asian_width(character) in "WF") for character in line)
-    return line if columns <= WIDTH else f"{words.rstrip()}\n{' ' * indent}{shown}"
+    return line if columns <= line_width() else f"{words.rstrip()}\n{' ' * indent}{shown}"
 
 
 def bar(share: float, width: int) -> str:

@@ -48,10 +48,7 @@ _BESIDE_BAR = 26  # Columns of its name and of what stands behind it.
 _BESIDE_BIG_BARS = 30  # The same of both bars below big letters.
 _DETAIL_ROWS = 3
 _MAP_ROWS = 12
-BIG_WIDTH = 40
-"""Columns of the smallest window with big letters."""
-BIG_HEIGHT = 20
-"""Its lines."""
+_BIG_WIDTH = 40  # Columns of six letters and a little more.
 _FRAME = 2 * ROWS + 4  # Lines of big letters with what always stands with them: a blank, what to do, the bars, the keys.
 
 
@@ -149,15 +146,22 @@ def _traces(snapshot: Snapshot, width: int, height: int, *, ascii_only: bool) ->
     return Text("\n".join(lines), no_wrap=True, overflow="crop")
 
 
+def has_room_for_big(screen: Screen, snapshot: Snapshot, link: LinkState, size: tuple[int, int]) -> bool:
+    """Return whether a window holds big letters with what stands below them."""
+    width, height = size
+    return width >= _BIG_WIDTH and height >= _FRAME + len(_link_lines(screen, snapshot, link, width))
+
+
 def draw_big(screen: Screen, snapshot: Snapshot, link: LinkState, size: tuple[int, int] = (WIDTH, HEIGHT)) -> RenderableType:
     """Return the screen in letters to be read from three metres; from farther in a larger window."""
     width, height = size
     now = instruct(screen, snapshot)
     times = max(1, min(width // WIDTH, (height - HEIGHT) // (2 * ROWS) + 1))
     first, second = (big_lines(word, width, times) for word in now.big)
+    space = height - _FRAME - 2 * ROWS * (times - 1)
     link_lines = _link_lines(screen, snapshot, link, width)
-    room = height - _FRAME - 2 * ROWS * (times - 1) - len(link_lines)
-    blank = [Text()] if room >= 2 else []
+    room = space - len(link_lines)
+    blank = [Text()] if room >= 4 else []
     messages = max(room - 2 * len(blank), 0)
     bar_width = min(_BAR_WIDTH, (width - _BESIDE_BIG_BARS) // 2)
     stillness, hold = _stillness_bar(snapshot, bar_width), bar(snapshot.fraction, "green", bar_width)

@@ -22,7 +22,7 @@ from imufield.guide.events import Event
 from imufield.guide.lead.guide import Snapshot
 from imufield.guide.positions import Scheme
 from imufield.guide.view.instruction import Screen
-from imufield.guide.view.screen import BIG_HEIGHT, BIG_WIDTH, HEIGHT, WIDTH, LinkState, draw, draw_big, draw_small
+from imufield.guide.view.screen import HEIGHT, WIDTH, LinkState, draw, draw_big, draw_small, has_room_for_big
 
 
 class Keyboard(ExitStack):
@@ -123,7 +123,7 @@ class TerminalView:
         picture: RenderableType
         if self.notice:
             picture = Text(self.notice, no_wrap=True, overflow="crop")
-        elif self.big and width >= BIG_WIDTH and height >= BIG_HEIGHT:
+        elif self.big and has_room_for_big(self._screen, snapshot, link, (width, height)):
             picture = draw_big(self._screen, snapshot, link, (width, height))
         elif width < WIDTH or height < HEIGHT:
             picture = draw_small(self._screen, snapshot, link, width=width, height=height, ascii_only=ascii_only)

@@ -34,6 +34,20 @@ def listeners_of(data: bytes, bytes_per_s: float, *, stop: bool = True) -> list[
     return listeners
 
 
+def heard(name: str, data: bytes, bytes_per_s: float, given: dict[str, object] | None = None) -> Listener:
+    driver = load_driver(name)
+    protocol = driver.load_protocol(given)
+    listener = Listener(
+        Candidate(name=name, title=driver.title, protocol=protocol, bauds=driver.bauds, driver=driver), is_given=True
+    )
+    for chunk in chunks(data, bytes_per_s):
+        listener.feed(chunk)
+        if listener.is_certain:
+            break
+    listener.close()
+    return listener
+
+
 def under(condition: str, data: bytes) -> bytes:
     if condition == "flipped bits":
         return flipped(data)
@@ -128,23 +142,31 @@ def test_the_rate_is_that_of_arrival_where_time_is_counted(
 ) -> None:
     # Of this instrument a counter alone tells how many samples there were, and nothing at what rate.
     data, bytes_per_s = stream("kvh")
-    driver = load_driver("kvh_17xx")
-    protocol = driver.load_protocol(given)
-    listener = Listener(
-        Candidate(name="kvh_17xx", title=driver.title, protocol=protocol, bauds=driver.bauds, driver=driver), is_given=True
-    )
-    for chunk in chunks(data, bytes_per_s * arrival_hz / INSTRUMENTS["kvh"][1]):
-        listener.feed(chunk)
-        if listener.is_certain:
-            break
+    listener = heard("kvh_17xx", data, bytes_per_s * arrival_hz / INSTRUMENTS["kvh"][1], given)
     assert listener.decoder.time_is_counted
-    listener.close()
     found, remark = listener.at_pace()
     is_taken = is_other and not given
     assert found.protocol.clock.rate_hz == (arrival_hz if is_taken else 1000)
     assert bool(found.taken()) is is_taken
     assert (remark is not None) is (is_other and bool(given))
     assert remark is None or float(remark.values["rate_hz"]) == arrival_hz
+
+
+def test_what_was_lost_on_the_way_makes_no_other_rate() -> None:
+    data, bytes_per_s = stream("kvh")
+    size = len(data) // round(INSTRUMENTS["kvh"][1] * len(data) / bytes_per_s)
+    # Three of ten frames are lost, as the counter tells.
+    kept = b"".join(data[at : at + size] for number, at in enumerate(range(0, len(data), size)) if number % 10 not in (2, 5, 6))
+    found, remark = heard("kvh_17xx", kept, 0.7 * bytes_per_s).at_pace()
+    assert (found.protocol.clock.rate_hz, remark) == (1000.0, None)
+
+
+def test_a_rate_that_cannot_be_set_is_said() -> None:
+    data, bytes_per_s = stream("kvh")
+    # Read eight times as fast as it counts: the setting goes up to 5000.
+    found, remark = heard("kvh_17xx", 8 * data, 8 * bytes_per_s).at_pace()
+    assert found.protocol.clock.rate_hz == 1000.0
+    assert remark is not None
 
 
 def test_how_much_a_frame_proves() -> None:

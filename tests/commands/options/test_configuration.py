@@ -35,6 +35,13 @@ def test_a_number_is_no_other_value(name: str, value: str) -> None:
         default_map()
 
 
+@pytest.mark.parametrize(("name", "value"), [("baud", '"115200+-3"'), ("baud", "115200.5"), ("hold_s", '"9.8+-0.1"')])
+def test_other_numbers_have_no_uncertainty(name: str, value: str) -> None:
+    Path(FILE_NAME).write_text(f"{name} = {value}\n")
+    with refused(UsageError, None, FILE_NAME, name, key="configuration.no_number"):
+        default_map()
+
+
 @pytest.mark.parametrize("value", ["9.8089", '"9.8089"', '"9.8089+-0.0001"', '"9.8089±0.0001"'])
 def test_gravity_may_have_its_uncertainty(value: str) -> None:
     Path(FILE_NAME).write_text(f"gravity = {value}\n", encoding="utf-8")

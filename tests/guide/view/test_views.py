@@ -28,7 +28,7 @@ from imufield.guide.view.instruction import Screen, instruct
 from imufield.guide.view.marks import with_keys
 from imufield.guide.view.pictures import ROWS, big_lines
 from imufield.guide.view.plain import line
-from imufield.guide.view.screen import BIG_HEIGHT, BIG_WIDTH, HEIGHT, WIDTH, LinkState, _in_corner, draw, draw_big, draw_small
+from imufield.guide.view.screen import HEIGHT, WIDTH, LinkState, _in_corner, draw, draw_big, draw_small, has_room_for_big
 from imufield.guide.view.terminal import TerminalView
 
 
@@ -438,8 +438,9 @@ def test_live_view_draws_through_rich(session: Any) -> None:
     ("until_s", "first"),
     [(1.0, "LEAVE"), (3.35, "HOLD"), (5.0, "GOOD"), (6.8, "TURN"), (12.5, "AGAIN")],
 )
-@pytest.mark.parametrize("size", [(WIDTH, HEIGHT), (60, 20), (BIG_WIDTH, BIG_HEIGHT)])
-def test_big_letters_say_the_same_and_fit(session: Any, until_s: Any, first: Any, size: tuple[int, int]) -> None:
+@pytest.mark.parametrize("size", [(WIDTH, HEIGHT), (60, 20), (WIDTH, 22), (40, 22)])
+@pytest.mark.parametrize("page", ["", "http://192.168.178.25:43210/#0123456789012345678901"])
+def test_big_letters_say_the_same_and_fit(session: Any, until_s: Any, first: Any, size: tuple[int, int], page: str) -> None:
     screen = Screen()
     played = list(session(until_s))
     for events, _ in played:
@@ -447,13 +448,16 @@ def test_big_letters_say_the_same_and_fit(session: Any, until_s: Any, first: Any
     snapshot = played[-1][1].snapshot()
     assert instruct(screen, snapshot).big[0] == first
     width, height = size
+    assert has_room_for_big(screen, snapshot, LinkState(0, page=page), size)
+    assert not has_room_for_big(screen, snapshot, LinkState(0, page=page), (width, 18))
     console = Console(width=width, height=height, record=True, file=open_nothing())
-    console.print(draw_big(screen, snapshot, LinkState(0), size))
+    console.print(draw_big(screen, snapshot, LinkState(0, page=page), size))
     lines = console.export_text().rstrip("\n").split("\n")
     assert len(lines) <= height
     assert max(map(len, lines)) <= width
     assert [line.rstrip() for line in lines[:ROWS]] == big_lines(first, width)
     assert "of 6 done" in "".join(lines)
+    assert lines[-1].lstrip().startswith(("? keys", "r retake"))
 
 
 def test_the_screen_is_ascii_where_the_terminal_is(session: Any) -> None:
