@@ -34,8 +34,8 @@ from imufield.guide.lead.hold_under_way import HAND_GUARD_S
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.lead.state_table import State
 from imufield.guide.positions import scheme
-from imufield.guide.stillness.cells import CELL_S
 from imufield.guide.stillness.scale import RoughScale
+from imufield.samples import CELL_S
 from imufield.simulate.truth.grades import GRADES, draw_truth
 from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.operator import Operator, OperatorSettings

@@ -13,13 +13,13 @@ from imufield.calibrate.model.models import recover
 from imufield.guide.events import Accepted
 from imufield.guide.hold.hand_mean import mean_in_hand
 from imufield.guide.hold.observe import Observation, knocks_of, observe
-from imufield.guide.stillness.cells import CELL_S, CellBuilder, Cells, join_cells
+from imufield.guide.stillness.cells import CellBuilder, Cells, join_cells
 from imufield.guide.stillness.detector import StillnessDetector
 from imufield.guide.stillness.limits import Limits
 from imufield.guide.stillness.noise_floor import NoiseFloor
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.turn_fit import minimum_jerk
-from imufield.samples import Samples, concatenate
+from imufield.samples import CELL_S, Samples, concatenate
 from imufield.simulate.truth.imu import Imu
 from imufield.simulate.truth.operator import Operator
 from imufield.simulate.truth.pieces import Piece

@@ -33,6 +33,8 @@ LARGEST_OUTPUT = 1e12
 """A 40-bit converter: no instrument sends more, and squares of what it sends are numbers. Larger values count as invalid."""
 NO_COUNTER = -1
 """Value of ``Samples.counter`` where the instrument sends none."""
+CELL_S = 0.1
+"""What stillness is told by: short against a turn (0.5 s and more), long against the tremor of a hand (8 to 12 Hz)."""
 
 
 class Status(IntFlag):

@@ -15,11 +15,11 @@ from imufield.guide.events import Accepted, Event, LinkLost, Rejected
 from imufield.guide.lead.guide import Snapshot
 from imufield.guide.lead.state_table import State
 from imufield.guide.positions import Scheme
-from imufield.guide.stillness.cells import CELL_S
 from imufield.guide.view.instruction import MILD_REFUSALS, Screen, instruct, stillness_words
 from imufield.guide.view.marks import AGAIN_WITHIN_S, KEYS
 from imufield.guide.view.plain import known_words, said_once
 from imufield.guide.view.sound import heard
+from imufield.samples import CELL_S
 from imufield.web.board import Board, Json
 
 LOG_LINES = 200

@@ -38,13 +38,22 @@ from numpy.typing import NDArray
 
 from imufield.calibrate.model.rotation import cross
 from imufield.dataclass import dataclass, fields, replace
-from imufield.samples import LARGEST_OUTPUT, FloatArray, IntArray, Samples, SampleUnits, Status, concatenate, every, median
+from imufield.samples import (
+    CELL_S,
+    LARGEST_OUTPUT,
+    FloatArray,
+    IntArray,
+    Samples,
+    SampleUnits,
+    Status,
+    concatenate,
+    every,
+    median,
+)
 from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
 
-CELL_S = 0.1
-"""What stillness is told by: short against a turn (0.5 s and more), long against the tremor of a hand (8 to 12 Hz)."""
 GUARD_CELLS = 10
 """Kept between the stretched still and what looks like motion."""
 _SIGMAS = 5.0  # Of the cells inside the still; what is further off looks like motion.

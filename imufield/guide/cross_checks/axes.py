@@ -29,11 +29,10 @@ from imufield.guide import refusals
 from imufield.guide.cross_checks.centre import centred
 from imufield.guide.positions import angle_rad
 from imufield.guide.refusals import Refusal
-from imufield.guide.stillness.cells import CELL_S
 from imufield.guide.stillness.detector import LONGEST_WAIT_S, StillnessDetector
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import Judgement, Phase
-from imufield.samples import AXES, FloatArray, Status, median
+from imufield.samples import AXES, CELL_S, FloatArray, Status, median
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)

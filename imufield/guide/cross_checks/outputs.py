@@ -42,8 +42,8 @@ from imufield.guide.hold.checks import CLIPPED_SAMPLES, CLIPPED_SHARE
 from imufield.guide.hold.observe import Observation
 from imufield.guide.hold.output import HoldOutput
 from imufield.guide.refusals import Refusal
-from imufield.guide.stillness.cells import CELL_S, Cells
-from imufield.samples import AXES, FloatArray
+from imufield.guide.stillness.cells import Cells
+from imufield.samples import AXES, CELL_S, FloatArray
 from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)

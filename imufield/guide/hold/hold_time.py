@@ -17,9 +17,9 @@ import numpy as np
 from imufield.dataclass import dataclass
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.guide.hold.observe import cell_means
-from imufield.guide.stillness.cells import CELL_S, Cells
+from imufield.guide.stillness.cells import Cells
 from imufield.guide.stillness.scale import RoughScale
-from imufield.samples import FloatArray
+from imufield.samples import CELL_S, FloatArray
 
 SHORTEST_S = 3.0  # The scatter of a shorter hold does not tell how well its mean is known.
 LONGEST_HOLD_S = 60.0  # Where a target needs it: a person's patience with a purpose.

@@ -22,11 +22,11 @@ from imufield.guide.lead.live import LiveFeed, Signals
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.lead.state_table import TABLE, Input, State
 from imufield.guide.positions import Scheme
-from imufield.guide.stillness.cells import CELL_S, CellBuilder, Cells, slots_of
+from imufield.guide.stillness.cells import CellBuilder, Cells, slots_of
 from imufield.guide.stillness.limits import Activity
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import Judgement, Phase
-from imufield.samples import Samples, SampleUnits
+from imufield.samples import CELL_S, Samples, SampleUnits
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)

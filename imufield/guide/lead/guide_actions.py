@@ -29,11 +29,10 @@ from imufield.guide.lead.stream_watch import StreamWatch
 from imufield.guide.lead.turns import TurnLeader
 from imufield.guide.positions import Scheme, angle_deg
 from imufield.guide.refusals import Refusal
-from imufield.guide.stillness.cells import CELL_S
 from imufield.guide.stillness.detector import LONGEST_KEPT_S, StillnessDetector
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import LEAVE_FACTOR, Judgement, Phase, Stretch
-from imufield.samples import FloatArray
+from imufield.samples import CELL_S, FloatArray
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)

@@ -17,10 +17,10 @@ from imufield.guide.hold.hold_time import SHORTEST_S, AllanMinimum, HoldTarget, 
 from imufield.guide.hold.observe import guard_cells, knocks_of, trim_stretch
 from imufield.guide.hold.output import HoldOutput
 from imufield.guide.refusals import Refusal
-from imufield.guide.stillness.cells import CELL_S, Cells, cells_in
+from imufield.guide.stillness.cells import Cells, cells_in
 from imufield.guide.stillness.detector import StillnessDetector
 from imufield.guide.stillness.stretch import Stretch
-from imufield.samples import Samples, concatenate
+from imufield.samples import CELL_S, Samples, concatenate
 
 MOST_SAMPLES = 200_000
 """Bound of the history, whatever the rate: 100 s at 2000 Hz, some 17 MB."""

@@ -10,9 +10,9 @@ from collections import deque
 import numpy as np
 
 from imufield.dataclass import dataclass
-from imufield.guide.stillness.cells import CELL_S, Cells, cells_in, join_cells
+from imufield.guide.stillness.cells import Cells, cells_in, join_cells
 from imufield.guide.stillness.scale import RoughScale
-from imufield.samples import FloatArray, Samples, Status
+from imufield.samples import CELL_S, FloatArray, Samples, Status
 
 _NEWEST_S = 0.02  # As long as links gather samples anyway; vibration is averaged out.
 SPAN_S = 30.0

@@ -13,10 +13,11 @@ from imufield.guide.hold.observe import Observation
 from imufield.guide.lead.plan import Plan
 from imufield.guide.positions import angle_deg
 from imufield.guide.refusals import Refusal, quantity
-from imufield.guide.stillness.cells import CELL_S, Cells
+from imufield.guide.stillness.cells import Cells
 from imufield.guide.stillness.detector import StillnessDetector
 from imufield.guide.stillness.noise_floor import NoiseFloor
 from imufield.guide.stillness.scale import RoughScale
+from imufield.samples import CELL_S
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)

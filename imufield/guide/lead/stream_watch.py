@@ -18,11 +18,11 @@ from imufield.guide.events import RefusalCode
 from imufield.guide.hold.checks import explain_flags
 from imufield.guide.lead.advice import gyroscope_scale_advice
 from imufield.guide.lead.speaker import REMIND_S, Speaker
-from imufield.guide.stillness.cells import CELL_S, Cells
+from imufield.guide.stillness.cells import Cells
 from imufield.guide.stillness.detector import USABLE_SHARE, StillnessDetector
 from imufield.guide.stillness.noise_floor import FLOOR_S, is_even, measure_floor, why_not_quiet
 from imufield.guide.stillness.stretch import Judgement, Stretch
-from imufield.samples import AXES
+from imufield.samples import AXES, CELL_S
 
 _BAD_IN_A_ROW = 3  # Cells without usable samples before anybody is told: a second of a computer's delay is harmless.
 _RATE_CELLS = 50  # The rate is that of five seconds: USB delivers in bursts.

@@ -17,11 +17,11 @@ from imufield.guide.events import HORIZONTAL, VERTICAL, Turn, Turned
 from imufield.guide.hold.observe import Observation, observe, trim_stretch
 from imufield.guide.positions import angle_deg
 from imufield.guide.refusals import Refusal
-from imufield.guide.stillness.cells import CELL_S, cells_in
+from imufield.guide.stillness.cells import cells_in
 from imufield.guide.stillness.detector import StillnessDetector
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import Judgement
-from imufield.samples import AXES, FloatArray
+from imufield.samples import AXES, CELL_S, FloatArray
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)

@@ -16,12 +16,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.calibrate.gyroscope import moves
 from imufield.dataclass import dataclass, fields
-from imufield.samples import UNUSABLE, FloatArray, IntArray, Samples, Status, concatenate, every
+from imufield.samples import CELL_S, UNUSABLE, FloatArray, IntArray, Samples, Status, concatenate, every
 
-# One length for all: the stills that are found by cells here are stretched by cells where moves are cut.
-CELL_S = moves.CELL_S
 # Share of a slot. A time such as 0.3 s is slightly below its slot in binary and belongs to the slot it means.
 _SLOT_MARGIN = 1e-6
 

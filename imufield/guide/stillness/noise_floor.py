@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from imufield.dataclass import dataclass
-from imufield.guide.stillness.cells import CELL_S, Cells
+from imufield.guide.stillness.cells import Cells
 from imufield.guide.stillness.scale import RoughScale
-from imufield.samples import FloatArray, median
+from imufield.samples import CELL_S, FloatArray, median
 
 # Length of the quiet stretch that sets the noise floor: no hand keeps still for so long, and 30 cells tell a variance.
 FLOOR_S = 3.0
