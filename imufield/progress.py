@@ -1,4 +1,4 @@
-"""What a command does at the moment and how long it still takes: one line on a terminal, nothing in a pipe that nobody watches.
+"""What a command does at the moment and how long it still takes: one line on a terminal that can draw, nothing elsewhere.
 
 Whoever begins something that may take more than a second names it: ``with task("reading", total) as reading``, and counts
 ``reading.done`` where it can. A thread draws the line, so that nothing that computes asks the time. All that is printed goes
@@ -13,7 +13,7 @@ import threading
 import time
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
-from typing import TypeVar
+from typing import IO, TypeVar
 
 from imufield.dataclass import dataclass, field
 from imufield.sentences import printable
@@ -130,14 +130,14 @@ def tell() -> None:
 
 @contextmanager
 def shown(words: str) -> Iterator[None]:
-    """Show the tasks inside the block, the outermost of which it is, if standard error is a terminal; it is left clean."""
+    """Show the tasks inside the block, the outermost of which it is, if standard error can draw; it is left clean."""
     ended = threading.Event()
 
     def draw() -> None:
         while not ended.wait(TOLD_EVERY_S if _line.is_told else EVERY_S):
             _line.draw()
 
-    if _line.is_told or sys.stderr.isatty():
+    if _line.is_told or can_draw(sys.stderr):
         _line.due_s = time.monotonic() + FIRST_S
         # A daemon: whatever ends the program is not kept waiting.
         threading.Thread(target=draw, name="progress", daemon=True).start()
@@ -149,6 +149,11 @@ def shown(words: str) -> Iterator[None]:
         _line.due_s = float("inf")
         with hidden():
             pass
+
+
+def can_draw(stream: IO[str]) -> bool:
+    """Whether a stream is a terminal that can move its cursor."""
+    return stream.isatty() and os.environ.get("TERM", "") not in ("dumb", "unknown")
 
 
 def _columns() -> int:

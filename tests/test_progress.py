@@ -37,6 +37,7 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
     """Show the first line at once, and no other than those that a task begins with."""
     monkeypatch.setattr(progress, "FIRST_S", -1.0)
     monkeypatch.setattr(progress, "EVERY_S", 600.0)
+    monkeypatch.setenv("TERM", "xterm")
     return Terminal()
 
 
@@ -88,6 +89,13 @@ def test_what_contains_others_and_is_counted_is_what_is_shown(terminal: Terminal
                 pass
     assert words(terminal) == ["", "command", *["methods"] * 3, ""]
     assert "methods: 50%" in terminal.getvalue()
+
+
+def test_a_terminal_that_cannot_draw_sees_nothing(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TERM", "dumb")
+    with command(terminal), task("reading"):
+        pass
+    assert terminal.getvalue() == ""
 
 
 @pytest.mark.usefixtures("terminal")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
@@ -25,7 +26,7 @@ from imufield.acquire.recording.session_record import GuideRecord
 from imufield.calibrate.accelerometer.ellipsoid_start import FEWEST_FOR_SCALE_AND_BIAS
 from imufield.commands.options.acquire_commands import CaptureOptions, ViewName
 from imufield.commands.options.shared import one_of
-from imufield.commands.terminal.output import can_draw, echo, say
+from imufield.commands.terminal.output import echo, say
 from imufield.commands.terminal.page import SHOWN_EVERY_S, serve_page
 from imufield.commands.terminal.views import View, make_view
 from imufield.dataclass import dataclass, replace
@@ -45,7 +46,7 @@ from imufield.pipeline.kept import keep
 from imufield.pipeline.reading import ReadingCollector
 from imufield.pipeline.site import SiteOptions
 from imufield.pipeline.solving import reading_of, session_sha256
-from imufield.progress import hidden
+from imufield.progress import can_draw, hidden
 from imufield.sentences import Sentences
 
 if TYPE_CHECKING:
@@ -402,7 +403,7 @@ def farewell(captured: Captured, view: ViewName, clock: HostClock) -> None:
     if view == "json" or not folder.exists():
         return
     # Whoever reads lines has read these already.
-    for line in captured.summary if view == "auto" and can_draw() else ():
+    for line in captured.summary if view == "auto" and can_draw(sys.stdout) else ():
         say(line)
     for line in captured.remarks:
         say(line)

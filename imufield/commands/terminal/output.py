@@ -102,11 +102,6 @@ def echo(text: str = "", *, begin: str = "", end: str = "\n", err: bool = False)
         _write(f"{begin}{printable_lines(text)}{end}", err=err)
 
 
-def can_draw() -> bool:
-    """Whether standard output is a terminal that can move its cursor."""
-    return sys.stdout.isatty() and os.environ.get("TERM", "") not in ("dumb", "unknown")
-
-
 def echo_path(path: Path) -> None:
     """Print a path alone: a script gets what it can open, a terminal what it can show."""
     text = str(path)

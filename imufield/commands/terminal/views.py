@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from imufield.commands.options.acquire_commands import CaptureOptions
-from imufield.commands.terminal.output import can_draw, echo, say
+from imufield.commands.terminal.output import echo, say
 from imufield.deliver.parameters.printed_numbers import beside
 from imufield.guide.events import EVENT_VERSION, Event
 from imufield.guide.lead.guide import Snapshot
 from imufield.guide.positions import Scheme
 from imufield.guide.view.plain import JsonLinesView, PlainView
+from imufield.progress import can_draw
 from imufield.sentences import Sentences
 
 if TYPE_CHECKING:
@@ -87,7 +89,7 @@ def make_view(options: CaptureOptions, session: Path, positions: Scheme, origin_
             # The version first: a reader must know it before it reads anything else.
             echo(json.dumps({"version": EVENT_VERSION, "event": "session", "session": str(session)}))
             view = View(lines=JsonLinesView(echo))
-        elif options.view == "plain" or not can_draw():
+        elif options.view == "plain" or not can_draw(sys.stdout):
             echo(beside("session", session))
             view = View(lines=PlainView(lambda line: say(line, indent=PLAIN_INDENT), origin_s=origin_s))
         else:
