@@ -57,9 +57,9 @@ fuzz: $(TEST)
 # "make -j2 lint" keeps two cores busy.
 lint: style mypy pyright
 
+# What one finds does not hide what the other does.
 style: $(DEV)
-	$(BIN)/ruff check .
-	$(BIN)/ruff format --check .
+	status=0; $(BIN)/ruff check . || status=1; $(BIN)/ruff format --check . || status=1; exit $$status
 
 mypy: $(DEV)
 	$(BIN)/mypy imufield drivers tests benchmarks .ci/*.py

@@ -363,26 +363,44 @@ class Talker:
                     bus.send(message)
 
 
+@pytest.mark.usefixtures("dbc")
 @pytest.mark.parametrize(
-    ("messages", "driver", "code", "words"),
+    ("messages", "options", "code", "words"),
     [
-        ([can.Message(is_error_frame=True, arbitration_id=8, data=bytes(8))], None, 3, "only error frames"),
-        ([can.Message(arbitration_id=0x123, is_extended_id=False)], None, 3, "identifiers 123 x"),
-        ([can.Message(arbitration_id=0x123, is_extended_id=False)], "xsens_can", 3, "0 samples with xsens_can (5 needed)"),
+        ([can.Message(is_error_frame=True, arbitration_id=8, data=bytes(8))], (), 3, "only error frames"),
+        ([can.Message(arbitration_id=0x123, is_extended_id=False)], (), 3, "identifiers 123 x"),
+        (
+            [can.Message(arbitration_id=0x123 + one, is_extended_id=False) for one in range(11)],
+            ("--driver", "xsens_can"),
+            3,
+            ", 3 others) gave only 0 samples with xsens_can (5 needed)",
+        ),
+        # What a file of J1939 looks like that does not say so, from another source address.
+        (
+            [can.Message(arbitration_id=0x08F02D81, data=bytes(8))],
+            ("--dbc", "my_imu.dbc", *maps(RIGHT)),
+            3,
+            "identifiers=j1939",
+        ),
         (
             [can.Message(arbitration_id=one, data=bytes(8)) for one in (0x08F02D80, 0x0CF02A80)],
-            None,
+            (),
             2,
             "choose --driver from aceinna_can, Aceinna MTLT305",
         ),
     ],
 )
 def test_what_is_heard_is_not_understood(
-    messages: list[can.Message], driver: str | None, code: int, words: str, folder: Path, capsys: pytest.CaptureFixture[str]
+    messages: list[can.Message],
+    options: tuple[str, ...],
+    code: int,
+    words: str,
+    folder: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     channel = f"talker-{os.getpid()}-{next(NUMBERS)}"
     with Talker(channel, messages):
-        assert in_this_process(*RECORD, "--bus", f"virtual:{channel}", *(("--driver", driver) if driver else ())) == code
+        assert in_this_process(*RECORD, "--bus", f"virtual:{channel}", *options) == code
     assert words in capsys.readouterr().err
     assert not (folder / "imufield-sessions").exists()
 

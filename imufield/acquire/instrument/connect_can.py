@@ -229,9 +229,12 @@ def _nothing_understood(bus: str, chunks: Iterable[Chunk], listeners: list[Liste
         found = {"driver": known.candidate.name, "known": _known_frames(known), "samples": known.decoder.statistics.samples}
         return LinkError(sentence("connect_can.not_joined", **heard, **found), Reason.NO_FRAMES)
     names = [f"{text} x {count}" for text, count in identifiers.most_common(_IDENTIFIERS_NAMED)]
-    others = len(identifiers) - _IDENTIFIERS_NAMED
-    key = "connect_can.unknown_and_others" if others > 0 else "connect_can.unknown"
+    if len(identifiers) > _IDENTIFIERS_NAMED:
+        names.append(sentence("connect_can.others", others=len(identifiers) - _IDENTIFIERS_NAMED))
+    # One that was given: which messages are mapped is wrong, and not which driver.
+    is_own = all(listener.candidate.driver is None for listener in listeners)
     drivers = [listener.candidate.name for listener in listeners]
     samples = max(listener.decoder.statistics.samples for listener in listeners)
-    unknown = sentence(key, **heard, drivers=drivers, identifiers=names, others=others, samples=samples)
+    key = "connect_can.unmapped" if is_own else "connect_can.unknown"
+    unknown = sentence(key, **heard, drivers=drivers, identifiers=names, samples=samples)
     return LinkError(unknown, Reason.NO_FRAMES)

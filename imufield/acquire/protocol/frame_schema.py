@@ -144,17 +144,18 @@ def _read_layouts(
     header = frame.integer("body_at", header, 256, header)
     if frame.has("content"):
         fields = _fields_of(frame, "content", parts)
-        return {0: replace(_place(frame.text("name"), fields, header, form.tail), is_message=frame.flag("message"))}
+        layout = _place(frame, "content", fields, start=header, tail=form.tail)
+        return {0: replace(layout, kind=frame.text("name"), is_message=frame.flag("message"))}
     layouts: dict[int, Layout] = {}
     frames = top.table("frames")
     for name in frames.values:
-        layout = _place(name, _fields_of(frames, name, parts), header, form.tail)
+        layout = _place(frames, name, _fields_of(frames, name, parts), start=header, tail=form.tail)
         _add(layouts, frames, name, name, layout=layout, key_size=form.key_size)
     messages = top.table("messages")
     for name in messages.values:
         with messages.table(name) as table:
             fields = _read_fields(table, "fields", big_endian) if form.length is None or table.has("fields") else ()
-            layout = replace(_place(name, fields, header, form.tail), is_message=True)
+            layout = replace(_place(table, "fields", fields, start=header, tail=form.tail), kind=name, is_message=True)
             for key in table.texts("keys"):
                 _add(layouts, table, "keys", key, layout=layout, key_size=form.key_size)
     if not (layouts or form.fields or form.masks):
@@ -191,12 +192,17 @@ def _hexadecimal_key(table: Table, at: str, key: str) -> int:
         raise table.error(at, sentence("frame_schema.key", key=key)) from None
 
 
-def _place(kind: str, fields: tuple[Field, ...], header: int, tail: int) -> Layout:
-    at, placed = header, []
+def _place(table: Table, key: str, fields: tuple[Field, ...], *, start: int, tail: int) -> Layout:
+    """Return the frame with these fields one behind the other, of the kind that ``key`` names."""
+    at, placed, names = start, [], set()
     for field in fields:
+        # Of two with one name the second would be lost without a word.
+        if field.name in names:
+            raise table.error(key, sentence("frame_schema.twice", name=field.name))
+        names.add(field.name)
         placed.append(replace(field, at=at))
         at += field.size
-    return Layout(kind, tuple(placed), at + tail)
+    return Layout(key, tuple(placed), at + tail)
 
 
 def _read_fields_rule(top: Table, frame: Table, big_endian: bool) -> FieldsRule | None:

@@ -158,7 +158,7 @@ def read_text(top: Table) -> TextRule:
     with top.table("text") as table:
         if table.has("sentences"):
             return _read_sentences(table)
-        columns = _read_columns(table, COLUMNS, once=True)
+        columns = _read_columns(table, COLUMNS)
         if not {"ax", "ay", "az"} <= set(columns):
             raise table.error("columns", sentence("samples_and_clock.no_acceleration", columns=columns))
         return TextRule(
@@ -193,10 +193,10 @@ def _read_sentences(table: Table) -> TextRule:
     )
 
 
-def _read_columns(table: Table, known: tuple[str, ...], *, once: bool = False) -> tuple[str, ...]:
+def _read_columns(table: Table, known: tuple[str, ...]) -> tuple[str, ...]:
     columns = tuple(name.strip() for name in table.text("columns").split(","))
     for name in columns:
-        if name not in known or (once and name != "-" and columns.count(name) > 1):
+        if name not in known or (name not in ("", "-") and columns.count(name) > 1):
             raise table.error("columns", sentence("samples_and_clock.column", column=name, columns=COLUMNS))
     return columns
 

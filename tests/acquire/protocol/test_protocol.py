@@ -136,6 +136,14 @@ def test_wrong_settings_name_what_is_allowed(given: dict[str, object], reason: R
         ),
         # A frame is one sample: of several in it the others would be lost.
         (
+            '0x92 = ["gyroscope", "inclinometer"',
+            '0x92 = ["gyroscope", "gyroscope"',
+            "0x92 =",
+            "frames.0x92",
+            "frame_schema.twice",
+            "'gyroscope'",
+        ),
+        (
             '"accelerometer", type = "i24", count = 3',
             '"accelerometer", type = "i24", count = 6',
             "accelerometer = { fields",

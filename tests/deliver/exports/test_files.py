@@ -28,7 +28,7 @@ POSITIVE_ONLY = ("px4", "ardupilot", "microstrain")
 
 
 def test_listing_the_targets_imports_nothing_heavy() -> None:
-    code = "import sys, imufield.deliver.exports as e; assert len(e.TARGETS) == 18; print(*sys.modules)"
+    code = "import sys, imufield.deliver.exports as e; assert 'px4' in e.TARGETS; print(*sys.modules)"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     assert not {"numpy", "scipy", "imufield.deliver.parameters.file"} & set(out)
 

@@ -30,7 +30,7 @@ from target_formulas import (
 
 from imufield.calibrate.accelerometer.fit import FitData, column_basis, fit
 from imufield.calibrate.model.models import predict, predict_gyroscope, to_vector
-from imufield.deliver.exports import ExportOptions, export_parameters
+from imufield.deliver.exports import TARGETS, ExportOptions, export_parameters
 from imufield.deliver.exports.loss import directions
 from imufield.deliver.parameters.file import Parameters
 from imufield.errors import ParameterFileError, Reason
@@ -78,6 +78,11 @@ INSTRUMENTS = {
     "gauge": st.sampled_from(["lower", "upper", "symmetric", "preset"]),
     "angle_rad": st.sampled_from([0.0, 1e-4, 5e-3, 0.05]),
 }
+
+
+def test_every_target_is_compared_with_a_formula_of_its_own() -> None:
+    # pyins itself runs below; C and its block are compiled in test_embedded.py, the plain forms are read in test_files.py.
+    assert {*FORMULAS, *DIAGONAL, "pyins", "c", "binary", "json", "yaml"} == set(TARGETS)
 
 
 @pytest.mark.parametrize("target", FORMULAS)
