@@ -87,7 +87,7 @@ OFFS = {"x+0": 0.2, "y+45": -1.1, "z+90": 0.3, "x+180": 0.15}
 
 
 def lost(begin_s: float, missing_s: float) -> Sentence:
-    said = {"begin_s": begin_s, "end_s": begin_s + 2, "missing_s": missing_s, "bridged_s": 0.05}
+    said = {"begin_s": begin_s, "end_s": begin_s + 2, "missing_s": missing_s, "bridged_s": 0.05, "intervals": 3.5}
     return Sentences("imufield.calibrate.gyroscope")("moves.lost_samples", **said)
 
 

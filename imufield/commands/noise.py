@@ -34,7 +34,7 @@ Scale = FloatArray | float | None
 _FIGURES = {
     "density": ("density", "/sqrt(Hz)"),
     "instability": ("bias instability", ""),
-    "walk": ("random walk", "/sqrt(s)"),
+    "walk": ("bias random walk", "/sqrt(s)"),
 }
 
 

@@ -79,7 +79,7 @@ def test_errors_of_moves_are_those_that_solve_states(solved: Path) -> None:
     assert run(["solve", str(solved), "--latitude=45", *(f"--without={name}" for name in names[4:12])]) == 0
     data, _ = gather(ReportOptions(session=solved))
     assert data.closure is not None
-    (reason,) = (reason for reason in data.parameters.calibration.quality.reasons if "angle error" in reason)
+    (reason,) = (reason for reason in data.parameters.calibration.quality.reasons if "closing error" in reason)
     stated_deg = [float(value) for value in re.findall(r"([\d.]+) deg RMS", reason)]
     assert [rms(data.closure.before_deg), rms(data.closure.after_deg)] == pytest.approx(stated_deg, rel=0.02, abs=0.001)
     assert data.closure.after_deg.max() < 5 * stated_deg[1]

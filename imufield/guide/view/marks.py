@@ -13,7 +13,7 @@ from imufield.sentences import Sentences
 sentence = Sentences(__package__)
 
 KEYS = {"r": "retake", "s": "skip", "u": "undo", "p": "pause", "f": "finish", "g": "go_on"}
-NAMES = {"retake": "r", "go on": "p", "measure cold": "g", "finish": "f"}
+NAMES = {"retake": "r", "go on": "p", "measure anyway": "g", "finish": "f"}
 """Names that stand in sentences, and the key of each."""
 AGAIN_WITHIN_S = 10.0
 """Finishing with something left ends the session only with the same mark again within this time; a person's time is real,
