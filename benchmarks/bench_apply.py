@@ -67,7 +67,13 @@ def make_parameters(quadratic: FloatArray, g_sensitivity: FloatArray) -> Paramet
         covariance_names=(),
         covariance=np.zeros((0, 0)),
         gravity=Gravity(gravity_m_s2=9.81, sigma_m_s2=1e-4, source="typed"),
-        positions=PositionResult(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.bool_), np.zeros((0, 3))),
+        positions=PositionResult(
+            residual_m_s2=np.zeros(0),
+            leave_one_out_m_s2=np.zeros(0),
+            leverage=np.zeros(0),
+            used=np.zeros(0, dtype=np.bool_),
+            bias_drift_m_s2=np.zeros((0, 3)),
+        ),
         solver=SolverSummary(method="least squares", status=1, message="", cost=0.0, evaluations=1),
         quality=Quality(
             residual_rms_m_s2=0.0,
@@ -83,7 +89,7 @@ def make_parameters(quadratic: FloatArray, g_sensitivity: FloatArray) -> Paramet
             reasons=(),
         ),
         quadratic_fitted=bool(np.any(quadratic)),
-        gyroscope=GyroscopeCalibration(gyroscope, gyroscope, "made up"),
+        gyroscope=GyroscopeCalibration(parameters=gyroscope, sigma=gyroscope, path="made up"),
     )
     empty, times = np.zeros((0, 3)), np.zeros(0)
     none = Observations(

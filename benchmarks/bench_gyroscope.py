@@ -72,7 +72,7 @@ def read_mikoff(name: str) -> tuple[Samples, float, float]:
 
 
 def prepare(samples: Samples, zero: float, gravity: float) -> GyroscopeInput:
-    finder = StillIntervalFinder(samples.units, RoughScale.of_units(samples.units, np.full(3, zero)))
+    finder = StillIntervalFinder(samples.units, replace(RoughScale.of_units(samples.units), raw_zero=np.full(3, zero)))
     finder.feed(samples)
     found = finder.finish().observations
     calibration = calibrate_accelerometer(

@@ -106,6 +106,10 @@ class SampleUnits:
         )
         return f"accelerometer in {each[0]}, gyroscope in {each[1]}"
 
+    def accelerometer_rate(self, raw: FloatArray) -> FloatArray:
+        """Return accelerometer outputs, or the output at no input, as rates: raw unit, per second for increments."""
+        return _as_rate(raw, self.accelerometer_is_increment, self.interval_s)
+
     @property
     def accelerometer_rate_unit(self) -> str:
         """Unit of accelerometer means: that of the samples, per second for increments."""
@@ -167,7 +171,7 @@ class Samples:
 
     def accelerometer_rate(self) -> FloatArray:
         """Accelerometer as rates: raw unit, per second for increments. Shape (n, 3)."""
-        return _as_rate(self.accelerometer, self.units.accelerometer_is_increment, self.units.interval_s)
+        return self.units.accelerometer_rate(self.accelerometer)
 
     def gyroscope_rate(self) -> FloatArray:
         """Gyroscope as rates: raw unit, per second for increments. Shape (n, 3)."""

@@ -53,7 +53,8 @@ def run_record(options: RecordOptions, clock: HostClock | None = None) -> Sessio
         of_part = part_metadata(connected.protocol, connected.session_tables())
         recorder = stack.enter_context(Recorder(session.add_part(), of_part, clock=clock))
         stream = SameStream(connected.link.name, patience_s(clock, 1.0))
-        ramp = RampLead(connected.protocol.nominal.raw_zero, as_json=options.as_json) if options.ramp else None
+        raw_zero = connected.protocol.units.accelerometer_rate(connected.protocol.nominal.raw_zero)
+        ramp = RampLead(raw_zero, as_json=options.as_json) if options.ramp else None
         listeners = (stream.hear,) if ramp is None else (stream.hear, ramp.feed)
         chain = Chain(ReadingPlan(None), listeners=listeners, judging=False)
         intake = Intake(recorder=recorder, chain=chain, stream=stream)
@@ -91,7 +92,7 @@ def _record(connected: Connected, intake: Intake, clock: HostClock, *, options: 
             say(sentence("record.waiting", lost=link.lost.message), err=True)
             intake.link_lost()
         elif was_lost and link.lost is None:
-            say("the link is back", err=True)
+            say(sentence("record.back"), err=True)
         was_lost = link.lost is not None
         if chunk is not None:
             start_s, is_silent = (chunk.monotonic_s if is_silent else start_s), False

@@ -65,7 +65,7 @@ def run_replay(options: ReplayOptions) -> None:
     chain = Chain(ReadingPlan.of(session))
     view = JsonLinesView(echo) if options.as_json else PlainView(say, origin_s=chain.origin_s)
     if options.web:
-        _replay_to_page(session, options, chain, view.show, damage)
+        _replay_to_page(session, options, chain, show=view.show, damage=damage)
     else:
         replay_into(chain, session, damage, view.show)
     say_each((entry.what for entry in damage), err=True)
@@ -76,7 +76,7 @@ def run_replay(options: ReplayOptions) -> None:
 
 
 def _replay_to_page(
-    session: Session, options: ReplayOptions, chain: Chain, show: Callable[[list[Event]], None], damage: list[Damage]
+    session: Session, options: ReplayOptions, chain: Chain, *, show: Callable[[list[Event]], None], damage: list[Damage]
 ) -> None:
     """Replay at a pace of its own, with a page that shows what a capture's showed; it takes no marks."""
     if chain.plan.scheme is None:

@@ -42,7 +42,7 @@ def run_web(options: WebOptions) -> None:
         # Before the first page comes: it is told where it is with its first message.
         bench.refresh()
         access = Access(place.hosts)
-        stack.enter_context(PageServer(place.listening, access, bench.board, bench.take, bench.service))
+        stack.enter_context(PageServer(place.listening, access, bench.board, bench.take, service=bench.service))
         url = f"{place.url}#token={access.mark}"
         say(sentence("web.at", url=url), err=True)
         show_in_browser(f"{place.url}#token={access.once(Role.MARK)}")

@@ -183,23 +183,23 @@ class Axes:
         is_turned = names is not None and len(names) > _MOST_LEVEL_NAMES
         for number, words in ticks:
             at = float(self.across(number))
-            self._rule(at, self.top, at, self._floor, _GRID)
-            self._rule(at, self._floor, at, self._floor + _TICK_PT, INK)
+            self._rule(at, self.top, at, self._floor, color=_GRID)
+            self._rule(at, self._floor, at, self._floor + _TICK_PT, color=INK)
             if with_numbers:
                 size, below = (FONT_PT, 10.0) if names is None else (SMALL_PT, 5.0 if is_turned else 8.0)
                 anchor = "end" if is_turned else "middle"
                 self.picture.text(at, self._floor + below, words, size=size, anchor=anchor, turned=is_turned)
         for number, words in self.y.ticks(_MOST_UPWARDS):
             at = float(self.down(number))
-            self._rule(_LEFT_PT, at, right, at, _GRID)
-            self._rule(_LEFT_PT - _TICK_PT, at, _LEFT_PT, at, INK)
+            self._rule(_LEFT_PT, at, right, at, color=_GRID)
+            self._rule(_LEFT_PT - _TICK_PT, at, _LEFT_PT, at, color=INK)
             self.picture.text(_LEFT_PT - 5, at, words, anchor="end")
-        self._rule(_LEFT_PT, self.top, _LEFT_PT, self._floor, INK)
-        self._rule(_LEFT_PT, self._floor, right, self._floor, INK)
+        self._rule(_LEFT_PT, self.top, _LEFT_PT, self._floor, color=INK)
+        self._rule(_LEFT_PT, self._floor, right, self._floor, color=INK)
         self.picture.text(FONT_PT / 2 + 1, (self.top + self._floor) / 2, y_label, turned=True)
         self.picture.text((_LEFT_PT + right) / 2, self.picture.height - FONT_PT / 2 - 2, x_label)
 
-    def _rule(self, x: float, y: float, to_x: float, to_y: float, color: str) -> None:
+    def _rule(self, x: float, y: float, to_x: float, to_y: float, *, color: str) -> None:
         self.picture.line(np.array([x, to_x]), np.array([y, to_y]), color=color, width=0.6)
 
     def curve(self, x: FloatArray, y: FloatArray, *, color: str, width: float = 1.3, dashes: str = "") -> None:

@@ -138,7 +138,9 @@ class Chain:
     def _begin_to_judge(self, protocol: Protocol) -> None:
         # Each imported here: samples alone need neither of them, and what nobody guided needs no guide.
         nominal = protocol.nominal
-        scale = RoughScale(nominal.accelerometer_scale, nominal.gyroscope_scale, self.raw_zero(protocol))
+        scale = RoughScale(
+            accelerometer=nominal.accelerometer_scale, gyroscope=nominal.gyroscope_scale, raw_zero=self.raw_zero(protocol)
+        )
         if self.plan.scheme is None:
             from imufield.guide.lead.unguided import StillIntervalFinder
 
@@ -247,8 +249,9 @@ class Chain:
         return self.finder.finish()
 
     def raw_zero(self, protocol: Protocol) -> FloatArray:
-        """Return the raw accelerometer output at no input, shape (3,)."""
-        return protocol.nominal.raw_zero if self.plan.raw_zero is None else np.array(self.plan.raw_zero)
+        """Return the accelerometer output at no input as a raw rate, shape (3,)."""
+        zero = protocol.nominal.raw_zero if self.plan.raw_zero is None else np.array(self.plan.raw_zero)
+        return protocol.units.accelerometer_rate(zero)
 
     def _begin_anew(self, held_back: Samples | None) -> list[Event]:
         """Go on with a new decoder, behind what the one before held back."""

@@ -237,7 +237,14 @@ def _facts(session: Session, reading: Reading) -> SessionFacts:
     low, high = reading.temperature_degc.tolist()
     own_degc = tuple(reading.sensor_offset_degc.tolist()) if np.isfinite(reading.sensor_offset_degc).any() else ()
     recorded = session.record.recorded
-    return SessionFacts(session.name, reading.sha256, rate_hz, (low, high), recorded=recorded, sensor_offset_degc=own_degc)
+    return SessionFacts(
+        name=session.name,
+        sha256=reading.sha256,
+        sample_rate_hz=rate_hz,
+        temperature_degc=(low, high),
+        recorded=recorded,
+        sensor_offset_degc=own_degc,
+    )
 
 
 def solve_observations(path: Path, settings: SolveSettings, site: SiteOptions) -> Parameters:
@@ -245,7 +252,7 @@ def solve_observations(path: Path, settings: SolveSettings, site: SiteOptions) -
     # Once, for numbers and hash: what a pipe held is gone afterwards.
     content = read_content(path)
     observations, repeats = count_repeats_once(parse_observations(content, path))
-    facts = SessionFacts(printable(utf8_text(path.name)), hashlib.sha256(content).hexdigest())
+    facts = SessionFacts(name=printable(utf8_text(path.name)), sha256=hashlib.sha256(content).hexdigest())
     observations, left_out = leave_out(observations, settings.without)
     context = Context(session=facts)
     measured = SolveInput(

@@ -74,7 +74,7 @@ class Jobs:
                 raise UsageError(sentence("jobs.too_many", limit=MOST_WAITING))
             self._started += 1
             number = self._started
-            head = _Head(number, action, values, shlex.join(["imufield", *words]))
+            head = _Head(job=number, action=action, values=values, command=shlex.join(["imufield", *words]))
             self._heads[number], self._waiting[number] = head, words
             if is_alone:
                 self._alone.add(number)
@@ -213,7 +213,7 @@ class Jobs:
         self._tell()
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Head:
     job: int
     action: str

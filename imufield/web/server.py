@@ -134,7 +134,7 @@ class _Connection(ServerConnection):
             self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, limit)
 
 
-@dataclass
+@dataclass(kw_only=True)
 class _Page:
     """One page: what it has seen and how often it has spoken lately."""
 
@@ -176,6 +176,7 @@ class PageServer:
         access: Access,
         board: Board,
         on_mark: Callable[[str | bytes], str | None],
+        *,
         service: Service = GUIDE,
     ) -> None:
         self._access, self._board, self._on_mark, self._service = access, board, on_mark, service
@@ -272,7 +273,7 @@ class PageServer:
         with self._lock:
             self._pages.add(connection)
         try:
-            self._follow(_Page(connection, role), lasting)
+            self._follow(_Page(connection=connection, role=role), lasting)
         # The page is gone, whatever it was: it comes back with a new connection.
         except (ConnectionClosed, OSError):
             pass

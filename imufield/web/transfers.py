@@ -39,7 +39,7 @@ _LONGEST_NAME = 100  # Bytes: with a number behind it, it fits into the 255 of a
 _UNUSUAL = re.compile(r"[^\w.()+ -]+")
 
 
-@dataclass
+@dataclass(kw_only=True)
 class _Upload:
     path: Path
     beside: Path
@@ -90,7 +90,9 @@ class Uploads:
                     raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
                 # It takes its name when it is whole: what a program that was killed leaves behind is no recording.
                 descriptor, beside = make_beside(path)
-                self._open[identity] = _Upload(path, Path(beside), os.fdopen(descriptor, "wb"), size, time.monotonic())
+                self._open[identity] = _Upload(
+                    path=path, beside=Path(beside), file=os.fdopen(descriptor, "wb"), left=size, heard_s=time.monotonic()
+                )
         return {"upload": identity, "folder": where.name}
 
     def take(self, piece: bytes) -> Json:

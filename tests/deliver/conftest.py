@@ -49,7 +49,7 @@ def gyroscope() -> GyroscopeCalibration:
         np.full(3, np.nan), np.full((3, 3), np.nan), np.array([2.1e-6, 2.2e-6, 2.3e-6]), np.full((3, 3), np.nan)
     )
     values = GyroscopeParameters(np.ones(3), np.zeros((3, 3)), np.array([1e-4, -2e-5, 3.3e-5]), np.zeros((3, 3)))
-    return GyroscopeCalibration(values, not_estimated, "static bias, Earth rate accounted for")
+    return GyroscopeCalibration(parameters=values, sigma=not_estimated, path="static bias, Earth rate accounted for")
 
 
 @pytest.fixture
@@ -103,7 +103,11 @@ def calibration(parameters: AccelerometerParameters, gyroscope: GyroscopeCalibra
         covariance=root @ root.T,
         gravity=Gravity(gravity_m_s2=9.8071, sigma_m_s2=5e-4, source="normal", latitude_deg=48.1, height_m=520.0),
         positions=PositionResult(
-            residual, leave_one_out, np.full(POSITIONS, 0.5), np.ones(POSITIONS, dtype=np.bool_), np.zeros((POSITIONS, 3))
+            residual_m_s2=residual,
+            leave_one_out_m_s2=leave_one_out,
+            leverage=np.full(POSITIONS, 0.5),
+            used=np.ones(POSITIONS, dtype=np.bool_),
+            bias_drift_m_s2=np.zeros((POSITIONS, 3)),
         ),
         solver=SolverSummary(
             method="least-squares", status=1, message="converged: the step is below 1e-12", cost=11.3, evaluations=9
@@ -146,8 +150,10 @@ def six_faces(calibration: Calibration) -> Calibration:
 @pytest.fixture
 def context() -> Context:
     return Context(
-        instrument=InstrumentFacts("stim300", "STIM300", "N25581234567890", "3.1"),
-        session=SessionFacts("2025-03-01T101500Z-stim300", 64 * "a", 1999.987, (30.9, 33.4)),
+        instrument=InstrumentFacts(driver="stim300", model="STIM300", serial_number="N25581234567890", firmware="3.1"),
+        session=SessionFacts(
+            name="2025-03-01T101500Z-stim300", sha256=64 * "a", sample_rate_hz=1999.987, temperature_degc=(30.9, 33.4)
+        ),
         noise=Noise(
             source="still at the start",
             accelerometer_density_m_s2_per_sqrt_hz=np.full(3, 7e-4),

@@ -243,7 +243,10 @@ def test_one_pose_alone_is_never_good_and_sessions_keep_their_verdict(sessions: 
 def test_ramps_without_gyroscope_leave_it_at_one_temperature(sessions: tuple[Parameters, ...]) -> None:
     calibration = sessions[1].calibration
     rates = GyroscopeParameters(np.ones(3), np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3)))
-    base = replace(sessions[1], calibration=replace(calibration, gyroscope=GyroscopeCalibration(rates, rates, "made up")))
+    base = replace(
+        sessions[1],
+        calibration=replace(calibration, gyroscope=GyroscopeCalibration(parameters=rates, sigma=rates, path="made up")),
+    )
     reasons = with_temperature(base, [], [ramp()]).calibration.quality.reasons
     assert "temperature.gyroscope_unknown" in keys(reasons)
 
@@ -254,7 +257,7 @@ def test_sessions_that_mean_something_else_are_refused(sessions: tuple[Parameter
     with refused(ParameterFileError, Reason.FOREIGN):
         with_temperature(sessions[1], [*sessions[:2], solved(55.0, serial_number="B2")], [])
     positions = [row | {"temperature_degc": float("nan")} for row in sessions[0].document["position"]]
-    session = SessionFacts("cold", 64 * "d", 100.0)
+    session = SessionFacts(name="cold", sha256=64 * "d", sample_rate_hz=100.0)
     nowhere = replace(sessions[0].context, session=session)
     cold = replace(sessions[0], document=sessions[0].document | {"position": positions}, context=nowhere)
     with refused(CalibrationError, Reason.NOT_FINITE, key="temperature.none"):

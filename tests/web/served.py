@@ -44,7 +44,7 @@ class Served:
         self.url = f"http://{self.host}/#token={self.access.mark}"
         self.board = board or Board({"session": "s", "positions": []}, trace_blocks=300, log_lines=50)
         self.marks: SimpleQueue[str | bytes] = SimpleQueue()
-        self.server = PageServer(listening, self.access, self.board, on_mark or self.marks.put, service)
+        self.server = PageServer(listening, self.access, self.board, on_mark or self.marks.put, service=service)
 
     def open(self, token: str | None = None, *, origin: str | None = "", host: str | None = None) -> ClientConnection:
         """Open the socket as a browser does; an origin of None is none."""

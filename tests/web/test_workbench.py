@@ -164,7 +164,7 @@ def test_what_is_no_number_is_none_on_its_way_to_the_pages() -> None:
 def test_how_far_a_command_is_is_shown_and_not_kept() -> None:
     told: list[dict[str, object]] = []
     under_way = jobs.Jobs(lambda *events: told.extend(events))
-    under_way._heads[1] = jobs._Head(1, "solve", {}, "imufield solve")
+    under_way._heads[1] = jobs._Head(job=1, action="solve", values={}, command="imufield solve")
     under_way._read(1, io.StringIO(f"{ERASE}reading: 9%\nwords\n"), "said")
     (head,) = under_way.unfinished()
     assert head["told"] == {"progress": {"event": "progress", "words": "reading: 9%"}}

@@ -302,7 +302,7 @@ class _KindReader:
         if isinstance(rows, slice) and all(triad.read(data, into) for triad in self._triads):
             columns = self._others
         for column, lowest_code in columns:
-            has_gaps |= _read_column(column, lowest_code, data, into, rows)
+            has_gaps |= _read_column(column, lowest_code, data, into=into, rows=rows)
         for at, table in self._flag_tables:
             status[rows] |= table[data[:, at]]
         for flag in self._flags:
@@ -370,7 +370,7 @@ class _Triad:
 
 
 def _read_column(
-    column: Column, lowest_code: float | None, data: NDArray[np.uint8], into: Rows, rows: slice | IntArray
+    column: Column, lowest_code: float | None, data: NDArray[np.uint8], *, into: Rows, rows: slice | IntArray
 ) -> bool:
     """Write one value of each frame; tell whether some have none. ``lowest_code`` is the smallest number that is no value."""
     signal = column.signal

@@ -111,7 +111,7 @@ def columns_by_user(path: Path, columns: str, width: int) -> Meaning:
 
 
 def columns_by_header(
-    path: Path, header: Sequence[str], units: Sequence[str] | None, width: int, text_columns: Collection[int]
+    path: Path, header: Sequence[str], units: Sequence[str] | None, *, width: int, text_columns: Collection[int]
 ) -> Meaning:
     """Understand a header line above rows of ``width`` cells, of which ``text_columns`` have no numbers.
 
@@ -130,7 +130,7 @@ def columns_by_header(
     chosen = one_of_each([column for column in named if column is not None], header, text_columns)
     # Only an export of our own has all of these; columns of these names mean other things elsewhere.
     if set(SAMPLE_COLUMNS) <= set(header):
-        chosen += [TableColumn(header.index(name), name) for name in (STATUS, COUNTER)]
+        chosen += [TableColumn(index=header.index(name), field=name) for name in (STATUS, COUNTER)]
     used = {column.index for column in chosen}
     ignored = [shortened(name) for index, name in enumerate(header) if index not in used and name]
     said = (sentence("table_columns.ignored", name=path.name, ignored=ignored),) if ignored else ()
@@ -158,7 +158,9 @@ def columns_by_count(path: Path, width: int, number: int, files: int) -> Meaning
     if fields is None:
         raise UsageError(sentence("table_columns.no_header", path=str(path), width=width, example=",".join(FIELDS)))
     said = sentence("table_columns.taken_as", name=path.name, width=width, fields=[*fields])
-    return Meaning(tuple(TableColumn(index, field) for index, field in enumerate(fields)), {}, (said,), is_guess=True)
+    return Meaning(
+        tuple(TableColumn(index=index, field=field) for index, field in enumerate(fields)), {}, (said,), is_guess=True
+    )
 
 
 def _checked(path: Path, found: Sequence[TableColumn], assumptions: tuple[str, ...]) -> Meaning:

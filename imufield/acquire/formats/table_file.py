@@ -69,7 +69,7 @@ def meaning_of(source: Source, columns: str | None, number: int, files: int) -> 
         meaning = columns_by_user(source.path, columns, source.width)
     elif source.header is not None:
         text_columns = source.text_columns if isinstance(source, TextTable) else ()
-        meaning = columns_by_header(source.path, source.header, source.units, source.width, text_columns)
+        meaning = columns_by_header(source.path, source.header, source.units, width=source.width, text_columns=text_columns)
         if isinstance(source, TextTable):
             refuse_several_instruments(source.path, source.header, source.head)
     else:

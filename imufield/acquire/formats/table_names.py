@@ -38,7 +38,7 @@ _MOST_WORDS = 12  # Of a name: the time that it takes grows with their square.
 _MOST_PARTS = 6  # Of a path, e.g. /camera/imu/linear_acceleration/x; it bounds the time that a hostile name takes.
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TableColumn:
     """One column that is used: where it stands, what it is, and the unit its header names (None if it names none)."""
 
@@ -109,7 +109,9 @@ def _understood(text: str, index: int, unit_below: str, of_axes: str) -> TableCo
     text = shortened(stated.strip())
     if unit is None and field != TIME and _LOOKS_LIKE_A_UNIT.search(text):
         unit = text
-    return TableColumn(index, field, unit, word="" if unit else text, qualifier=" ".join(qualifiers), name=known)
+    return TableColumn(
+        index=index, field=field, unit=unit, word="" if unit else text, qualifier=" ".join(qualifiers), name=known
+    )
 
 
 def _words_of(name: str) -> tuple[list[str], list[str]]:

@@ -90,7 +90,7 @@ def usable(wire: Wire, ways: Callable[[type[Driver]], Iterable[Candidate]], say:
         except ProtocolError as error:
             # A broken driver of another distribution must not keep the others from working.
             if say is not None:
-                say(f"passed over: {error.message}")
+                say(sentence("baud_search.passed_over", error=error.message))
     return found
 
 

@@ -189,7 +189,7 @@ def _introduced(
         say(taken)
     # An address has no baud rate that anybody could set.
     if options.baud is None and "://" not in port:
-        say(f"baud rate {baud} (assumed)")
+        say(sentence("connect.baud", baud=baud))
     protocol, identity, rate_before_hz = candidate.protocol, {}, None
     if instrument is not None:
         # Which questions it understands may depend on what it sends.

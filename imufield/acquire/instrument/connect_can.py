@@ -152,7 +152,7 @@ def _recognised(
         if len(known) != 1 or known == {()}:
             raise UsageError(sentence("connect_can.which_bit_rate", bus=bus))
         bit_rate = candidates[0].bauds[0]
-        say(f"bit rate {bit_rate} (assumed)")
+        say(sentence("connect_can.bit_rate", bit_rate=bit_rate))
     link = open_can_link(bus, bit_rate=bit_rate, clock=clock)
     listeners = [Listener(candidate) for candidate in candidates]
     try:

@@ -124,7 +124,7 @@ def calibrate_accelerometer(  # noqa: PLR0913 (the settings of `solve`, by keywo
     before = None if preset is None else _checked_preset(preset)
     signs = find_signs(data.raw, observations.direction, None if before is None else before[SCALE])
     origin, observability = find_origin(data, signs.sign, before, model)
-    chosen = choose_model(data, origin, observability, model, observations)
+    chosen = choose_model(data, origin, observability, model, observations=observations)
     if len(observability.free) == len(LOWER_GAUGE_COLUMNS):
         chosen = replace(chosen, left_out=left_out_terms(data, chosen, typical))
     refuse_saturation(observations.mean_raw, chosen.fit.residual_m_s2)
@@ -249,6 +249,6 @@ def _in_gauge(data: FitData, chosen: ChosenModel, gauge: Gauge, before: FloatArr
         # The turn is exact on sensing axes only; the printed form needs a few more steps from there.
         columns = None if chosen.drift is None else chosen.drift.columns
         combinations = higher_scale(data.gravity_m_s2)[:, None] * chosen.higher if chosen.higher.size else None
-        return fit(data, change.vector, basis[:, : len(chosen.free)], columns, combinations), change.jacobian
+        return fit(data, change.vector, basis[:, : len(chosen.free)], drift=columns, higher=combinations), change.jacobian
     higher = None if chosen.fit.higher is None else chosen.fit.higher.turned(change.vector[SCALE] / chosen.fit.vector[SCALE])
     return replace(chosen.fit, vector=change.vector, basis=basis, higher=higher), change.jacobian

@@ -81,7 +81,7 @@ def propagate(
         spread=spread,
         geometry=geometry,
         factors=factors,
-        shares=tuple(fit_shares(fitted, data, chosen.choice, factors, parameters)),
+        shares=tuple(fit_shares(fitted, data, chosen.choice, factors=factors, parameters=parameters)),
         gravity=gravity_share(t, gravity.sigma_m_s2),
     )
 

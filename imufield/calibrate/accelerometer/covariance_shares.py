@@ -27,7 +27,7 @@ from imufield.samples import FloatArray
 _RESIDUALS = "accelerometer"
 
 
-def fit_shares(fitted: Fit, data: FitData, choice: Choice, factors: FloatArray, parameters: int) -> Iterator[Share]:
+def fit_shares(fitted: Fit, data: FitData, choice: Choice, *, factors: FloatArray, parameters: int) -> Iterator[Share]:
     """Yield the shares of the fit in the uncertainty of the 15 parameters.
 
     Parameters

@@ -107,7 +107,7 @@ def column_basis(vector: FloatArray, free: tuple[int, ...], gravity_m_s2: float)
 
 
 def fit(
-    data: FitData, origin: FloatArray, basis: FloatArray, drift: FloatArray | None = None, higher: FloatArray | None = None
+    data: FitData, origin: FloatArray, basis: FloatArray, *, drift: FloatArray | None = None, higher: FloatArray | None = None
 ) -> Fit:
     """Fit ``origin + basis z``: first unweighted, then with s_i^2 = within^2 + tau^2 until tau settles.
 

@@ -133,7 +133,7 @@ def find_origin(
 
 
 def choose_model(
-    data: FitData, origin: FloatArray, observability: Observability, model: ModelChoice, observations: Observations
+    data: FitData, origin: FloatArray, observability: Observability, model: ModelChoice, *, observations: Observations
 ) -> ChosenModel:
     """Fit what was asked for and, of the terms that are open, what passes the gate.
 
@@ -216,7 +216,7 @@ def _fit(data: FitData, origin: FloatArray, free: tuple[int, ...], *, quadratic:
         origin[[k for k in free if k >= _FIRST_QUADRATIC]] = 0.0
         free = tuple(k for k in free if k < _FIRST_QUADRATIC)
     basis = column_basis(origin, free, data.gravity_m_s2)
-    return fit(data, origin, basis, None if drift is None else drift.columns)
+    return fit(data, origin, basis, drift=None if drift is None else drift.columns)
 
 
 def _untested(data: FitData, origin: FloatArray, free: tuple[int, ...], model: ModelChoice) -> ChosenModel:

@@ -129,14 +129,14 @@ def fit_jointly(data: GyroscopeData, start: FloatArray, free: IntArray, scatter:
     # shows whether they do.
     is_rough = bool(strict.length_rad_s)
     while True:
-        fitted = _gauss_newton(data, p, columns, prior, scatter, is_rough=is_rough)
+        fitted = _gauss_newton(data, p, columns, prior=prior, scatter=scatter, is_rough=is_rough)
         p, scatter = fitted.p.copy(), fitted.scatter
         places = np.flatnonzero(fitted.free >= FIRST_HORIZONTAL)
         spread = np.sqrt(np.diag(fitted.covariance)[places].reshape(-1, 2).sum(axis=1))
         if strict.length_rad_s and np.all(spread < HEADING_SEEN * strict.length_rad_s):
             h = p[FIRST_HORIZONTAL:].reshape(-1, 2)
             h *= strict.length_rad_s / np.linalg.norm(h, axis=1)[:, None]
-            return _gauss_newton(data, p, columns, strict, scatter)
+            return _gauss_newton(data, p, columns, prior=strict, scatter=scatter)
         if not is_rough:
             return fitted
         is_rough = False
@@ -158,9 +158,9 @@ def _gauss_newton(
     data: GyroscopeData,
     p: FloatArray,
     free: IntArray,
+    *,
     prior: _Prior,
     scatter: Scatter | None,
-    *,
     is_rough: bool = False,
 ) -> JointFit:
     """Fit from ``p``; a rough fit ends where it is near, whatever the scatters do."""

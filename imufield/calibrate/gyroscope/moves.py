@@ -481,7 +481,7 @@ def _fault(slots: Slots, begin: float, end: float, limits: tuple[FloatArray, Flo
     if flags & SlotFlag.LOST or covered < end - begin - BRIDGED_S - SLOT_S * QUIET_SLOTS:
         missing_s = max(hole_s, end - begin - covered)
         key = "moves.interrupted" if missing_s >= INTERRUPTED_S else "moves.lost_samples"
-        return sentence(key, missing_s=missing_s, bridged_s=BRIDGED_S, **span)
+        return sentence(key, missing_s=missing_s, bridged_s=BRIDGED_S, intervals=BRIDGED_INTERVALS, **span)
     # An output that repeats itself at the end of its range is saturated too.
     stuck = False
     if limits is not None:

@@ -37,7 +37,7 @@ from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
 
-# Share of the angle error before that is left where a fit has gained little; a session of placed positions leaves 0.12.
+# Share of the closing error before that is left where a fit has gained little; a session of placed positions leaves 0.12.
 _HARDLY_BETTER = 0.8
 _WORSE = 1.1
 _FOUND_SIGMAS = 4.0  # A term as large on one axis is found in two of three sessions.
@@ -257,7 +257,10 @@ def _result(
     unit = solution.given.observations.units.gyroscope_rate_unit
     return GyroscopeResult(
         calibration=GyroscopeCalibration(
-            GyroscopeParameters.from_vector(values), GyroscopeParameters.from_vector(sigma), path, unit
+            parameters=GyroscopeParameters.from_vector(values),
+            sigma=GyroscopeParameters.from_vector(sigma),
+            path=path,
+            raw_unit=unit,
         ),
         names=tuple(name for name, kept in zip(GYROSCOPE_NAMES, known, strict=True) if kept),
         covariance=covariance[np.ix_(known, known)],

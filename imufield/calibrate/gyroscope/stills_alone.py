@@ -99,10 +99,10 @@ def static_bias(
     sigma = np.sqrt(values.var(axis=0, ddof=1) / m + (gain * unknown_earth_rate(up, latitude_deg)) ** 2)
     not_estimated = np.full((3, 3), np.nan)
     return GyroscopeCalibration(
-        GyroscopeParameters(K, misalignment, values.mean(axis=0), np.zeros((3, 3))),
-        GyroscopeParameters(np.full(3, np.nan), not_estimated, sigma, not_estimated),
-        sentence(key, positions=m),
-        observations.units.gyroscope_rate_unit,
+        parameters=GyroscopeParameters(K, misalignment, values.mean(axis=0), np.zeros((3, 3))),
+        sigma=GyroscopeParameters(np.full(3, np.nan), not_estimated, sigma, not_estimated),
+        path=sentence(key, positions=m),
+        raw_unit=observations.units.gyroscope_rate_unit,
     )
 
 

@@ -55,7 +55,7 @@ class TurntableRun:
     axis_sigma_rad: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TableRows:
     """t pairs of turntable rates, ready for fitting.
 
@@ -89,7 +89,14 @@ class TableRows:
 def no_table() -> TableRows:
     """Return zero pairs."""
     vectors, matrices = np.empty((0, 3)), np.empty((0, 3, 3))
-    return TableRows(*[vectors, vectors, np.empty(0), matrices, vectors, matrices])
+    return TableRows(
+        half_difference_raw=vectors,
+        half_sum_raw=vectors,
+        axis=np.empty(0),
+        covariance_raw=matrices,
+        rate_rad_s=vectors,
+        rate_covariance=matrices,
+    )
 
 
 def pair_runs(runs: Sequence[TurntableRun]) -> TableRows:
@@ -118,10 +125,17 @@ def pair_runs(runs: Sequence[TurntableRun]) -> TableRows:
         w = (plus.rate_rad_s - minus.rate_rad_s) / 2
         u = plus.axis / np.linalg.norm(plus.axis)
         along, across = plus.rate_sigma_rad_s**2 / 2, (w * plus.axis_sigma_rad) ** 2
-        # (N+ - N-) / 2 = K E w, [1]_ eq. 25
-        half_difference, half_sum = (plus.mean_raw - minus.mean_raw) / 2, (plus.mean_raw + minus.mean_raw) / 2
-        covariance = along * np.outer(u, u) + across * (np.eye(3) - np.outer(u, u))
         axis = next((k for k, other in enumerate(axes) if float(u @ other) > _SAME_AXIS), len(axes))
         axes.append(u)
-        rows.append((half_difference, half_sum, axis, (plus.covariance_raw + minus.covariance_raw) / 4, w * u, covariance))
-    return TableRows(*(np.array(column) for column in zip(*rows, strict=True)))
+        rows.append(
+            {
+                # (N+ - N-) / 2 = K E w, [1]_ eq. 25
+                "half_difference_raw": (plus.mean_raw - minus.mean_raw) / 2,
+                "half_sum_raw": (plus.mean_raw + minus.mean_raw) / 2,
+                "axis": axis,
+                "covariance_raw": (plus.covariance_raw + minus.covariance_raw) / 4,
+                "rate_rad_s": w * u,
+                "rate_covariance": along * np.outer(u, u) + across * (np.eye(3) - np.outer(u, u)),
+            }
+        )
+    return TableRows(**{name: np.array([row[name] for row in rows]) for name in rows[0]})

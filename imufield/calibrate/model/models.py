@@ -196,7 +196,7 @@ def sensing_input(raw: FloatArray, K: FloatArray, b: FloatArray, K2: FloatArray)
     return np.asarray(linear / (0.5 + np.sqrt(0.25 + K2 / K * linear)))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class NormDerivatives:
     """norm(a) of m positions and its derivatives at one parameter vector."""
 
@@ -229,7 +229,7 @@ def norm_derivatives(
         u = a / norm[:, None]
     by_T, by_higher = np.zeros((len(raw), 6)), np.zeros((len(raw), 0))
     if higher is not None:
-        u, by_T, by_higher = _through_higher(T, a, felt, u, higher)
+        u, by_T, by_higher = _through_higher(T, a, felt, u, higher=higher)
     # d norm / dN = (dN/da)^-T u
     if sensing:
         v = np.linalg.solve(T.T, u.T).T / slope
@@ -240,11 +240,11 @@ def norm_derivatives(
     misalignment = (v * slope)[:, MISALIGNMENT_ROWS] * felt[:, MISALIGNMENT_COLUMNS] + by_T
     squared = s**2 if sensing else felt**2
     jacobian = -np.hstack([v * (s + b), v * K, misalignment, v * squared])
-    return NormDerivatives(a, norm, jacobian, np.asarray(v, dtype=np.float64), by_higher)
+    return NormDerivatives(a=a, norm=norm, jacobian=jacobian, raw_gradient=np.asarray(v, dtype=np.float64), by_higher=by_higher)
 
 
 def _through_higher(
-    T: FloatArray, a: FloatArray, felt: FloatArray, u: FloatArray, higher: HigherTerms
+    T: FloatArray, a: FloatArray, felt: FloatArray, u: FloatArray, *, higher: HigherTerms
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return d norm / d T^-1 f, what the derivatives by misalignments have beside it, and those by higher terms."""
     s = a @ T.T

@@ -101,7 +101,7 @@ class GyroscopeParameters:
         return cls(scale, misalignment, bias, sensitivity.reshape(3, 3))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class GyroscopeCalibration:
     """Gyroscope parameters, their 1 sigma (same shapes; NaN where not estimated) and the path taken."""
 
@@ -116,7 +116,7 @@ class GyroscopeCalibration:
     """None where the parameters are known at one temperature only."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PositionResult:
     """Residuals of m positions, arrays of shape (m,), in the order of the observations."""
 

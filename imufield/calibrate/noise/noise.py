@@ -91,7 +91,7 @@ class AxisNoise:
         return _NOT_KNOWN if self.model is None else self.model.walk
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SheetFigure:
     """A figure as data sheets state it: ``figure`` of an axis times ``factor``."""
 
@@ -105,11 +105,13 @@ class SheetFigure:
 _MICRO_G = 1e6 / STANDARD_GRAVITY_M_S2
 _SQRT_HOUR = math.sqrt(_HOURS)
 DATA_SHEET = (
-    SheetFigure("accelerometer", "velocity random walk", "density", "ug/sqrt(Hz)", _MICRO_G),
-    SheetFigure("accelerometer", "velocity random walk", "density", "m/s/sqrt(h)", _SQRT_HOUR),
-    SheetFigure("accelerometer", "bias instability", "instability", "ug", _MICRO_G),
-    SheetFigure("gyroscope", "angle random walk", "density", "deg/sqrt(h)", math.degrees(_SQRT_HOUR)),
-    SheetFigure("gyroscope", "bias instability", "instability", "deg/h", math.degrees(_HOURS)),
+    SheetFigure(triad="accelerometer", title="velocity random walk", figure="density", unit="ug/sqrt(Hz)", factor=_MICRO_G),
+    SheetFigure(triad="accelerometer", title="velocity random walk", figure="density", unit="m/s/sqrt(h)", factor=_SQRT_HOUR),
+    SheetFigure(triad="accelerometer", title="bias instability", figure="instability", unit="ug", factor=_MICRO_G),
+    SheetFigure(
+        triad="gyroscope", title="angle random walk", figure="density", unit="deg/sqrt(h)", factor=math.degrees(_SQRT_HOUR)
+    ),
+    SheetFigure(triad="gyroscope", title="bias instability", figure="instability", unit="deg/h", factor=math.degrees(_HOURS)),
 )
 
 

@@ -114,7 +114,7 @@ def _days(likely: _Likely, file_sigma: float, wanted: float) -> list[float]:
     return [float(quantile) for quantile in np.quantile(days, _QUANTILES)]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Likely:
     """The grid of s and q, g pairs."""
 
@@ -150,4 +150,4 @@ def _likely(test: KindTest, lines: FloatArray) -> _Likely:
     # Grids of logarithms.
     log_weight += np.log(s) + np.log(root_q)
     weight = np.exp(log_weight - log_weight.max())
-    return _Likely(weight / weight.sum(), s, root_q**2, rate, rate_root)
+    return _Likely(weight=weight / weight.sum(), s=s, q=root_q**2, rate=rate, rate_root=rate_root)

@@ -23,12 +23,12 @@ def calibration_at(calibration: Calibration, temperature_degc: float) -> Calibra
         sigma = replace(sigma, bias_m_s2=bias, scale=scale * np.abs(there.scale))
         raised |= {"accelerometer.bias_m_s2": sigma.bias_m_s2, "accelerometer.scale": sigma.scale}
         names = ("accelerometer.bias_m_s2", "accelerometer.scale")
-        _correlate(calibration, covariance, names, model, model.covariance_there(temperature_degc) * there.scale)
+        _correlate(calibration, covariance, names, model=model, between=model.covariance_there(temperature_degc) * there.scale)
     if gyroscope is not None and gyroscope.temperature is not None:
         of_gyroscope = gyroscope.temperature
         gyroscope = _gyroscope_there(gyroscope, of_gyroscope, temperature_degc)
         between = of_gyroscope.covariance_there(temperature_degc) * gyroscope.parameters.scale**2
-        _correlate(calibration, covariance, ("gyroscope.bias", "gyroscope.scale"), of_gyroscope, between)
+        _correlate(calibration, covariance, ("gyroscope.bias", "gyroscope.scale"), model=of_gyroscope, between=between)
         raised |= {"gyroscope.bias": gyroscope.sigma.bias, "gyroscope.scale": gyroscope.sigma.scale}
     return replace(
         calibration,
@@ -53,7 +53,7 @@ def _gyroscope_there(gyroscope: GyroscopeCalibration, model: TriadTemperature, t
 
 
 def _correlate(
-    calibration: Calibration, covariance: FloatArray, names: tuple[str, str], model: TriadTemperature, between: FloatArray
+    calibration: Calibration, covariance: FloatArray, names: tuple[str, str], *, model: TriadTemperature, between: FloatArray
 ) -> None:
     """Put the covariance of bias and scale into the joint one: that of a new day, or what their change adds."""
     is_new_day = model.new_day is not None and bool(np.isfinite(model.new_day.scale).all())

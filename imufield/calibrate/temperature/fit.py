@@ -269,7 +269,7 @@ def fit_orders(data: TemperatureData, bias: int, scale: int) -> TemperatureFit:
         left = np.array([_variance_in_residuals(data.points, axis, each, scatter.variances) for axis, each in enumerate(axes)])
         d = np.linspace(range_d_degc[0], range_d_degc[1], _STEPS)
         freedom = [
-            _freedom(scatter, shares[:, :, of[:, None], of], left[:, kind], kind, d)
+            _freedom(scatter, shares[:, :, of[:, None], of], left[:, kind], kind=kind, d=d)
             for kind, of in ((BIAS, of_bias), (SCALE, of_scale))
         ]
         new_day = NewDay(
@@ -324,7 +324,7 @@ def _variance_in_residuals(points: SessionPoints | None, axis: int, equations: E
     return found
 
 
-def _freedom(scatter: Scatter, shares: FloatArray, left: FloatArray, kind: int, d: FloatArray) -> float:
+def _freedom(scatter: Scatter, shares: FloatArray, left: FloatArray, *, kind: int, d: FloatArray) -> float:
     """Return the degrees of freedom of bias or scale of a new day: the middle of those of all axes over the range."""
     V = np.column_stack([np.ones(len(d)), powers(d, shares.shape[-1] - 1)])
     of_day = np.einsum("np,aspq,nq->san", V, shares, V)

@@ -243,7 +243,7 @@ class ExportDataOptions:
     to: Annotated[
         str | None,
         option(
-            help="Format: csv, parquet, hdf5, ros2 (MCAP), overview (least, mean and largest of each "
+            help="Format: csv, parquet, hdf5, ros2 (MCAP), overview (minimum, mean and maximum of each "
             "interval, for plots), outline (like overview, from a few seconds of each minute; faster). Default: by the "
             "suffix of --output, else csv.",
         ),
@@ -262,7 +262,7 @@ class VerifyOptions:
         Path | None, session_argument(help="Parameter file under test (default: that of the newest session).")
     ] = None
     session: Annotated[Path | None, session_argument(help="Session to check them on (default: the newest).")] = None
-    preset: Annotated[Path | None, option(help="Parameter file to compare with (default: no correction).")] = None
+    preset: Annotated[Path | None, option(help="Parameter file to compare with (default: the nominal scale).")] = None
     hold_out: Annotated[
         int | None,
         option(
@@ -355,7 +355,7 @@ class HistoryOptions:
         float | None,
         option(
             "--target-bias-ug",
-            help="Accuracy wanted for the biases, 1 sigma, micro-g; `history` then tells when to calibrate again.",
+            help="Accuracy wanted for the biases, 1 sigma, micro-g; `history` then forecasts when to calibrate again.",
             within=TARGET_RANGE,
         ),
     ] = None

@@ -29,7 +29,7 @@ _LIMITS = {
 }
 
 TARGETS: Mapping[str, Target] = {
-    name: Target(name, **facts)
+    name: Target(name=name, **facts)
     for name, facts in tomli.loads(Path(__file__).with_name("targets.toml").read_text(encoding="utf-8")).items()
 }
 

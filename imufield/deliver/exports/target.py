@@ -14,7 +14,7 @@ from imufield.dataclass import dataclass, field
 ExportGauge = Literal["lower", "upper", "symmetric"]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Target:
     """One program or form that parameters can be exported to."""
 

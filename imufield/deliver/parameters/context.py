@@ -22,7 +22,7 @@ def _unknown() -> FloatArray:
     return np.full(3, np.nan)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class InstrumentFacts:
     """Which instrument; an empty string where not known."""
 
@@ -41,7 +41,7 @@ class InstrumentFacts:
         return "" if self.grade_source == "assumed" else self.grade
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SessionFacts:
     """Which recording.
 

@@ -324,10 +324,10 @@ def context_from_document(document: Document) -> Context:
     return Context(
         instrument=InstrumentFacts(**document["instrument"]),
         session=SessionFacts(
-            session["name"],
-            session["sha256"],
-            session["sample_rate_hz"],
-            (low, high),
+            name=session["name"],
+            sha256=session["sha256"],
+            sample_rate_hz=session["sample_rate_hz"],
+            temperature_degc=(low, high),
             recorded=session.get("recorded", ""),
             sensor_offset_degc=tuple(session.get("sensor_offset_degc", ())),
         ),

@@ -131,7 +131,7 @@ def closure(
     *,
     nominal: float | None,
 ) -> Closure | None:
-    """Return the angle errors of the moves with the file's gyroscope and with what was in force before; None without moves.
+    """Return the closing errors of the moves with the file's gyroscope and with what was in force before; None without moves.
 
     ``observations`` are all stills between the moves, those of whole turns included.
     """

@@ -36,7 +36,7 @@ _ROUNDING = 1e-6  # Of micro-g and nautical miles: what is left of ideal outputs
 _STRONGEST_SHOWN = 5  # As many as a caption can name.
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Figure:
     """A drawing with its words."""
 
@@ -302,23 +302,43 @@ def _figures(data: ReportData) -> Iterator[Figure]:
     results, names = data.parameters.calibration.positions, tuple(table["name"] for table in tables)
     gained = gain(data.parameters, data.preset)
     if gained is not None:
-        yield Figure("Before and after", plots.before_and_after(gained), sentence("page.before_after"), "Errors by position")
+        yield Figure(
+            title="Before and after",
+            svg=plots.before_and_after(gained),
+            caption=sentence("page.before_after"),
+            label="Errors by position",
+        )
     if tables and data.parameters.calibration.quality.degrees_of_freedom > 0:
         up = directions(data.parameters, np.array([table["mean_raw"] for table in tables], dtype=np.float64))
         svg = plots.sphere_map(up, results.residual_m_s2, names)
-        yield Figure("Residual on the sphere", svg, sentence("page.sphere"), "Map of residuals by direction")
+        yield Figure(
+            title="Residual on the sphere", svg=svg, caption=sentence("page.sphere"), label="Map of residuals by direction"
+        )
     if data.trace is not None:
         start, duration = (np.array([table[key] for table in tables], dtype=np.float64) for key in ("start_s", "duration_s"))
         svg = plots.stillness(data.trace, start, duration)
-        yield Figure("Stillness", svg, sentence("page.stillness"), "Stillness over time", is_detail=True)
+        yield Figure(
+            title="Stillness", svg=svg, caption=sentence("page.stillness"), label="Stillness over time", is_detail=True
+        )
     if data.convergence:
         keys = {run.method: "page.converged" if run.converged else "page.not_converged" for run in data.convergence}
         ended = " ".join(sentence(key, method=method) for method, key in keys.items())
         caption = sentence("page.convergence", methods=[*keys], ended=ended)
-        yield Figure("Convergence", plots.convergence(data.convergence), caption, "Cost over iterations", is_detail=True)
+        yield Figure(
+            title="Convergence",
+            svg=plots.convergence(data.convergence),
+            caption=caption,
+            label="Cost over iterations",
+            is_detail=True,
+        )
     if data.closure is not None and len(data.closure.after_deg):
         caption = sentence("page.closure")
-        yield Figure("Gyroscope closing error", plots.closure(data.closure), caption, "Closing error of each move")
+        yield Figure(
+            title="Gyroscope closing error",
+            svg=plots.closure(data.closure),
+            caption=caption,
+            label="Closing error of each move",
+        )
     for curves in temperature_curves(data.parameters):
         caption = sentence(
             "page.temperature_day" if curves.is_of_new_day else "page.temperature", reference=curves.reference_degc
@@ -326,14 +346,18 @@ def _figures(data: ReportData) -> Iterator[Figure]:
         name = f"{curves.triad.capitalize()} over temperature"
         with plot_style():
             svg = plots.over_temperature(curves)
-        yield Figure(name, svg, caption, "Bias and scale over temperature")
+        yield Figure(title=name, svg=svg, caption=caption, label="Bias and scale over temperature")
     found = correlations(data.parameters.calibration)
     if len(found.names) > 1:
         pairs = found.strongest(_STRONGEST_SHOWN)
         strongest = "; ".join(f"{first} and {second} {value:+.2f}" for first, second, value in pairs)
         caption = sentence("page.correlations", least=plots.LEAST_CORRELATION, strongest=strongest)
         yield Figure(
-            "Correlations", plots.correlations(found), caption, "Correlation of each pair of parameters", is_detail=True
+            title="Correlations",
+            svg=plots.correlations(found),
+            caption=caption,
+            label="Correlation of each pair of parameters",
+            is_detail=True,
         )
     yield from _check_figures(data.verification or {})
 
@@ -342,9 +366,11 @@ def _check_figures(verification: Document) -> Iterator[Figure]:
     positions, navigation = verification.get("positions"), verification.get("navigation")
     if positions and positions["forecast_rms_m_s2"] is not None and len(positions["name"]) > 1:
         caption = sentence("page.left_out", how=positions["how"], forecast=_forecast_words(positions))
-        yield Figure("Held-out positions", plots.left_out(positions), caption, "Residuals of held-out positions")
+        yield Figure(
+            title="Held-out positions", svg=plots.left_out(positions), caption=caption, label="Residuals of held-out positions"
+        )
     if navigation:
         caption = sentence("page.navigation_turned" if navigation["turned"] else "page.navigation")
         with plot_style():
             svg = plots.navigation(navigation)
-        yield Figure("Static navigation", svg, caption, "Navigation errors over time")
+        yield Figure(title="Static navigation", svg=svg, caption=caption, label="Navigation errors over time")

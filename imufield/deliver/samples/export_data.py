@@ -22,7 +22,7 @@ from imufield.files import make_beside, typed_write_errors, usual_mode
 from imufield.samples import FloatArray, Samples, concatenate
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Format:
     """A format of exported samples."""
 
@@ -118,10 +118,16 @@ def _write_overview(blocks: Iterable[Samples], path: Path, facts: Mapping[str, s
 OUTLINE = "outline"
 _LACKING = "messages of ROS hold no temperature, counter, losses or status"
 FORMATS = {
-    "csv": Format("csv", "text, one line for each sample", write_csv, rows=ROWS),
-    "parquet": Format("parquet", "Parquet (extra `parquet`)", write_parquet),
-    "hdf5": Format("h5", "HDF5, one dataset for each column (extra `hdf5`)", write_hdf5),
-    "ros2": Format("mcap", "sensor_msgs/msg/Imu for ROS 2, Foxglove, PlotJuggler", write_ros2, _LACKING),
-    "overview": Format("overview.csv", "text, least, mean and largest value of each interval, for plots", _write_overview),
-    OUTLINE: Format("outline.csv", "like overview, from a few seconds of each minute; faster", _write_overview),
+    "csv": Format(suffix="csv", title="text, one line for each sample", write=write_csv, rows=ROWS),
+    "parquet": Format(suffix="parquet", title="Parquet (extra `parquet`)", write=write_parquet),
+    "hdf5": Format(suffix="h5", title="HDF5, one dataset for each column (extra `hdf5`)", write=write_hdf5),
+    "ros2": Format(
+        suffix="mcap", title="sensor_msgs/msg/Imu for ROS 2, Foxglove, PlotJuggler", write=write_ros2, lacks=_LACKING
+    ),
+    "overview": Format(
+        suffix="overview.csv", title="text, least, mean and largest value of each interval, for plots", write=_write_overview
+    ),
+    OUTLINE: Format(
+        suffix="outline.csv", title="like overview, from a few seconds of each minute; faster", write=_write_overview
+    ),
 }

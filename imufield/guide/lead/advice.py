@@ -253,9 +253,9 @@ class Adviser:
         if plan.proposed() is None and self._settings.revisit_first and open_still and first is not None:
             self._revisited, plan.revisiting = True, first
 
-    def drift_advice(self, now_s: float, scale: RoughScale) -> list[Advice]:
-        """Return the change of the norm from the first measurement of the first position to that at the end."""
-        before, after = next(iter(self._plan.accepted.values()), None), self._plan.revisited
+    def drift_advice(self, now_s: float, scale: RoughScale, index: int) -> list[Advice]:
+        """Return the change of the norm of a position from its measurement to the check at the end."""
+        before, after = self._plan.accepted.get(index), self._plan.revisited
         if before is None or after is None:
             return []
         forces = [scale.specific_force(observation.mean_raw) for observation in (before, after)]

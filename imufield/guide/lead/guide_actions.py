@@ -351,7 +351,7 @@ class GuideActions:
         self.hold.forget()
         self._moved_in_a_row = 0
         if is_revisit:
-            self.speaker.say(*adviser.drift_advice(now_s, self.detector.scale))
+            self.speaker.say(*adviser.drift_advice(now_s, self.detector.scale, index))
         self.speaker.say(*adviser.advise(now_s))
         self._judge_anew(observation.mean_raw.tolist())
         # Only now: this very hold may have shown that it is another side.

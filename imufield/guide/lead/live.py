@@ -71,7 +71,7 @@ class LiveFeed:
         """Return where up is in the body by the newest samples, unit vector (3,), NaN while not known."""
         if (last := self._last) is None:
             return np.full(3, np.nan)
-        newest = last.accelerometer[last.time_s > last.time_s[-1] - _NEWEST_S]
+        newest = last.accelerometer_rate()[last.time_s > last.time_s[-1] - _NEWEST_S]
         known = newest[np.isfinite(newest).all(axis=1)]
         if not len(known) or not scale.accelerometer:
             return np.full(3, np.nan)

@@ -56,8 +56,6 @@ class Plan:
         self.wanted_again: set[int] = set()
         self.doubted: set[int] = set()  # Told as contradicted by the others, and not settled since.
         self.asked_again: set[int] = set()  # Asked for once more because of that, each once.
-        self.withdrawn: list[Observation] = []  # Replaced or undone; kept, not used.
-        self.faulty: list[Observation] = []  # Taken back because of what they show; no undo brings them back.
         self.first: int | None = None  # Asked for before all others: where the unit is when the session begins.
         self.preferred: int | None = None  # Asked for next instead of the proposed order: where a hold helps most.
         # Asked for once more at the end, as a check for drift; its measurement replaces nothing.
@@ -111,8 +109,6 @@ class Plan:
             self._history.append(_Done("revisit", index))
             return False
         older = self.accepted.pop(index, None)
-        if older is not None:
-            self.withdrawn.append(older)
         self.accepted[index] = observation
         self.wanted_again.discard(index)
         self.skipped.discard(index)
@@ -121,7 +117,7 @@ class Plan:
 
     def take_back(self, index: int) -> None:
         """Withdraw an observation that does not count any more; the position is pending again."""
-        self.faulty.append(self.accepted.pop(index))
+        del self.accepted[index]
         for marked in (self.wanted_again, self.doubted, self.asked_again):
             marked.discard(index)
         if index == self.revisiting:
@@ -200,10 +196,9 @@ class Plan:
         elif action == "revisit":
             self.revisiting, self.revisited = index, None
         elif index in self.accepted:
-            self.withdrawn.append(self.accepted.pop(index))
+            del self.accepted[index]
             if replaced is not None:
                 # It counts again, under the name that the position has by now.
-                self.withdrawn = [older for older in self.withdrawn if older is not replaced]
                 self.accepted[index] = self._named(replaced, index)
                 self.wanted_again.add(index)
             elif index == self.revisiting:

@@ -273,7 +273,7 @@ def _steps(scheme: Scheme, settings: GuideSettings, *, noise: float) -> Iterator
     """
     covariance, gravity = noise**2 * np.eye(3), settings.gravity
     means = [_Mean(each.name, gravity.gravity_m_s2 * each.direction, covariance) for each in scheme.positions]
-    whole, up = running_fit(means, RoughScale(1.0), gravity), scheme.directions()
+    whole, up = running_fit(means, RoughScale(accelerometer=1.0), gravity), scheme.directions()
     left, done = [*range(len(means))], list[int]()
     while left:
         done.append(left.pop(0))

@@ -90,14 +90,14 @@ def find_scales(blocks: Iterable[Samples], raw_zero: FloatArray) -> StillScales:
     ----------
     blocks : iterable of Samples
     raw_zero : ndarray, shape (3,)
-        Accelerometer mid-scale.
+        Accelerometer output at no input.
     """
     finder: StillIntervalFinder | None = None
     found, count, enough = StillScales({}, 0), 0, _ENOUGH_STILLS
     # To the end, whatever is used: the decoder behind them counts its frames.
     for block in blocks:
         # Nothing is known of the scales: that is what is asked.
-        finder = finder or StillIntervalFinder(block.units, RoughScale(raw_zero=raw_zero))
+        finder = finder or StillIntervalFinder(block.units, RoughScale(raw_zero=block.units.accelerometer_rate(raw_zero)))
         if found.are_sure or count >= _MOST_SAMPLES:
             continue
         finder.feed(block)

@@ -51,7 +51,7 @@ class WantedTurn:
         return sentence("turns.rolled" if self.about == HORIZONTAL else standing, axis=name, first=first, second=second)
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class _Move:
     """A move since the last still: up before it, the gyroscope's bias, and the sum of the gyroscope."""
 
@@ -123,7 +123,7 @@ class TurnLeader:
         if judgement.ended is not None:
             mean = np.array(judgement.ended.mean)
             start_s = float(judgement.cells.start_s[judgement.row])
-            self._move = _Move(scale.specific_force(mean[:3]), mean[3:], start_s)
+            self._move = _Move(up=scale.specific_force(mean[:3]), bias=mean[3:], start_s=start_s)
             self.follow(judgement, scale)
 
     def follow(self, judgement: Judgement, scale: RoughScale) -> None:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from imufield.acquire.protocol.protocol import Nominal
 from imufield.acquire.protocol.units import nominal_scale
 from imufield.dataclass import dataclass, field, replace
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.samples import FloatArray, SampleUnits
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RoughScale:
     """Rough raw rates per SI unit; None where not known.
 
@@ -20,7 +19,7 @@ class RoughScale:
     accelerometer, gyroscope : float or None
         Raw unit (per second for increments) per m/s^2 and per rad/s, one for all axes.
     raw_zero : ndarray, shape (3,)
-        Accelerometer mid-scale, subtracted first.
+        Accelerometer output at no input as a rate, subtracted first.
     learned : bool
         Whether the accelerometer's scale comes from the first still (its norm is g) and not from the instrument's data.
     centred : bool
@@ -34,25 +33,9 @@ class RoughScale:
     centred: bool = False
 
     @classmethod
-    def of(cls, units: SampleUnits, nominal: Nominal) -> RoughScale:
-        """Return the scale of the instrument's protocol, and that of the units' names where the protocol has none."""
-        named = cls.of_units(units)
-        per_second = 1 / units.interval_s if units.accelerometer_is_increment and units.interval_s else 1.0
-        # Raw per m/s in an increment is raw per second per m/s^2 in its rate: only the mid-scale changes.
-        return cls(
-            nominal.accelerometer_scale or named.accelerometer,
-            nominal.gyroscope_scale or named.gyroscope,
-            np.asarray(nominal.raw_zero, dtype=np.float64) * per_second,
-        )
-
-    @classmethod
-    def of_units(cls, units: SampleUnits, raw_zero: FloatArray | None = None) -> RoughScale:
+    def of_units(cls, units: SampleUnits) -> RoughScale:
         """Return the scale of the units' names alone."""
-        return cls(
-            nominal_scale(units.accelerometer),
-            nominal_scale(units.gyroscope),
-            np.zeros(3) if raw_zero is None else np.asarray(raw_zero, dtype=np.float64),
-        )
+        return cls(accelerometer=nominal_scale(units.accelerometer), gyroscope=nominal_scale(units.gyroscope))
 
     @property
     def triads(self) -> tuple[tuple[str, str, float], tuple[str, str, float]]:

@@ -100,7 +100,9 @@ def with_effects(
     )
     plain, source = (VirtualImu(imu, Operator(_PAPER24, seed, habits)) for imu in imus)
     expected, samples = (concatenate(_blocks(each, more_s=1.0)) for each in (plain, source))
-    finder = StillIntervalFinder(samples.units, RoughScale(grade.accelerometer_scale, grade.gyroscope_scale))
+    finder = StillIntervalFinder(
+        samples.units, RoughScale(accelerometer=grade.accelerometer_scale, gyroscope=grade.gyroscope_scale)
+    )
     finder.feed(samples)
     found = finder.finish()
     inside: ArrayLike = np.zeros(12)

@@ -50,7 +50,7 @@ def everything(session: Session, seed: int) -> tuple[FitData, FloatArray, FloatA
     # In the lower gauge, near enough to start from.
     origin = to_vector(calibrate_accelerometer(observations, EXACT, model="linear").accelerometer)
     columns = drift_forms(observations, len(observations) - 12)[0].columns
-    fitted = fit(data, origin, column_basis(origin, LOWER_GAUGE_COLUMNS, GRAVITY_M_S2), columns)
+    fitted = fit(data, origin, column_basis(origin, LOWER_GAUGE_COLUMNS, GRAVITY_M_S2), drift=columns)
     return data, origin, columns, fitted
 
 
@@ -135,7 +135,7 @@ def test_parts_are_fits_of_their_own(warm_up_ug: float) -> None:
     linear_columns = column_basis(without, LOWER_GAUGE_COLUMNS[:9], GRAVITY_M_S2)
     fits: dict[Terms, Fit] = {
         NO_TERM: fit(data, without, linear_columns),
-        frozenset({"drift"}): fit(data, without, linear_columns, columns),
+        frozenset({"drift"}): fit(data, without, linear_columns, drift=columns),
         frozenset({"quadratic"}): fit(data, origin, column_basis(origin, LOWER_GAUGE_COLUMNS, GRAVITY_M_S2)),
     }
     for terms, own in fits.items():

@@ -38,7 +38,9 @@ HOSTILE = '<script>alert(1)</script>&]]>"\x1b[2J\u202e\x00'
 def parameters_of(calibration: Calibration, observations: Observations, **instrument: str) -> Parameters:
     context = Context(
         instrument=InstrumentFacts(**{"model": "STIM300", "serial_number": "N1", **instrument}),
-        session=SessionFacts("one", 64 * "a", 125.0, (20.5, 22.0), "2026-01-31T10:00:00Z"),
+        session=SessionFacts(
+            name="one", sha256=64 * "a", sample_rate_hz=125.0, temperature_degc=(20.5, 22.0), recorded="2026-01-31T10:00:00Z"
+        ),
         clock=ClockFacts(source="host", sample_period_s=8e-3, sigma=5e-5),
     )
     return from_document(to_document(calibration, observations, context))

@@ -107,7 +107,13 @@ def loaded(
         covariance_names=("gravity_m_s2",),
         covariance=np.array([[1e-6]]),
         gravity=Gravity(gravity_m_s2=GRAVITY, sigma_m_s2=5e-4, source="normal", latitude_deg=48.1, height_m=520.0),
-        positions=PositionResult(zeros, zeros, zeros, np.ones(POSITIONS, dtype=np.bool_), np.zeros((POSITIONS, 3))),
+        positions=PositionResult(
+            residual_m_s2=zeros,
+            leave_one_out_m_s2=zeros,
+            leverage=zeros,
+            used=np.ones(POSITIONS, dtype=np.bool_),
+            bias_drift_m_s2=np.zeros((POSITIONS, 3)),
+        ),
         solver=SolverSummary(method="least squares", status=1, message="converged", cost=1.0, evaluations=9),
         quality=Quality(
             residual_rms_m_s2=0.0,
@@ -123,11 +129,15 @@ def loaded(
             reasons=(),
         ),
         quadratic_fitted=bool(np.any(accelerometer.quadratic)),
-        gyroscope=None if gyroscope is None else GyroscopeCalibration(gyroscope, gyroscope, "made up", units[1]),
+        gyroscope=None
+        if gyroscope is None
+        else GyroscopeCalibration(parameters=gyroscope, sigma=gyroscope, path="made up", raw_unit=units[1]),
     )
     known = Context(
-        instrument=InstrumentFacts("stim300", "STIM300", "N25581", "3.1"),
-        session=SessionFacts("2025-03-01-stim300", 64 * "a", 1999.987, (30.9, 33.4)),
+        instrument=InstrumentFacts(driver="stim300", model="STIM300", serial_number="N25581", firmware="3.1"),
+        session=SessionFacts(
+            name="2025-03-01-stim300", sha256=64 * "a", sample_rate_hz=1999.987, temperature_degc=(30.9, 33.4)
+        ),
         noise=Noise(
             source="still at the start",
             accelerometer_density_m_s2_per_sqrt_hz=np.full(3, 7e-4),

@@ -92,7 +92,13 @@ def perfect(force_sigma: float = 0.0, rate_sigma: float = 0.0) -> Calibration:
         covariance_names=names,
         covariance=np.diag(np.repeat([force_sigma, rate_sigma], 3) ** 2),
         gravity=Gravity(gravity_m_s2=GRAVITY_M_S2, sigma_m_s2=1e-5, source="typed", latitude_deg=LATITUDE_DEG, height_m=0.0),
-        positions=PositionResult(zero[:0], zero[:0], zero[:0], np.empty(0, dtype=np.bool_), np.empty((0, 3))),
+        positions=PositionResult(
+            residual_m_s2=zero[:0],
+            leave_one_out_m_s2=zero[:0],
+            leverage=zero[:0],
+            used=np.empty(0, dtype=np.bool_),
+            bias_drift_m_s2=np.empty((0, 3)),
+        ),
         solver=SolverSummary(method="none", status=1, message="by hand", cost=0.0, evaluations=0),
         quality=Quality(
             residual_rms_m_s2=0,
@@ -108,7 +114,7 @@ def perfect(force_sigma: float = 0.0, rate_sigma: float = 0.0) -> Calibration:
             reasons=(),
         ),
         quadratic_fitted=False,
-        gyroscope=GyroscopeCalibration(gyroscope, gyroscope, "by hand"),
+        gyroscope=GyroscopeCalibration(parameters=gyroscope, sigma=gyroscope, path="by hand"),
     )
 
 

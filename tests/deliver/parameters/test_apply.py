@@ -87,7 +87,7 @@ def test_beyond_the_turning_point_is_an_error(parameters: AccelerometerParameter
 
 @pytest.fixture
 def made(calibration: Calibration, observations: Observations, context: Context) -> Parameters:
-    full = GyroscopeCalibration(FULL_GYROSCOPE, FULL_GYROSCOPE, "from moves", "count")
+    full = GyroscopeCalibration(parameters=FULL_GYROSCOPE, sigma=FULL_GYROSCOPE, path="from moves", raw_unit="count")
     full = replace(full, sigma=GyroscopeParameters(np.ones(3), np.ones((3, 3)), np.ones(3), np.ones((3, 3))))
     return from_document(to_document(replace(calibration, gyroscope=full), observations, context))
 

@@ -53,7 +53,7 @@ def whole(calibration: Calibration) -> Calibration:
     root[names.index("gyroscope.g_sensitivity.xx") :] *= 0.02
     known = np.full((3, 3), 1e-5)
     sigma = GyroscopeParameters(known[0], known, known[0], known)
-    gyroscope = GyroscopeCalibration(GyroscopeParameters(SCALE, E, np.zeros(3), G), sigma, "simulated")
+    gyroscope = GyroscopeCalibration(parameters=GyroscopeParameters(SCALE, E, np.zeros(3), G), sigma=sigma, path="simulated")
     return replace(calibration, gyroscope=gyroscope, covariance_names=names, covariance=root @ root.T)
 
 

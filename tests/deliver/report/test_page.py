@@ -120,7 +120,7 @@ def test_page_says_who_when_where_and_how_good(data: ReportData) -> None:
 
 def test_names_cannot_break_out_of_the_page(data: ReportData, calibration: Calibration, observations: Observations) -> None:
     evil = '<script>alert("x")</script>&'
-    context = Context(instrument=InstrumentFacts("d", evil, evil))
+    context = Context(instrument=InstrumentFacts(driver="d", model=evil, serial_number=evil))
     named = replace(observations, name=tuple(f"{evil}{k}" for k in range(len(observations))))
     parameters = from_document(to_document(calibration, named, context))
     text = render_report(replace(data, parameters=parameters, operator=evil))

@@ -27,7 +27,7 @@ def moves(make_path: Any) -> Any:
 
 
 def _moves_of(samples: Samples) -> Any:
-    scale = RoughScale(1.0, 1.0)
+    scale = RoughScale(accelerometer=1.0, gyroscope=1.0)
     detector, log = StillnessDetector(scale), MoveLog()
     for cells in cells_of([samples]):
         for judgement in detector.judge(cells):

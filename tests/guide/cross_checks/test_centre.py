@@ -17,7 +17,7 @@ from imufield.simulate.truth.grades import draw_truth, find_grade
 pytestmark = pytest.mark.numerical
 
 G = 9.80665
-KNOWN = RoughScale(1.0, 1.0)
+KNOWN = RoughScale(accelerometer=1.0, gyroscope=1.0)
 
 
 def stills(offset_g: Any, up: FloatArray, seed: int = 0) -> FloatArray:

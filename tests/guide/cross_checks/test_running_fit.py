@@ -23,7 +23,7 @@ pytestmark = pytest.mark.numerical
 
 G = 9.80665
 GRAVITY = choose_gravity(G, sigma_m_s2=MEASURED_GRAVITY_SIGMA_M_S2)
-SI = RoughScale(1.0, 1.0)
+SI = RoughScale(accelerometer=1.0, gyroscope=1.0)
 
 
 def test_there_is_none_before_the_fourth() -> None:

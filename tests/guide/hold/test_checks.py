@@ -41,7 +41,7 @@ def test_noise_alone_has_no_step_of_six_sigma() -> None:
 @pytest.mark.statistical
 def test_no_hold_is_refused_for_its_noise() -> None:
     """2000 holds of 4 s of a cheap chip, 0.08 m/s^2 at 50 Hz: of 4 sigma one in 1500 has a drift beyond the limit."""
-    rng, scale, rows = np.random.default_rng(5), RoughScale(1.0, 1.0), 2000 * 200
+    rng, scale, rows = np.random.default_rng(5), RoughScale(accelerometer=1.0, gyroscope=1.0), 2000 * 200
     samples = Samples(
         time_s=np.arange(rows) / 50.0,
         accelerometer=np.array([0.0, 0.0, 9.8]) + 0.08 * rng.standard_normal((rows, 3)),

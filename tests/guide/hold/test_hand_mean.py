@@ -27,7 +27,7 @@ pytestmark = pytest.mark.numerical
 
 MICRO_G = 9.80665e-6
 QUIET = np.zeros(3)
-SI = RoughScale(1.0, 1.0)
+SI = RoughScale(accelerometer=1.0, gyroscope=1.0)
 GYROSCOPE_BIAS = 0.003
 
 
@@ -141,7 +141,7 @@ def test_mid_scale_and_counts() -> None:
     samples, _ = hold(1, **TREMOR)
     plain = mean_in_hand(samples, SI, QUIET)
     counts = replace(samples, accelerometer=samples.accelerometer * 100 + raw_zero, gyroscope=samples.gyroscope * 50)
-    found = mean_in_hand(counts, RoughScale(100.0, 50.0, np.full(3, raw_zero)), QUIET)
+    found = mean_in_hand(counts, RoughScale(accelerometer=100.0, gyroscope=50.0, raw_zero=np.full(3, raw_zero)), QUIET)
     assert plain is not None
     assert found is not None
     np.testing.assert_allclose(found.force_raw, plain.force_raw * 100 + raw_zero, rtol=1e-12)
@@ -149,7 +149,7 @@ def test_mid_scale_and_counts() -> None:
 
 def test_without_scale_or_samples_there_is_none() -> None:
     samples, _ = hold(1, **TREMOR)
-    assert mean_in_hand(samples, RoughScale(1.0, None), QUIET) is None
+    assert mean_in_hand(samples, RoughScale(accelerometer=1.0, gyroscope=None), QUIET) is None
     assert mean_in_hand(samples[:10], SI, QUIET) is None
 
 

@@ -15,7 +15,7 @@ pytestmark = pytest.mark.numerical
 
 
 def limits_for(cells: Any) -> Any:
-    return noise_limits(measure_floor(cells), RoughScale(1.0, 1.0))
+    return noise_limits(measure_floor(cells), RoughScale(accelerometer=1.0, gyroscope=1.0))
 
 
 def cells_from(values: Any, rate_hz: float = 200.0, gyroscope: Any = None) -> Any:

@@ -13,7 +13,7 @@ from tests.guide.guided import observations
 
 pytestmark = pytest.mark.numerical
 
-SI = RoughScale(1.0, 1.0)
+SI = RoughScale(accelerometer=1.0, gyroscope=1.0)
 BUMP = 1 + 5.8e-3
 
 

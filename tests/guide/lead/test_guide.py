@@ -166,7 +166,6 @@ def test_retake_keeps_the_older_until_the_new_one_is_accepted(make_path: Any) ->
     events = guide.feed(samples[1250:]) + guide.flush()
     assert of(events, Accepted)[0].replaces
     assert guide.observations().name == ("+x", "+z")
-    assert len(guide.plan.withdrawn) == 1
 
 
 def test_retake_of_the_position_it_lies_in_begins_at_once(make_path: Any) -> None:

@@ -319,6 +319,20 @@ def test_drift_is_seen_at_the_revisit(make_path: Any) -> None:
     assert drift.measured == pytest.approx(2e-3 * 9.8, rel=0.2)
 
 
+def test_the_check_is_against_the_position_itself_also_where_it_was_retaken(make_path: Any) -> None:
+    samples = corners(make_path, again=(0, 5, 0))
+    samples.accelerometer[:] += [0.0, 0.0, 0.3]
+    first, asked = scheme("corners24").positions[0].name, len(corners(make_path))
+    guide = Guide(scheme("corners24"), samples.units, settings=GuideSettings(hold_s=3.0, revisit_first=True))
+    guide.feed(samples[:asked])
+    guide.mark("retake", guide.time_s, first)
+    events = guide.feed(samples[asked:]) + guide.flush()
+    assert [event.position for event in of(events, Accepted) if event.replaces] == [first]
+    (drift,) = (event for event in of(events, Advice) if event.topic is Topic.DRIFT)
+    assert drift.position == first
+    assert drift.measured <= drift.limit
+
+
 def test_the_revisit_says_what_drift_it_can_show_in_another_attitude(make_path: Any) -> None:
     """A bias b across a turn by the angle t changes the norm by b t."""
     turn, bias_m_s2 = math.radians(3.0), 0.3

@@ -118,8 +118,8 @@ def test_a_knock_after_the_offset_was_found_is_no_move(make_path: Any) -> None:
 def test_undo_judges_what_it_brings_back(make_path: Any, zero_m_s2: Any, name: Any) -> None:
     """+z is replaced; then it becomes known that the first one is none, or shows another side."""
     samples = faces_session(make_path, ("+z", "+z")).samples()
-    guide, _ = run(samples, marks=(("retake", 5.5),))
-    assert len(guide.plan.withdrawn) == 1
+    guide, events = run(samples, marks=(("retake", 5.5),))
+    assert [event.replaces for event in of(events, Accepted)] == [False, True]
     guide.detector.scale = replace(guide.detector.scale, raw_zero=np.array(zero_m_s2), centred=True)
     guide.mark("undo", guide.time_s)
     events = guide.flush() + guide.feed(make_path(100.0).hold([0, 0, 1], 0.2).samples(start_s=guide.time_s + 0.01))

@@ -1,6 +1,7 @@
 """The feed that live pictures are drawn from."""
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import Samples, SampleUnits, Status, concatenate
 from tests.guide.guided import cells_of
 
-SI = RoughScale(1.0, 1.0)
+SI = RoughScale(accelerometer=1.0, gyroscope=1.0)
 
 
 def feed_of(*blocks: Samples) -> LiveFeed:
@@ -45,9 +46,26 @@ def test_it_holds_the_last_half_minute_however_it_was_cut(
     np.testing.assert_allclose(feed.up(SI), [1, 0, 0], atol=0.01)
 
 
+def test_up_is_the_same_of_increments(make_path: Any) -> None:
+    samples = make_path(100.0).hold([0, 0.6, 0.8], 2).samples()
+    increments = replace(
+        samples,
+        accelerometer=samples.accelerometer / 100.0,
+        units=SampleUnits("m/s", "rad/s", accelerometer_is_increment=True, interval_s=0.01),
+    )
+    # The offset of an instrument, as the guide has found it.
+    scale = replace(SI, raw_zero=np.array([1.5, 0.0, 0.0]))
+    ups = []
+    for block in (samples, increments):
+        feed = LiveFeed()
+        feed.hear(block)
+        ups.append(feed.up(scale))
+    np.testing.assert_allclose(ups[1], ups[0])
+
+
 def test_it_has_the_units_that_are_known(make_path: Any) -> None:
     samples = make_path(100.0).hold([0, 0, 1], 2).samples(scale=(100.0, 7.0), raw_zero=30.0)
-    signals = feed_of(samples).signals(RoughScale(100.0, None, np.full(3, 30.0)))
+    signals = feed_of(samples).signals(RoughScale(accelerometer=100.0, gyroscope=None, raw_zero=np.full(3, 30.0)))
     assert signals is not None
     assert signals.units == ("m/s^2", "raw unit")
     assert signals.mean[-1, 2] == pytest.approx(9.8, abs=0.05)

@@ -59,10 +59,8 @@ def test_retake_keeps_the_older_and_undo_brings_it_back(plan: Any) -> None:
     assert plan.accepted[0].start_s == 1.0
     assert plan.accept(0, observation(plan.position(0).name, 3.0))
     assert plan.accepted[0].start_s == 3.0
-    assert [one.start_s for one in plan.withdrawn] == [1.0]
     assert plan.undo() == ("accept", 0)
     assert plan.accepted[0].start_s == 1.0
-    assert [one.start_s for one in plan.withdrawn] == [3.0]
     assert plan.proposed() == 0
 
 
@@ -155,7 +153,6 @@ def test_a_stray_takes_no_position_that_is_measured(plan: Any, why: str) -> None
     plan.place_anew(shows(at_0=[1, 0, 0], at_1=[1, 0, 0]))
     assert {index: one.start_s for index, one in plan.accepted.items()} == {x: 0.0}
     assert plan.is_pending(y)
-    assert [one.start_s for one in plan.faulty] == [1.0]
 
 
 def test_what_is_asked_of_an_observation_moves_with_it(plan: Any) -> None:
@@ -173,7 +170,7 @@ def test_undo_passes_over_what_was_taken_back(plan: Any) -> None:
     plan.want_again(y)
     plan.accept(y, observation("+y", 2.0))
     plan.take_back(y)
-    assert [one.start_s for one in plan.faulty] == [2.0]
+    assert plan.is_pending(y)
     assert plan.undo() == ("accept", x)
     assert plan.undo() is None
 

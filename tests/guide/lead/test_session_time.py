@@ -138,7 +138,7 @@ def test_a_fit_of_the_guide_itself_forecasts_the_same() -> None:
     time = session_time(positions, GuideSettings(hold_s=4.0, gravity=MEASURED), noise=noise, grade=mems)
     hold = Mean("", np.zeros(3), noise**2 / 4.0 * np.eye(3))
     means = [replace(hold, name=each.name, mean_raw=MEASURED.gravity_m_s2 * each.direction) for each in positions.positions]
-    fit = running_fit(means, RoughScale(1.0), MEASURED)
+    fit = running_fit(means, RoughScale(accelerometer=1.0), MEASURED)
     assert fit is not None
     # Without residuals it expects less scatter than positions have.
     assert fit.forecast()["bias_ug"] < time.forecast["bias_ug"]

@@ -100,7 +100,9 @@ def test_a_unit_that_settles_was_put_down_once(settling_deg: float, settling_s: 
     source = VirtualImu(Imu(perfect_instrument(grade), 1, ImuSettings(rate_hz=50.0)), operator)
     end_s = operator.plan_all()
     samples = source.next_block(int((end_s + 1) * 50))
-    found = find_still_intervals([samples], scale=RoughScale(grade.accelerometer_scale, grade.gyroscope_scale))
+    found = find_still_intervals(
+        [samples], scale=RoughScale(accelerometer=grade.accelerometer_scale, gyroscope=grade.gyroscope_scale)
+    )
     begins_s = np.array([still.start_s for still in operator.stills])
     placement = np.searchsorted(begins_s, found.observations.start_s) - 1
     assert placement.tolist() == list(range(len(begins_s)))

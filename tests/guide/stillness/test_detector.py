@@ -15,7 +15,7 @@ from tests.guide.guided import cells_of
 
 pytestmark = pytest.mark.numerical
 
-SI = RoughScale(1.0, 1.0)
+SI = RoughScale(accelerometer=1.0, gyroscope=1.0)
 
 
 def stretches(samples: Any, scale: Any = SI) -> Any:

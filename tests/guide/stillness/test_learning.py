@@ -112,7 +112,7 @@ def test_waiting_for_quiet_names_a_slow_turn_that_noise_does_not_show(make_path:
 
 def test_waiting_long_for_quiet_costs_no_more_with_every_cell(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(5)
-    detector = StillnessDetector(RoughScale(1.0, 1.0))
+    detector = StillnessDetector(RoughScale(accelerometer=1.0, gyroscope=1.0))
     samples = make_samples(np.arange(6_000) / 50.0, rng.normal(0.0, 5.0, (6_000, 3)), None, units=SampleUnits())
     looked_at: list[int] = []
     length = Cells.__len__
