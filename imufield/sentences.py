@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 _LONGEST_SHOWN = 40
+_NEXT_TO_NOTHING = 0.0005  # Of micro-g, ppm and nautical miles: what rounding leaves of ideal outputs.
 # C0 with the ends of lines, DEL and C1 move cursors and set titles; line and paragraph separators end lines; overrides,
 # embeddings and isolates show text in another order than it has; a lone surrogate, of a file name that is no UTF-8, cannot be
 # encoded. All other characters stay, the marks that Arabic and Hebrew need among them.
@@ -52,6 +53,11 @@ def _worst(alike: list[str]) -> str:
 def counted(number: int, noun: str) -> str:
     """Return "1 position", "2 positions": a number with its noun, for sentences."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def three_digits(value: float) -> str:
+    """Return a number for people, without an exponent: "1840", "102", "0.0123", and "0" for what is next to nothing."""
+    return f"{value:.0f}" if abs(value) >= 100 or abs(value) < _NEXT_TO_NOTHING else f"{value:.3g}"
 
 
 def shortened(text: str) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from imufield.errors import Reason, RecordingError
-from imufield.sentences import Sentence, Sentences, counted, folded, printable, printable_lines, shortened
+from imufield.sentences import Sentence, Sentences, counted, folded, printable, printable_lines, shortened, three_digits
 
 sentence = Sentences("imufield")
 
@@ -64,6 +64,13 @@ def test_numbers_are_counted_and_lists_joined(tmp_path: Path, monkeypatch: pytes
 def test_what_is_long_is_shortened_and_what_is_one_counts_as_one() -> None:
     assert shortened("x" * 41) == "x" * 40 + "..."
     assert counted(1, "hold") == "1 hold"
+
+
+@pytest.mark.parametrize(
+    ("value", "words"), [(1837.4, "1837"), (102.4, "102"), (99.96, "100"), (0.012345, "0.0123"), (-3.0, "-3"), (1e-9, "0")]
+)
+def test_three_digits_need_no_exponent(value: float, words: str) -> None:
+    assert three_digits(value) == words
 
 
 def test_control_characters_of_values_are_shown() -> None:

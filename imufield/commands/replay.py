@@ -14,12 +14,11 @@ from imufield.acquire.decoded_session import Items, session_protocol
 from imufield.acquire.recording.reader import (
     BLOCK_SPAN_S,
     Damage,
-    EndOfRecordingError,
     Pacer,
     PartStart,
     RecordedBlock,
-    RecordingLink,
     read_blocks,
+    recorded_chunks,
 )
 from imufield.acquire.recording.session import Session, open_or_newest
 from imufield.commands.options.acquire_commands import ReplayOptions
@@ -55,13 +54,14 @@ def run_replay(options: ReplayOptions) -> None:
         If the session cannot be read, or the bus not be opened.
     """
     session = open_or_newest(options.session)
+    damage: list[Damage] = []
     asked = {"--to-pty": options.to_pty, "--bus": options.bus is not None, "--web": options.web}
     if sum(asked.values()) > 1:
         raise UsageError(sentence("replay.one_of", options=" and ".join(name for name, is_asked in asked.items() if is_asked)))
     if options.bus is not None or options.to_pty:
-        _replay_to_others(session, options)
+        _replay_to_others(session, options, damage)
+        say_each((entry.what for entry in damage), err=True)
         return
-    damage: list[Damage] = []
     chain = Chain(ReadingPlan.of(session))
     view = JsonLinesView(echo) if options.as_json else PlainView(say, origin_s=chain.origin_s)
     if options.web:
@@ -151,11 +151,11 @@ def _tell_left_out(session: Session) -> None:
         say(sentence("replay.left_out", file=PARAMETER_FILE, names=names))
 
 
-def _replay_to_others(session: Session, options: ReplayOptions) -> None:
+def _replay_to_others(session: Session, options: ReplayOptions, damage: list[Damage]) -> None:
     """Send what was recorded to other programs: bytes to a port, frames to a bus or to an adapter on a port."""
     can = session_protocol(session).can
     if options.bus is None:
-        (_replay_to_pty if can is None else _replay_to_slcan)(session, options.speed)
+        (_replay_to_pty if can is None else _replay_to_slcan)(session, damage, options.speed or None)
         return
     if can is None:
         raise UsageError(sentence("replay.no_bus", folder=session.folder))
@@ -163,19 +163,16 @@ def _replay_to_others(session: Session, options: ReplayOptions) -> None:
 
     echo(f"sending to {options.bus}  (Ctrl-C ends)")
     pace, bit_rate = options.speed or None, options.bit_rate or can.bit_rate
-    sent = replay_to_bus(RecordingLink(session), options.bus, pace=pace, bit_rate=bit_rate)
+    sent = replay_to_bus(session, options.bus, damage, pace=pace, bit_rate=bit_rate)
     echo(f"{sent} frames sent")
 
 
-def _replay_to_slcan(session: Session, speed: float) -> None:
+def _replay_to_slcan(session: Session, damage: list[Damage], pace: float | None) -> None:
     """Send frames as an adapter that speaks slcan, from the moment a program opens its channel."""
     from imufield.acquire.formats.can_logs import replay_frames
     from imufield.simulate.emulator.slcan import SlcanDevice
 
     device = SlcanDevice()
-
-    def answer(_: int) -> None:
-        device.receive()
 
     def send(frame: Frame) -> None:
         device.send([frame])
@@ -188,38 +185,34 @@ def _replay_to_slcan(session: Session, speed: float) -> None:
         while not device.is_open:
             device.receive()
             time.sleep(WAIT_S)
-        sent = replay_frames(RecordingLink(session), send, pace=speed or None, on_chunk=answer)
+        sent = replay_frames(session, send, damage, pace=pace, on_chunk=device.receive)
         echo(f"{sent - device.frames_dropped} frames sent")
         time.sleep(LINGER_S)
     finally:
         device.close()
 
 
-def _replay_to_pty(session: Session, speed: float) -> None:
+def _replay_to_pty(session: Session, damage: list[Damage], pace: float | None) -> None:
     """Send the bytes at the pace they were recorded with, from the moment a program opens the port."""
     from imufield.simulate.emulator.port import PseudoTerminal
 
-    link = RecordingLink(session, pace=speed or None)
     port = PseudoTerminal()
     sent, said = 0, False
     try:
         echo(f"waiting for a reader of {port.address}  (Ctrl-C ends)")
         while not port.has_reader():
             time.sleep(WAIT_S)
-        while True:
-            chunk = link.read()
-            if chunk is not None:
-                port.write(chunk.data)
-                sent += len(chunk.data)
+        for chunk in recorded_chunks(session, damage, pace=pace):
+            port.write(chunk.data)
+            sent += len(chunk.data)
             # As fast as possible means as fast as the reader takes it.
             while port.bytes_waiting and port.has_reader():
                 time.sleep(SLOT_S)
                 port.write(b"")
             # Said only when a chunk has shown it: no file says of itself that it has no times.
-            if speed and not (said or link.has_arrival_times):
+            if pace and not said and math.isnan(chunk.monotonic_s):
                 said = True
                 say(sentence("replay.no_times"))
-    except EndOfRecordingError:
         echo(f"{sent} bytes sent")
         time.sleep(LINGER_S)
     finally:

@@ -19,7 +19,7 @@ from imufield.commands.options.result_commands import SolveOptions
 from imufield.commands.terminal.output import echo, say, tell_written
 from imufield.console import PlainTextConsole
 from imufield.dataclass import dataclass, replace
-from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, as_written, json_ready, write_document
+from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, json_ready
 from imufield.deliver.parameters.printed_numbers import WIDTH, hanging
 from imufield.deliver.parameters.schema import Document
 from imufield.deliver.report.gain import document_with_gain
@@ -28,7 +28,7 @@ from imufield.earth import MICRO_G_M_S2
 from imufield.errors import ImufieldError, UsageError
 from imufield.files import real_path, refuse_overwriting
 from imufield.pipeline.same_recording import RecordingMarks
-from imufield.pipeline.solving import lost_by_replacing, solve_observations, solve_session
+from imufield.pipeline.solving import solve_observations, solve_session, write_solved
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences, printable
 
@@ -66,10 +66,7 @@ def run_solve(options: SolveOptions) -> int:
 
         recorded = [Session.open(folder) for folder in options.temperature]
         solved = over_temperature(MarkedSession(base, marks), recorded, settings, options.site)
-    # Asked before the file that stands there is replaced.
-    lost = lost_by_replacing(path, solved)
-    solved = replace(solved, document=as_written(path, solved.document))
-    kept = write_document(path, solved.document, advice=sentence("solve.elsewhere"))
+    solved, kept, lost = write_solved(path, solved, advice=sentence("solve.elsewhere"))
     if options.as_json:
         echo(json.dumps(document_with_gain(solved) | {"notes": lost}))
         tell_written(path, kept, as_json=True)
@@ -194,10 +191,8 @@ def _write(outcome: SessionOutcome) -> SessionOutcome:
     if outcome.found is None:
         return outcome
     path = outcome.session / PARAMETER_FILE
-    lost = lost_by_replacing(path, outcome.found)
-    found = replace(outcome.found, document=as_written(path, outcome.found.document))
     try:
-        kept = write_document(path, found.document)
+        found, kept, lost = write_solved(path, outcome.found)
     # One folder that cannot be written must not cost the others their files.
     except ImufieldError as error:
         return replace(outcome, exit_code=error.exit_code, error=str(error.message))

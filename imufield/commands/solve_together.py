@@ -12,14 +12,13 @@ from imufield.acquire.recording.session import Session
 from imufield.commands.options.result_commands import SolveOptions
 from imufield.commands.terminal.output import echo, say, say_each, tell_written
 from imufield.console import PlainTextConsole
-from imufield.dataclass import replace
-from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, as_written, json_ready, write_document
+from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, json_ready
 from imufield.deliver.parameters.joined import shown_unit
 from imufield.deliver.parameters.printed_numbers import WIDTH, to_ascii
 from imufield.deliver.report.together import HEADINGS, together_rows
 from imufield.errors import UsageError
 from imufield.files import DEFAULT_ROOT, refuse_overwriting
-from imufield.pipeline.solving import lost_by_replacing
+from imufield.pipeline.solving import write_solved
 from imufield.pipeline.together import refuse_of_single, sessions_of, solve_together
 from imufield.sentences import Sentences
 
@@ -41,9 +40,7 @@ def run_solve_together(options: SolveOptions) -> int:
     parts = [part for session in sessions for part in session.parts]
     refuse_overwriting(path, parts, advice=sentence("solve.elsewhere"))
     parameters = solve_together(sessions, options.settings(), options.site, options.workers)
-    lost = lost_by_replacing(path, parameters)
-    parameters = replace(parameters, document=as_written(path, parameters.document))
-    kept = write_document(path, parameters.document, advice=sentence("solve.elsewhere"))
+    parameters, kept, lost = write_solved(path, parameters, advice=sentence("solve.elsewhere"))
     if options.as_json:
         echo(json.dumps(json_ready(parameters.document) | {"notes": lost}))
     else:

@@ -142,8 +142,7 @@ def calibrate(measured: SolveInput, settings: SolveSettings) -> Parameters:
     if gyroscope is None or np.isnan(gyroscope.range_rad_s).all():
         sentences.append(sentence("calibration.range"))
     quality = replace(
-        calibration.quality,
-        reasons=(*calibration.quality.reasons, *sentences),
+        calibration.quality.with_reasons(*sentences),
         accelerometer_verdict=accelerometer_verdict,
         gyroscope_verdict=gyroscope_verdict,
     )
@@ -180,8 +179,7 @@ def _recording_left_out(calibration: Calibration, observations: Observations) ->
         sentence("calibration.left_out", position=name, off_mg=off / MILLI_G_M_S2)
         for name, off in zip(left_out.name, off_m_s2, strict=True)
     )
-    quality = replace(calibration.quality, reasons=(*calibration.quality.reasons, *told))
-    return replace(calibration, positions=positions, quality=quality)
+    return replace(calibration, positions=positions, quality=calibration.quality.with_reasons(*told))
 
 
 def _with_gyroscope(
@@ -222,23 +220,18 @@ def _with_gyroscope(
     except CalibrationError as error:
         # The accelerometer is known all the same; axes that contradict it were refused before.
         why, quality = sentence("calibration.no_gyroscope", error=error.message), calibration.quality
-        if error.reason in _CONTRADICTED:
-            quality = quality.lowered("usable", why)
-        else:
-            quality = replace(quality, reasons=(*quality.reasons, why))
+        quality = quality.lowered("usable", why) if error.reason in _CONTRADICTED else quality.with_reasons(why)
         return replace(calibration, quality=quality), _NOT_CALIBRATED
-    quality = joined.quality
-    lowered = "poor" if result.faults else "usable" if result.cautions else ""
-    verdict = lowered or ("good" if np.isfinite(result.calibration.sigma.scale).any() else _BIAS_ONLY)
+    quality, clock = joined.quality, measured.context.clock
+    knows_scale = np.isfinite(result.calibration.sigma.scale).any()
+    verdict = "poor" if result.faults else "usable" if result.cautions else "good" if knows_scale else _BIAS_ONLY
     if solved is not None:
         key = "calibration.solved_by" if solved.converged else "calibration.not_converged"
         how = sentence(key, method=settings.method, message=solved.message)
-        reasons = (*quality.reasons, how)
-        quality = replace(quality, reasons=reasons) if solved.converged else quality.lowered("poor", how)
+        quality = quality.with_reasons(how) if solved.converged else quality.lowered("poor", how)
         verdict = verdict if solved.converged else "poor"
     if check is not None:
-        quality = replace(quality, reasons=(*quality.reasons, check.sentence))
-    clock = measured.context.clock
-    if clock is not None and np.isfinite(result.calibration.sigma.scale).any():
-        quality = replace(quality, reasons=(*quality.reasons, clock_words(clock)))
+        quality = quality.with_reasons(check.sentence)
+    if clock is not None and knows_scale:
+        quality = quality.with_reasons(clock_words(clock))
     return replace(joined, quality=quality), verdict

@@ -23,7 +23,15 @@ from imufield.calibrate.model.observation_files import parse_observations, read_
 from imufield.calibrate.model.observations import Observations, count_repeats_once, join_observations, leave_out
 from imufield.dataclass import asdict, dataclass, replace
 from imufield.deliver.parameters.clock import best_rate, clock_facts
-from imufield.deliver.parameters.file import Context, InstrumentFacts, Parameters, SessionFacts, load_found
+from imufield.deliver.parameters.file import (
+    Context,
+    InstrumentFacts,
+    Parameters,
+    SessionFacts,
+    as_written,
+    load_found,
+    write_document,
+)
 from imufield.earth import Gravity
 from imufield.errors import CalibrationError, ImufieldError, Reason
 from imufield.files import Origin, utf8_text
@@ -382,6 +390,20 @@ def lost_by_replacing(path: Path, now: Parameters) -> tuple[str, ...]:
     except ImufieldError:
         return ()
     return (*_better_gravity(before.calibration.gravity, now.calibration.gravity), *_lost_temperature(before, now))
+
+
+def write_solved(path: Path, solved: Parameters, *, advice: str = "") -> tuple[Parameters, Path | None, tuple[str, ...]]:
+    """Write a parameter file; return what it holds, where the one before is kept, and what only that one knows.
+
+    Raises
+    ------
+    ImufieldError
+        As ``write_document``.
+    """
+    # Asked before the file that stands there is replaced.
+    lost = lost_by_replacing(path, solved)
+    solved = replace(solved, document=as_written(path, solved.document))
+    return solved, write_document(path, solved.document, advice=advice), lost
 
 
 def _lost_temperature(before: Parameters, now: Parameters) -> tuple[str, ...]:

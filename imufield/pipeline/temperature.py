@@ -309,7 +309,7 @@ def _joined(
 ) -> Parameters:
     """Return the parameters with what was found; a warning keeps the verdict from being good."""
     calibration, accelerometer = base.calibration, fits["accelerometer"]
-    quality = replace(calibration.quality, reasons=(*calibration.quality.reasons, *told))
+    quality = calibration.quality.with_reasons(*told)
     if warnings := [warning for fit in fits.values() for warning in fit.warnings]:
         quality = quality.lowered("usable", *warnings)
     if accelerometer.warnings and quality.accelerometer_verdict == "good":

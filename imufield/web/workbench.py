@@ -27,8 +27,7 @@ from imufield.web.transfers import Downloads, Uploads
 sentence = Sentences(__package__)
 
 # Files of a session that are nothing of its parameters, whatever they are older than.
-SAMPLES = "samples."
-PART_SUFFIX = ".mcap"
+_SAMPLES = "samples."
 _OUTLINE = "samples.outline.csv"
 _OVERVIEW = "samples.overview.csv"
 # A report replaces the one before, which is not kept: one with a number beside it is somebody's own.
@@ -147,7 +146,7 @@ def _found(folder: Path) -> Json:
     try:
         parameters = load(folder)
         # A copy may have the time of the copying: then the recording itself is looked at.
-        is_newer = any(not older for name, older in is_older.items() if name.endswith(PART_SUFFIX))
+        is_newer = any(not older for name, older in is_older.items() if _is_part(name))
         found["is_outdated"] = is_newer and session_sha256(Session.open(folder)) != parameters.context.session.sha256
         return {**found, "parameters": document_with_gain(parameters), "fault": ""}
     # It can be solved again, whatever has become of its parameters.
@@ -159,7 +158,7 @@ def _signals(folder: Path, written_ns: Mapping[str, int]) -> list[str]:
     """Return what ``export-data`` has to make, one after the other, to show the signals: nothing where it was made already."""
     from imufield.pipeline.chain import OUTLINE_BYTES
 
-    parts = [name for name in written_ns if name.endswith(PART_SUFFIX)]
+    parts = [name for name in written_ns if _is_part(name)]
     if all(written_ns[name] < written_ns.get(_OVERVIEW, 0) for name in parts):
         return []
     is_long = sum((folder / name).stat().st_size for name in parts) > OUTLINE_BYTES
@@ -167,9 +166,14 @@ def _signals(folder: Path, written_ns: Mapping[str, int]) -> list[str]:
     return ["outline", "overview"] if is_long else ["overview"]
 
 
+def _is_part(name: str) -> bool:
+    """Whether a file is of the recording itself; samples exported for ROS 2 have the same suffix."""
+    return name.endswith(".mcap") and is_recorded(Path(name))
+
+
 def _is_earlier(path: Path, *, is_older: bool) -> bool:
     """Whether a file is not of the present parameters: older than they are, or kept when another took its name."""
-    return not path.name.startswith(SAMPLES) and (is_older or (is_kept(path) and path.suffix not in _REPLACED))
+    return not path.name.startswith(_SAMPLES) and (is_older or (is_kept(path) and path.suffix not in _REPLACED))
 
 
 def _written_ns(folder: Path) -> dict[str, int]:

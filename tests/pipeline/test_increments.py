@@ -45,8 +45,8 @@ def test_the_middle_of_increments_is_that_of_one_sample(
         "increments": str(per_s > 1).lower(),
     }
     found = imufield_replay(tmp_path / "lines.txt", protocol="text", settings=settings).solve(gravity_m_s2=9.8)
-    accelerometer = found.calibration.accelerometer
+    parameters = found.calibration.accelerometer
     # Raw rates: counts a second of increments, whose middle is that of a sample over its time.
-    np.testing.assert_allclose(accelerometer.raw_zero, MIDDLE * per_s)
-    np.testing.assert_allclose(accelerometer.scale, COUNTS_PER_M_S2 * np.array([1.01, 0.99, 1.02]), rtol=1e-3)
-    np.testing.assert_allclose(accelerometer.bias_m_s2, np.array([0.3, -0.2, 0.1]) / [1.01, 0.99, 1.02], atol=5e-3)
+    np.testing.assert_allclose(parameters.raw_zero, MIDDLE * per_s)
+    np.testing.assert_allclose(parameters.scale, COUNTS_PER_M_S2 * np.array([1.01, 0.99, 1.02]), rtol=1e-3)
+    np.testing.assert_allclose(parameters.bias_m_s2, np.array([0.3, -0.2, 0.1]) / [1.01, 0.99, 1.02], atol=5e-3)

@@ -23,7 +23,8 @@ from imufield.acquire.link.host_clock import COUNTS_FROM_1970_S, NANOSECONDS
 from imufield.acquire.link.serial import WRITE_TIMEOUT_S
 from imufield.acquire.protocol.can_frame import ERROR, MOST_DATA, SENT, Frame
 from imufield.acquire.protocol.can_frames import LATEST_S, Unpacker, unpack_frames
-from imufield.acquire.recording.reader import EndOfRecordingError, Pacer, RecordingLink
+from imufield.acquire.recording.reader import Damage, Pacer, recorded_chunks
+from imufield.acquire.recording.session import Session
 from imufield.errors import LinkError, Reason, RecordingError, UsageError
 from imufield.sentences import Sentences
 
@@ -227,12 +228,12 @@ def _missing(path: Path, end: Mapping[str, Any]) -> str:
 
 
 def replay_to_bus(
-    link: RecordingLink,
+    session: Session,
     bus: str,
+    damage: list[Damage] | None = None,
     *,
     pace: float | None = 1.0,
     bit_rate: int | None = None,
-    on_chunk: Callable[[int], None] | None = None,
 ) -> int:
     """Send the frames of a recorded session to a bus; return how many were sent.
 
@@ -240,22 +241,21 @@ def replay_to_bus(
 
     Parameters
     ----------
-    link : RecordingLink
-        Without a pace of its own.
+    session : Session
     bus : str
         ``INTERFACE:CHANNEL``.
+    damage : list of Damage, optional
+        As of ``read_part``.
     pace : float, optional
         1 keeps the recorded pace, 8 is eight times faster, None as fast as the bus accepts frames.
     bit_rate : int, optional
-    on_chunk : callable, optional
-        Told the number of frames sent so far after each chunk.
 
     Raises
     ------
     LinkError
         The bus cannot be opened, or is gone.
     RecordingError
-        As ``RecordingLink.read``.
+        As ``read_session``.
     """
     target = open_bus(parse_bus(bus), bit_rate)
     sent = 0
@@ -266,7 +266,7 @@ def replay_to_bus(
         sent += 1
 
     try:
-        return replay_frames(link, send, pace=pace, on_chunk=on_chunk)
+        return replay_frames(session, send, damage, pace=pace)
     except can.CanError as error:
         raise LinkError(sentence("can_logs.bus_gone", bus=bus, sent=sent, cause=error), Reason.DISCONNECTED) from error
     finally:
@@ -274,25 +274,22 @@ def replay_to_bus(
 
 
 def replay_frames(
-    link: RecordingLink,
+    session: Session,
     send: Callable[[Frame], None],
+    damage: list[Damage] | None = None,
     *,
     pace: float | None = 1.0,
-    on_chunk: Callable[[int], None] | None = None,
+    on_chunk: Callable[[], object] = lambda: None,
 ) -> int:
     """Hand the frames of a recorded session to ``send`` when they are due; otherwise like ``replay_to_bus``."""
     sent = 0
     pacer = Pacer(pace, longest_s=_LONGEST_WAIT_S)
-    try:
-        while True:
-            chunk = link.read()
-            for frame in unpack_frames(chunk.data) if chunk is not None else ():
-                if frame.can_id & ERROR or frame.flags & SENT:
-                    continue
-                pacer.wait(frame.time_s)
-                send(frame)
-                sent += 1
-            if on_chunk is not None:
-                on_chunk(sent)
-    except EndOfRecordingError:
-        return sent
+    for chunk in recorded_chunks(session, damage):
+        for frame in unpack_frames(chunk.data):
+            if frame.can_id & ERROR or frame.flags & SENT:
+                continue
+            pacer.wait(frame.time_s)
+            send(frame)
+            sent += 1
+        on_chunk()
+    return sent

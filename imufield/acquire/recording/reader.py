@@ -13,7 +13,6 @@ import math
 import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -22,8 +21,9 @@ from imufield.acquire.link.host_clock import HostClock, SystemClock
 from imufield.acquire.recording.mcap_format import ARRIVAL, EVENTS_CHANNEL, LINK_CHANNEL, DamageError, messages
 from imufield.acquire.recording.part_file import Damage as Damage  # noqa: PLC0414  (handed on)
 from imufield.acquire.recording.part_file import PartFile, open_part
+from imufield.acquire.recording.session import Session
 from imufield.dataclass import dataclass, field
-from imufield.errors import LinkError, Reason, UsageError
+from imufield.errors import UsageError
 from imufield.progress import Task, task
 from imufield.samples import FloatArray, IntArray
 from imufield.sentences import Sentences
@@ -82,19 +82,6 @@ class RecordedBlock:
     utc_ns: int
 
 
-class Parts(Protocol):
-    """What has parts to read: a ``Session``."""
-
-    @property
-    def parts(self) -> list[Path]:
-        """Paths of the parts, in order."""
-        ...
-
-
-class EndOfRecordingError(LinkError):
-    """The recording is read to its end; not a fault."""
-
-
 def read_part(path: str | Path, damage: list[Damage] | None = None) -> Iterator[PartStart | Chunk | RecordedEvent]:
     """Read one part in file order.
 
@@ -113,7 +100,7 @@ def read_part(path: str | Path, damage: list[Damage] | None = None) -> Iterator[
         yield Chunk(*item) if isinstance(item, tuple) else item
 
 
-def read_session(session: Parts, damage: list[Damage] | None = None) -> Iterator[PartStart | Chunk | RecordedEvent]:
+def read_session(session: Session, damage: list[Damage] | None = None) -> Iterator[PartStart | Chunk | RecordedEvent]:
     """Read all parts of a session in order.
 
     Raises
@@ -126,7 +113,7 @@ def read_session(session: Parts, damage: list[Damage] | None = None) -> Iterator
 
 
 def read_blocks(
-    session: Parts, damage: list[Damage] | None = None, *, block_bytes: int = 1 << 20, span_s: float = BLOCK_SPAN_S
+    session: Session, damage: list[Damage] | None = None, *, block_bytes: int = 1 << 20, span_s: float = BLOCK_SPAN_S
 ) -> Iterator[PartStart | RecordedBlock | RecordedEvent]:
     """Read all parts of a session with consecutive chunks joined, which is what decodes fast.
 
@@ -145,7 +132,7 @@ def read_blocks(
 
 
 def _blocks(
-    session: Parts, damage: list[Damage] | None, joiner: ReadJoiner, reading: Task
+    session: Session, damage: list[Damage] | None, joiner: ReadJoiner, reading: Task
 ) -> Iterator[PartStart | RecordedBlock | RecordedEvent]:
     for path in _parts_begun(session, damage):
         for item in _items_of(path, damage, reading):
@@ -203,7 +190,7 @@ class ReadJoiner:
         return block
 
 
-def _parts_begun(session: Parts, damage: list[Damage] | None) -> Iterator[Path]:
+def _parts_begun(session: Session, damage: list[Damage] | None) -> Iterator[Path]:
     """Leave out parts without a byte: what a program leaves that is killed in the moment it creates one; and copies of others.
 
     A copy would count as evidence of its own and make every uncertainty too small.
@@ -212,15 +199,13 @@ def _parts_begun(session: Parts, damage: list[Damage] | None) -> Iterator[Path]:
     before = 0
     found: list[Damage] = [] if damage is None else damage
     for path in session.parts:
-        digits = path.stem.rpartition("-")[2]
-        # A file that a person named otherwise has no place in the count.
-        if digits.isdecimal():
-            # Numbers are given one after the other.
-            if int(digits) > before + 1:
-                first, last = (path.with_name(f"part-{gone:03d}{path.suffix}") for gone in (before + 1, int(digits) - 1))
-                what = sentence("reader.part_gone" if first == last else "reader.parts_gone", path=first, last=last.name)
-                found.append(Damage(path=first, offset=0, length_bytes=0, what=what))
-            before = int(digits)
+        number = int(path.stem.rpartition("-")[2])
+        # Numbers are given one after the other.
+        if number > before + 1:
+            first, last = (path.with_name(f"part-{gone:03d}{path.suffix}") for gone in (before + 1, number - 1))
+            what = sentence("reader.part_gone" if first == last else "reader.parts_gone", path=first, last=last.name)
+            found.append(Damage(path=first, offset=0, length_bytes=0, what=what))
+        before = number
         with open_part(path) as file:
             size = os.fstat(file.fileno()).st_size
         # Bytes are compared only where the sizes agree, so that sound sessions are not read twice.
@@ -327,60 +312,34 @@ class Pacer:
             self._clock.sleep(ahead_s)
 
 
-class RecordingLink:
-    """A recording that poses as a link.
+def recorded_chunks(
+    session: Session, damage: list[Damage] | None = None, *, pace: float | None = None, clock: HostClock | None = None
+) -> Iterator[Chunk]:
+    """Yield what the link delivered, each chunk when it is due; one without an arrival time, as of an imported dump, at once.
 
     Parameters
     ----------
-    session : Session or iterable of parts
-        What to read.
+    session : Session
+    damage : list of Damage, optional
+        As of ``read_part``.
     pace : float, optional
-        1 delivers as fast as it was recorded, 8 eight times faster; as fast as possible by default.
+        1 is as fast as it was recorded, 8 eight times faster; as fast as possible by default.
     clock : HostClock, optional
         Waits for the pace.
+
+    Raises
+    ------
+    RecordingError
+        As ``read_session``.
     """
-
-    def __init__(self, session: Parts | Iterable[Path], *, pace: float | None = None, clock: HostClock | None = None) -> None:
-        paths = list(session) if isinstance(session, Iterable) else session.parts
-        self.name = str(paths[0].parent) if paths else "recording"
-        self.damage: list[Damage] = []
-        self._items = self._read(paths)
-        self._pacer = Pacer(pace, clock)
-        # Whether what was read so far says when it arrived; an imported dump does not, and has no pace.
-        self.has_arrival_times = True
-
-    def _read(self, paths: list[Path]) -> Iterator[PartStart | Chunk | RecordedEvent]:
-        with task("sending", size_bytes(paths)) as sending:
-            for path in paths:
-                for item in _items_of(path, self.damage, sending):
-                    yield Chunk(*item) if isinstance(item, tuple) else item
-
-    def read(self) -> Chunk | None:
-        """Return the next chunk with the arrival times of the recording.
-
-        Raises
-        ------
-        EndOfRecordingError
-            There is no more.
-        RecordingError
-            As ``read_part``.
-        """
-        for item in self._items:
-            if isinstance(item, PartStart):
-                # Each run has a monotonic clock of its own, and the pause between runs is not waited for.
-                self._pacer.begin_anew()
-            elif isinstance(item, Chunk):
-                if math.isnan(item.monotonic_s):
-                    self.has_arrival_times = False
-                else:
-                    self._pacer.wait(item.monotonic_s)
-                return item
-        raise EndOfRecordingError(sentence("reader.end", name=self.name), Reason.DISCONNECTED)
-
-    def write(self, data: bytes) -> None:
-        """Refuse: a recording takes no commands."""
-        raise LinkError(sentence("reader.no_commands", name=self.name, size=len(data)), Reason.USAGE)
-
-    def close(self) -> None:
-        """Stop reading; may be called again."""
-        self._items = iter(())
+    pacer = Pacer(pace, clock)
+    with task("sending", size_bytes(session.parts)) as sending:
+        for path in _parts_begun(session, damage):
+            # Each run has a monotonic clock of its own, and the pause between runs is not waited for.
+            pacer.begin_anew()
+            for item in _items_of(path, damage, sending):
+                if isinstance(item, tuple):
+                    chunk = Chunk(*item)
+                    if not math.isnan(chunk.monotonic_s):
+                        pacer.wait(chunk.monotonic_s)
+                    yield chunk

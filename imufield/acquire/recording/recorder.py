@@ -1,7 +1,7 @@
 """The recorder: what the wire said goes to disk first, and any prefix of the file can be read.
 
-``write_chunk`` only appends to a list; a thread of its own packs, writes and syncs every half second, so that a slow disk
-never makes the wire wait. What that guarantees: a killed program loses what came in the last half second (plus the time of
+``write_chunk`` only appends to a list; a thread of its own packs, writes and syncs every ``SYNC_INTERVAL_S``, so that a slow
+disk never makes the wire wait. What that guarantees: a killed program loses what came in the last interval (plus the time of
 one write), a power cut what came since the last sync, on disks that keep the promise of fsync. An error of the thread is
 raised by the next call.
 """

@@ -111,7 +111,7 @@ class GyroscopeResult:
         covariance[a : a + n, a : a + n] = self.covariance
         covariance[np.ix_(outer, outer)] = theirs
         covariance[a : a + n, outer], covariance[np.ix_(outer, range(a, a + n))] = cross, cross.T
-        quality = replace(calibration.quality, reasons=(*calibration.quality.reasons, *self.reasons))
+        quality = calibration.quality.with_reasons(*self.reasons)
         quality = quality.lowered("usable", *self.cautions) if self.cautions else quality
         budget = picked(calibration.budget, [*accelerometer, *gravity])
         return replace(

@@ -186,6 +186,10 @@ class Quality:
         """What lowered the verdict, or what a good one rests on."""
         return self.reasons[min(1, len(self.reasons) - 1) if self.verdict != "good" else 0] if self.reasons else ""
 
+    def with_reasons(self, *more: str) -> Quality:
+        """Return the same verdict with more sentences."""
+        return replace(self, reasons=(*self.reasons, *more))
+
     def lowered(self, verdict: str, *why: str) -> Quality:
         """Return the same with a verdict no better than ``verdict``, and the sentences that say why."""
         worst = max(self.verdict, verdict, key=VERDICTS.index)

@@ -23,7 +23,7 @@ from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.printed_numbers import DEG_PER_HOUR_RAD_S, acceleration_unit, decimals
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2
 from imufield.samples import AXES, FloatArray
-from imufield.sentences import Sentence, Sentences
+from imufield.sentences import Sentence, Sentences, three_digits
 
 sentence = Sentences(__package__)
 
@@ -386,9 +386,7 @@ def _input_unit(share: Share, calibration: Calibration) -> tuple[str, float]:
 
 
 def _input_words(value: float) -> str:
-    if value < 1:
-        return short(value)
-    return f"{value:.0f}" if value >= 100 else f"{value:.3g}"
+    return short(value) if value < 1 else three_digits(value)
 
 
 def _fixed(contribution: float, combined: float) -> str:

@@ -11,7 +11,7 @@ from imufield.calibrate.gyroscope.result import angle_errors_deg
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration, GyroscopeParameters, without_drift
 from imufield.calibrate.solvers.registry import load_solver
-from imufield.dataclass import dataclass, field, replace
+from imufield.dataclass import dataclass, replace
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.schema import Document
 from imufield.deliver.report.trace import Trace
@@ -52,12 +52,12 @@ class ReportData:
     preset: Parameters | None = None
     trace: Trace | None = None
     closure: Closure | None = None
-    convergence: tuple[Convergence, ...] = ()
+    convergence: Convergence | None = None
     verification: Document | None = None
     provenance: tuple[tuple[str, str], ...] = ()
     """Name and value."""
     operator: str = ""
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
 
 
 def with_gyroscope(file: Observations, reading: Observations) -> Observations:
@@ -100,27 +100,27 @@ def observations_of(parameters: Parameters) -> Observations:
 
 def convergence(
     observations: Observations, calibration: Calibration, preset: AccelerometerParameters | None
-) -> tuple[Convergence, ...]:
+) -> Convergence | None:
     """Solve again with the method of a paper that found the result, from a start of its own, and return how it got there.
 
     Nothing for other methods: least squares is there after one step, and a picture of what was not run shows nothing.
     """
     method, seed = calibration.solver.method, calibration.solver.seed or 0
     if method not in SHOWN_METHODS:
-        return ()
+        return None
     # A start of its own: from the result itself there would be no way to show.
     try:
         again = restart(observations, calibration, preset)
     except CalibrationError:
-        return ()
+        return None
     with task(f"solving with {method}"):
         result = load_solver(method)(problem_for(again, method), rng=np.random.default_rng(seed))
     history = result.history
     # To a cost of zero, of a simulation without noise, there is no ratio.
     if not len(history) or not history[-1] > 0:
-        return ()
+        return None
     excess = history / history[-1] - 1
-    return (Convergence(method=method, excess=excess, evaluations=result.evaluations, converged=result.converged),)
+    return Convergence(method=method, excess=excess, evaluations=result.evaluations, converged=result.converged)
 
 
 def closure(

@@ -27,12 +27,11 @@ from imufield.deliver.report.together import HEADINGS, session_rows, together_ro
 from imufield.deliver.verification.result import duration_words
 from imufield.drawing.style import missing_package, plot_style
 from imufield.earth import MICRO_G_M_S2, height_words
-from imufield.sentences import Sentences, folded, printable
+from imufield.sentences import Sentences, folded, printable, three_digits
 
 sentence = Sentences(__package__)
 
 UNKNOWN = "not known"
-_ROUNDING = 1e-6  # Of micro-g and nautical miles: what is left of ideal outputs.
 _STRONGEST_SHOWN = 5  # As many as a caption can name.
 
 
@@ -229,11 +228,11 @@ def _quality(calibration: Calibration) -> Iterator[tuple[str, str]]:
     unit, size = acceleration_unit(quality.residual_max_m_s2)
     # Zeros of as many parameters as positions would look like a perfect fit.
     if quality.degrees_of_freedom > 0:
-        yield "Residual, RMS", f"{_short(quality.residual_rms_m_s2 / size)} {unit}"
-        yield "Residual, largest", f"{_short(quality.residual_max_m_s2 / size)} {unit}"
+        yield "Residual, RMS", f"{three_digits(quality.residual_rms_m_s2 / size)} {unit}"
+        yield "Residual, largest", f"{three_digits(quality.residual_max_m_s2 / size)} {unit}"
     if math.isfinite(quality.leave_one_out_rms_m_s2):
-        yield "Leave-one-out, RMS", f"{_short(quality.leave_one_out_rms_m_s2 / size)} {unit}"
-    yield "Scatter between positions, chosen model", f"{_short(quality.between_position_sigma_m_s2 / size)} {unit}"
+        yield "Leave-one-out, RMS", f"{three_digits(quality.leave_one_out_rms_m_s2 / size)} {unit}"
+    yield "Scatter between positions, chosen model", f"{three_digits(quality.between_position_sigma_m_s2 / size)} {unit}"
     yield "Degrees of freedom of the fit", str(quality.degrees_of_freedom)
     if math.isfinite(quality.condition):
         yield "Condition number", f"{quality.condition:.1f}"
@@ -244,18 +243,20 @@ def _checks(verification: Document) -> Iterator[tuple[str, str]]:
     positions, navigation = (verification.get(key) for key in ("positions", "navigation"))
     if positions:
         sigma = positions["forecast_rms_m_s2"]
-        words = f"{_short(positions['rms_m_s2'] / MICRO_G_M_S2)} µg RMS"
+        words = f"{three_digits(positions['rms_m_s2'] / MICRO_G_M_S2)} µg RMS"
         if positions["before_rms_m_s2"] is not None:
-            words += f", before {_short(positions['before_rms_m_s2'] / MICRO_G_M_S2)} µg"
+            words += f", before {three_digits(positions['before_rms_m_s2'] / MICRO_G_M_S2)} µg"
         if sigma is not None:
-            words += f"; forecast {_short(sigma / MICRO_G_M_S2)} µg: {_forecast_words(positions)}"
+            words += f"; forecast {three_digits(sigma / MICRO_G_M_S2)} µg: {_forecast_words(positions)}"
         yield f"Held-out positions ({positions['how']})", words
     if navigation:
-        drifts = ", ".join(f"{name} {_short(drift['rate_nmi_per_h'])} nmi/h" for name, drift in navigation["drift"].items())
+        drifts = ", ".join(
+            f"{name} {three_digits(drift['rate_nmi_per_h'])} nmi/h" for name, drift in navigation["drift"].items()
+        )
         forecast = navigation.get("forecast")
         if forecast:
             verdict = "as forecast" if forecast["as_forecast"] else "more than forecast"
-            drifts += f"; forecast at most {_short(forecast['rate_95_nmi_per_h'])} nmi/h (95 %): {verdict}"
+            drifts += f"; forecast at most {three_digits(forecast['rate_95_nmi_per_h'])} nmi/h (95 %): {verdict}"
         turned = ", turned over after the alignment" if navigation["turned"] else ""
         yield f"Static navigation, {duration_words(navigation['navigated_s'])}{turned}", drifts
 
@@ -263,10 +264,6 @@ def _checks(verification: Document) -> Iterator[tuple[str, str]]:
 def _forecast_words(positions: Document) -> str:
     """Return whether held-out positions are as forecast; files of earlier versions have no sentence of their own."""
     return str(positions.get("words") or ("as forecast" if positions["as_forecast"] else "larger than forecast"))
-
-
-def _short(value: float) -> str:
-    return f"{value:.0f}" if abs(value) >= 100 or abs(value) < _ROUNDING else f"{value:.3g}"
 
 
 def _requirements(verification: Document) -> list[Document]:
@@ -320,10 +317,9 @@ def _figures(data: ReportData) -> Iterator[Figure]:
         yield Figure(
             title="Stillness", svg=svg, caption=sentence("page.stillness"), label="Stillness over time", is_detail=True
         )
-    if data.convergence:
-        keys = {run.method: "page.converged" if run.converged else "page.not_converged" for run in data.convergence}
-        ended = " ".join(sentence(key, method=method) for method, key in keys.items())
-        caption = sentence("page.convergence", methods=[*keys], ended=ended)
+    if data.convergence is not None:
+        key = "page.converged" if data.convergence.converged else "page.not_converged"
+        caption = sentence(key, method=data.convergence.method)
         yield Figure(
             title="Convergence",
             svg=plots.convergence(data.convergence),

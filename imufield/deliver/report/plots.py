@@ -220,23 +220,16 @@ def stillness(trace: Trace, start_s: FloatArray, duration_s: FloatArray) -> str:
     return drawn.svg()
 
 
-def convergence(runs: tuple[Convergence, ...]) -> str:
-    """Draw how the methods of the papers came down to their best cost."""
+def convergence(run: Convergence) -> str:
+    """Draw how a method of the papers came down to its best cost."""
     drawn = Picture(2.3)
     # The last excess is zero, which a logarithm cannot show.
-    excess = [np.maximum(run.excess, 1e-9) for run in runs]
-    iterations = [np.arange(1.0, len(run.excess) + 1) for run in runs]
-    axes = Axes(
-        picture=drawn,
-        x=Scale.over(*iterations, is_logarithmic=True),
-        y=Scale.over(*excess, is_logarithmic=True),
-    )
+    excess = np.maximum(run.excess, 1e-9)
+    iterations = np.arange(1.0, len(excess) + 1)
+    axes = Axes(picture=drawn, x=Scale.over(iterations, is_logarithmic=True), y=Scale.over(excess, is_logarithmic=True))
     axes.frame("iteration", "cost over best, less 1")
-    looks = list(zip((INK, BLUE, ORANGE), ("", "4 2", "1 2"), strict=True))
-    for at, values, (color, dashes) in zip(iterations, excess, looks, strict=False):
-        axes.curve(at, values, color=color, dashes=dashes)
-    labels = (f"{run.method}, {run.evaluations} evaluations" for run in runs)
-    axes.legend((label, *look) for label, look in zip(labels, looks, strict=False))
+    axes.curve(iterations, excess, color=INK)
+    axes.legend([(f"{run.method}, {run.evaluations} evaluations", INK, "")])
     return drawn.svg()
 
 

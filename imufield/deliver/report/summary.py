@@ -35,7 +35,7 @@ from imufield.deliver.report.gain import gain
 from imufield.deliver.report.rows import GAUGE_WORDS, VERDICT_WORDS, Quantity, quantities
 from imufield.earth import MICRO_G_M_S2, height_words
 from imufield.samples import AXES, FloatArray
-from imufield.sentences import Sentence, Sentences, folded, printable
+from imufield.sentences import Sentence, Sentences, folded, printable, three_digits
 
 if TYPE_CHECKING:
     from imufield.acquire.recording.session import Session
@@ -208,9 +208,9 @@ def _residuals(parameters: Parameters, width: int) -> Iterator[RenderableType]:
         # Zeros would look like a perfect fit.
         yield title.append(f": {sentence('summary.no_residual')}", style="not bold")
         return
-    figures = f", {unit}: RMS {_short(quality.residual_rms_m_s2 / size)}, largest {_short(largest / size)}"
+    figures = f", {unit}: RMS {three_digits(quality.residual_rms_m_s2 / size)}, largest {three_digits(largest / size)}"
     if math.isfinite(quality.leave_one_out_rms_m_s2):
-        figures += f", leave-one-out RMS {_short(quality.leave_one_out_rms_m_s2 / size)}"
+        figures += f", leave-one-out RMS {three_digits(quality.leave_one_out_rms_m_s2 / size)}"
     title.append(figures, style="not bold")
     yield title
     # Residuals of nothing but rounding have no worst.
@@ -225,12 +225,6 @@ def _residuals(parameters: Parameters, width: int) -> Iterator[RenderableType]:
         number = f"{value:+.0f}" if worst >= 0 and largest / size >= 10 else f"{value:+.2f}"
         cells.append((table["name"], bar_of, Text(number + (" ◄" if k == worst else "  "), style=style)))
     yield _in_columns(cells, max(len(table["name"]) for table in tables), width)
-
-
-def _short(value: float) -> str:
-    if abs(value) < 0.005:
-        return "0"
-    return f"{value:.3g}" if abs(value) < 100 else f"{value:.0f}"
 
 
 def _in_columns(cells: list[tuple[str, Text, Text]], name_width: int, width: int) -> Table:

@@ -27,7 +27,7 @@ from imufield.guide.cross_checks.running_fit import (
 )
 from imufield.guide.events import Advice, Topic
 from imufield.guide.lead.plan import Plan
-from imufield.guide.lead.session_time import SessionTime, is_met, next_best, session_time
+from imufield.guide.lead.session_time import SessionTime, figures, is_met, next_best, session_time
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.stillness.noise_floor import NoiseFloor
 from imufield.guide.stillness.scale import RoughScale
@@ -199,9 +199,8 @@ class Adviser:
         asked, forecast = settings.targets, self.forecast or {}
         if is_met(asked, forecast, count):
             kinds = {"bias_ug": _BIAS_MET, "scale_ppm": _SCALE_MET}
-            known = [f"{key.split('_')[0]} {forecast[key]:.3g} {kinds[key].unit} (wanted {asked[key]:g})" for key in asked]
             key, value = next(iter(asked.items()))
-            yield kinds[key].advice(now_s, forecast[key], value, known=known)
+            yield kinds[key].advice(now_s, forecast[key], value, known=figures(forecast, asked, asked))
         # A bump looks like a quadratic term, too.
         sigmas = 0.0 if self.suspects else fit.quadratic_sigmas()
         if count >= _FEWEST_FOR_QUADRATIC and self._plan.scheme.name.startswith("paper") and sigmas >= _MATTERS_SIGMAS:

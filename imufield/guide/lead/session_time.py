@@ -26,7 +26,7 @@ from imufield.guide.positions import SCHEMES, Scheme
 from imufield.guide.positions import scheme as shipped
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import FloatArray
-from imufield.sentences import Sentence, Sentences
+from imufield.sentences import Sentence, Sentences, three_digits
 
 sentence = Sentences(__package__)
 
@@ -120,7 +120,7 @@ class SessionTime:
     @property
     def words(self) -> Sentence:
         """The whole in a sentence."""
-        known = self.figures(_UNITS)
+        known = figures(self.forecast, self.wanted, _UNITS)
         sizes = {
             "positions": self.positions,
             "hold_s": self.hold_s,
@@ -138,14 +138,6 @@ class SessionTime:
         else:
             reached = "session_time.met_shorter" if self.hold_s < self.usual_hold_s else "session_time.met"
         return sentence(reached, known=known, **sizes)
-
-    def figures(self, names: Iterable[str]) -> list[str]:
-        """Return what is expected of each, and wanted, in words."""
-        return [
-            f"{name.partition('_')[0]} {_known(self.forecast, name, _UNITS[name])}"
-            + (f" (wanted {self.wanted[name]:g})" if name in self.wanted else "")
-            for name in names
-        ]
 
     @property
     def furthest(self) -> float:
@@ -166,16 +158,25 @@ class SessionTime:
         if self.is_fixed and self.hold_s < self.helps_s:
             return sentence("session_time.fixed_remedy", helps_s=self.helps_s)
         best = self.better or self
-        missed = best.figures(name for name, limit in self.wanted.items() if not _is_within({name: limit}, best.forecast))
+        names = [name for name, limit in self.wanted.items() if not _is_within({name: limit}, best.forecast)]
+        missed = figures(best.forecast, self.wanted, names)
         if self.better is None:
             return sentence("session_time.out_of_reach_remedy", missed=missed)
         key = "session_time.positions_remedy" if best.is_met else "session_time.unmet_remedy"
         return sentence(key, scheme=best.scheme, missed=missed, minutes=best.minutes)
 
 
+def figures(forecast: dict[str, float], wanted: dict[str, float], names: Iterable[str]) -> list[str]:
+    """Return what is expected of each accuracy, and wanted, in words."""
+    return [
+        f"{name.partition('_')[0]} {_known(forecast, name, _UNITS[name])}"
+        + (f" (wanted {wanted[name]:g})" if name in wanted else "")
+        for name in names
+    ]
+
+
 def _known(forecast: dict[str, float], name: str, unit: str) -> str:
-    # Three digits without an exponent: 1840, not 1.84e+03.
-    return f"{float(f'{forecast[name]:.3g}'):g} {unit}" if name in forecast else sentence("session_time.not_shown")
+    return f"{three_digits(forecast[name])} {unit}" if name in forecast else sentence("session_time.not_shown")
 
 
 def is_met(wanted: dict[str, float], forecast: dict[str, float], positions: int) -> bool:

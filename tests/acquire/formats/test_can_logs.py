@@ -26,7 +26,7 @@ from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.can_frame import ERROR, EXTENDED, Frame, pack_frame
 from imufield.acquire.protocol.can_frames import unpack_frames
 from imufield.acquire.protocol.protocol import load_protocol
-from imufield.acquire.recording.reader import RecordingLink, read_part
+from imufield.acquire.recording.reader import read_part
 from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import Session
 from imufield.errors import ImufieldError, Reason, RecordingError, UsageError
@@ -456,10 +456,10 @@ def test_replay_to_a_bus(tmp_path: Path) -> None:
     channel = f"replay-{id(session)}"
     with can.Bus(channel, "virtual") as bus:
         begin_s = time.monotonic()
-        assert replay_to_bus(RecordingLink(session), f"virtual:{channel}", pace=2.0) == 30
+        assert replay_to_bus(session, f"virtual:{channel}", pace=2.0) == 30
         assert time.monotonic() - begin_s > 0.13, "0.29 s at twice the pace"
         heard = [bus.recv(0.1) for _ in range(30)]
         assert [bytes(message.data) for message in heard if message] == [frame.data for frame in frames]
-        assert replay_to_bus(RecordingLink(session), f"virtual:{channel}", pace=None) == 30
+        assert replay_to_bus(session, f"virtual:{channel}", pace=None) == 30
     with pytest.raises(UsageError):
-        replay_to_bus(RecordingLink(session), f"virtual:{channel}", pace=0.0)
+        replay_to_bus(session, f"virtual:{channel}", pace=0.0)

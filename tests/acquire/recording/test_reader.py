@@ -9,7 +9,6 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -34,18 +33,17 @@ from imufield.acquire.recording.mcap_format import (
 )
 from imufield.acquire.recording.reader import (
     Damage,
-    EndOfRecordingError,
     PartStart,
     RecordedBlock,
     RecordedEvent,
-    RecordingLink,
     read_blocks,
     read_part,
     read_session,
+    recorded_chunks,
 )
 from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import Session
-from imufield.errors import LinkError, Reason, RecordingError, UsageError
+from imufield.errors import Reason, RecordingError, UsageError
 from tests.refused import refused
 
 START_NS = 1_700_000_000_000_000_000
@@ -342,8 +340,11 @@ def test_any_bytes_give_items_or_a_recording_error(tmp_path: Path, pieces: list[
     assert all(isinstance(item, Chunk | RecordedEvent) for item in items)
 
 
-def session_of(folder: Path, *parts: bytes) -> SimpleNamespace:
-    return SimpleNamespace(parts=[written(folder, data, f"part-{i:03d}.mcap") for i, data in enumerate(parts, start=1)])
+def session_of(folder: Path, *parts: bytes) -> Session:
+    session = Session.create(folder, "made")
+    for number, data in enumerate(parts, start=1):
+        written(session.folder, data, f"part-{number:03d}.mcap")
+    return session
 
 
 def test_a_session_is_read_part_by_part(made: MadePart, tmp_path: Path) -> None:
@@ -367,10 +368,12 @@ def test_a_session_is_read_part_by_part(made: MadePart, tmp_path: Path) -> None:
 )
 def test_parts_that_are_gone_are_named(tmp_path: Path, numbers: tuple[int, ...], gone: tuple[str, str] | None) -> None:
     # Not copies of each other: those count once.
-    parts = [written(tmp_path, make_part(2 + number).data, f"part-{number:03d}.mcap") for number in numbers]
+    session = Session.create(tmp_path, "made")
+    for number in numbers:
+        written(session.folder, make_part(2 + number).data, f"part-{number:03d}.mcap")
     for read in (read_session, read_blocks):
         damage: list[Damage] = []
-        list(read(SimpleNamespace(parts=parts), damage))
+        list(read(session, damage))
         assert [getattr(entry.what, "key", None) for entry in damage] == ([] if gone is None else [gone[0]])
         assert gone is None or gone[1] in damage[0].what
 
@@ -385,7 +388,7 @@ def make_flow(times_s: list[float], size: int = 10, events_after: tuple[int, ...
     return start_of_part(METADATA) + b"".join(records) + end_of_part()
 
 
-def blocks_of(session: SimpleNamespace, **options: float) -> Iterator[RecordedBlock]:
+def blocks_of(session: Session, **options: float) -> Iterator[RecordedBlock]:
     return (item for item in read_blocks(session, **options) if isinstance(item, RecordedBlock))  # type: ignore[arg-type]  # block_bytes is an int here
 
 
@@ -443,19 +446,13 @@ def test_blocks_are_the_same_however_chunks_were_packed(
     assert np.concatenate([np.diff(block.end, prepend=0) for block in blocks]).tolist() == sizes
 
 
-def test_a_recording_poses_as_a_link(made: MadePart, tmp_path: Path) -> None:
-    session = session_of(tmp_path, made.data, made.data[: made.end_start])
-    link = RecordingLink(session)
+def test_the_chunks_of_a_session_are_those_of_its_sound_parts(made: MadePart, tmp_path: Path) -> None:
+    """An empty part, and the copy of one, are passed over as everywhere; a torn end is told."""
+    session = session_of(tmp_path, made.data, b"", made.data, made.data[: made.end_start])
     chunks = [item for item in made.items if isinstance(item, Chunk)]
-    assert [link.read() for _ in range(2 * len(chunks))] == chunks + chunks
-    for _ in range(2):
-        with pytest.raises(EndOfRecordingError):
-            link.read()
-    assert [entry.torn_end for entry in link.damage] == [True]
-    with refused(LinkError, Reason.USAGE, str(tmp_path)):
-        link.write(b"x")
-    link.close()
-    link.close()
+    damage: list[Damage] = []
+    assert list(recorded_chunks(session, damage)) == chunks + chunks
+    assert [entry.torn_end for entry in damage] == [True, False, True]
 
 
 class CountingClock:
@@ -477,15 +474,13 @@ class CountingClock:
 def test_a_paced_recording_takes_its_time(tmp_path: Path) -> None:
     times_s = [5.0, 5.5, 7.0]
     clock = CountingClock()
-    link = RecordingLink(session_of(tmp_path, make_flow(times_s)), pace=2.0, clock=clock)
-    passed_s = []
-    for _ in times_s:
-        chunk = link.read()
-        assert chunk is not None
-        passed_s.append((chunk.monotonic_s, clock.now_s - 1000.0))
+    passed_s = [
+        (chunk.monotonic_s, clock.now_s - 1000.0)
+        for chunk in recorded_chunks(session_of(tmp_path, make_flow(times_s)), pace=2.0, clock=clock)
+    ]
     assert passed_s == [(5.0, 0.0), (5.5, 0.25), (7.0, 1.0)]
     with refused(UsageError, Reason.USAGE) as caught:
-        RecordingLink(session_of(tmp_path, b""), pace=0.0)
+        list(recorded_chunks(session_of(tmp_path, b""), pace=0.0))
     assert caught.value.values["pace"] == 0
 
 
@@ -494,7 +489,4 @@ def test_an_imported_dump_has_no_pace(tmp_path: Path) -> None:
     with Recorder(session.add_part(), {}, clock=CountingClock()) as recorder:
         for _ in range(3):
             recorder.write_chunk(Chunk(b"bytes", float("nan"), 0))
-    link = RecordingLink(session, pace=1.0)
-    assert link.has_arrival_times
-    assert link.read() is not None
-    assert not link.has_arrival_times
+    assert [chunk.data for chunk in recorded_chunks(session, pace=1.0)] == 3 * [b"bytes"]

@@ -365,7 +365,9 @@ def test_static_norm_for_an_instrument_that_sees_the_earth(fine: Session) -> Non
 
 
 def real_session(samples: Samples, zero: float, gravity: float) -> GyroscopeInput:
-    found = find_still_intervals([samples], scale=replace(RoughScale.of_units(samples.units), raw_zero=np.full(3, zero))).observations
+    found = find_still_intervals(
+        [samples], scale=replace(RoughScale.of_units(samples.units), raw_zero=np.full(3, zero))
+    ).observations
     calibration = calibrate_accelerometer(
         found, Gravity(gravity_m_s2=gravity, sigma_m_s2=1e-5, source="typed"), raw_zero=zero, model="linear"
     )

@@ -76,7 +76,7 @@ def data(loaded: Parameters) -> ReportData:
         preset=loaded,
         trace=Trace(time_s, np.full(len(time_s), 1e-3), np.full(len(time_s), np.nan)),
         closure=Closure(moves, np.full(len(moves), 0.2), np.full(len(moves), 0.02)),
-        convergence=(curve, replace(curve, method="ide")),
+        convergence=curve,
         verification=None,
         provenance=(("Parameter file", "parameters.toml"),),
         operator="A. Person",
