@@ -93,7 +93,7 @@ def gather(options: ReportOptions) -> tuple[ReportData, Path]:
     traced, closed, notes = (None, None, ()) if session is None else _read(session, parameters, preset)
     before = None if preset is None else preset.calibration.accelerometer
     results, sha256 = verification_path(path), content_sha256(parameters.document)
-    left_out = verification_note(results, sha256)
+    note = verification_note(results, sha256)
     data = ReportData(
         parameters=parameters,
         preset=preset,
@@ -103,7 +103,7 @@ def gather(options: ReportOptions) -> tuple[ReportData, Path]:
         verification=read_verification(results, sha256),
         provenance=tuple(_provenance(path, parameters, session)),
         operator=options.operator,
-        notes=(*notes, *filter(None, (left_out,))),
+        notes=(*notes, *filter(None, (note,))),
     )
     return data, path.parent if session is None else session.folder
 

@@ -17,7 +17,7 @@ from imufield.guide.lead.state_table import State
 from imufield.guide.positions import Scheme
 from imufield.guide.view.instruction import MILD_REFUSALS, Screen, instruct, stillness_words
 from imufield.guide.view.marks import AGAIN_WITHIN_S, KEYS
-from imufield.guide.view.plain import known_words, said_once
+from imufield.guide.view.plain import KNOWN_UNITS, known_words, said_once
 from imufield.guide.view.sound import heard
 from imufield.samples import CELL_S
 from imufield.web.board import Board, Json
@@ -26,7 +26,6 @@ LOG_LINES = 200
 TRACE_BLOCKS = 300
 """Half a minute."""
 _DIGITS = 5
-_FORECAST = ("bias_ug", "scale_ppm", "misalignment_urad")
 
 
 class GuidePage:
@@ -127,7 +126,7 @@ class GuidePage:
             "stillness": None if activity is None else {"ratio": _number(activity.ratio), "words": stillness_words(activity)},
             "temperature_degc": _number(snapshot.temperature_degc),
             "rate_hz": _number(snapshot.rate_hz),
-            "known": None if forecast is None else {name: known_words(forecast, name) for name in _FORECAST},
+            "known": None if forecast is None else {name: known_words(forecast, name) for name in KNOWN_UNITS},
             "done": len(snapshot.accepted),
             "planned": snapshot.planned,
             "link": "lost" if not screen.link else "silent" if silent else "there",
@@ -135,7 +134,7 @@ class GuidePage:
         }
         # Of what was undone the page knows nothing.
         self._forecasts = {done: values for done, values in self._forecasts.items() if done < len(snapshot.accepted)}
-        values = [_number((forecast or {}).get(name, math.nan)) for name in _FORECAST]
+        values = [_number((forecast or {}).get(name, math.nan)) for name in KNOWN_UNITS]
         if any(value is not None for value in values):
             self._forecasts[len(snapshot.accepted)] = values
         positions: Json = {

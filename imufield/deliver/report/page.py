@@ -159,7 +159,6 @@ def _facts(data: ReportData) -> Document:
         # The record is one sheet: the two hashes, not the whole environment.
         "record_provenance": [*_provenance(data), *data.provenance[:2]],
         "operator": data.operator,
-        "sha256": content_sha256(parameters.document),
     }
 
 

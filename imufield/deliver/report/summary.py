@@ -273,7 +273,6 @@ def _bullets(texts: Iterable[str]) -> Iterator[RenderableType]:
 
 
 def _next_steps(parameters: Parameters, outcome: Outcome) -> Iterator[RenderableType]:
-    steps = []
     calibration = parameters.calibration
     if calibration.gravity.source == "assumed":
         again = "imufield solve" if outcome.session is None else f"imufield solve {shlex.quote(str(outcome.session.folder))}"
@@ -281,14 +280,13 @@ def _next_steps(parameters: Parameters, outcome: Outcome) -> Iterator[Renderable
         yield _unbroken(f"   {again} --latitude DEGREES --height METRES")
     yield from _remedy(calibration.quality, outcome.session)
     if outcome.path is not None:
-        if outcome.kept is not None:
-            steps.append(sentence("summary.kept", name=outcome.kept.name))
-        if calibration.quality.verdict != "poor":
-            steps.append(sentence("summary.use"))
         yield Text("")
         yield Text("Written to", style="bold")
         yield _unbroken(str(outcome.path))
-    yield from _bullets(steps)
+        if outcome.kept is not None:
+            yield from _bullets([sentence("summary.kept", name=outcome.kept.name)])
+        if calibration.quality.verdict != "poor":
+            yield from _bullets([sentence("summary.use")])
 
 
 def _remedy(quality: Quality, session: Session | None) -> Iterator[RenderableType]:
