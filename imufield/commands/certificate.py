@@ -16,7 +16,6 @@ from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, load
 from imufield.deliver.report.page import load_weasyprint, to_pdf
 from imufield.errors import ParameterFileError, Reason, UsageError
 from imufield.files import refuse_overwriting, utf8_text
-from imufield.pipeline.solving import session_sha256
 from imufield.progress import task
 from imufield.sentences import Sentences
 
@@ -90,7 +89,7 @@ def _protocol(source: Path, parameters: Parameters) -> str:
     if not (folder / SETTINGS_FILE).exists():
         return ""
     session = Session.open(folder)
-    if session_sha256(session) != parameters.context.session.sha256:
+    if session.sha256() != parameters.context.session.sha256:
         if source.is_dir():
             other = sentence("certificate.other_recording", parameters=str(parameters.path), session=str(session.folder))
             raise ParameterFileError(other, Reason.FOREIGN)

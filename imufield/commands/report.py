@@ -34,7 +34,7 @@ from imufield.deliver.verification.result import read_verification, verification
 from imufield.drawing.style import missing_package
 from imufield.errors import CalibrationError, ParameterFileError, Reason
 from imufield.files import refuse_overwriting, utf8_text
-from imufield.pipeline.solving import read_recording, session_sha256
+from imufield.pipeline.solving import read_recording
 from imufield.progress import task
 from imufield.sentences import Sentences
 from imufield.version import __version__
@@ -117,7 +117,7 @@ def _check_belongs(parameters: Parameters, session: Session | None, preset: Para
         return
     parameters.check_instrument(own)
     wanted = parameters.context.session.sha256
-    if wanted and wanted != session_sha256(session):
+    if wanted and wanted != session.sha256():
         other = sentence("report.other_recording", parameters=str(parameters.path), session=str(session.folder))
         raise ParameterFileError(other, Reason.FOREIGN)
 

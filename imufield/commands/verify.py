@@ -39,7 +39,6 @@ from imufield.pipeline.chain import Chain, ReadingPlan, replay_into
 from imufield.pipeline.damage import naming_damage
 from imufield.pipeline.kept import kept
 from imufield.pipeline.reading import Reading
-from imufield.pipeline.solving import session_sha256
 from imufield.samples import Samples
 from imufield.sentences import Sentences, printable
 
@@ -71,7 +70,7 @@ class _Task:
             checked.check_instrument(self.session.serial_number)
         # By the bytes and not by the name: a folder may be renamed or copied. Parameters of no session have no hash.
         sha256 = self.parameters.context.session.sha256
-        self.sha256 = own_sha256 = session_sha256(self.session)
+        self.sha256 = own_sha256 = self.session.sha256()
         self.is_its_own = bool(sha256) and sha256 == own_sha256
         together = self.parameters.context.together
         if together is not None and own_sha256 in [session.sha256 for session in together.session]:

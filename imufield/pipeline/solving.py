@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from imufield.acquire.recording.part_file import open_part
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
 from imufield.calibrate.accelerometer.ellipsoid_start import FEWEST_FOR_SCALE_AND_BIAS
@@ -184,7 +183,7 @@ def read_recording(
     chain = Chain(ReadingPlan.of(session), listeners=(collected.feed, *listeners))
     # Hashing leaves the interpreter to others: beside the replay it costs little time.
     with ThreadPoolExecutor(1) as threads:
-        hashing = threads.submit(session_sha256, session)
+        hashing = threads.submit(session.sha256)
         if not (goes_on or listeners) and is_kept(session):
             found = kept(session, hashing.result())
             if found is not None:
@@ -425,12 +424,3 @@ def _better_gravity(before: Gravity, now: Gravity) -> tuple[str, ...]:
     if before.source == "normal" and before.latitude_deg is not None:
         again = f"--latitude {before.latitude_deg:g}" + ("" if before.height_m is None else f" --height {before.height_m:g}")
     return (sentence("solving.better_gravity", before_m_s2=before.sigma_m_s2, now_m_s2=now.sigma_m_s2, again=again),)
-
-
-def session_sha256(session: Session) -> str:
-    """Return the hash of the session's parts, in their order."""
-    digest = hashlib.sha256()
-    for path in session.parts:
-        with open_part(path) as file:
-            hashlib.file_digest(file, lambda: digest)
-    return digest.hexdigest()

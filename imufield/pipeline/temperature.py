@@ -23,7 +23,7 @@ from imufield.pipeline.calibration import SolveSettings
 from imufield.pipeline.chain import session_samples
 from imufield.pipeline.same_recording import RecordingMarks, without_copies
 from imufield.pipeline.site import SiteOptions
-from imufield.pipeline.solving import session_sha256, solve_session
+from imufield.pipeline.solving import solve_session
 from imufield.pipeline.windows import RAMP, WindowMeans, WindowSums
 from imufield.samples import FloatArray, require_possible_degc
 from imufield.sentences import Sentences
@@ -76,7 +76,7 @@ def read_ramp(session: Session, base: Parameters) -> RampMeans:
     require_possible_degc(session.name, means.temperature_degc)
     return RampMeans(
         name=session.name,
-        sha256=session_sha256(session),
+        sha256=session.sha256(),
         time_s=means.time_s,
         temperature_degc=means.temperature_degc,
         accelerometer=means.accelerometer,

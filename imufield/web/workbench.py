@@ -128,7 +128,6 @@ def _found(folder: Path) -> Json:
     """
     from imufield.deliver.parameters.file import PARAMETER_FILE, load
     from imufield.deliver.report.gain import document_with_gain
-    from imufield.pipeline.solving import session_sha256
 
     written_ns = _written_ns(folder)
     made = [name for name in written_ns if not is_recorded(folder / name)]
@@ -147,7 +146,7 @@ def _found(folder: Path) -> Json:
         parameters = load(folder)
         # A copy may have the time of the copying: then the recording itself is looked at.
         is_newer = any(not older for name, older in is_older.items() if _is_part(name))
-        found["is_outdated"] = is_newer and session_sha256(Session.open(folder)) != parameters.context.session.sha256
+        found["is_outdated"] = is_newer and Session.open(folder).sha256() != parameters.context.session.sha256
         return {**found, "parameters": document_with_gain(parameters), "fault": ""}
     # It can be solved again, whatever has become of its parameters.
     except ImufieldError as error:

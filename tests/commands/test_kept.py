@@ -100,7 +100,7 @@ def edit(path: Path) -> None:
 def forge(path: Path) -> None:
     """Write as somebody else who has the program: all is right but the secret."""
     session = Session.open(path.parent)
-    reading = kept.kept(session, solving.session_sha256(session))
+    reading = kept.kept(session, session.sha256())
     assert reading is not None
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(kept, "_secret", lambda: bytes(32))
@@ -113,7 +113,7 @@ def move_on(path: Path) -> None:
     scheme.write_text("# none of the session's\n", encoding="utf-8")
     session = Session.open(path.parent)
     body = content[32:]
-    signed = kept._digest(session, solving.session_sha256(session), body)
+    signed = kept._digest(session, session.sha256(), body)
     scheme_hash = hashlib.sha256(scheme.read_bytes()).digest()
     scheme.unlink()
     path.write_bytes(signed + scheme_hash + body)

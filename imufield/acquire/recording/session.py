@@ -5,6 +5,7 @@ What ``session.toml`` may hold is checked and typed in ``session_record``.
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
 import sys
@@ -163,6 +164,17 @@ class Session:
     def parts(self) -> list[Path]:
         """Paths of the parts, in the order of their numbers."""
         return [self.folder / name for _, name in sorted(self._numbered_parts())]
+
+    def sha256(self) -> str:
+        """Return the hash of the parts, in their order."""
+        # With the format of a part, which a list of sessions does not need.
+        from imufield.acquire.recording.part_file import open_part
+
+        digest = hashlib.sha256()
+        for path in self.parts:
+            with open_part(path) as file:
+                hashlib.file_digest(file, lambda: digest)
+        return digest.hexdigest()
 
     @property
     def finished(self) -> bool:

@@ -45,7 +45,7 @@ from imufield.pipeline.intake import Intake
 from imufield.pipeline.kept import keep
 from imufield.pipeline.reading import ReadingCollector
 from imufield.pipeline.site import SiteOptions
-from imufield.pipeline.solving import reading_of, session_sha256
+from imufield.pipeline.solving import reading_of
 from imufield.progress import can_draw, hidden
 from imufield.sentences import Sentences
 
@@ -221,7 +221,7 @@ def guided_session(
     if not damage:
         # For who solves it: all has been seen already. Where there is nothing to be calibrated from, solving says so.
         with suppress(CalibrationError):
-            keep(session, reading_of(session, chain, collected, sha256=session_sha256(session)))
+            keep(session, reading_of(session, chain, collected, sha256=session.sha256()))
     return captured
 
 
