@@ -107,7 +107,7 @@ class SampleUnits:
         return f"accelerometer in {each[0]}, gyroscope in {each[1]}"
 
     def accelerometer_rate(self, raw: FloatArray) -> FloatArray:
-        """Return accelerometer outputs, or the output at no input, as rates: raw unit, per second for increments."""
+        """Return raw outputs of the accelerometer, or that at zero input, as rates: raw unit, per second for increments."""
         return _as_rate(raw, self.accelerometer_is_increment, self.interval_s)
 
     @property

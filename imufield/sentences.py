@@ -56,8 +56,8 @@ def counted(number: int, noun: str) -> str:
 
 
 def three_digits(value: float) -> str:
-    """Return a number for people, without an exponent: "1840", "102", "0.0123", and "0" for what is next to nothing."""
-    return f"{value:.0f}" if abs(value) >= 100 or abs(value) < _NEXT_TO_NOTHING else f"{value:.3g}"
+    """Return a number for people in three digits, whole from 100 on: "1837", "0.0123", and "0" for what is next to nothing."""
+    return f"{value:z.0f}" if abs(value) >= 100 or abs(value) < _NEXT_TO_NOTHING else f"{value:.3g}"
 
 
 def shortened(text: str) -> str:

@@ -67,7 +67,7 @@ def test_what_is_long_is_shortened_and_what_is_one_counts_as_one() -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "words"), [(1837.4, "1837"), (102.4, "102"), (99.96, "100"), (0.012345, "0.0123"), (-3.0, "-3"), (1e-9, "0")]
+    ("value", "words"), [(1837.4, "1837"), (102.4, "102"), (99.96, "100"), (0.012345, "0.0123"), (-3.0, "-3"), (-1e-9, "0")]
 )
 def test_three_digits_need_no_exponent(value: float, words: str) -> None:
     assert three_digits(value) == words

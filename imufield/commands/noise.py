@@ -1,4 +1,4 @@
-"""``imufield noise``: noise density, bias instability and random walk of hours of standstill."""
+"""``imufield noise``: noise density, bias instability and bias random walk of hours of standstill."""
 
 from __future__ import annotations
 

@@ -53,8 +53,7 @@ def run_record(options: RecordOptions, clock: HostClock | None = None) -> Sessio
         of_part = part_metadata(connected.protocol, connected.session_tables())
         recorder = stack.enter_context(Recorder(session.add_part(), of_part, clock=clock))
         stream = SameStream(connected.link.name, patience_s(clock, 1.0))
-        raw_zero = connected.protocol.units.accelerometer_rate(connected.protocol.nominal.raw_zero)
-        ramp = RampLead(raw_zero, as_json=options.as_json) if options.ramp else None
+        ramp = RampLead(connected.protocol.raw_zero_rate(), as_json=options.as_json) if options.ramp else None
         listeners = (stream.hear,) if ramp is None else (stream.hear, ramp.feed)
         chain = Chain(ReadingPlan(None), listeners=listeners, judging=False)
         intake = Intake(recorder=recorder, chain=chain, stream=stream)

@@ -30,7 +30,7 @@ from imufield.files import real_path, refuse_overwriting
 from imufield.pipeline.same_recording import RecordingMarks
 from imufield.pipeline.solving import solve_observations, solve_session, write_solved
 from imufield.samples import FloatArray
-from imufield.sentences import Sentences, printable
+from imufield.sentences import Sentences, printable, three_digits
 
 sentence = Sentences(__package__)
 
@@ -236,9 +236,9 @@ def _figures(outcome: SessionOutcome) -> tuple[str, ...]:
     sigma = calibration.accelerometer_sigma
     return (
         str(len(calibration.positions.residual_m_s2)),
-        f"{calibration.quality.residual_rms_m_s2 / MICRO_G_M_S2:.3g} µg",
-        f"{_largest(sigma.bias_m_s2) / MICRO_G_M_S2:.3g} µg",
-        f"{_largest(sigma.scale / np.abs(calibration.accelerometer.scale)) * 1e6:.3g} ppm",
+        f"{three_digits(calibration.quality.residual_rms_m_s2 / MICRO_G_M_S2)} µg",
+        f"{three_digits(_largest(sigma.bias_m_s2) / MICRO_G_M_S2)} µg",
+        f"{three_digits(_largest(sigma.scale / np.abs(calibration.accelerometer.scale)) * 1e6)} ppm",
     )
 
 

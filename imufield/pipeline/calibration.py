@@ -108,13 +108,15 @@ def calibrate(measured: SolveInput, settings: SolveSettings) -> Parameters:
             settings.preset.check_unit("gyroscope", units.gyroscope_rate_unit)
         preset = settings.preset.calibration.accelerometer
     grade, grade_source = (grade, "stated") if grade else (DEFAULT_GRADE, "assumed")
+    # Typed as the instrument sends it; what is solved from are rates.
+    zero = None if settings.raw_zero is None else measured.observations.units.accelerometer_rate(settings.raw_zero)
     calibration = calibrate_accelerometer(
         measured.observations,
         measured.gravity,
         model=settings.model,
         gauge=settings.gauge,
         preset=preset,
-        raw_zero=measured.raw_zero if settings.raw_zero is None else settings.raw_zero,
+        raw_zero=measured.raw_zero if zero is None else zero,
         grade=grade,
         seed=settings.seed,
     )

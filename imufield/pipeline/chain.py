@@ -64,7 +64,7 @@ class ReadingPlan:
     scheme: str | None
     guide: GuideSettings = field(default_factory=GuideSettings)
     raw_zero: tuple[float, ...] | None = None
-    """Mid-scale of the accelerometer, where the protocol does not tell it."""
+    """Raw output of the accelerometer at zero input, as the instrument sends it, where the protocol does not tell it."""
 
     @classmethod
     def of(cls, session: Session) -> ReadingPlan:
@@ -249,9 +249,8 @@ class Chain:
         return self.finder.finish()
 
     def raw_zero(self, protocol: Protocol) -> FloatArray:
-        """Return the accelerometer output at no input as a raw rate, shape (3,)."""
-        zero = protocol.nominal.raw_zero if self.plan.raw_zero is None else np.array(self.plan.raw_zero)
-        return protocol.units.accelerometer_rate(zero)
+        """Return the accelerometer's raw output at zero input as a rate, shape (3,)."""
+        return protocol.raw_zero_rate(None if self.plan.raw_zero is None else np.array(self.plan.raw_zero))
 
     def _begin_anew(self, held_back: Samples | None) -> list[Event]:
         """Go on with a new decoder, behind what the one before held back."""

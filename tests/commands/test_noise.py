@@ -24,7 +24,7 @@ def test_every_figure_has_its_interval_and_unit_in_80_columns(tmp_path: Path, ca
     assert run(["noise", str(folder)]) == 0
     lines = capsys.readouterr().out.splitlines()
     heads = [k for k, line in enumerate(lines) if "95 % interval" in line]
-    assert [lines[k].split("  ")[0] for k in heads] == ["density", "bias instability", "random walk"]
+    assert [lines[k].split("  ")[0] for k in heads] == ["density", "bias instability", "bias random walk"]
     assert len({lines[k].index("unit") for k in heads}) == 1
     at = lines[heads[0]].index("unit")
     for head, (name, per) in zip(heads, UNITS.items(), strict=True):

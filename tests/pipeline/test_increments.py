@@ -30,9 +30,11 @@ def samples() -> Samples:
     return moved
 
 
-@pytest.mark.parametrize("per_s", [1.0, RATE_HZ], ids=["rates", "increments"])
+@pytest.mark.parametrize(
+    ("per_s", "zero"), [(1.0, None), (RATE_HZ, None), (RATE_HZ, str(MIDDLE))], ids=["rates", "increments", "typed"]
+)
 def test_the_middle_of_increments_is_that_of_one_sample(
-    samples: Samples, per_s: float, tmp_path: Path, imufield_replay: Callable[..., Replayed]
+    samples: Samples, per_s: float, zero: str | None, tmp_path: Path, imufield_replay: Callable[..., Replayed]
 ) -> None:
     accelerometer = samples.accelerometer * COUNTS_PER_M_S2 / per_s + MIDDLE
     lines = np.column_stack([samples.time_s, accelerometer, samples.gyroscope * COUNTS_PER_RAD_S / per_s])
@@ -44,7 +46,7 @@ def test_the_middle_of_increments_is_that_of_one_sample(
         "rate_hz": str(RATE_HZ),
         "increments": str(per_s > 1).lower(),
     }
-    found = imufield_replay(tmp_path / "lines.txt", protocol="text", settings=settings).solve(gravity_m_s2=9.8)
+    found = imufield_replay(tmp_path / "lines.txt", protocol="text", settings=settings).solve(gravity_m_s2=9.8, zero=zero)
     parameters = found.calibration.accelerometer
     # Raw rates: counts a second of increments, whose middle is that of a sample over its time.
     np.testing.assert_allclose(parameters.raw_zero, MIDDLE * per_s)

@@ -1,4 +1,4 @@
-"""A capture with a page, against an emulated instrument that a virtual person turns: the real programs on a real port.
+"""A capture with a page, against an emulated instrument that a virtual operator turns: the real programs on a real port.
 
 And the same capture without one: its bytes and marks, from the recording, through the loop of every capture.
 """

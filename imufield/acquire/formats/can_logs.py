@@ -284,12 +284,14 @@ def replay_frames(
     """Hand the frames of a recorded session to ``send`` when they are due; otherwise like ``replay_to_bus``."""
     sent = 0
     pacer = Pacer(pace, longest_s=_LONGEST_WAIT_S)
-    for chunk in recorded_chunks(session, damage):
-        for frame in unpack_frames(chunk.data):
-            if frame.can_id & ERROR or frame.flags & SENT:
-                continue
-            pacer.wait(frame.time_s)
-            send(frame)
-            sent += 1
-        on_chunk()
+    # Closed, whatever ``send`` raises: an error holds the reading, and with it the line of progress.
+    with closing(recorded_chunks(session, damage)) as chunks:
+        for chunk in chunks:
+            for frame in unpack_frames(chunk.data):
+                if frame.can_id & ERROR or frame.flags & SENT:
+                    continue
+                pacer.wait(frame.time_s)
+                send(frame)
+                sent += 1
+            on_chunk()
     return sent

@@ -11,7 +11,7 @@ import itertools
 import json
 import math
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -314,7 +314,7 @@ class Pacer:
 
 def recorded_chunks(
     session: Session, damage: list[Damage] | None = None, *, pace: float | None = None, clock: HostClock | None = None
-) -> Iterator[Chunk]:
+) -> Generator[Chunk]:
     """Yield what the link delivered, each chunk when it is due; one without an arrival time, as of an imported dump, at once.
 
     Parameters
@@ -331,6 +331,8 @@ def recorded_chunks(
     ------
     RecordingError
         As ``read_session``.
+    UsageError
+        The pace is not above 0.
     """
     pacer = Pacer(pace, clock)
     with task("sending", size_bytes(session.parts)) as sending:

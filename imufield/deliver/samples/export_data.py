@@ -125,7 +125,7 @@ FORMATS = {
         suffix="mcap", title="sensor_msgs/msg/Imu for ROS 2, Foxglove, PlotJuggler", write=write_ros2, lacks=_LACKING
     ),
     "overview": Format(
-        suffix="overview.csv", title="text, least, mean and largest value of each interval, for plots", write=_write_overview
+        suffix="overview.csv", title="text, minimum, mean and maximum of each interval, for plots", write=_write_overview
     ),
     OUTLINE: Format(
         suffix="outline.csv", title="like overview, from a few seconds of each minute; faster", write=_write_overview

@@ -1,4 +1,4 @@
-"""Hours of samples in few rows, for a picture: neighbours joined to blocks, of each the least, mean and largest value.
+"""Hours of samples in few rows, for a picture: neighbours joined to blocks, of each the minimum, mean and maximum.
 
 Nobody knows beforehand how many samples there are: blocks begin with one sample each, and where there are too many of them,
 neighbours are joined, so that a block of an hour at 2000 Hz has some thousand samples and memory does not grow with time.

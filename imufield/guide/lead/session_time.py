@@ -152,7 +152,7 @@ class SessionTime:
         if self.planned < SHOWS_SCATTER:
             return sentence("session_time.few_remedy", least=SHOWS_SCATTER)
         if self.gravity_ppm >= self.wanted.get("scale_ppm", math.inf):
-            sizes = {"scale_ppm": self.wanted["scale_ppm"], "gravity_ppm": self.gravity_ppm}
+            sizes = {"scale_ppm": self.wanted["scale_ppm"], "gravity_ppm": three_digits(self.gravity_ppm)}
             key = "session_time.height_remedy" if self.gravity.lacks_height else "session_time.gravity_remedy"
             return sentence(key, source=self.gravity.source_words, **sizes)
         if self.is_fixed and self.hold_s < self.helps_s:

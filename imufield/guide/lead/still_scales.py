@@ -90,7 +90,7 @@ def find_scales(blocks: Iterable[Samples], raw_zero: FloatArray) -> StillScales:
     ----------
     blocks : iterable of Samples
     raw_zero : ndarray, shape (3,)
-        Accelerometer output at no input.
+        Raw output of the accelerometer at zero input.
     """
     finder: StillIntervalFinder | None = None
     found, count, enough = StillScales({}, 0), 0, _ENOUGH_STILLS

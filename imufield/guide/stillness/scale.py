@@ -19,7 +19,7 @@ class RoughScale:
     accelerometer, gyroscope : float or None
         Raw unit (per second for increments) per m/s^2 and per rad/s, one for all axes.
     raw_zero : ndarray, shape (3,)
-        Accelerometer output at no input as a rate, subtracted first.
+        Raw output of the accelerometer at zero input, as a rate; subtracted first.
     learned : bool
         Whether the accelerometer's scale comes from the first still (its norm is g) and not from the instrument's data.
     centred : bool

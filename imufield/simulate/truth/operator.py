@@ -1,4 +1,4 @@
-"""A virtual person who turns the unit by hand from position to position.
+"""A virtual operator who turns the unit by hand from position to position.
 
 The motion is a chain of pieces (``pieces.py``), planned one visit ahead. Each visit draws from its own stream of random
 numbers, so what happens in a visit depends on the seed and the number of the visit only. ``stills`` and ``moves`` record what

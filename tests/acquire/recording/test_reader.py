@@ -474,11 +474,10 @@ class CountingClock:
 def test_a_paced_recording_takes_its_time(tmp_path: Path) -> None:
     times_s = [5.0, 5.5, 7.0]
     clock = CountingClock()
-    passed_s = [
-        (chunk.monotonic_s, clock.now_s - 1000.0)
-        for chunk in recorded_chunks(session_of(tmp_path, make_flow(times_s)), pace=2.0, clock=clock)
-    ]
-    assert passed_s == [(5.0, 0.0), (5.5, 0.25), (7.0, 1.0)]
+    # Each run has a clock of its own.
+    session = session_of(tmp_path, make_flow(times_s), make_flow([900.0, 901.0], size=11))
+    passed_s = [(chunk.monotonic_s, clock.now_s - 1000.0) for chunk in recorded_chunks(session, pace=2.0, clock=clock)]
+    assert passed_s == [(5.0, 0.0), (5.5, 0.25), (7.0, 1.0), (900.0, 1.0), (901.0, 1.5)]
     with refused(UsageError, Reason.USAGE) as caught:
         list(recorded_chunks(session_of(tmp_path, b""), pace=0.0))
     assert caught.value.values["pace"] == 0
@@ -489,4 +488,6 @@ def test_an_imported_dump_has_no_pace(tmp_path: Path) -> None:
     with Recorder(session.add_part(), {}, clock=CountingClock()) as recorder:
         for _ in range(3):
             recorder.write_chunk(Chunk(b"bytes", float("nan"), 0))
-    assert [chunk.data for chunk in recorded_chunks(session, pace=1.0)] == 3 * [b"bytes"]
+    clock = CountingClock()
+    assert [chunk.data for chunk in recorded_chunks(session, pace=1.0, clock=clock)] == 3 * [b"bytes"]
+    assert clock.now_s == 1000.0

@@ -1,4 +1,4 @@
-"""How long a session takes to a target: what is said before, and what guided sessions of a virtual person then take."""
+"""How long a session takes to a target: what is said before, and what guided sessions of a virtual operator then take."""
 
 from __future__ import annotations
 
