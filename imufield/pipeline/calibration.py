@@ -36,7 +36,7 @@ FEWEST_CHECKED = FEWEST_FOR_MISALIGNMENT + 1
 _NOT_CALIBRATED = "not calibrated"
 _BIAS_ONLY = "bias only"
 # Reasons for a gyroscope without a calibration that say that its data are not what they are said to be.
-_CONTRADICTED = (Reason.UNITS, Reason.HANDEDNESS)
+_CONTRADICTED = (Reason.UNITS, Reason.HANDEDNESS, Reason.NOT_CONVERGED)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

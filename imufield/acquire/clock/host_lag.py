@@ -198,12 +198,12 @@ class LossWatch:
         self.baseline = HostBaseline()
         self.lost_units = 0  # Units found missing so far; the sample clock behind them must move on by so much.
         self.units_taken_back = 0  # Units that were not missing after all; the sample clock stays as it is.
+        self.last_arrival_s = math.nan
         self.gaps = 0  # Gaps found that were not flagged before.
         self._unit_s = unit_s
         self._smallest_s = smallest_s
         self._pending: list[tuple[TimedBlock, float]] = []
         self._fault: tuple[int, int] | None = None  # Block and sample of the first fault in what is kept back.
-        self._last_arrival_s = math.nan
         self._silence_s = 0.0
         self._believed = 0  # Units found missing that an early arrival would disprove.
 
@@ -217,7 +217,7 @@ class LossWatch:
         is_in_time = self.baseline.is_surely_within(self._smallest_s, arrival_s, last_s)
         if not (is_in_time or abs(self.baseline.lag_s(arrival_s, last_s)) <= self._smallest_s):
             return False
-        self._last_arrival_s = arrival_s
+        self.last_arrival_s = arrival_s
         self.baseline.add(arrival_s, last_s)
         return True
 
@@ -228,8 +228,8 @@ class LossWatch:
         last_s = float(timed.time_s[-1])
         lag_s = self.baseline.lag_s(timed.arrival_s, last_s)
         if not self._pending:
-            self._silence_s = timed.arrival_s - self._last_arrival_s
-        self._last_arrival_s = timed.arrival_s
+            self._silence_s = timed.arrival_s - self.last_arrival_s
+        self.last_arrival_s = timed.arrival_s
         if lag_s <= self._smallest_s:
             if self._believed and lag_s < -self._smallest_s:
                 # Bytes arrive earlier than the losses found would allow, so these cannot have been: take them back.

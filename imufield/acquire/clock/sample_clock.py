@@ -18,7 +18,7 @@ import math
 
 import numpy as np
 
-from imufield.acquire.clock.clock import Arrival, Arrivals, Clock
+from imufield.acquire.clock.clock import Arrival, Arrivals, Clock, Reads
 from imufield.acquire.clock.host_lag import LossWatch, TimedBlock
 from imufield.acquire.clock.missing_samples import LEARN_FROM, StepRule
 from imufield.acquire.clock.stamp_clock import MeanStep, StampClock, Stamped, steps_between
@@ -36,6 +36,8 @@ _HALF_A_SAMPLE = 0.5
 _MEASURE_RATE_S = 0.5  # Host time over which the rate is first measured where the instrument sends neither counter nor time.
 # Part by which the stated rate of increments may differ from the learned one: coarse time stamps learn badly.
 _LARGEST_RATE_ERROR = 0.25
+# A step of a counter that puts a sample so far ahead of its arrival is none: above what waits in buffers, and drift.
+_DISPROVED_S = 2.0
 _SLEW = 0.1  # Largest part by which steps are stretched to follow the host clock.
 # Share of the first samples with another stamp than the one before: of eight with the same, the host dates each better.
 _LEAST_MOVING = 1 / 8
@@ -182,10 +184,10 @@ class SampleClock(Clock):
         """The regular step in s; 0 while not known."""
         return self._steps.step if self._has_time and not self._has_counter else self._steps.step / self._tick_rate_hz
 
-    def _time(self, block: RawBlock) -> TimedBlock:
+    def _time(self, block: RawBlock, reads: Reads) -> TimedBlock:
         """Put one block on the clock."""
         stamped = self._stamps.time(block.ticks, self._step_s) if self._has_time else None
-        return self._time_evenly(block, stamped) or self._time_with_gaps(block, stamped)
+        return self._time_evenly(block, stamped) or self._time_with_gaps(block, stamped, reads)
 
     def _time_evenly(self, block: RawBlock, stamped: Stamped | None) -> TimedBlock | None:
         """Put a block on the clock whose samples are all a regular step apart, as nearly always; None where they are not."""
@@ -238,9 +240,10 @@ class SampleClock(Clock):
             self._even = step * np.arange(1, n + 1, dtype=np.int64)
         return self._even[:n]
 
-    def _time_with_gaps(self, block: RawBlock, stamped: Stamped | None) -> TimedBlock:
+    def _time_with_gaps(self, block: RawBlock, stamped: Stamped | None, reads: Reads) -> TimedBlock:
         flags = np.zeros(len(block), dtype=np.uint32)
         ticks = self._counter_steps(block) if self._has_counter else block.lost_before + 1
+        by_silence = self._as_arrival_allows(ticks, reads) if self._has_counter and stamped is None else []
         steps = ticks.astype(np.float64)
         if stamped is not None:
             time_s = stamped.time_s
@@ -255,6 +258,7 @@ class SampleClock(Clock):
         if stamped is not None:
             self._learn_mean(stamped, steps if self._has_counter else None)
         found = self._steps.examine(steps)
+        found.inexact[by_silence] = found.irregular[by_silence]
         fault = np.zeros(len(block), dtype=np.bool_)
         if self._rule.gaps_told:
             # The samples themselves tell of the losses; how many there are is in the time.
@@ -290,6 +294,25 @@ class SampleClock(Clock):
         self._last_counter = int(block.counter[-1])
         return (steps - 1) % self._rule.counter_modulus + 1
 
+    def _as_arrival_allows(self, ticks: IntArray, reads: Reads) -> list[int]:
+        """Correct steps of a counter that arrival disproves, in place, and return their rows.
+
+        Nothing arrives before it was measured: at such a step the instrument began to count anew, or noise passed the
+        checksum. As many samples are missing as the silence before it had room for.
+        """
+        step, rows = int(self._steps.step), []
+        for row in np.flatnonzero(ticks > _DISPROVED_S * self._tick_rate_hz).tolist():
+            number = next(number for number, (end, _) in enumerate(reads) if end > row)
+            begin, before_s = reads[number - 1] if number else (0, self._watch.last_arrival_s)
+            end, arrival_s = reads[number]
+            time_s = float(self._time_of(self._ticks + ticks[: row + 1].sum()))
+            if self._watch.baseline.lag_s(arrival_s, time_s) < -_DISPROVED_S:
+                # Up to the last sample of the read, whose arrival it is; a read within usual delays was not silent before.
+                silence_s = arrival_s - before_s - (end - 1 - row) * self._step_s if row == begin else 0.0
+                ticks[row] = step * (round(silence_s / self._step_s) if silence_s > _FREE_LAG_S else 1)
+                rows.append(row)
+        return rows
+
     def _add_wraps(self, steps: FloatArray, step_s: FloatArray) -> FloatArray:
         """Return the steps of a counter with the whole wraps that the time stamps beside it show."""
         if self._stamped_step_s <= 0:
@@ -303,9 +326,9 @@ class SampleClock(Clock):
         expected = step_s / self._stamped_step_s * self._steps.step if self._stamped_step_s > 0 else 0.0
         return round((expected - self._steps.step) / self._rule.counter_modulus) > 0
 
-    def _settle(self, block: RawBlock, reads: list[tuple[int, float]]) -> list[TimedBlock]:
+    def _settle(self, block: RawBlock, reads: Reads) -> list[TimedBlock]:
         """Put a block on the clock; return what is settled now. ``reads`` has the last row and arrival of each read."""
-        timed = self._time(block)
+        timed = self._time(block, reads)
         settled: list[TimedBlock] = []
         begin = at = 0
         for end, arrival_s in reads:

@@ -34,12 +34,16 @@ def patience_s(clock: HostClock, duration_s: float) -> float:
     return duration_s * max(float(getattr(clock, "speed", 1.0)), 1.0)
 
 
+# An instrument goes on while the computer is suspended. Linux has a clock for it, that of macOS goes on by itself.
+_CLOCK = getattr(time, "CLOCK_BOOTTIME", getattr(time, "CLOCK_MONOTONIC", None))
+
+
 class SystemClock:
     """The machine's own clocks."""
 
     def monotonic_s(self) -> float:
-        """Return the monotonic clock of the system in seconds."""
-        return time.monotonic()
+        """Return the monotonic clock of the system in seconds, those included that it was suspended where it can tell."""
+        return time.monotonic() if _CLOCK is None else time.clock_gettime(_CLOCK)
 
     def utc_ns(self) -> int:
         """Return nanoseconds since 1970-01-01 UTC."""

@@ -17,6 +17,8 @@ from imufield.sentences import Sentences
 sentence = Sentences(__package__)
 
 LONGEST_FRAME = 65536
+MOST_FIELDS = 1000
+"""Of a part of a frame, each of which is read for every frame; those shipped have at most 20."""
 ANY_KEY = "any"
 """The one entry of ``[frames]`` where no byte tells kinds of frames apart."""
 _UNSIGNED = ("u8", "u16", "u24", "u32")
@@ -141,7 +143,7 @@ def _read_layouts(
     top: Table, frame: Table, form: FrameForm, parts: dict[str, tuple[Field, ...]], *, big_endian: bool
 ) -> dict[int, Layout]:
     header = max(len(form.sync), form.key_at + form.key_size, form.length.header if form.length else 0)
-    header = frame.integer("body_at", header, 256, header)
+    header = frame.integer("body_at", header, max(header, 256), header)
     if frame.has("content"):
         fields = _fields_of(frame, "content", parts)
         layout = _place(frame, "content", fields, start=header, tail=form.tail)
@@ -265,7 +267,10 @@ def _read_masks(top: Table, frame: Table, big_endian: bool) -> MasksRule | None:
 
 
 def _read_fields(table: Table, key: str, big_endian: bool) -> tuple[Field, ...]:
-    fields = tuple(_read_field(each, big_endian) for each in table.tables(key))
+    tables = list(table.tables(key))
+    if len(tables) > MOST_FIELDS:
+        raise table.error(key, sentence("frame_schema.most_fields", fields=len(tables), limit=MOST_FIELDS))
+    fields = tuple(_read_field(each, big_endian) for each in tables)
     if not fields:
         raise table.error(key, sentence("frame_schema.no_field"))
     return fields

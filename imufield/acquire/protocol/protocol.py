@@ -285,7 +285,7 @@ def _unit_of(top: Table, part: str, frame: FrameRule | None, samples: SampleRule
     unit, factor = TO_SI.get(written, ("", 0.0))
     if unit not in UNITS_OF[part]:
         known = [name for name, (si, _) in TO_SI.items() if si in UNITS_OF[part]]
-        raise table.error(part, sentence("protocol.unit", unit=written, near=near(written, TO_SI), known=known))
+        raise table.error(part, sentence("protocol.unit", unit=written, near=near(written, known), known=known))
     other = next((name for name in units if TO_SI.get(name, ("",))[0] != unit), None) if quantity.unit is None else None
     if other is not None:
         raise table.error(part, sentence("protocol.two_units", unit=written, other=other))

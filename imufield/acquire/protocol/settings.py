@@ -86,7 +86,8 @@ def _read_rule(name: str, table: Table) -> SettingRule:
         if not isinstance(default, (str, int, float, bool)):
             raise table.error("default", sentence("settings.no_default"))
         choices = cast("tuple[Value, ...]", tuple(table.items("choices", [])))
-        low, high = table.number("minimum", -LARGEST), table.number("maximum", LARGEST)
+        low = table.number("minimum", -LARGEST)
+        high = table.number("maximum", LARGEST, low=low)
         rule = SettingRule(name=name, default=default, choices=choices, minimum=low, maximum=high, help=table.text("help", ""))
     if any(type(choice) is not type(default) for choice in choices):
         raise table.error("choices", sentence("settings.mixed_choices"))

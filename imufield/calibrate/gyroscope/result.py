@@ -192,6 +192,7 @@ def joint_result(solution: JointSolution) -> GyroscopeResult:
     smallest_off = float(np.nan_to_num(np.abs(gyroscope.parameters.scale / nominal - 1.0)).min())
     off_unit = _beyond("result.off_unit", smallest_off, _COMMON_SCALE_LIMIT)
     apart = _beyond("result.apart", moves.rms_after_deg, _MOVE_ERROR_LIMIT_DEG)
+    worse = (sentence("result.worse", earlier=_earlier(solution.given)),) if is_worse(moves) else ()
     unsettled = () if fitted.solved.converged else (_unsettled(fitted.solved.message, solution.given.latitude_deg),)
     return replace(
         result,
@@ -201,7 +202,7 @@ def joint_result(solution: JointSolution) -> GyroscopeResult:
         turns=turns,
         unobservable=observability.hidden_names,
         reasons=_reasons(solution, moves, turns),
-        cautions=(*few, *coarse, *off_unit, *(linearity.sentences if linearity.matters else ())),
+        cautions=(*few, *coarse, *off_unit, *worse, *(linearity.sentences if linearity.matters else ())),
         faults=(*unsettled, *apart),
     )
 
@@ -392,11 +393,10 @@ def _reasons(solution: JointSolution, moves: MoveReport, turns: tuple[Sentence, 
     if len(moves.after_deg):
         before_deg, after_deg = moves.rms_before_deg, moves.rms_after_deg
         key = "result.angle_errors" if np.isfinite(before_deg) else "result.angle_error"
-        given = solution.given
-        earlier = sentence("result.preset" if parameters_before(given) is given.preset else "result.nominal")
+        earlier = _earlier(solution.given)
         told = sentence(key, moves=len(moves.after_deg), before_deg=before_deg, after_deg=after_deg, earlier=earlier)
-        gained = little_gained(moves, earlier)
-        sentences.append(f"{told}: {gained}" if gained else told)
+        gained = sentence("result.hardly_better", earlier=earlier)
+        sentences.append(f"{told}: {gained}" if is_hardly_better(moves) else told)
     if solution.observability.hidden:
         sentences.append(sentence("result.hidden", names=solution.observability.hidden_names))
     if solution.data.chains > 1:
@@ -410,9 +410,16 @@ def _reasons(solution: JointSolution, moves: MoveReport, turns: tuple[Sentence, 
     return tuple(sentences)
 
 
-def little_gained(report: MoveReport, earlier: str) -> Sentence | None:
-    """Return what to add where the moves agree hardly better, or worse, than with the earlier parameters, named in words."""
-    before, after = report.rms_before_deg, report.rms_after_deg
-    if not after > _HARDLY_BETTER * before:
-        return None
-    return sentence("result.worse" if after > before * _WORSE else "result.hardly_better", earlier=earlier)
+def is_worse(moves: MoveReport) -> bool:
+    """Whether the moves agree less than with the earlier parameters: a calibration is to make them better."""
+    return moves.rms_after_deg > _WORSE * moves.rms_before_deg
+
+
+def is_hardly_better(moves: MoveReport) -> bool:
+    """Whether they agree hardly better than with the earlier parameters."""
+    return moves.rms_after_deg > _HARDLY_BETTER * moves.rms_before_deg and not is_worse(moves)
+
+
+def _earlier(given: GyroscopeInput) -> Sentence:
+    """Return what the closing error before is of, in words."""
+    return sentence("result.preset" if parameters_before(given) is given.preset else "result.nominal")

@@ -182,6 +182,49 @@ def test_time_stamps_wrap_and_restart() -> None:
         assert statistics.samples_lost == 0
 
 
+COUNTED = ClockRule(counter_field="counter", counter_modulus=65536, rate_hz=100.0)
+
+
+def counted(counter: np.ndarray, arrival_s: np.ndarray, size: int) -> tuple[Samples, DecoderStatistics]:
+    """Run samples of a 16-bit counter at 100 Hz, read by ``size``; a block has two reads."""
+    blocks = []
+    for at in range(0, len(counter), 2 * size):
+        part = arrival_s[at : at + 2 * size]
+        ends = np.array(sorted({min(size, len(part)), len(part)}))
+        blocks.append((block(counter[at : at + 2 * size] % 65536), Arrivals(ends, part[ends - 1])))
+    statistics = DecoderStatistics()
+    clock = SampleClock(COUNTED, SampleUnits(), statistics)
+    done = [*(clock.push(*each) for each in blocks), clock.flush()]
+    return concatenate([samples for samples in done if samples is not None]), statistics
+
+
+@pytest.mark.parametrize("size", [1, 5, 7])
+def test_a_counter_that_begins_anew_is_a_gap_as_long_as_the_silence(size: int) -> None:
+    arrival_s = np.concatenate([np.arange(2870), np.arange(3000) + 3870]) / 100 + 50
+    samples, statistics = counted(np.concatenate([np.arange(2870), np.arange(3000)]), arrival_s, size)
+    assert statistics.samples_lost == pytest.approx(1000, abs=2 * size)
+    assert np.ptp(samples.time_s) == pytest.approx(68.69, abs=0.02 * size)
+    (gap,) = np.flatnonzero(samples.status & GAP)
+    assert gap == 2870
+    assert int(samples.status[gap] & GAP) == Status.GAP_ESTIMATED
+
+
+@pytest.mark.parametrize("size", [1, 5, 7])
+def test_counts_that_noise_has_made_invent_no_loss(size: int) -> None:
+    counter = np.arange(6000)
+    counter[[700, 2900, 2901, 4444]] += [30000, 500, 41000, 65000]
+    samples, statistics = counted(counter, np.arange(6000) / 100 + 50, size)
+    assert statistics.samples_lost == statistics.losses_estimated == 0
+    np.testing.assert_allclose(np.diff(samples.time_s), 0.01, atol=1e-9)
+
+
+def test_a_cable_that_was_out_for_longer_is_counted() -> None:
+    numbers = np.concatenate([np.arange(3000), np.arange(3000) + 20000])
+    samples, statistics = counted(numbers, numbers / 100 + 50, 5)
+    assert statistics.samples_lost == 17000
+    assert np.ptp(samples.time_s) == pytest.approx(229.99)
+
+
 def test_a_clock_set_by_gnss_is_no_loss() -> None:
     stamps = np.concatenate([np.arange(30) * 0.01, 345600 + np.arange(30) * 0.01])
     samples, statistics = run(ClockRule(time_field="time"), [(block(ticks=stamps), 0.0)])

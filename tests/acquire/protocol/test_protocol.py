@@ -151,6 +151,14 @@ def test_wrong_settings_name_what_is_allowed(given: dict[str, object], reason: R
             "protocol.triad",
             "6",
         ),
+        (
+            '{ name = "accelerometer", type = "i24"',
+            1001 * '{ name = "spare", type = "u8" }, ' + '{ name = "accelerometer", type = "i24"',
+            "accelerometer = [",
+            "parts.accelerometer",
+            "frame_schema.most_fields",
+            "1003",
+        ),
         ("[nominal]", "[nominals]", "[nominal]", "nominals", "toml.unknown", "'nominal'"),
         ("version = 1", "version = 2", "version = 1", "version", "protocol.version", "2"),
         (
@@ -190,6 +198,7 @@ def test_errors_name_line_and_key(old: str, new: str, at: str | None, key: str |
         ("stim300", "ticks_per_s = 2000", "ticks_per_s = 0", "clock.counter.ticks_per_s", "toml.range"),
         ("stim300", "ticks_per_s = 2000", "ticks_per_s = 5e-324", "clock.counter.ticks_per_s", "toml.range"),
         ("stim300", "steps = [1, 2, 4, 8, 16]", "steps = [0, -1]", "clock.counter.steps", "toml.integer"),
+        ("text", "minimum = 0.001\nmaximum = 100000.0", "minimum = 3\nmaximum = 2", "settings.rate_hz.maximum", "toml.range"),
         ("stim300", "steps = [1, 2, 4, 8, 16]", "steps = []", "clock.counter.steps", "toml.integer"),
         ("stim300", 'rate_hz = { setting = "rate_hz" }', "rate_hz = 1e-300", "clock.rate_hz", "toml.range"),
         ("stim300", 'rate_hz = { setting = "rate_hz" }', "rate_hz = nan", "clock.rate_hz", "toml.range"),

@@ -21,7 +21,8 @@ from imufield.calibrate.gyroscope.result import (
     JointSolution,
     MoveReport,
     forward,
-    little_gained,
+    is_hardly_better,
+    is_worse,
 )
 from imufield.calibrate.gyroscope.turntable import TurntableRun
 from imufield.calibrate.gyroscope.whole_turns import Stop
@@ -455,17 +456,12 @@ def test_residuals_that_no_noise_explains_are_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("before_deg", "after_deg", "said"),
-    [
-        (0.368, 0.312, "result.hardly_better"),
-        (0.025, 0.078, "result.worse"),
-        (0.097, 0.012, None),
-        (np.nan, 0.012, None),
-    ],
+    ("before_deg", "after_deg", "hardly", "worse"),
+    [(0.368, 0.312, True, False), (0.025, 0.078, False, True), (0.097, 0.012, False, False), (np.nan, 0.012, False, False)],
 )
-def test_little_gained_by_a_fit_is_said(before_deg: float, after_deg: float, said: str | None) -> None:
+def test_what_a_fit_has_gained(before_deg: float, after_deg: float, *, hardly: bool, worse: bool) -> None:
     report = MoveReport(before_deg=np.full(6, before_deg), after_deg=np.full(6, after_deg), sigma=np.ones(6))
-    assert getattr(little_gained(report, "the preset"), "key", None) == said
+    assert (is_hardly_better(report), is_worse(report)) == (hardly, worse)
 
 
 def test_scatter_that_overflows_is_a_contradiction(monkeypatch: pytest.MonkeyPatch, session: Session) -> None:
