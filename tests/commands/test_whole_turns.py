@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from tests.commands.conftest import Program
 
 BEFORE = re.compile(r"\(([+-]?\d\.\d+) deg with the earlier parameters\)")
-CLOSURE = re.compile(r"closing error ([+-]?\d\.\d+) deg")
+CLOSURE = re.compile(r"(?:stop|vertical): closing error ([+-]?\d\.\d+) deg")
 
 
 def gyroscope_path(session: Session) -> str:

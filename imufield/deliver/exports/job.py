@@ -23,12 +23,13 @@ from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.printed_numbers import to_ascii
 from imufield.errors import ParameterFileError, Reason, UsageError
 from imufield.samples import AXES, FloatArray
-from imufield.sentences import Sentences
+from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
 
 BIAS_ONLY = sentence("job.bias_only")
 _SI = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}
+_LARGEST_BIAS_DEG_S = 40.0  # Twice the tolerance of a consumer chip at zero rate (MPU-6050: 20).
 _NO_TURN_RAD = 1e-9  # A smaller turn is rounding.
 
 
@@ -122,6 +123,18 @@ class Job:
         refused = sentence("job.unit", target=self.target.name, triad=triad, unit=unit, settings=settings)
         raise ParameterFileError(refused, Reason.UNITS)
 
+    def middle_in_bias(self) -> tuple[Sentence, ...]:
+        """Return a note where the gyroscope's bias is as of the middle of a converter, which a driver may take off."""
+        gyroscope = self.parameters.calibration.gyroscope
+        if gyroscope is None or "gyroscope_nominal" not in self.target.takes:
+            return ()
+        if self.options.gyroscope_nominal is None or self.options.gyroscope_zero:
+            return ()
+        bias_deg_s = float(np.degrees(np.abs(gyroscope.parameters.bias / gyroscope.parameters.scale)).max())
+        if not bias_deg_s > _LARGEST_BIAS_DEG_S:
+            return ()
+        return (sentence("job.middle", bias_deg_s=bias_deg_s, limit=_LARGEST_BIAS_DEG_S, unit=gyroscope.raw_unit),)
+
     def gyroscope_bias_only(self, corrections: Corrections) -> Corrections:
         """Return corrections whose gyroscope has the nominal scale and no misalignment.
 
@@ -180,7 +193,7 @@ def run(export: Callable[[Job], Draft], parameters: Parameters, target: Target, 
     job = Job(parameters, target, options)
     draft = export(job)
     draft = replace(draft, losses=(*draft.losses, *cost))
-    notes = draft.notes
+    notes = (*job.middle_in_bias(), *draft.notes)
     if not job.has_gyroscope and parameters.calibration.gyroscope is not None:
         notes = (sentence("job.no_gyroscope"), *notes)
     if draft.target_model is None:

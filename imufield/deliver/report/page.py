@@ -307,9 +307,8 @@ def _figures(data: ReportData) -> Iterator[Figure]:
     if tables and data.parameters.calibration.quality.degrees_of_freedom > 0:
         up = directions(data.parameters, np.array([table["mean_raw"] for table in tables], dtype=np.float64))
         svg = plots.sphere_map(up, results.residual_m_s2, names)
-        yield Figure(
-            title="Residual on the sphere", svg=svg, caption=sentence("page.sphere"), label="Map of residuals by direction"
-        )
+        caption = sentence("page.sphere")
+        yield Figure(title="Residual on the sphere", svg=svg, caption=caption, label="Map of residuals by direction")
     if data.trace is not None:
         start, duration = (np.array([table[key] for table in tables], dtype=np.float64) for key in ("start_s", "duration_s"))
         svg = plots.stillness(data.trace, start, duration)
