@@ -67,13 +67,7 @@ def make_parameters(quadratic: FloatArray, g_sensitivity: FloatArray) -> Paramet
         covariance_names=(),
         covariance=np.zeros((0, 0)),
         gravity=Gravity(gravity_m_s2=9.81, sigma_m_s2=1e-4, source="typed"),
-        positions=PositionResult(
-            residual_m_s2=np.zeros(0),
-            leave_one_out_m_s2=np.zeros(0),
-            leverage=np.zeros(0),
-            used=np.zeros(0, dtype=np.bool_),
-            bias_drift_m_s2=np.zeros((0, 3)),
-        ),
+        positions=PositionResult.none(),
         solver=SolverSummary(method="least squares", status=1, message="", cost=0.0, evaluations=1),
         quality=Quality(
             residual_rms_m_s2=0.0,

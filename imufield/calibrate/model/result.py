@@ -131,6 +131,18 @@ class PositionResult:
     bias_drift_m_s2: FloatArray
     """Bias at this position less the calibration's, which is the mean over the positions, shape (m, 3)."""
 
+    @classmethod
+    def none(cls) -> PositionResult:
+        """Return the result of no position: of parameters that were solved from elsewhere."""
+        nothing = np.zeros(0)
+        return cls(
+            residual_m_s2=nothing,
+            leave_one_out_m_s2=nothing,
+            leverage=nothing,
+            used=np.zeros(0, dtype=np.bool_),
+            bias_drift_m_s2=np.zeros((0, 3)),
+        )
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SolverSummary:

@@ -57,14 +57,6 @@ _KEYS = {
     "gyroscope bias": "gyroscope.bias_rad_s",
     "gyroscope scale": "gyroscope.scale",
 }
-# Each session's own file has its positions.
-_NO_POSITIONS = PositionResult(
-    residual_m_s2=np.zeros(0),
-    leave_one_out_m_s2=np.zeros(0),
-    leverage=np.zeros(0),
-    used=np.zeros(0, dtype=np.bool_),
-    bias_drift_m_s2=np.zeros((0, 3)),
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,7 +200,8 @@ def _calibration(base: Calibration, joint: Joint, shared: FloatArray, reference:
         covariance=full[np.ix_(known, known)],
         budget=picked(_shares(joint, shared, J, sigma_m_s2), np.flatnonzero(known).tolist()),
         gravity=replace(gravity, sigma_m_s2=sigma_m_s2),
-        positions=_NO_POSITIONS,
+        # Each session's own file has its positions.
+        positions=PositionResult.none(),
         solver=SolverSummary(
             method="together", status=1, message=sentence("joined.solved"), cost=0.0, evaluations=len(joint.names)
         ),
