@@ -12,7 +12,7 @@ Measurement equations (docs/maths.md names them after the papers; ``T`` and ``E`
     accelerometer   s = T a,  N - raw_zero = K (s + b) + K2 s**2       element by element, "sensing" quadratic axes
                     N - raw_zero = K (T a + b) + K2 a**2               the printed form, "body" quadratic axes
                     s = T a + h(T a) in either                         with higher terms: cubic and cross terms
-    gyroscope       N = K E w + e + G a
+    gyroscope       N - raw_zero = K E w + e + G a
 
     N   raw output per sample, in the *raw unit*: what the instrument sends (count, pulse, or SI where it scales itself)
     a   specific force, m/s^2, body frame            w   angular rate, rad/s, body frame

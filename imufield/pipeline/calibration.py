@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 
+from imufield.acquire.protocol.units import nominal_scale
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
 from imufield.calibrate.accelerometer.ellipsoid_start import FEWEST_FOR_MISALIGNMENT
 from imufield.calibrate.accelerometer.methods import cross_check, solve_with
@@ -19,20 +20,22 @@ from imufield.calibrate.gyroscope.whole_turns import Stop
 from imufield.calibrate.model.grades import DEFAULT_GRADE
 from imufield.calibrate.model.models import recover_vectors, to_vector
 from imufield.calibrate.model.observations import Observations, join_observations
-from imufield.calibrate.model.result import Calibration, Gauge, ModelChoice, PositionResult, without_drift
+from imufield.calibrate.model.result import Calibration, Gauge, GyroscopeParameters, ModelChoice, PositionResult, without_drift
 from imufield.calibrate.solvers.agreement import LEAST_SQUARES
 from imufield.dataclass import dataclass, field, replace
 from imufield.deliver.parameters.clock import clock_words
+from imufield.deliver.parameters.document import gyroscope_bias_rad_s
 from imufield.deliver.parameters.file import Context, Parameters, from_document, to_document
 from imufield.earth import MILLI_G_M_S2, Gravity
 from imufield.errors import CalibrationError, Reason
-from imufield.samples import FloatArray
+from imufield.samples import FloatArray, every
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
 
 FEWEST_CHECKED = FEWEST_FOR_MISALIGNMENT + 1
 """For misalignment, too, and one that checks the others: with fewer a result is POOR, or lacks parameters."""
+_LARGEST_BIAS_DEG_S = 40.0  # Twice the tolerance of a consumer chip at zero rate (MPU-6050: 20).
 _NOT_CALIBRATED = "not calibrated"
 _BIAS_ONLY = "bias only"
 # Reasons for a gyroscope without a calibration that say that its data are not what they are said to be.
@@ -97,26 +100,26 @@ def calibrate(measured: SolveInput, settings: SolveSettings) -> Parameters:
     ParameterFileError
         If the preset is for another instrument.
     """
-    preset, grade = None, settings.grade or measured.grade
+    preset, grade, units = None, settings.grade or measured.grade, measured.observations.units
     if settings.preset is not None:
         grade = grade or settings.preset.context.instrument.stated_grade
         # In other raw units, or of another instrument, its scale would mean something else.
         settings.preset.check_instrument(measured.context.instrument.serial_number)
-        units = measured.observations.units
         settings.preset.check_unit("accelerometer", units.accelerometer_rate_unit)
         if settings.preset.gyroscope_is_complete and np.isfinite(measured.observations.gyroscope_mean_raw).any():
             settings.preset.check_unit("gyroscope", units.gyroscope_rate_unit)
         preset = settings.preset.calibration.accelerometer
     grade, grade_source = (grade, "stated") if grade else (DEFAULT_GRADE, "assumed")
     # Typed as the instrument sends it; what is solved from are rates.
-    zero = None if settings.raw_zero is None else measured.observations.units.accelerometer_rate(settings.raw_zero)
+    if settings.raw_zero is not None:
+        measured = replace(measured, raw_zero=units.accelerometer_rate(settings.raw_zero))
     calibration = calibrate_accelerometer(
         measured.observations,
         measured.gravity,
         model=settings.model,
         gauge=settings.gauge,
         preset=preset,
-        raw_zero=measured.raw_zero if zero is None else zero,
+        raw_zero=measured.raw_zero,
         grade=grade,
         seed=settings.seed,
     )
@@ -204,7 +207,8 @@ def _with_gyroscope(
         moves=cut_moves(no_slots(), observations.start_s, observations.duration_s) if moves is None else moves,
         calibration=calibration,
         latitude_deg=measured.gravity.latitude_deg,
-        preset=None if before is None else before.parameters,
+        # Solved from outputs as they are: what of the bias is the middle of a converter changes nothing there.
+        preset=None if before is None else before.parameters.about(np.zeros(3)),
         nominal_scale=measured.gyroscope_scale,
         stops=measured.stops,
         rests=0 if measured.rests is None else len(measured.rests),
@@ -236,4 +240,19 @@ def _with_gyroscope(
         quality = quality.with_reasons(check.sentence)
     if clock is not None and knows_scale:
         quality = quality.with_reasons(clock_words(clock))
-    return replace(joined, quality=quality), verdict
+    gyroscope = replace(result.calibration, parameters=_about_middle(result.calibration.parameters, measured.raw_zero))
+    bias_deg_s = float(np.degrees(np.abs(gyroscope_bias_rad_s(gyroscope)[0])).max())
+    if nominal_scale(gyroscope.raw_unit) is None and bias_deg_s > _LARGEST_BIAS_DEG_S:
+        # Converters have a power of two of values.
+        middle = 2 ** round(float(np.log2(np.abs(gyroscope.parameters.bias).max())))
+        words = sentence("calibration.middle", bias_deg_s=bias_deg_s, limit=_LARGEST_BIAS_DEG_S, middle=middle)
+        quality = quality.with_reasons(words)
+    return replace(joined, quality=quality, gyroscope=gyroscope), verdict
+
+
+def _about_middle(parameters: GyroscopeParameters, raw_zero: FloatArray | None) -> GyroscopeParameters:
+    """Return the parameters about the middle of the converter of both triads, where the bias is nearer to it than to 0."""
+    # Three different numbers are of the accelerometer's axes.
+    if raw_zero is None or np.ptp(raw_zero) or not every(np.abs(parameters.bias - raw_zero) < np.abs(parameters.bias)):
+        return parameters
+    return parameters.about(raw_zero)

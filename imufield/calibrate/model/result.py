@@ -81,7 +81,7 @@ class Intrinsic:
 
 @dataclass(frozen=True, slots=True)
 class GyroscopeParameters:
-    """N = K E w + e + G a."""
+    """N - raw_zero = K E w + e + G a."""
 
     scale: FloatArray
     """K, shape (3,), raw unit per rad/s."""
@@ -91,6 +91,7 @@ class GyroscopeParameters:
     """e, shape (3,), raw unit."""
     g_sensitivity: FloatArray
     """G, shape (3, 3), raw unit per m/s^2."""
+    raw_zero: FloatArray = field(default_factory=lambda: np.zeros(3))
 
     @classmethod
     def from_vector(cls, vector: FloatArray) -> GyroscopeParameters:
@@ -99,6 +100,10 @@ class GyroscopeParameters:
         misalignment = np.zeros((3, 3))
         misalignment[~np.eye(3, dtype=np.bool_)] = off_diagonal  # Row by row, as their names are.
         return cls(scale, misalignment, bias, sensitivity.reshape(3, 3))
+
+    def about(self, raw_zero: FloatArray) -> GyroscopeParameters:
+        """Return the same with the bias counted from another raw output at zero input, shape (3,)."""
+        return replace(self, bias=self.bias + (self.raw_zero - raw_zero), raw_zero=raw_zero)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -66,7 +66,7 @@ def _accelerometer(reference: AccelerometerParameters, session: Calibration) -> 
 
 
 def _gyroscope(reference: GyroscopeParameters, session: GyroscopeCalibration) -> _Point:
-    K, found, sigma = reference.scale, session.parameters, session.sigma
+    K, found, sigma = reference.scale, session.parameters.about(reference.raw_zero), session.sigma
     is_shown = np.isfinite(sigma.scale)
     scale = np.where(is_shown, found.scale / K - 1, np.nan)
     covariance = np.zeros((3, 2, 2))

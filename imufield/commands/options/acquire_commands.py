@@ -286,7 +286,8 @@ class ImportOptions:
     columns: Annotated[str | None, option(help="Columns of a table, e.g. time,ax,ay,az,gx,gy,gz.")] = None
     rate_hz: TableRateHz = None
     zero: Annotated[
-        str | None, option(help="Raw output at zero input, one or three numbers (default: as the file states, else 0).")
+        str | None,
+        option(help="Raw output at zero input, one number or three, of the accelerometer (default: of the file, else 0)."),
     ] = None
     model: Annotated[
         str | None,

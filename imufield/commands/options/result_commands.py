@@ -68,7 +68,7 @@ class SolveOptions:
         Path | None,
         option(help="Previous parameter file: compared with the result, and source of what this session cannot determine."),
     ] = None
-    zero: Annotated[str | None, option(help="Raw output at zero input, one or three numbers.")] = None
+    zero: Annotated[str | None, option(help="Raw output at zero input, one number or three, of the accelerometer.")] = None
     temperature: Annotated[
         list[Path] | None,
         option(

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Sequence
 
 from imufield.deliver.certificate.certificate import Certificate, conditions, identification, identity, references, statements
-from imufield.deliver.parameters.document import GYROSCOPE_EQUATION
+from imufield.deliver.parameters.document import gyroscope_equation
 from imufield.deliver.report.budget import BudgetTable, budget_tables
 from imufield.deliver.report.page import render
 from imufield.deliver.report.rows import GAUGE_WORDS
@@ -35,7 +35,7 @@ def render_certificate(certificate: Certificate, label: str) -> str:
         "budget": tables,
         "results": [*_results(tables)],
         "equation": calibration.equation,
-        "gyroscope_equation": "" if calibration.gyroscope is None else GYROSCOPE_EQUATION,
+        "gyroscope_equation": "" if calibration.gyroscope is None else gyroscope_equation(calibration.gyroscope.parameters),
         "frame": f"{GAUGE_WORDS[calibration.gauge]} (gauge {calibration.gauge})",
         "conditions": [*conditions(certificate)],
         "statements": statements(certificate)[1:],

@@ -7,6 +7,7 @@ import re
 import numpy as np
 
 from imufield.calibrate.model.models import predict, predict_gyroscope
+from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters
 from imufield.calibrate.model.temperature_polynomials import HIGHEST_ORDER, Polynomials
 from imufield.deliver.exports.job import Draft, Job, sentence
 from imufield.deliver.exports.text import number, text_file
@@ -55,15 +56,15 @@ def _temperatures(job: Job, name: str) -> list[str]:
     """Return a constant for each triad that is known over temperature: NAME_accelerometer_temperature, and the gyroscope's."""
     calibration, lines = job.parameters.calibration, []
     gyroscope = calibration.gyroscope if job.has_gyroscope else None
-    zero = {"accelerometer": calibration.accelerometer.raw_zero, "gyroscope": np.zeros(3)}
-    scales = {"accelerometer": calibration.accelerometer.scale}
+    triads: dict[str, AccelerometerParameters | GyroscopeParameters] = {"accelerometer": calibration.accelerometer}
     models = {"accelerometer": calibration.accelerometer_temperature}
     if gyroscope is not None:
-        scales["gyroscope"], models["gyroscope"] = gyroscope.parameters.scale, gyroscope.temperature
+        triads["gyroscope"], models["gyroscope"] = gyroscope.parameters, gyroscope.temperature
     for triad, model in models.items():
         if model is None:
             continue
-        rows = {"bias": _padded(model.bias) * scales[triad], "scale": _padded(model.scale), "raw_zero": zero[triad]}
+        own = triads[triad]
+        rows = {"bias": _padded(model.bias) * own.scale, "scale": _padded(model.scale), "raw_zero": own.raw_zero}
         lines += [
             f"/* imufield_at_reference(&{name}_{triad}_temperature, degc, raw, raw) comes first. */",
             f"static const imufield_temperature {name}_{triad}_temperature = {{",

@@ -43,7 +43,7 @@ Frame = Literal["file", "lower", "upper", "symmetric", "sensor"]
 # What an export computes with, by triad.
 _NEEDED = {
     "accelerometer": ("scale", "bias_m_s2", "misalignment_rad", "quadratic", "raw_zero"),
-    "gyroscope": ("scale", "misalignment_rad", "bias", "g_sensitivity"),
+    "gyroscope": ("scale", "misalignment_rad", "bias", "g_sensitivity", "raw_zero"),
 }
 
 
@@ -152,7 +152,7 @@ def linear_corrections(calibration: Calibration, frame: Frame = "file") -> Corre
     gyroscope, g_sensitivity = None, np.zeros((3, 3))
     rates = _usable_gyroscope(calibration)
     if rates is not None:
-        gyroscope = Correction(correction_matrix(rates.scale, rates.misalignment_rad), rates.bias)
+        gyroscope = Correction(correction_matrix(rates.scale, rates.misalignment_rad), rates.raw_zero + rates.bias)
         g_sensitivity = rates.g_sensitivity
     matrix = correction_matrix(accelerometer.scale, accelerometer.misalignment_rad)
     corrections = Corrections(Correction(matrix, offset), gyroscope, g_sensitivity, rotation=np.eye(3))

@@ -23,13 +23,12 @@ from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.printed_numbers import to_ascii
 from imufield.errors import ParameterFileError, Reason, UsageError
 from imufield.samples import AXES, FloatArray
-from imufield.sentences import Sentence, Sentences
+from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
 
 BIAS_ONLY = sentence("job.bias_only")
 _SI = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}
-_LARGEST_BIAS_DEG_S = 40.0  # Twice the tolerance of a consumer chip at zero rate (MPU-6050: 20).
 _NO_TURN_RAD = 1e-9  # A smaller turn is rounding.
 
 
@@ -85,22 +84,23 @@ class Job:
             If the raw unit is one that only the maker of the driver can turn into SI.
         """
         scale, zero = self.accelerometer_si()
-        accelerometer = corrections.accelerometer.of_scaled(scale, zero)
-        if corrections.gyroscope is None:
+        accelerometer, own = corrections.accelerometer.of_scaled(scale, zero), self.parameters.calibration.gyroscope
+        if corrections.gyroscope is None or own is None:
             return replace(corrections, accelerometer=accelerometer)
         scale = self.si_scale("gyroscope")
+        gyroscope = corrections.gyroscope.of_scaled(scale, own.parameters.raw_zero * self._is_count("gyroscope"))
         return replace(
-            corrections,
-            accelerometer=accelerometer,
-            gyroscope=corrections.gyroscope.of_scaled(scale, np.full(3, self.options.gyroscope_zero)),
-            g_sensitivity=corrections.g_sensitivity / scale,
+            corrections, accelerometer=accelerometer, gyroscope=gyroscope, g_sensitivity=corrections.g_sensitivity / scale
         )
 
     def accelerometer_si(self) -> tuple[float, FloatArray]:
         """Return scale and zero by which the target's driver makes m/s^2: (N - zero) / scale; raises as ``in_si``."""
-        # A driver that turns counts into SI takes the mid-scale off; what comes in SI already is taken as it comes.
-        is_count = self.options.accelerometer_nominal is not None
-        return self.si_scale("accelerometer"), self.parameters.calibration.accelerometer.raw_zero * is_count
+        raw_zero = self.parameters.calibration.accelerometer.raw_zero
+        return self.si_scale("accelerometer"), raw_zero * self._is_count("accelerometer")
+
+    def _is_count(self, triad: str) -> bool:
+        """Whether the target's driver turns counts into SI and takes the mid-scale off; what comes in SI is taken as it is."""
+        return getattr(self.options, f"{triad}_nominal") is not None
 
     def si_scale(self, triad: str) -> float:
         """Return the scale by which the target's driver makes SI of a triad that there is; raises as ``in_si``."""
@@ -122,18 +122,6 @@ class Job:
         unit = units[triad]
         refused = sentence("job.unit", target=self.target.name, triad=triad, unit=unit, settings=settings)
         raise ParameterFileError(refused, Reason.UNITS)
-
-    def middle_in_bias(self) -> tuple[Sentence, ...]:
-        """Return a note where the gyroscope's bias is as of the middle of a converter, which a driver may take off."""
-        gyroscope = self.parameters.calibration.gyroscope
-        if gyroscope is None or "gyroscope_nominal" not in self.target.takes:
-            return ()
-        if self.options.gyroscope_nominal is None or self.options.gyroscope_zero:
-            return ()
-        bias_deg_s = float(np.degrees(np.abs(gyroscope.parameters.bias / gyroscope.parameters.scale)).max())
-        if not bias_deg_s > _LARGEST_BIAS_DEG_S:
-            return ()
-        return (sentence("job.middle", bias_deg_s=bias_deg_s, limit=_LARGEST_BIAS_DEG_S, unit=gyroscope.raw_unit),)
 
     def gyroscope_bias_only(self, corrections: Corrections) -> Corrections:
         """Return corrections whose gyroscope has the nominal scale and no misalignment.
@@ -193,7 +181,7 @@ def run(export: Callable[[Job], Draft], parameters: Parameters, target: Target, 
     job = Job(parameters, target, options)
     draft = export(job)
     draft = replace(draft, losses=(*draft.losses, *cost))
-    notes = (*job.middle_in_bias(), *draft.notes)
+    notes = draft.notes
     if not job.has_gyroscope and parameters.calibration.gyroscope is not None:
         notes = (sentence("job.no_gyroscope"), *notes)
     if draft.target_model is None:

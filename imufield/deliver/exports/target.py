@@ -47,8 +47,6 @@ class ExportOptions:
     """Raw unit per m/s^2 by which the target's driver divides before it corrects; needed where counts go to an SI target."""
     gyroscope_nominal: float | None = None
     """Raw unit per rad/s, likewise."""
-    gyroscope_zero: float = 0.0
-    """Raw output that the driver takes off first; the accelerometer's is ``raw_zero`` of the parameter file."""
     instance: int = 0
     """Number of the sensor in a flight controller that has several, from 0."""
     accelerometer_id: int | None = None

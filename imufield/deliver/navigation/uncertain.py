@@ -37,7 +37,8 @@ class DrawnParameters:
         errors = np.zeros((len(self.vector), 6))
         errors[:, :3] = recovered - force
         if self.calibration.gyroscope is not None and self.gyroscope:
-            drawn, raw = self.gyroscope, predict_gyroscope(self.calibration.gyroscope.parameters, rate, force)
+            drawn, own = self.gyroscope, self.calibration.gyroscope.parameters
+            raw = predict_gyroscope(own, rate, force) - own.raw_zero
             unbiased = raw - drawn["bias"] - np.einsum("mij,mj->mi", drawn["g_sensitivity"], recovered)
             matrix = np.eye(3) + drawn["misalignment_rad"]
             errors[:, 3:] = np.linalg.solve(matrix, (unbiased / drawn["scale"])[:, :, None])[:, :, 0] - rate

@@ -74,13 +74,14 @@ def correct_gyroscope(
     """
     raw = three_columns(raw, "gyroscope")
     inverse = correction_matrix(parameters.scale, parameters.misalignment_rad)
+    offset = parameters.raw_zero + parameters.bias
     if not np.any(parameters.g_sensitivity):
-        return _affine(inverse, parameters.bias, raw, out=out)
+        return _affine(inverse, offset, raw, out=out)
     if specific_force is None:
         raise ParameterFileError(sentence("apply.no_force"), Reason.USAGE)
     # One force for many rates is allowed: an instrument at rest.
     force = np.broadcast_to(three_columns(specific_force, "specific force"), raw.shape)
-    return _affine(inverse, parameters.bias, raw, (inverse @ parameters.g_sensitivity, force), out=out)
+    return _affine(inverse, offset, raw, (inverse @ parameters.g_sensitivity, force), out=out)
 
 
 def correct_both(accelerometer: AccelerometerParameters, gyroscope: GyroscopeParameters, raw: FloatArray) -> FloatArray:
@@ -99,7 +100,8 @@ def correct_both(accelerometer: AccelerometerParameters, gyroscope: GyroscopePar
     force = correction_matrix(accelerometer.scale, accelerometer.misalignment_rad)
     rate = correction_matrix(gyroscope.scale, gyroscope.misalignment_rad)
     matrix = np.block([[force, np.zeros((3, 3))], [-rate @ gyroscope.g_sensitivity @ force, rate]])
-    offset = np.concatenate([accelerometer.raw_zero + accelerometer.scale * accelerometer.bias_m_s2, gyroscope.bias])
+    zeroes = accelerometer.scale * accelerometer.bias_m_s2, gyroscope.bias
+    offset = np.concatenate([accelerometer.raw_zero, gyroscope.raw_zero]) + np.concatenate(zeroes)
     _affine(matrix, offset, raw, out=corrected)
     # NaN of a sample that was lost is data, and no reason for a warning.
     with np.errstate(invalid="ignore"):

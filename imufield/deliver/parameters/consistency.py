@@ -19,7 +19,7 @@ from imufield.calibrate.model.gauge import constraint_jacobian, intrinsic, make_
 from imufield.calibrate.model.models import to_vector
 from imufield.calibrate.model.result import GRAVITY_NAME, Calibration, GyroscopeCalibration
 from imufield.deliver.parameters.apply import correct_accelerometer
-from imufield.deliver.parameters.document import GYROSCOPE_EQUATION, calibration_from_document, gyroscope_bias_rad_s
+from imufield.deliver.parameters.document import calibration_from_document, gyroscope_bias_rad_s, gyroscope_equation
 from imufield.deliver.parameters.schema import Document
 from imufield.deliver.parameters.temperature_tables import temperature_contradictions
 from imufield.errors import CalibrationError
@@ -144,8 +144,8 @@ def _intrinsic(calibration: Calibration) -> Iterator[str]:
 
 
 def _gyroscope(gyroscope: GyroscopeCalibration, table: Document, gauge: str) -> Iterator[str]:
-    if table["equation"] != GYROSCOPE_EQUATION:
-        yield sentence("consistency.gyroscope_equation", stated=table["equation"], wanted=GYROSCOPE_EQUATION)
+    if table["equation"] != (wanted := gyroscope_equation(gyroscope.parameters)):
+        yield sentence("consistency.gyroscope_equation", stated=table["equation"], wanted=wanted)
     if table["gauge"] != gauge:
         yield sentence("consistency.gyroscope_gauge", stated=table["gauge"], gauge=gauge)
     follows = gyroscope_bias_rad_s(gyroscope)[0]

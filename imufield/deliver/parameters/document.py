@@ -48,7 +48,7 @@ from imufield.samples import FloatArray
 FORMAT = "imufield-parameters"
 VERSION = VERSION_WITH_TEMPERATURE
 VERSION_WITHOUT_TEMPERATURE = 1
-GYROSCOPE_EQUATION = "N = K E w + e + G a"
+GYROSCOPE_EQUATION, ZEROED_GYROSCOPE_EQUATION = "N = K E w + e + G a", "N - raw_zero = K E w + e + G a"
 
 _ACCELEROMETER_VECTORS = ("scale", "bias_m_s2", "misalignment_rad", "quadratic")
 _SOLVER = ("method", "seed", "status", "message", "cost", "evaluations")
@@ -59,7 +59,7 @@ def _names(kind: type, *without: str) -> tuple[str, ...]:
     return tuple(field.name for field in fields(kind) if field.name not in without)
 
 
-_GYROSCOPE_ARRAYS = _names(GyroscopeParameters)
+_GYROSCOPE_ARRAYS = _names(GyroscopeParameters, "raw_zero")
 _INTRINSIC = _names(Intrinsic)
 _HIGHER = _names(HigherTerms)
 _NOISE = _names(Noise, "source")
@@ -186,8 +186,10 @@ def _gyroscope_table(gyroscope: GyroscopeCalibration, gauge: str, clock: ClockFa
         by_clock = gyroscope.parameters.scale * clock.sigma
         uncertainty["scale_absolute"] = np.hypot(gyroscope.sigma.scale, by_clock).tolist()
     return {
-        "equation": GYROSCOPE_EQUATION,
+        "equation": gyroscope_equation(gyroscope.parameters),
         "raw_unit": gyroscope.raw_unit,
+        # Absent without one: an earlier program reads such a file.
+        **(_lists(gyroscope.parameters, ("raw_zero",)) if np.any(gyroscope.parameters.raw_zero) else {}),
         "gauge": gauge,
         "path": gyroscope.path,
         "range_rad_s": gyroscope.range_rad_s.tolist(),
@@ -195,6 +197,11 @@ def _gyroscope_table(gyroscope: GyroscopeCalibration, gauge: str, clock: ClockFa
         "bias_rad_s": bias_rad_s.tolist(),
         "uncertainty": uncertainty,
     }
+
+
+def gyroscope_equation(parameters: GyroscopeParameters) -> str:
+    """Return the equation of a gyroscope, with ``raw_zero`` where it has one."""
+    return ZEROED_GYROSCOPE_EQUATION if np.any(parameters.raw_zero) else GYROSCOPE_EQUATION
 
 
 def noise_table(noise: Noise) -> Document:
@@ -291,7 +298,9 @@ def calibration_from_document(document: Document) -> Calibration:
         gyroscope=None
         if gyroscope is None
         else GyroscopeCalibration(
-            parameters=GyroscopeParameters(**_arrays(gyroscope, _GYROSCOPE_ARRAYS)),
+            parameters=GyroscopeParameters(
+                **_arrays(gyroscope, _GYROSCOPE_ARRAYS), raw_zero=_array(gyroscope.get("raw_zero", [0.0] * 3))
+            ),
             sigma=GyroscopeParameters(**_arrays(gyroscope["uncertainty"], _GYROSCOPE_ARRAYS)),
             path=gyroscope["path"],
             raw_unit=gyroscope["raw_unit"],

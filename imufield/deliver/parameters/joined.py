@@ -235,7 +235,7 @@ def _gyroscope(base: GyroscopeCalibration | None, vector: FloatArray, sigma: Flo
     if base is None or not len(vector):
         return None
     parameters, own = GyroscopeParameters.from_vector(vector), GyroscopeParameters.from_vector(sigma)
-    return replace(base, parameters=parameters, sigma=own)
+    return replace(base, parameters=replace(parameters, raw_zero=base.parameters.raw_zero), sigma=own)
 
 
 def _quality(joined: JoinedFrom, joint: Joint, warnings: Sequence[str], notes: Sequence[str]) -> Quality:

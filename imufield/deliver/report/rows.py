@@ -9,7 +9,7 @@ import numpy as np
 
 from imufield.acquire.protocol.units import nominal_scale
 from imufield.calibrate.model.result import Calibration, GyroscopeCalibration
-from imufield.dataclass import dataclass
+from imufield.dataclass import dataclass, replace
 from imufield.deliver.parameters.document import gyroscope_bias_rad_s
 from imufield.deliver.parameters.printed_numbers import DEG_PER_HOUR_RAD_S, decimals, with_sigma
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2
@@ -129,6 +129,8 @@ def quantities(calibration: Calibration, preset: Calibration | None = None) -> I
 
 def _gyroscope(gyroscope: GyroscopeCalibration, preset: GyroscopeCalibration | None) -> Iterator[Quantity]:
     p, sigma, triad = gyroscope.parameters, gyroscope.sigma, "Gyroscope"
+    # Before and after are compared about the same raw output.
+    preset = None if preset is None else replace(preset, parameters=preset.parameters.about(p.raw_zero))
     sources = (p, sigma, None if preset is None else preset.parameters)
     if np.isfinite(p.scale).all():
         bias, bias_sigma = gyroscope_bias_rad_s(gyroscope)

@@ -217,7 +217,11 @@ def test_raw_output_at_a_temperature_becomes_that_of_the_reference() -> None:
         raw_zero=np.array([5.0, -3.0, 2.0]),
     )
     gyroscope = GyroscopeParameters(
-        np.array([2.0, 2.1, -1.9]), np.zeros((3, 3)), rng.normal(size=3), 1e-3 * rng.normal(size=(3, 3))
+        np.array([2.0, 2.1, -1.9]),
+        np.zeros((3, 3)),
+        rng.normal(size=3),
+        1e-3 * rng.normal(size=(3, 3)),
+        np.array([4.0, 2.0, -3.0]),
     )
     model = TriadTemperature(
         reference_degc=20.0,
@@ -234,7 +238,7 @@ def test_raw_output_at_a_temperature_becomes_that_of_the_reference() -> None:
         back = model.to_reference(raw, at, scale=accelerometer.scale, raw_zero=accelerometer.raw_zero)
         np.testing.assert_allclose(back, predict(accelerometer, force), atol=1e-12)
         turned = predict_gyroscope(at_temperature(gyroscope, model, same_as), rate, force)
-        back = model.to_reference(turned, at, scale=gyroscope.scale)
+        back = model.to_reference(turned, at, scale=gyroscope.scale, raw_zero=gyroscope.raw_zero)
         np.testing.assert_allclose(back, predict_gyroscope(gyroscope, rate, force), atol=1e-12)
     np.testing.assert_array_equal(model.is_outside(np.array([-21.0, 0.0, 61.0, np.nan])), [True, False, True, False])
     assert unchanging().at(np.zeros(2)).tolist() == [[0.0] * 3] * 2

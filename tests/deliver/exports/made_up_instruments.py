@@ -70,6 +70,7 @@ def made_up(
         off_diagonal(rng, angle_rad),
         scale[1] * rng.normal(scale=1e-3, size=3),
         scale[1] * g_sensitivity * rng.normal(size=(3, 3)),
+        np.full(3, raw_zero),
     )
     return loaded(accelerometer, rates if gyroscope else None, gauge, units, context)
 

@@ -59,16 +59,6 @@ def test_gyroscope_without_scale_is_left_out_and_said(target: str) -> None:
     assert "job.no_gyroscope" in keys(exported.notes)
 
 
-@pytest.mark.parametrize(("middle", "zero"), [(0.0, 0.0), (2048.0, 0.0), (2048.0, 2048.0)])
-def test_a_bias_as_of_the_middle_of_a_converter_is_told(middle: float, zero: float) -> None:
-    made = made_up(3, units=("count", "count"), scale=(100.0, 1000.0)).calibration
-    assert made.gyroscope is not None
-    gyroscope = replace(made.gyroscope.parameters, bias=made.gyroscope.parameters.bias + middle)
-    options = ExportOptions(accelerometer_nominal=100.0, gyroscope_nominal=1000.0, gyroscope_zero=zero)
-    exported = export_parameters(loaded(made.accelerometer, gyroscope, "lower", ("count", "count")), "px4", options)
-    assert ("job.middle" in keys(exported.notes)) == (middle > zero)
-
-
 @pytest.mark.parametrize("target", TARGETS)
 @pytest.mark.parametrize("name", ["scale", "bias_m_s2", "misalignment_rad", "quadratic", "raw_zero"])
 def test_nan_is_refused(target: str, name: str) -> None:

@@ -151,7 +151,7 @@ def test_g_and_degrees_become_si(target: str) -> None:
 def test_counts_with_the_scale_of_the_driver(target: str) -> None:
     unit, zero = (1670.7, 7509.9), 32768.0
     parameters = made_up(12, units=("count", "count"), scale=unit, raw_zero=zero, g_sensitivity=1e-4 * (target in WITH_G))
-    options = ExportOptions(accelerometer_nominal=unit[0], gyroscope_nominal=unit[1], gyroscope_zero=500.0)
+    options = ExportOptions(accelerometer_nominal=unit[0], gyroscope_nominal=unit[1])
     files = dict(export_parameters(parameters, target, options).files)
     acc, gyr = samples(13)
     a = parameters.apply_accelerometer(acc * unit[0] + zero)
@@ -159,7 +159,7 @@ def test_counts_with_the_scale_of_the_driver(target: str) -> None:
     R = nearest_rotation(a, their_a) if target in TURNED else np.eye(3)
     close(their_a, a @ R.T)
     if their_w is not None:
-        close(their_w, parameters.apply_gyroscope(gyr * unit[1] + 500.0, a) @ R.T)
+        close(their_w, parameters.apply_gyroscope(gyr * unit[1] + zero, a) @ R.T)
 
 
 @pytest.mark.parametrize("target", sorted(RAW_UNITS_KEPT))

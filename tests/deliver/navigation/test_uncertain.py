@@ -45,6 +45,17 @@ def test_every_gyroscope_name_reaches_its_parameter() -> None:
         assert moved.tolist() == [axis == {"y": "y", "zx": "z", "xz": "x", "x": "x"}[name.rpartition(".")[2]] for axis in "xyz"]
 
 
+def test_the_middle_of_a_converter_changes_no_error() -> None:
+    calibration = perfect(1e-3, 1e-6)
+    gyroscope = calibration.gyroscope
+    assert gyroscope is not None
+    counted = replace(
+        calibration, gyroscope=replace(gyroscope, parameters=replace(gyroscope.parameters, raw_zero=np.full(3, 8.0)))
+    )
+    plain, about = (draw_parameters(each, 5, np.random.default_rng(6)).errors(FORCE, RATE) for each in (calibration, counted))
+    np.testing.assert_allclose(about, plain, atol=1e-14)
+
+
 def test_triads_left_out_stay_as_they_are() -> None:
     drawn = draw_parameters(perfect(1e-3, 1e-6), 5, np.random.default_rng(5), triads=("gyroscope",))
     errors = drawn.errors(FORCE, RATE)

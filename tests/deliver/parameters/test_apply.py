@@ -31,6 +31,7 @@ FULL_GYROSCOPE = GyroscopeParameters(
     misalignment_rad=np.array([[0, -0.0097, -0.0106], [-0.0056, 0, 0.0322], [-0.0162, 0.0241, 0]]),
     bias=np.array([12.0, -3.5, 7.25]),
     g_sensitivity=np.array([[0.104, 0.293, 0.645], [-1.305, 0.029, 0.818], [-0.697, -0.807, 0.215]]),
+    raw_zero=np.array([2048.0, 2040.0, 2050.0]),
 )
 
 
@@ -46,7 +47,7 @@ def raw_accelerometer(p: AccelerometerParameters, force: np.ndarray) -> np.ndarr
 
 def raw_gyroscope(p: GyroscopeParameters, rate: np.ndarray, force: np.ndarray) -> np.ndarray:
     turned = rate @ (np.eye(3) + p.misalignment_rad).T
-    return p.scale * turned + p.bias + force @ p.g_sensitivity.T
+    return p.raw_zero + p.scale * turned + p.bias + force @ p.g_sensitivity.T
 
 
 @pytest.mark.parametrize("axes", ["sensing", "body"])

@@ -223,6 +223,23 @@ def test_a_change_on_purpose_is_taken_and_remembered(file: Path) -> None:
     assert loaded.calibration.gravity.height_m == 521.0
 
 
+def test_a_gyroscope_about_the_middle_of_a_converter(
+    calibration: Calibration, observations: Observations, context: Context, tmp_path: Path
+) -> None:
+    gyroscope = calibration.gyroscope
+    assert gyroscope is not None
+    counted = replace(calibration, gyroscope=replace(gyroscope, parameters=gyroscope.parameters.about(np.full(3, -0.5))))
+    path = tmp_path / "counted.toml"
+    write_parameters(path, counted, observations, context)
+    assert_same(load(path).calibration, counted)
+    raw = np.random.default_rng(1).normal(size=(9, 6))
+    plain = from_document(to_document(calibration, observations, context))
+    assert "raw_zero" not in plain.document["gyroscope"]
+    np.testing.assert_allclose(load(path).apply(raw), plain.apply(raw), atol=1e-14)
+    edit(path, 'equation = "N - raw_zero = K E w', 'equation = "N = K E w')
+    assert refusal(path).values["key"].startswith("gyroscope.equation")
+
+
 def test_a_byte_order_mark_of_an_editor_is_no_damage(file: Path) -> None:
     file.write_bytes(b"\xef\xbb\xbf" + file.read_bytes())
     assert not load(file).edited
