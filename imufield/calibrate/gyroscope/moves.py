@@ -71,6 +71,8 @@ INTERRUPTED_S = 1.0
 """A hole as long is no loss on the wire: the session was broken off and resumed, or the cable was out."""
 _LOST_INTERVALS = 1.5  # Between one interval, however unsteady the clock, and the two of a lost sample.
 _PLATEAU = 4  # Equal values in a row at the largest or smallest output of the session that make it a saturated axis.
+# As long at least: the peak of a turn by hand stays in one code for some ms, and an axis clipped for less loses 0.005 deg.
+_PLATEAU_S = 0.02
 _COMPACT_AT = 1_000_000  # Slots before quiet stretches are joined: 83 minutes, 170 MB.
 _JOINED_AT_ONCE = 16  # Parts of slots that are joined at once: as much as stays in the cache.
 _SLOT_MARGIN = 1e-6  # Of a slot, or s: rounding may put a time just below the edge it stands on.
@@ -359,12 +361,13 @@ class MoveCollector:
     def _plateau(self, N: FloatArray, starts: IntArray) -> FloatArray:
         """Return the largest output (of shape (3, n + 1)) in each slot that was repeated often enough, NaN elsewhere."""
         equal = N[:, 1:] == N[:, :-1]
+        repeated = max(_PLATEAU, _PLATEAU_S / (self.interval_s or 1.0)) - 1
         result = np.full((len(starts), 3), np.nan)
         for axis in np.flatnonzero(equal.any(axis=1)):
             place = np.arange(1, equal.shape[1] + 1)
             last_change = np.maximum.accumulate(np.where(equal[axis], 0, place))
             run = place - last_change + np.where(last_change == 0, self._flat[axis], 0)
-            result[:, axis] = np.fmax.reduceat(np.where(run >= _PLATEAU - 1, N[axis, 1:], np.nan), starts)
+            result[:, axis] = np.fmax.reduceat(np.where(run >= repeated, N[axis, 1:], np.nan), starts)
             self._flat[axis] = run[-1]
         self._flat[~equal[:, -1]] = 0
         return result
