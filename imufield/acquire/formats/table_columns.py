@@ -261,6 +261,24 @@ def refuse_coarse_times(path: Path, time: FloatArray) -> None:
         raise UsageError(sentence("table_columns.same_times", path=str(path), share=share, limit=_MOST_EQUAL))
 
 
+def spread_times(time: FloatArray) -> FloatArray:
+    """Return times that rise, shape (n,), for rows that share the time of a clock with coarse ticks, or are there twice.
+
+    The rows of a tick are a mean step apart, in its middle: from tick to tick, too, each step is within half a mean one, and
+    none looks like a loss.
+    """
+    first = np.flatnonzero(np.diff(time, prepend=-np.inf))
+    rows = np.diff(first, append=len(time))
+    if len(first) < 2:
+        return time
+    ticks = np.diff(time[first])
+    # Behind the last tick nothing is known, and a pause is none.
+    tick = np.minimum(np.append(ticks, np.inf), median(ticks))
+    step = np.minimum(tick.sum() / len(time), tick / rows)
+    begin = time[first] + (tick - (rows - 1) * step) / 2
+    return np.repeat(begin, rows) + (np.arange(len(time)) - np.repeat(first, rows)) * np.repeat(step, rows)
+
+
 def _check_rate(path: Path, step_s: float, rate_hz: float | None) -> None:
     if rate_hz is not None and abs(step_s * rate_hz - 1.0) > _RATE_TOLERANCE:
         found_hz = 1.0 / step_s if step_s > 0.0 else 0.0

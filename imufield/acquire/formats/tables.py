@@ -25,6 +25,7 @@ from imufield.acquire.formats.table_columns import (
     choose_unit,
     given_time_unit,
     refuse_coarse_times,
+    spread_times,
 )
 from imufield.acquire.formats.table_file import File, file_of, files_of, is_empty, meaning_of, open_source
 from imufield.acquire.formats.table_join import join
@@ -158,9 +159,20 @@ def read_tables(
     _check_values([file.path for file in files], {name for file in files for name in file.fields})
     for file in files:
         refuse_coarse_times(file.path, file.fields.get(TIME, np.empty(0)))
-    table = _table(files, rate_hz, zero, settings)
+    table = _table([_with_spread_times(file) for file in files], rate_hz, zero, settings)
     faults = _no_positions(table.rows[:, 1:4], str(table.settings["accelerometer_unit"]))
     return replace(table, assumptions=(*table.assumptions, *faults))
+
+
+def _with_spread_times(file: File) -> File:
+    """Return a file in which no row has the time of the row before."""
+    time = file.fields.get(TIME, np.empty(0))
+    repeated = int(np.count_nonzero(np.diff(time) == 0))
+    if not repeated:
+        return file
+    words = sentence("tables.spread", name=file.name, rows=repeated, of=len(time))
+    fields = {**file.fields, TIME: spread_times(time)}
+    return replace(file, fields=fields, assumptions=(*file.assumptions, words))
 
 
 def stream_table(path: str | Path, *, rate_hz: float | None = None) -> Iterator[ImportedTable]:

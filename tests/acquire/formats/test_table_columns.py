@@ -41,6 +41,33 @@ def test_a_clock_too_coarse_for_its_samples_is_refused(tmp_path: Path, round_to:
     assert len(read_tables([path]).rows) == 500
 
 
+@pytest.mark.parametrize("ticks_per_sample", [1.07, 1.6, 2.0, 2.45, 4.3])
+def test_rows_of_one_tick_are_spread_and_losses_stay_where_they_are(tmp_path: Path, ticks_per_sample: float) -> None:
+    true_s = np.delete(1e-2 * np.arange(4000), [*range(1000, 1040), *range(3000, 3009)])
+    tick_s = 1e-2 * ticks_per_sample
+    stamps_s = np.floor(true_s / tick_s + 1e-9) * tick_s
+    path = write(tmp_path, text_of(stamps_s, np.full((len(true_s), 3), 5.7)))
+    table = read_tables([path])
+    time_s = table.rows[:, 0]
+    (found,) = told(table.assumptions, "tables.spread")
+    assert (found.values["rows"], found.values["of"]) == (np.count_nonzero(np.diff(stamps_s) == 0), len(true_s))
+    assert np.all((time_s > stamps_s) & (time_s < stamps_s + tick_s))
+    # Half a step from a step is where a loss would begin. How much of a tick is lost nobody knows, nor of the first and last.
+    lost, within = np.rint(np.diff(time_s) / 1e-2) - 1, int(np.ceil(ticks_per_sample))
+    around = [slice(row - within, row + within) for row in (999, 2959)]
+    assert [abs(lost[rows].sum() - size) <= 1 for rows, size in zip(around, (40, 9), strict=True)] == [True, True]
+    for rows in (*around, slice(within), slice(-within, None)):
+        lost[rows] = 0
+    assert not lost.any()
+
+
+def test_rows_that_are_there_twice_are_spread(tmp_path: Path) -> None:
+    true_s = 1e-2 * np.arange(500)
+    twice_s = np.sort(np.concatenate([true_s, true_s[::100]]))
+    time_s = read_tables([write(tmp_path, text_of(twice_s, np.full((505, 3), 5.7)))]).rows[:, 0]
+    assert 0.49e-2 < np.diff(time_s).min() < np.diff(time_s).max() < 1.5e-2
+
+
 def test_a_stated_unit_of_time_that_no_instrument_has_is_told(tmp_path: Path) -> None:
     path = write(tmp_path, text_of(TIME, ACCELEROMETER))
     assert "table_columns.implausible" in keys(read_tables([path], settings={"time_unit": "us"}).assumptions)
