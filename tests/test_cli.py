@@ -52,11 +52,20 @@ def test_help_of_set_names_a_setting_of_the_command(command: str, setting: str) 
     assert f"e.g. {setting}" in told
 
 
-@pytest.mark.parametrize("line", ["plan --latitude 48,1", "replay x --speed 48,1", "solve x --gravity 48,1+-0.1"])
-def test_a_number_that_is_none_is_quoted(line: str) -> None:
+@pytest.mark.parametrize(
+    ("line", "text", "key"),
+    [
+        ("plan --latitude 48,1", "48,1", "shared.no_number"),
+        ("replay x --speed 48,1", "48,1", "shared.no_number"),
+        ("solve x --gravity 48,1+-0.1", "48,1", "shared.no_number"),
+        ("solve x --seed 1.5", "1.5", "shared.no_whole_number"),
+        ("capture --baud 9600x", "9600x", "shared.no_whole_number"),
+    ],
+)
+def test_a_number_that_is_none_is_quoted(line: str, text: str, key: str) -> None:
     ended = imufield(*line.split())
     told = re.sub(r"[│\s]+", " ", ended.stderr)
-    assert (ended.returncode, Sentences("imufield.commands.options")("shared.no_number", text="48,1") in told) == (2, True)
+    assert (ended.returncode, Sentences("imufield.commands.options")(key, text=text) in told) == (2, True)
 
 
 def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:

@@ -124,6 +124,14 @@ def read_number(text: object) -> float:
         raise UnfitValueError(sentence("shared.no_number", text=text)) from error
 
 
+def read_whole_number(text: object) -> int:
+    """Return the whole number that a text is; raises ``UnfitValueError``."""
+    try:
+        return int(str(text))
+    except ValueError as error:
+        raise UnfitValueError(sentence("shared.no_whole_number", text=text)) from error
+
+
 class TypedNumber(float):
     """A number that remembers the digits it was typed with, 9.810 says more than 9.81, and the sigma in 9.81+-0.0001."""
 
