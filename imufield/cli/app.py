@@ -12,7 +12,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from imufield.cli.command import Command, Parameter, find_command, parameters
 from imufield.cli.table import COMMANDS, NAMES
-from imufield.commands.options.shared import UnfitValueError, read_number, read_whole_number
+from imufield.commands.options.shared import UnfitValueError, read_number
 from imufield.dataclass import MISSING
 from imufield.sentences import Sentences, printable_lines
 from imufield.version import __version__
@@ -131,10 +131,10 @@ def _parameter(of: Parameter) -> inspect.Parameter:
     if option.check is not None:
         more["callback"] = _saying_why(option.check)
     kind = get_args(of.annotation)[0]
-    for number, read in ((float, read_number), (int, read_whole_number)):
+    for number in (float, int):
         if number in (kind, *get_args(kind)):
             # What typer says of a word that is none names neither the word nor the remedy.
-            more = {"parser": read, "metavar": f"<{number.__name__}>", **more}
+            more = {"parser": partial(read_number, kind=number), "metavar": f"<{number.__name__}>", **more}
     if callable(parser := more.get("parser")):
         more["parser"] = _saying_why(parser)
     # What typer knows of them is checked by it.

@@ -29,6 +29,7 @@ from imufield.acquire.recording.session import LOCK_FILE, SETTINGS_FILE, Session
 from imufield.acquire.recording.session_record import SettingRecord
 from imufield.acquire.registry import load_driver
 from imufield.commands.options.acquire_commands import ImportOptions
+from imufield.commands.options.configuration import parse_zero
 from imufield.commands.terminal.output import echo, say_each
 from imufield.dataclass import replace
 from imufield.deliver.parameters.printed_numbers import beside
@@ -137,7 +138,7 @@ def _import_tables(options: ImportOptions) -> tuple[Session, list[str]]:
             options.files,
             columns=options.columns,
             rate_hz=options.rate_hz,
-            zero=options.zero,
+            zero=parse_zero(options.zero),
             settings=options.settings,
             topic=options.topic,
         )

@@ -317,7 +317,8 @@ def _nominal(task: _Task) -> Apply | None:
         return None
     # As for the accelerometer: only the parameters know how the axes are wired.
     signed = np.abs(scale) * np.sign(gyroscope.parameters.scale)
-    plain = GyroscopeParameters(signed, np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3)))
+    none = np.zeros((3, 3))
+    plain = GyroscopeParameters(signed, none, np.zeros(3), none, raw_zero=gyroscope.parameters.raw_zero)
 
     def apply(samples: Samples) -> Corrected:
         force = correct_accelerometer(accelerometer, samples.accelerometer_rate())

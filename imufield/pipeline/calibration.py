@@ -20,7 +20,7 @@ from imufield.calibrate.gyroscope.whole_turns import Stop
 from imufield.calibrate.model.grades import DEFAULT_GRADE
 from imufield.calibrate.model.models import recover_vectors, to_vector
 from imufield.calibrate.model.observations import Observations, join_observations
-from imufield.calibrate.model.result import Calibration, Gauge, GyroscopeParameters, ModelChoice, PositionResult, without_drift
+from imufield.calibrate.model.result import Calibration, Gauge, ModelChoice, PositionResult, without_drift
 from imufield.calibrate.solvers.agreement import LEAST_SQUARES
 from imufield.dataclass import dataclass, field, replace
 from imufield.deliver.parameters.clock import clock_words
@@ -28,7 +28,7 @@ from imufield.deliver.parameters.document import gyroscope_bias_rad_s
 from imufield.deliver.parameters.file import Context, Parameters, from_document, to_document
 from imufield.earth import MILLI_G_M_S2, Gravity
 from imufield.errors import CalibrationError, Reason
-from imufield.samples import FloatArray, every
+from imufield.samples import FloatArray, SampleUnits, every
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -100,7 +100,8 @@ def calibrate(measured: SolveInput, settings: SolveSettings) -> Parameters:
     ParameterFileError
         If the preset is for another instrument.
     """
-    preset, grade, units = None, settings.grade or measured.grade, measured.observations.units
+    preset, grade = None, settings.grade or measured.grade
+    units = measured.observations.units
     if settings.preset is not None:
         grade = grade or settings.preset.context.instrument.stated_grade
         # In other raw units, or of another instrument, its scale would mean something else.
@@ -111,15 +112,14 @@ def calibrate(measured: SolveInput, settings: SolveSettings) -> Parameters:
         preset = settings.preset.calibration.accelerometer
     grade, grade_source = (grade, "stated") if grade else (DEFAULT_GRADE, "assumed")
     # Typed as the instrument sends it; what is solved from are rates.
-    if settings.raw_zero is not None:
-        measured = replace(measured, raw_zero=units.accelerometer_rate(settings.raw_zero))
+    zero = None if settings.raw_zero is None else units.accelerometer_rate(settings.raw_zero)
     calibration = calibrate_accelerometer(
         measured.observations,
         measured.gravity,
         model=settings.model,
         gauge=settings.gauge,
         preset=preset,
-        raw_zero=measured.raw_zero,
+        raw_zero=measured.raw_zero if zero is None else zero,
         grade=grade,
         seed=settings.seed,
     )
@@ -207,7 +207,7 @@ def _with_gyroscope(
         moves=cut_moves(no_slots(), observations.start_s, observations.duration_s) if moves is None else moves,
         calibration=calibration,
         latitude_deg=measured.gravity.latitude_deg,
-        # Solved from outputs as they are: what of the bias is the middle of a converter changes nothing there.
+        # The fit counts the bias from raw output 0; the raw zero is separated from it afterwards.
         preset=None if before is None else before.parameters.about(np.zeros(3)),
         nominal_scale=measured.gyroscope_scale,
         stops=measured.stops,
@@ -240,19 +240,21 @@ def _with_gyroscope(
         quality = quality.with_reasons(check.sentence)
     if clock is not None and knows_scale:
         quality = quality.with_reasons(clock_words(clock))
-    gyroscope = replace(result.calibration, parameters=_about_middle(result.calibration.parameters, measured.raw_zero))
+    return _with_raw_zero(replace(joined, quality=quality), observations.units), verdict
+
+
+def _with_raw_zero(calibration: Calibration, units: SampleUnits) -> Calibration:
+    """Return a calibration whose gyroscope has the accelerometer's raw zero where its bias is nearer to it than to 0."""
+    gyroscope, raw_zero = calibration.gyroscope, calibration.accelerometer.raw_zero
+    if gyroscope is None:
+        return calibration
+    bias = gyroscope.parameters.bias
+    # Different numbers are of the accelerometer's axes alone; increments and rates do not come from one converter.
+    is_common = not np.ptp(raw_zero) and units.accelerometer_is_increment == units.gyroscope_is_increment
+    if is_common and every(np.abs(bias - raw_zero) < np.abs(bias)):
+        gyroscope = replace(gyroscope, parameters=gyroscope.parameters.about(raw_zero))
     bias_deg_s = float(np.degrees(np.abs(gyroscope_bias_rad_s(gyroscope)[0])).max())
-    if nominal_scale(gyroscope.raw_unit) is None and bias_deg_s > _LARGEST_BIAS_DEG_S:
-        # Converters have a power of two of values.
-        middle = 2 ** round(float(np.log2(np.abs(gyroscope.parameters.bias).max())))
-        words = sentence("calibration.middle", bias_deg_s=bias_deg_s, limit=_LARGEST_BIAS_DEG_S, middle=middle)
-        quality = quality.with_reasons(words)
-    return replace(joined, quality=quality, gyroscope=gyroscope), verdict
-
-
-def _about_middle(parameters: GyroscopeParameters, raw_zero: FloatArray | None) -> GyroscopeParameters:
-    """Return the parameters about the middle of the converter of both triads, where the bias is nearer to it than to 0."""
-    # Three different numbers are of the accelerometer's axes.
-    if raw_zero is None or np.ptp(raw_zero) or not every(np.abs(parameters.bias - raw_zero) < np.abs(parameters.bias)):
-        return parameters
-    return parameters.about(raw_zero)
+    quality = calibration.quality
+    if nominal_scale(gyroscope.raw_unit) is None and bias_deg_s > _LARGEST_BIAS_DEG_S and not np.any(raw_zero):
+        quality = quality.with_reasons(sentence("calibration.raw_zero", bias_deg_s=bias_deg_s, limit=_LARGEST_BIAS_DEG_S))
+    return replace(calibration, gyroscope=gyroscope, quality=quality)

@@ -271,11 +271,13 @@ def _by_sensors(points: SessionPoints, base: Parameters, triad: str, sessions: S
 
 
 def _windows(base: Parameters, triad: str, means: RampMeans) -> RampWindows:
-    """Return a ramp's means over the scale at the reference."""
+    """Return a ramp's means, less the raw zero, over the scale at the reference."""
     force = _specific_force(base, means.accelerometer)
     output = force + base.calibration.accelerometer.bias_m_s2
-    if triad == "gyroscope" and base.calibration.gyroscope is not None:
-        output, force = means.gyroscope / base.calibration.gyroscope.parameters.scale, np.zeros_like(force)
+    gyroscope = base.calibration.gyroscope
+    if triad == "gyroscope" and gyroscope is not None:
+        rates = gyroscope.parameters
+        output, force = (means.gyroscope - rates.raw_zero) / rates.scale, np.zeros_like(force)
     return RampWindows(time_s=means.time_s, temperature_degc=means.temperature_degc, output=output, specific_force_m_s2=force)
 
 

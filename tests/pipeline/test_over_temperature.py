@@ -13,13 +13,13 @@ import pytest
 from imufield.acquire.recording.session import Session
 from imufield.calibrate.model.budget import combined_sigma
 from imufield.calibrate.model.coverage_factors import student_factor
-from imufield.calibrate.model.models import at_temperature, predict
+from imufield.calibrate.model.models import at_temperature, predict, predict_gyroscope
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeCalibration, GyroscopeParameters
 from imufield.calibrate.model.temperature_polynomials import Polynomials, TriadTemperature
 from imufield.cli.run import run
 from imufield.deliver.parameters.context import Context, InstrumentFacts, SessionFacts
-from imufield.deliver.parameters.file import Parameters, load, write_document
+from imufield.deliver.parameters.file import Parameters, from_document, load, to_document, write_document
 from imufield.deliver.report.budget import not_in_budget
 from imufield.deliver.report.data import ReportData
 from imufield.deliver.report.over_temperature import temperature_curves
@@ -65,18 +65,11 @@ def outputs(force: np.ndarray, of_axes_degc: np.ndarray) -> np.ndarray:
     return np.column_stack([*of_axes])
 
 
-def solved(
-    temperature_degc: float,
-    *,
-    gauge: str = "lower",
-    serial_number: str = "A1",
-    gravity: Gravity = GRAVITY,
-    sensor_offset_degc: tuple[float, ...] = (),
-) -> Parameters:
+def observed(temperature_degc: float, sensor_offset_degc: tuple[float, ...] = ()) -> Observations:
     rng, up = np.random.default_rng(int(temperature_degc) + 50), scheme("paper24").directions()
     m = len(up)
     output = outputs(GRAVITY.gravity_m_s2 * up, temperature_degc + np.array((*sensor_offset_degc, 0, 0, 0)[:3]))
-    observations = Observations(
+    return Observations(
         name=tuple(position.name for position in scheme("paper24").positions),
         mean_raw=output + NOISE_M_S2 * rng.normal(size=output.shape),
         covariance_raw=np.broadcast_to(NOISE_M_S2**2 * np.eye(3), (m, 3, 3)),
@@ -88,6 +81,17 @@ def solved(
         temperature_degc=np.full(m, temperature_degc),
         units=SampleUnits(),
     )
+
+
+def solved(
+    temperature_degc: float,
+    *,
+    gauge: str = "lower",
+    serial_number: str = "A1",
+    gravity: Gravity = GRAVITY,
+    sensor_offset_degc: tuple[float, ...] = (),
+) -> Parameters:
+    observations = observed(temperature_degc, sensor_offset_degc)
     context = Context(
         instrument=InstrumentFacts(serial_number=serial_number),
         session=SessionFacts(
@@ -249,6 +253,31 @@ def test_ramps_without_gyroscope_leave_it_at_one_temperature(sessions: tuple[Par
     )
     reasons = with_temperature(base, [], [ramp()]).calibration.quality.reasons
     assert "temperature.gyroscope_unknown" in keys(reasons)
+
+
+def test_the_raw_zero_of_a_gyroscope_has_no_temperature(sessions: tuple[Parameters, ...]) -> None:
+    none = np.zeros((3, 3))
+    truth = GyroscopeParameters(np.full(3, 4000.0), none, np.array([10.0, -5.0, 3.0]), none, raw_zero=np.full(3, 32768.0))
+    bias = Polynomials(np.array([[1e-5, -2e-5, 1.5e-5]]), np.zeros((3, 1, 1)))
+    model = replace(OVER_TEMPERATURE, bias=bias, scale=Polynomials(np.full((1, 3), 1e-5), np.zeros((3, 1, 1))))
+    sigma = GyroscopeParameters(np.full(3, 0.04), none, np.full(3, 0.02), none)
+    own = [
+        GyroscopeCalibration(parameters=at_temperature(truth, model, degc), sigma=sigma, path="made up", raw_unit="count")
+        for degc in (-18.0, 20.0, 55.0)
+    ]
+    # A session that was solved before the raw zero was known says the same.
+    own[0] = replace(own[0], parameters=own[0].parameters.about(np.zeros(3)))
+    known = [
+        from_document(to_document(replace(each.calibration, gyroscope=of_it), observed(degc), each.context))
+        for degc, each, of_it in zip((-18.0, 20.0, 55.0), sessions, own, strict=True)
+    ]
+    means, rng = ramp(), np.random.default_rng(6)
+    rates = [predict_gyroscope(at_temperature(truth, model, degc), np.zeros((1, 3)))[0] for degc in means.temperature_degc]
+    means = replace(means, gyroscope=np.array(rates) + 0.01 * rng.normal(size=(len(rates), 3)))
+    found = with_temperature(known[1], known, [means]).temperature_models[1]
+    d_degc = np.array([-38.0, 35.0])
+    np.testing.assert_allclose(found.bias.at(d_degc), bias.at(d_degc), atol=2e-5)
+    np.testing.assert_allclose(found.scale.at(d_degc), model.scale.at(d_degc), atol=3e-5)
 
 
 def test_sessions_that_mean_something_else_are_refused(sessions: tuple[Parameters, ...]) -> None:

@@ -64,7 +64,7 @@ def solved(samples: Samples, tmp_path: Path, imufield_replay: Callable[..., Repl
 @pytest.mark.parametrize(
     ("per_s", "zero"), [(1.0, None), (RATE_HZ, None), (RATE_HZ, str(MIDDLE))], ids=["rates", "increments", "typed"]
 )
-def test_a_middle_is_that_of_one_sample(per_s: float, zero: str | None, of_gyroscope: float, solved: Solved) -> None:
+def test_a_raw_zero_is_that_of_one_sample(per_s: float, zero: str | None, of_gyroscope: float, solved: Solved) -> None:
     found = solved((MIDDLE, of_gyroscope), MIDDLE, per_s, zero).calibration
     # Raw rates: counts a second of increments, whose middle is that of a sample over its time.
     np.testing.assert_allclose(found.accelerometer.raw_zero, MIDDLE * per_s)
@@ -73,11 +73,11 @@ def test_a_middle_is_that_of_one_sample(per_s: float, zero: str | None, of_gyros
     assert found.gyroscope is not None
     np.testing.assert_allclose(found.gyroscope.parameters.raw_zero, of_gyroscope * per_s)
     np.testing.assert_allclose(gyroscope_bias_rad_s(found.gyroscope)[0], BIAS_RAD_S, atol=1e-3)
-    assert "calibration.middle" not in keys(found.quality.reasons)
+    assert "calibration.raw_zero" not in keys(found.quality.reasons)
 
 
 @pytest.mark.parametrize(("stated", "zero"), [(0.0, None), (MIDDLE, "32768,32768,32769")])
-def test_what_is_no_middle_of_both_triads_stays_in_the_gyroscopes_bias(
+def test_a_raw_zero_that_is_not_of_both_triads_stays_in_the_gyroscopes_bias(
     stated: float, zero: str | None, solved: Solved, samples: Samples
 ) -> None:
     found = solved((stated, MIDDLE), stated, zero=zero)
@@ -85,7 +85,8 @@ def test_what_is_no_middle_of_both_triads_stays_in_the_gyroscopes_bias(
     assert gyroscope is not None
     assert not gyroscope.parameters.raw_zero.any()
     np.testing.assert_allclose(gyroscope.parameters.bias, MIDDLE + BIAS_RAD_S * COUNTS_PER_RAD_S, atol=5)
-    assert "calibration.middle" in keys(found.calibration.quality.reasons)
+    # What the accelerometer has is not to be replaced by the gyroscope's.
+    assert ("calibration.raw_zero" in keys(found.calibration.quality.reasons)) == (zero is None)
     raw = np.column_stack([samples.accelerometer * COUNTS_PER_M_S2 + stated, samples.gyroscope * COUNTS_PER_RAD_S + MIDDLE])
     about = gyroscope.parameters.about(np.full(3, MIDDLE))
     same = replace(found, calibration=replace(found.calibration, gyroscope=replace(gyroscope, parameters=about)))

@@ -262,21 +262,20 @@ def refuse_coarse_times(path: Path, time: FloatArray) -> None:
 
 
 def spread_times(time: FloatArray) -> FloatArray:
-    """Return times that rise, shape (n,), for rows that share the time of a clock with coarse ticks, or are there twice.
+    """Return rising times, shape (n,), for times that never fall, of a clock with coarse ticks or of rows that are there twice.
 
-    The rows of a tick are a mean step apart, in its middle: from tick to tick, too, each step is within half a mean one, and
-    none looks like a loss.
+    Rows of one time are spread about the middle of their tick, a mean step apart. No step between two ticks is then longer
+    than 1.5 mean steps, which would count as a loss.
     """
     first = np.flatnonzero(np.diff(time, prepend=-np.inf))
     rows = np.diff(first, append=len(time))
-    if len(first) < 2:
-        return time
-    ticks = np.diff(time[first])
-    # Behind the last tick nothing is known, and a pause is none.
-    tick = np.minimum(np.append(ticks, np.inf), median(ticks))
+    between = np.diff(time[first])
+    # The last tick has no end, and a pause is longer than a tick: both count as the median.
+    tick = np.minimum(np.append(between, np.inf), median(between))
     step = np.minimum(tick.sum() / len(time), tick / rows)
-    begin = time[first] + (tick - (rows - 1) * step) / 2
-    return np.repeat(begin, rows) + (np.arange(len(time)) - np.repeat(first, rows)) * np.repeat(step, rows)
+    first_time = time[first] + (tick - (rows - 1) * step) / 2
+    rising: FloatArray = np.repeat(first_time, rows) + (np.arange(len(time)) - np.repeat(first, rows)) * np.repeat(step, rows)
+    return rising
 
 
 def _check_rate(path: Path, step_s: float, rate_hz: float | None) -> None:

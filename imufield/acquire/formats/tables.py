@@ -115,7 +115,7 @@ def read_tables(
     *,
     columns: str | None = None,
     rate_hz: float | None = None,
-    zero: str | float | Sequence[float] | None = None,
+    zero: Sequence[float] | None = None,
     settings: Mapping[str, object] | None = None,
     topic: str | None = None,
 ) -> ImportedTable:
@@ -129,8 +129,8 @@ def read_tables(
         Names of the columns, e.g. ``time,ax,ay,az,gx,gy,gz,temperature``; ``-`` skips one, ``;`` parts files.
     rate_hz : float, optional
         Needed where there is no time column; otherwise decides the unit of time where that is open.
-    zero : str, float or three floats, optional
-        Mid-scale of the accelerometer, raw unit. Not taken off.
+    zero : three floats, optional
+        Raw zero, raw unit; by default that of the file, else 0. Not subtracted.
     settings : mapping, optional
         ``accelerometer_unit``, ``gyroscope_unit`` and ``time_unit`` where the user knows better.
     topic : str, optional
@@ -157,16 +157,15 @@ def read_tables(
         meaning = meaning_of(source, names, number, len(paths))
         files += files_of(source, meaning, source.read(meaning.places))
     _check_values([file.path for file in files], {name for file in files for name in file.fields})
-    for file in files:
-        refuse_coarse_times(file.path, file.fields.get(TIME, np.empty(0)))
     table = _table([_with_spread_times(file) for file in files], rate_hz, zero, settings)
     faults = _no_positions(table.rows[:, 1:4], str(table.settings["accelerometer_unit"]))
     return replace(table, assumptions=(*table.assumptions, *faults))
 
 
 def _with_spread_times(file: File) -> File:
-    """Return a file in which no row has the time of the row before."""
+    """Return a file in which no row has the time of the row before; raises as ``refuse_coarse_times``."""
     time = file.fields.get(TIME, np.empty(0))
+    refuse_coarse_times(file.path, time)
     repeated = int(np.count_nonzero(np.diff(time) == 0))
     if not repeated:
         return file
@@ -261,7 +260,7 @@ def _late_units(late: Mapping[str, FloatArray], stated: Mapping[str, str]) -> di
 def _table(
     files: Sequence[File],
     rate_hz: float | None,
-    zero: str | float | Sequence[float] | None = None,
+    zero: Sequence[float] | None = None,
     settings: Mapping[str, object] | None = None,
 ) -> ImportedTable:
     """Join files and bring them to known units."""
@@ -285,8 +284,7 @@ def _table(
     if rate_hz is not None:
         found["rate_hz"] = float(rate_hz)
     # The user knows better than the file.
-    stated_zero = next((file.raw_zero for file in files if file.raw_zero is not None), None)
-    raw_zero = stated_zero if zero is None and stated_zero is not None else _parse_zero(zero)
+    x, y, z = zero or next((file.raw_zero for file in files if file.raw_zero is not None), (0.0, 0.0, 0.0))
     status = joined[STATUS].astype(np.uint32) if STATUS in joined else None
     if status is not None:
         found["status"] = "true"
@@ -298,7 +296,7 @@ def _table(
     return ImportedTable(
         rows=rows,
         settings=found,
-        raw_zero=raw_zero,
+        raw_zero=(x, y, z),
         assumptions=tuple(said),
         guessed=guessed,
         status=status,
@@ -354,21 +352,6 @@ def write_rows(
 def rows_of(samples: Samples) -> FloatArray:
     """Return samples as rows, shape (n, 8)."""
     return np.column_stack([samples.time_s, samples.accelerometer, samples.gyroscope, samples.temperature_degc])
-
-
-def _parse_zero(zero: str | float | Sequence[float] | None) -> tuple[float, float, float]:
-    """Read a mid-scale: one number for all axes, or three."""
-    if zero is None:
-        return (0.0, 0.0, 0.0)
-    try:
-        numbers = [float(part) for part in zero.split(",")] if isinstance(zero, str) else np.ravel(zero).astype(float).tolist()
-    except ValueError:
-        numbers = []
-    if len(numbers) == 1:
-        numbers *= 3
-    if len(numbers) != 3 or not np.all(np.isfinite(numbers)):
-        raise UsageError(sentence("tables.zero", zero=zero))
-    return (numbers[0], numbers[1], numbers[2])
 
 
 def _check_values(paths: Sequence[Path], fields: Collection[str]) -> None:

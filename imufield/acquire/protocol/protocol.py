@@ -60,7 +60,7 @@ class Nominal:
     gyroscope_scale: float | None
     """Raw unit per rad/s (per rad where it sends increments)."""
     raw_zero: FloatArray
-    """Raw accelerometer output at no input, shape (3,)."""
+    """Raw zero of the accelerometer, and of a gyroscope behind the same converter, shape (3,)."""
     accelerometer_range_m_s2: float | None
     gyroscope_range_rad_s: float | None
     rate_hz: float | None

@@ -261,7 +261,7 @@ def _through_higher(
 def predict_gyroscope(parameters: GyroscopeParameters, rate: FloatArray, a: FloatArray | None = None) -> FloatArray:
     """Return raw outputs N = K E w + e + G a + raw_zero for rates in rad/s (and specific forces in m/s^2), shape (..., 3)."""
     turned = rate + rate @ parameters.misalignment_rad.T
-    output: FloatArray = parameters.scale * turned + (parameters.raw_zero + parameters.bias)
+    output: FloatArray = parameters.scale * turned + parameters.offset
     return output if a is None else output + a @ parameters.g_sensitivity.T
 
 

@@ -57,9 +57,15 @@ class AccelerometerParameters:
     quadratic: FloatArray = field(default_factory=lambda: np.zeros(3))
     """K2, shape (3,), raw unit per (m/s^2)^2."""
     raw_zero: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """Raw output that counts as zero, shape (3,), raw unit; per second for increments."""
     quadratic_axes: QuadraticAxes = "sensing"
     higher: HigherTerms | None = None
     """h; None where there are none."""
+
+    @property
+    def offset(self) -> FloatArray:
+        """Raw output at zero input, shape (3,)."""
+        return self.raw_zero + self.scale * self.bias_m_s2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,6 +98,12 @@ class GyroscopeParameters:
     g_sensitivity: FloatArray
     """G, shape (3, 3), raw unit per m/s^2."""
     raw_zero: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """As the accelerometer's."""
+
+    @property
+    def offset(self) -> FloatArray:
+        """Raw output at zero input, shape (3,)."""
+        return self.raw_zero + self.bias
 
     @classmethod
     def from_vector(cls, vector: FloatArray) -> GyroscopeParameters:
@@ -102,7 +114,7 @@ class GyroscopeParameters:
         return cls(scale, misalignment, bias, sensitivity.reshape(3, 3))
 
     def about(self, raw_zero: FloatArray) -> GyroscopeParameters:
-        """Return the same with the bias counted from another raw output at zero input, shape (3,)."""
+        """Return the same with another raw zero, shape (3,): the bias changes by the difference."""
         return replace(self, bias=self.bias + (self.raw_zero - raw_zero), raw_zero=raw_zero)
 
 

@@ -178,7 +178,7 @@ class TriadTemperature:
         return np.asarray(np.einsum("p,apq,q->a", V, between, W))
 
     def to_reference(
-        self, raw: FloatArray, temperature_degc: FloatArray, *, scale: FloatArray, raw_zero: FloatArray | float = 0.0
+        self, raw: FloatArray, temperature_degc: FloatArray, *, scale: FloatArray, raw_zero: FloatArray | float
     ) -> FloatArray:
         """Return N(0) for raw outputs N, both of shape (n, 3), at temperatures of shape (n,), or (n, 3) of the axes.
 

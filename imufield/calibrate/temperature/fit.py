@@ -100,7 +100,7 @@ class RampBlocks:
     temperature_degc: FloatArray
     """Shape (n,)."""
     output: FloatArray
-    """Raw output over the scale at the reference, m/s^2 or rad/s, shape (n, 3)."""
+    """Raw output less the raw zero, over the scale at the reference, m/s^2 or rad/s, shape (n, 3)."""
     sigma: FloatArray
     """Of ``output``, shape (n, 3)."""
     direction: FloatArray

@@ -53,7 +53,7 @@ class RampWindows:
     temperature_degc: FloatArray
     """Shape (n,)."""
     output: FloatArray
-    """Raw output over the scale at the reference, m/s^2 or rad/s, shape (n, 3)."""
+    """Raw output less the raw zero, over the scale at the reference, m/s^2 or rad/s, shape (n, 3)."""
     specific_force_m_s2: FloatArray
     """Along the sensing axes, shape (n, 3); zeros for a gyroscope."""
 

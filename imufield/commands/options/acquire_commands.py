@@ -16,6 +16,7 @@ from imufield.commands.options.shared import (
     Plain,
     Port,
     PortOrBusOptions,
+    RawZero,
     SessionFolder,
     Settings,
     SignalMap,
@@ -285,10 +286,7 @@ class ImportOptions:
     settings: Settings = field(default_factory=dict)
     columns: Annotated[str | None, option(help="Columns of a table, e.g. time,ax,ay,az,gx,gy,gz.")] = None
     rate_hz: TableRateHz = None
-    zero: Annotated[
-        str | None,
-        option(help="Raw output at zero input, one number or three, of the accelerometer (default: of the file, else 0)."),
-    ] = None
+    zero: RawZero = None
     model: Annotated[
         str | None,
         option(help="Model of the instrument, for history with --serial (default: the name of the first file)."),

@@ -12,6 +12,7 @@ from imufield.commands.options.shared import (
     MethodSettings,
     NewestSession,
     PlaceOptions,
+    RawZero,
     Scheduler,
     TableRateHz,
     Workers,
@@ -68,7 +69,7 @@ class SolveOptions:
         Path | None,
         option(help="Previous parameter file: compared with the result, and source of what this session cannot determine."),
     ] = None
-    zero: Annotated[str | None, option(help="Raw output at zero input, one number or three, of the accelerometer.")] = None
+    zero: RawZero = None
     temperature: Annotated[
         list[Path] | None,
         option(

@@ -116,20 +116,13 @@ def _within(low: float, high: float) -> Callable[[Any], Any]:
     return check
 
 
-def read_number(text: object) -> float:
-    """Return the number that a text is; raises ``UnfitValueError``."""
+def read_number(text: object, kind: type[float] = float) -> float:
+    """Return the number that a text is, of another kind a whole one; raises ``UnfitValueError``."""
     try:
-        return float(str(text))
+        return kind(str(text))
     except ValueError as error:
-        raise UnfitValueError(sentence("shared.no_number", text=text)) from error
-
-
-def read_whole_number(text: object) -> int:
-    """Return the whole number that a text is; raises ``UnfitValueError``."""
-    try:
-        return int(str(text))
-    except ValueError as error:
-        raise UnfitValueError(sentence("shared.no_whole_number", text=text)) from error
+        key = "shared.no_number" if kind is float else "shared.no_whole_number"
+        raise UnfitValueError(sentence(key, text=text)) from error
 
 
 class TypedNumber(float):
@@ -229,6 +222,9 @@ TargetScalePpm = Annotated[
         help="Accuracy wanted for the scale factors, 1 sigma, ppm; gravity must be known better than that.",
         within=TARGET_RANGE,
     ),
+]
+RawZero = Annotated[
+    str | None, option("--zero", help="Raw zero: one number for both triads, or three for the accelerometer's axes.")
 ]
 AsJson = Annotated[bool, option("--json", help="JSON on standard output and nothing else.")]
 EventsAsJson = Annotated[bool, option("--json", help="Events as JSON lines on standard output.")]

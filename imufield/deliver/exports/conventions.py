@@ -148,20 +148,19 @@ def linear_corrections(calibration: Calibration, frame: Frame = "file") -> Corre
     """
     require_usable(calibration)
     accelerometer = linearised(calibration.accelerometer, calibration.gravity.gravity_m_s2)
-    offset = accelerometer.raw_zero + accelerometer.scale * accelerometer.bias_m_s2
     gyroscope, g_sensitivity = None, np.zeros((3, 3))
     rates = _usable_gyroscope(calibration)
     if rates is not None:
-        gyroscope = Correction(correction_matrix(rates.scale, rates.misalignment_rad), rates.raw_zero + rates.bias)
+        gyroscope = Correction(correction_matrix(rates.scale, rates.misalignment_rad), rates.offset)
         g_sensitivity = rates.g_sensitivity
     matrix = correction_matrix(accelerometer.scale, accelerometer.misalignment_rad)
-    corrections = Corrections(Correction(matrix, offset), gyroscope, g_sensitivity, rotation=np.eye(3))
+    corrections = Corrections(Correction(matrix, accelerometer.offset), gyroscope, g_sensitivity, rotation=np.eye(3))
     if frame == "file":
         return corrections
     turned = corrections.turned(rotation_to(calibration.accelerometer, frame))
     # The gauge makes these entries zero; what rounding leaves of them would be refused or read as a misalignment.
     shape = {"lower": np.tril, "upper": np.triu}.get(frame, np.asarray)
-    return replace(turned, accelerometer=Correction(shape(turned.accelerometer.matrix), offset))
+    return replace(turned, accelerometer=Correction(shape(turned.accelerometer.matrix), accelerometer.offset))
 
 
 def diagonal_corrections(calibration: Calibration) -> Corrections:

@@ -84,11 +84,12 @@ class Job:
             If the raw unit is one that only the maker of the driver can turn into SI.
         """
         scale, zero = self.accelerometer_si()
-        accelerometer, own = corrections.accelerometer.of_scaled(scale, zero), self.parameters.calibration.gyroscope
+        accelerometer = corrections.accelerometer.of_scaled(scale, zero)
+        own = self.parameters.calibration.gyroscope
         if corrections.gyroscope is None or own is None:
             return replace(corrections, accelerometer=accelerometer)
         scale = self.si_scale("gyroscope")
-        gyroscope = corrections.gyroscope.of_scaled(scale, own.parameters.raw_zero * self._is_count("gyroscope"))
+        gyroscope = corrections.gyroscope.of_scaled(scale, self._driver_zero("gyroscope", own.parameters.raw_zero))
         return replace(
             corrections, accelerometer=accelerometer, gyroscope=gyroscope, g_sensitivity=corrections.g_sensitivity / scale
         )
@@ -96,11 +97,11 @@ class Job:
     def accelerometer_si(self) -> tuple[float, FloatArray]:
         """Return scale and zero by which the target's driver makes m/s^2: (N - zero) / scale; raises as ``in_si``."""
         raw_zero = self.parameters.calibration.accelerometer.raw_zero
-        return self.si_scale("accelerometer"), raw_zero * self._is_count("accelerometer")
+        return self.si_scale("accelerometer"), self._driver_zero("accelerometer", raw_zero)
 
-    def _is_count(self, triad: str) -> bool:
-        """Whether the target's driver turns counts into SI and takes the mid-scale off; what comes in SI is taken as it is."""
-        return getattr(self.options, f"{triad}_nominal") is not None
+    def _driver_zero(self, triad: str, raw_zero: FloatArray) -> FloatArray:
+        """Return what the target's driver subtracts, shape (3,): the raw zero where it makes SI of counts, else 0."""
+        return raw_zero * (getattr(self.options, f"{triad}_nominal") is not None)
 
     def si_scale(self, triad: str) -> float:
         """Return the scale by which the target's driver makes SI of a triad that there is; raises as ``in_si``."""

@@ -41,7 +41,7 @@ def correct_accelerometer(parameters: AccelerometerParameters, raw: FloatArray, 
         out[...] = recover(parameters, raw.reshape(-1, 3)).reshape(raw.shape)
         return out
     inverse = correction_matrix(parameters.scale, parameters.misalignment_rad)
-    return _affine(inverse, parameters.raw_zero + parameters.scale * parameters.bias_m_s2, raw, out=out)
+    return _affine(inverse, parameters.offset, raw, out=out)
 
 
 def _is_curved(parameters: AccelerometerParameters) -> bool:
@@ -74,14 +74,13 @@ def correct_gyroscope(
     """
     raw = three_columns(raw, "gyroscope")
     inverse = correction_matrix(parameters.scale, parameters.misalignment_rad)
-    offset = parameters.raw_zero + parameters.bias
     if not np.any(parameters.g_sensitivity):
-        return _affine(inverse, offset, raw, out=out)
+        return _affine(inverse, parameters.offset, raw, out=out)
     if specific_force is None:
         raise ParameterFileError(sentence("apply.no_force"), Reason.USAGE)
     # One force for many rates is allowed: an instrument at rest.
     force = np.broadcast_to(three_columns(specific_force, "specific force"), raw.shape)
-    return _affine(inverse, offset, raw, (inverse @ parameters.g_sensitivity, force), out=out)
+    return _affine(inverse, parameters.offset, raw, (inverse @ parameters.g_sensitivity, force), out=out)
 
 
 def correct_both(accelerometer: AccelerometerParameters, gyroscope: GyroscopeParameters, raw: FloatArray) -> FloatArray:
@@ -100,9 +99,7 @@ def correct_both(accelerometer: AccelerometerParameters, gyroscope: GyroscopePar
     force = correction_matrix(accelerometer.scale, accelerometer.misalignment_rad)
     rate = correction_matrix(gyroscope.scale, gyroscope.misalignment_rad)
     matrix = np.block([[force, np.zeros((3, 3))], [-rate @ gyroscope.g_sensitivity @ force, rate]])
-    zeroes = accelerometer.scale * accelerometer.bias_m_s2, gyroscope.bias
-    offset = np.concatenate([accelerometer.raw_zero, gyroscope.raw_zero]) + np.concatenate(zeroes)
-    _affine(matrix, offset, raw, out=corrected)
+    _affine(matrix, np.concatenate([accelerometer.offset, gyroscope.offset]), raw, out=corrected)
     # NaN of a sample that was lost is data, and no reason for a warning.
     with np.errstate(invalid="ignore"):
         finite = np.isfinite(corrected.sum())
@@ -127,7 +124,7 @@ def at_reference(
     model: TriadTemperature | None,
     *,
     scale: FloatArray,
-    raw_zero: FloatArray | float = 0.0,
+    raw_zero: FloatArray | float,
 ) -> FloatArray:
     """Return what raw outputs of shape (..., 3) would be at the reference temperature of their triad.
 

@@ -48,7 +48,7 @@ from imufield.samples import FloatArray
 FORMAT = "imufield-parameters"
 VERSION = VERSION_WITH_TEMPERATURE
 VERSION_WITHOUT_TEMPERATURE = 1
-GYROSCOPE_EQUATION, ZEROED_GYROSCOPE_EQUATION = "N = K E w + e + G a", "N - raw_zero = K E w + e + G a"
+_GYROSCOPE_EQUATION = "N = K E w + e + G a"
 
 _ACCELEROMETER_VECTORS = ("scale", "bias_m_s2", "misalignment_rad", "quadratic")
 _SOLVER = ("method", "seed", "status", "message", "cost", "evaluations")
@@ -188,7 +188,7 @@ def _gyroscope_table(gyroscope: GyroscopeCalibration, gauge: str, clock: ClockFa
     return {
         "equation": gyroscope_equation(gyroscope.parameters),
         "raw_unit": gyroscope.raw_unit,
-        # Absent without one: an earlier program reads such a file.
+        # Without one the file stays as it was: earlier programs read it.
         **(_lists(gyroscope.parameters, ("raw_zero",)) if np.any(gyroscope.parameters.raw_zero) else {}),
         "gauge": gauge,
         "path": gyroscope.path,
@@ -201,7 +201,7 @@ def _gyroscope_table(gyroscope: GyroscopeCalibration, gauge: str, clock: ClockFa
 
 def gyroscope_equation(parameters: GyroscopeParameters) -> str:
     """Return the equation of a gyroscope, with ``raw_zero`` where it has one."""
-    return ZEROED_GYROSCOPE_EQUATION if np.any(parameters.raw_zero) else GYROSCOPE_EQUATION
+    return _GYROSCOPE_EQUATION.replace("N =", "N - raw_zero =") if np.any(parameters.raw_zero) else _GYROSCOPE_EQUATION
 
 
 def noise_table(noise: Noise) -> Document:

@@ -114,7 +114,8 @@ class Parameters:
 
     def _gyroscope_at_reference(self, raw: FloatArray, temperature_degc: FloatArray | float | None) -> FloatArray:
         gyroscope = self.calibration.gyroscope
-        model, parameters = None if gyroscope is None else gyroscope.temperature, self._gyroscope()
+        model = None if gyroscope is None else gyroscope.temperature
+        parameters = self._gyroscope()
         return at_reference(raw, temperature_degc, model, scale=parameters.scale, raw_zero=parameters.raw_zero)
 
     def apply_gyroscope(

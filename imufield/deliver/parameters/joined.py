@@ -234,8 +234,8 @@ def _off_diagonal(values: FloatArray) -> FloatArray:
 def _gyroscope(base: GyroscopeCalibration | None, vector: FloatArray, sigma: FloatArray) -> GyroscopeCalibration | None:
     if base is None or not len(vector):
         return None
-    parameters, own = GyroscopeParameters.from_vector(vector), GyroscopeParameters.from_vector(sigma)
-    return replace(base, parameters=replace(parameters, raw_zero=base.parameters.raw_zero), sigma=own)
+    parameters = replace(GyroscopeParameters.from_vector(vector), raw_zero=base.parameters.raw_zero)
+    return replace(base, parameters=parameters, sigma=GyroscopeParameters.from_vector(sigma))
 
 
 def _quality(joined: JoinedFrom, joint: Joint, warnings: Sequence[str], notes: Sequence[str]) -> Quality:

@@ -165,7 +165,7 @@ def _rms_mg(
 ) -> float:
     """Return the RMS of an axis of the corrected specific force less the true one, mg."""
     if temperature is not None:
-        raw = temperature.to_reference(raw, np.full(len(raw), temperature_degc), scale=base.scale)
+        raw = temperature.to_reference(raw, np.full(len(raw), temperature_degc), scale=base.scale, raw_zero=base.raw_zero)
     return float(np.sqrt(np.mean((recover(base, raw) - force) ** 2))) / MILLI_G_M_S2
 
 

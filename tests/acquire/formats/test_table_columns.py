@@ -55,7 +55,7 @@ def test_rows_of_one_tick_are_spread_and_losses_stay_where_they_are(tmp_path: Pa
     # Half a step from a step is where a loss would begin. How much of a tick is lost nobody knows, nor of the first and last.
     lost, within = np.rint(np.diff(time_s) / 1e-2) - 1, int(np.ceil(ticks_per_sample))
     around = [slice(row - within, row + within) for row in (999, 2959)]
-    assert [abs(lost[rows].sum() - size) <= 1 for rows, size in zip(around, (40, 9), strict=True)] == [True, True]
+    assert all(abs(lost[rows].sum() - size) <= 1 for rows, size in zip(around, (40, 9), strict=True))
     for rows in (*around, slice(within), slice(-within, None)):
         lost[rows] = 0
     assert not lost.any()

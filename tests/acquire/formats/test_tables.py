@@ -166,14 +166,14 @@ def test_an_implausible_step_is_a_question(tmp_path: Path) -> None:
     ("values", "zero", "unit"),
     [
         (np.round(ACCELEROMETER * 400.0) + 32768.0, None, "count"),
-        (ACCELEROMETER * 400.5 + 32768.0, "32768", "count"),
+        (ACCELEROMETER * 400.5 + 32768.0, [32768.0] * 3, "count"),
         (ACCELEROMETER, None, "m/s^2"),
         (ACCELEROMETER / 9.81, None, "g"),
         (ACCELEROMETER * 50.0 + 0.1, None, "count"),
     ],
 )
 def test_the_unit_of_the_accelerometer_is_assumed_aloud(
-    tmp_path: Path, values: np.ndarray, zero: str | None, unit: str
+    tmp_path: Path, values: np.ndarray, zero: list[float] | None, unit: str
 ) -> None:
     table = read_tables([write(tmp_path, text_of(TIME, values))], zero=zero)
     assert table.settings["accelerometer_unit"] == unit
@@ -190,20 +190,10 @@ def test_the_unit_of_the_gyroscope_is_assumed_aloud(tmp_path: Path, values: np.n
     assert any("gyroscope" in sentence and unit in re.split(r"[ ,;:]+", sentence) for sentence in table.assumptions)
 
 
-@pytest.mark.parametrize(
-    ("zero", "expected"),
-    [("32768", (32768.0,) * 3), (5, (5.0,) * 3), ("1,2,3", (1.0, 2.0, 3.0)), ([1.0, 2.0, 3.0], (1.0, 2.0, 3.0))],
-)
-def test_a_mid_scale_is_kept_beside_the_values(tmp_path: Path, zero: object, expected: tuple[float, ...]) -> None:
+def test_a_raw_zero_is_kept_beside_the_values(tmp_path: Path) -> None:
     path = write(tmp_path, text_of(TIME, ACCELEROMETER))
-    assert read_tables([path], zero=zero).raw_zero == expected  # type: ignore[arg-type]  # a table of cases
-
-
-@pytest.mark.parametrize("zero", ["x", "1,2", "nan", "1,2,3,4"])
-def test_a_mid_scale_that_is_none_is_refused(tmp_path: Path, zero: str) -> None:
-    with refused(UsageError, Reason.USAGE, "--zero") as caught:
-        read_tables([write(tmp_path, text_of(TIME, ACCELEROMETER))], zero=zero)
-    assert caught.value.values["zero"] == zero
+    assert read_tables([path]).raw_zero == (0.0, 0.0, 0.0)
+    assert read_tables([path], zero=[1.0, 2.0, 3.0]).raw_zero == (1.0, 2.0, 3.0)
 
 
 def test_gzip_is_known_by_its_content(tmp_path: Path) -> None:
@@ -347,7 +337,7 @@ def test_rows_are_written_whole_and_decode_to_the_same_samples() -> None:
 
 def test_the_recording_of_an_xsens_is_read_and_joined(shared_folder: Path) -> None:
     folder = shared_folder / "data" / "imu_tk"
-    table = read_tables([folder / "xsens_acc.mat.gz", folder / "xsens_gyro.mat.gz"], zero="32768")
+    table = read_tables([folder / "xsens_acc.mat.gz", folder / "xsens_gyro.mat.gz"], zero=[32768.0] * 3)
     assert table.rows.shape == (51175, 8)
     assert table.rows[0, :7].tolist() == [0.02984, 33108.0, 33329.0, 36429.0, 32786.0, 32429.0, 32499.0]
     assert table.rows[-1, 0] == pytest.approx(511.718, abs=1e-3)

@@ -192,7 +192,7 @@ def test_saturation_is_seen_with_and_without_a_flag() -> None:
 
 
 def test_the_peak_of_a_turn_in_coarse_codes_is_no_saturation() -> None:
-    """Near it the output stays for some ms in one code, 0.06 deg/s as of a 16-bit one of 2000 deg/s: more than 4 samples."""
+    """At the peak the output stays in one code of 0.06 deg/s (16 bits for 2000 deg/s) for more than 4 samples."""
 
     def coarse(samples: Samples) -> Samples:
         return replace(samples, gyroscope=np.round(samples.gyroscope / 5) * 5)

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from imufield.commands.options.configuration import FILE_NAME, KEYS, default_map
-from imufield.errors import UsageError
+from imufield.commands.options.configuration import FILE_NAME, KEYS, default_map, parse_zero
+from imufield.errors import Reason, UsageError
 from tests.refused import refused
 
 TEXTS = ("port", "bus", "dbc", "driver", "positions", "laboratory", "customer", "operator")
@@ -46,3 +46,18 @@ def test_other_numbers_have_no_uncertainty(name: str, value: str) -> None:
 def test_gravity_may_have_its_uncertainty(value: str) -> None:
     Path(FILE_NAME).write_text(f"gravity = {value}\n", encoding="utf-8")
     assert str(default_map()["solve"]["gravity"]).startswith("9.8089")
+
+
+@pytest.mark.parametrize(
+    ("text", "zero"),
+    [(None, None), ("32768", [32768.0] * 3), ("1,2,3", [1.0, 2.0, 3.0]), ("1, 2 3", [1.0, 2.0, 3.0]), ("-5", [-5.0] * 3)],
+)
+def test_a_raw_zero_is_one_number_or_three(text: str | None, zero: list[float] | None) -> None:
+    assert parse_zero(text) == zero
+
+
+@pytest.mark.parametrize("text", ["", "x", "1,2", "nan", "inf", "1,2,3,4"])
+def test_a_raw_zero_that_is_none_is_quoted(text: str) -> None:
+    with refused(UsageError, Reason.USAGE, "--zero", key="configuration.zero") as caught:
+        parse_zero(text)
+    assert caught.value.values["zero"] == text

@@ -105,7 +105,7 @@ def close(theirs: np.ndarray, ours: np.ndarray, relative: float) -> None:
 
 def raw_rows(scale: tuple[float, float] = (1.0, 1.0), zero: float = 0.0) -> np.ndarray:
     rng = np.random.default_rng(1)
-    return np.hstack([rng.uniform(-30, 30, (300, 3)) * scale[0] + zero, rng.uniform(-5, 5, (300, 3)) * scale[1]])
+    return np.hstack([rng.uniform(-30, 30, (300, 3)) * scale[0] + zero, rng.uniform(-5, 5, (300, 3)) * scale[1] + zero])
 
 
 MODELS: dict[str, dict[str, Any]] = {

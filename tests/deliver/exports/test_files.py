@@ -72,6 +72,14 @@ def test_nan_is_refused(target: str, name: str) -> None:
     assert caught.value.reason is Reason.NOT_FINITE
 
 
+def test_nan_of_a_gyroscope_is_refused() -> None:
+    made = made_up(4).calibration
+    assert made.gyroscope is not None
+    gyroscope = replace(made.gyroscope.parameters, raw_zero=np.array([0.0, np.nan, 0.0]))
+    with refused(ParameterFileError, Reason.NOT_FINITE, "gyroscope.raw_zero", key="conventions.not_usable"):
+        export_parameters(loaded(made.accelerometer, gyroscope, "lower", ("m/s^2", "rad/s")), "px4")
+
+
 @pytest.mark.parametrize("target", SI_ONLY)
 def test_counts_are_refused_where_only_si_is_known(target: str) -> None:
     parameters = made_up(5, units=("count", "count"), scale=(1670.7, 7509.9))
