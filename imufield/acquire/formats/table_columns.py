@@ -56,6 +56,9 @@ _MOST_EQUAL = 0.8  # Share of rows with the time of the row before: of more than
 _THOUSANDTHS = {"mg": "g", "mdeg/s": "deg/s"}
 _KEPT = ("g", "deg/s", "deg")  # Beside SI: protocol ``rows_f64`` knows them.
 _FAST = 0.999  # Of all outputs; larger ones may be damage.
+_MOST_TICKED = 0.6  # Share of such rows from which the decoder tells their times as well by itself.
+_SAME_TICK = 0.1  # Of a tick: those of 15.6 ms are 15 and 16 ms in a file of whole ones.
+_MOST_REGULAR = 0.9  # Share of the ticks that are so: the others are pauses and losses.
 _STANDS_FOR_G = (0.8, 1.25)
 _STANDS_FOR_M_S2 = (8.0, 12.0)  # Median norm of an accelerometer that is at rest most of the time.
 # Hands turn a unit faster than this in deg/s at once, and hardly ever in rad/s: 1150 deg/s, half the range of a chip.
@@ -261,18 +264,23 @@ def refuse_coarse_times(path: Path, time: FloatArray) -> None:
         raise UsageError(sentence("table_columns.same_times", path=str(path), share=share, limit=_MOST_EQUAL))
 
 
-def spread_times(time: FloatArray) -> FloatArray:
-    """Return rising times, shape (n,), for times that never fall, of a clock with coarse ticks or of rows that are there twice.
+def spread_times(time: FloatArray) -> FloatArray | None:
+    """Return rising times, shape (n,), for times that never fall, of a clock with coarse but regular ticks; None for others.
 
     Rows of one time are spread about the middle of their tick, a mean step apart. No step between two ticks is then longer
     than 1.5 mean steps, which would count as a loss.
     """
     first = np.flatnonzero(np.diff(time, prepend=-np.inf))
-    rows = np.diff(first, append=len(time))
-    between = np.diff(time[first])
-    # The last tick has no end, and a pause is longer than a tick: both count as the median.
-    tick = np.minimum(np.append(between, np.inf), median(between))
-    step = np.minimum(tick.sum() / len(time), tick / rows)
+    rows, between = np.diff(first, append=len(time)), np.diff(time[first])
+    usual = median(between)
+    regular = np.abs(between / usual - 1) < _SAME_TICK
+    # What was read in bursts and stamped by its arrival is left to the decoder, which follows arrivals.
+    if np.mean(regular) <= _MOST_REGULAR or len(first) < (1 - _MOST_TICKED) * len(time):
+        return None
+    mean_step = between[regular].sum() / rows[:-1][regular].sum()
+    # The last tick has no end. A pause is longer than a tick, and one in which the clock stood as long as its rows take.
+    tick = np.minimum(np.append(between, np.inf), np.maximum(usual, rows * mean_step))
+    step = np.minimum(mean_step, tick / rows)
     first_time = time[first] + (tick - (rows - 1) * step) / 2
     rising: FloatArray = np.repeat(first_time, rows) + (np.arange(len(time)) - np.repeat(first, rows)) * np.repeat(step, rows)
     return rising

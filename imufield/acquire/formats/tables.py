@@ -143,6 +143,17 @@ def read_tables(
     UsageError
         The meaning of the columns, the unit of time or the rate is not known, or the files do not belong together.
     """
+    files = _files(paths, columns, topic)
+    # Row by row, nothing of one file alone may go.
+    if all(TIME in file.fields for file in files):
+        files = [_with_own_times(file) for file in files]
+    table = _table(files, rate_hz, zero, settings)
+    faults = _no_positions(table.rows[:, 1:4], str(table.settings["accelerometer_unit"]))
+    return replace(table, assumptions=(*table.assumptions, *faults))
+
+
+def _files(paths: Sequence[str | Path], columns: str | None = None, topic: str | None = None) -> list[File]:
+    """Read the files of ``read_tables``; raises as it."""
     if not paths:
         raise UsageError(sentence("tables.no_file"))
     parts = [None] if columns is None else columns.split(";")
@@ -157,21 +168,27 @@ def read_tables(
         meaning = meaning_of(source, names, number, len(paths))
         files += files_of(source, meaning, source.read(meaning.places))
     _check_values([file.path for file in files], {name for file in files for name in file.fields})
-    table = _table([_with_spread_times(file) for file in files], rate_hz, zero, settings)
-    faults = _no_positions(table.rows[:, 1:4], str(table.settings["accelerometer_unit"]))
-    return replace(table, assumptions=(*table.assumptions, *faults))
+    for file in files:
+        refuse_coarse_times(file.path, file.fields.get(TIME, np.empty(0)))
+    return files
 
 
-def _with_spread_times(file: File) -> File:
-    """Return a file in which no row has the time of the row before; raises as ``refuse_coarse_times``."""
-    time = file.fields.get(TIME, np.empty(0))
-    refuse_coarse_times(file.path, time)
-    repeated = int(np.count_nonzero(np.diff(time) == 0))
-    if not repeated:
+def _with_own_times(file: File) -> File:
+    """Return a file in which rows of one tick have times of their own, and no row is there twice."""
+    time = file.fields[TIME]
+    repeated = np.flatnonzero(np.diff(time) == 0) + 1
+    if not len(repeated):
         return file
-    words = sentence("tables.spread", name=file.name, rows=repeated, of=len(time))
-    fields = {**file.fields, TIME: spread_times(time)}
-    return replace(file, fields=fields, assumptions=(*file.assumptions, words))
+    told = {"name": file.name, "rows": len(repeated), "of": len(time)}
+    # Where a row of the same time differs, equal ones are samples of an instrument that stood still.
+    if all(np.array_equal(each[repeated], each[repeated - 1], equal_nan=True) for each in file.fields.values()):
+        fields = {name: np.delete(each, repeated) for name, each in file.fields.items()}
+        return replace(file, fields=fields, assumptions=(*file.assumptions, sentence("tables.copies", **told)))
+    spread = spread_times(time)
+    if spread is None:
+        return file
+    fields = {**file.fields, TIME: spread}
+    return replace(file, fields=fields, assumptions=(*file.assumptions, sentence("tables.spread", **told)))
 
 
 def stream_table(path: str | Path, *, rate_hz: float | None = None) -> Iterator[ImportedTable]:
@@ -187,7 +204,7 @@ def stream_table(path: str | Path, *, rate_hz: float | None = None) -> Iterator[
     source = open_source(Path(path), None)
     # Arrays are in memory already, however they are handed on.
     if isinstance(source, ArrayTable):
-        yield read_tables([path], rate_hz=rate_hz)
+        yield _table(_files([path]), rate_hz)
         return
     meaning = meaning_of(source, None, 0, 1)
     pieces = _pieces(source, meaning)

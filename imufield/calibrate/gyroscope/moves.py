@@ -70,10 +70,7 @@ LONGEST_MOVE_S = 300.0
 INTERRUPTED_S = 1.0
 """A hole as long is no loss on the wire: the session was broken off and resumed, or the cable was out."""
 _LOST_INTERVALS = 1.5  # Between one interval, however unsteady the clock, and the two of a lost sample.
-_PLATEAU_SAMPLES = 4  # Equal values in a row at the largest or smallest output of the session that make it a saturated axis.
-# And as long at least. The peak of a turn by hand stays for some 10 ms within 0.06 deg/s, a code of 2000 deg/s in 16 bits. An
-# axis clipped for 20 ms of a turn to 200 deg/s within 0.3 s loses 2/3 * 200 (0.01 / 0.3)^2 * 0.02 = 0.003 deg.
-_PLATEAU_S = 0.02
+_PLATEAU = 4  # Equal values in a row at the largest or smallest output of the session that make it a saturated axis.
 _COMPACT_AT = 1_000_000  # Slots before quiet stretches are joined: 83 minutes, 170 MB.
 _JOINED_AT_ONCE = 16  # Parts of slots that are joined at once: as much as stays in the cache.
 _SLOT_MARGIN = 1e-6  # Of a slot, or s: rounding may put a time just below the edge it stands on.
@@ -141,7 +138,7 @@ class Slots:
     flags : ndarray of uint8, shape (k,)
         ``SlotFlag``.
     plateau : ndarray, shape (k, 3)
-        Output that repeated itself for so many samples and as long; NaN where none did.
+        Output that repeated itself ``_PLATEAU`` times; NaN where none did.
     """
 
     start_s: FloatArray
@@ -360,15 +357,14 @@ class MoveCollector:
         return flags
 
     def _plateau(self, N: FloatArray, starts: IntArray) -> FloatArray:
-        """Return the largest output (of shape (3, n + 1)) in each slot that was repeated long enough, NaN elsewhere."""
+        """Return the largest output (of shape (3, n + 1)) in each slot that was repeated often enough, NaN elsewhere."""
         equal = N[:, 1:] == N[:, :-1]
-        least_run = max(_PLATEAU_SAMPLES, _PLATEAU_S / (self.interval_s or 1.0)) - 1
         result = np.full((len(starts), 3), np.nan)
         for axis in np.flatnonzero(equal.any(axis=1)):
             place = np.arange(1, equal.shape[1] + 1)
             last_change = np.maximum.accumulate(np.where(equal[axis], 0, place))
             run = place - last_change + np.where(last_change == 0, self._flat[axis], 0)
-            result[:, axis] = np.fmax.reduceat(np.where(run >= least_run, N[axis, 1:], np.nan), starts)
+            result[:, axis] = np.fmax.reduceat(np.where(run >= _PLATEAU - 1, N[axis, 1:], np.nan), starts)
             self._flat[axis] = run[-1]
         self._flat[~equal[:, -1]] = 0
         return result
