@@ -227,18 +227,25 @@ def next_scatter(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, p
     # A component at zero that wants to fall stays there.
     free = estimated & ~((now <= 0) & (score <= 0)) & (np.diag(information) > 0)
     step = np.zeros(len(now))
-    step[free] = np.linalg.lstsq(information[np.ix_(free, free)], score[free], rcond=None)[0]
+    step[free] = _scoring_step(information[np.ix_(free, free)], score[free])
     falling = now + step < 0
     if falling.any():
         # The others answer for what the one at its bound cannot take.
         step[falling] = -now[falling]
         rest = free & ~falling
         answer = score[rest] - information[np.ix_(rest, falling)] @ step[falling]
-        step[rest] = np.linalg.lstsq(information[np.ix_(rest, rest)], answer, rcond=None)[0]
+        step[rest] = _scoring_step(information[np.ix_(rest, rest)], answer)
     # The least variance that a scatter of size one gives to a residual it touches at all; infinite where it touches none.
     least = np.array([np.min(np.diag(V)[np.diag(V) > 0], initial=np.inf) for V in components])
     most = _MOST_SCATTER * float(np.max(residual**2)) / least
     return Scatter(*np.sqrt(np.where(estimated, np.clip(now + step, 0.0, most), now)).tolist())
+
+
+def _scoring_step(information: FloatArray, score: FloatArray) -> FloatArray:
+    """Return the step of Fisher scoring for k variances, shape (k,)."""
+    # Of one size: a wander has 10^20 times the information of a large scatter of turns, which would count as rounding.
+    size = np.sqrt(np.diag(information))
+    return np.asarray(np.linalg.lstsq(information / np.outer(size, size), score / size, rcond=None)[0] / size)
 
 
 def turns_tell_scatter(scatter: Scatter, jacobian: FloatArray, parts: Covariances) -> bool:
@@ -283,5 +290,7 @@ def _uncoupled_rows(V: FloatArray) -> IntArray:
 def _projection(S: FloatArray, jacobian: FloatArray) -> FloatArray:
     """Return P."""
     inverse = np.linalg.inv(S)
+    # Columns of one length, as in the fit; P is the same.
+    jacobian = jacobian / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
     weighted = inverse @ jacobian
     return np.asarray(inverse - weighted @ np.linalg.pinv(jacobian.T @ weighted, hermitian=True) @ weighted.T)

@@ -434,6 +434,22 @@ def test_scales_that_are_all_off_their_unit_are_told(factor: float, is_told: boo
         assert found.join(still.calibration).quality.verdict == "usable"
 
 
+@pytest.mark.parametrize("grade", ["mems", "industrial", "tactical"])
+def test_a_scatter_of_the_turns_that_is_far_too_large_comes_down(monkeypatch: pytest.MonkeyPatch, grade: str) -> None:
+    """As where the scale is known to a sixth only, beside a wander with 10^20 times the information."""
+    asked: list[tuple[Scatter, FloatArray, FloatArray, Covariances]] = []
+
+    def heard(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, parts: Covariances) -> Scatter:
+        asked.append((scatter, residual, jacobian, parts))
+        return residual_covariance.next_scatter(scatter, residual, jacobian, parts)
+
+    monkeypatch.setattr(fit, "next_scatter", heard)
+    calibrate_gyroscope(simulate(1, grade=grade).given)
+    found, residual, jacobian, parts = asked[-1]
+    assert found.turn_rad < 1e-3
+    assert residual_covariance.next_scatter(Scatter(1e-6, 0.0, 0.08), residual, jacobian, parts).turn_rad < 0.01
+
+
 def test_a_fit_that_does_not_end_makes_the_whole_poor(monkeypatch: pytest.MonkeyPatch) -> None:
     """A latitude for data without the Earth's rate, as simulators that leave it out write them."""
     monkeypatch.setattr(Site, "earth_rate_n", property(lambda _: np.zeros(3)))
