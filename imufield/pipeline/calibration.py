@@ -207,8 +207,7 @@ def _with_gyroscope(
         moves=cut_moves(no_slots(), observations.start_s, observations.duration_s) if moves is None else moves,
         calibration=calibration,
         latitude_deg=measured.gravity.latitude_deg,
-        # The fit counts the bias from raw output 0; the raw zero is separated from it afterwards.
-        preset=None if before is None else before.parameters.about(np.zeros(3)),
+        preset=None if before is None else before.parameters,
         nominal_scale=measured.gyroscope_scale,
         stops=measured.stops,
         rests=0 if measured.rests is None else len(measured.rests),

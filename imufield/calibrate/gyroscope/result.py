@@ -318,7 +318,7 @@ def vector_of(parameters: GyroscopeParameters, rest_raw: FloatArray) -> FloatArr
     A = np.linalg.inv(parameters.scale[:, None] * (np.eye(3) + parameters.misalignment_rad))
     x = np.zeros(PARAMETERS)
     x[INVERSE] = A.ravel()
-    x[BIAS] = A @ (parameters.bias - rest_raw)
+    x[BIAS] = A @ (parameters.offset - rest_raw)
     x[SENSITIVITY] = (A @ parameters.g_sensitivity).ravel()
     return x
 

@@ -50,12 +50,14 @@ def centred(scale: RoughScale, stills_raw: FloatArray) -> RoughScale:
     """
     if scale.accelerometer is None or len(stills_raw) < FEWEST_STILLS:
         return scale
-    x = stills_raw - scale.raw_zero
-    length = float(median(np.linalg.norm(x, axis=1)))
-    if not length > 0:
-        return scale
-    x = _sides(x / length)
-    if len(x) < FEWEST_STILLS:
+    # From the middle of all where they look like one side: beside a converter's mid-scale gravity is small.
+    middle = (stills_raw.min(axis=0) + stills_raw.max(axis=0)) / 2
+    for start in (scale.raw_zero, middle):
+        x = stills_raw - start
+        length = float(median(np.linalg.norm(x, axis=1)))
+        if length > 0 and len(x := _sides(x / length)) >= FEWEST_STILLS:
+            break
+    else:
         return scale
     centre, radius = _fit_sphere(x)
     arm = x - centre
@@ -63,8 +65,8 @@ def centred(scale: RoughScale, stills_raw: FloatArray) -> RoughScale:
     spare, off = int(on_sphere.sum()) - _UNKNOWNS, int((~on_sphere).sum())
     # Four stills always lie on a sphere: those to spare must outnumber those that are not on it.
     if spare <= off or not _is_seen(arm[on_sphere]):
-        return replace(scale, centred=True) if _is_seen(x) else scale
-    offset = length * centre
+        return replace(scale, centred=True) if _is_seen(x) and start is scale.raw_zero else scale
+    offset = start + length * centre - scale.raw_zero
     if np.linalg.norm(offset) <= LEAST_OFFSET_M_S2 * scale.accelerometer:
         return replace(scale, centred=True)
     accelerometer = length * radius / STANDARD_GRAVITY_M_S2 if scale.learned else scale.accelerometer

@@ -29,7 +29,7 @@ from imufield.dataclass import dataclass, replace
 from imufield.earth import MICRO_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity
 from imufield.errors import CalibrationError
 from imufield.guide.stillness.scale import RoughScale
-from imufield.samples import FloatArray, median
+from imufield.samples import FloatArray, every, median
 
 FEWEST = 4  # Fewer observations leave every residual to the priors.
 LINEAR = 9
@@ -279,6 +279,9 @@ def _minimise(
         rows = np.vstack([derivatives.jacobian[:, columns] / sigma[:, None], np.diag(1 / prior)])
         residual = derivatives.norm - gravity_m_s2
         goal = -np.concatenate([residual / sigma, (vector - start)[columns] / prior])
+        if not every(np.isfinite(rows)):
+            # LAPACK would say so as well, on the screen of the guide.
+            raise np.linalg.LinAlgError
         step = np.linalg.lstsq(rows, goal, rcond=None)[0]
         vector[columns] += step
         if np.abs(step / prior).max() < _LEAST_STEP:

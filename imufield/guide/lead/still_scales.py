@@ -11,6 +11,8 @@ import math
 from collections.abc import Collection, Iterable, Mapping
 from copy import deepcopy
 
+import numpy as np
+
 from imufield.acquire.protocol.units import nominal_scale
 from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError
@@ -24,6 +26,7 @@ sentence = Sentences(__package__)
 # Of a logarithm: a scale learned from one still has up to 0.1 of offset in it, and units differ by a factor of 10.
 _SAME_FACTOR = 0.2
 _ENOUGH_STILLS = 12  # Twice what a sphere and the axes need; units differ by so much that these tell them apart.
+_MANY_M_S2 = 30.0  # No accelerometer has an offset of 3 g.
 _MOST_SAMPLES = 1 << 18  # Two minutes at 2000 Hz: the stills of more would tell the same.
 
 
@@ -56,6 +59,8 @@ class StillScales:
 
     scales: dict[str, float]
     stills: int
+    centre_raw: FloatArray | None = None
+    """Of the accelerometer's outputs, shape (3,), where it is many g from the raw zero: that of a converter, left out."""
 
     @property
     def are_sure(self) -> bool:
@@ -118,4 +123,6 @@ def _scales_of(finder: StillIntervalFinder) -> StillScales:
         scales["accelerometer"] = found.scale.accelerometer
     if found.axes.fits:
         scales["gyroscope"] = found.axes.gyroscope_scale
-    return StillScales(scales, len(found.observations))
+    offset = found.scale.raw_zero - finder.raw_zero
+    is_far = found.scale.centred and np.linalg.norm(offset) > _MANY_M_S2 * (found.scale.accelerometer or math.inf)
+    return StillScales(scales, len(found.observations), found.scale.raw_zero if is_far else None)

@@ -20,6 +20,7 @@ from imufield.calibrate.gyroscope.result import (
     GyroscopeResult,
     JointSolution,
     MoveReport,
+    angle_errors_deg,
     forward,
     is_hardly_better,
     is_worse,
@@ -448,6 +449,14 @@ def test_a_scatter_of_the_turns_that_is_far_too_large_comes_down(monkeypatch: py
     found, residual, jacobian, parts = asked[-1]
     assert found.turn_rad < 1e-3
     assert residual_covariance.next_scatter(Scatter(1e-6, 0.0, 0.08), residual, jacobian, parts).turn_rad < 0.01
+
+
+def test_closing_errors_count_from_any_raw_zero(session: Session, result: GyroscopeResult) -> None:
+    parameters = result.calibration.parameters
+    about = parameters.about(np.array([500.0, 32768.0, -3.0]))
+    before, after = angle_errors_deg(replace(session.given, preset=about), about)
+    np.testing.assert_allclose(after, angle_errors_deg(session.given, parameters)[1], atol=1e-6)
+    np.testing.assert_allclose(before, after, atol=1e-6)
 
 
 def test_a_fit_that_does_not_end_makes_the_whole_poor(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -86,6 +86,16 @@ def test_a_scale_learned_from_a_still_with_an_offset_is_learned_anew() -> None:
     np.testing.assert_allclose(found.up(outputs[0]), scheme("paper24").directions()[0], atol=0.06)
 
 
+@pytest.mark.parametrize("counts_per_g", [300.0, 8000.0])
+def test_the_middle_of_a_converter_is_an_offset_of_many_g(counts_per_g: float) -> None:
+    """Beside it all sides look like one."""
+    outputs = counts_per_g / G * stills((0.3, -0.2, 0.1), scheme("paper24").directions()) + 32768
+    found = centred(RoughScale().learn(outputs[0]), outputs)
+    assert found.centred
+    assert found.accelerometer == pytest.approx(counts_per_g / G, rel=0.03)
+    np.testing.assert_allclose(found.raw_zero, 32768 + counts_per_g * np.array([0.3, -0.2, 0.1]), atol=0.06 * counts_per_g)
+
+
 @pytest.mark.parametrize(
     "up",
     [

@@ -16,6 +16,7 @@ from imufield.guide.cross_checks.running_fit import (
 )
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.view.plain import known_words
+from imufield.samples import FloatArray
 from imufield.simulate.truth.grades import GRADES
 from tests.guide.guided import BUMPED, observations
 
@@ -70,6 +71,20 @@ def test_a_bump_is_found_as_soon_as_degrees_of_freedom_are_spare(grade: str, pla
         suspects = [one.name for one in fit.disagreements() if one.is_suspect]
         assert set(suspects) <= {f"p{place - 1}"}
     assert suspects
+
+
+def test_a_fit_that_runs_away_is_none_before_lapack_complains(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It writes to the screen what no Python sees."""
+    lstsq = np.linalg.lstsq
+
+    def asked(rows: FloatArray, goal: FloatArray, rcond: None) -> object:
+        assert np.isfinite(rows).all()
+        return lstsq(rows, goal, rcond=rcond)
+
+    monkeypatch.setattr(np.linalg, "lstsq", asked)
+    some = observations("mems", 2)[:8]
+    far = [replace(each, mean_raw=each.mean_raw * factor) for each, factor in zip(some, [1, 30] * 4, strict=True)]
+    assert running_fit(far, SI, GRAVITY) is None
 
 
 def test_what_only_the_prior_says_is_not_forecast() -> None:
