@@ -107,8 +107,13 @@ class SampleUnits:
         return f"accelerometer in {each[0]}, gyroscope in {each[1]}"
 
     def accelerometer_rate(self, raw: FloatArray) -> FloatArray:
-        """Return raw outputs of the accelerometer, or that at zero input, as rates: raw unit, per second for increments."""
+        """Return raw outputs of the accelerometer as rates: raw unit, per second for increments."""
         return _as_rate(raw, self.accelerometer_is_increment, self.interval_s)
+
+    def raw_zero_rate(self, raw_zero: FloatArray) -> FloatArray:
+        """Return the raw zero of the accelerometer, shape (3,), or of both triads, shape (6,), as rates."""
+        of_gyroscope = _as_rate(raw_zero[3:], self.gyroscope_is_increment, self.interval_s)
+        return np.concatenate([self.accelerometer_rate(raw_zero[:3]), of_gyroscope])
 
     @property
     def accelerometer_rate_unit(self) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from functools import cache
 
@@ -24,11 +25,10 @@ from imufield.calibrate.model.result import Calibration, Gauge, ModelChoice, Pos
 from imufield.calibrate.solvers.agreement import LEAST_SQUARES
 from imufield.dataclass import dataclass, field, replace
 from imufield.deliver.parameters.clock import clock_words
-from imufield.deliver.parameters.document import gyroscope_bias_rad_s
 from imufield.deliver.parameters.file import Context, Parameters, from_document, to_document
 from imufield.earth import MILLI_G_M_S2, Gravity
 from imufield.errors import CalibrationError, Reason
-from imufield.samples import FloatArray, SampleUnits, every
+from imufield.samples import AXES, FloatArray, SampleUnits
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -111,15 +111,14 @@ def calibrate(measured: SolveInput, settings: SolveSettings) -> Parameters:
             settings.preset.check_unit("gyroscope", units.gyroscope_rate_unit)
         preset = settings.preset.calibration.accelerometer
     grade, grade_source = (grade, "stated") if grade else (DEFAULT_GRADE, "assumed")
-    # Typed as the instrument sends it; what is solved from are rates.
-    zero = None if settings.raw_zero is None else units.accelerometer_rate(settings.raw_zero)
+    zero = _raw_zero(measured, settings)
     calibration = calibrate_accelerometer(
         measured.observations,
         measured.gravity,
         model=settings.model,
         gauge=settings.gauge,
         preset=preset,
-        raw_zero=measured.raw_zero if zero is None else zero,
+        raw_zero=None if zero is None else zero[:3],
         grade=grade,
         seed=settings.seed,
     )
@@ -239,21 +238,30 @@ def _with_gyroscope(
         quality = quality.with_reasons(check.sentence)
     if clock is not None and knows_scale:
         quality = quality.with_reasons(clock_words(clock))
-    return _with_raw_zero(replace(joined, quality=quality), observations.units), verdict
+    return _with_raw_zero(replace(joined, quality=quality), _raw_zero(measured, settings), observations.units), verdict
 
 
-def _with_raw_zero(calibration: Calibration, units: SampleUnits) -> Calibration:
-    """Return a calibration whose gyroscope has the accelerometer's raw zero where its bias is nearer to it than to 0."""
+def _raw_zero(measured: SolveInput, settings: SolveSettings) -> FloatArray | None:
+    """Return the raw zero of the accelerometer, shape (3,), or of both triads, shape (6,), as rates; None where not stated."""
+    # Typed as the instrument sends it.
+    return measured.raw_zero if settings.raw_zero is None else measured.observations.units.raw_zero_rate(settings.raw_zero)
+
+
+def _with_raw_zero(calibration: Calibration, stated: FloatArray | None, units: SampleUnits) -> Calibration:
+    """Return a calibration whose gyroscope has its raw zero: the stated one, or the accelerometer's on axes that need it."""
     gyroscope, raw_zero = calibration.gyroscope, calibration.accelerometer.raw_zero
     if gyroscope is None:
         return calibration
-    bias = gyroscope.parameters.bias
-    # Different numbers are of the accelerometer's axes alone; increments and rates do not come from one converter.
-    is_common = not np.ptp(raw_zero) and units.accelerometer_is_increment == units.gyroscope_is_increment
-    if is_common and every(np.abs(bias - raw_zero) < np.abs(bias)):
-        gyroscope = replace(gyroscope, parameters=gyroscope.parameters.about(raw_zero))
-    bias_deg_s = float(np.degrees(np.abs(gyroscope_bias_rad_s(gyroscope)[0])).max())
-    quality = calibration.quality
-    if nominal_scale(gyroscope.raw_unit) is None and bias_deg_s > _LARGEST_BIAS_DEG_S and not np.any(raw_zero):
+    parameters, quality = gyroscope.parameters, calibration.quality
+    largest = math.radians(_LARGEST_BIAS_DEG_S) * np.abs(parameters.scale)
+    if stated is None or len(stated) == len(AXES):
+        # Different numbers are of the accelerometer's axes; increments and rates do not come from one converter.
+        is_common = not np.ptp(raw_zero) and units.accelerometer_is_increment == units.gyroscope_is_increment
+        helps = (np.abs(parameters.bias) > largest) & (np.abs(parameters.bias - raw_zero) <= largest)
+        parameters = parameters.about(np.where(helps & is_common, raw_zero, 0.0))
+    else:
+        parameters = parameters.about(stated[len(AXES) :])
+    if nominal_scale(gyroscope.raw_unit) is None and np.any(np.abs(parameters.bias) > largest):
+        bias_deg_s = float(np.degrees(np.abs(parameters.bias / parameters.scale)).max())
         quality = quality.with_reasons(sentence("calibration.raw_zero", bias_deg_s=bias_deg_s, limit=_LARGEST_BIAS_DEG_S))
-    return replace(calibration, gyroscope=gyroscope, quality=quality)
+    return replace(calibration, gyroscope=replace(gyroscope, parameters=parameters), quality=quality)

@@ -64,7 +64,7 @@ class ReadingPlan:
     scheme: str | None
     guide: GuideSettings = field(default_factory=GuideSettings)
     raw_zero: tuple[float, ...] | None = None
-    """Raw output of the accelerometer at zero input, as the instrument sends it, where the protocol does not tell it."""
+    """Raw zero of the accelerometer or of both triads, as the instrument sends it, where the protocol does not tell it."""
 
     @classmethod
     def of(cls, session: Session) -> ReadingPlan:
@@ -139,7 +139,7 @@ class Chain:
         # Each imported here: samples alone need neither of them, and what nobody guided needs no guide.
         nominal = protocol.nominal
         scale = RoughScale(
-            accelerometer=nominal.accelerometer_scale, gyroscope=nominal.gyroscope_scale, raw_zero=self.raw_zero(protocol)
+            accelerometer=nominal.accelerometer_scale, gyroscope=nominal.gyroscope_scale, raw_zero=self.raw_zero(protocol)[:3]
         )
         if self.plan.scheme is None:
             from imufield.guide.lead.unguided import StillIntervalFinder
@@ -249,7 +249,7 @@ class Chain:
         return self.finder.finish()
 
     def raw_zero(self, protocol: Protocol) -> FloatArray:
-        """Return the accelerometer's raw output at zero input as a rate, shape (3,)."""
+        """Return the raw zero of the accelerometer, shape (3,), or of both triads, shape (6,), as rates."""
         return protocol.raw_zero_rate(None if self.plan.raw_zero is None else np.array(self.plan.raw_zero))
 
     def _begin_anew(self, held_back: Samples | None) -> list[Event]:

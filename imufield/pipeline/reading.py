@@ -41,7 +41,8 @@ class Reading:
         Lowest and highest; NaN where none was sent.
     sensor_offset_degc : ndarray, shape (6,)
         Temperature of each axis' sensor less that of the instrument, mean of the session; NaN where none was sent.
-    raw_zero : ndarray, shape (3,), or None
+    raw_zero : ndarray, shape (3,) or (6,), or None
+        Rates, of the accelerometer or of both triads.
     gyroscope_scale : float or None
     grade : str
         Nominal, of the protocol.

@@ -317,7 +317,7 @@ def _unguided(chain: Chain, session: Session) -> _Usable:
 
 def _refuse_ramp(chain: Chain, session: Session, error: CalibrationError | None = None) -> None:
     """Say of a ramp of temperature what it is good for: a person needs that more than why none of its stills counts."""
-    if chain.protocol is not None and is_ramp(session, chain.raw_zero(chain.protocol)):
+    if chain.protocol is not None and is_ramp(session, chain.raw_zero(chain.protocol)[:3]):
         values = {"name": session.name, "limit": FEWEST_FOR_SCALE_AND_BIAS}
         raise CalibrationError(sentence("solving.one_pose", **values), Reason.TOO_FEW) from error
 

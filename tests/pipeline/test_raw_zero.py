@@ -12,7 +12,7 @@ from imufield.dataclass import replace
 from imufield.deliver.parameters.document import gyroscope_bias_rad_s
 from imufield.deliver.parameters.file import Parameters
 from imufield.guide.positions import scheme
-from imufield.samples import Samples
+from imufield.samples import FloatArray, Samples
 from imufield.testing import Replayed
 from tests.guide.conftest import Path as BodyPath
 from tests.told import keys
@@ -42,7 +42,9 @@ def samples() -> Samples:
 def solved(samples: Samples, tmp_path: Path, imufield_replay: Callable[..., Replayed]) -> Solved:
     """Solve lines of counts about a middle of each triad, of rates (``per_s`` is 1) or of increments."""
 
-    def solve(middles: tuple[float, float], stated: float, per_s: float = 1.0, zero: str | None = None) -> Parameters:
+    def solve(
+        middles: tuple[float, float | FloatArray], stated: float, per_s: float = 1.0, zero: str | None = None
+    ) -> Parameters:
         accelerometer = samples.accelerometer * COUNTS_PER_M_S2 / per_s + middles[0]
         gyroscope = samples.gyroscope * COUNTS_PER_RAD_S / per_s + middles[1]
         lines = np.column_stack([samples.time_s, accelerometer, gyroscope])
@@ -85,9 +87,24 @@ def test_a_raw_zero_that_is_not_of_both_triads_stays_in_the_gyroscopes_bias(
     assert gyroscope is not None
     assert not gyroscope.parameters.raw_zero.any()
     np.testing.assert_allclose(gyroscope.parameters.bias, MIDDLE + BIAS_RAD_S * COUNTS_PER_RAD_S, atol=5)
-    # What the accelerometer has is not to be replaced by the gyroscope's.
-    assert ("calibration.raw_zero" in keys(found.calibration.quality.reasons)) == (zero is None)
+    assert "calibration.raw_zero" in keys(found.calibration.quality.reasons)
     raw = np.column_stack([samples.accelerometer * COUNTS_PER_M_S2 + stated, samples.gyroscope * COUNTS_PER_RAD_S + MIDDLE])
     about = gyroscope.parameters.about(np.full(3, MIDDLE))
     same = replace(found, calibration=replace(found.calibration, gyroscope=replace(gyroscope, parameters=about)))
     np.testing.assert_allclose(same.apply(raw), found.apply(raw), atol=1e-9)
+
+
+@pytest.mark.parametrize("per_s", [1.0, RATE_HZ], ids=["rates", "increments"])
+def test_six_numbers_are_of_both_triads(per_s: float, solved: Solved) -> None:
+    found = solved((100.0, MIDDLE), 0.0, per_s, f"100,100,100,{MIDDLE},{MIDDLE},{MIDDLE}").calibration
+    assert found.gyroscope is not None
+    np.testing.assert_allclose(found.accelerometer.raw_zero, 100.0 * per_s)
+    np.testing.assert_allclose(found.gyroscope.parameters.raw_zero, MIDDLE * per_s)
+    np.testing.assert_allclose(gyroscope_bias_rad_s(found.gyroscope)[0], BIAS_RAD_S, atol=1e-3)
+
+
+def test_an_axis_that_is_signed_has_no_raw_zero(solved: Solved) -> None:
+    found = solved((MIDDLE, np.array([MIDDLE, 0.0, MIDDLE])), MIDDLE).calibration.gyroscope
+    assert found is not None
+    np.testing.assert_array_equal(found.parameters.raw_zero, [MIDDLE, 0.0, MIDDLE])
+    np.testing.assert_allclose(gyroscope_bias_rad_s(found)[0], BIAS_RAD_S, atol=1e-3)

@@ -53,7 +53,7 @@ class ArrayTable:
     values : ndarray, shape (n, width)
     settings : dict
         Settings of protocol ``rows_f64`` that the file states itself.
-    raw_zero : tuple of 3 floats or None
+    raw_zero : tuple of 3 or 6 floats, or None
     assumptions : tuple of str
         Sentences.
     zero_s : tuple of float
@@ -65,7 +65,7 @@ class ArrayTable:
     values: FloatArray
     units: tuple[str, ...] | None = None
     settings: dict[str, str | float] = field(default_factory=dict)
-    raw_zero: tuple[float, float, float] | None = None
+    raw_zero: tuple[float, ...] | None = None
     assumptions: tuple[str, ...] = ()
     zero_s: tuple[float, ...] = ()
 
@@ -267,7 +267,7 @@ def _names(name: str, width: int) -> list[str]:
     return found
 
 
-def _stated(stated: Mapping[str, str]) -> tuple[dict[str, str | float], tuple[float, float, float] | None]:
+def _stated(stated: Mapping[str, str]) -> tuple[dict[str, str | float], tuple[float, ...] | None]:
     """Return what our own exports say of their numbers: settings and mid-scale."""
     if "imufield_accelerometer_unit" not in stated:
         return {}, None
@@ -276,5 +276,4 @@ def _stated(stated: Mapping[str, str]) -> tuple[dict[str, str | float], tuple[fl
     }
     if stated.get("imufield_increments") == "true":
         settings |= {"increments": "true", "rate_hz": float(stated["imufield_rate_hz"])}
-    x, y, z = map(float, stated.get("imufield_raw_zero", "0,0,0").split(",")[:3])
-    return settings, (x, y, z)
+    return settings, tuple(map(float, stated.get("imufield_raw_zero", "0,0,0").split(",")))

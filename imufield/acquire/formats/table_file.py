@@ -51,7 +51,7 @@ class File:
     units: dict[str, str]
     assumptions: tuple[str, ...]
     settings: dict[str, str | float] = field(default_factory=dict)
-    raw_zero: tuple[float, float, float] | None = None
+    raw_zero: tuple[float, ...] | None = None
     zero_s: float = 0.0
 
 

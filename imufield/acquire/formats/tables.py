@@ -65,7 +65,7 @@ class ImportedTable:
     settings : dict
         Settings of protocol ``rows_f64`` that the files or the user determine: ``accelerometer_unit``, ``gyroscope_unit``,
         ``rate_hz``.
-    raw_zero : tuple of 3 floats
+    raw_zero : tuple of 3 or 6 floats
         Raw accelerometer output at no input; zeros unless given.
     assumptions : tuple of str
         Sentences.
@@ -81,7 +81,7 @@ class ImportedTable:
 
     rows: FloatArray
     settings: dict[str, str | float]
-    raw_zero: tuple[float, float, float]
+    raw_zero: tuple[float, ...]
     assumptions: tuple[str, ...]
     guessed: Mapping[str, str] = field(default_factory=dict)
     status: NDArray[np.uint32] | None = None
@@ -129,7 +129,7 @@ def read_tables(
         Names of the columns, e.g. ``time,ax,ay,az,gx,gy,gz,temperature``; ``-`` skips one, ``;`` parts files.
     rate_hz : float, optional
         Needed where there is no time column; otherwise decides the unit of time where that is open.
-    zero : three floats, optional
+    zero : three or six floats, optional
         Raw zero, raw unit; by default that of the file, else 0. Not subtracted.
     settings : mapping, optional
         ``accelerometer_unit``, ``gyroscope_unit`` and ``time_unit`` where the user knows better.
@@ -301,7 +301,7 @@ def _table(
     if rate_hz is not None:
         found["rate_hz"] = float(rate_hz)
     # The user knows better than the file.
-    x, y, z = zero or next((file.raw_zero for file in files if file.raw_zero is not None), (0.0, 0.0, 0.0))
+    stated_zero = zero or next((file.raw_zero for file in files if file.raw_zero is not None), (0.0, 0.0, 0.0))
     status = joined[STATUS].astype(np.uint32) if STATUS in joined else None
     if status is not None:
         found["status"] = "true"
@@ -313,7 +313,7 @@ def _table(
     return ImportedTable(
         rows=rows,
         settings=found,
-        raw_zero=(x, y, z),
+        raw_zero=(*stated_zero,),
         assumptions=tuple(said),
         guessed=guessed,
         status=status,

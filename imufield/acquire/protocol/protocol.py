@@ -100,7 +100,7 @@ class Protocol:
 
     def raw_zero_rate(self, raw_zero: FloatArray | None = None) -> FloatArray:
         """Return the raw output at zero input, the protocol's or another, as a rate: raw unit, per second for increments."""
-        return self.units.accelerometer_rate(self.nominal.raw_zero if raw_zero is None else raw_zero)
+        return self.units.raw_zero_rate(self.nominal.raw_zero if raw_zero is None else raw_zero)
 
     def factor(self, part: str, field: Field) -> float:
         """Return what a value of one field is multiplied by: fields of one part may come in different units."""

@@ -16,7 +16,7 @@ from imufield.earth import GRAVITY_RANGE_M_S2, HEIGHT_RANGE_M, MEASURED_GRAVITY_
 from imufield.errors import Reason, RecordingError
 from imufield.files import utf8_text
 from imufield.limits import BAUD_RANGE, HOLD_RANGE_S, RATE_RANGE_HZ, TARGET_RANGE
-from imufield.samples import ACCELEROMETER_COLUMNS, LARGEST_OUTPUT
+from imufield.samples import LARGEST_OUTPUT
 from imufield.sentences import Sentences, printable
 
 sentence = Sentences(__package__)
@@ -198,11 +198,11 @@ class SessionRecord:
         instrument = {key: printable(str(value)) for key, value in content.get("instrument", {}).items()}
         tables = {name: _read_table(kind, name, content, path) for name, kind in _TABLES.items()}
         zero = content.get("nominal", {}).get("raw_zero")
-        zeros: list[Any] = zero if isinstance(zero, list) and len(zero) == len(ACCELEROMETER_COLUMNS) else [zero]
+        zeros: list[Any] = zero if isinstance(zero, list) and len(zero) in (3, 6) else [zero]
         for value in zeros if zero is not None else ():
             _check_number("nominal.raw_zero", value, path, low=-LARGEST_OUTPUT, high=LARGEST_OUTPUT)
         # One number stands for all axes.
-        raw_zero = None if zero is None else tuple(float(value) for value in zeros * (3 // len(zeros)))
+        raw_zero = None if zero is None else tuple(map(float, zeros * 3 if len(zeros) == 1 else zeros))
         settings = {}
         for key, value in content.get("settings", {}).items():
             if not isinstance(value, dict) or "value" not in value:

@@ -140,7 +140,7 @@ def parse_settings(options: list[str] | None) -> dict[str, str]:
 
 
 def parse_zero(text: str | None) -> list[float] | None:
-    """Read the mid-scale option: one number for all axes, or three.
+    """Read the raw zero: one number, three of the accelerometer's axes, or six of both triads.
 
     Raises
     ------
@@ -153,6 +153,6 @@ def parse_zero(text: str | None) -> list[float] | None:
         values = [float(part) for part in text.replace(",", " ").split()]
     except ValueError:
         values = []
-    if len(values) not in (1, 3) or not all(math.isfinite(value) for value in values):
+    if len(values) not in (1, 3, 6) or not all(math.isfinite(value) for value in values):
         raise UsageError(sentence("configuration.zero", zero=text))
     return values * 3 if len(values) == 1 else values

@@ -224,7 +224,7 @@ TargetScalePpm = Annotated[
     ),
 ]
 RawZero = Annotated[
-    str | None, option("--zero", help="Raw zero: one number for both triads, or three for the accelerometer's axes.")
+    str | None, option("--zero", help="Raw zero: one number, three of the accelerometer, or six of both triads.")
 ]
 AsJson = Annotated[bool, option("--json", help="JSON on standard output and nothing else.")]
 EventsAsJson = Annotated[bool, option("--json", help="Events as JSON lines on standard output.")]

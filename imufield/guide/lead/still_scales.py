@@ -94,15 +94,15 @@ def find_scales(blocks: Iterable[Samples], raw_zero: FloatArray) -> StillScales:
     Parameters
     ----------
     blocks : iterable of Samples
-    raw_zero : ndarray, shape (3,)
-        Raw output of the accelerometer at zero input.
+    raw_zero : ndarray, shape (3,), or (6,)
+        Of the accelerometer, or of both triads.
     """
     finder: StillIntervalFinder | None = None
     found, count, enough = StillScales({}, 0), 0, _ENOUGH_STILLS
     # To the end, whatever is used: the decoder behind them counts its frames.
     for block in blocks:
         # Nothing is known of the scales: that is what is asked.
-        finder = finder or StillIntervalFinder(block.units, RoughScale(raw_zero=block.units.accelerometer_rate(raw_zero)))
+        finder = finder or StillIntervalFinder(block.units, RoughScale(raw_zero=block.units.raw_zero_rate(raw_zero[:3])))
         if found.are_sure or count >= _MOST_SAMPLES:
             continue
         finder.feed(block)

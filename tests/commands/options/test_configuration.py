@@ -50,7 +50,14 @@ def test_gravity_may_have_its_uncertainty(value: str) -> None:
 
 @pytest.mark.parametrize(
     ("text", "zero"),
-    [(None, None), ("32768", [32768.0] * 3), ("1,2,3", [1.0, 2.0, 3.0]), ("1, 2 3", [1.0, 2.0, 3.0]), ("-5", [-5.0] * 3)],
+    [
+        (None, None),
+        ("32768", [32768.0] * 3),
+        ("1,2,3", [1.0, 2.0, 3.0]),
+        ("1, 2 3", [1.0, 2.0, 3.0]),
+        ("-5", [-5.0] * 3),
+        ("0,0,0,9,9,9", [0.0] * 3 + [9.0] * 3),
+    ],
 )
 def test_a_raw_zero_is_one_number_or_three(text: str | None, zero: list[float] | None) -> None:
     assert parse_zero(text) == zero
