@@ -244,7 +244,8 @@ class MoveCollector:
         if self._pending is not None:
             samples = concatenate([self._pending, samples])
         if self.interval_s is None and len(samples) > 2:
-            self.interval_s = float(median(np.diff(samples.time_s)))
+            steps = np.diff(samples.time_s)
+            self.interval_s = float(median(steps[steps > 0])) if (steps > 0).any() else None
         if self.interval_s is None:
             self._pending = samples
             return
@@ -348,7 +349,8 @@ class MoveCollector:
         flags[dt > _LOST_INTERVALS * interval_s] |= np.uint8(SlotFlag.BRIDGED)
         flags[dt > max(BRIDGED_S, BRIDGED_INTERVALS * interval_s)] |= np.uint8(SlotFlag.LOST)
         is_set = (status[1:] & np.uint32(Status.CLOCK_SET)) != 0
-        flags[(dt <= 0) | is_set] |= np.uint8(SlotFlag.CLOCK_JUMP)
+        # Samples of one time, of a clock with coarse ticks or sent twice, add nothing to a turn.
+        flags[(dt < 0) | is_set] |= np.uint8(SlotFlag.CLOCK_JUMP)
         # An interval has the flags of both of its samples.
         for what, flag in _OF_STATUS.items():
             seen = (status & np.uint32(what)) != 0

@@ -11,6 +11,7 @@ from gyroscope_sessions import collect_moves
 from imufield.calibrate.gyroscope.move_integration import centre, integrate, rough_inverse, sums_at_end
 from imufield.calibrate.gyroscope.moves import MoveCollector, Moves, cut_moves, join_slots
 from imufield.calibrate.model.rotation import exponential, matrix, multiply, right_jacobian
+from imufield.dataclass import replace
 from imufield.samples import FloatArray, Samples, SampleUnits, Status, make_samples
 
 pytestmark = pytest.mark.numerical
@@ -195,6 +196,27 @@ def test_clock_jumps_drop_the_move() -> None:
     samples.time_s[2500:] -= 0.05
     moves = collect_moves([samples], START_S, DURATION_S)
     assert keys(moves) == ["moves.clock_jump"]
+
+
+@pytest.mark.parametrize("tick_s", [0.0016, 0.002, 0.008])
+def test_a_clock_with_coarse_ticks_turns_alike(tick_s: float) -> None:
+    def coarse(samples: Samples) -> Samples:
+        return replace(samples, time_s=np.floor(samples.time_s / tick_s + 1e-6) * tick_s)
+
+    exact, ticked = (collect_moves([session(change)], START_S, DURATION_S) for change in (None, coarse))
+    assert keys(ticked) == []
+    for k in range(2):
+        assert between(turn_of(exact, k), turn_of(ticked, k)) < 0.01
+
+
+def test_a_sample_that_is_sent_twice_changes_no_turn() -> None:
+    exact, twice = (
+        collect_moves([session(change)], START_S, DURATION_S)
+        for change in (None, lambda samples: samples[np.sort(np.append(np.arange(len(samples)), [2500, 2501, 6900]))])
+    )
+    assert keys(twice) == []
+    for k in range(2):
+        assert between(turn_of(exact, k), turn_of(twice, k)) < 1e-9
 
 
 @pytest.mark.parametrize("flags", [Status.GAP_ESTIMATED, Status.GAP_ESTIMATED | Status.CLOCK_SET])
