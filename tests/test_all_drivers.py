@@ -15,7 +15,6 @@ import pytest
 
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.driver import Driver
-from imufield.acquire.instrument.can_map import open_can
 from imufield.acquire.link.serial import Link, open_link
 from imufield.acquire.protocol.can_frame import EXTENDED, pack_frame
 from imufield.acquire.protocol.protocol import Protocol, load_protocol, protocol_names
@@ -23,6 +22,7 @@ from imufield.acquire.registry import load_driver, shipped_names
 from imufield.samples import Samples, concatenate
 from imufield.simulate.emulator.core import EmulatorCore, EmulatorSettings
 from imufield.simulate.emulator.emulate import Emulation, choose_wire, make_emulator
+from tests.opened_can import open_can
 
 NAMES = shipped_names()
 PROTOCOLS_WITHOUT_DRIVER = {"rows_f64": "written by imufield itself, no instrument sends it"}

@@ -13,7 +13,6 @@ import pytest
 import serial
 
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.instrument.can_map import open_can
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.acquire.recording.reader import RecordedEvent, read_session
@@ -23,6 +22,7 @@ from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
 from imufield.simulate.truth.operator import OperatorSettings
 from imufield.simulate.wire.stim300 import Stim300Encoder, Stim300Format
 from imufield.testing import Replayed, sentence
+from tests.opened_can import open_can
 
 pytest_plugins = ["pytester"]
 

@@ -1,7 +1,6 @@
 """Choose the protocol of a CAN bus: of a driver, of a protocol file, or made from a user's DBC file and signal names.
 
-``--dbc FILE --map accelerometer.x=SIGNAL ...`` is written as the text of a protocol. ``open_can`` is the one call for programs
-of others that opens a bus with everything to decode it.
+``--dbc FILE --map accelerometer.x=SIGNAL ...`` is written as the text of a protocol.
 """
 
 from __future__ import annotations
@@ -12,16 +11,12 @@ from pathlib import Path
 
 import tomli_w
 
-from imufield.acquire.decoder import Decoder
 from imufield.acquire.instrument.recognise import Candidate
-from imufield.acquire.link.can import CanLink, open_can_link
-from imufield.acquire.link.host_clock import HostClock
 from imufield.acquire.protocol.can_protocol import dbc_table
 from imufield.acquire.protocol.protocol import DBC_LIMIT_BYTES, Protocol, decode_dbc, load_protocol, parse_protocol
 from imufield.acquire.protocol.toml import near
 from imufield.acquire.protocol.units import unit_name
 from imufield.acquire.registry import load_driver
-from imufield.dataclass import dataclass
 from imufield.errors import ProtocolError, Reason, UsageError
 from imufield.files import read_start
 from imufield.samples import AXES
@@ -182,54 +177,3 @@ def bus_candidate(
     bit_rate = known.default_baud if known else found.can.bit_rate
     title = known.title if known else found.title
     return Candidate(name=name, title=title, protocol=found, bauds=(bit_rate,) if bit_rate else (), driver=known)
-
-
-@dataclass(frozen=True, slots=True)
-class OpenedCan:
-    """An open bus and what understands it."""
-
-    link: CanLink
-    protocol: Protocol
-    decoder: Decoder
-    """``feed(chunk.data, chunk.monotonic_s)`` returns samples."""
-    driver: str
-    """Name of the driver, or of the protocol where there is none."""
-
-
-def open_can(
-    bus: str,
-    *,
-    driver: str | None = None,
-    protocol: str | Path | Protocol | None = None,
-    dbc: str | Path | None = None,
-    mapping: Mapping[str, str] | None = None,
-    settings: Mapping[str, object] | None = None,
-    bit_rate: int | None = None,
-    clock: HostClock | None = None,
-) -> OpenedCan:
-    """Open a bus with one of a driver, a protocol, or a DBC file and its mapping.
-
-    Parameters
-    ----------
-    bus : str
-        ``INTERFACE:CHANNEL``.
-    driver : str, optional
-    protocol : str, Path or Protocol, optional
-    dbc : Path, optional
-    mapping : mapping, optional
-        As ``parse_map`` returns it.
-    settings : mapping, optional
-    bit_rate : int, optional
-        That of the driver or the protocol by default.
-    clock : HostClock, optional
-
-    Raises
-    ------
-    UsageError, ProtocolError
-        As ``bus_candidate``.
-    LinkError
-        The bus cannot be opened.
-    """
-    found = bus_candidate(driver=driver, protocol=protocol, dbc=dbc, mapping=mapping, settings=settings)
-    link = open_can_link(bus, bit_rate=bit_rate or next(iter(found.bauds), None), clock=clock)
-    return OpenedCan(link, found.protocol, Decoder(found.protocol), found.name)

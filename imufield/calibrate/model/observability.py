@@ -69,7 +69,6 @@ class Observability:
     """Of the gauge-free problem: at most 12 with the quadratic term, 9 without."""
     condition: float
     """Largest over smallest singular value among those counted in ``rank``, scaled coordinates."""
-    singular_values: FloatArray
     free: tuple[int, ...]
     """Observable parameters in the lower gauge, indices into ACCELEROMETER_NAMES."""
     unobservable: tuple[str, ...]
@@ -127,7 +126,7 @@ def observe(derivatives: NormDerivatives, vector: FloatArray, gravity_m_s2: floa
     hidden = tuple(ACCELEROMETER_NAMES[column] for column in gauge_free if column not in free)
     rank = len(free)
     condition = float(values[0] / values[rank - 1]) if 0 < rank <= len(values) else np.inf
-    return Observability(rank=rank, condition=condition, singular_values=values, free=tuple(free), unobservable=hidden)
+    return Observability(rank=rank, condition=condition, free=tuple(free), unobservable=hidden)
 
 
 def unexplained_lengths(columns: FloatArray, least: float = 0.0) -> list[float]:

@@ -1,7 +1,7 @@
 """The rules of a parameter file: ``parameters.schema.json`` decides, here it is enforced.
 
-The same schema ships for other programs. It keeps to the keywords in ``KEYWORDS``, so a page of code can enforce it and
-say, for a person, which key is wrong; the tests hold this page against a full JSON Schema validator.
+The same schema ships for other programs. It keeps to the keywords that ``first_fault`` understands, so a page of code can
+enforce it and say, for a person, which key is wrong; the tests hold this page against a full JSON Schema validator.
 """
 
 from __future__ import annotations
@@ -25,11 +25,6 @@ sentence = Sentences(__package__)
 Document = dict[str, Any]
 """A table of a parameter file, a document of JSON, or the schema of one."""
 
-KEYWORDS = frozenset(
-    {"$ref", "type", "const", "enum", "pattern", "minimum", "exclusiveMinimum", "maximum", "anyOf", "description"}
-    | {"properties", "required", "additionalProperties", "items", "minItems", "maxItems"}
-)
-"""What ``first_fault`` understands."""
 LARGEST_EXACT_INTEGER = 2**53
 """A larger integer does not fit a float64 exactly."""
 

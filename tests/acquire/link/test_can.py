@@ -13,7 +13,6 @@ from pathlib import Path
 import can
 import pytest
 
-from imufield.acquire.instrument.can_map import open_can
 from imufield.acquire.link.can import RECEIVE_BUFFER_BYTES, CanLink, open_can_link, parse_bus
 from imufield.acquire.link.host_clock import ScaledClock
 from imufield.acquire.link.slcan import LINE_LIMIT_BYTES, SlcanBus
@@ -21,6 +20,7 @@ from imufield.acquire.protocol.can_frame import ADAPTER_TIME, ERROR, EXTENDED, F
 from imufield.acquire.protocol.can_frames import unpack_frames
 from imufield.errors import LinkError, ProtocolError, Reason, UsageError
 from imufield.simulate.emulator.slcan import SlcanDevice
+from tests.opened_can import open_can
 from tests.refused import refused
 
 NUMBERS = itertools.count()

@@ -28,7 +28,6 @@ def test_paper24_shows_12_of_15_and_9_of_12() -> None:
     assert (quadratic.rank, linear.rank) == (12, 9)
     assert quadratic.unobservable == linear.unobservable == ()
     assert linear.condition < quadratic.condition < 10
-    assert len(quadratic.singular_values) == 12
 
 
 @pytest.mark.parametrize("times", [2, 4])
@@ -56,7 +55,7 @@ def test_a_large_quadratic_term_on_body_axes_does_not_hide_the_turns() -> None:
     vector[12:] = 400 * 0.3 / GRAVITY**2
     raw = outputs(parameters, GRAVITY * paper24())
     seen = observe(norm_derivatives(vector, raw, "body"), vector, GRAVITY, quadratic=True)
-    assert seen.rank == len(seen.singular_values) == 12
+    assert seen.rank == 12
 
 
 def test_one_side_of_an_axis_is_refused_by_name() -> None:

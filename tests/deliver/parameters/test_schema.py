@@ -12,9 +12,15 @@ from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration
 from imufield.deliver.parameters.context import Context
 from imufield.deliver.parameters.document import to_document
-from imufield.deliver.parameters.schema import KEYWORDS, first_fault, json_ready, parameter_schema
+from imufield.deliver.parameters.schema import first_fault, json_ready, parameter_schema
 from imufield.errors import Reason
 from tests.told import key_of
+
+KEYWORDS = frozenset(
+    {"$ref", "type", "const", "enum", "pattern", "minimum", "exclusiveMinimum", "maximum", "anyOf", "description"}
+    | {"properties", "required", "additionalProperties", "items", "minItems", "maxItems"}
+)
+"""What ``first_fault`` understands."""
 
 
 @pytest.fixture

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 from imufield.acquire.decode.assembly import Message
-from imufield.acquire.instrument.can_map import OpenedCan, open_can
 from imufield.acquire.protocol.can_frame import ERROR
 from imufield.acquire.protocol.can_frames import unpack_frames
 from imufield.acquire.protocol.protocol import load_protocol
@@ -26,6 +25,7 @@ from imufield.simulate.emulator.can import CanEmulator
 from imufield.simulate.emulator.core import EmulatorSettings
 from imufield.simulate.emulator.faults import CanFaultInjector, CanFaults
 from imufield.simulate.wire.can_frames import CanEncoder
+from tests.opened_can import OpenedCan, open_can
 from tests.refused import refused
 
 NUMBERS = itertools.count()
