@@ -75,7 +75,8 @@ class _Task:
         together = self.parameters.context.together
         if together is not None and own_sha256 in [session.sha256 for session in together.session]:
             raise UsageError(sentence("verify.one_of_them", session=self.session.name))
-        self.wants_navigation = options.turned or options.heading_deg is not None or "nav-nmi-per-h" in self.limits
+        self.asks_for_navigation = options.turned or options.heading_deg is not None
+        self.wants_navigation = self.asks_for_navigation or "nav-nmi-per-h" in self.limits
         own, recorded = self.parameters.calibration.gravity, self.session.record.site
         # Where a session does not say where it was taken, what was typed to solve it goes before a default.
         uses_default = options.site.usual.is_known and not (self.is_its_own and own.source != "assumed")
@@ -270,8 +271,9 @@ class _Navigation:
             return None
 
     def _give_up(self, error: ImufieldError) -> None:
-        # Parameters in other units are wrong for any check; all else only stands in the way of this one.
-        if self._task.wants_navigation or isinstance(error, ParameterFileError):
+        # Parameters in other units are wrong for any check; all else only stands in the way of this one, whose limits it misses.
+        is_missing = isinstance(error, UsageError) and self._task.wants_navigation
+        if self._task.asks_for_navigation or is_missing or isinstance(error, ParameterFileError):
             raise error
         self._problems.append(error)
         self.is_off = True

@@ -336,7 +336,7 @@ def test_short_rest_is_checked_as_a_position_and_the_reason_told(
     arguments = ["verify", str(short / "parameters.toml"), str(session.folder), "-o", str(tmp_path / "found.json")]
     assert run(arguments) == 0
     assert not missing(capsys.readouterr().out, "60 s", "660 s")
-    assert run([*arguments, "--require", "nav-nmi-per-h=1"]) == 4
+    assert run([*arguments, "--require", "nav-nmi-per-h=1"]) == 7
 
 
 def test_unannounced_options_are_refused(short: Path, tmp_path: Path) -> None:
