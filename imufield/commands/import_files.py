@@ -306,7 +306,7 @@ def _whole_or_nothing(session: Session, protocol: Protocol) -> Iterator[tuple[Se
 
 
 def _new_session(options: ImportOptions, protocol: Protocol, table: ImportedTable | None, began: str) -> Session:
-    model = printable(options.model or options.files[0].name.split(".")[0])
+    model = printable(options.model or Path(options.files[0].name.removesuffix(".gz")).stem)
     serial_number = None if options.serial_number is None else printable(options.serial_number)
     metadata: dict[str, object] = {
         "kind": "import",

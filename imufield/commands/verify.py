@@ -271,7 +271,7 @@ class _Navigation:
             return None
 
     def _give_up(self, error: ImufieldError) -> None:
-        # Parameters in other units are wrong for any check; all else only stands in the way of this one, whose limits it misses.
+        # Parameters in other units are wrong for any check; all else stands in the way of this one, which misses its limits.
         is_missing = isinstance(error, UsageError) and self._task.wants_navigation
         if self._task.asks_for_navigation or is_missing or isinstance(error, ParameterFileError):
             raise error

@@ -316,6 +316,14 @@ def test_what_is_told_of_the_instrument_is_kept(tmp_path: Path) -> None:
     assert (instruments[0].model, instruments[0].serial_number) == ("STIM300 rev D", "A17")
 
 
+def test_a_name_with_dots_is_the_whole_model(tmp_path: Path) -> None:
+    write_lines(tmp_path / "run.3_0.001.csv")
+    (tmp_path / "run.4_0.001.csv.gz").write_bytes(gzip.compress((tmp_path / "run.3_0.001.csv").read_bytes()))
+    for number, name in ((3, "run.3_0.001.csv"), (4, "run.4_0.001.csv.gz")):
+        assert run(["import", str(tmp_path / name), "-o", str(tmp_path / str(number))]) == 0
+        assert Session.open(tmp_path / str(number)).record.instrument.model == f"run.{number}_0.001"
+
+
 def test_a_default_site_is_not_that_of_another_programs_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("IMUFIELD_LATITUDE_DEG", "45")
     write_lines(tmp_path / "a.csv")
