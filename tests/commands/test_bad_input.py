@@ -221,7 +221,8 @@ def test_unplugged_while_recording(program: Program) -> None:
     session = only_session(program.folder)
     assert session.finished
     assert str(session.name) in ended.stdout
-    assert bytes_on_disk(session) > 20 * 125 * 38
+    # Far more than what came before the fault; a busy computer opens the port later.
+    assert bytes_on_disk(session) > 20 * 125 * 25
 
 
 def test_unplugged_while_capturing(program: Program) -> None:
