@@ -73,6 +73,7 @@ def with_gyroscope(file: Observations, reading: Observations) -> Observations:
         file,
         gyroscope_mean_raw=np.where(found[:, None], mean, np.nan),
         gyroscope_covariance_raw=np.where(found[:, None, None], covariance, np.nan),
+        units=reading.units,
     )
 
 

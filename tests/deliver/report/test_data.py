@@ -1,0 +1,21 @@
+"""What a report reads of the recording beside the parameter file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from imufield.calibrate.model.observations import Observations
+from imufield.deliver.report.data import with_gyroscope
+from imufield.samples import SampleUnits
+
+
+def test_the_gyroscope_of_a_recording_comes_with_its_unit(observations: Observations) -> None:
+    """In counts nothing says the scale before, and no closing error is drawn for it."""
+    m, units = len(observations), SampleUnits(accelerometer="count", gyroscope="count")
+    rates = np.arange(3.0 * m).reshape(m, 3)
+    read = replace(observations, gyroscope_mean_raw=rates, gyroscope_covariance_raw=np.zeros((m, 3, 3)), units=units)
+    joined = with_gyroscope(replace(observations, units=SampleUnits()), read)
+    np.testing.assert_array_equal(joined.gyroscope_mean_raw, rates)
+    assert joined.units == units
