@@ -254,6 +254,7 @@ def _with_raw_zero(calibration: Calibration, stated: FloatArray | None, units: S
         return calibration
     parameters, quality = gyroscope.parameters, calibration.quality
     largest = math.radians(_LARGEST_BIAS_DEG_S) * np.abs(parameters.scale)
+    largest = np.where(np.isnan(largest), np.abs(raw_zero) / 2, largest)
     if stated is None or len(stated) == len(AXES):
         # Different numbers are of the accelerometer's axes; increments and rates do not come from one converter.
         is_common = not np.ptp(raw_zero) and units.accelerometer_is_increment == units.gyroscope_is_increment

@@ -56,6 +56,7 @@ _MOST_EQUAL = 0.8  # Share of rows with the time of the row before: of more than
 _THOUSANDTHS = {"mg": "g", "mdeg/s": "deg/s"}
 _KEPT = ("g", "deg/s", "deg")  # Beside SI: protocol ``rows_f64`` knows them.
 _FAST = 0.999  # Of all outputs; larger ones may be damage.
+_LEAST_TICKED = 0.03  # Share of rows with the time of the row before that makes a clock coarse.
 _MOST_TICKED = 0.6  # Share of such rows from which the decoder tells their times as well by itself.
 _SAME_TICK = 0.1  # Of a tick: those of 15.6 ms are 15 and 16 ms in a file of whole ones.
 _MOST_REGULAR = 0.9  # Share of the ticks that are so: the others are pauses and losses.
@@ -274,13 +275,17 @@ def spread_times(time: FloatArray) -> FloatArray | None:
     rows, between = np.diff(first, append=len(time)), np.diff(time[first])
     usual = median(between)
     regular = np.abs(between / usual - 1) < _SAME_TICK
-    # What was read in bursts and stamped by its arrival is left to the decoder, which follows arrivals.
-    if np.mean(regular) <= _MOST_REGULAR or len(first) < (1 - _MOST_TICKED) * len(time):
+    # What was read in bursts and stamped by its arrival is left to the decoder, which follows arrivals. A few rows of one time
+    # are of a clock that stood, and the time is missing.
+    few, many = (1 - _LEAST_TICKED) * len(time), (1 - _MOST_TICKED) * len(time)
+    if np.mean(regular) <= _MOST_REGULAR or not many <= len(first) <= few:
         return None
     mean_step = between[regular].sum() / rows[:-1][regular].sum()
-    # The last tick has no end. A pause is longer than a tick, and one in which the clock stood as long as its rows take.
+    # The last tick has no end. A pause is longer than a tick, and one whose time came late as long as its rows take.
     tick = np.minimum(np.append(between, np.inf), np.maximum(usual, rows * mean_step))
     step = np.minimum(mean_step, tick / rows)
+    # More rows than a tick has room for were sent while the clock stood: they keep their time.
+    step[(rows - 1.5) * mean_step > tick] = 0.0
     first_time = time[first] + (tick - (rows - 1) * step) / 2
     rising: FloatArray = np.repeat(first_time, rows) + (np.arange(len(time)) - np.repeat(first, rows)) * np.repeat(step, rows)
     return rising

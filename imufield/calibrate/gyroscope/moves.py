@@ -313,7 +313,12 @@ class MoveCollector:
         # One row for each axis: loops of NumPy over three numbers cost more than the numbers.
         N, a = (np.ascontiguousarray(values.T) for values in (samples.gyroscope_rate(), samples.accelerometer_rate()))
         dt, interval_s = np.diff(samples.time_s), self.interval_s or 0.0
-        flags, bridge = self._flags(samples.status, dt), np.zeros(len(dt))
+        stood = dt == 0
+        if stood.any():
+            # A sample that was sent twice adds nothing to a turn; of a clock that stands nobody knows how long it did.
+            twice = np.all(np.diff(np.vstack([N, a]), axis=1) == 0, axis=0)
+            stood &= ~twice | np.append(False, stood[:-1])
+        flags, bridge = self._flags(samples.status, dt, stood), np.zeros(len(dt))
         lost = dt > _LOST_INTERVALS * interval_s
         if lost.any():
             # Over a loss the rate changed; when it did so is unknown, and moves the turn by up to half of this.
@@ -343,14 +348,13 @@ class MoveCollector:
             plateau=self._plateau(N, starts),
         )
 
-    def _flags(self, status: NDArray[np.uint32], dt: FloatArray) -> NDArray[np.uint8]:
-        """Return the flags of the intervals ``dt`` between samples of this status."""
+    def _flags(self, status: NDArray[np.uint32], dt: FloatArray, stood: NDArray[np.bool_]) -> NDArray[np.uint8]:
+        """Return the flags of the intervals ``dt`` between samples of this status, in some of which the clock stood."""
         interval_s, flags = self.interval_s or 0.0, np.zeros(len(dt), dtype=np.uint8)
         flags[dt > _LOST_INTERVALS * interval_s] |= np.uint8(SlotFlag.BRIDGED)
         flags[dt > max(BRIDGED_S, BRIDGED_INTERVALS * interval_s)] |= np.uint8(SlotFlag.LOST)
         is_set = (status[1:] & np.uint32(Status.CLOCK_SET)) != 0
-        # Samples of one time, of a clock with coarse ticks or sent twice, add nothing to a turn.
-        flags[(dt < 0) | is_set] |= np.uint8(SlotFlag.CLOCK_JUMP)
+        flags[(dt < 0) | stood | is_set] |= np.uint8(SlotFlag.CLOCK_JUMP)
         # An interval has the flags of both of its samples.
         for what, flag in _OF_STATUS.items():
             seen = (status & np.uint32(what)) != 0

@@ -37,6 +37,8 @@ _LEAST_SINGULAR_VALUE = 0.5
 _LARGEST_LEVERAGE = 0.8
 _SAME_SIDE = 0.25  # Of gravity: stills nearer than this are of one side, and say twice what it says.
 _UNSEEN = 0.05  # Singular value, as a share of the largest, below which a direction of the centre keeps its start.
+_LEAST_OF_OFFSET = 0.005  # Gravity beside a mid-scale: 0.04 for 16 g in 16 bits. Noise of stills is a tenth of this.
+_UNEQUAL = 0.5  # From a nominal scale a real one differs by less.
 # An offset of less stays in: it turns the apparent up by 6 degrees, which a side's tolerance allows for, and the running fit
 # finds it better.
 LEAST_OFFSET_M_S2 = 1.0
@@ -60,17 +62,26 @@ def centred(scale: RoughScale, stills_raw: FloatArray) -> RoughScale:
     else:
         return scale
     centre, radius = _fit_sphere(x)
+    offset = start + length * centre - scale.raw_zero
+    if start is not scale.raw_zero and not _is_gravity(length * radius, scale, offset):
+        return scale
     arm = x - centre
     on_sphere = np.abs(np.linalg.norm(arm, axis=1) / radius - 1) < _ON_SPHERE
     spare, off = int(on_sphere.sum()) - _UNKNOWNS, int((~on_sphere).sum())
     # Four stills always lie on a sphere: those to spare must outnumber those that are not on it.
     if spare <= off or not _is_seen(arm[on_sphere]):
         return replace(scale, centred=True) if _is_seen(x) and start is scale.raw_zero else scale
-    offset = start + length * centre - scale.raw_zero
     if np.linalg.norm(offset) <= LEAST_OFFSET_M_S2 * scale.accelerometer:
         return replace(scale, centred=True)
     accelerometer = length * radius / STANDARD_GRAVITY_M_S2 if scale.learned else scale.accelerometer
     return replace(scale, accelerometer=accelerometer, raw_zero=scale.raw_zero + offset, centred=True)
+
+
+def _is_gravity(radius_raw: float, scale: RoughScale, offset: FloatArray) -> bool:
+    """Whether a sphere about a far centre is as large as gravity: stills of one pose lie on one as large as their noise."""
+    if scale.learned or scale.accelerometer is None:
+        return radius_raw > _LEAST_OF_OFFSET * float(np.linalg.norm(offset))
+    return abs(radius_raw / (STANDARD_GRAVITY_M_S2 * scale.accelerometer) - 1) < _UNEQUAL
 
 
 def may_hide_offset(mean_raw: FloatArray, scale: RoughScale) -> bool:

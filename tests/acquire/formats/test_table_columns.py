@@ -79,6 +79,20 @@ def test_a_clock_that_stands_for_a_second_is_one_that_goes_on(tmp_path: Path) ->
     assert 0.005 < np.diff(found_s).min() < np.diff(found_s).max() < 0.015
 
 
+@pytest.mark.parametrize("stood", [3, 50])
+@pytest.mark.parametrize("tick_s", [0.01, 0.016])
+def test_a_clock_that_stands_and_does_not_catch_up_hides_no_time(tmp_path: Path, tick_s: float, stood: int) -> None:
+    time_s = np.floor(1e-2 * np.arange(1000) / tick_s + 1e-9) * tick_s
+    stamps_s = np.concatenate([time_s[:500], np.full(stood, time_s[500]), time_s[500:]])
+    values = np.random.default_rng(1).normal(size=(len(stamps_s), 3))
+    found_s = read_tables([write(tmp_path, text_of(stamps_s, values))]).rows[:, 0]
+    # Equal times are what a move stops at.
+    assert np.count_nonzero(np.diff(found_s) == 0) >= stood
+    frozen = values.copy()
+    frozen[500 : 500 + stood] = values[500]
+    assert len(read_tables([write(tmp_path, text_of(stamps_s, frozen))]).rows) == len(stamps_s)
+
+
 @pytest.mark.parametrize("sd_s", [0.002, 0.016])
 def test_bursts_that_are_stamped_by_their_arrival_are_left_to_the_decoder(tmp_path: Path, sd_s: float) -> None:
     rng = np.random.default_rng(1)

@@ -11,7 +11,6 @@ from gyroscope_sessions import collect_moves
 from imufield.calibrate.gyroscope.move_integration import centre, integrate, rough_inverse, sums_at_end
 from imufield.calibrate.gyroscope.moves import MoveCollector, Moves, cut_moves, join_slots
 from imufield.calibrate.model.rotation import exponential, matrix, multiply, right_jacobian
-from imufield.dataclass import replace
 from imufield.samples import FloatArray, Samples, SampleUnits, Status, make_samples
 
 pytestmark = pytest.mark.numerical
@@ -198,15 +197,15 @@ def test_clock_jumps_drop_the_move() -> None:
     assert keys(moves) == ["moves.clock_jump"]
 
 
-@pytest.mark.parametrize("tick_s", [0.0016, 0.002, 0.008])
-def test_a_clock_with_coarse_ticks_turns_alike(tick_s: float) -> None:
-    def coarse(samples: Samples) -> Samples:
-        return replace(samples, time_s=np.floor(samples.time_s / tick_s + 1e-6) * tick_s)
-
-    exact, ticked = (collect_moves([session(change)], START_S, DURATION_S) for change in (None, coarse))
-    assert keys(ticked) == []
-    for k in range(2):
-        assert between(turn_of(exact, k), turn_of(ticked, k)) < 0.01
+@pytest.mark.parametrize(("stood", "frozen"), [(2, False), (50, False), (50, True)])
+def test_a_clock_that_stands_in_a_turn_drops_the_move(stood: int, frozen: bool) -> None:
+    samples = session()
+    lost_s = samples.time_s[2500 + stood] - samples.time_s[2500]
+    samples.time_s[2500 : 2501 + stood] = samples.time_s[2500]
+    samples.time_s[2501 + stood :] -= lost_s
+    if frozen:
+        samples.gyroscope[2500 : 2501 + stood], samples.accelerometer[2500 : 2501 + stood] = REST, 1.0
+    assert keys(collect_moves([samples], START_S, DURATION_S)) == ["moves.clock_jump"]
 
 
 def test_a_sample_that_is_sent_twice_changes_no_turn() -> None:

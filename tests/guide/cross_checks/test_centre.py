@@ -110,6 +110,15 @@ def test_stills_that_do_not_show_a_centre_change_nothing(up: Any) -> None:
     assert centred(KNOWN, stills((0.5, 0.5, 0.5), directions)) is KNOWN
 
 
+@pytest.mark.parametrize("scale", [KNOWN, RoughScale()])
+def test_stills_of_one_pose_show_no_centre_in_their_noise(scale: RoughScale) -> None:
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        outputs = stills((0.0, 0.0, 0.0), np.array([[0.0, 0.0, 1.0]] * 14)) + 1e-3 * rng.normal(size=(14, 3))
+        known = scale.learn(outputs[0])
+        assert centred(known, outputs) is known
+
+
 def test_a_small_offset_stays_for_the_fit() -> None:
     found = centred(KNOWN, stills((0.05, -0.05, 0.05), scheme("paper24").directions()))
     assert found.centred
