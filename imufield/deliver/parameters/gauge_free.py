@@ -332,7 +332,8 @@ def _accelerometer(calibration: Calibration) -> Iterator[Number]:
     common = np.abs(K) * g.sigma_m_s2 / g.gravity_m_s2
     bias, spread = own.bias_raw / K, own.bias_raw_sigma / np.abs(K)
     size = STANDARD_GRAVITY_M_S2 / K * 1e6
-    yield from _numbers("bias", "mg", bias / MILLI_G_M_S2, spread / MILLI_G_M_S2, freedom=freedom)
+    zeros = calibration.accelerometer.raw_zero
+    yield from _numbers("bias", "mg", bias / MILLI_G_M_S2, spread / MILLI_G_M_S2, freedom=freedom, zeros=zeros)
     yield from _numbers("scale", f"{unit} per m/s^2", K, own.scale_sigma, freedom=freedom, common=common)
     yield from _numbers("angle", "mrad", own.angle_rad * 1e3, own.angle_sigma_rad * 1e3, freedom=freedom)
     yield from _numbers("quadratic", "ug/g^2", own.quadratic * size, own.quadratic_sigma * np.abs(size), freedom=freedom)
@@ -352,20 +353,30 @@ def _gyroscope(calibration: Calibration, values: FloatArray, sigma: FloatArray) 
     kinds = dict.fromkeys(kind_of(name) for name in NAMES[_GYROSCOPE:])
     for kind, place in zip(kinds, (slice(3), slice(3, 6), slice(6, 12), slice(12, 21)), strict=True):
         unit, size = units[kind]
-        yield from _numbers(kind, unit, values[place] / size, sigma[place] / size, freedom=freedom)
+        zeros = gyroscope.parameters.raw_zero if kind == "gyroscope bias" else None
+        yield from _numbers(kind, unit, values[place] / size, sigma[place] / size, freedom=freedom, zeros=zeros)
 
 
 def _numbers(
-    what: str, unit: str, values: FloatArray, sigmas: FloatArray, *, freedom: float, common: FloatArray | None = None
+    what: str,
+    unit: str,
+    values: FloatArray,
+    sigmas: FloatArray,
+    *,
+    freedom: float,
+    common: FloatArray | None = None,
+    zeros: FloatArray | None = None,
 ) -> Iterator[Number]:
     names = [name for name in NAMES if kind_of(name) == what]
-    shared = np.zeros(len(values)) if common is None else common
-    for name, value, sigma, part in zip(names, values, sigmas, shared, strict=True):
+    shared, nothing = np.zeros(len(values)) if common is None else common, np.zeros(len(values))
+    # Counted from another raw zero a bias is another number, as in another unit.
+    units = [f"{unit} from {zero:g}" if zero else unit for zero in (nothing if zeros is None else zeros).tolist()]
+    for name, own_unit, value, sigma, part in zip(names, units, values, sigmas, shared, strict=True):
         # Sigma 0 is fixed by the gauge, NaN was not estimated: neither can have changed.
         if sigma > 0 and math.isfinite(value):
             yield Number(
                 name=name,
-                unit=unit,
+                unit=own_unit,
                 value=float(value),
                 sigma=float(sigma),
                 common=min(float(part), float(sigma)),

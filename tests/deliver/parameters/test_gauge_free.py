@@ -265,3 +265,13 @@ def test_derivatives_predict_a_small_change(skew: Calibration) -> None:
     predicted = lower_parameters(values) + lower_jacobian(values) @ change
     # What is left is of second order.
     assert lower_parameters(values + change) == pytest.approx(predicted, rel=1e-7, abs=1e-8)
+
+
+def test_a_bias_from_another_raw_zero_is_another_number(whole: Calibration) -> None:
+    assert whole.gyroscope is not None
+    counted = with_gyroscope(whole, whole.gyroscope.parameters.about(np.array([2048.0, 0.0, 2048.0])))
+    found = {number.name: number for number in numbers_of(counted)}
+    before = {number.name: number for number in numbers_of(whole)}
+    others = {name for name, number in found.items() if number.unit != before[name].unit}
+    assert others == {"gyroscope bias x", "gyroscope bias z"}
+    assert found["gyroscope bias x"].unit.endswith(" from 2048")
