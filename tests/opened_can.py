@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
+from typing import Any
 
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.instrument.can_map import bus_candidate
@@ -21,15 +20,8 @@ class OpenedCan:
     """Or the protocol where there is none."""
 
 
-def open_can(
-    bus: str,
-    *,
-    driver: str | None = None,
-    protocol: str | Path | Protocol | None = None,
-    dbc: str | Path | None = None,
-    mapping: Mapping[str, str] | None = None,
-    settings: Mapping[str, object] | None = None,
-) -> OpenedCan:
-    found = bus_candidate(driver=driver, protocol=protocol, dbc=dbc, mapping=mapping, settings=settings)
+def open_can(bus: str, **asked: Any) -> OpenedCan:
+    """Open a bus with what ``bus_candidate`` takes."""
+    found = bus_candidate(**asked)
     link = open_can_link(bus, bit_rate=next(iter(found.bauds), None))
     return OpenedCan(link, found.protocol, Decoder(found.protocol), found.name)

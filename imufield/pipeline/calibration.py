@@ -262,7 +262,8 @@ def _with_raw_zero(calibration: Calibration, stated: FloatArray | None, units: S
         parameters = parameters.about(np.where(helps & is_common, raw_zero, 0.0))
     else:
         parameters = parameters.about(stated[len(AXES) :])
-    if nominal_scale(gyroscope.raw_unit) is None and np.any(np.abs(parameters.bias) > largest):
-        bias_deg_s = float(np.degrees(np.abs(parameters.bias / parameters.scale)).max())
+    # NaN where the scale is not known.
+    bias_deg_s = float(np.degrees(np.abs(parameters.bias / parameters.scale)).max())
+    if nominal_scale(gyroscope.raw_unit) is None and bias_deg_s > _LARGEST_BIAS_DEG_S:
         quality = quality.with_reasons(sentence("calibration.raw_zero", bias_deg_s=bias_deg_s, limit=_LARGEST_BIAS_DEG_S))
     return replace(calibration, gyroscope=replace(gyroscope, parameters=parameters), quality=quality)

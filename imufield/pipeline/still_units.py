@@ -28,7 +28,7 @@ def with_units_of_stills(table: ImportedTable) -> ImportedTable:
     if units.get("gyroscope") == "count" and "rate_hz" in table.settings:
         said |= _other_rate(found.scales["gyroscope"], float(table.settings["rate_hz"]), table.rows[:, 4:7])
     if found.centre_raw is not None:
-        said |= {"raw_zero": sentence("still_units.raw_zero", centre=found.centre_raw.round().tolist())}
+        said |= {"raw_zero": sentence("still_units.raw_zero", centre=[round(each) for each in found.centre_raw.tolist()])}
     guesses = {guess: said.pop(triad) for triad, guess in table.guessed.items() if triad in said}
     return replace(
         table,

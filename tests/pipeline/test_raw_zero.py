@@ -9,12 +9,17 @@ import numpy as np
 import pytest
 
 from imufield.dataclass import replace
+from imufield.deliver.parameters.context import Context
 from imufield.deliver.parameters.document import gyroscope_bias_rad_s
 from imufield.deliver.parameters.file import Parameters
+from imufield.earth import choose_gravity
 from imufield.guide.positions import scheme
-from imufield.samples import FloatArray, Samples
+from imufield.guide.stillness.scale import RoughScale
+from imufield.pipeline.calibration import SolveInput, SolveSettings, calibrate
+from imufield.samples import FloatArray, Samples, SampleUnits
 from imufield.testing import Replayed
 from tests.guide.conftest import Path as BodyPath
+from tests.guide.guided import find_still_intervals
 from tests.told import keys
 
 Solved = Callable[..., Parameters]
@@ -108,3 +113,22 @@ def test_an_axis_that_is_signed_has_no_raw_zero(solved: Solved) -> None:
     assert found is not None
     np.testing.assert_array_equal(found.parameters.raw_zero, [MIDDLE, 0.0, MIDDLE])
     np.testing.assert_allclose(gyroscope_bias_rad_s(found)[0], BIAS_RAD_S, atol=1e-3)
+
+
+@pytest.mark.parametrize(("raw_zero", "bias"), [(0.0, MIDDLE), (MIDDLE, 0.0)])
+def test_a_bias_alone_is_told_in_counts(raw_zero: float, bias: float, samples: Samples) -> None:
+    """Without moves nothing says the scale of counts."""
+    units = SampleUnits(accelerometer="count", gyroscope="count")
+    raw = replace(
+        samples,
+        accelerometer=samples.accelerometer * COUNTS_PER_M_S2 + raw_zero,
+        gyroscope=samples.gyroscope * COUNTS_PER_RAD_S + MIDDLE,
+        units=units,
+    )
+    stills = find_still_intervals([raw], scale=RoughScale(raw_zero=np.full(3, raw_zero))).observations
+    measured = SolveInput(observations=stills, gravity=choose_gravity(9.8), context=Context(), raw_zero=np.full(3, raw_zero))
+    found = calibrate(measured, SolveSettings()).calibration
+    assert found.gyroscope is not None
+    assert np.isnan(found.gyroscope.parameters.scale).all()
+    np.testing.assert_allclose(found.gyroscope.parameters.bias, bias + BIAS_RAD_S * COUNTS_PER_RAD_S, atol=5)
+    assert "calibration.raw_zero" not in keys(found.quality.reasons)

@@ -57,8 +57,7 @@ _THOUSANDTHS = {"mg": "g", "mdeg/s": "deg/s"}
 _KEPT = ("g", "deg/s", "deg")  # Beside SI: protocol ``rows_f64`` knows them.
 _FAST = 0.999  # Of all outputs; larger ones may be damage.
 _LEAST_TICKED = 0.03  # Share of rows with the time of the row before that makes a clock coarse.
-_MOST_TICKED = 0.6  # Share of such rows from which the decoder tells their times as well by itself.
-_SAME_TICK = 0.1  # Of a tick: those of 15.6 ms are 15 and 16 ms in a file of whole ones.
+_SAME_TICK = 0.07  # Of a tick: those of 15.6 ms are 15 and 16 ms in a file of whole ones.
 _MOST_REGULAR = 0.9  # Share of the ticks that are so: the others are pauses and losses.
 _STANDS_FOR_G = (0.8, 1.25)
 _STANDS_FOR_M_S2 = (8.0, 12.0)  # Median norm of an accelerometer that is at rest most of the time.
@@ -277,8 +276,7 @@ def spread_times(time: FloatArray) -> FloatArray | None:
     regular = np.abs(between / usual - 1) < _SAME_TICK
     # What was read in bursts and stamped by its arrival is left to the decoder, which follows arrivals. A few rows of one time
     # are of a clock that stood, and the time is missing.
-    few, many = (1 - _LEAST_TICKED) * len(time), (1 - _MOST_TICKED) * len(time)
-    if np.mean(regular) <= _MOST_REGULAR or not many <= len(first) <= few:
+    if np.mean(regular) <= _MOST_REGULAR or len(first) > (1 - _LEAST_TICKED) * len(time):
         return None
     mean_step = between[regular].sum() / rows[:-1][regular].sum()
     # The last tick has no end. A pause is longer than a tick, and one whose time came late as long as its rows take.

@@ -368,15 +368,14 @@ def _numbers(
     zeros: FloatArray | None = None,
 ) -> Iterator[Number]:
     names = [name for name in NAMES if kind_of(name) == what]
-    shared, nothing = np.zeros(len(values)) if common is None else common, np.zeros(len(values))
-    # Counted from another raw zero a bias is another number, as in another unit.
-    units = [f"{unit} from {zero:g}" if zero else unit for zero in (nothing if zeros is None else zeros).tolist()]
-    for name, own_unit, value, sigma, part in zip(names, units, values, sigmas, shared, strict=True):
+    shared, origins = (np.zeros(len(values)) if each is None else each for each in (common, zeros))
+    for name, zero, value, sigma, part in zip(names, origins, values, sigmas, shared, strict=True):
         # Sigma 0 is fixed by the gauge, NaN was not estimated: neither can have changed.
         if sigma > 0 and math.isfinite(value):
             yield Number(
                 name=name,
-                unit=own_unit,
+                # Counted from another raw zero a bias is another number, as in another unit.
+                unit=f"{unit} from {zero:g}" if zero else unit,
                 value=float(value),
                 sigma=float(sigma),
                 common=min(float(part), float(sigma)),

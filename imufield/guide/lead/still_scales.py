@@ -123,6 +123,6 @@ def _scales_of(finder: StillIntervalFinder) -> StillScales:
         scales["accelerometer"] = found.scale.accelerometer
     if found.axes.fits:
         scales["gyroscope"] = found.axes.gyroscope_scale
-    offset = found.scale.raw_zero - finder.raw_zero
+    offset = found.scale.raw_zero - finder.detector.scale.raw_zero
     is_far = found.scale.centred and np.linalg.norm(offset) > _MANY_M_S2 * (found.scale.accelerometer or math.inf)
     return StillScales(scales, len(found.observations), found.scale.raw_zero if is_far else None)

@@ -57,7 +57,6 @@ class StillIntervalFinder:
     def __init__(self, units: SampleUnits, scale: RoughScale | None = None) -> None:
         self.units = units
         self.detector = StillnessDetector(scale or RoughScale.of_units(units))
-        self.raw_zero = self.detector.scale.raw_zero
         # Each time that the unit was put down, and why that does not count, as far as itself shows.
         self._placements: list[tuple[Observation, Refusal | None]] = []
         self._last: Stretch | None = None  # The stretch before, of whatever length.

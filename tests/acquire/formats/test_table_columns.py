@@ -42,7 +42,7 @@ def test_a_clock_too_coarse_for_its_samples_is_refused(tmp_path: Path, round_to:
     assert len(read_tables([path]).rows) == 500
 
 
-@pytest.mark.parametrize("ticks_per_sample", [1.07, 1.6, 2.0, 2.45])
+@pytest.mark.parametrize("ticks_per_sample", [1.07, 1.6, 2.0, 2.45, 4.0, 4.3])
 def test_rows_of_one_tick_are_spread_and_losses_stay_where_they_are(tmp_path: Path, ticks_per_sample: float) -> None:
     true_s = np.delete(1e-2 * np.arange(4000), [*range(1000, 1040), *range(3000, 3009)])
     tick_s = 1e-2 * ticks_per_sample
