@@ -58,6 +58,13 @@ class SolvedSession:
         """That of the session."""
         return self.session.name
 
+    @property
+    def raw_zero(self) -> list[float]:
+        """What the biases are counted from: of the accelerometer, then of the gyroscope where there is one."""
+        calibration = self.parameters.calibration
+        triads = [calibration.accelerometer, *([calibration.gyroscope.parameters] if calibration.gyroscope else [])]
+        return [zero for triad in triads for zero in triad.raw_zero.tolist()]
+
 
 def solve_job(job: SolveJob, _rng: np.random.Generator) -> SolvedSession | ImufieldError:
     """Solve one session; the function that workers are sent.
@@ -140,7 +147,7 @@ def solve_together(
     solved = sorted(kept, key=every.index)
     _require_two(len(solved))
     for other in solved[1:]:
-        _check_scales(solved[0], other)
+        _check_numbers(solved[0], other)
     solved = _with_one_model(solved, settings, site, workers)
     # The one with the most numbers, of several the newest, states what no adjustment changes.
     base = max(reversed(solved), key=lambda each: len(each.numbers.numbers))
@@ -203,12 +210,7 @@ def _check_protocols(first: Session, other: Session) -> None:
     units = [protocol.units.words for protocol in protocols]
     if units[0] != units[1]:
         raise CalibrationError(sentence("together.units", names=names, units=units), Reason.UNITS)
-    # What a person typed in place of the protocol's own zero is one of its settings here.
-    zeros = [session.record.nominal.raw_zero for session in (first, other)]
-    settings = [
-        {key: value.value for key, value in protocol.settings.items()} | {"zero": zero}
-        for protocol, zero in zip(protocols, zeros, strict=True)
-    ]
+    settings = [{key: value.value for key, value in protocol.settings.items()} for protocol in protocols]
     for key in sorted(settings[0].keys() | settings[1].keys()):
         values = [each.get(key) for each in settings]
         if key not in _FREE_SETTINGS and values[0] != values[1]:
@@ -217,13 +219,16 @@ def _check_protocols(first: Session, other: Session) -> None:
         raise CalibrationError(sentence("together.axes", names=names), Reason.UNITS)
 
 
-def _check_scales(first: SolvedSession, other: SolvedSession) -> None:
-    """Refuse sessions whose range or signs changed without a word; raises CalibrationError."""
+def _check_numbers(first: SolvedSession, other: SolvedSession) -> None:
+    """Refuse sessions whose biases are from different raw zeros, or whose range or signs changed; raises CalibrationError."""
+    names, zeros = [first.name, other.name], [each.raw_zero for each in (first, other)]
+    if zeros[0] != zeros[1]:
+        raise CalibrationError(sentence("together.setting", names=names, key="zero", values=zeros), Reason.UNITS)
     before = {number.name: number.value for number in first.numbers.numbers}
     for number in other.numbers.numbers:
         change = number.value / before.get(number.name, number.value) - 1 if number.is_scale else 0.0
         if abs(change) > _LARGEST_CHANGE:
-            told = {"names": [first.name, other.name], "number": number.name, "change": change, "limit": _LARGEST_CHANGE}
+            told = {"names": names, "number": number.name, "change": change, "limit": _LARGEST_CHANGE}
             raise CalibrationError(sentence("together.scale", **told), Reason.UNITS)
 
 

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 import shutil
+import tomllib
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import tomli_w
 
 from imufield.acquire.recording.session import Session
 from imufield.calibrate.model.budget import combined_sigma
@@ -215,6 +218,28 @@ def test_other_instruments_and_ranges_are_refused(
     simulated_session(tmp_path / "other", visits=1, **change)  # type: ignore[arg-type]
     with refused(CalibrationError, reason, "day1", "other", key=key):
         run_solve(SolveOptions(sessions=[days.folders[1], tmp_path / "other"], together=True, output=tmp_path / "o.toml"))
+
+
+@pytest.mark.parametrize(
+    ("raw_zero", "refusal"),
+    [
+        ([0.0] * 6, nullcontext()),
+        ([0.01] * 3, refused(CalibrationError, Reason.UNITS, "day0", "day1", key="together.setting")),
+    ],
+    ids=["said otherwise", "another"],
+)
+def test_the_raw_zeros_of_sessions_that_are_joined_are_equal(
+    days: Days, tmp_path: Path, raw_zero: list[float], refusal: AbstractContextManager[object]
+) -> None:
+    for folder in days.folders[:2]:
+        shutil.copytree(folder, tmp_path / folder.name)
+    record = tmp_path / "day1" / "session.toml"
+    stated = tomllib.loads(record.read_text(encoding="utf-8"))
+    stated["nominal"] = {"raw_zero": raw_zero}
+    record.write_text(tomli_w.dumps(stated), encoding="utf-8")
+    sessions = [tmp_path / "day0", tmp_path / "day1"]
+    with refusal:
+        run_solve(SolveOptions(sessions=sessions, together=True, model="linear", output=tmp_path / "o.toml", workers=1))
 
 
 def test_sessions_are_found_by_serial_number(days: Days) -> None:
