@@ -333,10 +333,12 @@ class SampleClock(Clock):
         begin = at = 0
         for end, arrival_s in reads:
             last_s = float(timed.time_s[end - 1])
-            if self._has_time or (self._has_counter and self._watch.passes(arrival_s, last_s)):
-                at = end
-                if self._has_time and math.isfinite(arrival_s):
+            if self._has_time or self._watch.passes(arrival_s, last_s):
+                if not self._has_time:
+                    self._follow_host(timed.time_s[at:end], arrival_s)
+                elif math.isfinite(arrival_s):
                     self._watch.baseline.add(arrival_s, last_s)
+                at = end
                 continue
             if at > begin:
                 settled.append(timed.part(begin, at, math.nan))
@@ -375,26 +377,26 @@ class SampleClock(Clock):
         return self._timed(join([each.block for each in done]), time_s, flags)
 
     def _following_host(self, released: list[TimedBlock]) -> list[TimedBlock]:
-        """Return blocks with the time they get; at once, as the line of arrivals is another after the next read."""
-        if self._has_time or self._has_counter:
-            return released
         for timed in released:
-            timed.time_s = self._follow_host(timed)
+            self._follow_host(timed.time_s, timed.arrival_s)
         return released
 
-    def _follow_host(self, timed: TimedBlock) -> FloatArray:
-        """Bend even steps towards the line of earliest arrivals; device time is left as it is."""
-        if not math.isfinite(timed.arrival_s):
-            return timed.time_s
+    def _follow_host(self, time_s: FloatArray, arrival_s: float) -> None:
+        """Bend the even steps of a read towards the line of earliest arrivals, in place; device time is left as it is.
+
+        At once, as the line is another after the next read.
+        """
+        if self._has_time or self._has_counter or not math.isfinite(arrival_s):
+            return
+        time_s += self._shift_s
         if self._watch.baseline.slope is None:
             # Everything at once (a dump) or too early to tell: the rate learned at the start is the best there is.
-            return timed.time_s + self._shift_s
-        wanted_s = self._watch.baseline.offset_at(timed.arrival_s) or 0.0
-        span_s = len(timed.time_s) / self._tick_rate_hz
+            return
+        wanted_s = self._watch.baseline.offset_at(arrival_s) or 0.0
+        span_s = len(time_s) / self._tick_rate_hz
         step_s = min(max(wanted_s - self._shift_s, -_SLEW * span_s), _SLEW * span_s)
-        bent = timed.time_s + self._shift_s + np.linspace(step_s / len(timed.time_s), step_s, len(timed.time_s))
+        time_s += np.linspace(step_s / len(time_s), step_s, len(time_s))
         self._shift_s += step_s
-        return bent
 
     def _measure(self) -> None:
         """Write the sample rate by the instrument's clock and by the host's into the statistics."""
