@@ -14,7 +14,7 @@ from imufield.acquire.recording.session import Session, open_or_newest
 from imufield.calibrate.model.observations import leave_out
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters
 from imufield.commands.options.result_commands import VerifyOptions
-from imufield.commands.terminal.output import echo, tell_written
+from imufield.commands.terminal.output import echo, say, tell_written
 from imufield.console import PlainTextConsole
 from imufield.deliver.navigation.alignment import Heading
 from imufield.deliver.navigation.static_navigation import SHORTEST_S, Apply, CheckSettings, NavigationResult, StaticNavigation
@@ -119,13 +119,16 @@ def run_verify(options: VerifyOptions) -> Verification:
         echo(beside(f"session {printable(task.session.name)}, parameters", parameters))
     found = _verify(task)
     document = to_document(found)
-    write_verification(output, document)
+    joined = write_verification(output, document)
     if options.as_json:
         echo(json.dumps(json_ready(document)))
     else:
         text, console = verification_text(found), PlainTextConsole()
         console.out(to_ascii(text) if console.options.ascii_only else text, end="", highlight=False)
     tell_written(output, as_json=options.as_json)
+    if joined["passed"] is False and found.passed is not False:
+        earlier = [one["name"] for one in joined["requirement"] if not one["passed"]] or joined["objections"]
+        say(sentence("verify.earlier", name=output.name, earlier=earlier), err=options.as_json)
     # An objection goes first: parameters that contradict the data are refused whatever the limits.
     if found.objections:
         raise VerificationError(sentence("verify.objection", objection=found.objections[0]))

@@ -19,6 +19,7 @@ from imufield.acquire.recording.recorder import Recorder, part_metadata
 from imufield.acquire.recording.session import Session
 from imufield.calibrate.model.gauge import intrinsic, make_intrinsic
 from imufield.calibrate.model.models import to_vector
+from imufield.calibrate.model.observability import WEAKEST_COLUMN
 from imufield.cli.run import run
 from imufield.commands.options.result_commands import VerifyOptions
 from imufield.commands.verify import run_verify
@@ -31,7 +32,7 @@ from imufield.errors import ParameterFileError, Reason, RecordingError, Verifica
 from imufield.files import DEFAULT_ROOT
 from imufield.pipeline.site import SiteOptions
 from imufield.samples import FloatArray, Samples
-from tests.commands.told import fails, missing
+from tests.commands.told import fails, missing, says
 from tests.parameter_files import over_temperature
 from tests.refused import refused
 from tests.told import key_of, told
@@ -168,6 +169,53 @@ def test_failed_requirement_leaves_with_7_and_says_what(short: Path, capsys: pyt
     assert run(["verify", str(short / "parameters.toml"), str(short), "--require", "residual-ug=5000"]) == 0
 
 
+def test_a_requirement_stays_until_it_is_verified_again(
+    short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rest = rest_session(tmp_path / "rest").folder
+    path = short / "parameters.toml"
+    navigated, positions = (["verify", str(path), str(session), "--align-s", "200"] for session in (rest, short))
+
+    def kept() -> dict[str, Any]:
+        document: dict[str, Any] = json.loads((short / "parameters.verification.json").read_text())
+        return {"passed": document["passed"]} | {one["name"]: (one["limit"], one["session"]) for one in document["requirement"]}
+
+    assert run([*navigated, "--require", "nav-nmi-per-h=0.000001"]) == 7
+    capsys.readouterr()
+    for limits in ([], ["--require", "residual-ug=5000"]):
+        assert run([*positions, *limits]) == 0
+        name = "parameters.verification.json"
+        assert says(capsys.readouterr().out, "commands", "verify.earlier", name=name, earlier=["nav-nmi-per-h"])
+    assert kept() == {"passed": False, "nav-nmi-per-h": (1e-6, rest.name), "residual-ug": (5000.0, short.name)}
+    assert run(["report", str(short)]) == 0
+    words = " ".join((short / "report.html").read_text(encoding="utf-8").split())
+    assert not missing(
+        words, "<strong>fail</strong>: nav-nmi-per-h", "(limit 1e-06), NOT MET; residual-ug", "(limit 5000), met"
+    )
+    assert run([*navigated, "--require", "nav-nmi-per-h=1000000"]) == 0
+    assert kept() == {"passed": True, "nav-nmi-per-h": (1e6, rest.name), "residual-ug": (5000.0, short.name)}
+
+
+def test_positions_that_hide_an_error_meet_no_requirement(
+    solved: Path, make_session: Callable[..., Session], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rest, faces = rest_session(tmp_path / "rest", 60.0), make_session("faces6", day=1)
+    common = ["verify", str(solved / "parameters.toml")]
+    output = ["-o", str(tmp_path / "found.json"), "--latitude", "48"]
+    limit = ["--require", "residual-ug=1000000"]
+    assert run([*common, str(rest.folder), *output]) == 0
+    error = fails([*common, str(rest.folder), *output, *limit], 7, Reason.FAILED_REQUIREMENT, key="verify.not_measured")
+    assert error.values["requirement"] == "residual-ug"
+    sides = [f"+{axis} up and -{axis} up" for axis in "xyz"]
+    hidden = {"found": 1, "axes": list("xyz"), "limit": WEAKEST_COLUMN, "sides": sides}
+    assert says(capsys.readouterr().out, "deliver.verification", "left_out.hidden", **hidden)
+    document = json.loads((tmp_path / "found.json").read_text())
+    assert document["requirement"][0]["measured"] is None
+    assert document["positions"]["rms_m_s2"] > 0
+    assert run([*common, str(faces.folder), *output, *limit]) == 0
+    assert not json.loads((tmp_path / "found.json").read_text())["positions"]["hidden"]
+
+
 def edited(path: Path, target: Path, **changes: Any) -> Path:
     """Write a file as somebody does who changes values and says so; intrinsic values follow where scale and bias change."""
     document = load(path).document
@@ -238,9 +286,9 @@ def test_a_poor_file_says_so_where_it_is_used(
         "export": ["--to", "vectornav", "-o", str(tmp_path / "made")],
         "apply": [str(short), "-o", str(tmp_path / "made.csv")],
     }
-    for path, says in ((poor, True), (short / "parameters.toml", False)):
+    for path, is_poor in ((poor, True), (short / "parameters.toml", False)):
         assert run([command, str(path), *to[command]]) == 0
-        assert ("POOR" in capsys.readouterr().out) is says
+        assert ("POOR" in capsys.readouterr().out) is is_poor
 
 
 def test_parameters_without_a_gyroscope_say_so_where_they_are_used(

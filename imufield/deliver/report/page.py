@@ -247,6 +247,8 @@ def _checks(verification: Document) -> Iterator[tuple[str, str]]:
             words += f", before {three_digits(positions['before_rms_m_s2'] / MICRO_G_M_S2)} µg"
         if sigma is not None:
             words += f"; forecast {three_digits(sigma / MICRO_G_M_S2)} µg: {_forecast_words(positions)}"
+        # Files of earlier versions do not say it.
+        words = "; ".join(filter(None, (words, positions.get("hidden"))))
         yield f"Held-out positions ({positions['how']})", words
     if navigation:
         drifts = ", ".join(

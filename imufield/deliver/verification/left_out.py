@@ -28,7 +28,7 @@ from imufield.calibrate.accelerometer.accelerometer import calibrate_acceleromet
 from imufield.calibrate.model.coverage_factors import f_limit_95, f_tail
 from imufield.calibrate.model.grades import GRADES
 from imufield.calibrate.model.models import BIAS, NormDerivatives, norm_derivatives, to_vector, without_higher
-from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS, parameter_scale
+from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS, WEAKEST_COLUMN, parameter_scale, unexplained_lengths
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import (
     ACCELEROMETER_NAMES,
@@ -144,6 +144,8 @@ class LeftOutPositions:
     """Whether the positions are those of the calibration."""
     objection: str = ""
     """Why the parameters fail, whatever is required: a sentence, empty where nothing speaks against them."""
+    hidden: str = ""
+    """Why the residuals prove nothing of an axis: a sentence, empty where an error of scale or bias would show on each."""
 
     @property
     def rms_m_s2(self) -> float:
@@ -211,6 +213,8 @@ def check_positions(
     turn_on = GRADES[grade].accelerometer.turn_on if grade else 0.0
     by_bias = _derivatives(calibration.accelerometer, observations).jacobian[:, BIAS]
     explains = misfit > limit >= _misfit(residual, S + turn_on**2 * by_bias @ by_bias.T)
+    axes = _hidden_axes(calibration.accelerometer, observations, gravity)
+    sides = [f"+{axis} up and -{axis} up" for axis in axes]
     return LeftOutPositions(
         name=observations.name,
         up=_up(calibration, observations),
@@ -222,6 +226,7 @@ def check_positions(
         how=sentence("left_out.other_session", found=m),
         chance=f_tail(m, freedom, misfit),
         turn_on_m_s2=turn_on if explains else np.nan,
+        hidden=sentence("left_out.hidden", found=m, axes=axes, limit=WEAKEST_COLUMN, sides=sides) if axes else "",
     )
 
 
@@ -351,6 +356,16 @@ def _again(calibration: Calibration, observations: Observations) -> Calibration:
 def _derivatives(parameters: AccelerometerParameters, observations: Observations) -> NormDerivatives:
     raw = observations.mean_raw - parameters.raw_zero
     return norm_derivatives(to_vector(parameters), raw, parameters.quadratic_axes, parameters.higher)
+
+
+def _hidden_axes(parameters: AccelerometerParameters, observations: Observations, gravity: Gravity) -> list[str]:
+    """Return the axes on which an error of scale or bias may leave these residuals small, by the rule of ``solve``."""
+    columns = LOWER_GAUGE_COLUMNS[:6]
+    scaled = _derivatives(parameters, observations).jacobian * parameter_scale(to_vector(parameters), gravity.gravity_m_s2)
+    lengths = unexplained_lengths(scaled[:, columns], WEAKEST_COLUMN)
+    # NaN, of parameters that give no specific force here, shows nothing.
+    shown = {column for column, length in zip(columns, lengths, strict=True) if length > WEAKEST_COLUMN}
+    return sorted({ACCELEROMETER_NAMES[column][-1] for column in columns if column not in shown})
 
 
 def _up(calibration: Calibration, observations: Observations) -> FloatArray:

@@ -1,8 +1,8 @@
 """The results of a verification: requirements met or not, the file beside the parameters, and the text for a person.
 
 ``parameters.verification.json`` holds the results of the last check of left-out positions and of the last static
-navigation; the report reads it. It belongs to one content of the parameter file, by its hash, and has a hash of its own: a
-verdict that was edited is not valid.
+navigation, and the last requirement of each name with its result; the report reads it. It belongs to one content of the
+parameter file, by its hash, and has a hash of its own: a verdict that was edited is not valid.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -70,15 +70,17 @@ class Verification:
     @property
     def passed(self) -> bool | None:
         """Whether all requirements are met and nothing objects to the parameters; None without either."""
-        if self.objections:
-            return False
-        return all(requirement.passed for requirement in self.requirements) if self.requirements else None
+        return _verdict(self.objections, [requirement.passed for requirement in self.requirements])
 
     @property
     def objections(self) -> tuple[str, ...]:
         """Sentences that make it fail whatever was measured: from the left-out positions and from the file itself."""
         own = self.left_out.objection if self.left_out is not None else ""
         return tuple(filter(None, (own, self.parameters.verdict_note if self.requirements else "")))
+
+
+def _verdict(objections: Collection[str], met: Collection[bool]) -> bool | None:
+    return False if objections else all(met) if met else None
 
 
 def parse_requirements(text: str | None) -> dict[str, float]:
@@ -110,9 +112,9 @@ def judge(
     limits: Mapping[str, float], left_out: LeftOutPositions | None, navigation: NavigationResult | None
 ) -> tuple[Requirement, ...]:
     """Return every requirement with what was measured, NaN where it was not."""
-    # NaN meets no requirement: what was not measured is not proven.
+    # NaN meets no requirement: what was not measured is not proven, nor by positions at which an error may hide.
     measured: dict[str, float] = dict.fromkeys(REQUIREMENTS, math.nan)
-    if left_out is not None:
+    if left_out is not None and not left_out.hidden:
         measured["residual-ug"] = left_out.rms_m_s2 / MICRO_G_M_S2
     if navigation is not None:
         measured["nav-nmi-per-h"] = navigation.tested.rate_nmi_per_h
@@ -129,11 +131,14 @@ def to_document(verification: Verification) -> Document:
         "parameters_sha256": content_sha256(verification.parameters.document),
         "session": verification.session,
         "passed": verification.passed,
-        "requirement": [asdict(requirement) | {"passed": requirement.passed} for requirement in verification.requirements],
+        "requirement": [
+            asdict(requirement) | {"passed": requirement.passed, "session": verification.session}
+            for requirement in verification.requirements
+        ],
         "objections": list(verification.objections),
         "notes": list(verification.notes),
     }
-    # Each check names its session: the file keeps those of two runs, which may be of two recordings.
+    # Each check and requirement names its session: the file keeps those of several runs, which may be of several recordings.
     if verification.left_out is not None:
         document["positions"] = _positions(verification.left_out) | {"session": verification.session}
     if verification.navigation is not None:
@@ -142,10 +147,20 @@ def to_document(verification: Verification) -> Document:
 
 
 def _positions(left_out: LeftOutPositions) -> Document:
-    figures = ("rms_m_s2", "before_rms_m_s2", "forecast_rms_m_s2", "misfit", "misfit_limit", "as_forecast", "chance", "words")
+    figures = (
+        "rms_m_s2",
+        "before_rms_m_s2",
+        "forecast_rms_m_s2",
+        "misfit",
+        "misfit_limit",
+        "as_forecast",
+        "chance",
+        "words",
+        "hidden",
+    )
     arrays = ("up", "residual_m_s2", "before_m_s2", "sigma_m_s2")
     return {
-        **{key: getattr(left_out, key) for key in ("how", *figures)},
+        **{key: getattr(left_out, key) for key in ("how", *figures, "words", "hidden")},
         "name": list(left_out.name),
         **{key: getattr(left_out, key).tolist() for key in arrays},
     }
@@ -191,20 +206,32 @@ def verification_path(parameter_file: Path) -> Path:
     return parameter_file.with_name(f"{parameter_file.stem}.verification.json")
 
 
-def write_verification(path: Path, document: Document) -> None:
-    """Write the results; those of the other check, of the same parameters, are kept.
+def write_verification(path: Path, document: Document) -> Document:
+    """Write the results, with what they leave standing of earlier ones of the same parameters; return all that is written.
 
     Raises
     ------
     ParameterFileError
         If the file cannot be written; one that stood there is intact.
     """
-    # Positions and navigation are two runs of the command, and the report shows both.
-    kept = read_verification(path, document["parameters_sha256"]) or {}
-    merged = {key: kept[key] for key in ("positions", "navigation") if key in kept} | document
-    whole = merged | {"integrity": {"sha256": content_sha256(merged)}}
+    joined = _joined(read_verification(path, document["parameters_sha256"]) or {}, document)
+    whole = joined | {"integrity": {"sha256": content_sha256(joined)}}
     with typed_write_errors(path):
         write_atomically(path, (json.dumps(json_ready(whole)) + "\n").encode("ascii"))
+    return joined
+
+
+def _joined(kept: Document, document: Document) -> Document:
+    """Return new results with the earlier checks, requirements and objections that they do not replace."""
+    # Positions and navigation are two runs of the command, and the report shows both.
+    checks = {key: kept[key] for key in ("positions", "navigation") if key in kept}
+    required = {one["name"]: one for one in (*kept.get("requirement", ()), *document["requirement"])}
+    # That of positions is the sentence of their check, and goes when positions are checked again.
+    replaced = kept["positions"].get("words") if "positions" in kept and "positions" in document else None
+    standing = [objection for objection in kept.get("objections", ()) if objection != replaced]
+    objections = [*dict.fromkeys([*standing, *document["objections"]])]
+    passed = _verdict(objections, [one["passed"] for one in required.values()])
+    return checks | document | {"passed": passed, "requirement": [*required.values()], "objections": objections}
 
 
 def read_verification(path: Path, parameters_sha256: str) -> Document | None:
@@ -270,6 +297,8 @@ def _position_lines(left_out: LeftOutPositions, *, has_preset: bool) -> Iterator
     yield f"  {'RMS':<{width}} " + " ".join(f"{_cell(figure / size, ''):>10}" for figure in figures)
     if left_out.words:
         yield from _wrapped(f"  {left_out.words}")
+    if left_out.hidden:
+        yield from _wrapped(f"  {left_out.hidden}")
     if np.isfinite(left_out.misfit):
         yield from _wrapped(f"  {sentence('result.correlated')}")
     if with_before:

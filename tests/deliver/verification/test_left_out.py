@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +18,7 @@ from imufield.earth import Gravity
 from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.guide.positions import scheme
 from imufield.samples import FloatArray, SampleUnits
-from imufield.sentences import Sentences
+from imufield.sentences import Sentence, Sentences
 from tests.refused import refused
 from tests.told import key_of
 
@@ -53,6 +54,21 @@ def observe(seed: int, positions: str = "paper24", truth: AccelerometerParameter
 
 def calibrated(seed: int = 0) -> Calibration:
     return calibrate_accelerometer(observe(seed), GRAVITY, model="linear")
+
+
+@pytest.mark.parametrize(
+    ("rows", "axes"), [([0], "xyz"), ([0, 3, 5], "xyz"), ([0, 1, 2, 3], "x"), ([0, 1, 2, 3, 4], "x"), (range(6), "")]
+)
+def test_positions_that_show_no_bias_of_an_axis_say_so(rows: Sequence[int], axes: str) -> None:
+    """Of the faces +y, -y, -z, +z, -x, +x."""
+    found = check_positions(calibrated(), observe(100, "faces6")[np.isin(np.arange(6), rows)], GRAVITY)
+    if not axes:
+        assert found.hidden == ""
+        return
+    assert key_of(found.hidden) == "left_out.hidden"
+    told = {"found": len(rows), "axes": list(axes), "sides": [f"+{axis} up and -{axis} up" for axis in axes]}
+    assert isinstance(found.hidden, Sentence)
+    assert told.items() <= found.hidden.values.items()
 
 
 def test_residuals_of_fresh_positions_are_as_forecast_in_most_seeds() -> None:

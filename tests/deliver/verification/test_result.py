@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -149,6 +150,41 @@ def test_file_keeps_the_other_check_of_the_same_parameters(
     assert document["navigation"]["drift"]["after"]["position_nmi"][0] == 0
     assert len(document["navigation"]["drift"]["after"]["time_s"]) == 600
     assert read_verification(path, "0" * 64) is None
+
+
+def test_file_keeps_requirements_and_objections_until_they_are_checked_again(
+    tmp_path: Path, loaded: Parameters, left_out: LeftOutPositions, navigation: NavigationResult
+) -> None:
+    path = tmp_path / "parameters.verification.json"
+    contradicted = replace(left_out, objection="not of this session")
+
+    def write(*requirements: Requirement, **checks: Any) -> tuple[object, list[float], list[str]]:
+        verified = Verification(parameters=loaded, session="s", requirements=requirements, **checks)
+        joined = write_verification(path, to_document(verified))
+        assert read_verification(path, joined["parameters_sha256"]) is not None
+        return joined["passed"], [one["limit"] for one in joined["requirement"]], joined["objections"]
+
+    assert write(left_out=contradicted) == (False, [], ["not of this session"])
+    assert write(Requirement("nav-nmi-per-h", 1.0, 9.0), navigation=navigation) == (False, [1.0], ["not of this session"])
+    assert write(left_out=contradicted) == (False, [1.0], ["not of this session"])
+    assert write(left_out=left_out) == (False, [1.0], [])
+    assert write(Requirement("residual-ug", 50.0, 40.0), left_out=left_out) == (False, [1.0, 50.0], [])
+    assert write(Requirement("nav-nmi-per-h", 10.0, 9.0), navigation=navigation) == (True, [10.0, 50.0], [])
+
+
+def test_results_of_an_earlier_version_of_the_program_are_joined(
+    tmp_path: Path, loaded: Parameters, left_out: LeftOutPositions, navigation: NavigationResult
+) -> None:
+    """They name no session of a requirement, and do not say what positions hide."""
+    path = tmp_path / "parameters.verification.json"
+    found = Verification(
+        parameters=loaded, session="s", left_out=left_out, requirements=(Requirement("residual-ug", 5.0, 9.0),)
+    )
+    earlier = to_document(found)
+    del earlier["positions"]["hidden"], earlier["requirement"][0]["session"]
+    write_verification(path, earlier)
+    joined = write_verification(path, to_document(Verification(parameters=loaded, session="t", navigation=navigation)))
+    assert (joined["passed"], [one["name"] for one in joined["requirement"]]) == (False, ["residual-ug"])
 
 
 def test_a_verdict_that_was_edited_is_none(tmp_path: Path, loaded: Parameters, left_out: LeftOutPositions) -> None:
