@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import sys
+from dataclasses import replace
 from html import unescape
 from pathlib import Path
 from typing import Any
@@ -15,10 +16,13 @@ import pytest
 from imufield.cli.run import run
 from imufield.commands.certificate import run_certificate
 from imufield.commands.options.result_commands import CertificateOptions
+from imufield.deliver.certificate.certificate import Certificate, Parties, statements
+from imufield.deliver.parameters.context import ClockFacts
 from imufield.deliver.parameters.file import load
 from imufield.deliver.report.budget import budget_of, budget_tables, scale_words
 from imufield.errors import ParameterFileError, Reason
 from tests.refused import refused
+from tests.told import told
 
 DAY = "1764000000"  # 2025-11-24
 
@@ -47,6 +51,18 @@ def test_files_are_written_beside_the_parameters(solved_session: Path, tmp_path:
     )
     assert (folder / "certificate.html").read_bytes() == written["certificate.html"]
     assert (folder / "certificate.json").read_bytes() == written["certificate.json"]
+
+
+@pytest.mark.parametrize(("sigma", "dominates"), [(1e-7, False), (0.03, True)])
+def test_a_time_base_that_dominates_is_said_with_its_remedy(solved_session: Path, sigma: float, dominates: bool) -> None:
+    """What a file states of its rate is known to 3 %, and a scale of +114 ppm is then rounded to thousands."""
+    parameters = load(solved_session)
+    clock = ClockFacts(source="unchecked", sample_period_s=8e-3, sigma=sigma)
+    parameters = replace(parameters, context=replace(parameters.context, clock=clock))
+    scales = next(table for table in budget_tables(parameters) if table.title.startswith("Gyroscope scale"))
+    assert all(float(value) % 1000 == 0 for value in scales.values) is dominates
+    said = told(statements(Certificate(parameters=parameters, parties=Parties(), issued="2026-02-01")), "certificate.time_base")
+    assert [one.values["sigma_ppm"] for one in said] == ([1e6 * sigma] if dominates else [])
 
 
 def test_the_budget_of_a_session_is_in_file_and_report(solved_session: Path, tmp_path: Path) -> None:

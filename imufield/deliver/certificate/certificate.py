@@ -22,6 +22,7 @@ from imufield.deliver.report.budget import (
     ParameterBudget,
     budget_of,
     covariance_of,
+    is_mostly_time_base,
     not_in_budget,
     scale_words,
     share_words,
@@ -137,6 +138,9 @@ def statements(certificate: Certificate) -> tuple[str, ...]:
     told.append(sentence("certificate.verdict", verdict=quality.verdict))
     if scale_words(certificate.parameters):
         told.append(sentence("certificate.true_seconds"))
+    clock = certificate.parameters.context.clock
+    if clock is not None and is_mostly_time_base(certificate.parameters):
+        told.append(sentence("certificate.time_base", sigma_ppm=1e6 * clock.sigma))
     if certificate.parameters.edited:
         told.append(sentence("certificate.edited"))
     return (*told, *not_in_budget(certificate.parameters))

@@ -204,6 +204,12 @@ def scale_words(parameters: Parameters) -> Sentence | None:
     return sentence("budget.two_clocks", by_clock=short(by_clock), true=short(true))
 
 
+def is_mostly_time_base(parameters: Parameters) -> bool:
+    """Return whether the clock makes more of the variance of a scale of the gyroscope than all else together."""
+    scales = (each for group in budget_of(parameters) if group.key == "gyroscope.scale" for each in group.parameters)
+    return any(each.sigma**2 > 2 * each.sigma_by_clock**2 for each in scales)
+
+
 def not_in_budget(parameters: Parameters) -> tuple[Sentence, ...]:
     """Return what the budget has no share of, and what it takes to have one."""
     calibration, context = parameters.calibration, parameters.context
