@@ -54,6 +54,7 @@ def export(job: Job) -> Draft:
     if names := names_without_value(values):
         notes.append(sentence("ardupilot.no_id", names=names, options=fit.ids_to_set(job)))
     notes += [sentence("ardupilot.frame"), sentence("flight_stack.single_precision", program=ARDUPILOT.name)]
+    notes.append(sentence("ardupilot.replaces"))
     if fit.rate_offset is not None:
         notes.append(sentence("ardupilot.learns"))
     if not np.any(fit.offset):

@@ -44,7 +44,7 @@ def export(job: Job) -> Draft:
         target_model=job.gyroscope_bias_only(bias_only),
         accelerometer_lacks=BIAS_ONLY,
         gyroscope_lacks=BIAS_ONLY,
-        notes=(sentence("microstrain.idle"),),
+        notes=(sentence("microstrain.idle"), sentence("microstrain.replaces")),
     )
 
 

@@ -44,7 +44,12 @@ def export(job: Job) -> Draft:
     notes = []
     if names := names_without_value(values):
         notes.append(sentence("px4.no_id", names=names, options=fit.ids_to_set(job)))
-    notes += [sentence("px4.frame"), sentence("flight_stack.single_precision", program=PX4.name), sentence("px4.learns")]
+    notes += [
+        sentence("px4.frame"),
+        sentence("flight_stack.single_precision", program=PX4.name),
+        sentence("px4.replaces"),
+        sentence("px4.learns"),
+    ]
     if fit.rate_offset is not None:
         notes.append(sentence("px4.learns_rates"))
     if fit.thermal is not None:

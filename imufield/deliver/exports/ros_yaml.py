@@ -23,7 +23,8 @@ def export(job: Job) -> Draft:
         # accel_calib.cpp of dpkoch/imu_calib: loadCalib reads nine numbers of SM by rows, and applyCalib takes bias off last.
         lines += [f"SM: [{matrix}]", f"bias: [{bias}]"]
         # The node averages the gyroscope itself, which makes it a correction by bias alone.
-        notes = [sentence("ros_yaml.imu_calib")] if corrections.gyroscope is not None else []
+        notes = [sentence("ros_yaml.imu_calib_raw")]
+        notes += [sentence("ros_yaml.imu_calib")] if corrections.gyroscope is not None else []
     return Draft(
         files={f"{job.target.name}.yaml": text_file(lines)},
         target_model=job.gyroscope_bias_only(corrections),

@@ -131,6 +131,15 @@ def test_every_id_that_is_missing_is_named(target: str, names: list[str]) -> Non
     assert (alone.values["names"], alone.values["options"]) == (names[:1], both[0])
 
 
+@pytest.mark.parametrize("key", ["vectornav.factory", *(f"{name}.replaces" for name in ("px4", "ardupilot", "microstrain"))])
+def test_what_corrects_its_own_output_says_from_what_to_calibrate(key: str) -> None:
+    assert key in keys(export_parameters(made_up(8), key.partition(".")[0]).notes)
+
+
+def test_imu_calib_says_which_of_its_topics_to_calibrate_from() -> None:
+    assert "ros_yaml.imu_calib_raw" in keys(export_parameters(made_up(8), "imu_calib").notes)
+
+
 @pytest.mark.parametrize(
     ("target", "name", "text"),
     [
