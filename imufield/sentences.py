@@ -2,13 +2,15 @@
 
 ``sentence = Sentences(__package__)`` at the top of a module, ``sentence("module.key", value=...)`` where one is needed. A text
 is a format with named values, its line breaks mean nothing. Beside the formats of Python, ``{found:#position}`` counts ("1
-position", "2 positions"), ``{size:#.3g}`` has three digits, zeros too ("0.120"), and the values of a list are joined by commas.
+position", "2 positions"), ``{size:#.3g}`` has three digits, zeros too ("0.120"), ``{folder!q}`` is quoted for a shell, as all
+that a person is to type, and the values of a list are joined by commas.
 Values come from wires and files of others: their control characters are shown and not sent to the terminal (``printable``).
 """
 
 from __future__ import annotations
 
 import re
+import shlex
 import string
 from collections.abc import Iterable
 from functools import cache
@@ -94,6 +96,9 @@ class Sentence(str):
 
 
 class _Format(string.Formatter):
+    def convert_field(self, value: object, conversion: str | None) -> object:
+        return shlex.quote(str(value)) if conversion == "q" else super().convert_field(value, conversion)
+
     def format_field(self, value: object, format_spec: str) -> str:
         if isinstance(value, list | tuple):
             return ", ".join(self.format_field(entry, format_spec) for entry in value)

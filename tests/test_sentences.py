@@ -47,6 +47,12 @@ def test_whether_there_is_a_sentence_can_be_asked() -> None:
     assert not [key for key in ("earth.no_such_sentence", "nowhere.latitude", "latitude", "") if key in sentence]
 
 
+def test_what_a_person_is_to_type_is_quoted() -> None:
+    made = Sentences("imufield.pipeline")("table_samples.device", path="/dev/my port")
+    assert made.startswith("/dev/my port ")
+    assert "imufield record --port '/dev/my port'" in made
+
+
 def test_numbers_are_counted_and_lists_joined(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "sentences.toml").write_text('[a]\nb = """\n  {found:#position} of\n  {names}"""\n')
     monkeypatch.setattr("imufield.sentences.__file__", str(tmp_path / "sentences.py"))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
-
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
 from imufield.commands.options.result_commands import ApplyOptions
@@ -49,7 +47,7 @@ def run_apply(options: ApplyOptions) -> None:
     # On the other stream: the rows say nothing of what is missing between them.
     say_each((*assumptions, *(entry.what for entry in damage)), err=True)
     if assumptions:
-        say(sentence("apply.assumed", source=shlex.quote(str(source))), err=True)
+        say(sentence("apply.assumed", source=source), err=True)
     echo(beside(f"{rows} corrected samples in", output))
     say("time in s, specific force in m/s^2, angular rate in rad/s, temperature in degC")
     about_file = (parameters.edited_note, parameters.verdict_note, parameters.gyroscope_note)

@@ -125,7 +125,7 @@ def _refuse_own(paths: list[Path]) -> None:
         # Also where one file of a session is named: what it is of is what the person has to solve.
         folder = path if path.is_dir() else path.parent
         if is_part(path) or (folder == path and (path / SETTINGS_FILE).is_file()) or path.name == SETTINGS_FILE:
-            raise UsageError(sentence("import_files.own", path=str(path), folder=shlex.quote(str(folder))))
+            raise UsageError(sentence("import_files.own", path=str(path), folder=folder))
 
 
 def _import_tables(options: ImportOptions) -> tuple[Session, list[str]]:

@@ -149,7 +149,7 @@ def _naming_unfinished(session: Session) -> Iterator[None]:
         can_go_on = session.record.scheme is not None and not session.finished and not session.is_being_recorded
         if error.reason is not Reason.TOO_FEW or not can_go_on:
             raise
-        values = {"error": error.message.removesuffix("."), "folder": shlex.quote(str(session.folder))}
+        values = {"error": error.message.removesuffix("."), "folder": session.folder}
         raise CalibrationError(sentence("solving.unfinished", **values), Reason.TOO_FEW, **error.values) from error
 
 

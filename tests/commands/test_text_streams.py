@@ -164,11 +164,28 @@ def test_lines_that_nobody_understands_are_shown_with_the_option(program: Progra
     assert not missing(told["error"]["message"], "5 numbers in a line, 7 expected", "--driver text --set columns=ax,ay,az,-,-")
 
 
-def test_counts_are_offered_and_not_taken() -> None:
+def test_numbers_with_labels_are_told_how_to_be_printed() -> None:
+    class Labelled(Board):
+        def encode(self, samples: Samples) -> Frames:
+            lines = ["ax={:.3f} ay={:.3f} az={:.3f}\n".format(*row) for row in samples.accelerometer.tolist()]
+            ends = np.cumsum([len(line) for line in lines], dtype=np.int64)
+            return Frames(np.frombuffer("".join(lines).encode(), dtype=np.uint8), ends, ends - 1)
+
+    with printing(Labelled(SIX), moves=False) as port:
+        found = probe_port(port, None, SystemClock())
+    assert found.error is not None
+    assert key_of(found.error.message) == "baud_search.labelled"
+    assert found.lines[0].startswith("ax=")
+
+
+@pytest.mark.parametrize(("word", "prefix"), [("", ""), ("$IMU,", "--set 'prefix=$IMU' ")])
+def test_counts_are_offered_and_not_taken(word: str, prefix: str) -> None:
+    """The command is one that a shell leaves as it is."""
+
     class Counts(Board):
         def encode(self, samples: Samples) -> Frames:
             values = np.rint(np.hstack([samples.accelerometer * 1671, samples.gyroscope * 7506])).astype(int)
-            lines = [",".join(map(str, row)) + "\n" for row in values.tolist()]
+            lines = [word + ",".join(map(str, row)) + "\n" for row in values.tolist()]
             ends = np.cumsum([len(line) for line in lines], dtype=np.int64)
             return Frames(np.frombuffer("".join(lines).encode(), dtype=np.uint8), ends, ends - 1)
 
@@ -176,4 +193,7 @@ def test_counts_are_offered_and_not_taken() -> None:
         found = probe_port(port, None, SystemClock())
     assert found.error is not None
     assert key_of(found.error.message) == "baud_search.columns"
-    assert f"--set columns={SIX} --set accelerometer_unit=count --set gyroscope_unit=count" in found.error.message
+    assert (
+        f"--driver text {prefix}--set columns={SIX} --set accelerometer_unit=count --set gyroscope_unit=count"
+        in found.error.message
+    )

@@ -5,12 +5,13 @@ The rates are ``bauds`` of each driver; ``connect`` chooses the port, and asks h
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import chain, zip_longest
 
 from imufield.acquire.driver import Driver, Wire
 from imufield.acquire.instrument.recognise import FEWEST_SAMPLES, Candidate, Listener, best
-from imufield.acquire.instrument.text_columns import LineListener, first_lines, read_lines, usual_columns
+from imufield.acquire.instrument.text_columns import LineListener, are_labelled, first_lines, read_lines, usual_columns
 from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.link.host_clock import HostClock, patience_s
 from imufield.acquire.link.serial import PSEUDO_TERMINALS, SerialLink, open_link
@@ -239,8 +240,9 @@ def nothing_recognised(port: str, result: Search) -> LinkError:
     listeners = [listener for hearing in result.hearings for listener in hearing.listeners]
     # The closest one helps to see what is wrong: a baud rate, a setting, a damaged line.
     closest = max(listeners, key=lambda listener: (listener.decoder.statistics.frames, listener.accelerations)).finding()
+    shown = first_lines(b"".join(hearing.data for hearing in result.hearings))
     heard: dict[str, object] = {
-        "lines": first_lines(b"".join(hearing.data for hearing in result.hearings)),
+        "lines": shown,
         "port": port,
         "names": [*dict.fromkeys(listener.candidate.name for listener in listeners)],
         "bytes": total,
@@ -257,10 +259,12 @@ def nothing_recognised(port: str, result: Search) -> LinkError:
     if lines is not None and text is not None and text.protocol.lines is not None:
         width, expected = lines.rows.shape[1], len(text.protocol.lines.columns)
         settings = text.variant or {"columns": usual_columns(width)}
-        option = " ".join(f"--set {name}={value}" for name, value in settings.items())
+        option = " ".join(f"--set {shlex.quote(f'{name}={value}')}" for name, value in settings.items())
         key = "baud_search.few_columns" if width != expected else "baud_search.columns"
         said = {"found": width, "expected": expected, "why": closest.reason, "name": text.name, "option": option}
         return LinkError(sentence(key, **heard, **said), Reason.NO_FRAMES)
+    if are_labelled(shown):
+        return LinkError(sentence("baud_search.labelled", **heard), Reason.NO_FRAMES)
     if closest.frames:
         return LinkError(sentence("baud_search.closest", **heard, closest=closest.name, why=closest.reason), Reason.NO_FRAMES)
     return LinkError(sentence("baud_search.nothing", **heard), Reason.NO_FRAMES)

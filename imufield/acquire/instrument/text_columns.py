@@ -32,6 +32,7 @@ _LONGEST_SHOWN = 160  # Characters; two lines of a terminal.
 _DELETE = 127
 _WORD = re.compile(r"(?!nan|inf)[$A-Z]\w*:?", re.IGNORECASE)  # Before the numbers of every line: "$IMU,", "Raw:".
 _CHECKSUM = re.compile(r"\*[0-9A-F]{2}$", re.IGNORECASE)
+_LABEL = re.compile(r"[A-Z_]\w*[\"']?\s*[=:]\s*[\[({]?\s*[+-]?\.?\d", re.IGNORECASE)  # "ax=0.05", "G: 1 2 3", '"acc":[1,2,3]'.
 _MOST = 0.9  # Of the lines: the first may be cut, and some damaged.
 _A = ACCELEROMETER_COLUMNS
 _G = GYROSCOPE_COLUMNS
@@ -83,6 +84,11 @@ def first_lines(data: bytes) -> list[str]:
         return []
     lines = [line.strip() for line in data.decode("latin-1").split("\n")]
     return [line[:_LONGEST_SHOWN] for line in lines if line][:_LINES_SHOWN]
+
+
+def are_labelled(lines: Sequence[str]) -> bool:
+    """Return whether most lines of a text have several numbers, or groups of them, each behind a label."""
+    return 2 * sum(len(_LABEL.findall(line)) > 1 for line in lines) > len(lines)
 
 
 def read_lines(data: bytes) -> Lines | None:

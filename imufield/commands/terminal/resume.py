@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from contextlib import suppress
 from pathlib import Path
 
@@ -93,7 +92,7 @@ def _check_goes_on(session: Session, *, resume: bool, retake: tuple[str, ...]) -
     early = guide is not None and guide.finished_early
     if guide is None or not resume or not (early or retake):
         key = "resume.unguided" if guide is None else "resume.finished_early" if early else "resume.finished"
-        raise UsageError(sentence(key, folder=session.folder, quoted=shlex.quote(str(session.folder))))
+        raise UsageError(sentence(key, folder=session.folder))
     measured = guide.snapshot().accepted
     for name in retake:
         if name not in measured:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 from typing import NamedTuple
 
@@ -44,9 +43,7 @@ def read_document(path: Path | str, origin: Origin = Origin.TYPED) -> VersionedD
             from imufield.acquire.recording.session import SETTINGS_FILE  # late: a file that is there needs no session
 
             key = "read.not_solved" if (folder / SETTINGS_FILE).exists() else "read.no_session"
-        # Quoted where it is to be typed.
-        shown_folder = shlex.quote(str(folder)) if key == "read.not_solved" else str(folder)
-        refused = sentence(key, where=where, cause=error.strerror, folder=shown_folder)
+        refused = sentence(key, where=where, cause=error.strerror, folder=folder)
         raise ParameterFileError(refused, Reason.FOREIGN) from error
     return parse_document(text, where)
 

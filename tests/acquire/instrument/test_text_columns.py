@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from imufield.acquire.instrument.text_columns import Columns, find_columns, read_lines, usual_columns
+from imufield.acquire.instrument.text_columns import Columns, are_labelled, find_columns, read_lines, usual_columns
 from imufield.samples import FloatArray
 from imufield.simulate.truth.grades import draw_truth, find_grade
 from imufield.simulate.truth.imu import Imu, ImuSettings
@@ -152,6 +152,25 @@ def test_lines_of_words_and_bytes_are_no_lines_of_numbers() -> None:
     noise = bytes(np.random.default_rng(4).integers(0, 256, 20_000, dtype=np.uint8))
     for data in (b"", noise, b"$GPGGA,123519,4807.038,N*47\r\n" * 30, b"boot\n" * 30, b"1,2\n"):
         assert read_lines(data) is None
+
+
+@pytest.mark.parametrize(
+    ("line", "is_labelled"),
+    [
+        ("ax=0.053 ay=-0.443 az=9.81", True),
+        ("A: 0.05 -0.44 9.81 G: 0.1 0.2 0.3", True),
+        ('{"acc": [0.05, -0.44, 9.81], "gyr": [.1, .2, .3]}', True),
+        ("X:+1,Y:-2,Z:3", True),
+        ("Raw: 1 2 3", False),
+        ("$IMU,0.1,0.2,9.8*5A", False),
+        ("$GPGGA,123519,4807.038,N*47", False),
+        ("12:30:01.123 0.1 0.2 9.8", False),
+        ("", False),
+    ],
+)
+def test_labels_are_told_from_a_word_in_front(line: str, is_labelled: bool) -> None:
+    assert are_labelled([line] * 3) is is_labelled
+    assert not are_labelled([])
 
 
 @pytest.mark.parametrize("width", range(1, 13))
