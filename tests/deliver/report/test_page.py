@@ -200,6 +200,8 @@ def test_held_out_caption_says_what_the_test_found(data: ReportData) -> None:
     words = "larger than forecast, by chance so large in 1 of 50 sound checks"
     positions = {**figures, **found, "as_forecast": False, "words": words}
     assert render_report(replace(data, verification={"positions": positions})).count(words) == 2
+    hidden = "1 position cannot show an error on x"
+    assert hidden in render_report(replace(data, verification={"positions": positions | {"hidden": hidden}}))
 
 
 def test_provenance_speaks_our_words(data: ReportData) -> None:
