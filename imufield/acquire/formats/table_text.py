@@ -13,6 +13,7 @@ import re
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime
+from itertools import islice
 from pathlib import Path
 from typing import BinaryIO, NamedTuple, cast
 
@@ -39,7 +40,11 @@ _COMMENT_MARKS = ("#", "%", "//")
 _QUOTED = re.compile(r'"([^"\n]*)"')
 # Three digits behind it may be thousands, but for those of 0,123.
 _DECIMAL_COMMA = re.compile(r"(?<!\d)0,\d|\d,(?!\d{3}(?!\d))\d")
-_ROWS_LOOKED_AT = 200
+# 1.009,81 and 1,009.81, 1.000.000 and 1'009; but 1,009 may be 1.009.
+_THOUSANDS = re.compile(
+    r"[+-]?\d{1,3}(?:(?:['\u2019\s]\d{3})+(?:[.,]\d*)?|(?:\.\d{3})+,\d*|(?:,\d{3})+\.\d*|(?:\.\d{3}){2,}|(?:,\d{3}){2,})"
+)
+ROWS_LOOKED_AT = 200
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,15 +122,12 @@ class TextTable:
 
     def where(self, row: int) -> tuple[int, str]:
         """Return the line of a row, and words for it, for messages."""
-        line = 0
-        for block in _line_blocks(self.path):
-            for text in block.decode("latin-1").removesuffix("\n").split("\n"):
-                line += 1
-                if line <= self.lines_before or not _is_row(text):
-                    continue
-                if row == 0:
-                    return line, f'line {line}, "{text.strip()[:60]}"'
-                row -= 1
+        for line, text in enumerate(_lines(self.path), start=1):
+            if line <= self.lines_before or not _is_row(text):
+                continue
+            if row == 0:
+                return line, f'line {line}, "{text.strip()[:60]}"'
+            row -= 1
         raise IndexError(f"{self.path} has no such row")
 
     def _clean(self, block: bytes) -> str:
@@ -190,19 +192,27 @@ class TextTable:
             if not text:
                 continue
             cells = split_cells(text, self.delimiter)
-            if len(cells) != self.width:
-                shown = {"found": len(cells), "width": self.width, "line": number, "text": shortened(text)}
+            wrong = next(
+                (column for column in columns if len(cells) == self.width and not self._is_readable(cells, column)), None
+            )
+            if len(cells) == self.width and wrong is None:
+                continue
+            written = next(islice(_lines(self.path), number - 1, None)).strip(" \r")
+            if wrong is None:
+                shown = {"found": len(cells), "width": self.width, "line": number, "text": shortened(written)}
                 return _bad("table_text.other_width", self.path, **shown)
-            wrong = next((cells[column] for column in columns if not self._is_readable(cells[column], column)), None)
-            if wrong is not None:
-                return _bad("table_text.no_number", self.path, text=shortened(wrong), line=number)
+            # What parts cells stands in quotes, too.
+            hidden = split_cells(_without_quotes(written, self.delimiter, "\0"), self.delimiter)[wrong]
+            cell = hidden.replace("\0", self.delimiter or " ")
+            key = "table_text.thousands" if _THOUSANDS.fullmatch(cell) else "table_text.no_number"
+            return _bad(key, self.path, text=shortened(cell), line=number)
         return _bad("table_text.bad_row", self.path, line=lines_before)
 
-    def _is_readable(self, cell: str, column: int) -> bool:
+    def _is_readable(self, cells: Sequence[str], column: int) -> bool:
         if column not in self.text_columns:
-            return is_number(cell)
+            return is_number(cells[column])
         try:
-            seconds_of_date(cell)
+            seconds_of_date(cells[column])
         except ValueError:
             return False
         return True
@@ -250,7 +260,7 @@ def open_table(path: str | Path) -> TextTable:
         cells = _first_cells(line.split("#", 1)[0], delimiter)
         header += ("",) * (len(cells) - len(header) if not any(cells[len(header) :]) else 0)
     # The last line may be cut.
-    sound = texts[first : max(len(texts) - 1, first + 1)][:_ROWS_LOOKED_AT]
+    sound = texts[first : max(len(texts) - 1, first + 1)][:ROWS_LOOKED_AT]
     head_rows = tuple(tuple(_first_cells(row.replace(",", ".") if decimal_comma else row, delimiter)) for _, row in sound)
     return TextTable(
         path=path,
@@ -393,10 +403,10 @@ def delimiter_of(line: str) -> tuple[str | None, bool]:
     return None, False
 
 
-def _without_quotes(text: str, delimiter: str | None) -> str:
+def _without_quotes(text: str, delimiter: str | None, mark: str = "_") -> str:
     """Leave out quotes; a delimiter inside them becomes what no number has: it may be a decimal comma, or one of thousands."""
     inside = re.compile(r"\s" if delimiter is None else re.escape(delimiter))
-    return _QUOTED.sub(lambda quoted: inside.sub("_", quoted[1]), text).replace('"', "") if '"' in text else text
+    return _QUOTED.sub(lambda quoted: inside.sub(mark, quoted[1]), text).replace('"', "") if '"' in text else text
 
 
 def split_cells(line: str, delimiter: str | None) -> list[str]:
@@ -419,6 +429,12 @@ def is_number(text: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def _lines(path: Path) -> Iterator[str]:
+    """Yield the lines of a file as they stand in it."""
+    for block in _line_blocks(path):
+        yield from _decoded(block).removesuffix("\n").split("\n")
 
 
 def _line_blocks(path: Path) -> Iterator[bytes]:

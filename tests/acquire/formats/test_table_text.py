@@ -14,6 +14,20 @@ from tests.acquire.table_files import ACCELEROMETER, TIME, text_of
 from tests.refused import refused
 from tests.told import keys
 
+UNREAD = [
+    ("1.009,81", ";", "table_text.thousands"),
+    ("-1.009.810", ";", "table_text.thousands"),
+    ("1 009,81", ";", "table_text.thousands"),
+    ("1'009", ";", "table_text.thousands"),
+    ('"1,009.81"', ",", "table_text.thousands"),
+    ('"1,009,810"', ",", "table_text.thousands"),
+    # May be a decimal comma.
+    ('"1,009"', ",", "table_text.no_number"),
+    ('"a, b"', ",", "table_text.no_number"),
+    ("Prüf,ung", ";", "table_text.no_number"),
+    ('"a b"', " ", "table_text.no_number"),
+]
+"""Cells, what parts them from others, and the sentence that quotes them."""
 ROWS = np.array([[float(f"{value:.4f}") for value in row] for row in np.column_stack([TIME, ACCELEROMETER])])
 UNITS = "time_s,ax_m_s2,ay_m_s2,az_m_s2"
 
@@ -147,3 +161,24 @@ def test_a_whole_last_line_needs_no_end(tmp_path: Path) -> None:
     table = open_table(written(tmp_path / "whole.csv", text_of(TIME, ACCELEROMETER, delimiter=",").rstrip("\n")))
     assert len(table.read([0, 1, 2, 3])) == len(TIME)
     assert not table.assumptions
+
+
+@pytest.mark.parametrize(("cell", "delimiter", "key"), UNREAD)
+@pytest.mark.parametrize("encoding", ["utf-8", "cp1252"])
+def test_a_cell_is_quoted_as_it_stands_in_the_file(tmp_path: Path, cell: str, delimiter: str, key: str, encoding: str) -> None:
+    decimal = "," if delimiter == ";" else "."
+    lines = [delimiter.join(f"{value:.4f}".replace(".", decimal) for value in row) for row in ROWS]
+    lines[7] = delimiter.join([lines[7].split(delimiter)[0], f"0{decimal}5", cell, f"9{decimal}8"])
+    path = written(tmp_path / "cells.csv", "\n".join([delimiter.join(("time_s", "ax", "ay", "az")), *lines, ""]), encoding)
+    with refused(RecordingError, Reason.BAD_DATA, key=key) as caught:
+        read_tables([path])
+    assert (caught.value.values["text"], caught.value.values["line"]) == (cell.strip('"'), 9)
+
+
+def test_a_row_of_another_width_is_quoted_as_it_stands_in_the_file(tmp_path: Path) -> None:
+    lines = [row.replace(".", ",") for row in lines_of(";")]
+    lines[7] = "0,0700;;1,5"
+    path = written(tmp_path / "cells.csv", "\n".join(["time_s;ax;ay;az", *lines, ""]))
+    with refused(RecordingError, Reason.BAD_DATA, key="table_text.other_width") as caught:
+        read_tables([path])
+    assert caught.value.values["text"] == lines[7]
