@@ -10,7 +10,7 @@ import numpy as np
 
 from imufield.acquire.formats.table_columns import choose_time_scale
 from imufield.acquire.formats.table_file import Fields, File
-from imufield.acquire.formats.table_names import TIME
+from imufield.acquire.formats.table_names import TEMPERATURE, TIME
 from imufield.errors import UsageError
 from imufield.samples import FloatArray, median
 from imufield.sentences import Sentences
@@ -35,12 +35,18 @@ def join(files: Sequence[File], rate_hz: float | None, time_unit: str | None = N
     units: dict[str, str] = {}
     timed: list[dict[str, FloatArray]] = []
     said: list[str] = []
+    first_of: dict[str, str] = {}
     for file in files:
-        doubled = sorted(field for field in file.fields for other in timed if field in other and field != TIME)
-        if doubled:
+        fields = dict(file.fields)
+        if doubled := sorted(fields.keys() & first_of.keys() - {TIME, TEMPERATURE}):
             raise UsageError(sentence("table_join.doubled", path=str(file.path), fields=doubled))
+        # Each sensor of a chip may come with the temperature of that chip.
+        if TEMPERATURE in fields and TEMPERATURE in first_of:
+            del fields[TEMPERATURE]
+            said.append(sentence("table_join.second_temperature", name=file.name, first=first_of[TEMPERATURE]))
         units = file.units | units
-        timed.append(dict(file.fields))
+        timed.append(fields)
+        first_of = dict.fromkeys(fields, file.name) | first_of
     scales: dict[Path, float] = {}
     zero_s = next((file.zero_s for file in files if TIME in file.fields), 0.0)
     for file, fields in zip(files, timed, strict=True):
