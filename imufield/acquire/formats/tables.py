@@ -290,7 +290,8 @@ def _table(
     for place, name in enumerate(FIELDS):
         if name in joined:
             rows[:, place] = joined[name]
-    found, guessed = dict(known), {}
+    # Rows have flags where a column of them is read, whatever a recording has.
+    found, guessed = {name: value for name, value in known.items() if name != STATUS}, {}
     for quantity, columns in (("accelerometer", slice(1, 4)), ("gyroscope", slice(4, 7))):
         unit, factor, assumption = choose_unit(quantity, rows[:, columns], units, given, has_zero=zero is not None)
         if factor != 1.0:

@@ -91,6 +91,12 @@ def test_values(tmp_path: Path, kind: str, stamped: bool) -> None:
     assert table.begin_s == STAMP_S
 
 
+def test_rows_have_no_flags_where_their_column_is_skipped(tmp_path: Path) -> None:
+    table = read_tables([write(tmp_path, "mcap")], columns="-,ax,ay,az,gx,gy,gz,-,-,-", rate_hz=400)
+    assert table.status is None
+    assert table.settings == {"accelerometer_unit": "m/s^2", "gyroscope_unit": "rad/s", "rate_hz": 400}
+
+
 def test_what_is_not_available(tmp_path: Path) -> None:
     table = read_tables([write(tmp_path, "mcap", no_force=(7, 8), no_rate=True)])
     assert np.flatnonzero(np.isnan(table.rows[:, 1:4]).all(axis=1)).tolist() == [7, 8]
