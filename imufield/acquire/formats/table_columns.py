@@ -6,6 +6,7 @@ Every assumption that the header does not state is returned as a sentence.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from imufield.acquire.formats.table_names import (
     named_column,
     one_of_each,
     quantity_of_file,
+    stamp_of_measurement,
 )
 from imufield.acquire.protocol.units import SECONDS, TO_DEGC, TO_SI, known_units, unit_name
 from imufield.dataclass import dataclass
@@ -47,8 +49,11 @@ TIME_UNIT = "time_unit"
 """Setting of an import; rows themselves are in seconds."""
 SHORTEST_STEP_S = 2.5e-4
 LONGEST_STEP_S = 0.2
-"""Instruments send 5 to 4000 samples a second. The two limits are less than a factor of 1000 apart, so a median step fits one
-unit of time at most."""
+"""Instruments send 5 to 4000 samples a second. The two limits are less than a factor of 1000 apart, so a step fits one unit of
+time at most."""
+_DATES_S = (946_684_800.0, 4_102_444_800.0)  # 2000 and 2100, from 1970: also less than a factor of 1000 apart.
+# Of all steps: longer ones are pauses. Rows that are handed over in bursts, up to a hundred at once, have more long ones.
+_NO_PAUSE = 0.99
 # A typed rate within 20 % of the time column's decides the unit of time; outside, one of the two is wrong.
 _RATE_TOLERANCE = 0.2
 
@@ -114,9 +119,15 @@ def columns_by_user(path: Path, columns: str, width: int) -> Meaning:
 
 
 def columns_by_header(
-    path: Path, header: Sequence[str], units: Sequence[str] | None, *, width: int, text_columns: Collection[int]
+    path: Path,
+    header: Sequence[str],
+    units: Sequence[str] | None,
+    *,
+    width: int,
+    text_columns: Collection[int],
+    no_clocks: Collection[int],
 ) -> Meaning:
-    """Understand a header line above rows of ``width`` cells, of which ``text_columns`` have no numbers.
+    """Understand a header above rows of ``width`` cells; ``text_columns`` have no numbers, ``no_clocks`` stand or have gaps.
 
     Raises
     ------
@@ -129,15 +140,21 @@ def columns_by_header(
         raise UsageError(sentence("table_columns.narrow_header", path=str(path), **known))
     below = units if units is not None and len(units) == len(header) else [None] * len(header)
     of_axes = quantity_of_file(path)
-    named = [named_column(name, index, unit, of_axes) for index, (name, unit) in enumerate(zip(header, below, strict=True))]
-    chosen = one_of_each([column for column in named if column is not None], header, text_columns)
+    found = [named_column(name, index, unit, of_axes) for index, (name, unit) in enumerate(zip(header, below, strict=True))]
+    named = [column for column in found if column is not None]
+    chosen = one_of_each(named, header, text_columns, no_clocks)
     # Only an export of our own has all of these; columns of these names mean other things elsewhere.
     if set(SAMPLE_COLUMNS) <= set(header):
         chosen += [TableColumn(index=header.index(name), field=name) for name in (STATUS, COUNTER)]
     used = {column.index for column in chosen}
     ignored = [shortened(name) for index, name in enumerate(header) if index not in used and name]
-    said = (sentence("table_columns.ignored", name=path.name, ignored=ignored),) if ignored else ()
-    return _checked(path, chosen, said)
+    said = [sentence("table_columns.ignored", name=path.name, ignored=ignored)] if ignored else []
+    stamp = stamp_of_measurement(named, no_clocks)
+    others = [shortened(header[column.index]) for column in named if column.field == TIME and column.index not in used]
+    if stamp is not None and stamp.index in used and others:
+        of = shortened(header[stamp.index])
+        said.append(sentence("table_columns.stamp", name=path.name, stamp=of, others=others))
+    return _checked(path, chosen, tuple(said))
 
 
 def columns_by_count(path: Path, width: int, number: int, files: int) -> Meaning:
@@ -203,6 +220,28 @@ def given_time_unit(settings: Mapping[str, object]) -> str | None:
     return None if unit is None else str(unit)
 
 
+def _median_step(time: FloatArray) -> float:
+    """Return the median of the steps that are not 0, 0 where there is none."""
+    steps = np.diff(time)
+    return float(median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
+
+
+def _mean_step(time: FloatArray) -> float:
+    """Return the mean step without pauses: also that of rows in bursts, whose median is what a program takes between two."""
+    steps = np.diff(time)
+    return float(np.mean(steps[steps <= np.quantile(steps, _NO_PAUSE, method="lower")]))
+
+
+def _unit_of_dates(time: FloatArray, step: float) -> str | None:
+    """Return the unit in which times are dates of this century, None without.
+
+    What counts microseconds since the instrument was switched on may be a date in seconds, but then with steps of minutes.
+    """
+    begin, end = _DATES_S
+    units = [(name, scale) for name, scale in SECONDS.items() if scale <= 1.0 and 0.0 < step * scale <= LONGEST_STEP_S]
+    return next((name for name, scale in units if begin <= time[0] * scale and time[-1] * scale < end), None)
+
+
 def choose_time_scale(path: Path, time: FloatArray, unit: str | None, rate_hz: float | None) -> tuple[float, str]:
     """Return seconds per unit of a time column, and a sentence where it was assumed.
 
@@ -211,32 +250,38 @@ def choose_time_scale(path: Path, time: FloatArray, unit: str | None, rate_hz: f
     UsageError
         No unit gives a plausible rate, or the typed rate contradicts the column.
     """
-    steps = np.diff(time)
-    step = float(median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
+    # Pauses make the one longer, and bursts the other shorter.
+    steps = (_mean_step(time), _median_step(time))
+    step = steps[0]
     if unit == SAMPLE_TIME_FINE:
         # Their rates are so far apart that a step fits one of them.
         tick_s = 1e-4 if step * 1e-4 <= LONGEST_STEP_S else 1e-6
-        _check_rate(path, step * tick_s, rate_hz)
+        _check_rate(path, steps, tick_s, rate_hz)
         return tick_s, ""
-    if unit is not None:
-        step_s = step * SECONDS[unit]
-        _check_rate(path, step_s, rate_hz)
-        if rate_hz is not None or not step_s or SHORTEST_STEP_S <= step_s <= LONGEST_STEP_S:
-            return SECONDS[unit], ""
-        told = {"name": path.name, "unit": unit, "step": step, "rate_hz": 1.0 / step_s}
-        return SECONDS[unit], sentence("table_columns.implausible", **told)
+    dates = _unit_of_dates(time, steps[1]) if unit is None else None
+    if unit is not None or dates is not None:
+        scale = SECONDS[unit or str(dates)]
+        _check_rate(path, steps, scale, rate_hz)
+        if dates is not None:
+            day = datetime.fromtimestamp(time[0] * scale, UTC).date()
+            return scale, sentence("table_columns.dates", name=path.name, unit=dates, day=day, rate_hz=1.0 / (step * scale))
+        if rate_hz is not None or not step or any(SHORTEST_STEP_S <= each * scale <= LONGEST_STEP_S for each in steps):
+            return scale, ""
+        told = {"name": path.name, "unit": unit, "step": step, "rate_hz": 1.0 / (step * scale)}
+        return scale, sentence("table_columns.implausible", **told)
     low, high = SHORTEST_STEP_S, LONGEST_STEP_S
     if rate_hz is not None:
         low, high = (1.0 - _RATE_TOLERANCE) / rate_hz, (1.0 + _RATE_TOLERANCE) / rate_hz
     # A step tells units apart that differ by 1000: minutes and hours are not among them.
-    fitting = [name for name, scale in SECONDS.items() if scale <= 1.0 and low <= step * scale <= high]
-    if not fitting:
+    units = [name for name, scale in SECONDS.items() if scale <= 1.0]
+    fitting = ((each, name) for each in steps for name in units if low <= each * SECONDS[name] <= high)
+    step, name = next(fitting, (step, ""))
+    if not name:
         # In seconds it would be plausible: then it is the rate that is wrong.
         if rate_hz is not None and SHORTEST_STEP_S <= step <= LONGEST_STEP_S:
-            _check_rate(path, step, rate_hz)
+            _check_rate(path, steps, 1.0, rate_hz)
         key = "table_columns.no_rate_fits" if rate_hz is None else "table_columns.wrong_rate"
         raise UsageError(sentence(key, path=str(path), step=step, rate_hz=rate_hz))
-    name = fitting[0]
     fitting_hz = 1.0 / (step * SECONDS[name])
     return SECONDS[name], sentence("table_columns.time_taken_as", name=path.name, unit=name, step=step, rate_hz=fitting_hz)
 
@@ -264,6 +309,14 @@ def refuse_coarse_times(path: Path, time: FloatArray) -> None:
         raise UsageError(sentence("table_columns.same_times", path=str(path), share=share, limit=_MOST_EQUAL))
 
 
+def refuse_bursts(path: Path, time_s: FloatArray) -> None:
+    """Raise ``UsageError`` if most rows follow the one before at once and the others much later: they have times of arrival."""
+    step_s, mean_s = _median_step(time_s), _mean_step(time_s)
+    if step_s < SHORTEST_STEP_S <= mean_s:
+        told = {"limit_s": SHORTEST_STEP_S, "step_s": step_s, "rate_hz": (len(time_s) - 1) / (time_s[-1] - time_s[0])}
+        raise UsageError(sentence("table_columns.bursts", path=str(path), **told))
+
+
 def spread_times(time: FloatArray) -> FloatArray | None:
     """Return rising times, shape (n,), for times that never fall, of a clock with coarse but regular ticks; None for others.
 
@@ -289,9 +342,10 @@ def spread_times(time: FloatArray) -> FloatArray | None:
     return rising
 
 
-def _check_rate(path: Path, step_s: float, rate_hz: float | None) -> None:
-    if rate_hz is not None and abs(step_s * rate_hz - 1.0) > _RATE_TOLERANCE:
-        found_hz = 1.0 / step_s if step_s > 0.0 else 0.0
+def _check_rate(path: Path, steps: Sequence[float], scale: float, rate_hz: float | None) -> None:
+    """Refuse a typed rate that neither of the steps has."""
+    if rate_hz is not None and all(abs(step * scale * rate_hz - 1.0) > _RATE_TOLERANCE for step in steps):
+        found_hz = 1.0 / (steps[0] * scale) if steps[0] > 0.0 else 0.0
         key = "table_columns.other_rate" if found_hz else "table_columns.no_rate"
         raise UsageError(sentence(key, path=str(path), rate_hz=rate_hz, found_hz=found_hz))
 

@@ -20,7 +20,7 @@ from imufield.acquire.formats.table_columns import (
     in_degc,
 )
 from imufield.acquire.formats.table_names import TEMPERATURE, TIME, TRIADS, refuse_several_instruments
-from imufield.acquire.formats.table_text import TextTable, open_table
+from imufield.acquire.formats.table_text import ROWS_LOOKED_AT, TextTable, open_table
 from imufield.dataclass import dataclass, field, replace
 from imufield.errors import Reason, RecordingError
 from imufield.limits import TEMPERATURE_RANGE_DEGC
@@ -69,7 +69,10 @@ def meaning_of(source: Source, columns: str | None, number: int, files: int) -> 
         meaning = columns_by_user(source.path, columns, source.width)
     elif source.header is not None:
         text_columns = source.text_columns if isinstance(source, TextTable) else ()
-        meaning = columns_by_header(source.path, source.header, source.units, width=source.width, text_columns=text_columns)
+        no_clocks = _no_clocks(source)
+        meaning = columns_by_header(
+            source.path, source.header, source.units, width=source.width, text_columns=text_columns, no_clocks=no_clocks
+        )
         if isinstance(source, TextTable):
             refuse_several_instruments(source.path, source.header, source.head)
     else:
@@ -79,6 +82,13 @@ def meaning_of(source: Source, columns: str | None, number: int, files: int) -> 
     )
     # Dates are read in seconds, whatever the heading says of them.
     return replace(meaning, units=meaning.units | {TIME: "s"}) if dated else meaning
+
+
+def _no_clocks(source: Source) -> set[int]:
+    """Return which columns have the same in all of the first rows, or nothing in some."""
+    rows = source.head if isinstance(source, TextTable) else source.values[:ROWS_LOOKED_AT].tolist()
+    cells = [{str(row[column]).lower() for row in rows if column < len(row)} for column in range(source.width)]
+    return {column for column, found in enumerate(cells) if len(found) == 1 or not found.isdisjoint(("", "nan"))}
 
 
 def files_of(source: Source, meaning: Meaning, values: FloatArray) -> list[File]:

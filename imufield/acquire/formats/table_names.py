@@ -27,6 +27,7 @@ _WORDS = tomli.loads(Path(__file__).with_name("table_words.toml").read_text(enco
 _NAMES = {quantity: frozenset(names.split()) for quantity, names in _WORDS["names"].items()}
 _FIRST = frozenset(_WORDS["order"]["first"].split())
 _LAST = frozenset(_WORDS["order"]["last"].split())
+_STAMPS = frozenset(_WORDS["order"]["stamp"].split())
 # What may end in the number of a sensor; one letter may not: "a1" is no acceleration.
 _NUMBERED = _NAMES["noise"].union(name for triad in TRIADS for name in _NAMES[triad] if len(name) > 1)
 _AXES = {"x": "x", "y": "y", "z": "z", "0": "x", "1": "y", "2": "z"}
@@ -199,7 +200,15 @@ def quantity_of_file(path: Path) -> str:
     return told.pop() if len(told) == 1 else ""
 
 
-def one_of_each(columns: Sequence[TableColumn], header: Sequence[str], text_columns: Collection[int]) -> list[TableColumn]:
+def stamp_of_measurement(columns: Sequence[TableColumn], no_clocks: Collection[int]) -> TableColumn | None:
+    """Return the time at which samples were measured, if one column has it alone; one in parts, s and ns, is none."""
+    found = [column for column in columns if column.name in _STAMPS and column.index not in no_clocks]
+    return found[0] if len(found) == 1 else None
+
+
+def one_of_each(
+    columns: Sequence[TableColumn], header: Sequence[str], text_columns: Collection[int], no_clocks: Collection[int]
+) -> list[TableColumn]:
     """Return one column for time and temperature, and one triad of each quantity, in the order of the file.
 
     Parameters
@@ -208,12 +217,14 @@ def one_of_each(columns: Sequence[TableColumn], header: Sequence[str], text_colu
     header : sequence of str
     text_columns : collection of int
         Those that hold no numbers, e.g. dates.
+    no_clocks : collection of int
+        Those that stand still or have gaps.
     """
     columns = _without_quaternions(columns, header)
     # Axes without a name are those of the file's sensor where it has no others.
     named = [column for column in columns if column.quantity not in TRIADS or column.name or column.unit]
     columns = named if any(column.quantity in TRIADS for column in named) else columns
-    chosen = [*_time_and_temperature(columns, header, text_columns), *_triads(columns)]
+    chosen = [*_time_and_temperature(columns, header, text_columns, no_clocks), *_triads(columns)]
     return sorted(chosen, key=lambda column: column.index)
 
 
@@ -230,15 +241,18 @@ def _without_quaternions(columns: Sequence[TableColumn], header: Sequence[str]) 
 
 
 def _time_and_temperature(
-    columns: Sequence[TableColumn], header: Sequence[str], text_columns: Collection[int]
+    columns: Sequence[TableColumn], header: Sequence[str], text_columns: Collection[int], no_clocks: Collection[int]
 ) -> list[TableColumn]:
-    """Return one of each: a usual name before others, a number before a date, then the first."""
+    """Return one of each: what goes on, a number before a date, the stamp of measurement, a usual name, then the first."""
+    stamp = stamp_of_measurement(columns, no_clocks)
     # "T" beside another time is the temperature.
     is_letter = {column.index: header[column.index].strip() == "T" for column in columns if column.field == TIME}
     times = sorted(
         (column for column in columns if column.field == TIME),
         key=lambda column: (
+            column.index in no_clocks,
             column.index in text_columns,
+            column is not stamp,
             is_letter[column.index] or column.name not in _NAMES[TIME] or bool(column.qualifier),
         ),
     )

@@ -24,6 +24,7 @@ from imufield.acquire.formats.table_columns import (
     choose_time_scale,
     choose_unit,
     given_time_unit,
+    refuse_bursts,
     refuse_coarse_times,
     spread_times,
 )
@@ -148,6 +149,7 @@ def read_tables(
     if all(TIME in file.fields for file in files):
         files = [_with_own_times(file) for file in files]
     table = _table(files, rate_hz, zero, settings)
+    refuse_bursts(files[0].path, table.rows[:, 0])
     faults = _no_positions(table.rows[:, 1:4], str(table.settings["accelerometer_unit"]))
     return replace(table, assumptions=(*table.assumptions, *faults))
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from imufield.acquire.formats.tables import read_tables, stream_table
+from imufield.acquire.protocol.units import SECONDS
 from imufield.errors import Reason, RecordingError, UsageError
 from tests.acquire.table_files import ACCELEROMETER, GYROSCOPE, TIME, text_of, write
 from tests.refused import refused
@@ -112,6 +113,51 @@ def test_the_times_of_a_stream_stay_as_they_are(tmp_path: Path, name: str) -> No
     else:
         path.write_text(text_of(stamps_s, values))
     np.testing.assert_array_equal(np.concatenate([table.rows[:, 0] for table in stream_table(path)]), stamps_s)
+
+
+def arrivals(of: int) -> np.ndarray:
+    """Return when rows of 100 Hz arrive that are handed over so many at once, 30 us apart, s."""
+    row = np.arange(2000)
+    return 0.01 * of * (row // of + 1) + 3e-5 * (row % of)
+
+
+@pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
+@pytest.mark.parametrize("rate_hz", [None, 100.0])
+def test_dates_have_the_unit_in_which_they_are_of_this_century(tmp_path: Path, unit: str, rate_hz: float | None) -> None:
+    time_s = 1.7e9 + np.arange(2000) / 100
+    values = np.random.default_rng(1).normal(size=(2000, 3))
+    table = read_tables([write(tmp_path, text_of(time_s / SECONDS[unit], values))], rate_hz=rate_hz)
+    np.testing.assert_allclose(table.rows[:, 0], time_s, rtol=1e-15)
+    (found,) = told(table.assumptions, "table_columns.dates")
+    assert (found.values["unit"], str(found.values["day"])) == (unit, "2023-11-14")
+
+
+@pytest.mark.parametrize(("up_s", "unit"), [(1000.0, "us"), (1000.0, "ns"), (1e6, "ms")])
+def test_what_counts_from_the_start_of_an_instrument_is_no_date(tmp_path: Path, up_s: float, unit: str) -> None:
+    time_s = up_s + np.arange(2000) / 100
+    table = read_tables([write(tmp_path, text_of(time_s / SECONDS[unit], np.random.default_rng(1).normal(size=(2000, 3))))])
+    np.testing.assert_allclose(table.rows[:, 0], time_s, rtol=1e-12)
+    assert "table_columns.dates" not in keys(table.assumptions)
+
+
+@pytest.mark.parametrize("start_s", [12.3, 1.7e9])
+@pytest.mark.parametrize(("rate_hz", "unit"), [(None, None), (100.0, None), (None, "us")])
+def test_times_of_arrival_in_bursts_are_refused(
+    tmp_path: Path, start_s: float, rate_hz: float | None, unit: str | None
+) -> None:
+    path = write(tmp_path, text_of(1e6 * (start_s + arrivals(of=5)), np.random.default_rng(1).normal(size=(2000, 3))))
+    with refused(UsageError, Reason.USAGE, "--columns", "--rate-hz", key="table_columns.bursts") as caught:
+        read_tables([path], rate_hz=rate_hz, settings={"time_unit": unit} if unit else None)
+    assert caught.value.values["rate_hz"] == pytest.approx(100, rel=0.01)
+    read_tables([path], columns="-,ax,ay,az", rate_hz=100)
+    # Whoever corrects rows needs no times.
+    assert sum(len(table.rows) for table in stream_table(path)) == 2000
+
+
+def test_pauses_are_no_bursts(tmp_path: Path) -> None:
+    time_us = 1e4 * np.arange(2000) + 6e8 * (np.arange(2000) // 200)
+    table = read_tables([write(tmp_path, text_of(time_us, np.random.default_rng(1).normal(size=(2000, 3))))])
+    np.testing.assert_allclose(table.rows[:, 0], 1e-6 * time_us)
 
 
 def test_a_stated_unit_of_time_that_no_instrument_has_is_told(tmp_path: Path) -> None:

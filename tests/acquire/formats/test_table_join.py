@@ -46,6 +46,19 @@ def test_nothing_is_interpolated_across_a_gap(tmp_path: Path) -> None:
     assert kept == [*range(20), *range(30, 50)]
 
 
+def test_a_second_temperature_is_ignored_aloud(tmp_path: Path) -> None:
+    header = "timestamp,timestamp_sample,device_id,x,y,z,temperature,error_count\n"
+    paths = []
+    for name, values, degc in (("sensor_accel", ACCELEROMETER, 41.2), ("sensor_gyro", GYROSCOPE, 40.9)):
+        columns = [TIME * 1e6 + 400, TIME * 1e6, np.full(N, 7), values, np.full(N, degc), np.zeros(N)]
+        paths.append(write(tmp_path, text_of(*columns, delimiter=",", header=header), f"log_12_{name}_0.csv"))
+    table = read_tables(paths)
+    np.testing.assert_allclose(table.rows, np.column_stack([TIME, ACCELEROMETER, GYROSCOPE, np.full(N, 41.2)]))
+    assert "table_join.second_temperature" in keys_of(table)
+    with refused(UsageError, Reason.USAGE, "ax", key="table_join.doubled"):
+        read_tables([paths[0], paths[0]])
+
+
 def test_files_that_share_no_time_are_refused(tmp_path: Path) -> None:
     paths = [write(tmp_path, text_of(TIME, ACCELEROMETER), "a.txt"), write(tmp_path, text_of(TIME + 5.0, GYROSCOPE), "g.txt")]
     with refused(UsageError, Reason.USAGE, "a.txt", "g.txt", "0.49 s"):

@@ -257,6 +257,40 @@ def test_what_is_no_instrument(tmp_path: Path, numbers: list[object]) -> None:
     assert len(read_tables([write(tmp_path, "\n".join(lines) + "\n")]).rows) == 40
 
 
+def rows_of(tmp_path: Path, header: str, *times: str) -> tuple[int, list[str]]:
+    """Return where the time stands, and which sentences are told, of rows with these cells before an accelerometer's."""
+    path = write(tmp_path, "\n".join([f"{header},ax,ay,az", *(f"{cells},0.1,0.2,9.8" for cells in times)]) + "\n")
+    meaning = meaning_of(open_source(path, None), None, 0, 1)
+    return next(column.index for column in meaning.columns if column.field == "time"), keys(meaning.assumptions)
+
+
+@pytest.mark.parametrize("header", ["%time,field.header.stamp", "timestamp,timestamp_sample", "__time,/imu/header/stamp"])
+def test_the_time_of_measurement_goes_before_that_of_receipt(tmp_path: Path, header: str) -> None:
+    place, told = rows_of(tmp_path, header, "1.03,1.01", "1.04,1.02", "1.05,1.03")
+    assert (place, "table_columns.stamp" in told) == (1, True)
+
+
+@pytest.mark.parametrize(
+    ("header", "times"),
+    [
+        pytest.param("Time,header.stamp", ["1.03,0", "1.04,0"], id="never set"),
+        pytest.param("Time,header.stamp", ["1.03,1.02", "1.04,", "1.05,1.04"], id="with gaps"),
+        pytest.param("Time,header.stamp.secs,header.stamp.nsecs", ["1.03,1,20000000", "2.03,2,10000000"], id="in parts"),
+    ],
+)
+def test_a_stamp_that_is_no_clock_is_left(tmp_path: Path, header: str, times: list[str]) -> None:
+    place, told = rows_of(tmp_path, header, *times)
+    assert (place, "table_columns.stamp" in told) == (0, False)
+
+
+def test_a_stamp_in_an_array_that_was_never_set_is_left(tmp_path: Path) -> None:
+    path = tmp_path / "imu.npz"
+    time, still = np.arange(50) * 0.01, np.zeros(50)
+    for stamp, place in ((still, 0), (time, 1)):
+        np.savez(path, time=time + 0.002, header_stamp=stamp, acc=np.ones((50, 3)))
+        assert meaning_of(open_source(path, None), None, 0, 1).columns[0].index == place
+
+
 # What a column that is new here must not take from one that was understood before.
 @pytest.mark.parametrize(
     ("header", "name", "first"),
