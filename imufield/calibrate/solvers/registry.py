@@ -32,7 +32,6 @@ class Method:
     """Where a solver is, and what it minimises."""
 
     name: str
-    title: str
     module: str
     function: str
     cost_name: CostName
