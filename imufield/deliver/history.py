@@ -55,7 +55,6 @@ class Entry:
     session: str
     """SHA-256 of what was solved."""
     session_name: str
-    raw_unit: str
     gravity_m_s2: float
     gravity_source: str
     grade: str
@@ -97,7 +96,6 @@ class Entry:
             verdict=calibration.quality.verdict,
             session=context.session.sha256,
             session_name=context.session.name,
-            raw_unit=calibration.accelerometer_raw_unit,
             gravity_m_s2=calibration.gravity.gravity_m_s2,
             gravity_source=calibration.gravity.source,
             grade=context.instrument.stated_grade,

@@ -72,11 +72,6 @@ class Reading:
     notes: tuple[str, ...]
     lost: tuple[str, ...]
 
-    @property
-    def stills(self) -> Observations:
-        """All stills that moves lie between."""
-        return self.observations if self.rests is None else join_observations(self.observations, self.rests)
-
     def between(self, observations: Observations) -> Moves:
         """Return the moves between the observed stills, and those between whole turns."""
         stills = observations if self.rests is None else join_observations(observations, self.rests)

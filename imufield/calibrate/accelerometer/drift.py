@@ -36,11 +36,6 @@ class DriftForm:
     columns: FloatArray
     """X, shape (m, k), mean zero, largest value about one."""
 
-    @property
-    def parameters(self) -> int:
-        """How many numbers it has."""
-        return 3 * int(self.columns.shape[1])
-
 
 def drift_forms(observations: Observations, spare: int) -> tuple[DriftForm, ...]:
     """Return the forms that the positions can be asked for.

@@ -12,7 +12,6 @@ from imufield.calibrate.gyroscope.residuals import ForceErrors, GyroscopeData, c
 from imufield.calibrate.gyroscope.stills_alone import StaticFree
 from imufield.calibrate.gyroscope.turntable import TurntableRun, no_table, pair_runs
 from imufield.calibrate.gyroscope.whole_turns import Stop
-from imufield.calibrate.model.coverage_factors import degrees_of_freedom
 from imufield.calibrate.model.models import PARAMETERS as ACCELEROMETER_PARAMETERS
 from imufield.calibrate.model.models import SCALE, norm_derivatives, recover, recover_vectors, to_vector
 from imufield.calibrate.model.observations import Observations
@@ -185,7 +184,6 @@ def force_errors(observations: Observations, calibration: Calibration, rests: in
         rest=beyond + by_gravity,
         with_gravity=with_gravity,
         by_gravity=by_gravity,
-        freedom=degrees_of_freedom(calibration.quality.student_factor_95),
     )
 
 

@@ -70,8 +70,6 @@ class ForceErrors:
         Covariance of the parameters with gravity.
     by_gravity : ndarray, shape (15, 15)
         The part of ``rest`` that comes from gravity.
-    freedom : float
-        Degrees of freedom of the covariance of the parameters.
     """
 
     by_noise: FloatArray
@@ -81,7 +79,6 @@ class ForceErrors:
     rest: FloatArray
     with_gravity: FloatArray
     by_gravity: FloatArray
-    freedom: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

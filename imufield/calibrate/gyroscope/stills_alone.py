@@ -155,10 +155,8 @@ class StaticFit:
     columns: list[int]
     """Which of A and b were fitted."""
     x: FloatArray
-    covariance: FloatArray
-    """Shape (12, 12), zero where not fitted."""
     shares: dict[str, FloatArray]
-    """What it is the sum of, by name, of the same shape."""
+    """What its covariance is the sum of, by name, shape (12, 12), zero where not fitted."""
     scatter: Scatter
     vertical_rad_s: float
     vertical_sigma_rad_s: float
@@ -216,7 +214,6 @@ def fit_static(data: StaticData, A: FloatArray, latitude_deg: float, free: Stati
         start=start,
         columns=columns,
         x=fitted.p[:12],
-        covariance=in_all(fitted.covariance),
         shares={name: in_all(part) for name, part in fitted.shares.items()},
         scatter=fitted.scatter,
         vertical_rad_s=float(latitude_free.p[12]),

@@ -44,8 +44,6 @@ class Forecast:
     high_days: float
     span_days: float
     """What the history spans."""
-    now: float
-    """What they know a new day to, 1 sigma, before any drift."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +54,7 @@ class NoForecast:
     """Short: too few sessions; now: the accuracy is not reached on any day."""
     sessions: int
     now: float = math.nan
+    """What the newest parameters know a new day to, 1 sigma, before any drift."""
     limit: int = FEWEST_WITHOUT_PRIOR
 
 
@@ -92,7 +91,7 @@ def forecast(
     ends = [_days(likely, file_sigma, wanted) for likely in (walk, drift)]
     middle = ends[is_drifting][1]
     low, high = min(end[0] for end in ends), max(end[2] for end in ends)
-    return Forecast(days=middle, low_days=low, high_days=high, span_days=float(np.ptp(test.day)), now=now)
+    return Forecast(days=middle, low_days=low, high_days=high, span_days=float(np.ptp(test.day)))
 
 
 def _median(values: FloatArray, weight: FloatArray) -> float:

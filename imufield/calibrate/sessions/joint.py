@@ -74,8 +74,6 @@ class Daily:
     """Of the mean over all days, shape (a,): the 95 % half width over 1.96, so that few sessions count for what they are."""
     day_sigma: FloatArray
     """The same of a new day."""
-    prior_scale: float
-    """Of the repeatability, in the unit of the numbers; infinite where none was used."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +153,6 @@ def adjust(sessions: Sequence[SessionNumbers], prior_scales: Mapping[str, float]
             places=tuple(names[k].rpartition(" ")[2] for k in rows),
             mean_sigma=mean_sigma,
             day_sigma=np.maximum(spread.day, mean_sigma),
-            prior_scale=prior_scale,
         )
     sites = {column.name: k for k, column in enumerate(adjusted.columns) if column.what == "site"}
     covariance, shares = _of_new_day(names, adjusted.covariance, [*sites.values()], daily)

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from imufield.calibrate.model.rotation import cross, exponential, logarithm, matrix, multiply, running_turns
 from imufield.dataclass import dataclass
-from imufield.guide.hold.triad_delay import TriadDelay, triad_delay
+from imufield.guide.hold.triad_delay import triad_delay
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import FloatArray, Samples, median
 
@@ -65,8 +65,6 @@ class HandMean:
     gyroscope_covariance_raw : ndarray, shape (3, 3)
     tremor_deg, sway_deg : float
         RMS turn of each axis above and below 4 Hz.
-    delay : TriadDelay
-        As this hold shows it; its samples were turned with the gyroscope moved by it.
     jolt_m_s2, usual_jolt_m_s2 : float
         Largest second difference of the turned force over steps of 10 ms, and the median one: that of the tremor.
     jolt_after_s : float
@@ -79,7 +77,6 @@ class HandMean:
     gyroscope_covariance_raw: FloatArray
     tremor_deg: float
     sway_deg: float
-    delay: TriadDelay
     jolt_m_s2: float
     usual_jolt_m_s2: float
     jolt_after_s: float
@@ -119,8 +116,8 @@ def mean_in_hand(
     place = (steps.time_s - steps.time_s[0]) / np.ptp(steps.time_s)
     taper = np.sin(np.pi * place) ** 2 * steps.keep * np.diff(steps.edge_s)
     taper = taper / taper.sum()
-    delay = triad_delay(steps.time_s, steps.force, steps.rate, steps.keep)
-    rest, turned, attitude = _turn(steps, taper, delay.delay_s)
+    delay_s = triad_delay(steps.time_s, steps.force, steps.rate, steps.keep).delay_s
+    rest, turned, attitude = _turn(steps, taper, delay_s)
     mean = taper @ turned
     angle = logarithm(attitude)
     tremor = angle - _running_mean(angle, steps.time_s)
@@ -145,7 +142,6 @@ def mean_in_hand(
         gyroscope_covariance_raw=np.eye(3) * turn_sigma**2,
         tremor_deg=math.degrees(tremor_rad),
         sway_deg=math.degrees(sway_rad),
-        delay=delay,
         jolt_m_s2=jolt,
         usual_jolt_m_s2=usual_jolt,
         jolt_after_s=jolt_after_s,

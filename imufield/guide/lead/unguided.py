@@ -17,7 +17,7 @@ from imufield.guide.positions import angle_deg, nearest_cube_direction
 from imufield.guide.refusals import FROZEN, Refusal
 from imufield.guide.stillness.cells import CellBuilder, Cells, cells_in
 from imufield.guide.stillness.detector import StillnessDetector
-from imufield.guide.stillness.noise_floor import FLOOR_S, MAX_FLOOR_M_S2, NoiseFloor
+from imufield.guide.stillness.noise_floor import FLOOR_S, MAX_FLOOR_M_S2
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import Phase, Stretch
 from imufield.samples import Samples, SampleUnits
@@ -34,7 +34,6 @@ class StillIntervals:
 
     observations: Observations
     refused: tuple[tuple[float, Refusal], ...]
-    noise_floor: NoiseFloor
     scale: RoughScale
     axes: AxesCheck
     """Whether the gyroscope's axes belong to the accelerometer's."""
@@ -102,7 +101,6 @@ class StillIntervalFinder:
         return StillIntervals(
             observations=gather(found, self.units),
             refused=tuple(refused),
-            noise_floor=self.detector.floor,
             scale=scale,
             axes=check_axes(self._moves.moves(scale), scale.gyroscope),
             sticking=self._outputs.sticking(),

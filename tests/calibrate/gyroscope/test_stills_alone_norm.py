@@ -48,7 +48,8 @@ def bias_errors(seconds: float, *, known: bool) -> tuple[FloatArray, FloatArray]
         assert fitted.converged
         found = np.linalg.solve(fitted.x[:9].reshape(3, 3), fitted.x[9:])
         errors.append((found - bias) / DEG_PER_HOUR)
-        over_sigma.append((found - bias) / np.sqrt(np.diag(fitted.covariance)[9:]))
+        covariance = sum(fitted.shares.values(), np.zeros((12, 12)))
+        over_sigma.append((found - bias) / np.sqrt(np.diag(covariance)[9:]))
     return np.array(errors), np.array(over_sigma)
 
 
