@@ -62,8 +62,8 @@ class SolvedSession:
     def raw_zero(self) -> list[float]:
         """What the biases are counted from: of the accelerometer, then of the gyroscope where there is one."""
         calibration = self.parameters.calibration
-        triads = [calibration.accelerometer, *([calibration.gyroscope.parameters] if calibration.gyroscope else [])]
-        return [zero for triad in triads for zero in triad.raw_zero.tolist()]
+        gyroscope = [calibration.gyroscope.parameters.raw_zero] if calibration.gyroscope else []
+        return [zero for triad in (calibration.accelerometer.raw_zero, *gyroscope) for zero in triad.tolist()]
 
 
 def solve_job(job: SolveJob, _rng: np.random.Generator) -> SolvedSession | ImufieldError:

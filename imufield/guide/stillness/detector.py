@@ -269,12 +269,12 @@ class StillnessDetector:
     def _judge_lost(self, cells: Cells, row: int, gap: int) -> Judgement:
         """Judge a cell that is nearly empty: the first is ignored, the second in a row ends a stretch."""
         if gap == 1:
-            return Judgement(self.phase, 0.0, cells, row, self.stretch.mean)
+            return Judgement(self.phase, cells, row, self.stretch.mean)
         ended = self.stretch if self.phase is Phase.STILL else None
         if ended is not None and not self.in_hand:
             self._learn_from(ended)
         self.restart()
-        return Judgement(self.phase, 0.0, cells, row, [], ended=ended)
+        return Judgement(self.phase, cells, row, [], ended=ended)
 
     def _learn_from(self, stretch: Stretch) -> None:
         """Learn from a stretch that ended: the gyroscope's bias, and the noise floor if it was quieter."""

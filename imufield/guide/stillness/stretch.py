@@ -77,7 +77,6 @@ class Judgement(NamedTuple):
     """What one cell meant."""
 
     phase: Phase
-    activity: float
     cells: Cells
     row: int
     reference: list[float]
@@ -85,7 +84,7 @@ class Judgement(NamedTuple):
     ended: Stretch | None = None
     """The stretch that this cell ended."""
     limits: Limits | None = None
-    """Those that the activity was measured against; None: those of a placed unit."""
+    """Those that the cell was measured against; None: those of a placed unit."""
 
 
 class Standard(NamedTuple):
@@ -154,11 +153,11 @@ class Tracker:
         if self.phase is Phase.STILL:
             if unbroken and activity <= LEAVE_FACTOR:
                 self.stretch.add(cells, row, mean)
-                return Judgement(Phase.STILL, activity, cells, row, reference, limits=limits)
+                return Judgement(Phase.STILL, cells, row, reference, limits=limits)
             ended = self.stretch
             self._passed.clear()
             self._begin(cell, bias)
-            return Judgement(self.phase, activity, cells, row, reference, ended=ended, limits=limits)
+            return Judgement(self.phase, cells, row, reference, ended=ended, limits=limits)
         if not unbroken:
             self._passed.clear()
         self._passed.append(cell)
@@ -169,7 +168,7 @@ class Tracker:
                 self._reach_back()
         else:
             self._begin(cell, bias)
-        return Judgement(self.phase, activity, cells, row, reference, limits=limits)
+        return Judgement(self.phase, cells, row, reference, limits=limits)
 
     def _reach_back(self) -> None:
         """Add the cells before the stretch to it, the nearest first, up to one that would have ended it."""

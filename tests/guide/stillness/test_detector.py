@@ -82,7 +82,8 @@ def test_judgements_do_not_depend_on_the_cuts(make_path: Any, cut_blocks: Any) -
         detector = StillnessDetector(SI)
         told = []
         for cells in cells_of(cut_blocks(samples, sizes)):
-            told += [(j.phase, j.activity, float(j.cells.end_s[j.row]), j.ended is None) for j in detector.judge(cells)]
+            judged = detector.judge(cells)
+            told += [(j.phase, detector.explain(j), float(j.cells.end_s[j.row]), j.ended is None) for j in judged]
         return told
 
     whole = judged([])
