@@ -89,9 +89,7 @@ class Emulation:
     faults: WireFaults = field(default_factory=Faults)
     run: EmulatorSettings = field(default_factory=EmulatorSettings)
     sends_temperature: bool = False
-    """Of a STIM300 whose format is chosen here; others do as their form says."""
-    stim300: Stim300Format | None = None
-    """None: accelerometer, inclinometer, CR LF and the smallest range that holds the grade's."""
+    """Of a STIM300; others do as their form says."""
     truth: Path | None = None
     """File for the truth, TOML or (by its suffix) JSON."""
     form: str | None = None
@@ -370,8 +368,6 @@ def make_device(options: Emulation, wire: WireChoice) -> Device:
     if rate_hz not in STIM300_RATES_HZ:
         raise UsageError(sentence("emulate.rate", rate_hz=rate_hz, rates_hz=STIM300_RATES_HZ))
     identity = Stim300Identity.of_seed(options.seed, options.grade)
-    if options.stim300 is not None:
-        return Stim300Device(replace(options.stim300, rate_hz=rate_hz), identity)
     # The smallest range that holds the grade's: a step of the wire is as fine as the instrument allows.
     grade_g = round(find_grade(options.grade).accelerometer.range_si / STANDARD_GRAVITY_M_S2, 6)
     range_g = min(range_g for range_g in ACCELEROMETER_BITS if range_g >= grade_g)
