@@ -98,11 +98,6 @@ class ImportedTable:
             counter=None if counter is None else counter[rows],
         )
 
-    @property
-    def rate_hz(self) -> float:
-        """Median sample rate."""
-        return float(1.0 / median(np.diff(self.rows[:, 0])))
-
 
 class ChunkWriter(Protocol):
     """What rows are written to: a ``Recorder``."""

@@ -7,13 +7,17 @@ import pytest
 
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.formats import table_text
-from imufield.acquire.formats.tables import read_tables, write_rows
+from imufield.acquire.formats.tables import ImportedTable, read_tables, write_rows
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.errors import ImufieldError, Reason, RecordingError, UsageError
 from tests.acquire.table_files import ACCELEROMETER, GYROSCOPE, RNG, TIME, N, text_of, write
 from tests.refused import refused
 from tests.told import told
+
+
+def median_rate_hz(table: ImportedTable) -> float:
+    return float(1.0 / np.median(np.diff(table.rows[:, 0])))
 
 
 def test_a_folder_is_called_one(tmp_path: Path) -> None:
@@ -33,7 +37,7 @@ def test_a_csv_with_header_says_everything_itself(tmp_path: Path) -> None:
     assert table.settings == {"accelerometer_unit": "m/s^2", "gyroscope_unit": "rad/s"}
     assert table.raw_zero == (0.0, 0.0, 0.0)
     assert table.assumptions == ()
-    assert table.rate_hz == pytest.approx(100.0)
+    assert median_rate_hz(table) == pytest.approx(100.0)
 
 
 @pytest.mark.parametrize(
@@ -153,8 +157,8 @@ def test_an_implausible_step_is_a_question(tmp_path: Path) -> None:
     with refused(UsageError, Reason.USAGE, "0.23", "time_unit", "--rate-hz") as caught:
         read_tables([path])
     assert caught.value.values["rate_hz"] is None
-    assert read_tables([path], columns="time_s,ax,ay,az").rate_hz == pytest.approx(1.0 / 0.23)
-    assert read_tables([path], rate_hz=4.3).rate_hz == pytest.approx(1.0 / 0.23)
+    assert median_rate_hz(read_tables([path], columns="time_s,ax,ay,az")) == pytest.approx(1.0 / 0.23)
+    assert median_rate_hz(read_tables([path], rate_hz=4.3)) == pytest.approx(1.0 / 0.23)
     with refused(UsageError, Reason.USAGE, "0.23", "--rate-hz") as caught:
         read_tables([path], rate_hz=100.0)
     assert caught.value.values["rate_hz"] == 100
@@ -343,7 +347,7 @@ def test_the_recording_of_an_xsens_is_read_and_joined(shared_folder: Path) -> No
     assert table.rows[-1, 0] == pytest.approx(511.718, abs=1e-3)
     assert table.settings == {"accelerometer_unit": "count", "gyroscope_unit": "count"}
     assert table.raw_zero == (32768.0,) * 3
-    assert table.rate_hz == pytest.approx(100.0, rel=1e-3)
+    assert median_rate_hz(table) == pytest.approx(100.0, rel=1e-3)
 
 
 @pytest.mark.parametrize("empty", [0, 3])
