@@ -100,16 +100,15 @@ class Recorder:
         """
         self._append(link_message(chunk.data, chunk.monotonic_s, chunk.utc_ns, next(self._sequence)))
 
-    def write_event(self, event: Mapping[str, object], *, utc_ns: int | None = None) -> None:
-        """Record a guide event, an operator's mark or a fault of the link, stamped now unless ``utc_ns`` is given.
+    def write_event(self, event: Mapping[str, object]) -> None:
+        """Record a guide event, an operator's mark or a fault of the link, stamped now.
 
         Raises
         ------
         RecordingError
             As ``write_chunk``.
         """
-        moment = self._clock.utc_ns() if utc_ns is None else utc_ns
-        self._append(event_message(event, moment, next(self._sequence)))
+        self._append(event_message(event, self._clock.utc_ns(), next(self._sequence)))
 
     def close(self) -> None:
         """Write what waits and the proper end; may be called again.
