@@ -21,7 +21,7 @@ from imufield.calibrate.noise.allan import (
     degrees_of_freedom,
 )
 from imufield.calibrate.noise.noise_fit import NoiseFigure, NoiseModel, identify
-from imufield.dataclass import dataclass, field, replace
+from imufield.dataclass import dataclass, replace
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import CalibrationError, Reason, RecordingError
 from imufield.samples import AXES, FloatArray, Samples, SampleUnits, median
@@ -60,7 +60,6 @@ class AxisNoise:
         None for an axis that never changed, or is too short to say anything.
     step : float
         Smallest change of the output.
-    quantised : bool
     sentences : tuple of str
     """
 
@@ -72,7 +71,6 @@ class AxisNoise:
     high: FloatArray
     model: NoiseModel | None
     step: float
-    quantised: bool
     sentences: tuple[str, ...] = ()
 
     @property
@@ -124,7 +122,6 @@ class NoiseResult:
 
     axes: tuple[AxisNoise, ...]
     """Accelerometer x, y, z, then gyroscope x, y, z where there is one."""
-    start_s: float
     duration_s: float
     """Of the stretch that was used."""
     rate_hz: float
@@ -132,7 +129,7 @@ class NoiseResult:
     bridged: int
     """Lost samples that were bridged."""
     is_si: bool
-    sentences: tuple[str, ...] = field(default=())
+    sentences: tuple[str, ...] = ()
 
     @property
     def source(self) -> str:
@@ -233,7 +230,6 @@ class NoiseStream:
         sentences += _hidden(axes, best.duration_s / _HOURS)
         return NoiseResult(
             axes=tuple(axes),
-            start_s=best.start_s,
             duration_s=best.duration_s,
             rate_hz=1 / best.interval_s,
             samples=best.stream.samples,
@@ -265,7 +261,7 @@ class NoiseStream:
                 self._end_stretch()
                 begin = k
             if self._now is None:
-                self._now = _Stretch(AllanStream(interval_s, self._columns), at_s, interval_s)
+                self._now = _Stretch(AllanStream(interval_s, self._columns), interval_s)
             self._now.follow(mean)
         if self._now is not None:
             self._now.feed(seconds[begin:].reshape(-1, self._columns))
@@ -287,9 +283,8 @@ class NoiseStream:
 class _Stretch:
     """One undisturbed stretch."""
 
-    def __init__(self, stream: AllanStream, start_s: float, interval_s: float) -> None:
+    def __init__(self, stream: AllanStream, interval_s: float) -> None:
         self.stream = stream
-        self.start_s = start_s
         self.interval_s = interval_s
         self.bridged = 0
         self.step = np.full(stream.columns, np.inf)
@@ -390,6 +385,5 @@ def _axis(name: str, column: int, best: _Stretch, allan: AllanDeviation, *, unit
         high=high,
         model=model,
         step=step,
-        quantised=quantised,
         sentences=tuple(sentences),
     )
