@@ -59,7 +59,7 @@ GUARD_CELLS = 10
 _SIGMAS = 5.0  # Of the cells inside the still; what is further off looks like motion.
 _FEWEST = 5  # Cells inside a still that tell its scatter.
 SLOT_S = 0.005
-QUIET_SLOTS = round(CELL_S / SLOT_S)
+_QUIET_SLOTS = round(CELL_S / SLOT_S)
 """Slots of a quiet stretch that are joined: those of a cell."""
 BRIDGED_S = 0.03
 """Longest loss of samples that a straight line bridges: a hand at 2 Hz and 1 rad/s then strays by 0.4 mrad."""
@@ -73,7 +73,7 @@ _LOST_INTERVALS = 1.5  # Between one interval, however unsteady the clock, and t
 _PLATEAU = 4  # Equal values in a row at the largest or smallest output of the session that make it a saturated axis.
 _COMPACT_AT = 1_000_000  # Slots before quiet stretches are joined: 83 minutes, 170 MB.
 _JOINED_AT_ONCE = 16  # Parts of slots that are joined at once: as much as stays in the cache.
-_SLOT_MARGIN = 1e-6  # Of a slot, or s: rounding may put a time just below the edge it stands on.
+_SLOT_MARGIN = 1e-6  # Of a slot or cell, or s: rounding may put a time just below the edge it stands on.
 
 
 def stretch_stills(cell_s: FloatArray, sums: FloatArray, *, stills: FloatArray) -> FloatArray:
@@ -187,7 +187,7 @@ def join_slots(slots: Slots, starts: IntArray) -> Slots:
     return Slots(
         start_s=slots.start_s[starts],
         **{name: np.add.reduceat(values, starts, axis=0) for name, values in sums.items()},
-        bridge=np.add.reduceat(slots.bridge, starts, axis=0),
+        bridge=np.add.reduceat(slots.bridge, starts),
         flags=np.bitwise_or.reduceat(slots.flags, starts),
         plateau=np.fmax.reduceat(slots.plateau, starts, axis=0),
     )
@@ -200,13 +200,14 @@ def slot_sums(slots: Slots) -> FloatArray:
 
 def sum_cells(start_s: FloatArray, sums: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return begin and sums of the cells that rows in time order belong to, of slots or of parts of cells."""
-    starts = _run_starts(_cell_of(start_s))
+    starts = _run_starts(_interval_of(start_s, CELL_S))
     return start_s[starts], np.add.reduceat(sums, starts)
 
 
-def _cell_of(start_s: FloatArray) -> IntArray:
-    cell: IntArray = np.floor(start_s / CELL_S + _SLOT_MARGIN).astype(np.int64)
-    return cell
+def _interval_of(time_s: FloatArray, width_s: float) -> IntArray:
+    """Return the numbers of the slots or cells, of this width, that hold some times."""
+    number: IntArray = np.floor(time_s / width_s + _SLOT_MARGIN).astype(np.int64)
+    return number
 
 
 def _run_starts(number: IntArray) -> IntArray:
@@ -300,26 +301,22 @@ class MoveCollector:
         # The unfinished slot is the last one.
         return [*self._parts, self._measure(self._pending, self._slot_starts(self._pending))]
 
-    def _slot_of(self, time_s: FloatArray) -> IntArray:
-        slot: IntArray = np.floor(time_s / SLOT_S + _SLOT_MARGIN).astype(np.int64)
-        return slot
-
     def _slot_starts(self, samples: Samples) -> IntArray:
         """Return in which of the intervals between the samples a slot begins, the first included."""
-        return _run_starts(self._slot_of(samples.time_s[:-1]))
+        return _run_starts(_interval_of(samples.time_s[:-1], SLOT_S))
 
     def _measure(self, samples: Samples, starts: IntArray) -> Slots:
         """Return the slots that begin at ``starts`` of n intervals between n + 1 samples."""
         # One row for each axis: loops of NumPy over three numbers cost more than the numbers.
         N, a = (np.ascontiguousarray(values.T) for values in (samples.gyroscope_rate(), samples.accelerometer_rate()))
-        dt, interval_s = np.diff(samples.time_s), self.interval_s or 0.0
+        dt = np.diff(samples.time_s)
         stood = dt == 0
         if stood.any():
             # A sample that was sent twice adds nothing to a turn; of a clock that stands nobody knows how long it did.
             twice = np.all(np.diff(np.vstack([N, a]), axis=1) == 0, axis=0)
             stood &= ~twice | np.append(False, stood[:-1])
         flags, bridge = self._flags(samples.status, dt, stood), np.zeros(len(dt))
-        lost = dt > _LOST_INTERVALS * interval_s
+        lost = (flags & np.uint8(SlotFlag.BRIDGED)) != 0
         if lost.any():
             # Over a loss the rate changed; when it did so is unknown, and moves the turn by up to half of this.
             bridge[lost] = np.sum(np.diff(N, axis=1)[:, lost] ** 2, axis=0) * dt[lost] ** 2 / 16
@@ -378,7 +375,7 @@ class MoveCollector:
     def _compact(self) -> None:
         """Join the slots of the quieter half of the recording into cells of 0.1 s."""
         slots = stack_slots(self._parts)
-        cell = self._slot_of(slots.start_s) // QUIET_SLOTS
+        cell = _interval_of(slots.start_s, SLOT_S) // _QUIET_SLOTS
         cell_starts = _run_starts(cell)
         rate = slots.turn / np.maximum(slots.duration_s, 1e-9)[:, None]
         swing = np.max(np.maximum.reduceat(rate, cell_starts) - np.minimum.reduceat(rate, cell_starts), axis=1)
@@ -466,8 +463,8 @@ def cut_moves(
 
 def _join_cells(slots: Slots, cell_s: FloatArray, which: NDArray[np.bool_]) -> Slots:
     """Return slots with those in some of the cells, which begin at ``cell_s``, joined."""
-    cell = _cell_of(slots.start_s)
-    keep = ~which[np.searchsorted(_cell_of(cell_s), cell)]
+    cell = _interval_of(slots.start_s, CELL_S)
+    keep = ~which[np.searchsorted(_interval_of(cell_s, CELL_S), cell)]
     keep[_run_starts(cell)] = True
     return join_slots(slots, np.flatnonzero(keep))
 
@@ -484,7 +481,7 @@ def _fault(slots: Slots, begin: float, end: float, limits: tuple[FloatArray, Flo
     if flags & SlotFlag.CLOCK_JUMP:
         return sentence("moves.clock_jump", **span)
     hole_s = float(slots.duration_s[(slots.flags & np.uint8(SlotFlag.LOST)) != 0].sum())
-    if flags & SlotFlag.LOST or covered < end - begin - BRIDGED_S - SLOT_S * QUIET_SLOTS:
+    if flags & SlotFlag.LOST or covered < end - begin - BRIDGED_S - CELL_S:
         missing_s = max(hole_s, end - begin - covered)
         key = "moves.interrupted" if missing_s >= INTERRUPTED_S else "moves.lost_samples"
         return sentence(key, missing_s=missing_s, bridged_s=BRIDGED_S, intervals=BRIDGED_INTERVALS, **span)
