@@ -18,14 +18,14 @@ from imufield.deliver.report import plots
 from imufield.deliver.report.budget import budget_tables, not_in_budget, scale_words
 from imufield.deliver.report.correlations import correlations
 from imufield.deliver.report.data import ReportData
-from imufield.deliver.report.gain import gain
+from imufield.deliver.report.gain import Gain, gain
 from imufield.deliver.report.over_temperature import temperature_curves
 from imufield.deliver.report.positions import directions, position_cards
 from imufield.deliver.report.rows import GAUGE_WORDS, VERDICT_WORDS, Row, parameter_rows
 from imufield.deliver.report.summary import sigma_words
 from imufield.deliver.report.together import HEADINGS, session_rows, together_rows
 from imufield.deliver.verification.result import duration_words
-from imufield.drawing.style import missing_package, plot_style
+from imufield.drawing.style import missing_package
 from imufield.earth import MICRO_G_M_S2, height_words
 from imufield.sentences import Sentences, folded, printable, three_digits
 
@@ -56,19 +56,20 @@ def render_report(data: ReportData) -> str:
     UsageError
         If matplotlib or jinja2 is not installed.
     """
-    figures = list(_figures(data))
+    gained = gain(data.parameters, data.preset)
+    figures = list(_figures(data, gained))
     shown = {
         "budget": budget_tables(data.parameters),
         "budget_notes": not_in_budget(data.parameters),
         "figures": [each for each in figures if not each.is_detail],
         "details": [each for each in figures if each.is_detail],
     }
-    return render("report.html", _facts(data) | shown)
+    return render("report.html", _facts(data, gained) | shown)
 
 
 def render_record(data: ReportData) -> str:
     """Return the calibration record, one sheet of A4; raises as ``render_report``."""
-    return render("record.html", _facts(data))
+    return render("record.html", _facts(data, gain(data.parameters, data.preset)))
 
 
 def to_pdf(page: str) -> bytes:
@@ -114,14 +115,14 @@ def _shown(value: object) -> object:
     return printable(value) if isinstance(value, str) and not hasattr(value, "__html__") else value
 
 
-def _facts(data: ReportData) -> Document:
+def _facts(data: ReportData, gained: Gain | None) -> Document:
     parameters = data.parameters
     calibration, context = parameters.calibration, parameters.context
     instrument, quality = context.instrument, calibration.quality
     factor = quality.student_factor_95
     preset = None if data.preset is None else data.preset.calibration
     verification = data.verification or {}
-    gained, rows = gain(parameters, data.preset), parameter_rows(calibration, preset)
+    rows = parameter_rows(calibration, preset)
     positions, unit = position_cards(parameters)
     return {
         "title": " ".join(filter(None, (instrument.model or instrument.driver or "IMU", instrument.serial_number))),
@@ -295,10 +296,9 @@ def _provenance(data: ReportData) -> Iterator[tuple[str, str]]:
     yield "Method", sentence(key, method=solver.method, seed=seed, evaluations=solver.evaluations, how=how)
 
 
-def _figures(data: ReportData) -> Iterator[Figure]:
+def _figures(data: ReportData, gained: Gain | None) -> Iterator[Figure]:
     tables = data.parameters.document["position"]
     results, names = data.parameters.calibration.positions, tuple(table["name"] for table in tables)
-    gained = gain(data.parameters, data.preset)
     if gained is not None:
         yield Figure(
             title="Before and after",
@@ -340,8 +340,7 @@ def _figures(data: ReportData) -> Iterator[Figure]:
             "page.temperature_day" if curves.is_of_new_day else "page.temperature", reference=curves.reference_degc
         )
         name = f"{curves.triad.capitalize()} over temperature"
-        with plot_style():
-            svg = plots.over_temperature(curves)
+        svg = plots.over_temperature(curves)
         yield Figure(title=name, svg=svg, caption=caption, label="Bias and scale over temperature")
     found = correlations(data.parameters.calibration)
     if len(found.names) > 1:
@@ -367,6 +366,5 @@ def _check_figures(verification: Document) -> Iterator[Figure]:
         )
     if navigation:
         caption = sentence("page.navigation_turned" if navigation["turned"] else "page.navigation")
-        with plot_style():
-            svg = plots.navigation(navigation)
+        svg = plots.navigation(navigation)
         yield Figure(title="Static navigation", svg=svg, caption=caption, label="Navigation errors over time")

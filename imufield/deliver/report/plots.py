@@ -16,7 +16,7 @@ from imufield.deliver.report.gain import Gain
 from imufield.deliver.report.over_temperature import TemperatureCurves
 from imufield.deliver.report.positions import short_name
 from imufield.deliver.report.trace import Trace
-from imufield.drawing.style import BLUE, GREY, INK, ORANGE, figure, to_svg
+from imufield.drawing.style import BLUE, GREY, INK, ORANGE, figure, plot_style, to_svg
 from imufield.drawing.svg import FONT_PT, POINTS_PER_INCH, SMALL_PT, Axes, Picture, Scale, text_width
 from imufield.earth import MILLI_G_M_S2
 from imufield.samples import AXES, FloatArray
@@ -251,20 +251,23 @@ def closure(moves: Closure) -> str:
 
 def over_temperature(curves: TemperatureCurves) -> str:
     """Draw how bias and scale of a triad change with temperature, what sessions found, and where a new day will be."""
-    drawn = figure(2.6)
-    panels = drawn.subplots(1, 2)
-    for axes, quantity in zip(panels, (curves.bias, curves.scale), strict=True):
-        for axis, (name, style, mark, color) in enumerate(zip(AXES, ("-", "--", ":"), "os^", (INK, BLUE, ORANGE), strict=True)):
-            change, half = quantity.change[:, axis], quantity.half_95[:, axis]
-            axes.fill_between(curves.temperature_degc, change - half, change + half, color=color, alpha=0.12, linewidth=0)
-            axes.plot(curves.temperature_degc, change, style, color=color, label=name)
-            axes.plot(
-                curves.sessions_degc, quantity.sessions[:, axis], mark, color=color, markerfacecolor="white", markersize=5
-            )
-        axes.axvline(curves.reference_degc, color=GREY, linewidth=0.8)
-        axes.set(xlabel="temperature, °C", ylabel=quantity.label)
-    panels[0].legend(loc="upper left", bbox_to_anchor=(0, 1.18), ncols=3)
-    return to_svg(drawn, f"temperature-{curves.triad}")
+    with plot_style():
+        drawn = figure(2.6)
+        panels = drawn.subplots(1, 2)
+        for axes, quantity in zip(panels, (curves.bias, curves.scale), strict=True):
+            for axis, (name, style, mark, color) in enumerate(
+                zip(AXES, ("-", "--", ":"), "os^", (INK, BLUE, ORANGE), strict=True)
+            ):
+                change, half = quantity.change[:, axis], quantity.half_95[:, axis]
+                axes.fill_between(curves.temperature_degc, change - half, change + half, color=color, alpha=0.12, linewidth=0)
+                axes.plot(curves.temperature_degc, change, style, color=color, label=name)
+                axes.plot(
+                    curves.sessions_degc, quantity.sessions[:, axis], mark, color=color, markerfacecolor="white", markersize=5
+                )
+            axes.axvline(curves.reference_degc, color=GREY, linewidth=0.8)
+            axes.set(xlabel="temperature, °C", ylabel=quantity.label)
+        panels[0].legend(loc="upper left", bbox_to_anchor=(0, 1.18), ncols=3)
+        return to_svg(drawn, f"temperature-{curves.triad}")
 
 
 def correlations(pairs: Correlations) -> str:
@@ -291,23 +294,24 @@ def correlations(pairs: Correlations) -> str:
 
 def navigation(document: Document) -> str:
     """Draw the errors of static navigation and the band they should be in."""
-    drawn = figure(5.0)
-    grid = drawn.add_gridspec(3, 2)
-    forecast = document.get("forecast")
-    for number, quantity in enumerate(QUANTITIES):
-        axes = drawn.add_subplot(grid[number // 2, number % 2])
+    with plot_style():
+        drawn = figure(5.0)
+        grid = drawn.add_gridspec(3, 2)
+        forecast = document.get("forecast")
+        for number, quantity in enumerate(QUANTITIES):
+            axes = drawn.add_subplot(grid[number // 2, number % 2])
+            if forecast is not None:
+                _band(axes, forecast, _numbers(forecast["low"][quantity]), _numbers(forecast["high"][quantity]))
+            _curves(axes, document["drift"], quantity)
+            axes.set_ylabel(_LABELS[quantity])
+        axes = drawn.add_subplot(grid[2, :])
         if forecast is not None:
-            _band(axes, forecast, _numbers(forecast["low"][quantity]), _numbers(forecast["high"][quantity]))
-        _curves(axes, document["drift"], quantity)
-        axes.set_ylabel(_LABELS[quantity])
-    axes = drawn.add_subplot(grid[2, :])
-    if forecast is not None:
-        most = _numbers(forecast["position_95_nmi"])
-        _band(axes, forecast, np.zeros_like(most), most)
-    _curves(axes, document["drift"], "position_nmi")
-    axes.set(ylabel="position, nmi", xlabel="hours")
-    axes.legend(loc="upper left", ncols=3)
-    return to_svg(drawn, "navigation")
+            most = _numbers(forecast["position_95_nmi"])
+            _band(axes, forecast, np.zeros_like(most), most)
+        _curves(axes, document["drift"], "position_nmi")
+        axes.set(ylabel="position, nmi", xlabel="hours")
+        axes.legend(loc="upper left", ncols=3)
+        return to_svg(drawn, "navigation")
 
 
 def _band(axes: MatplotlibAxes, forecast: Document, low: FloatArray, high: FloatArray) -> None:
