@@ -251,12 +251,11 @@ class SampleClock(Clock):
             self._statistics.clock_resets += int(np.count_nonzero(stamped.reset))
             # The counter is exact but goes round; the stamps beside it tell how often it did.
             steps = self._add_wraps(steps, stamped.step_s) if self._has_counter else stamped.step_s
+            self._learn_mean(stamped, steps if self._has_counter else None)
         else:
             self._block_ticks = self._ticks + ticks.cumsum()
             self._ticks = int(self._block_ticks[-1])
             time_s = self._time_of(self._block_ticks)
-        if stamped is not None:
-            self._learn_mean(stamped, steps if self._has_counter else None)
         found = self._steps.examine(steps)
         found.inexact[by_silence] = found.irregular[by_silence]
         fault = np.zeros(len(block), dtype=np.bool_)
