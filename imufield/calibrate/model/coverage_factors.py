@@ -44,16 +44,6 @@ def student_quantile(freedom: float, p: float) -> float:
     return _positive_root(lambda t: _student_tail(freedom, t) - (1 - p))
 
 
-@cache
-def student_freedom(p: float, t: float) -> float:
-    """Return the degrees of freedom for which t, which is more than that of the normal distribution, is the quantile of p."""
-
-    def excess(freedom: float) -> float:
-        return student_quantile(freedom, p) - t if freedom >= _MANY else _student_tail(freedom, t) - (1 - p)
-
-    return _positive_root(excess)
-
-
 def f_tail(numerator: float, denominator: float, value: float) -> float:
     """Return the probability that a variable of the F distribution is at least ``value``; NaN where there is none."""
     if not (value >= 0 and numerator > 0 and denominator > 0):
@@ -92,11 +82,19 @@ def student_factor(degrees_of_freedom: float, of: int = 1, chance: float = 0.05)
     return student_quantile(float(degrees_of_freedom), 1 - chance / (2 * of)) if degrees_of_freedom > 0 else float("nan")
 
 
+@cache
 def degrees_of_freedom(student_factor_95: float) -> float:
     """Return the degrees of freedom whose ``student_factor`` this is; 0 where it is NaN."""
-    if not student_factor_95 > 0:
+    t, p = student_factor_95, 0.975
+    if not t > 0:
         return 0.0
-    return student_freedom(0.975, student_factor_95) if student_factor_95 > _NORMAL_NEARLY else float("inf")
+    if t <= _NORMAL_NEARLY:
+        return math.inf
+
+    def excess(freedom: float) -> float:
+        return student_quantile(freedom, p) - t if freedom >= _MANY else _student_tail(freedom, t) - (1 - p)
+
+    return _positive_root(excess)
 
 
 def deviation_limits_95(sigma: FloatArray, freedom: FloatArray) -> tuple[FloatArray, FloatArray]:

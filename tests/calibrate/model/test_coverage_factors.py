@@ -11,12 +11,12 @@ import scipy.special
 from imufield.calibrate.model.coverage_factors import (
     chi_squared_quantile,
     chi_squared_tail,
+    degrees_of_freedom,
     f_limit_95,
     f_quantile,
     f_tail,
     sigma_of_mixture,
     student_factor,
-    student_freedom,
     student_quantile,
 )
 
@@ -28,7 +28,7 @@ def test_student(freedom: float) -> None:
     for p in (0.6, 0.9, 0.975, 0.999, 1 - 0.05 / 600):
         assert student_quantile(freedom, p) == pytest.approx(float(scipy.special.stdtrit(freedom, p)), rel=1e-10)
     if freedom < 1e4:
-        assert student_freedom(0.975, student_quantile(freedom, 0.975)) == pytest.approx(freedom, rel=1e-9)
+        assert degrees_of_freedom(student_quantile(freedom, 0.975)) == pytest.approx(freedom, rel=1e-9)
 
 
 @pytest.mark.parametrize("numerator", [1, 2, 3, 12, 40])
