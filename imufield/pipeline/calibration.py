@@ -37,7 +37,6 @@ FEWEST_CHECKED = FEWEST_FOR_MISALIGNMENT + 1
 """For misalignment, too, and one that checks the others: with fewer a result is POOR, or lacks parameters."""
 _LARGEST_BIAS_DEG_S = 40.0  # Twice the tolerance of a consumer chip at zero rate (MPU-6050: 20).
 _NOT_CALIBRATED = "not calibrated"
-_BIAS_ONLY = "bias only"
 # Reasons for a gyroscope without a calibration that say that its data are not what they are said to be.
 _CONTRADICTED = (Reason.UNITS, Reason.HANDEDNESS, Reason.NOT_CONVERGED)
 
@@ -227,8 +226,7 @@ def _with_gyroscope(
         quality = quality.lowered("usable", why) if error.reason in _CONTRADICTED else quality.with_reasons(why)
         return replace(calibration, quality=quality), _NOT_CALIBRATED
     quality, clock = joined.quality, measured.context.clock
-    knows_scale = np.isfinite(result.calibration.sigma.scale).any()
-    verdict = "poor" if result.faults else "usable" if result.cautions else "good" if knows_scale else _BIAS_ONLY
+    verdict = result.verdict
     if solved is not None:
         key = "calibration.solved_by" if solved.converged else "calibration.not_converged"
         how = sentence(key, method=settings.method, message=solved.message)
@@ -236,7 +234,7 @@ def _with_gyroscope(
         verdict = verdict if solved.converged else "poor"
     if check is not None:
         quality = quality.with_reasons(check.sentence)
-    if clock is not None and knows_scale:
+    if clock is not None and result.knows_scale:
         quality = quality.with_reasons(clock_words(clock))
     return _with_raw_zero(replace(joined, quality=quality), _raw_zero(measured, settings), observations.units), verdict
 

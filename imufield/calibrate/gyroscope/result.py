@@ -83,8 +83,8 @@ class GyroscopeResult:
     moves: MoveReport = field(default_factory=MoveReport)
     turns: tuple[Sentence, ...] = ()
     """The whole turns among the moves."""
-    unobservable: tuple[str, ...]
-    reasons: tuple[str, ...]
+    unobservable: tuple[str, ...] = ()
+    reasons: tuple[str, ...] = ()
     """Sentences: every warning, and what the result rests on."""
     cautions: tuple[str, ...] = ()
     """Sentences that make the verdict on the whole no better than usable."""
@@ -94,6 +94,16 @@ class GyroscopeResult:
     """What the diagonal of ``covariance`` is the sum of."""
     basis: JointSolution | StaticSolution | None = None
     """What it was fitted to, for other methods; None for a static bias."""
+
+    @property
+    def knows_scale(self) -> bool:
+        """Whether that of any axis was found."""
+        return bool(np.isfinite(self.calibration.sigma.scale).any())
+
+    @property
+    def verdict(self) -> str:
+        """The verdict on this triad."""
+        return "poor" if self.faults else "usable" if self.cautions else "good" if self.knows_scale else "bias only"
 
     def join(self, calibration: Calibration) -> Calibration:
         """Return the calibration with this gyroscope and one covariance matrix for all."""
@@ -267,8 +277,6 @@ def _result(
         covariance=covariance[np.ix_(known, known)],
         with_accelerometer=np.zeros((int(known.sum()), ACCELEROMETER_PARAMETERS + 1)),
         budget=picked(_shares(solution, shares), np.flatnonzero(known).tolist()),
-        unobservable=(),
-        reasons=(),
         basis=solution,
     )
 
