@@ -15,7 +15,7 @@ from types import NoneType
 
 import numpy as np
 
-from imufield.dataclass import dataclass, field, fields, replace
+from imufield.dataclass import dataclass, fields, replace
 from imufield.deliver.history_index import Index, Row, State, UnsoundIndexError, with_index
 from imufield.deliver.pair_test import Shared
 from imufield.deliver.parameters.file import Parameters, load_found
@@ -229,7 +229,7 @@ class History:
 
     folder: Path
     instruments: tuple[InstrumentHistory, ...]
-    faults: tuple[str, ...] = field(default=())
+    faults: tuple[str, ...] = ()
     """A sentence for each file that could not be read."""
     read: int = 0
     """Files read in this run; the others were in the index."""

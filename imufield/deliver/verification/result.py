@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from imufield.dataclass import asdict, dataclass, field
+from imufield.dataclass import asdict, dataclass
 from imufield.deliver.navigation.drift import QUANTITIES
 from imufield.deliver.navigation.static_navigation import NavigationResult
 from imufield.deliver.parameters.context import SOFTWARE, now_text
@@ -63,7 +63,7 @@ class Verification:
     left_out: LeftOutPositions | None = None
     navigation: NavigationResult | None = None
     requirements: tuple[Requirement, ...] = ()
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
     has_preset: bool = False
     """Whether a preset gave the residuals before; else the nominal scale."""
 
