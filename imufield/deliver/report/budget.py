@@ -13,7 +13,7 @@ import numpy as np
 from imufield.acquire.protocol.units import nominal_scale
 from imufield.calibrate.model.budget import Share, combined_sigma, effective_freedom
 from imufield.calibrate.model.coverage_factors import degrees_of_freedom, student_factor
-from imufield.calibrate.model.result import GRAVITY_NAME, Calibration
+from imufield.calibrate.model.result import GRAVITY_NAME, AccelerometerParameters, Calibration, GyroscopeParameters
 from imufield.calibrate.model.temperature_polynomials import TriadTemperature
 from imufield.calibrate.model.uncertainty import without_gravity
 from imufield.calibrate.temperature.at_temperature import calibration_at
@@ -187,9 +187,7 @@ def _by_clock(calibration: Calibration, clock: ClockFacts | None) -> FloatArray:
 
 def _value(calibration: Calibration, name: str) -> float:
     triad, key, place = name.split(".")
-    gyroscope = calibration.gyroscope
-    source = gyroscope.parameters if triad == "gyroscope" and gyroscope is not None else calibration.accelerometer
-    return float(getattr(source, key)[tuple(AXES.index(axis) for axis in place)])
+    return float(getattr(_of_triad(calibration, triad)[0], key)[tuple(AXES.index(axis) for axis in place)])
 
 
 def scale_words(parameters: Parameters) -> Sentence | None:
@@ -343,13 +341,12 @@ def _shown(group: Group, calibration: Calibration) -> tuple[str, Sequence[float]
     """Return the unit of the trade, and its size for each parameter in that of the file, signs of scales left to them."""
     triad, _, kind = group.key.partition(".")
     rows = [AXES.index(parameter.place[0]) for parameter in group.parameters]
-    gyroscope = calibration.gyroscope
-    K = gyroscope.parameters.scale if triad == "gyroscope" and gyroscope is not None else calibration.accelerometer.scale
+    of_triad, raw_unit = _of_triad(calibration, triad)
     fixed = {"misalignment_rad": ("mrad", 1e-3), "bias_m_s2": ("mg", MILLI_G_M_S2)}
     if kind in fixed:
         return fixed[kind][0], [fixed[kind][1]] * len(rows)
-    if not np.isfinite(K).all():
-        return _raw_unit(calibration, triad), [1.0] * len(rows)
+    if not np.isfinite(of_triad.scale).all():
+        return raw_unit, [1.0] * len(rows)
     # In the raw unit: a millionth of the scale, and of an acceleration, a rate, or a term at 1 g.
     units = {
         "scale": ("ppm", 1e-6),
@@ -357,14 +354,14 @@ def _shown(group: Group, calibration: Calibration) -> tuple[str, Sequence[float]
         "bias": ("°/h", DEG_PER_HOUR_RAD_S),
         "g_sensitivity": ("°/h/g", DEG_PER_HOUR_RAD_S / STANDARD_GRAVITY_M_S2),
     }
-    return units[kind][0], (K[rows] * units[kind][1]).tolist()
+    return units[kind][0], (of_triad.scale[rows] * units[kind][1]).tolist()
 
 
 def _value_words(parameter: ParameterBudget, size: float, group: Group, calibration: Calibration) -> str:
     triad, _, kind = group.key.partition(".")
     if kind != "scale":
         return _rounded(parameter.value / size, abs(parameter.expanded / size))
-    raw_unit = _raw_unit(calibration, triad)
+    _, raw_unit = _of_triad(calibration, triad)
     nominal = nominal_scale(raw_unit)
     if nominal is not None:
         return _rounded((parameter.value / nominal - 1) * 1e6, abs(parameter.expanded / size))
@@ -378,9 +375,11 @@ def _rounded(value: float, uncertainty: float) -> str:
     return f"{round(value, places) + 0.0:+.{max(places, 0)}f}"
 
 
-def _raw_unit(calibration: Calibration, triad: str) -> str:
-    gyroscope = calibration.gyroscope
-    return gyroscope.raw_unit if triad == "gyroscope" and gyroscope is not None else calibration.accelerometer_raw_unit
+def _of_triad(calibration: Calibration, triad: str) -> tuple[AccelerometerParameters | GyroscopeParameters, str]:
+    """Return the parameters of a triad, and its raw unit."""
+    if triad == "gyroscope" and calibration.gyroscope is not None:
+        return calibration.gyroscope.parameters, calibration.gyroscope.raw_unit
+    return calibration.accelerometer, calibration.accelerometer_raw_unit
 
 
 def _input_unit(share: Share, calibration: Calibration) -> tuple[str, float]:
