@@ -270,13 +270,12 @@ class Listener:
         share = 1.0 - skipped / counts.bytes_total if counts.bytes_total else 0.0
         norm = float(median(self._norms)) if self._norms else None
         rate_hz, steady = self._pace()
-        reason = self._objection(share, norm, steady=steady)
-        return Finding(
+        heard = Finding(
             name=self.candidate.name,
             title=self.candidate.title,
             variant=dict(self.candidate.variant),
-            found=not reason,
-            reason=reason,
+            found=True,
+            reason="",
             frames=counts.frames,
             frames_bad_checksum=bad,
             samples=counts.samples,
@@ -288,6 +287,8 @@ class Listener:
             noise_ug=self._noise_ug(rate_hz),
             steady=steady,
         )
+        reason = self._objection(heard)
+        return replace(heard, found=not reason, reason=reason)
 
     @property
     def is_certain(self) -> bool:
@@ -316,34 +317,29 @@ class Listener:
         sigma_m_s2 = float(np.std(np.diff(self._norms, 2))) / math.sqrt(6)
         return sigma_m_s2 / math.sqrt(rate_hz) / MICRO_G_M_S2 or None
 
-    def _objection(self, share: float, norm: float | None, *, steady: bool) -> str:
+    def _objection(self, heard: Finding) -> str:
         """Return why this is not the instrument; empty if it is."""
-        counts = self.decoder.statistics
+        share, norm = heard.share, heard.norm_m_s2
         if self._fault:
             return self._fault
-        if counts.samples < FEWEST_SAMPLES:
-            if (
-                not counts.samples
-                and counts.frames >= FEWEST_SAMPLES
-                and self._checked_bits >= STRONG_BITS
-                and share >= STRONG_SHARE
-            ):
-                return without_samples(self.candidate.protocol, [counts])
-            return sentence("recognise.few_samples", samples=counts.samples, needed=FEWEST_SAMPLES)
+        if heard.holds_no_sample:
+            return without_samples(self.candidate.protocol, [self.decoder.statistics])
+        if heard.samples < FEWEST_SAMPLES:
+            return sentence("recognise.few_samples", samples=heard.samples, needed=FEWEST_SAMPLES)
         if share < STRONG_SHARE:
             return sentence("recognise.share", percent=100 * share, needed_percent=100 * STRONG_SHARE)
-        if self._is_given or self._checked_bits >= STRONG_BITS:
+        if self._is_given or heard.is_strong:
             return ""
         # Frames that may be a coincidence.
-        if counts.samples < CERTAIN_SAMPLES:
-            return sentence("recognise.few_weak_samples", samples=counts.samples, needed=CERTAIN_SAMPLES)
+        if heard.samples < CERTAIN_SAMPLES:
+            return sentence("recognise.few_weak_samples", samples=heard.samples, needed=CERTAIN_SAMPLES)
         if share < WEAK_SHARE:
             return sentence("recognise.share", percent=100 * share, needed_percent=100 * WEAK_SHARE)
         if norm is None:
             return sentence("recognise.unknown_unit")
         if not GRAVITY_M_S2[0] <= norm <= GRAVITY_M_S2[1]:
             return sentence("recognise.no_gravity", norm_m_s2=norm)
-        return "" if steady else sentence("recognise.unsteady")
+        return "" if heard.steady else sentence("recognise.unsteady")
 
     def _pace(self, *, by_arrival: bool = False) -> tuple[float | None, bool]:
         """Return samples in each second, by the protocol where it knows that, and whether they come evenly to the host."""
