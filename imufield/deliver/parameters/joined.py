@@ -57,6 +57,7 @@ _KEYS = {
     "gyroscope bias": "gyroscope.bias_rad_s",
     "gyroscope scale": "gyroscope.scale",
 }
+_NAMES = {key: name for name, key in _KEYS.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,12 +97,12 @@ def prior_scales(grade: Grade) -> dict[str, float]:
 
 def shown_unit(kind: str) -> tuple[str, float]:
     """Return the unit for people of a ``DayToDay.kind``, and its size in the unit of the file."""
-    return UNITS[next(name for name, key in _KEYS.items() if key == kind)]
+    return UNITS[_NAMES[kind]]
 
 
 def shown_name(kind: str) -> str:
     """Return the words for a ``DayToDay.kind``: "gyroscope bias"."""
-    return next(name for name, key in _KEYS.items() if key == kind)
+    return _NAMES[kind]
 
 
 def numbers_of(calibration: Calibration, found: GaugeFree, reference: GaugeFree) -> Gathered:
