@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime, timedelta
 
 from imufield.calibrate.model.grades import GRADES, grade_by_noise
-from imufield.calibrate.sessions.changes import FEWEST, LargestChange, day_to_day
+from imufield.calibrate.sessions.changes import FEWEST, day_to_day
 from imufield.calibrate.sessions.forecast import Forecast, forecast
 from imufield.calibrate.sessions.kinds import PPM, kind_of
 from imufield.deliver.history import STALE_DAYS, Entry, History
@@ -125,7 +125,7 @@ def _judged(history: JudgedHistory) -> Iterator[Sentence]:
             days = _around(entries, change.first_after)
             yield sentence("history_words.step", size=change.size, limit_sigma=change.limit_sigma, **days, **told)
     if judged.changes and not judged.news:
-        largest = max(judged.changes, key=_share_of_limit)
+        largest = max(judged.changes, key=lambda change: abs(change.in_sigma) / change.limit_sigma)
         name, first_after = names[largest.name], largest.first_after
         a_drift = sentence("history_words.a_drift", name=name)
         what = a_drift if first_after is None else sentence("history_words.a_step", name=name, **_around(entries, first_after))
@@ -148,10 +148,6 @@ def _around(entries: Sequence[Entry], first_after: int) -> dict[str, str]:
     """Return between which calibrations a step lies."""
     before, after = entries[first_after - 1], entries[first_after]
     return {"before": _moment(before, after), "after": _moment(after, before)}
-
-
-def _share_of_limit(change: LargestChange) -> float:
-    return abs(change.in_sigma) / change.limit_sigma
 
 
 def _forecast(history: JudgedHistory, kind: str, accuracy: float) -> Iterator[Sentence]:

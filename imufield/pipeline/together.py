@@ -160,17 +160,15 @@ def solve_together(
             base=solved.index(base),
             shared=[each.shared for each in gathered],
             prior_grade=grade if len(solved) < FEWEST_WITHOUT_PRIOR else "",
-            sha256=hashlib.sha256("".join(sorted(_hash(each) for each in solved)).encode()).hexdigest(),
+            sha256=hashlib.sha256(
+                "".join(sorted(each.parameters.context.session.sha256 for each in solved)).encode()
+            ).hexdigest(),
         ),
         joint,
         base.numbers,
         warnings=[*_warnings(solved, joint)],
         notes=[*copies, *_notes(solved, joint, [each.own for each in gathered], grade)],
     )
-
-
-def _hash(solved: SolvedSession) -> str:
-    return solved.parameters.context.session.sha256
 
 
 def refuse_of_single(options: Mapping[str, bool]) -> None:

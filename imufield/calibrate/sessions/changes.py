@@ -120,7 +120,8 @@ def judge(sessions: Sequence[DatedNumbers]) -> Judged:
     sessions : sequence of DatedNumbers
         In order of time, ``MOST`` at most; fewer than ``FEWEST`` say nothing.
     """
-    tests = [test for test in (KindTest.of(sessions, kind) for kind in _kinds(sessions)) if test is not None]
+    kinds = dict.fromkeys(kind_of(name) for name in sessions[-1].names) if sessions else ()
+    tests = [test for test in (KindTest.of(sessions, kind) for kind in kinds) if test is not None]
     if len(sessions) < FEWEST or not tests:
         return Judged((), {})
     limits = _limits(sessions, tests)
@@ -136,10 +137,6 @@ def day_to_day(sessions: Sequence[DatedNumbers]) -> dict[str, float]:
     """Return by kind how much the numbers change from session to session, 1 sigma; nothing of fewer than ``FEWEST``."""
     tests = (KindTest.of(sessions, kind) for kind in DAILY if len(sessions) >= FEWEST)
     return {test.kind: math.sqrt(test.variance) for test in tests if test is not None}
-
-
-def _kinds(sessions: Sequence[DatedNumbers]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(kind_of(name) for name in sessions[-1].names)) if sessions else ()
 
 
 @dataclass(frozen=True, kw_only=True)

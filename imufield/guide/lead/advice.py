@@ -205,7 +205,8 @@ class Adviser:
         sigmas = 0.0 if self.suspects else fit.quadratic_sigmas()
         if count >= _FEWEST_FOR_QUADRATIC and self._plan.scheme.name.startswith("paper") and sigmas >= _MATTERS_SIGMAS:
             yield _SCHEME.advice(now_s, sigmas, _MATTERS_SIGMAS, sigmas=sigmas)
-        confusion = self._confusion(self._plan.pending())
+        # How alike drift and quadratic term look where the pending positions follow those so far in this order.
+        confusion = order_confusion(self._ups([*self._plan.accepted, *self._plan.pending()]))
         if confusion > MOST_CONFUSION:
             yield _ORDER.advice(now_s, confusion, MOST_CONFUSION, factor=confusion)
         # The residual cannot show a common scale far from the instrument's nominal one.
@@ -216,10 +217,6 @@ class Adviser:
                 yield _FAR_SCALE.advice(
                     now_s, abs(share), _SCALE_SHARE, off_percent=100 * share, limit_percent=100 * _SCALE_SHARE
                 )
-
-    def _confusion(self, pending: list[int]) -> float:
-        """Return how alike drift and quadratic term look where the pending positions follow those so far in this order."""
-        return order_confusion(self._ups([*self._plan.accepted, *pending]))
 
     def _ups(self, indices: Iterable[int]) -> FloatArray:
         return np.array([self._plan.position(index).direction for index in indices])
