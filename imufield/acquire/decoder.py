@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from imufield.acquire.clock.can_stamp_clock import CanStampClock
+from imufield.acquire.clock.can_sent_time import CanSentTime
 from imufield.acquire.clock.clock import Arrival, Arrivals, Clock
 from imufield.acquire.clock.sample_clock import SampleClock
 from imufield.acquire.decode.assembly import Keep, Message, Source
@@ -141,7 +141,7 @@ def _parts(protocol: Protocol, statistics: DecoderStatistics, keep: Keep) -> tup
         from imufield.acquire.decode.can_source import CanSource
 
         has_time = any(kind.time for kind in protocol.can.kinds)
-        bus_clock = (CanStampClock if has_time else CanClock)(protocol.clock, protocol.units, statistics)
+        bus_clock = (CanSentTime if has_time else CanClock)(protocol.clock, protocol.units, statistics)
         return CanSource(protocol.can, statistics, keep), bus_clock
     clock = SampleClock(_clock_rule(protocol), protocol.units, statistics)
     if protocol.frame is not None:

@@ -3,7 +3,7 @@
 The regular step is learned from the first samples and learned anew when the stream settles on another (somebody changed the
 output rate), always at a fixed place in the sequence of samples, so that it does not matter how reads cut it. Steps come here
 unwrapped, a counter's by ``sample_clock``. Losses that no step shows are those of ``host_lag``; ``sample_clock`` adds both. On
-a bus ``can_clock`` counts losses, or ``can_stamp_clock`` where the instrument sends a time.
+a bus ``can_clock`` counts losses, or ``can_sent_time`` where the instrument sends a time.
 """
 
 from __future__ import annotations

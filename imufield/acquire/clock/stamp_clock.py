@@ -1,7 +1,7 @@
 """Time by the instrument's own time stamps.
 
 ``StampClock`` unwraps time stamps and keeps them from running backwards. ``sample_clock`` chooses between time stamps, counter
-and host, ``can_stamp_clock`` gives them to the samples of a bus; ``host_lag`` compares with the host.
+and host, ``can_sent_time`` gives them to the samples of a bus; ``host_lag`` compares with the host.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from imufield.acquire.clock.can_clock import CanClock, _minimum_ahead
-from imufield.acquire.clock.can_stamp_clock import CanStampClock
+from imufield.acquire.clock.can_sent_time import CanSentTime
 from imufield.acquire.clock.clock import Arrivals
 from imufield.acquire.decode.assembly import RawBlock
 from imufield.acquire.decode.statistics import DecoderStatistics, remarks
@@ -37,7 +37,7 @@ def run(
     n = len(stamp_s)
     statistics = DecoderStatistics()
     rule = rule or ClockRule(counter_modulus=modulus, counter_steps=steps)
-    clock = (CanClock if ticks is None else CanStampClock)(rule, SampleUnits(), statistics)
+    clock = (CanClock if ticks is None else CanSentTime)(rule, SampleUnits(), statistics)
     values = np.zeros((n, 7))
     values[:, 0] = np.arange(n)
     whole = RawBlock(

@@ -13,8 +13,8 @@ from imufield.acquire.protocol.samples_and_clock import ClockRule
 from imufield.samples import Samples, SampleUnits, Status
 
 
-class CanStampClock(Clock):
-    """Gives the samples of a bus their time, by time stamps of the instrument."""
+class CanSentTime(Clock):
+    """Gives the samples of a bus the time that the instrument sent."""
 
     def __init__(self, rule: ClockRule, units: SampleUnits, statistics: DecoderStatistics) -> None:
         super().__init__(rule, units, statistics)
