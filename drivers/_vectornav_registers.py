@@ -80,10 +80,10 @@ def _command(name: str, text: str, answer: str, number: int, *, is_last: bool = 
     def answers(message: Message) -> bool:
         return message["kind"] == "VNERR" or (message["kind"] == answer and _is_about(message, number))
 
-    return Command(name=name, data=sentence(text), answer=answers, refusal=_refusal, is_last=is_last)
+    return Command(name=name, data=with_checksum(text), answer=answers, refusal=_refusal, is_last=is_last)
 
 
-def sentence(text: str) -> bytes:
+def with_checksum(text: str) -> bytes:
     """Return a line with its checksum."""
     return f"${text}*{_XOR(text.encode()):02X}\r\n".encode()
 

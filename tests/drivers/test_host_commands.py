@@ -25,7 +25,7 @@ def private(name: str) -> Any:
 
 
 stim300 = private("_stim300_utility").utility
-vectornav = private("_vectornav_registers").sentence
+vectornav = private("_vectornav_registers").with_checksum
 xsens = module_of("xsens_mtdata2").request
 mip = module_of("microstrain_mip").command
 aceinna = module_of("aceinna_serial").packet
