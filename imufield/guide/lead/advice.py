@@ -1,6 +1,6 @@
 """Advice of the guide, from the running fit to the positions so far. Advice refuses nothing.
 
-The fit also tells which position to measure next (``session_time.next_best``) and when the targets are met.
+The fit also tells which position to measure next (``plan.next_best``) and when the targets are met.
 
 Positions that the others contradict are suspects: each suspicion is told, and withdrawn aloud when the others come to agree.
 """
@@ -26,8 +26,8 @@ from imufield.guide.cross_checks.running_fit import (
     running_fit,
 )
 from imufield.guide.events import Advice, Topic
-from imufield.guide.lead.plan import Plan
-from imufield.guide.lead.session_time import SessionTime, figures, is_met, next_best, session_time
+from imufield.guide.lead.plan import Plan, next_best
+from imufield.guide.lead.session_time import SessionTime, figures, is_met, session_time
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.stillness.noise_floor import NoiseFloor
 from imufield.guide.stillness.scale import RoughScale

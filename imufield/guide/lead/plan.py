@@ -1,7 +1,7 @@
 """The plan of a session: which positions are pending, measured, skipped or wanted again, and how near a hold must be to one.
 
-Nothing measured is erased. Which position helps most and comes first (``preferred``) is found by ``advice`` with
-``session_time.next_best``, and whether the targets are met.
+Nothing measured is erased. Which position helps most and comes first (``preferred``) is found by ``advice`` with ``next_best``,
+and whether the targets are met.
 """
 
 from __future__ import annotations
@@ -10,7 +10,9 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
+from imufield.calibrate.accelerometer.drift import MOST_CONFUSION, order_confusion
 from imufield.dataclass import dataclass, replace
+from imufield.guide.cross_checks.running_fit import RunningFit
 from imufield.guide.hold.observe import Observation
 from imufield.guide.positions import Position, Scheme, angle_deg
 from imufield.samples import FloatArray
@@ -20,6 +22,10 @@ _TOLERANCE_DEG = 15.0
 # Added for the error of an uncalibrated accelerometer: 1 m/s^2 of bias turns the apparent direction by 6 degrees.
 _RECOGNITION_MARGIN_DEG = 5.0
 _SAME_SIDE_DEG = 1.0  # Positions nearer than this show the same side: far less than schemes part their positions by.
+# A position is proposed before its turn where its gain is larger by this factor: the order that drift cannot imitate is worth
+# more than a little gain.
+_CLEARLY_MORE = 1.5
+_ALIKE = 1e-6  # Gains of mirrored positions differ by rounding.
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,3 +218,24 @@ class Plan:
     def same_direction(self, first: int, second: int) -> bool:
         """Whether two positions show the same side."""
         return angle_deg(self.position(first).direction, self.position(second).direction) < _SAME_SIDE_DEG
+
+
+def next_best(fit: RunningFit, done: FloatArray, left: FloatArray, *, hurried: bool) -> int:
+    """Return which of the positions that are left is asked for next: the first, or one that helps clearly more.
+
+    Parameters
+    ----------
+    fit : RunningFit
+        Of those that are done.
+    done, left : ndarray, shape (m, 3), (n, 3)
+        Directions of up, unit vectors.
+    hurried : bool
+        Somebody with a target wants to be there soon.
+    """
+    gain = fit.gain(left)
+    # The first of those that help alike: rounding must not choose.
+    best = int(np.argmax(gain > (1 - _ALIKE) * gain.max()))
+    if gain[best] <= (1.0 if hurried else _CLEARLY_MORE) * gain[0]:
+        return 0
+    order = np.concatenate([done, left[best : best + 1], np.delete(left, best, axis=0)])
+    return best if order_confusion(order) <= MOST_CONFUSION else 0

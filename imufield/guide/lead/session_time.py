@@ -15,12 +15,12 @@ from functools import cache
 
 import numpy as np
 
-from imufield.calibrate.accelerometer.drift import MOST_CONFUSION, order_confusion
 from imufield.calibrate.model.grades import Grade
 from imufield.dataclass import dataclass, replace
 from imufield.earth import Gravity
 from imufield.guide.cross_checks.running_fit import FEWEST, LINEAR, SHOWS_SCATTER, RunningFit, running_fit
 from imufield.guide.hold.hold_time import LONGEST_HOLD_S, SHORTEST_S, HoldTarget
+from imufield.guide.lead.plan import next_best
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.positions import SCHEMES, Scheme
 from imufield.guide.positions import scheme as shipped
@@ -40,10 +40,6 @@ _LENGTHS_S = np.geomspace(SHORTEST_S, LONGEST_HOLD_S, 32)
 _WITH_MARGIN = 0.9
 # Of the sigma with the longest holds: what is left is scatter between positions, gravity, or typical of the grade.
 _HARDLY_WORSE = 1.05
-# A position is proposed before its turn where its gain is larger by this factor: the order that drift cannot imitate is worth
-# more than a little gain.
-_CLEARLY_MORE = 1.5
-_ALIKE = 1e-6  # Gains of mirrored positions differ by rounding.
 # Of the figure that is furthest from what is wanted: other positions that hardly help are not worth another session.
 _CLEARLY_BETTER = 0.9
 _UNITS = {"bias_ug": "ug", "scale_ppm": "ppm"}
@@ -285,24 +281,3 @@ def _steps(scheme: Scheme, settings: GuideSettings, *, noise: float) -> Iterator
         yield fit
         if len(left) > 1:
             left.insert(0, left.pop(next_best(fit, up[done], up[left], hurried=bool(settings.targets))))
-
-
-def next_best(fit: RunningFit, done: FloatArray, left: FloatArray, *, hurried: bool) -> int:
-    """Return which of the positions that are left is asked for next: the first, or one that helps clearly more.
-
-    Parameters
-    ----------
-    fit : RunningFit
-        Of those that are done.
-    done, left : ndarray, shape (m, 3), (n, 3)
-        Directions of up, unit vectors.
-    hurried : bool
-        Somebody with a target wants to be there soon.
-    """
-    gain = fit.gain(left)
-    # The first of those that help alike: rounding must not choose.
-    best = int(np.argmax(gain > (1 - _ALIKE) * gain.max()))
-    if gain[best] <= (1.0 if hurried else _CLEARLY_MORE) * gain[0]:
-        return 0
-    order = np.concatenate([done, left[best : best + 1], np.delete(left, best, axis=0)])
-    return best if order_confusion(order) <= MOST_CONFUSION else 0
