@@ -7,71 +7,22 @@ becomes of it (accepted, refused, ended too early) is in ``guide_actions``, by `
 from __future__ import annotations
 
 import math
-from collections import deque
 
 import numpy as np
 
 from imufield.guide.hold.checks import HoldUnderTest
-from imufield.guide.hold.hand_mean import mean_in_hand
 from imufield.guide.hold.hold_time import SHORTEST_S, AllanMinimum, HoldTarget, sigma_along
-from imufield.guide.hold.observe import guard_cells, knocks_of, trim_stretch
+from imufield.guide.hold.in_hand import HAND_GUARD_S, SampleHistory, measure_in_hand, trim_in_hand
+from imufield.guide.hold.observe import guard_cells, trim_stretch
 from imufield.guide.hold.output import HoldOutput
 from imufield.guide.refusals import Refusal
 from imufield.guide.stillness.cells import Cells, cells_in
 from imufield.guide.stillness.detector import StillnessDetector
 from imufield.guide.stillness.stretch import Stretch
-from imufield.samples import CELL_S, Samples, concatenate
+from imufield.samples import CELL_S
 
-MOST_SAMPLES = 200_000
-"""Bound of the history, whatever the rate: 100 s at 2000 Hz, some 17 MB."""
 _HISTORY_MARGIN_S = 5.0  # Guard bands, and the cells that are judged late.
 _EVALUATE_EVERY = 5  # Cells between two evaluations of a hold without a fixed time: one costs as much as 20 cells.
-# Cut off at both ends of a hold in the hand: an arm comes to rest slowly, and a slow turn begins below its sway.
-HAND_GUARD_S = 1.5
-
-
-class SampleHistory:
-    """Keeps blocks of samples for a while.
-
-    Parameters
-    ----------
-    keep_s : float
-        Sample clock kept behind the newest sample.
-    """
-
-    def __init__(self, keep_s: float) -> None:
-        self._keep_s = keep_s
-        self._blocks: deque[Samples] = deque()
-        self._count = 0
-
-    def add(self, samples: Samples) -> None:
-        """Append a block, oldest first."""
-        self._blocks.append(samples)
-        self._count += len(samples)
-
-    def prune(self) -> None:
-        """Discard what is older than ``keep_s``; call it when the newest block has been used."""
-        while len(self._blocks) > 1:
-            oldest, newest = self._blocks[0], self._blocks[-1]
-            too_old = float(oldest.time_s[-1]) < float(newest.time_s[-1]) - self._keep_s
-            if not too_old and self._count - len(oldest) <= MOST_SAMPLES:
-                return
-            self._count -= len(self._blocks.popleft())
-
-    def clear(self) -> None:
-        """Forget everything: another clock begins."""
-        self._blocks.clear()
-        self._count = 0
-
-    def between(self, start_s: float, end_s: float) -> Samples | None:
-        """Return the samples of a stretch, both ends included, None where there are none."""
-        parts = []
-        for block in self._blocks:
-            first, last = block.time_s.searchsorted([start_s, end_s], side="left")
-            last += int(last < len(block) and block.time_s[last] == end_s)
-            if last > first:
-                parts.append(block[int(first) : int(last)])
-        return concatenate(parts) if parts else None
 
 
 class HoldUnderWay:
@@ -94,7 +45,8 @@ class HoldUnderWay:
         self.position: int | None = None  # Where the hold belongs.
         self.fraction = 0.0  # Part of the hold that is done.
         self.expected_s = 0.0  # Length at which it will end by what is known of its noise, guard bands off.
-        self.left_s = 0.0  # Until then.
+        self.left_s = 0.0  # Until then, guard bands included.
+        self._guard = 0  # Cells of a guard band.
         self.measured: HoldUnderTest | None = None  # The hold, once it is long enough.
         self.output: HoldOutput | None = None  # Of the hold that was judged.
         self.again_at: int | None = None  # Where the hold before was to be measured again.
@@ -113,6 +65,7 @@ class HoldUnderWay:
         # As on a table: whether it is in the hand shows later.
         if floor is not None:
             self.expected_s = min(self.target.expected_s(floor.white_noise(detector.scale)), self.latest_s)
+        self._guard = cells_in(HAND_GUARD_S) if detector.in_hand else guard_cells(detector.limits)
         self.left_s = self.expected_s
 
     def forget(self) -> None:
@@ -126,14 +79,14 @@ class HoldUnderWay:
             self._allan.add(np.linalg.norm(hold.scale.specific_force(hold.cells.mean[:, :3]), axis=1))
 
     def lasted_s(self, stretch: Stretch) -> float:
-        """Return the length of a placed hold that has ended, guard bands off."""
-        return max(stretch.judged - 2 * guard_cells(self._detector.limits), 0) * CELL_S
+        """Return the length of a hold that has ended, guard bands off."""
+        return max(stretch.judged - 2 * self._guard, 0) * CELL_S
 
     def evaluate(self) -> bool:
         """Count the cells of the stretch; return whether the hold is long enough. To be called with each cell."""
         detector = self._detector
-        guard = cells_in(HAND_GUARD_S) if detector.in_hand else guard_cells(detector.limits)
-        usable = detector.stretch.judged - 2 * guard
+        self._guard = cells_in(HAND_GUARD_S) if detector.in_hand else guard_cells(detector.limits)
+        usable = detector.stretch.judged - 2 * self._guard
         latest = cells_in(self.latest_s)
         earliest = latest if self.target.fixed_s is not None else cells_in(SHORTEST_S)
         due = usable >= latest or (usable >= earliest and usable % _EVALUATE_EVERY == 0)
@@ -141,7 +94,8 @@ class HoldUnderWay:
         if due and self.measured is None:
             # Not yet: it will end at the next evaluation at the earliest, and in the hand at the latest.
             self.expected_s = self.latest_s if detector.in_hand else max(self.expected_s, (usable + _EVALUATE_EVERY) * CELL_S)
-        self.left_s = max(self.expected_s - max(usable, 0) * CELL_S, 0.0)
+        # Guard bands are held, too: before the first has passed more is left than the hold takes.
+        self.left_s = max(self.expected_s - usable * CELL_S, 0.0)
         self.fraction = min(max(self.fraction, 1 - self.left_s / self.expected_s), 1.0) if usable > 0 else 0.0
         return self.measured is not None
 
@@ -160,9 +114,7 @@ class HoldUnderWay:
             # None either where the hold began before the noise floor was known.
             if not len(kept) or not (full or len(kept) >= latest) or not float(kept.start_s[0]) >= self.first_judged_s:
                 return None
-            samples = self.history.between(float(kept.start_s[0]), float(kept.end_s[-1]))
-            density, knocks_s = floor.cell_sigma[:3] * math.sqrt(CELL_S), knocks_of(kept, detector.limits)
-            hand_mean = None if samples is None else mean_in_hand(samples, detector.scale, density, knocks_s)
+            hand_mean = measure_in_hand(kept, self.history, detector)
             if hand_mean is None:
                 return None
         else:
@@ -177,11 +129,7 @@ class HoldUnderWay:
         return HoldUnderTest(cells=kept, floor=floor, limits=detector.limits, scale=detector.scale, hand_mean=hand_mean)
 
     def _trim_in_hand(self, cells: Cells, rows: slice, latest: int, *, full: bool) -> Cells:
-        """Return the cells of a hold in the hand: between the turns by its own standard, with wider guard bands."""
         guard = cells_in(HAND_GUARD_S)
         # Too short whatever the edges are: the fit of them, which costs most, is left out.
-        if not full and min(rows.stop, len(cells) - guard) - max(rows.start, guard) < latest:
-            return cells[:0]
-        edges = self._detector.hold_edges(cells)
-        start = max(rows.start, edges.start + guard)
-        return cells[start : max(min(rows.stop, edges.stop - guard), start)]
+        is_long_enough = min(rows.stop, len(cells) - guard) - max(rows.start, guard) >= latest
+        return trim_in_hand(cells, rows, self._detector) if full or is_long_enough else cells[:0]

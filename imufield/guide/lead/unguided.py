@@ -11,12 +11,14 @@ from imufield.guide.cross_checks.axes import AxesCheck, MoveLog, check_axes, che
 from imufield.guide.cross_checks.centre import centred
 from imufield.guide.cross_checks.outputs import Outputs
 from imufield.guide.hold.checks import HoldUnderTest, check_gravity, examine
+from imufield.guide.hold.hand_mean import HandMean
+from imufield.guide.hold.in_hand import SampleHistory, measure_in_hand, trim_in_hand
 from imufield.guide.hold.observe import Observation, gather, observe, trim_stretch
 from imufield.guide.lead.settings import MOVED_DEG, MOVED_S
 from imufield.guide.positions import angle_deg, nearest_cube_direction
 from imufield.guide.refusals import FROZEN, Refusal
 from imufield.guide.stillness.cells import CellBuilder, Cells, cells_in
-from imufield.guide.stillness.detector import StillnessDetector
+from imufield.guide.stillness.detector import LONGEST_WAIT_S, StillnessDetector
 from imufield.guide.stillness.noise_floor import FLOOR_S, MAX_FLOOR_M_S2
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import Phase, Stretch
@@ -25,7 +27,9 @@ from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
 
-_SHORTEST_S = 1.0  # A still interval shorter than this, guard bands off, is a pause in a motion.
+# A still interval shorter than this, guard bands off, is a pause in a motion; in the hand, where sway decides, of no use.
+_SHORTEST_S = 1.0
+_SHORTEST_IN_HAND_S = 3.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,7 +59,9 @@ class StillIntervalFinder:
 
     def __init__(self, units: SampleUnits, scale: RoughScale | None = None) -> None:
         self.units = units
-        self.detector = StillnessDetector(scale or RoughScale.of_units(units))
+        self.detector = StillnessDetector(scale or RoughScale.of_units(units), hand=True)
+        self._history = SampleHistory(LONGEST_WAIT_S)  # For holds in the hand.
+        self._in_hand = False  # Whether the unit was in the hand in the cell before.
         # Each time that the unit was put down, and why that does not count, as far as itself shows.
         self._placements: list[tuple[Observation, Refusal | None]] = []
         self._last: Stretch | None = None  # The stretch before, of whatever length.
@@ -71,7 +77,10 @@ class StillIntervalFinder:
 
     def feed(self, samples: Samples) -> None:
         """Process the next samples."""
+        if self.detector.knows_hands:
+            self._history.add(samples)
         self._process(self._builder.feed(samples))
+        self._history.prune()
 
     def finish(self) -> StillIntervals:
         """Return the still intervals; the last one ends here.
@@ -83,7 +92,7 @@ class StillIntervalFinder:
         """
         self._process(self._builder.flush())
         if self.detector.phase is Phase.STILL:
-            self._add(self.detector.stretch)
+            self._add(self.detector.stretch, in_hand=self._in_hand)
             self.detector.restart()
         if self.detector.floor is None:
             raise self._never_quiet()
@@ -122,24 +131,43 @@ class StillIntervalFinder:
         for judgement in self.detector.judge(cells):
             self._moves.follow(judgement, self.detector.stretch.mean)
             if judgement.ended is not None:
-                self._add(judgement.ended)
+                self._add(judgement.ended, in_hand=self._in_hand)
+            self._in_hand = self.detector.in_hand
 
-    def _add(self, stretch: Stretch) -> None:
+    def _add(self, stretch: Stretch, *, in_hand: bool) -> None:
         """Add the observation of a stretch, or its refusal; of the stretches of one placement the best counts."""
-        detector, floor, cells = self.detector, self.detector.floor, stretch.cells()
         self._put_down |= not self._is_where_it_was(stretch)
         self._last = stretch
-        cells = cells[trim_stretch(cells, detector.limits)]
-        if floor is None or len(cells) < cells_in(_SHORTEST_S):
+        hold = self._hold(stretch, in_hand=in_hand)
+        if hold is None:
             return
-        hold = HoldUnderTest(cells=cells, floor=floor, limits=detector.limits, scale=detector.scale)
-        placement = observe(cells, detector.limits, ""), examine(hold)
+        placement = observe(hold.cells, hold.limits, "", hand_mean=hold.hand_mean), examine(hold)
         if not self._put_down:
             # A soft support gives way, a table is knocked: the unit was not put down a second time.
             placement = max(placement, self._placements.pop(), key=lambda found: (found[1] is None, found[0].duration_s))
         self._outputs.add(placement[0].output, again=not self._put_down)
         self._placements.append(placement)
         self._put_down = False
+
+    def _hold(self, stretch: Stretch, *, in_hand: bool) -> HoldUnderTest | None:
+        """Return the hold of a stretch, guard bands off; None where it is too short.
+
+        Of one in the hand, what was as still as on a table counts as such where it is longer.
+        """
+        detector, limits = self.detector, self.detector.limits
+        placed, found = detector.stillest if in_hand else stretch, list[tuple[Cells, HandMean | None]]()
+        if placed is not None:
+            cells = placed.cells()
+            found.append((cells[trim_stretch(cells, limits)], None))
+        if in_hand:
+            cells = stretch.cells()
+            held = trim_in_hand(cells, trim_stretch(cells, limits), detector)
+            if len(held) >= cells_in(_SHORTEST_IN_HAND_S) and (hand_mean := measure_in_hand(held, self._history, detector)):
+                found.append((held, hand_mean))
+        cells, mean = max(found, key=lambda each: len(each[0]), default=(stretch.cells()[:0], None))
+        if detector.floor is None or len(cells) < cells_in(_SHORTEST_S):
+            return None
+        return HoldUnderTest(cells=cells, floor=detector.floor, limits=limits, scale=detector.scale, hand_mean=mean)
 
     def _is_where_it_was(self, stretch: Stretch) -> bool:
         """Whether the unit was not lifted since the stretch before; where samples are missing, nobody knows."""

@@ -86,12 +86,14 @@ class StillnessDetector:
 
     def __init__(self, scale: RoughScale, *, hand: bool = False, longest_s: float = LONGEST_KEPT_S) -> None:
         self.scale = scale
-        self.knows_hands = hand
         self.floor: NoiseFloor | None = None  # None until there was a quiet stretch.
         self._table = Tracker(ON_TABLE, longest_s)
         self._hand = Tracker(IN_HAND, longest_s) if hand and scale.gyroscope else None
+        self.knows_hands = self._hand is not None
         self._trackers = (self._table,) if self._hand is None else (self._table, self._hand)
         self.in_hand = False  # Whether ``phase`` and ``stretch`` are those of a unit in the hand.
+        # The longest stretch as still as on a table within the latest hold in the hand, once it ended.
+        self.stillest: Stretch | None = None
         self._bias: list[float] = []  # Gyroscope at rest, raw rate, from the last still stretch; empty without a gyroscope.
         self._waiting: list[Cells] = []
         self._cells_waiting = 0
@@ -242,16 +244,18 @@ class StillnessDetector:
             return table
         if table.ended is not None:
             if hand.phase is Phase.STILL and self.is_hand_like(table.ended.cells()):
-                self.in_hand = True
+                self.in_hand, self.stillest = True, table.ended
                 return hand
             self._hand.restart()
             return table
         if hand.phase is Phase.STILL:
-            self.in_hand = True
+            self.in_hand, self.stillest = True, None
         return table if hand.phase is Phase.MOVING else hand
 
     def _choose_in_hand(self, table: Judgement, hand: Judgement, tracker: Tracker) -> Judgement:
         """Return the judgement that counts for a unit that was in the hand until now."""
+        if table.ended is not None and (self.stillest is None or table.ended.judged > self.stillest.judged):
+            self.stillest = table.ended
         if hand.ended is not None:
             hand.ended.cut(self.hold_edges(hand.ended.cells()))
         placed = self._table.stretch

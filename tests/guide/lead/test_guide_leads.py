@@ -13,7 +13,7 @@ import pytest
 from imufield.calibrate.accelerometer.drift import MOST_CONFUSION
 from imufield.earth import MILLI_G_M_S2, choose_gravity
 from imufield.guide import refusals
-from imufield.guide.events import Accepted, Advice, Done, Event, Hold, Move, RefusalCode, Rejected, Topic
+from imufield.guide.events import Accepted, Advice, Done, Event, Hold, Holding, Move, RefusalCode, Rejected, Topic
 from imufield.guide.lead.guide import Guide
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.positions import scheme
@@ -77,6 +77,29 @@ def test_a_unit_in_the_hand_is_measured_as_such() -> None:
         )
     norm = np.linalg.norm(guide.observations().mean_raw, axis=1)
     np.testing.assert_allclose(norm, operator.site.gravity_m_s2, atol=300e-6 * 9.8)
+
+
+def test_the_time_that_is_told_is_the_time_to_hold() -> None:
+    """Guard bands included: whoever lets go when it is over has held long enough."""
+    told: list[Holding] = []
+    held = 0
+    for event in feed(hand_session()[0], hold_s=5.0)[1]:
+        if isinstance(event, Hold):
+            told = []
+        if isinstance(event, Holding):
+            told.append(event)
+        if isinstance(event, Accepted) and event.held:
+            held += 1
+            np.testing.assert_allclose([each.time_s + each.remaining_s for each in told], event.time_s, atol=0.6)
+    assert held >= 3
+
+
+def test_guard_bands_do_not_count_in_a_hold_that_ended_too_early() -> None:
+    """Of 9 s in the hand 6 count, where 7 are asked for."""
+    told = [values_of(event.words) for event in of(feed(hand_session()[0], hold_s=7.0)[1], Rejected)]
+    lasted_s = [values["lasted_s"] for values in told if "lasted_s" in values]
+    assert len(lasted_s) >= 2
+    assert max(lasted_s) < 7
 
 
 def test_letting_go_too_early_again_and_again_is_helped() -> None:

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from imufield.calibrate.model.models import recover
 from imufield.errors import CalibrationError, Reason
 from imufield.guide.events import RefusalCode
 from imufield.guide.positions import scheme
 from imufield.guide.stillness.scale import RoughScale
-from imufield.samples import SampleUnits, make_samples, no_samples
+from imufield.samples import Samples, SampleUnits, make_samples, no_samples
 from imufield.simulate.truth.grades import draw_truth, find_grade, perfect_instrument
 from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.operator import Operator, OperatorSettings
@@ -190,3 +191,41 @@ def test_a_recording_without_a_quiet_stretch_is_refused(make_path: Any) -> None:
 def test_an_empty_recording_is_refused() -> None:
     with refused(CalibrationError, Reason.TOO_FEW, "3 s", "m/s^2", key="unguided.never_quiet"):
         find_still_intervals([no_samples(SampleUnits())])
+
+
+@pytest.fixture(scope="module")
+def in_hand() -> tuple[Samples, Imu, float]:
+    """Return a session of one rest on a table and 13 holds in the hand, the instrument, and gravity."""
+    habits = OperatorSettings(style="held", hold_s=8.0, initial_still_s=6.0, turn_s=(1.0, 3.0), sway_rad=math.radians(0.4))
+    operator = Operator(scheme("paper24").directions()[:13], 4, habits)
+    imu = Imu(perfect_instrument(find_grade("tactical")), 4, ImuSettings(rate_hz=100.0, drift=False))
+    count = int(operator.plan_all() * 100)
+    return imu.feed(operator.block(0, count, imu.interval_s)), imu, operator.site.gravity_m_s2
+
+
+def test_holds_in_the_hand_are_measured_as_by_the_guide(in_hand: tuple[Samples, Imu, float]) -> None:
+    samples, imu, gravity_m_s2 = in_hand
+    found = find_still_intervals([samples]).observations
+    assert len(found) == 14
+    force = recover(imu.instrument.accelerometer, found.mean_raw)
+    norm = np.linalg.norm(force, axis=1)
+    up = force / norm[:, None]
+    sigma = np.sqrt(np.einsum("ki,kij,kj->k", up, found.covariance_raw, up))
+    assert np.abs((norm - gravity_m_s2) / sigma).max() < 4
+    # The first was on the table.
+    assert (sigma[1:] > sigma[0]).all()
+
+
+def test_holds_in_the_hand_do_not_depend_on_the_cuts(in_hand: tuple[Samples, Imu, float], cut_blocks: Any) -> None:
+    samples = in_hand[0]
+    whole = find_still_intervals([samples]).observations
+    parts = find_still_intervals(cut_blocks(samples, [37] * 200 + [1500] * 20)).observations
+    assert parts.name == whole.name
+    np.testing.assert_allclose(parts.mean_raw, whole.mean_raw, atol=1e-12)
+    np.testing.assert_allclose(parts.covariance_raw, whole.covariance_raw, rtol=1e-9)
+
+
+def test_without_the_scale_of_the_gyroscope_a_hand_is_no_rest(in_hand: tuple[Samples, Imu, float]) -> None:
+    samples = in_hand[0]
+    counts = replace(samples, units=SampleUnits(accelerometer="m/s^2", gyroscope="count"))
+    assert len(find_still_intervals([counts]).observations) == 1
