@@ -28,9 +28,9 @@ from benchmarks.operator_truth import Edges, EdgeWatch, Standards, bump_shares, 
 from imufield.calibrate.model.models import recover
 from imufield.earth import MICRO_G_M_S2
 from imufield.guide.events import Accepted, Advice, Done, Event, Move, RefusalCode, Rejected, Topic
+from imufield.guide.hold.in_hand import HAND_GUARD_S
 from imufield.guide.hold.observe import Observation, guard_cells
 from imufield.guide.lead.guide import Guide
-from imufield.guide.hold.in_hand import HAND_GUARD_S
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.lead.state_table import State
 from imufield.guide.positions import scheme
