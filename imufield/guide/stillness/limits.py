@@ -17,7 +17,8 @@ _VIBRATION_SIGMAS = 2.0
 _CHANGE_SIGMAS = 5.0
 # Change ratio allowed against the gyroscope's last known bias: g-sensitivity and temperature change it between two stills.
 _OFFSET_RATIO = 1.5
-_OFFSET_RATIO_UNSCALED = 6.0  # Without a known scale the limit is a multiple of the noise alone.
+# Without a known scale the limit is a multiple of the noise alone: a quiet MEMS gyroscope changes by that from side to side.
+_OFFSET_RATIO_UNSCALED = 15.0
 _UNLIKELY = 14.0  # exp(-14) is once in a million cells.
 
 

@@ -229,3 +229,16 @@ def test_without_the_scale_of_the_gyroscope_a_hand_is_no_rest(in_hand: tuple[Sam
     samples = in_hand[0]
     counts = replace(samples, units=SampleUnits(accelerometer="m/s^2", gyroscope="count"))
     assert len(find_still_intervals([counts]).observations) == 1
+
+
+def test_g_sensitivity_in_counts_loses_no_hold() -> None:
+    """A rate at rest that changes by up to 0.6 deg/s with the side that is up, as instruments for consumers have it."""
+    quiet = perfect_instrument(find_grade("tactical"))
+    sensitive = replace(quiet, gyroscope=replace(quiet.gyroscope, g_sensitivity=np.full((3, 3), math.radians(0.16) / 9.8)))
+    operator = Operator(scheme("faces6").directions(), 2, OperatorSettings(hold_s=6.0, initial_still_s=4.0))
+    imu = Imu(sensitive, 2, ImuSettings(rate_hz=100.0, drift=False))
+    samples = imu.feed(operator.block(0, int(operator.plan_all() * 100), imu.interval_s))
+    rng = np.random.default_rng(2)
+    rate = 20_000 * (samples.gyroscope + 6e-4 * rng.standard_normal(samples.gyroscope.shape))
+    counts = replace(samples, gyroscope=np.rint(rate), units=SampleUnits(gyroscope="count"))
+    assert len(find_still_intervals([counts]).observations) == 7
