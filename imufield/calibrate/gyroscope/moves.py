@@ -70,6 +70,7 @@ LONGEST_MOVE_S = 300.0
 INTERRUPTED_S = 1.0
 """A hole as long is no loss on the wire: the session was broken off and resumed, or the cable was out."""
 _LOST_INTERVALS = 1.5  # Between one interval, however unsteady the clock, and the two of a lost sample.
+_STEEP = 1.5  # Steps of the output: a larger change at once is no creep from one code to the next.
 _PLATEAU = 4  # Equal values in a row at the largest or smallest output of the session that make it a saturated axis.
 _COMPACT_AT = 1_000_000  # Slots before quiet stretches are joined: 83 minutes, 170 MB.
 _JOINED_AT_ONCE = 16  # Parts of slots that are joined at once: as much as stays in the cache.
@@ -235,6 +236,8 @@ class MoveCollector:
         self._compact_at = _COMPACT_AT
         self._pending: Samples | None = None
         self._flat = np.zeros(3, dtype=np.int64)
+        self._steep = np.zeros(3, dtype=np.bool_)  # Whether the latest change was one.
+        self._step = np.full(3, np.inf)
 
     def feed(self, samples: Samples) -> None:
         """Take the next samples."""
@@ -361,15 +364,22 @@ class MoveCollector:
 
     def _plateau(self, N: FloatArray, starts: IntArray) -> FloatArray:
         """Return the largest output (of shape (3, n + 1)) in each slot that was repeated often enough, NaN elsewhere."""
-        equal = N[:, 1:] == N[:, :-1]
+        change = np.abs(np.diff(N, axis=1))
+        equal = change == 0
+        # The smallest change so far is one step of the output; the top of a turn is reached by such, a limit from farther.
+        step = np.minimum.accumulate(np.column_stack([self._step, np.where(equal, np.inf, change)]), axis=1)
+        self._step, is_jump = step[:, -1], change > _STEEP * step[:, 1:]
         result = np.full((len(starts), 3), np.nan)
         for axis in np.flatnonzero(equal.any(axis=1)):
             place = np.arange(1, equal.shape[1] + 1)
             last_change = np.maximum.accumulate(np.where(equal[axis], 0, place))
-            run = place - last_change + np.where(last_change == 0, self._flat[axis], 0)
-            result[:, axis] = np.fmax.reduceat(np.where(run >= _PLATEAU - 1, N[axis, 1:], np.nan), starts)
-            self._flat[axis] = run[-1]
-        self._flat[~equal[:, -1]] = 0
+            is_old = last_change == 0
+            run = place - last_change + np.where(is_old, self._flat[axis], 0)
+            steep = np.where(is_old, self._steep[axis], is_jump[axis, last_change - 1])
+            result[:, axis] = np.fmax.reduceat(np.where(steep & (run >= _PLATEAU - 1), N[axis, 1:], np.nan), starts)
+            self._flat[axis], self._steep[axis] = run[-1], steep[-1]
+        ended = ~equal[:, -1]
+        self._flat[ended], self._steep[ended] = 0, is_jump[ended, -1]
         return result
 
     def _compact(self) -> None:

@@ -180,6 +180,18 @@ def saturate(samples: Samples) -> Samples:
     return make_samples(samples.time_s, samples.accelerometer, clipped, units=samples.units)
 
 
+def coarse(samples: Samples) -> Samples:
+    stepped = 600 * np.rint(samples.gyroscope / 600)
+    return make_samples(samples.time_s, samples.accelerometer, stepped, units=samples.units)
+
+
+def test_the_top_of_a_turn_in_coarse_steps_is_no_limit() -> None:
+    rate = session(coarse).gyroscope
+    top = np.flatnonzero(np.any(rate == rate.max(axis=0), axis=1))
+    assert np.any(np.diff(top, n=3) == 0)
+    assert len(collect_moves([session(coarse)], START_S, DURATION_S)) == 2
+
+
 def test_saturation_is_seen_with_and_without_a_flag() -> None:
     moves = collect_moves([session(saturate)], START_S, DURATION_S)
     assert set(keys(moves)) == {"moves.saturated"}
