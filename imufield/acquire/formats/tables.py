@@ -51,6 +51,7 @@ LATEST_NS = 2**63 - 1
 """What a recording's time stamps hold: 292 years. Times beyond are kept in the rows themselves."""
 # Of 1 g, which an accelerometer shows that is mostly at rest; without gravity it shows bias and noise. Counts are whole.
 _LEAST_GRAVITY = 0.05
+_INCREMENTS = {"m/s", "rad"}  # Units that say so themselves.
 _ROWS_A_CHUNK = 4096  # 256 KiB: few messages, and well below what one damaged byte may cost.
 _ROWS_TO_GUESS_BY = 1 << 18  # 20 MiB of numbers; at 2000 Hz two minutes, in which nobody's unit looks like another's.
 
@@ -145,8 +146,20 @@ def read_tables(
         files = [_with_own_times(file) for file in files]
     table = _table(files, rate_hz, zero, settings)
     refuse_bursts(files[0].path, table.rows[:, 0])
+    table = _with_rate_of_increments(table, settings or {})
     faults = _no_positions(table.rows[:, 1:4], str(table.settings["accelerometer_unit"]))
     return replace(table, assumptions=(*table.assumptions, *faults))
+
+
+def _with_rate_of_increments(table: ImportedTable, settings: Mapping[str, object]) -> ImportedTable:
+    """Return a table of increments with their rate, that of its times where none is stated."""
+    known, steps_s = {**table.settings, **settings}, np.diff(table.rows[:, 0])
+    are_increments = known.get("increments") == "true" or _INCREMENTS & {known["accelerometer_unit"], known["gyroscope_unit"]}
+    if not are_increments or "rate_hz" in known or not (steps_s > 0).any():
+        return table
+    rate_hz = 1 / float(median(steps_s[steps_s > 0]))
+    words = sentence("tables.rate_of_increments", rate_hz=rate_hz)
+    return replace(table, settings={**table.settings, "rate_hz": rate_hz}, assumptions=(*table.assumptions, words))
 
 
 def _files(paths: Sequence[str | Path], columns: str | None = None, topic: str | None = None) -> list[File]:

@@ -13,7 +13,7 @@ from imufield.acquire.protocol.protocol import load_protocol
 from imufield.errors import ImufieldError, Reason, RecordingError, UsageError
 from tests.acquire.table_files import ACCELEROMETER, GYROSCOPE, RNG, TIME, N, text_of, write
 from tests.refused import refused
-from tests.told import told
+from tests.told import keys, told
 
 
 def median_rate_hz(table: ImportedTable) -> float:
@@ -451,3 +451,13 @@ def test_a_counter_may_be_missing_and_a_status_full(tmp_path: Path) -> None:
     assert table.counter[2:5].tolist() == [2, -1, 4]
     assert table.status is not None
     assert table.status[4:7].tolist() == [0, 2**32 - 1, 0]
+
+
+@pytest.mark.parametrize(("settings", "rate_hz"), [({}, 200.0), ({"rate_hz": "100"}, None)], ids=["by time", "stated"])
+def test_increments_have_the_rate_of_their_times(tmp_path: Path, settings: dict[str, str], rate_hz: float | None) -> None:
+    path = tmp_path / "increments.csv"
+    rows = "".join(f"{5 * k / 1000},0,0,0.049,0,0,{1e-6 * k}\n" for k in range(400))
+    path.write_text(f"time (s),ax (m/s),ay (m/s),az (m/s),gx (rad),gy (rad),gz (rad)\n{rows}", encoding="utf-8")
+    table = read_tables([path], settings=settings)
+    assert table.settings.get("rate_hz") == (rate_hz if rate_hz is None else pytest.approx(rate_hz))
+    assert ("tables.rate_of_increments" in keys(table.assumptions)) == (rate_hz is not None)
