@@ -106,6 +106,9 @@ def stretch_stills(cell_s: FloatArray, sums: FloatArray, *, stills: FloatArray) 
         right = int(high[k]) + max(forward - GUARD_CELLS, 0)
         stretched[k, 0] = min(stills[k, 0], cell_s[min(left, len(cell_s) - 1)])
         stretched[k, 1] = max(stills[k, 1], cell_s[min(right, len(cell_s) - 1)])
+    # Two that met in the calm between them leave it to the move.
+    met = np.flatnonzero(stretched[:-1, 1] > stretched[1:, 0])
+    stretched[met, 1], stretched[met + 1, 0] = stills[met, 1], stills[met + 1, 0]
     return stretched
 
 

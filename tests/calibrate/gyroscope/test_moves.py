@@ -174,6 +174,17 @@ def test_an_interruption_is_not_called_a_loss() -> None:
     assert "1.2 s" in moves.dropped[0]
 
 
+def test_two_stills_of_one_rest_do_not_meet() -> None:
+    """What lies between them is calm, and both could be stretched over it."""
+    begin, length = START_S[1], DURATION_S[1]
+    starts = np.array([START_S[0], begin, begin + length / 2 + 0.2, START_S[2]])
+    lengths = np.array([DURATION_S[0], length / 2 - 0.2, length / 2 - 0.2, DURATION_S[2]])
+    moves = collect_moves([session()], starts, lengths)
+    assert moves.dropped == ()
+    assert (moves.end_s > moves.start_s).all()
+    assert between(turn_of(moves, 1), np.array([1.0, 0.0, 0.0, 0.0])) < 1e-2
+
+
 def saturate(samples: Samples) -> Samples:
     limit = 9000.0
     clipped = np.clip(samples.gyroscope, REST - limit, REST + limit)
