@@ -9,7 +9,7 @@ import pytest
 from gyroscope_sessions import collect_moves
 
 from imufield.calibrate.gyroscope.move_integration import centre, integrate, rough_inverse, sums_at_end
-from imufield.calibrate.gyroscope.moves import MoveCollector, Moves, cut_moves, join_slots
+from imufield.calibrate.gyroscope.moves import MoveCollector, Moves, cut_moves, join_slots, stretch_stills
 from imufield.calibrate.model.rotation import exponential, matrix, multiply, right_jacobian
 from imufield.samples import FloatArray, Samples, SampleUnits, Status, make_samples
 
@@ -174,15 +174,13 @@ def test_an_interruption_is_not_called_a_loss() -> None:
     assert "1.2 s" in moves.dropped[0]
 
 
-def test_two_stills_of_one_rest_do_not_meet() -> None:
-    """What lies between them is calm, and both could be stretched over it."""
-    begin, length = START_S[1], DURATION_S[1]
-    starts = np.array([START_S[0], begin, begin + length / 2 + 0.2, START_S[2]])
-    lengths = np.array([DURATION_S[0], length / 2 - 0.2, length / 2 - 0.2, DURATION_S[2]])
-    moves = collect_moves([session()], starts, lengths)
-    assert moves.dropped == ()
-    assert (moves.end_s > moves.start_s).all()
-    assert between(turn_of(moves, 1), np.array([1.0, 0.0, 0.0, 0.0])) < 1e-2
+def test_two_stills_of_one_rest_are_not_stretched_over_one_another() -> None:
+    """All ten seconds are calm."""
+    sums = np.column_stack([np.full(100, 0.1), 0.1 * np.random.default_rng(1).standard_normal((100, 6))])
+    stills = np.array([[0.5, 2.5], [6.5, 8.5]])
+    found = stretch_stills(np.arange(100) / 10, sums, stills=stills)
+    assert found[0, 1] <= found[1, 0]
+    assert found[1, 1] > 8.5
 
 
 def saturate(samples: Samples) -> Samples:
