@@ -71,9 +71,8 @@ def run_solve(options: SolveOptions) -> int:
         echo(json.dumps(document_with_gain(solved) | {"notes": lost}))
         tell_written(path, kept, as_json=True)
         return 0
-    print_summary(solved, Outcome(path, kept, session))
-    said = base.calibration.quality.reasons
-    for note in (*lost, *(reason for reason in solved.calibration.quality.reasons if reason not in said)):
+    print_summary(solved, Outcome(path, kept, session, base.calibration.quality))
+    for note in lost:
         echo(hanging("", note))
     return 0
 

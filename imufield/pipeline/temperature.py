@@ -9,6 +9,7 @@ import numpy as np
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
 from imufield.calibrate.model.grades import DEFAULT_GRADE, find_grade
+from imufield.calibrate.model.result import Quality, of_session
 from imufield.calibrate.model.temperature_polynomials import TriadTemperature
 from imufield.calibrate.temperature.fit import SessionPoints, TemperatureData, TemperatureFit, fit_temperature, fit_warnings
 from imufield.calibrate.temperature.one_pose import gyroscope_sentence, pose_sentence
@@ -16,6 +17,7 @@ from imufield.calibrate.temperature.points import accelerometer_points, gyroscop
 from imufield.calibrate.temperature.ramp import RampWindows, cut_ramp, in_one_pose, ramp_sentences, turns
 from imufield.dataclass import dataclass, field, replace
 from imufield.deliver.parameters.context import TemperatureSource
+from imufield.deliver.parameters.document import judgement
 from imufield.deliver.parameters.file import Parameters, from_document
 from imufield.deliver.parameters.temperature_tables import add_temperature
 from imufield.errors import CalibrationError, Reason
@@ -161,7 +163,19 @@ def with_temperature(
     fits = {triad: _fit_triad(base, triad, sessions, ramps, reference_degc=reference_degc) for triad in triads}
     told = [*notes, *(remark for means in ramps for remark in means.remarks)]
     told += [note for fit in fits.values() for note in fit.notes]
-    return _joined(base, fits, sources=_sources(sessions, ramps), told=told)
+    others = [session for session in sessions if session is not base]
+    told += [of_session(other.context.session.name, reason) for other in others for reason in other.of_recording]
+    quality = base.calibration.quality.with_reasons(*told)
+    for triad, fit in fits.items():
+        if fit.warnings:
+            quality = quality.lowered("usable", *fit.warnings).triad_lowered(triad, "usable")
+    # The last comes first, as each goes before the others.
+    for other in reversed(others):
+        name, found = other.context.session.name, other.calibration.quality
+        if found.suspects:
+            quality = quality.lowered(found.verdict, sentence("temperature.suspects", name=name))
+        quality = quality.joined(name, found)
+    return _joined(base, fits, sources=_sources(sessions, ramps), quality=quality)
 
 
 @dataclass(frozen=True, slots=True)
@@ -307,22 +321,18 @@ def _sources(sessions: Sequence[Parameters], ramps: Sequence[RampMeans]) -> tupl
 
 
 def _joined(
-    base: Parameters, fits: Mapping[str, _TriadFit], *, sources: tuple[TemperatureSource, ...], told: Sequence[str]
+    base: Parameters, fits: Mapping[str, _TriadFit], *, sources: tuple[TemperatureSource, ...], quality: Quality
 ) -> Parameters:
-    """Return the parameters with what was found; a warning keeps the verdict from being good."""
-    calibration, accelerometer = base.calibration, fits["accelerometer"]
-    quality = calibration.quality.with_reasons(*told)
-    if warnings := [warning for fit in fits.values() for warning in fit.warnings]:
-        quality = quality.lowered("usable", *warnings)
-    if accelerometer.warnings and quality.accelerometer_verdict == "good":
-        quality = replace(quality, accelerometer_verdict="usable")
-    gyroscope = calibration.gyroscope
+    """Return the parameters with what was found."""
+    gyroscope = base.calibration.gyroscope
     if gyroscope is not None and "gyroscope" in fits and fits["gyroscope"].temperature is not None:
         gyroscope = replace(gyroscope, temperature=fits["gyroscope"].temperature)
-    calibration = replace(calibration, accelerometer_temperature=accelerometer.temperature, gyroscope=gyroscope)
-    judged = {"verdict": quality.verdict, "reasons": list(quality.reasons), "warnings": list(quality.warnings)}
-    if quality.accelerometer_verdict:
-        judged["accelerometer_verdict"] = quality.accelerometer_verdict
-    document = base.document | {"quality": base.document["quality"] | judged}
+    calibration = replace(
+        base.calibration,
+        quality=quality,
+        accelerometer_temperature=fits["accelerometer"].temperature,
+        gyroscope=gyroscope,
+    )
+    document = base.document | {"quality": base.document["quality"] | judgement(quality)}
     document.pop("integrity", None)
     return from_document(add_temperature(document, calibration, sources))

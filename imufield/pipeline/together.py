@@ -15,6 +15,7 @@ import numpy as np
 from imufield.acquire.decoded_session import session_protocol
 from imufield.acquire.recording.session import SETTINGS_FILE, Session
 from imufield.calibrate.model.grades import find_grade
+from imufield.calibrate.model.result import of_session
 from imufield.calibrate.sessions.joint import FEWEST, FEWEST_WITHOUT_PRIOR, Joint, SessionNumbers, adjust
 from imufield.calibrate.sessions.kinds import kind_of
 from imufield.campaign import run_campaign
@@ -254,10 +255,7 @@ def _is_sensitive(numbers: GaugeFree) -> bool:
 
 
 def _warnings(solved: Sequence[SolvedSession], joint: Joint) -> Iterator[str]:
-    """Yield what keeps the verdict from being good: of the sessions themselves, and between them."""
-    for each in solved:
-        for warning in each.parameters.calibration.quality.warnings:
-            yield sentence("together.of_session", session=each.name, reason=warning)
+    """Yield what between the sessions keeps the verdict from being good."""
     for number in joint.outlying:
         yield sentence("together.outlying", session=solved[number.session].name, number=number.name, off_sigma=number.off_sigma)
     if joint.differs:
@@ -268,7 +266,7 @@ def _notes(solved: Sequence[SolvedSession], joint: Joint, numbers: Sequence[Sess
     """Yield what belongs to the result and lowers no verdict."""
     for each in solved:
         for reason in each.parameters.of_recording:
-            yield sentence("together.of_session", session=each.name, reason=reason)
+            yield of_session(each.name, reason)
     unnamed = [each.name for each in solved if not each.session.serial_number]
     if unnamed:
         yield sentence("together.no_serial", names=unnamed)

@@ -8,6 +8,7 @@ import tomllib
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,9 +27,11 @@ from imufield.deliver.parameters.file import Parameters, load
 from imufield.deliver.report.budget import not_in_budget
 from imufield.earth import MILLI_G_M_S2
 from imufield.errors import CalibrationError, ParameterFileError, Reason, UsageError
+from imufield.pipeline import together
+from imufield.pipeline.calibration import SolveSettings
 from imufield.pipeline.chain import session_samples
 from imufield.pipeline.same_recording import RecordingMarks
-from imufield.pipeline.together import sessions_of
+from imufield.pipeline.solving import solve_session
 from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
 from tests.commands.conftest import made_once, simulated_session
 from tests.refused import refused
@@ -200,6 +203,23 @@ def test_few_sessions_say_why_a_new_day_is_less_known_than_one(days: Days, capsy
     assert told == [True, False]
 
 
+def test_what_made_the_worst_verdict_is_read_first(days: Days, monkeypatch: pytest.MonkeyPatch) -> None:
+    verdicts = {"day0": "usable", "day1": "poor"}
+
+    def judged(session: Session, *given: Any) -> Parameters:
+        found, verdict = solve_session(session, *given), verdicts[session.name]
+        quality = replace(found.calibration.quality, gyroscope_verdict="good", accelerometer_verdict=verdict)
+        quality = replace(quality, verdict="good", warnings=()).lowered(verdict, f"it is {verdict}")
+        return replace(found, calibration=replace(found.calibration, quality=quality))
+
+    monkeypatch.setattr(together, "solve_session", judged)
+    sessions = [Session.open(folder) for folder in days.folders[:2]]
+    quality = together.solve_together(sessions, SolveSettings(model="linear"), workers=1).calibration.quality
+    assert (quality.verdict, quality.accelerometer_verdict, quality.gyroscope_verdict) == ("poor", "poor", "good")
+    assert quality.main_reason == "day1: it is poor"
+    assert "day0: it is usable" in quality.warnings
+
+
 def test_one_session_is_too_few(days: Days, tmp_path: Path) -> None:
     with refused(CalibrationError, Reason.TOO_FEW, key="together.too_few"):
         run_solve(SolveOptions(sessions=days.folders[:1], together=True, output=tmp_path / "o.toml"))
@@ -244,9 +264,9 @@ def test_the_raw_zeros_of_sessions_that_are_joined_are_equal(
 
 def test_sessions_are_found_by_serial_number(days: Days) -> None:
     root = days.folders[0].parent
-    assert [session.name for session in sessions_of(SERIAL, root)] == ["day1", "day2"]
+    assert [session.name for session in together.sessions_of(SERIAL, root)] == ["day1", "day2"]
     with refused(UsageError, Reason.USAGE, "N2", key="together.none_of_serial"):
-        sessions_of("N2", root)
+        together.sessions_of("N2", root)
 
 
 @pytest.mark.parametrize(

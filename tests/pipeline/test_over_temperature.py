@@ -35,7 +35,7 @@ from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
 from imufield.simulate.truth.imu import ImuSettings
 from imufield.simulate.truth.operator import OperatorSettings
 from tests.refused import refused
-from tests.told import keys, told
+from tests.told import key_of, keys, told
 
 pytestmark = pytest.mark.numerical
 
@@ -244,6 +244,50 @@ def test_one_pose_alone_is_never_good_and_sessions_keep_their_verdict(sessions: 
     assert with_temperature(base, sessions, [ramp()]).calibration.quality.verdict == "good"
 
 
+def judged(session: Parameters, verdict: str, *warnings: str, suspects: tuple[str, ...] = ()) -> Parameters:
+    """Return a session as it would be with this verdict on its accelerometer."""
+    quality = replace(session.calibration.quality, accelerometer_verdict=verdict, suspects=suspects).lowered(verdict, *warnings)
+    return replace(session, calibration=replace(session.calibration, quality=quality), of_recording=("cut short",))
+
+
+def test_no_session_is_worse_than_the_verdict_and_each_is_heard(sessions: tuple[Parameters, ...]) -> None:
+    cold, base, warm = sessions
+    usable, poor = judged(cold, "usable", "it warmed up"), judged(warm, "poor", "two", "three", suspects=("+x",))
+    found = with_temperature(base, [usable, base, poor], [ramp()])
+    quality = from_document(found.document).calibration.quality
+    assert quality.verdict == quality.accelerometer_verdict == "poor"
+    assert quality.main_reason == "at 55: two"
+    assert [warning for warning in quality.warnings if key_of(warning) == "result.of_session"] == [
+        "at 55: two",
+        "at -18: it warmed up",
+        "at 55: three",
+    ]
+    assert quality.suspects == ("at 55: +x",)
+    # What a person is told to type for it would leave out a position of the first session.
+    assert [words.values["name"] for words in told(quality.warnings, "temperature.suspects")] == ["at 55"]
+    assert {"at -18: cut short", "at 55: cut short"} <= set(quality.details)
+    quality = with_temperature(base, [usable, base, warm], [ramp()]).calibration.quality
+    assert (quality.verdict, quality.accelerometer_verdict) == ("usable", "usable")
+    assert quality.warnings == ("at -18: it warmed up",)
+    # The reference says it by itself.
+    own = judged(base, "usable", "it warmed up")
+    assert with_temperature(own, [cold, own, warm], [ramp()]).calibration.quality.warnings == ("it warmed up",)
+
+
+def test_each_triad_answers_for_its_own_polynomials(sessions: tuple[Parameters, ...]) -> None:
+    none, sigma = np.zeros((3, 3)), GyroscopeParameters(np.full(3, 1e-5), np.zeros((3, 3)), np.full(3, 1e-6), np.zeros((3, 3)))
+    with_gyroscope = []
+    for degc, session, bias in zip((-18.0, 20.0, 55.0), sessions, (3e-3, 0.0, 3e-3), strict=True):
+        rates = GyroscopeParameters(np.ones(3), none, np.full(3, bias), none)
+        quality = replace(session.calibration.quality, gyroscope_verdict="good")
+        gyroscope = GyroscopeCalibration(parameters=rates, sigma=sigma, path="made up")
+        calibration = replace(session.calibration, gyroscope=gyroscope, quality=quality)
+        with_gyroscope.append(from_document(to_document(calibration, observed(degc), session.context)))
+    quality = with_temperature(with_gyroscope[1], with_gyroscope, [ramp()]).calibration.quality
+    assert [words.values["triad"] for words in told(quality.warnings, "fit.scatter")] == ["gyroscope"]
+    assert (quality.verdict, quality.accelerometer_verdict, quality.gyroscope_verdict) == ("usable", "good", "usable")
+
+
 def test_ramps_without_gyroscope_leave_it_at_one_temperature(sessions: tuple[Parameters, ...]) -> None:
     calibration = sessions[1].calibration
     rates = GyroscopeParameters(np.ones(3), np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3)))
@@ -370,13 +414,19 @@ def test_a_file_over_temperature_is_not_replaced_without_a_word(
     assert not solved[1]["notes"]
 
 
-def test_solve_takes_sessions_and_ramps_as_they_come(folders: tuple[Path, Path, Path], tmp_path: Path) -> None:
+def test_solve_takes_sessions_and_ramps_as_they_come(
+    folders: tuple[Path, Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (base, cold, warm_up), output = folders, tmp_path / "parameters.toml"
     # Each of them twice, under another name.
     copies = [shutil.copytree(session, tmp_path / f"{session.name}-copy") for session in (base, cold, warm_up)]
     given = [word for session in (cold, warm_up, *copies) for word in ("--temperature", str(session))]
+    capsys.readouterr()
     assert run(["solve", str(base), *given, "-o", str(output)]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
     joint = load(output)
+    # Said once, though it is no word of the first session.
+    assert all(shown.count(reason) == 1 for reason in joint.calibration.quality.reasons if "polynomial" in reason)
     reasons = joint.calibration.quality.reasons
     assert all(
         any(f"{copy.name} " in reason and session.name in reason for reason in reasons)

@@ -13,6 +13,9 @@ from imufield.calibrate.model.temperature_polynomials import TriadTemperature
 from imufield.dataclass import dataclass, field, replace
 from imufield.earth import Gravity
 from imufield.samples import AXES, FloatArray
+from imufield.sentences import Sentence, Sentences
+
+sentence = Sentences(__package__)
 
 Gauge = Literal["preset", "lower", "upper", "symmetric"]
 QuadraticAxes = Literal["sensing", "body"]
@@ -226,6 +229,25 @@ class Quality:
         behind = min(len(self.warnings), 1) if worst != verdict else 0
         reasons = (*self.reasons[: 1 + behind], *why, *self.reasons[1 + behind :])
         return replace(self, verdict=worst, reasons=reasons, warnings=(*self.warnings[:behind], *why, *self.warnings[behind:]))
+
+    def triad_lowered(self, triad: str, verdict: str) -> Quality:
+        """Return the same with a verdict on a triad no better than ``verdict``, where both are of ``VERDICTS``."""
+        name = f"{triad}_verdict"
+        both = (getattr(self, name), verdict)
+        return replace(self, **{name: max(both, key=VERDICTS.index)}) if set(both) <= set(VERDICTS) else self
+
+    def joined(self, session: str, other: Quality) -> Quality:
+        """Return the same with no verdict better than those of another session, whose warnings are told with its name."""
+        quality = self.lowered(other.verdict, *(of_session(session, warning) for warning in other.warnings))
+        quality = replace(quality, suspects=(*(f"{session}: {name}" for name in other.suspects), *quality.suspects))
+        for triad in ("accelerometer", "gyroscope"):
+            quality = quality.triad_lowered(triad, getattr(other, f"{triad}_verdict"))
+        return quality
+
+
+def of_session(session: str, reason: str) -> Sentence:
+    """Return what is said of one session among others."""
+    return sentence("result.of_session", session=session, reason=reason)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

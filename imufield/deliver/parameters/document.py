@@ -122,8 +122,7 @@ def to_document(calibration: Calibration, observations: Observations, context: C
         **_plain(quality, ("verdict", *_QUALITY_FIGURES)),
         # Infinite where the positions leave a parameter open, which the file calls not known.
         "condition": float(quality.condition) if math.isfinite(quality.condition) else math.nan,
-        **{key: value for key, value in _plain(quality, _TRIAD_VERDICTS).items() if value},
-        **{key: list(getattr(quality, key)) for key in _QUALITY_LISTS if key != "suspects" or quality.suspects},
+        **judgement(quality),
         "unobservable": list(calibration.unobservable),
     }
     document["position"] = _positions(calibration.positions, observations)
@@ -131,6 +130,15 @@ def to_document(calibration: Calibration, observations: Observations, context: C
     if calibration.budget:
         document["budget"] = {"share": [_share_table(share) for share in calibration.budget]}
     return add_temperature(document, calibration, context.temperature_sources)
+
+
+def judgement(quality: Quality) -> Document:
+    """Return verdicts and sentences, keys of ``[quality]``."""
+    return {
+        "verdict": quality.verdict,
+        **{key: value for key, value in _plain(quality, _TRIAD_VERDICTS).items() if value},
+        **{key: list(getattr(quality, key)) for key in _QUALITY_LISTS if key != "suspects" or quality.suspects},
+    }
 
 
 def _share_table(share: Share) -> Document:

@@ -20,7 +20,6 @@ from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_R
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import (
     GRAVITY_NAME,
-    VERDICTS,
     Calibration,
     GyroscopeCalibration,
     GyroscopeParameters,
@@ -258,30 +257,21 @@ def _quality(joined: JoinedFrom, joint: Joint, warnings: Sequence[str], notes: S
         parameters_fitted=len(joint.names),
         condition=math.nan,
         verdict="good",
-        accelerometer_verdict=_worst([calibration.quality.accelerometer_verdict for calibration in each]) or "good",
-        gyroscope_verdict=_worst([calibration.quality.gyroscope_verdict for calibration in each])
-        or each[joined.base].quality.gyroscope_verdict,
         reasons=(_summary(joined), *notes),
         warnings=(),
-        suspects=tuple(
-            f"{parameters.context.session.name}: {name}"
-            for parameters in joined.parameters
-            for name in parameters.calibration.quality.suspects
-        ),
+        suspects=(),
     )
-    quality = quality.lowered(_worst([calibration.quality.verdict for calibration in each]) or "good")
     if warnings:
         quality = quality.lowered("usable", *warnings)
+    # The last comes first, as each goes before the others.
+    for parameters in reversed(joined.parameters):
+        quality = quality.joined(parameters.context.session.name, parameters.calibration.quality)
     bias = joint.daily.get("bias")
     largest_m_s2 = 0.0 if bias is None else float(bias.day_sigma.max()) * MILLI_G_M_S2
     if largest_m_s2 > USABLE_BIAS_SIGMA_M_S2:
         figures = {"sigma_mg": largest_m_s2 / MILLI_G_M_S2, "limit_mg": USABLE_BIAS_SIGMA_M_S2 / MILLI_G_M_S2}
         quality = quality.lowered("usable", sentence("joined.day_sigma", **figures))
     return quality
-
-
-def _worst(verdicts: Sequence[str]) -> str:
-    return max((verdict for verdict in verdicts if verdict in VERDICTS), key=VERDICTS.index, default="")
 
 
 def _summary(joined: JoinedFrom) -> str:

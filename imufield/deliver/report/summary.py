@@ -58,6 +58,8 @@ class Outcome:
     """Where the file that stood there before is kept."""
     session: Session | None = None
     """The session they come from."""
+    quality: Quality | None = None
+    """Of that session alone, where others were joined to it."""
 
 
 def print_summary(parameters: Parameters, outcome: Outcome | None = None, console: Console | None = None) -> None:
@@ -278,7 +280,7 @@ def _next_steps(parameters: Parameters, outcome: Outcome) -> Iterator[Renderable
         again = "imufield solve" if outcome.session is None else f"imufield solve {shlex.quote(str(outcome.session.folder))}"
         yield from _bullets([sentence("summary.tell_place")])
         yield _unbroken(f"   {again} --latitude DEGREES --height METRES")
-    yield from _remedy(calibration.quality, outcome.session)
+    yield from _remedy(outcome.quality or calibration.quality, outcome.session)
     if outcome.path is not None:
         yield Text("")
         yield Text("Written to", style="bold")

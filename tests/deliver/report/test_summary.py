@@ -11,7 +11,7 @@ from rich.console import Console
 
 from imufield.acquire.recording.session import Session
 from imufield.calibrate.model.observations import Observations
-from imufield.calibrate.model.result import Calibration, GyroscopeCalibration
+from imufield.calibrate.model.result import Calibration, GyroscopeCalibration, Quality
 from imufield.deliver.parameters.context import Context
 from imufield.deliver.parameters.file import Parameters, from_document, to_document
 from imufield.deliver.report.summary import Outcome, print_summary, summary_text
@@ -76,11 +76,11 @@ def test_the_remedy_is_one_that_the_session_takes(
         session = Session.create_in(folder, "IMU", {"kind": kind})
         session.update(finished=finished)
 
-    def commands(verdict: str, accelerometer: str, freedom: int) -> list[str]:
+    def commands(verdict: str, accelerometer: str, freedom: int, alone: Quality | None = None) -> list[str]:
         quality = replace(full.calibration.quality, verdict=verdict, accelerometer_verdict=accelerometer)
         quality = replace(quality, degrees_of_freedom=freedom, student_factor_95=2.0 if freedom else float("nan"))
         judged = replace(full, calibration=replace(full.calibration, quality=quality))
-        lines = summary_text(judged, Outcome(tmp_path / "parameters.toml", session=session)).splitlines()
+        lines = summary_text(judged, Outcome(tmp_path / "parameters.toml", session=session, quality=alone)).splitlines()
         # Each on a line of its own: in two pieces it cannot be copied.
         return [line.strip() for line in lines if line.startswith("   imufield")]
 
@@ -90,6 +90,8 @@ def test_the_remedy_is_one_that_the_session_takes(
     # Of a gyroscope that is poor alone its own reason says what to do.
     assert commands("poor", "good", 3) == []
     assert commands("good", "good", 3) == []
+    # Nor does it help where another session is poor.
+    assert commands("poor", "poor", 3, replace(full.calibration.quality, verdict="good")) == []
 
 
 def test_the_end_fits_a_terminal_of_24_lines(full: Parameters) -> None:
