@@ -216,7 +216,7 @@ def _fit_triad(
     if triad == "accelerometer" and not found.temperature.scale_separated:
         warnings.append(pose_sentence(found.temperature, grade))
     if triad == "gyroscope" and highest.scale == 0:
-        notes.append(gyroscope_sentence(found.temperature, grade))
+        notes.append(gyroscope_sentence(found.temperature, grade, points))
     return _TriadFit(found.temperature, notes, warnings)
 
 

@@ -89,6 +89,16 @@ class SessionPoints:
     reference: int | None = None
     """Which of them is the session whose numbers hold at the reference; None where it is none of these."""
 
+    @property
+    def shows_scale(self) -> NDArray[np.bool_]:
+        """Which of them show the scale of all axes, shape (m,)."""
+        return np.isfinite(self.scale).all(axis=1)
+
+    @property
+    def temperatures_of_scale(self) -> int:
+        """At how many distinct temperatures they do."""
+        return distinct(self.temperature_degc[self.shows_scale])
+
     def __len__(self) -> int:
         return len(self.temperature_degc)
 
@@ -151,9 +161,8 @@ class TemperatureData:
         bias = min(HIGHEST_ORDER, _highest_order(distinct(self.temperature_degc)))
         scale = 0
         if self.points is not None:
-            seen = distinct(self.points.temperature_degc[np.isfinite(self.points.scale).all(axis=1)])
             # Where a ramp sees both, it checks what two sessions say of each.
-            scale = _highest_order(seen + self.ramps_show_scale)
+            scale = _highest_order(self.points.temperatures_of_scale + self.ramps_show_scale)
         if len(self.ramps) > 1 and np.all(np.ptp([ramp.specific_force_m_s2 for ramp in self.ramps], axis=0) > _OTHER_POSE_M_S2):
             scale = max(scale, bias)
         return Orders(max(bias, 0), min(max(scale, 0), HIGHEST_ORDER))

@@ -6,6 +6,7 @@ import numpy as np
 
 from imufield.calibrate.model.grades import Grade
 from imufield.calibrate.model.temperature_polynomials import TriadTemperature
+from imufield.calibrate.temperature.fit import SessionPoints
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2
 from imufield.sentences import Sentence, Sentences
 
@@ -20,8 +21,12 @@ def pose_sentence(temperature: TriadTemperature, typical: Grade) -> Sentence:
     return sentence("one_pose.pose", grade=typical.name, temperature_degc=worst, **size)
 
 
-def gyroscope_sentence(temperature: TriadTemperature, typical: Grade) -> Sentence:
-    """Say that the gyroscope's scale was not seen over temperature."""
+def gyroscope_sentence(temperature: TriadTemperature, typical: Grade, points: SessionPoints | None) -> Sentence:
+    """Say that the gyroscope's scale has no curve over temperature: by how much sessions differ, or typical ones do."""
+    if points is not None and points.temperatures_of_scale > 1:
+        at_degc, scale = points.temperature_degc[points.shows_scale], points.scale[points.shows_scale]
+        size_ppm = 1e6 * float(np.ptp(scale, axis=0).max())
+        return sentence("one_pose.gyroscope_sessions", low=at_degc.min(), high=at_degc.max(), size_ppm=size_ppm)
     worst, span = _worst(temperature)
     ppm = typical.gyroscope.scale_ppm_per_degc
     return sentence("one_pose.gyroscope", grade=typical.name, temperature_degc=worst, ppm=ppm, size_ppm=ppm * span)

@@ -143,7 +143,26 @@ def test_a_one_pose_ramp_puts_the_scale_into_the_bias_and_says_how_much() -> Non
     assert key_of(told) == "one_pose.pose"
     typical = GRADES["mems"].accelerometer.scale_ppm_per_degc
     assert told.values["size_mg"] == pytest.approx(typical * 40e-3, rel=1e-6)
-    assert key_of(gyroscope_sentence(found, GRADES["mems"])) == "one_pose.gyroscope"
+    assert key_of(gyroscope_sentence(found, GRADES["mems"], None)) == "one_pose.gyroscope"
+
+
+def test_what_sessions_show_of_the_scale_is_told_where_it_has_no_curve() -> None:
+    seen = sessions([25.0, 25.1, 55.0, -10.0], np.random.default_rng(7), (1e-3, 1e-6))
+    # The last has no turns, and the others are at two temperatures.
+    scale = np.array([[0, 0, 0], [1e-5, 0, 0], [3.6e-4, 7e-5, -1.511e-3], [np.nan] * 3])
+    data = TemperatureData(reference_degc=25.0, points=replace(seen, scale=scale), ramps=[])
+    assert data.highest_orders().scale == 0
+    found = fit_temperature(data).temperature
+    told = gyroscope_sentence(found, GRADES["mems"], data.points)
+    assert key_of(told) == "one_pose.gyroscope_sessions"
+    assert (told.values["low"], told.values["high"]) == (25.0, 55.0)
+    assert told.values["size_ppm"] == pytest.approx(1511.0)
+    # One session that shows it shows no change.
+    alone = replace(seen, scale=np.where(np.arange(4)[:, None] < 1, scale, np.nan))
+    assert key_of(gyroscope_sentence(found, GRADES["mems"], alone)) == "one_pose.gyroscope"
+    # It counts as a difference between days.
+    assert found.new_day is not None
+    assert found.new_day.scale.max() > 3e-4
 
 
 def test_ramps_in_opposite_poses_separate_them_without_a_session() -> None:
