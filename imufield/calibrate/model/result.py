@@ -239,7 +239,6 @@ class Quality:
     def joined(self, session: str, other: Quality) -> Quality:
         """Return the same with no verdict better than those of another session, whose warnings are told with its name."""
         quality = self.lowered(other.verdict, *(of_session(session, warning) for warning in other.warnings))
-        quality = replace(quality, suspects=(*(f"{session}: {name}" for name in other.suspects), *quality.suspects))
         for triad in ("accelerometer", "gyroscope"):
             quality = quality.triad_lowered(triad, getattr(other, f"{triad}_verdict"))
         return quality

@@ -92,7 +92,7 @@ class SessionPoints:
     @property
     def shows_scale(self) -> NDArray[np.bool_]:
         """Which of them show the scale of all axes, shape (m,)."""
-        return np.isfinite(self.scale).all(axis=1)
+        return np.asarray(np.isfinite(self.scale).all(axis=1))
 
     @property
     def temperatures_of_scale(self) -> int:

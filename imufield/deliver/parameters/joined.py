@@ -259,7 +259,11 @@ def _quality(joined: JoinedFrom, joint: Joint, warnings: Sequence[str], notes: S
         verdict="good",
         reasons=(_summary(joined), *notes),
         warnings=(),
-        suspects=(),
+        suspects=tuple(
+            f"{parameters.context.session.name}: {name}"
+            for parameters in joined.parameters
+            for name in parameters.calibration.quality.suspects
+        ),
     )
     if warnings:
         quality = quality.lowered("usable", *warnings)
