@@ -316,7 +316,7 @@ class Guide:
         if action in _INPUTS:
             self._handle(_INPUTS[action])
             return
-        before, held = plan.proposed(), self._held()
+        held = self._held()
         answers = {"retake": self._retake, "skip": self._skip, "undo": self._undo, "go_on": self._go_on_cold}
         index, words = answers[action](name)
         self._speaker.say(Marked(now_s, action, None if index is None else plan.position(index).name, words))
@@ -325,13 +325,13 @@ class Guide:
             self._actions.propose_turn()
             if not self._actions.turns.left:
                 self._handle(Input.COMPLETE)
-        elif action == "skip" and index is not None and index == held:
-            self._handle(Input.SKIPPED)
+        elif held is not None and (not plan.is_pending(held) or (action == "skip" and index == held)):
+            self._handle(Input.UNWANTED)
         elif plan.proposed() is None:
             answer = self._actions.go_on()
             if answer is not None:
                 self._handle(answer)
-        elif plan.proposed() != before or action == "retake":
+        elif index is not None:
             if Input.REOPENED in TABLE[self.state]:
                 self.detector.restart()
                 self._handle(Input.REOPENED)
@@ -350,7 +350,7 @@ class Guide:
         if index is None or index not in self.plan.accepted:
             return None, sentence("guide.not_measured" if name else "guide.nothing_to_retake", position=name)
         self.plan.want_again(index)
-        self._actions.resting.position = None
+        self._actions.resting.measure_anew(self.plan, index)
         return index, sentence("guide.retake", position=self.plan.position(index).name)
 
     def _skip(self, name: str | None) -> tuple[int | None, str]:
@@ -369,8 +369,7 @@ class Guide:
         if undone is None:
             return None, sentence("guide.nothing_to_undo")
         action, index = undone
-        if action == "skip":
-            # The unit may lie there still, from the hold that was given up.
-            self._actions.resting.position = None
         self._actions.judge_restored(index)
+        if self.plan.is_pending(index):
+            self._actions.resting.measure_anew(self.plan, index)
         return index, sentence("guide.undo", action=action, position=self.plan.position(index).name)

@@ -75,6 +75,11 @@ class Resting:
         # The way here was observed already; only a move from here makes the next rest another one.
         self.lift()
 
+    def measure_anew(self, plan: Plan, position: int) -> None:
+        """Let a unit that still rests at this position be measured there once more."""
+        if self.position is not None and plan.same_direction(self.position, position):
+            self.position = None
+
     def lift(self) -> None:
         """Begin to watch whether the unit is lifted or only knocked."""
         self._moved_cells, self._moved_deg = 0, 0.0

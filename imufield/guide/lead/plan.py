@@ -79,9 +79,10 @@ class Plan:
         return index not in self.accepted or index in self.wanted_again or index == self.revisiting
 
     def proposed(self) -> int | None:
-        """Return the next position in the proposed order, None when nothing is left to ask for."""
+        """Return what is wanted again, else the next in the proposed order, None when nothing is left to ask for."""
         pending = self.pending()
-        return next((index for index in (self.first, self.preferred, *pending) if index in pending), None)
+        again = [index for index in pending if index in self.wanted_again]
+        return next((index for index in (*again, self.first, self.preferred, *pending) if index in pending), None)
 
     def pending(self) -> list[int]:
         """Return the positions that are asked for, in the proposed order."""

@@ -198,3 +198,12 @@ def test_an_undone_position_is_not_revisited(plan: Any) -> None:
     plan.undo()
     plan.accept(x, observation("+x", 1.0))
     assert plan.accepted[x].start_s == 1.0
+
+
+def test_what_is_wanted_again_comes_before_all_others(plan: Any) -> None:
+    plan.accept(3, observation(plan.position(3).name))
+    plan.first = plan.preferred = 2
+    plan.want_again(3)
+    assert plan.proposed() == 3
+    plan.skip(3)
+    assert plan.proposed() == 2
