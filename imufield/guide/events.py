@@ -61,6 +61,7 @@ class RefusalCode(Enum):
     SCALE = "scale"
     NOT_WHOLE = "not_whole"
     OTHER_SIDE = "other_side"
+    OTHER_TURN = "other_turn"
 
 
 EVENTS: dict[str, type[Event]] = {}

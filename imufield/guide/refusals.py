@@ -150,3 +150,4 @@ SIDES_EXPLAINED = RefusalKind(RefusalCode.AXES, "refusals.sides_explained", "ref
 TURN_TILTED = RefusalKind(RefusalCode.NOT_WHOLE, "refusals.turn_tilted", "refusals.turn_remedy", "deg")
 TURN_ASIDE = RefusalKind(RefusalCode.NOT_WHOLE, "refusals.turn_aside", "refusals.turn_remedy", "deg")
 TURN_SHORT = RefusalKind(RefusalCode.NOT_WHOLE, "refusals.turn_short", "refusals.turn_remedy", "deg")
+OTHER_TURN = RefusalKind(RefusalCode.OTHER_TURN, "refusals.other_turn", "refusals.other_turn_remedy", "deg")

@@ -158,6 +158,12 @@ def test_what_comes_next_can_be_done(
     assert command in capsys.readouterr().out
 
 
+def test_turns_that_are_missing_are_counted(whole_session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ended = Captured(session=Session.open(whole_session), accepted=24, planned=24, turns=(1, 6), finished=False)
+    farewell(ended, "plain", SystemClock())
+    assert "24 of 24 positions and 1 of 6 whole turns" in capsys.readouterr().out
+
+
 def test_a_session_that_lost_samples_in_many_moves_says_so_once(
     make_session: Callable[..., Session], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -76,6 +76,8 @@ class Captured:
     accepted: int
     planned: int
     finished: bool
+    turns: tuple[int, int] = (0, 0)
+    """Whole turns: made, and planned."""
     remarks: tuple[str, ...] = ()
     """About the samples."""
     summary: tuple[str, ...] = ()
@@ -300,6 +302,7 @@ class CaptureLoop:
             accepted=accepted,
             planned=planned,
             finished=self._done,
+            turns=(0, 0) if guide is None else guide.turns,
             remarks=tuple(remarks(self.chain.statistics)),
             summary=tuple(self._summary()),
         )
@@ -407,7 +410,9 @@ def farewell(captured: Captured, view: ViewName, clock: HostClock) -> None:
         say(line)
     for line in captured.remarks:
         say(line)
-    measured = f"{captured.accepted} of {captured.planned} positions measured"
+    turned, turns = captured.turns
+    with_turns = f" and {turned} of {turns} whole turns" if turns else ""
+    measured = f"{captured.accepted} of {captured.planned} positions{with_turns} measured"
     echo(beside(f"{measured}, session" if captured.can_be_solved else f"{measured} so far, all on disk in", folder))
     if captured.finished and captured.missing:
         to_solve = FEWEST_FOR_SCALE_AND_BIAS - captured.accepted

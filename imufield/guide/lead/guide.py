@@ -126,15 +126,21 @@ class Guide:
         """Whether the operator ended it with something left that was asked for."""
         return self.done and (self.plan.proposed() is not None or bool(self._actions.turns.given_up))
 
+    @property
+    def turns(self) -> tuple[int, int]:
+        """How many whole turns are no longer left to make, and how many are planned."""
+        turns = self._actions.turns
+        return turns.planned - len(turns.left or turns.given_up), turns.planned
+
     def asked_to_finish(self) -> Marked:
         """Return the answer to a first request to finish: what there would be, and how to confirm it."""
-        turns = self._actions.turns
+        turned, turns = self.turns
         words = sentence(
-            "guide.finish_with_turns" if turns.planned else "guide.finish",
+            "guide.finish_with_turns" if turns else "guide.finish",
             accepted=len(self.plan.accepted),
             planned=len(self.plan.scheme),
-            turned=turns.planned - len(turns.left),
-            turns=turns.planned,
+            turned=turned,
+            turns=turns,
         )
         return Marked(self.time_s, "finish", None, words)
 

@@ -45,10 +45,17 @@ class WantedTurn:
     @property
     def words(self) -> str:
         """What to do."""
-        name = AXES[self.axis]
-        first, second = (AXES[(self.axis + self.sense * k) % 3] for k in (1, 2))
         standing = "turns.standing" if self.sense > 0 else "turns.standing_other_way"
-        return sentence("turns.rolled" if self.about == HORIZONTAL else standing, axis=name, first=first, second=second)
+        return self._say("turns.rolled" if self.about == HORIZONTAL else standing)
+
+    @property
+    def name(self) -> str:
+        """Which turn it is."""
+        return self._say("turns.name")
+
+    def _say(self, key: str) -> str:
+        first, second = (AXES[(self.axis + self.sense * k) % 3] for k in (1, 2))
+        return sentence(key, about=self.about, axis=AXES[self.axis], first=first, second=second)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -154,7 +161,7 @@ class TurnLeader:
         return first
 
     def end(self, now_s: float, still_mean: list[float], scale: RoughScale) -> Turned | Refusal | None:
-        """Return what the move was, now that the unit is still: a wanted turn, a bad one, or only a move (None)."""
+        """Return what the move was, now that the unit is still: a wanted turn, another or a bad one, or only a move (None)."""
         move, self._move = self._move, None
         if move is None or not scale.gyroscope:
             return None
@@ -176,10 +183,11 @@ class TurnLeader:
             return refusal
         up = move.up / np.linalg.norm(move.up)
         about = VERTICAL if abs(float(up[axis])) > math.cos(math.radians(_TILT_DEG)) else HORIZONTAL
-        wanted = WantedTurn(axis, int(np.sign(turns)), about)
-        if wanted not in self.left:
-            return None
-        self.left.remove(wanted)
+        made, asked = WantedTurn(axis, int(np.sign(turns)), about), self.left[0]
+        if made not in self.left:
+            values = {"made": made.name, "left": len(self.left), "asked": asked.name}
+            return refusals.OTHER_TURN.refusal(float(angle[axis]), 360.0 * asked.sense, axis=AXES[axis], **values)
+        self.left.remove(made)
         return Turned(
             time_s=now_s,
             axis=AXES[axis],

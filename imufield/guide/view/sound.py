@@ -64,6 +64,7 @@ _SPOKEN_REFUSALS = {
     RefusalCode.NOT_NEAR: "not a planned side",
     RefusalCode.ALREADY_DONE: "this side is done",
     RefusalCode.OTHER_SIDE: "another side than asked",
+    RefusalCode.OTHER_TURN: "another turn than asked",
     RefusalCode.TREMBLING: "trembling, again",
     RefusalCode.SWAYING: "swaying, again",
     RefusalCode.DRIFTING: "drifting, again",

@@ -165,7 +165,33 @@ def test_too_little_about_the_vertical_is_told_in_degrees() -> None:
     assert refused[0].measured == pytest.approx(60, abs=3)
 
 
-def test_a_turn_nobody_asked_for_is_only_a_move() -> None:
-    events = run(Roll((0.0, 0.0, 1.0)).rest(9).turn(2, 360, 4).rest(2), "horizontal")
-    assert not of(events, Turned)
-    assert not of(events, Rejected)
+@pytest.mark.parametrize(
+    ("axis", "first_deg", "made"), [(2, 0, ("vertical", "z", "x", "y")), (0, -360, ("horizontal", "x", "z", "y"))]
+)
+def test_a_turn_that_is_not_left_is_told_with_what_is(axis: int, first_deg: float, made: tuple[str, ...]) -> None:
+    """On the table instead of rolled; or once more in the same sense."""
+    roll = Roll((0.0, 0.0, 1.0)).rest(9)
+    if first_deg:
+        roll.turn(axis, first_deg, 4).rest(2)
+    events = run(roll.turn(axis, first_deg or 360, 4).rest(2))
+    assert len(of(events, Turned)) == (first_deg != 0)
+    (told,) = of(events, Rejected)
+    assert told.reason is RefusalCode.OTHER_TURN
+    assert is_said_by(refusals.OTHER_TURN, told)
+    assert values_of(told.words)["left"] == 6 - (first_deg != 0)
+    assert tuple(values_of(values_of(told.words)["made"]).values()) == made
+    assert tuple(values_of(values_of(told.remedy)["asked"]).values()) == ("horizontal", "x", "y", "z")
+    assert told.measured == pytest.approx(first_deg or 360, abs=3)
+    assert told.limit == 360
+    assert isinstance(events[-1], Turn)
+
+
+def test_turns_given_up_are_not_counted_as_made() -> None:
+    samples = Roll((0.0, 0.0, 1.0)).rest(9).turn(0, 360, 4).rest(2).samples()
+    guide = Guide(scheme("faces6"), samples.units, settings=GuideSettings(hold_s=3.0, rotations="horizontal"))
+    for index in range(1, 6):
+        guide.mark("skip", 4.0 + 0.1 * index)
+    guide.feed(samples)
+    assert guide.turns == (1, 6)
+    guide.mark("finish", math.nan)
+    assert guide.turns == (1, 6)
