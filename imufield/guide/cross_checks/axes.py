@@ -80,7 +80,7 @@ class AxesCheck:
     words : str
     refusal : Refusal or None
         The warning that gyroscope and accelerometer do not belong together, in the same words; None where they agree, or where
-        the moves are too few.
+        the moves are too few or too alike.
     turns_ratio : float
         True rate over the gyroscope's, where its scale is contradicted; otherwise 1.
     """
@@ -237,14 +237,22 @@ def _arrange(moves: list[MoveBetweenStills], scale: float) -> AxesCheck:
     clear = best <= GOOD_DEG and second >= _MARGIN * best
     agrees = bool(order[0] == identity) if clear else None
     permutation, refusal = permutations[order[0]], None
-    if not agrees:
+    if agrees is None and given <= GOOD_DEG:
+        # They may belong together, and so may others.
+        other = next(i for i in order if i != identity)
+        other_deg = math.degrees(float(misfit[other]))
+        words: str = sentence("axes.ambiguous", within_deg=given, other_deg=other_deg, axes=axes_words(permutations[other]))
+    elif agrees:
+        words = sentence("axes.agree", within_deg=given, other_deg=second)
+    else:
         differ = refusals.AXES_LEFT_HANDED if np.linalg.det(permutation) < 0 else refusals.AXES_DIFFER
         kind = refusals.AXES_OPEN if agrees is None else differ
         refusal = kind.refusal(given, GOOD_DEG, best=best, second=second, axes=axes_words(permutation))
+        words = refusal.words
     return AxesCheck(
         agrees=agrees,
         permutation=permutation,
-        words=refusal.words if refusal else sentence("axes.agree", within_deg=given, other_deg=second),
+        words=words,
         refusal=refusal,
         misfit_deg=given,
         best_misfit_deg=best,

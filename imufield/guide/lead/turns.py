@@ -185,8 +185,9 @@ class TurnLeader:
         about = VERTICAL if abs(float(up[axis])) > math.cos(math.radians(_TILT_DEG)) else HORIZONTAL
         made, asked = WantedTurn(axis, int(np.sign(turns)), about), self.left[0]
         if made not in self.left:
-            values = {"made": made.name, "left": len(self.left), "asked": asked.name}
-            return refusals.OTHER_TURN.refusal(float(angle[axis]), 360.0 * asked.sense, axis=AXES[axis], **values)
+            return refusals.OTHER_TURN.refusal(
+                float(angle[axis]), 360.0 * asked.sense, axis=AXES[axis], made=made.name, left=len(self.left), asked=asked.name
+            )
         self.left.remove(made)
         return Turned(
             time_s=now_s,

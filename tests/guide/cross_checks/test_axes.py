@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from imufield.errors import CalibrationError, Reason
-from imufield.guide.cross_checks.axes import MoveLog, check_axes, signed_permutations
+from imufield.guide.cross_checks.axes import MoveLog, axes_words, check_axes, signed_permutations
 from imufield.guide.refusals import AXES_DIFFER, AXES_LEFT_HANDED, AXES_OPEN, MOTIONLESS, SCALE_AND_AXES, SCALE_DIFFERS
 from imufield.guide.stillness.detector import StillnessDetector
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import Samples, Status
-from tests.guide.guided import cells_of, is_said_by, values_of
+from tests.guide.guided import cells_of, is_said_by, key_of, values_of
 
 pytestmark = pytest.mark.numerical
 
@@ -136,6 +136,27 @@ def test_a_wrong_scale_and_wrong_axes_are_both_named(moves: Any) -> None:
     told = values_of(found.words)
     assert told["ratio"] == pytest.approx(57.3, rel=0.03)
     assert "y = -y" in told["axes"]
+
+
+def test_axes_that_fit_and_are_not_the_only_ones_are_called_so(make_path: Any) -> None:
+    """All moves are about x: which of the others is y shows nothing."""
+    ups = [np.array([0, np.sin(angle), np.cos(angle)]) for angle in np.radians(np.arange(0, 270, 45))]
+    path = make_path(200.0).hold(ups[0], 5)
+    for up in ups[1:]:
+        path.turn(up, 1.2).hold(up, 3)
+    moves = _moves_of(path.samples())
+    found = check_axes(moves, 1.0)
+    assert found.agrees is None
+    assert found.refusal is None
+    assert not found.is_contradicted
+    assert key_of(found.words) == "axes.ambiguous"
+    told = values_of(found.words)
+    assert told["within_deg"] == found.misfit_deg < 2
+    assert told["other_deg"] < 2
+    assert told["axes"] != axes_words(np.eye(3))
+    # Reversed, they do not fit, and several others do.
+    reversed_x = [dataclasses.replace(move, rate_raw=move.rate_raw * [-1, 1, 1]) for move in moves]
+    assert is_said_by(AXES_OPEN, check_axes(reversed_x, 1.0).refusal)
 
 
 def test_few_moves_tell_nothing(moves: Any) -> None:
