@@ -36,7 +36,7 @@ from imufield.errors import CalibrationError, ImufieldError, Reason
 from imufield.files import Origin, utf8_text
 from imufield.guide.cross_checks.axes import AxesCheck
 from imufield.guide.events import RefusalCode, Rejected
-from imufield.guide.refusals import Refusal
+from imufield.guide.refusals import Refusal, what_is_left
 from imufield.guide.view.marks import with_keys
 from imufield.pipeline.calibration import SolveInput, SolveSettings, calibrate
 from imufield.pipeline.chain import Chain, ReadingPlan, SamplesListener, replay_into
@@ -274,13 +274,14 @@ def _guided(chain: Chain, guide: Guide, refusals: list[Rejected]) -> _Usable:
     # In a wrong unit the noise of the gyroscope may be none of a unit at rest.
     if not len(observations) and axes.turns_ratio != 1.0:
         raise CalibrationError(axes.words, Reason.UNITS)
-    spoilt = [event for event in refusals if event.position or event.reason in _SPOIL_DATA]
-    _check_count(len(observations), spoilt)
     missing = guide.plan.missing()
     # A position that was taken again lacks nothing.
-    clipped = [
-        event for event in refusals if event.reason in _AT_LIMIT and missing and (event.position or missing[0]) in missing
-    ]
+    lacking = [event for event in refusals if missing and (event.position or missing[0]) in missing]
+    _check_count(len(observations), [event for event in lacking if event.position or event.reason in _SPOIL_DATA])
+    if missing and len(observations) < FEWEST_FOR_SCALE_AND_BIAS and axes.error is None:
+        values = {"positions": len(observations), "limit": FEWEST_FOR_SCALE_AND_BIAS, "left": what_is_left(missing)}
+        raise CalibrationError(sentence("solving.too_few_measured", **values), Reason.TOO_FEW)
+    clipped = [event for event in lacking if event.reason in _AT_LIMIT]
     return _Usable(
         observations=observations,
         axes=axes,

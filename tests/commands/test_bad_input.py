@@ -468,7 +468,7 @@ MEASURED: dict[str, tuple[dict[str, Any], Reason, tuple[str, ...]]] = {
     "accelerometer axes swapped": ({"change": swap_force}, Reason.HANDEDNESS, ("x = -x, y = -z, z = -y", "20 deg")),
     "left-handed accelerometer": ({"change": mirror}, Reason.HANDEDNESS, ("x = -x, y = +y, z = -z", "20 deg")),
     "gyroscope signs turned round": ({"change": turn_round}, Reason.HANDEDNESS, ("x = -x, y = -y, z = -z", "20 deg")),
-    "too few positions": ({"visits": 4}, Reason.TOO_FEW, ("4", "6")),
+    "too few positions": ({"visits": 4}, Reason.TOO_FEW, ("5 positions", "6", "19 left")),
     "saturated axis": ({"positions": "faces6", "change": saturate}, Reason.SATURATED, ("4 positions", "6", "axis y")),
     "saturated axis, unsaid": (
         {"positions": "faces6", "change": stick},

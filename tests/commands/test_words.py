@@ -19,7 +19,7 @@ from imufield.commands.terminal.guided import Captured, farewell
 from imufield.commands.terminal.output import NothingRecorded
 from imufield.deliver.exports import export_parameters
 from imufield.errors import ParameterFileError, Reason
-from imufield.guide.events import LinkLost
+from imufield.guide.events import Event, LinkLost, Rejected
 from imufield.guide.view.sound import heard
 from imufield.pipeline.chain import Chain, ReadingPlan, replay_into
 from imufield.samples import Samples, Status
@@ -156,6 +156,24 @@ def test_what_comes_next_can_be_done(
         Captured(session=Session.open(whole_session), accepted=accepted, planned=24, finished=True), "plain", SystemClock()
     )
     assert command in capsys.readouterr().out
+
+
+def test_what_was_refused_and_measured_then_is_not_what_is_missing(make_session: Callable[..., Session]) -> None:
+    """The second side is knocked, and measured right after; the last is never shown."""
+
+    def knock(samples: Samples) -> Samples:
+        hit = (samples.time_s > 29) & (samples.time_s < 29.2)
+        samples.accelerometer[hit] += np.random.default_rng(0).normal(0, 3, (hit.sum(), 3))
+        return samples
+
+    session = make_session("faces6", visits=5, hold_s=14.0, finished=False, change=knock)
+    refused: list[Event] = []
+    chain = Chain(ReadingPlan.of(session))
+    replay_into(chain, session, [], refused.extend)
+    assert chain.guide is not None
+    (missed,) = chain.guide.plan.missing()
+    assert [event.position for event in refused if isinstance(event, Rejected) and event.position] == ["-y"]
+    fails(f"solve {session.folder}", 6, Reason.TOO_FEW, "5 positions", "1 left", missed, "--resume", key="solving.unfinished")
 
 
 def test_turns_that_are_missing_are_counted(whole_session: Path, capsys: pytest.CaptureFixture[str]) -> None:
