@@ -146,7 +146,7 @@ def _visits(path: Path) -> Iterable[Visit]:
         try:
             visits = [_visit(line) for line in read_small_file(path).decode().splitlines() if line.strip()]
         except (OSError, UnicodeError) as error:
-            raise UsageError(sentence("emulate.no_poses", path=path, cause=error)) from error
+            raise UsageError(sentence("emulate.no_poses", path=path, cause=getattr(error, "strerror", error))) from error
         if not visits:
             raise UsageError(sentence("emulate.empty_poses", path=path))
         return visits

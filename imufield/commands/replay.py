@@ -113,7 +113,7 @@ def _replay_to_page(
         replay_into(chain, session, damage, listen, items=items())
         refresh(at_once=True)
         command = f"imufield replay --web {shlex.quote(str(session.folder))}"
-        counts = {"accepted": len(chain.observations()), "planned": len(positions), "missing": 0}
+        counts = {"accepted": len(chain.observations()), "planned": len(positions), "lacking": ""}
         page.end({"outcome": "replayed", "reason": "", "command": command, **counts})
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import subprocess
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -79,8 +81,11 @@ def test_what_is_no_pose_is_refused(tmp_path: Path) -> None:
     (tmp_path / "empty").write_text("\n \n")
     with refused(UsageError, Reason.USAGE, "empty", key="emulate.empty_poses"):
         make_emulation(EmulateOptions(driver="stim300", poses=tmp_path / "empty"))
-    with refused(UsageError, Reason.USAGE, "nowhere", key="emulate.no_poses"):
+    with refused(UsageError, Reason.USAGE, "nowhere", f"({os.strerror(errno.ENOENT)})", key="emulate.no_poses"):
         operator_of(tmp_path / "nowhere")
+    (tmp_path / "binary").write_bytes(b"\xff")
+    with refused(UsageError, Reason.USAGE, "binary", "0xff", key="emulate.no_poses"):
+        operator_of(tmp_path / "binary")
 
 
 def test_a_capture_is_led_by_lines_on_standard_input(program: Program) -> None:

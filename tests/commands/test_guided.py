@@ -60,8 +60,8 @@ def test_a_session_with_pictures_keys_big_letters_and_bell(program: Program, ter
     place = terminal.expect("stillness", after=len(terminal.text))
     terminal.type("u")
     place = terminal.expect(" undone", after=place)
-    # A key without a meaning is answered, one of an arrow is none.
-    terminal.type("\x1b[A?")
+    # A key without a meaning is answered, one of an arrow, Delete or PageUp is none.
+    terminal.type("\x1b[A\x1b[3~\x1b[5~?")
     place = terminal.expect("retake (suspect", after=place)
     terminal.type("x")
     terminal.expect("does nothing", after=place)

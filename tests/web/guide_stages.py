@@ -35,7 +35,7 @@ ENDED: dict[str, object] = {
     "outcome": "finished",
     "accepted": 24,
     "planned": 24,
-    "missing": 0,
+    "lacking": "",
     "command": "imufield solve my-session",
     "reason": "",
 }

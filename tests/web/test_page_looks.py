@@ -264,7 +264,7 @@ def test_few_positions_are_called_few(screens: Screens) -> None:
         page = screens.open(f"{url}&back=http://127.0.0.1:8778/")
         page.locator("#marks").wait_for()
         assert not page.locator("#recording").is_visible()
-        server.end(ENDED | {"outcome": "stopped", "accepted": 4, "missing": 6})
+        server.end(ENDED | {"outcome": "stopped", "accepted": 4, "lacking": "at least 6 more"})
     # Who came from the workbench goes on there.
     said = page.locator("#details", has_text="6 more")
     said.wait_for()

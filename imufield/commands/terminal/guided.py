@@ -65,7 +65,7 @@ QUICKLY_DECODED = 10
 """Reads that take no time that a person notices; more, on a machine that is behind, and a screen that does not answer is
 pressed again."""
 REOPEN = "reopen"  # Not a key: recorded where a session that was finished goes on.
-_SEQUENCE = re.compile(r"\x1b(\[[\d;]*\w|o\w)?")  # Of arrows and the like, lower case as keys are.
+_SEQUENCE = re.compile(r"\x1b(\[[\d;]*[\w~]|o\w)?")  # Of arrows and the like, lower case as keys are.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,6 +87,16 @@ class Captured:
     def missing(self) -> int:
         """How many positions more a result needs at least, of those that are planned."""
         return max(0, min(FEWEST_CHECKED, self.planned) - self.accepted)
+
+    @property
+    def lacking(self) -> str:
+        """What is missing for a result, in words; empty where nothing is."""
+        if not self.missing:
+            return ""
+        to_solve = FEWEST_FOR_SCALE_AND_BIAS - self.accepted
+        if to_solve > 0:
+            return sentence("guided.too_few", missing=to_solve)
+        return sentence("guided.missing", missing=self.missing)
 
     @property
     def can_be_solved(self) -> bool:
@@ -212,7 +222,7 @@ def guided_session(
             finally:
                 if page is not None:
                     ended = loop.captured()
-                    counts = {"accepted": ended.accepted, "planned": ended.planned, "missing": ended.missing}
+                    counts = {"accepted": ended.accepted, "planned": ended.planned, "lacking": ended.lacking}
                     outcome = "finished" if ended.can_be_solved else "stopped"
                     page.end({"outcome": outcome, "reason": reason, "command": _next_command(ended, clock), **counts})
     except (KeyboardInterrupt, ImufieldError):
@@ -414,10 +424,8 @@ def farewell(captured: Captured, view: ViewName, clock: HostClock) -> None:
     with_turns = f" and {turned} of {turns} whole turns" if turns else ""
     measured = f"{captured.accepted} of {captured.planned} positions{with_turns} measured"
     echo(beside(f"{measured}, session" if captured.can_be_solved else f"{measured} so far, all on disk in", folder))
-    if captured.finished and captured.missing:
-        to_solve = FEWEST_FOR_SCALE_AND_BIAS - captured.accepted
-        key, missing = ("guided.too_few", to_solve) if to_solve > 0 else ("guided.missing", captured.missing)
-        say(sentence(key, missing=missing))
+    if captured.finished and captured.lacking:
+        say(captured.lacking)
     echo(beside("next: " if captured.can_be_solved else "go on:", _next_command(captured, clock)))
 
 

@@ -320,14 +320,13 @@ class Guide:
     def _apply_mark(self, action: str, name: str | None) -> None:
         plan, now_s = self.plan, self._speaker.now_s
         if action in _INPUTS:
-            self._handle(_INPUTS[action])
+            self._apply_input(action)
             return
         held = self._held()
         answers = {"retake": self._retake, "skip": self._skip, "undo": self._undo, "go_on": self._go_on_cold}
         index, words = answers[action](name)
         self._speaker.say(Marked(now_s, action, None if index is None else plan.position(index).name, words))
         if action == "skip" and self.state is State.ROLLING and index is None:
-            self._actions.turns.skip()
             self._actions.propose_turn()
             if not self._actions.turns.left:
                 self._handle(Input.COMPLETE)
@@ -343,6 +342,11 @@ class Guide:
                 self._handle(Input.REOPENED)
             elif self._actions.announced:
                 self._actions.propose()
+
+    def _apply_input(self, action: str) -> None:
+        if action == "pause" and Input.PAUSE not in TABLE[self.state]:
+            self._speaker.say(Marked(self._speaker.now_s, action, None, sentence("guide.nothing_to_pause")))
+        self._handle(_INPUTS[action])
 
     def _held(self) -> int | None:
         """Return the position of the hold under way."""
@@ -361,6 +365,8 @@ class Guide:
 
     def _skip(self, name: str | None) -> tuple[int | None, str]:
         index = self.plan.find(name) if name else self.plan.proposed() if (held := self._held()) is None else held
+        if index is None and name is None and self.state is State.ROLLING:
+            return None, sentence("guide.skip_turn", turn=self._actions.turns.skip().name)
         if index is None or not self.plan.is_pending(index):
             return None, sentence("guide.nothing_to_skip")
         self.plan.skip(index)

@@ -105,9 +105,10 @@ class TurnLeader:
         """Forget the move in progress: the link is gone."""
         self._move, self._resting = None, False
 
-    def skip(self) -> None:
-        """Leave out the next turn."""
-        self.left = self.left[1:]
+    def skip(self) -> WantedTurn:
+        """Leave out the next turn, and return it."""
+        skipped, *self.left = self.left
+        return skipped
 
     def next(self, now_s: float) -> list[Turn]:
         """Return the event of the next turn; none when no turn is left."""

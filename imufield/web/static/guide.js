@@ -215,9 +215,9 @@ function showPositions(places) {
   write("known", map.forecasts.length ? "" : text("accuracy_later"));
 }
 
-/** @param {{outcome: string, accepted: number, planned: number, missing: number, command: string, reason: string}} last */
+/** @param {{outcome: string, accepted: number, planned: number, lacking: string, command: string, reason: string}} last */
 function end(last) {
-  const { outcome, missing, reason } = last;
+  const { outcome, lacking, reason } = last;
   link.end();
   document.body.classList.remove("away");
   document.body.dataset.mood = outcome === "finished" ? "good" : "none";
@@ -226,7 +226,7 @@ function end(last) {
   at("back").classList.add("wanted");
   write("headline", text(outcome));
   write("side", "");
-  const lines = [reason, text("measured", last), missing ? text("missing", { missing }) : "", text(`${outcome}_${then}`)].filter(Boolean);
+  const lines = [reason, text("measured", last), lacking, text(`${outcome}_${then}`)].filter(Boolean);
   const command = then === "next" ? last.command.split(" ").flatMap((word) => [" ", make("span", {}, word)]) : [];
   at("details").replaceChildren(lines.join("\n"), make("code", {}, command));
   write("link", "");

@@ -7,6 +7,7 @@ import { text, when, withSigns } from "./texts.js";
 
 const PARAMETERS = "parameters.toml"; // Its button stands below the verdict, those of other files at the end.
 const MICRO_G = 9.80665e-6;
+const FEWEST_SOLVED = 6; // Positions, for a result at all.
 const FEWEST_CHECKED = 10; // Positions, for a result that is checked: see the pipeline of the program.
 const AXES = ["x", "y", "z"];
 const LARGEST_ZOOM = 8; // Closer there is nothing more to see in the blocks that the program makes.
@@ -145,6 +146,7 @@ export class SessionView {
     const row = this.row;
     const job = this.underWay();
     const [positions, missing] = [this.positions(), this.missing()];
+    const toSolve = FEWEST_SOLVED - (positions ?? FEWEST_SOLVED);
     const facts = !row
       ? text(row === null ? "noSession" : "listing")
       : [
@@ -154,7 +156,7 @@ export class SessionView {
           positions === null ? "" : text("ofPositions", { positions, planned: row.planned ?? positions }),
           row.state,
           row.verdict ? text("verdict", { verdict: row.verdict.toUpperCase() }) : text("notComputed"),
-          missing ? text("missing", { missing }) : "",
+          missing && (toSolve > 0 ? text("tooFew", { missing: toSolve }) : text("missing", { missing })),
         ]
           .filter(Boolean)
           .join(" · ");

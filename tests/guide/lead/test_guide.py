@@ -29,7 +29,7 @@ from imufield.guide.lead.state_table import State
 from imufield.guide.positions import scheme
 from imufield.guide.refusals import RefusalKind
 from imufield.samples import SampleUnits, Status, concatenate
-from tests.guide.guided import FACES, SHORT, faces_session, is_said_by, of, run, values_of
+from tests.guide.guided import FACES, SHORT, faces_session, is_said_by, key_of, of, run, values_of
 
 
 def test_a_whole_session_in_any_order(make_path: Any) -> None:
@@ -210,6 +210,8 @@ def test_marks_are_offered_that_do_something(make_path: Any) -> None:
     guide.link_lost()
     # Nobody can pause what is not there.
     assert "pause" not in guide.snapshot().marks
+    (answer,) = of(guide.mark("pause", guide.time_s), Marked)
+    assert key_of(answer.words) == "guide.nothing_to_pause"
     guide.mark("finish", guide.time_s)
     assert not {"pause", "finish"} & {*guide.snapshot().marks}
 

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from imufield.guide import refusals
-from imufield.guide.events import Done, Event, RefusalCode, Rejected, Turn, Turned
+from imufield.guide.events import Done, Event, Marked, RefusalCode, Rejected, Turn, Turned
 from imufield.guide.lead.guide import Guide
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.lead.turns import plan_turns
 from imufield.guide.positions import scheme
 from imufield.samples import Samples, SampleUnits, make_samples
-from tests.guide.guided import is_said_by, values_of
+from tests.guide.guided import is_said_by, key_of, values_of
 
 RATE = 100.0
 G = 9.80665
@@ -134,10 +134,12 @@ def test_turns_can_be_skipped_and_undone_sessions_end() -> None:
     events = guide.feed(samples[:700])
     for _ in range(5):
         events += guide.mark("skip", math.nan)
+    answers = []
     for _ in range(6):
-        events += guide.mark("skip", math.nan)
+        answers += guide.mark("skip", math.nan)
     assert guide.done
-    assert of(events, Done)
+    assert of(answers, Done)
+    assert [key_of(event.words) for event in of(answers, Marked)] == 6 * ["guide.skip_turn"]
 
 
 def test_the_plan() -> None:
