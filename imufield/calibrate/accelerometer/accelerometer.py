@@ -172,6 +172,7 @@ def calibrate_accelerometer(  # noqa: PLR0913 (the settings of `solve`, by keywo
         quality=judge(evidence),
         quadratic_fitted=chosen.quadratic,
         unobservable=evidence.unobservable,
+        left_out=hidden.left_out,
     )
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from imufield.calibrate.accelerometer.f_tests import Choice
 from imufield.calibrate.accelerometer.fit import Fit, FitData
 from imufield.calibrate.accelerometer.unfitted_terms import Unshown
-from imufield.calibrate.model.aliasing import HIGHER_COLUMNS
+from imufield.calibrate.model.aliasing import HIGHER_COLUMNS, LEFT_OUT_SHARES
 from imufield.calibrate.model.budget import Share, root_of
 from imufield.calibrate.model.uncertainty import rms
 from imufield.samples import FloatArray
@@ -93,13 +93,9 @@ def hidden_shares(hidden: Unshown, open_misalignments: int, freedom: float) -> I
     """
     yield Share(name="model_choice", kind="A", residuals=_RESIDUALS, degrees_of_freedom=freedom, sigma=_lengths(hidden.choice))
     first = HIGHER_COLUMNS.stop
-    terms = {
-        "nonlinearity": slice(first),
-        "misalignment_not_shown": slice(first, first + open_misalignments),
-        "quadratic_not_shown": slice(first + open_misalignments, None),
-    }
-    for name, columns in terms.items():
-        yield Share(name=name, kind="B", sigma=_lengths(hidden.typical[:, columns]))
+    columns = np.split(hidden.typical, [first, first + open_misalignments], axis=1)
+    for name, root in zip(("nonlinearity", *LEFT_OUT_SHARES), columns, strict=True):
+        yield Share(name=name, kind="B", sigma=_lengths(root))
 
 
 def gravity_share(sensitivity: FloatArray, sigma_m_s2: float) -> Share:

@@ -7,12 +7,13 @@ from numpy.typing import NDArray
 
 from imufield.calibrate.accelerometer.fit import Fit
 from imufield.calibrate.accelerometer.model_choice import VERDICT_LEVEL, ChosenModel
-from imufield.calibrate.model.aliasing import HIGHER_COLUMNS, open_terms, typical_higher
+from imufield.calibrate.model.aliasing import HIGHER_COLUMNS, LEFT_OUT_SHARES, open_terms, typical_entries, typical_higher
 from imufield.calibrate.model.coverage_factors import NORMAL_FACTOR_95, f_tail, student_factor
 from imufield.calibrate.model.grades import Grade
 from imufield.calibrate.model.higher_terms import KINDS, TERMS, HigherTerms, higher_scale
-from imufield.calibrate.model.models import PARAMETERS
-from imufield.dataclass import dataclass
+from imufield.calibrate.model.models import MISALIGNMENT, PARAMETERS, QUADRATIC, SCALE
+from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS, parameter_scale
+from imufield.dataclass import dataclass, field
 from imufield.samples import FloatArray
 
 
@@ -26,6 +27,8 @@ class Unshown:
     """Of them by typical terms, shape (15, l)."""
     higher: FloatArray
     """Of the higher terms in steps of ``higher_scale``, shape (12, l)."""
+    left_out: dict[str, FloatArray] = field(default_factory=dict)
+    """Of the parameters by entries that the positions leave open, these included, by the name of the share."""
 
     @property
     def parameters(self) -> FloatArray:
@@ -70,7 +73,16 @@ def unshown(
     alias = np.linalg.lstsq(fitted.jacobian / sigma, columns / sigma, rcond=None)[0]
     higher = shown @ alias[len(alias) - shown.shape[1] :]
     higher[:, HIGHER_COLUMNS] += typical_higher(typical)[:, None] * rest
-    return Unshown(by_choice, fitted.basis @ alias, higher)
+    moved = fitted.basis @ alias
+    # An entry that keeps its value is itself off by all of the term.
+    entries = np.array(LOWER_GAUGE_COLUMNS[6:])[is_open]
+    steps = parameter_scale(fitted.vector, gravity_m_s2)
+    steps[QUADRATIC] *= np.sign(fitted.vector[SCALE])
+    own = to_gauge[:, entries] * steps[entries] * typical_entries(typical)[is_open]
+    own[: MISALIGNMENT.start] = 0.0  # What the turn into the gauge makes of it there is of second order.
+    roots = np.split(moved[:, moved.shape[1] - len(entries) :] + own, [np.count_nonzero(is_open[:3])], axis=1)
+    left_out = {name: root for name, root in zip(LEFT_OUT_SHARES, roots, strict=True) if root.size}
+    return Unshown(by_choice, moved, higher, left_out)
 
 
 def _excess(fitted: Fit, shown: FloatArray, found_m_s2: FloatArray, typical: Grade) -> FloatArray:

@@ -163,6 +163,10 @@ def force_errors(observations: Observations, calibration: Calibration, rests: in
     steps = _DIFFERENCE * np.maximum(np.abs(p), np.concatenate([K, np.ones(9), K / 10]))
     by_parameters = np.stack([difference(np.eye(n)[k] * steps[k], np.zeros(3)) for k in range(n)], axis=2)
     covariance, with_gravity, by_gravity = _accelerometer_covariance(calibration)
+    # Known beforehand, so the gain does not weigh it.
+    for root in calibration.left_out.values():
+        fitted = root * np.any(covariance, axis=1)[:, None]
+        covariance -= fitted @ fitted.T
     tau = calibration.quality.between_position_sigma_m_s2
     noise = np.nan_to_num(observations.covariance_raw) + np.diag((tau * parameters.scale) ** 2)
     # The gain of the accelerometer fit: weighted least squares moves its parameters by -C J^T v / s^2 for noise in a mean.
@@ -184,6 +188,7 @@ def force_errors(observations: Observations, calibration: Calibration, rests: in
         rest=beyond + by_gravity,
         with_gravity=with_gravity,
         by_gravity=by_gravity,
+        left_out=calibration.left_out,
     )
 
 

@@ -30,6 +30,7 @@ import numpy as np
 
 from imufield.calibrate.gyroscope.move_integration import INVERSE, SENSITIVITY
 from imufield.calibrate.gyroscope.residuals import Evaluation, ForceErrors, GyroscopeData
+from imufield.calibrate.model.aliasing import LEFT_OUT_SHARES
 from imufield.calibrate.model.budget import Share
 from imufield.calibrate.model.models import PARAMETERS as ACCELEROMETER_PARAMETERS
 from imufield.calibrate.model.rotation import skew
@@ -58,7 +59,7 @@ SCATTER_SHARES = ("gyroscope_between_holds", "gyroscope_wander", "gyroscope_turn
 _RESIDUALS = "gyroscope"
 # Told by the scatter of few residuals; all others come from thousands of samples, from elsewhere, or from the accelerometer.
 _TOLD = (*SCATTER_SHARES, "g_sensitivity_not_fitted")
-_FROM_ELSEWHERE = ("gravity", "stops", "turntable", "earth_rate", "rate_nonlinearity")
+_FROM_ELSEWHERE = ("gravity", "stops", "turntable", "earth_rate", "rate_nonlinearity", *LEFT_OUT_SHARES)
 _INPUT_UNITS = {
     "gyroscope_within_hold": "rad/s",
     "gyroscope_moving": "rad",
@@ -160,7 +161,12 @@ def _accelerometer_shares(by_force: FloatArray, errors: ForceErrors) -> tuple[di
     with_both = by_parameters @ np.column_stack([errors.rest, errors.with_gravity])
     with_both[:, :ACCELEROMETER_PARAMETERS] += noisy @ gain
     gravity = by_parameters @ errors.by_gravity @ by_parameters.T
-    return {"accelerometer": noisy @ by_raw.reshape(rows, -1).T + rest, "gravity": gravity}, with_both
+    shares = {"accelerometer": noisy @ by_raw.reshape(rows, -1).T + rest, "gravity": gravity}
+    for name, root in errors.left_out.items():
+        by_term = by_parameters @ root
+        shares[name] = by_term @ by_term.T
+        with_both[:, :ACCELEROMETER_PARAMETERS] += by_term @ root.T
+    return shares, with_both
 
 
 def gyroscope_share(name: str, sigma: FloatArray, *, stills: int, accelerometer_freedom: float, input_sigma: float) -> Share:

@@ -70,6 +70,8 @@ class ForceErrors:
         Covariance of the parameters with gravity.
     by_gravity : ndarray, shape (15, 15)
         The part of ``rest`` that comes from gravity.
+    left_out : dict of ndarray, shape (15, k)
+        As of the calibration; no part of ``rest``.
     """
 
     by_noise: FloatArray
@@ -79,6 +81,7 @@ class ForceErrors:
     rest: FloatArray
     with_gravity: FloatArray
     by_gravity: FloatArray
+    left_out: dict[str, FloatArray]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

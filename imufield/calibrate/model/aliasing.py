@@ -29,12 +29,21 @@ from imufield.samples import FloatArray
 
 HIGHER_COLUMNS = slice(3, 3 + TERMS)
 """Of ``open_terms``."""
+LEFT_OUT_SHARES = ("misalignment_not_shown", "quadratic_not_shown")
+"""Names of the shares of the entries that positions leave open."""
 _PAIRS = ((0, 1), (0, 2), (1, 2))
 
 
 def typical_higher(typical: Grade) -> FloatArray:
     """Return 1 sigma of the higher terms, m/s^2 at 1 g, shape (12,)."""
     return STANDARD_GRAVITY_M_S2 * np.repeat([typical.cubic, typical.cross], [3, TERMS - 3])
+
+
+def typical_entries(typical: Grade) -> FloatArray:
+    """Return 1 sigma of three misalignments (xy, xz, yz) and three quadratic terms, m/s^2 at 1 g, shape (6,)."""
+    # The angle between two axes is the sum of two entries of T.
+    angle = math.sqrt(2) * typical.accelerometer.misalignment_rad
+    return STANDARD_GRAVITY_M_S2 * np.repeat([angle, typical.quadratic], 3)
 
 
 def open_terms(up: FloatArray, typical: Grade, is_open: NDArray[np.bool_]) -> FloatArray:
@@ -53,7 +62,6 @@ def open_terms(up: FloatArray, typical: Grade, is_open: NDArray[np.bool_]) -> Fl
     # Each axis adds its own reading to the norm by its share of the direction.
     columns = [typical.asymmetry * up * np.abs(up), typical.cubic * up**4]
     columns += [typical.cross * up * (up[:, j] * up[:, k])[:, None] for j, k in _PAIRS]
-    # The angle between two axes is the sum of two entries of T.
-    angles = math.sqrt(2) * typical.accelerometer.misalignment_rad * np.stack([up[:, j] * up[:, k] for j, k in _PAIRS], axis=1)
-    columns += [np.hstack([angles, typical.quadratic * up**3])[:, is_open]]
-    return STANDARD_GRAVITY_M_S2 * np.hstack(columns)
+    angles = np.stack([up[:, j] * up[:, k] for j, k in _PAIRS], axis=1)
+    entries = np.hstack([angles, up**3]) * typical_entries(typical)
+    return np.hstack([STANDARD_GRAVITY_M_S2 * np.hstack(columns), entries[:, is_open]])

@@ -275,6 +275,11 @@ class Calibration:
     """None where the parameters are known at one temperature only."""
     budget: tuple[Share, ...] = ()
     """What the diagonal of ``covariance`` is the sum of, in the order of ``covariance_names``; empty in files of before."""
+    left_out: dict[str, FloatArray] = field(default_factory=dict)
+    """Roots of what typical terms that the positions leave open do to the 15 parameters, their own entries included, (15, k).
+
+    By the name of the share. Not in files.
+    """
 
     @property
     def model(self) -> ModelChoice:

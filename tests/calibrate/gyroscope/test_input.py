@@ -1,0 +1,42 @@
+"""What the accelerometer's calibration does not show reaches the gyroscope."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from gyroscope_sessions import ratios, simulate
+
+from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
+from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
+from imufield.calibrate.model.budget import combined_sigma
+from imufield.calibrate.model.gauge import change_gauge, turn_gyroscope
+from imufield.calibrate.model.models import to_vector
+from imufield.calibrate.model.result import Gauge
+from imufield.simulate.truth.grades import GRADES, draw_truth
+
+FACES = np.vstack([np.eye(3), -np.eye(3)])[[0, 4, 2, 3, 1, 5, 1, 3, 5, 0, 2, 4]]
+
+
+@pytest.mark.parametrize("gauge", ["lower", "upper", "symmetric"])
+def test_a_misalignment_of_the_accelerometer_that_faces_hide_is_in_the_sigma(gauge: Gauge) -> None:
+    found = []
+    for seed in range(1, 6):
+        session = simulate(seed, positions=FACES, hold_s=6.0)
+        observations, gravity = session.given.observations, session.calibration.gravity
+        calibration = calibrate_accelerometer(observations, gravity, grade="mems", gauge=gauge)
+        result = calibrate_gyroscope(replace(session.given, calibration=calibration, grade="mems"))
+        true = to_vector(draw_truth(GRADES["mems"], np.random.default_rng([seed, 7])).accelerometer)
+        # The session's truth is in the lower gauge.
+        between = change_gauge(true, gauge).rotation @ change_gauge(true, "lower").rotation.T
+        turned = replace(session, truth=turn_gyroscope(session.truth, between))
+        found.append(ratios(turned, result)[3:9])
+        assert "misalignment_not_shown" in {share.name for share in result.budget}
+        assert combined_sigma(result.budget) ** 2 == pytest.approx(np.diag(result.covariance), rel=1e-9)
+        joined = result.join(calibration).covariance
+        size = np.sqrt(np.diag(joined))
+        size[size == 0] = 1.0  # what the gauge fixes
+        assert np.linalg.eigvalsh(joined / np.outer(size, size)).min() > -1e-9
+    assert 0.6 < np.sqrt(np.mean(np.square(found))) < 1.3
+    assert np.abs(found).max() < 3.5
