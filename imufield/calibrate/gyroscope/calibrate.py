@@ -22,7 +22,7 @@ import numpy as np
 from imufield.calibrate.gyroscope.fit import fit_jointly
 from imufield.calibrate.gyroscope.input import GyroscopeInput, handedness_error, make_data, refuse_dead, refuse_foreign
 from imufield.calibrate.gyroscope.model_choice import FULL, GyroscopeModel, check_linearity, choose_model
-from imufield.calibrate.gyroscope.move_integration import INVERSE, PARAMETERS, rough_inverse
+from imufield.calibrate.gyroscope.move_integration import INVERSE, PARAMETERS, arranged_inverse, rough_inverse
 from imufield.calibrate.gyroscope.observability import Observability, observe, told_by
 from imufield.calibrate.gyroscope.residuals import VERTICAL, GyroscopeData, evaluate
 from imufield.calibrate.gyroscope.result import (
@@ -50,6 +50,8 @@ from imufield.samples import FloatArray
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
+
+_NO_START_RAD = 0.35  # 20 deg: right axes with a bias of 1 m/s^2 on each accelerometer axis miss by 14.
 
 
 def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -> GyroscopeResult:
@@ -80,16 +82,8 @@ def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -
     data = make_data(given)
     refuse_dead(given, data)
     preset = given.preset_inverse()
-    rough = rough_inverse(data.moves, preset) if len(data.moves.before) else None
-    starts = [A for A in (preset, rough) if A is not None]
-    if not starts:
-        raise CalibrationError(sentence("calibrate.no_scale"), Reason.UNOBSERVABLE)
-    if preset is not None and rough is not None:
-        refuse_foreign(data, rough, preset)
-    elif np.linalg.det(starts[0]) <= 0:
-        raise handedness_error()
-    # From a preset of half the scale, as of another range, the fit runs to another minimum.
-    start = min((_start_at(A, data) for A in starts), key=lambda p: rms(evaluate(p, data).residual[: 2 * len(given.moves)]))
+    estimate = _first_estimate(data, preset)
+    start = _start_at(estimate, data)
     observability = observe(start, data, known=preset is not None)
     start = _with_hidden(start, preset, observability)
     warnings: tuple[str, ...] = ()
@@ -107,7 +101,7 @@ def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -
         )
         data = replace(data, stops=moves[whole], stop_sigma_rad=sigma[whole])
     chosen = choose_model(data, start, observability, model)
-    while (told := told_by(chosen.fit, None if given.turntable else rough, observability)) != observability:
+    while (told := told_by(chosen.fit, None if given.turntable else estimate, observability)) != observability:
         observability, start = told, _with_hidden(start, preset, told)
         chosen = choose_model(data, start, observability, model)
     fitted = chosen.fit
@@ -130,6 +124,31 @@ def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -
             warnings=warnings,
         )
     )
+
+
+def _first_estimate(data: GyroscopeData, preset: FloatArray | None) -> FloatArray:
+    """Return the A with which the moves carry up best from still to still; refuse a preset that another one contradicts."""
+    moves, estimates = data.moves, [] if preset is None else [preset]
+    if len(moves):
+        estimates.append(rough_inverse(moves, preset))
+    if not estimates:
+        raise CalibrationError(sentence("calibrate.no_scale"), Reason.UNOBSERVABLE)
+    # From a preset of half the scale, as of another range, the fit runs to another minimum.
+    misses = [_misses_rad(A, data) for A in estimates]
+    if min(misses) > _NO_START_RAD:
+        estimates.append(arranged_inverse(moves, data.up))
+        misses.append(_misses_rad(estimates[-1], data))
+    best = estimates[int(np.argmin(misses))]
+    if preset is not None and len(moves):
+        refuse_foreign(data, best, preset)
+    elif np.linalg.det(best) <= 0:
+        raise handedness_error()
+    return best
+
+
+def _misses_rad(A: FloatArray, data: GyroscopeData) -> float:
+    """Return how far the moves end from where the stills have gravity, RMS."""
+    return rms(evaluate(_start_at(A, data), data).angle_error_rad(data.up[data.moves.after]))
 
 
 def _start_at(A: FloatArray, data: GyroscopeData) -> FloatArray:

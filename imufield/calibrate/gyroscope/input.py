@@ -226,9 +226,9 @@ def refuse_dead(given: GyroscopeInput, data: GyroscopeData) -> None:
         raise CalibrationError(noisy_moves, Reason.UNOBSERVABLE, axes=", ".join(AXES))
 
 
-def refuse_foreign(data: GyroscopeData, rough: FloatArray, preset: FloatArray) -> None:
-    """Refuse a preset that turns clearly slower, faster or the other way than the accelerometer shows."""
-    expected, shown = data.moves.slots.turn @ preset.T, data.moves.slots.turn @ rough.T
+def refuse_foreign(data: GyroscopeData, estimate: FloatArray, preset: FloatArray) -> None:
+    """Refuse a preset that turns clearly slower, faster or the other way than an A that the stills bear out."""
+    expected, shown = data.moves.slots.turn @ preset.T, data.moves.slots.turn @ estimate.T
     energy = np.sum(expected**2, axis=0)
     moved = energy > _MOVED * energy.sum()
     ratio = np.sum(expected * shown, axis=0)[moved] / energy[moved]

@@ -21,9 +21,19 @@ from __future__ import annotations
 import numpy as np
 
 from imufield.calibrate.gyroscope.moves import Moves
-from imufield.calibrate.model.rotation import cross, exponential, matrix, product, right_jacobian, running_turns, skew
+from imufield.calibrate.model.rotation import (
+    cross,
+    exponential,
+    matrix,
+    misfits_rad,
+    product,
+    right_jacobian,
+    running_turns,
+    signed_permutations,
+    skew,
+)
 from imufield.dataclass import dataclass, replace
-from imufield.samples import FloatArray, median
+from imufield.samples import FloatArray, IntArray, median
 
 PARAMETERS = 21
 INVERSE = slice(0, 9)
@@ -31,6 +41,8 @@ BIAS = slice(9, 12)
 SENSITIVITY = slice(12, 21)
 _LEAST_SHOWN = 0.3  # Of the length of what is shown best: less is the hand's acceleration rather than the turn.
 _WINDOW_S = 0.1  # Over which a rough inverse takes the specific force to turn at one rate.
+# Total angle turned over the angle between the ups, as the range in which an unknown scale is searched, in steps of 9 %.
+_TURNS_OF_UP = np.geomspace(0.5, 4.0, 25)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -175,13 +187,9 @@ def rough_inverse(moves: Moves, preset: FloatArray | None = None) -> FloatArray:
 
     A vector fixed in space turns in the body as ``da/dt = a x w``, so ``a_2 - a_1 = a x A turn`` for a short window: linear in
     the nine entries. The acceleration of the hand disturbs it; what comes out is good to 10 or 20 %, signs and order of
-    the axes included.
+    the axes included. Where the hand is quick and far from the unit it is good for nothing (``arranged_inverse``).
     """
-    slots = moves.slots
-    elapsed = np.cumsum(slots.duration_s) - slots.duration_s
-    chain = np.repeat(np.arange(len(moves)), moves.length)
-    window = np.floor((elapsed - elapsed[moves.first][chain]) / _WINDOW_S).astype(np.int64)
-    starts = np.concatenate(([0], np.flatnonzero((np.diff(window) != 0) | (np.diff(chain) != 0)) + 1))
+    slots, starts = moves.slots, _windows(moves)
     T = np.add.reduceat(slots.duration_s, starts)
     force = np.add.reduceat(slots.force, starts) / T[:, None]
     turn = np.add.reduceat(slots.turn, starts)
@@ -201,3 +209,30 @@ def rough_inverse(moves: Moves, preset: FloatArray | None = None) -> FloatArray:
     rest = (change * weight[:, None]).reshape(-1) - rows.reshape(-1, 9) @ A
     A = A + np.linalg.lstsq(rows.reshape(-1, 9), rest, rcond=None if preset is None else _LEAST_SHOWN)[0]
     return np.asarray(A.reshape(3, 3), dtype=np.float64)
+
+
+def arranged_inverse(moves: Moves, up: FloatArray) -> FloatArray:
+    """Return A of the arrangement of the axes, and one scale, with which centred moves carry up from still to still best.
+
+    No acceleration disturbs that. Shape (3, 3); ``up`` of each still, shape (s, 3).
+    """
+    starts = _windows(moves)
+    move = np.searchsorted(moves.first, starts, side="right") - 1
+    place = np.arange(len(starts)) - np.searchsorted(starts, moves.first)[move]
+    turns = np.zeros((len(moves), int(place.max()) + 1, 3))
+    turns[move, place] = np.add.reduceat(moves.slots.turn, starts)
+    before, after, permutations = up[moves.before], up[moves.after], signed_permutations()
+    needed = np.arctan2(np.linalg.norm(cross(before, after), axis=1), np.sum(before * after, axis=1)).sum()
+    scales = np.linalg.norm(turns, axis=2).sum() / max(float(needed), 1e-9) / _TURNS_OF_UP
+    misfit = np.vstack([misfits_rad(turns, before, after, permutations=permutations, scales=scale[None]) for scale in scales])
+    row, column = np.unravel_index(int(misfit.argmin()), misfit.shape)
+    return np.asarray(permutations[column] / scales[row])
+
+
+def _windows(moves: Moves) -> IntArray:
+    """Return the first slot of each window of the moves."""
+    duration_s = moves.slots.duration_s
+    elapsed = np.cumsum(duration_s) - duration_s
+    chain = np.repeat(np.arange(len(moves)), moves.length)
+    window = np.floor((elapsed - elapsed[moves.first][chain]) / _WINDOW_S).astype(np.int64)
+    return np.concatenate(([0], np.flatnonzero((np.diff(window) != 0) | (np.diff(chain) != 0)) + 1))

@@ -93,13 +93,13 @@ def observe(p: FloatArray, data: GyroscopeData, *, known: bool) -> Observability
     return found
 
 
-def told_by(fit: JointFit, rough: FloatArray | None, observability: Observability) -> Observability:
+def told_by(fit: JointFit, estimate: FloatArray | None, observability: Observability) -> Observability:
     """Return what is left of the observability behind a fit.
 
     Parameters
     ----------
     fit : JointFit
-    rough : ndarray, shape (3, 3), or None
+    estimate : ndarray, shape (3, 3), or None
         A where a fit of moves alone must end, roughly.
     observability : Observability
 
@@ -109,11 +109,11 @@ def told_by(fit: JointFit, rough: FloatArray | None, observability: Observabilit
         As ``observe``.
     """
     entries = fit.free < INVERSE.stop
-    free, size = fit.free[entries], _sizes(fit.p[INVERSE].reshape(3, 3) if rough is None else rough)
+    free, size = fit.free[entries], _sizes(fit.p[INVERSE].reshape(3, 3) if estimate is None else estimate)
     off = np.sqrt(np.diag(fit.covariance)[entries])
-    if rough is not None and not turns_tell_scatter(fit.scatter, fit.evaluation.jacobian[:, fit.free], fit.parts):
+    if estimate is not None and not turns_tell_scatter(fit.scatter, fit.evaluation.jacobian[:, fit.free], fit.parts):
         # Another minimum may have no less sense, and no residual tells of it.
-        off = np.maximum(off, np.abs(fit.p[free] - rough.ravel()[free]))
+        off = np.maximum(off, np.abs(fit.p[free] - estimate.ravel()[free]))
     lost = free[~(off < WORST_FITTED * size[free])]
     left = replace(observability, hidden=tuple(sorted({*observability.hidden, *lost.tolist()})))
     _require_known_scales(left)

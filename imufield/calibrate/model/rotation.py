@@ -17,6 +17,7 @@ References
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -219,3 +220,39 @@ def _running(running: FloatArray, length: IntArray) -> FloatArray:
     before = np.roll(_running(products[-1].copy(), blocks), 1, axis=0)
     before[first_block[length > 0]] = (1.0, 0.0, 0.0, 0.0)
     return multiply(before.T.take(at, axis=1).T, filled.take(places, axis=1).T)
+
+
+def signed_permutations() -> FloatArray:
+    """Return the 48 signed permutation matrices, shape (48, 3, 3)."""
+    orders, signs = itertools.permutations(range(3)), list(itertools.product((1.0, -1.0), repeat=3))
+    return np.array([np.eye(3)[list(order)] * np.array(sign)[:, None] for order in orders for sign in signs])
+
+
+def misfits_rad(
+    turns_raw: FloatArray, before: FloatArray, after: FloatArray, *, permutations: FloatArray, scales: FloatArray
+) -> FloatArray:
+    """Return how far directions fixed in the room end from where they are after turns: RMS angle over the m moves.
+
+    Parameters
+    ----------
+    turns_raw : ndarray, shape (m, k, 3)
+        Rotation vectors of the intervals, raw; zeros fill up shorter moves.
+    before, after : ndarray, shape (m, 3)
+        The direction in the body frame, unit vectors.
+    permutations : ndarray, shape (p, 3, 3)
+        Signed ones; right turns = permutation @ given turns.
+    scales : ndarray, shape (n,)
+        Raw per rad.
+
+    Returns
+    -------
+    ndarray, shape (n, p)
+    """
+    turned = exponential(turns_raw / scales[:, None, None, None])
+    # A permutation P of determinant d gives exp(P w) = P exp(d w) P^T, so all 48 need two chains of turns: of w and of -w.
+    chains = np.stack([total_turn(turned), total_turn(conjugate(turned))], axis=1)
+    mirrored = np.linalg.det(permutations) < 0
+    back = conjugate(chains)[:, mirrored.astype(int)]
+    up = np.einsum("pij,spmj->spmi", permutations, rotate(back, np.einsum("pji,mj->pmi", permutations, before)))
+    sine = np.linalg.norm(cross(up, after), axis=-1)
+    return np.asarray(np.sqrt(np.mean(np.arctan2(sine, (up * after).sum(axis=-1)) ** 2, axis=-1)))

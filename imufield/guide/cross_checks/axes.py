@@ -16,13 +16,12 @@ unit the gyroscope's noise is none of a unit at rest, they are found as if its s
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections import deque
 
 import numpy as np
 
-from imufield.calibrate.model.rotation import conjugate, cross, exponential, rotate, total_turn
+from imufield.calibrate.model.rotation import misfits_rad, signed_permutations
 from imufield.dataclass import dataclass, replace
 from imufield.errors import CalibrationError, Reason
 from imufield.guide import refusals
@@ -260,12 +259,6 @@ def _arrange(moves: list[MoveBetweenStills], scale: float) -> AxesCheck:
     )
 
 
-def signed_permutations() -> FloatArray:
-    """Return the 48 signed permutation matrices, shape (48, 3, 3)."""
-    orders, signs = itertools.permutations(range(3)), list(itertools.product((1.0, -1.0), repeat=3))
-    return np.array([np.eye(3)[list(order)] * np.array(sign)[:, None] for order in orders for sign in signs])
-
-
 def _misfit(moves: list[MoveBetweenStills], permutations: FloatArray, scales: FloatArray) -> FloatArray:
     """Return the RMS angle between predicted and measured up for each scale and permutation, rad, shape (n, 48)."""
     # Filled up with cells that turn about nothing, all moves are one array.
@@ -273,14 +266,7 @@ def _misfit(moves: list[MoveBetweenStills], permutations: FloatArray, scales: Fl
     for row, move in zip(rates, moves, strict=True):
         row[: len(move.rate_raw)] = move.rate_raw
     before, after = (np.array([getattr(move, name) for move in moves]) for name in ("up_before", "up_after"))
-    turned = exponential(rates * (CELL_S / scales)[:, None, None, None])
-    # A permutation P of determinant d gives exp(P w) = P exp(d w) P^T, so all 48 need two chains of turns: of w and of -w.
-    chains = np.stack([total_turn(turned), total_turn(conjugate(turned))], axis=1)
-    mirrored = np.linalg.det(permutations) < 0
-    back = conjugate(chains)[:, mirrored.astype(int)]
-    up = np.einsum("pij,spmj->spmi", permutations, rotate(back, np.einsum("pji,mj->pmi", permutations, before)))
-    sine = np.linalg.norm(cross(up, after), axis=-1)
-    return np.asarray(np.sqrt(np.mean(np.arctan2(sine, (up * after).sum(axis=-1)) ** 2, axis=-1)))
+    return misfits_rad(rates * CELL_S, before, after, permutations=permutations, scales=scales)
 
 
 def _find_scale(moves: list[MoveBetweenStills]) -> float:

@@ -13,9 +13,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from imufield.calibrate.model.rotation import signed_permutations
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.guide import refusals
-from imufield.guide.cross_checks.axes import axes_words, signed_permutations
+from imufield.guide.cross_checks.axes import axes_words
 from imufield.guide.positions import angle_deg, nearest_cube_direction
 from imufield.guide.refusals import Refusal
 from imufield.guide.stillness.noise_floor import NoiseFloor

@@ -304,7 +304,29 @@ def simulate_ring(directions: FloatArray) -> GyroscopeInput:
     return GyroscopeInput(observations=observations, moves=moves, calibration=None, latitude_deg=45.0)  # type: ignore[arg-type]
 
 
-def test_wrong_unit_and_handedness_are_refused(session: Session) -> None:
+def swung(given: GyroscopeInput, arm_m: float) -> GyroscopeInput:
+    """Return the session as the accelerometer sees it so far from the hand: of the moves' specific force nothing is gravity."""
+    slots = given.moves.slots
+    duration_s, arm = slots.duration_s[:, None], arm_m * np.array([1.0, 0.6, -0.4])
+    rate = slots.turn / duration_s
+    swing = np.cross(np.gradient(rate, axis=0) / duration_s, arm) + np.cross(rate, np.cross(rate, arm))
+    return replace(given, moves=replace(given.moves, slots=replace(slots, force=slots.force + swing * duration_s)))
+
+
+@pytest.mark.parametrize("unit", ["rad/s", "count"])
+def test_the_acceleration_of_the_hand_contradicts_no_gyroscope(session: Session, result: GyroscopeResult, unit: str) -> None:
+    """A right one was said to have another hand; of one whose scale nobody knows only that acceleration told the start."""
+    given = swung(session.given, 1.0)
+    assert np.abs(rough_inverse(make_data(given).moves, np.eye(3)) - np.eye(3)).max() > 0.5
+    units = replace(given.observations.units, gyroscope=unit)
+    found = calibrate_gyroscope(replace(given, observations=replace(given.observations, units=units))).calibration
+    change = vector(found.parameters) - vector(result.calibration.parameters)
+    assert np.abs(change / vector(result.calibration.sigma)).max() < 1
+
+
+@pytest.mark.parametrize("arm_m", [0.0, 1.0])
+def test_wrong_unit_and_handedness_are_refused(session: Session, arm_m: float) -> None:
+    session = replace(session, given=swung(session.given, arm_m))
     with refused(CalibrationError, Reason.UNITS, key="input.foreign_scale") as caught:
         calibrate_gyroscope(replace(session.given, nominal_scale=57.3))
     assert min(caught.value.values["ratio"]) > 3

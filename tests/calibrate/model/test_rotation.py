@@ -12,11 +12,13 @@ from imufield.calibrate.model.rotation import (
     from_matrix,
     logarithm,
     matrix,
+    misfits_rad,
     multiply,
     one_rotation_matrix,
     product,
     right_jacobian,
     running_turns,
+    signed_permutations,
     skew,
     total_turn,
 )
@@ -91,3 +93,23 @@ def test_one_rotation_matrix_is_that_of_its_quaternion() -> None:
     for size in (0.0, 1e-9, 0.3, 3.0):
         vector = size * np.array([2.0, -1.0, 2.0]) / 3
         np.testing.assert_allclose(one_rotation_matrix(vector), matrix(exponential(vector)), atol=1e-15)
+
+
+def test_there_are_48_arrangements_24_of_them_left_handed() -> None:
+    found = signed_permutations()
+    assert len({tuple(one.ravel()) for one in found}) == 48
+    assert (np.linalg.det(found) < 0).sum() == 24
+    np.testing.assert_allclose(found @ found.transpose(0, 2, 1), np.tile(np.eye(3), (48, 1, 1)))
+
+
+def test_misfits_are_those_of_each_arrangement_and_scale() -> None:
+    random = np.random.default_rng(8)
+    turns, (before, after) = random.standard_normal((4, 6, 3)), random.standard_normal((2, 4, 3))
+    before, after = (up / np.linalg.norm(up, axis=1)[:, None] for up in (before, after))
+    permutations, scales = signed_permutations(), np.array([1.0, 2.0])
+    found = misfits_rad(turns, before, after, permutations=permutations, scales=scales)
+    for row, scale in enumerate(scales):
+        for column, P in enumerate(permutations):
+            carried = matrix(total_turn(exponential(turns @ P.T / scale))).transpose(0, 2, 1) @ before[:, :, None]
+            angle = np.arccos(np.sum(carried[:, :, 0] * after, axis=1))
+            assert found[row, column] == pytest.approx(np.sqrt(np.mean(angle**2)))

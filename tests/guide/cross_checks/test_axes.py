@@ -5,8 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from imufield.calibrate.model.rotation import signed_permutations
 from imufield.errors import CalibrationError, Reason
-from imufield.guide.cross_checks.axes import MoveLog, axes_words, check_axes, signed_permutations
+from imufield.guide.cross_checks.axes import MoveLog, axes_words, check_axes
 from imufield.guide.refusals import AXES_DIFFER, AXES_LEFT_HANDED, AXES_OPEN, MOTIONLESS, SCALE_AND_AXES, SCALE_DIFFERS
 from imufield.guide.stillness.detector import StillnessDetector
 from imufield.guide.stillness.scale import RoughScale
@@ -33,13 +34,6 @@ def _moves_of(samples: Samples) -> Any:
         for judgement in detector.judge(cells):
             log.follow(judgement, detector.stretch.mean)
     return log.moves(scale)
-
-
-def test_there_are_48_arrangements_24_of_them_left_handed() -> None:
-    found = signed_permutations()
-    assert len({tuple(one.ravel()) for one in found}) == 48
-    assert (np.linalg.det(found) < 0).sum() == 24
-    np.testing.assert_allclose(found @ found.transpose(0, 2, 1), np.tile(np.eye(3), (48, 1, 1)))
 
 
 def test_right_axes_agree(moves: Any) -> None:
