@@ -126,6 +126,7 @@ FROZEN = RefusalKind(RefusalCode.FROZEN, "refusals.frozen", "refusals.frozen_rem
 DEAD_AXIS = RefusalKind(RefusalCode.INVALID, "refusals.dead_axis", "refusals.dead_axis_remedy", "raw unit")
 GRAVITY = RefusalKind(RefusalCode.GRAVITY, "refusals.gravity", "refusals.gravity_remedy", "m/s^2")
 CLOCK_FORWARD = RefusalKind(RefusalCode.CLOCK_JUMP, "refusals.clock_forward", "refusals.clock_remedy", "s")
+CLOCK_SET = RefusalKind(RefusalCode.CLOCK_JUMP, "refusals.clock_set", "refusals.clock_remedy", "%")
 CLOCK_BACK = RefusalKind(RefusalCode.CLOCK_JUMP, "refusals.clock_back", "refusals.clock_remedy", "s")
 RATE = RefusalKind(RefusalCode.RATE, "refusals.rate", "refusals.rate_remedy", "Hz")
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from imufield.acquire.clock.clock import Arrival, Arrivals, Clock, filled_in
-from imufield.acquire.clock.missing_samples import LEARN_FROM, StepRule
-from imufield.acquire.clock.stamp_clock import MeanStep, StampClock
+from imufield.acquire.clock.missing_samples import LEARN_FROM, StepRule, steps_in_silence
+from imufield.acquire.clock.stamp_clock import MeanStep, StampClock, steps_between
 from imufield.acquire.decode.assembly import RawBlock, Ticks, join
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
@@ -24,6 +26,7 @@ class CanSentTime(Clock):
         self._early: list[RawBlock] = []
         self._started = False
         self._last = 0.0
+        self._last_stamp_s = math.nan  # Of the bus.
 
     def push(self, block: RawBlock, arrivals: Arrival | Arrivals) -> Samples | None:  # noqa: ARG002  the instrument tells the time
         """Return the samples whose time is settled now, None if there are none."""
@@ -48,14 +51,19 @@ class CanSentTime(Clock):
 
     def _time(self, block: RawBlock) -> Samples:
         step_s = self._steps.step or 1.0
-        stamped = self._stamps.time(self._filled(block.ticks, step_s * self._rule.time_ticks_per_s), step_s)
+        ticks = self._filled(block.ticks, step_s * self._rule.time_ticks_per_s)
+        silence_s = steps_between(block.stamp_s, self._last_stamp_s)
+        self._last_stamp_s = float(block.stamp_s[-1])
+        stamped = self._stamps.time(ticks, lambda row: steps_in_silence(silence_s[row], step_s) * step_s)
         lost = self._steps.examine(stamped.step_s).lost
-        flags = np.where(lost > 0, np.uint32(Status.AFTER_GAP), np.uint32(0))
-        flags[stamped.reset] |= np.uint32(Status.GAP_ESTIMATED | Status.CLOCK_SET)
+        is_set = stamped.reset & (stamped.step_s <= step_s)
+        flags = np.where((lost > 0) & ~stamped.reset, np.uint32(Status.AFTER_GAP), np.uint32(0))
+        flags[stamped.reset] |= np.uint32(Status.GAP_ESTIMATED)
+        flags[is_set] |= np.uint32(Status.CLOCK_SET)
         statistics = self._statistics
         statistics.samples_lost += int(lost.sum())
         statistics.gaps += int(np.count_nonzero(flags))
-        statistics.clock_resets += int(np.count_nonzero(stamped.reset))
+        statistics.clock_resets += int(np.count_nonzero(is_set))
         mean_s = self._mean.by_stamps(stamped, self._steps.step)
         statistics.nominal_rate_hz = 1 / mean_s if mean_s else None
         return self._timed(block, stamped.time_s, flags)

@@ -20,6 +20,8 @@ _RELEARN_AFTER = 16  # Equal irregular steps in a row: at 2000 Hz 8 ms, and no p
 _SHORTEST_S = 1e-6  # No instrument sends a million samples per second; steps below are rounding.
 TOLERANCE = 0.25
 """Time stamps may jitter by this part of a step and still count as equal."""
+FREE_LAG_S = 0.25
+"""Lag, or silence, that counts as loss where neither counter nor time tells of one: above the usual delays of a busy host."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,3 +114,8 @@ class StepRule:
 
     def _may_be_step(self, value: float) -> bool:
         return any(abs(value - step) <= self._jitter for step in self._allowed) if self._allowed else value > _SHORTEST_S
+
+
+def steps_in_silence(silence_s: float, step_s: float) -> int:
+    """Return how many regular steps a silence before an instrument began anew takes; 1 where it was none, or is not known."""
+    return max(round(silence_s / step_s), 1) if silence_s > FREE_LAG_S and step_s > 0 else 1

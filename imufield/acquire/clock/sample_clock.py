@@ -8,7 +8,8 @@ Three sources, in this order of trust:
   back until it is clear whether the lag is a burst of late data (nothing is missing) or whole wraps are;
 * the *host clock*: samples in even steps at the measured rate, kept to the line of earliest arrivals.
 
-Time never runs backwards. A time stamp that does (the instrument restarted, or set its clock) becomes a gap. On a CAN bus
+Time never runs backwards. A time stamp that does (the instrument restarted, or set its clock) becomes a gap, as long as the
+silence before it by the host's clock. On a CAN bus
 ``can_clock`` unwraps counters, and ``can_sent_time`` time stamps.
 """
 
@@ -20,7 +21,7 @@ import numpy as np
 
 from imufield.acquire.clock.clock import Arrival, Arrivals, Clock, Reads
 from imufield.acquire.clock.host_lag import LossWatch, TimedBlock
-from imufield.acquire.clock.missing_samples import LEARN_FROM, StepRule
+from imufield.acquire.clock.missing_samples import FREE_LAG_S, LEARN_FROM, StepRule, steps_in_silence
 from imufield.acquire.clock.stamp_clock import MeanStep, StampClock, Stamped, steps_between
 from imufield.acquire.decode.assembly import NO_TICKS, RawBlock, join
 from imufield.acquire.decode.statistics import DecoderStatistics
@@ -31,7 +32,6 @@ from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
 
-_FREE_LAG_S = 0.25  # Lag that counts as loss where there is no counter: above the usual delays of a busy host.
 _HALF_A_SAMPLE = 0.5
 _MEASURE_RATE_S = 0.5  # Host time over which the rate is first measured where the instrument sends neither counter nor time.
 # Part by which the stated rate of increments may differ from the learned one: coarse time stamps learn badly.
@@ -142,7 +142,8 @@ class SampleClock(Clock):
             self._last_counter = int(first.counter[0]) - int(self._steps.step)
             self._stamped_step_s = _usual(first_steps_s)
             self._stamped_tick_s = self._stamped_step_s / self._steps.step
-            self._tick_rate_hz = self._rule.counter_ticks_per_s or self._rule.rate_hz or 1.0
+            told_hz = self._rule.counter_ticks_per_s or self._rule.rate_hz
+            self._tick_rate_hz = told_hz or 1 / (self._stamped_tick_s or 1.0)
             self.by_rate = not self._has_time and self._tick_rate_hz == self._rule.rate_hz
         elif self._has_time:
             self._steps.learn(first_steps_s)
@@ -151,7 +152,7 @@ class SampleClock(Clock):
         self._ticks = -int(self._steps.step)
         self._unit_ticks = self._rule.counter_modulus if self._has_counter else 1
         unit_s = self._unit_ticks / self._tick_rate_hz
-        self._watch = LossWatch(unit_s, unit_s / 2 if self._has_counter else _FREE_LAG_S)
+        self._watch = LossWatch(unit_s, unit_s / 2 if self._has_counter else FREE_LAG_S)
         self._check_interval(len(first))
         early, self._early = self._early, []
         return [timed for block, arrival_s in early for timed in self._settle(block, [(len(block), arrival_s)])]
@@ -186,7 +187,9 @@ class SampleClock(Clock):
 
     def _time(self, block: RawBlock, reads: Reads) -> TimedBlock:
         """Put one block on the clock."""
-        stamped = self._stamps.time(block.ticks, self._step_s) if self._has_time else None
+        stamped = None
+        if self._has_time:
+            stamped = self._stamps.time(block.ticks, lambda row: self._steps_of_silence(row, reads) * self._step_s)
         return self._time_evenly(block, stamped) or self._time_with_gaps(block, stamped, reads)
 
     def _time_evenly(self, block: RawBlock, stamped: Stamped | None) -> TimedBlock | None:
@@ -243,12 +246,15 @@ class SampleClock(Clock):
     def _time_with_gaps(self, block: RawBlock, stamped: Stamped | None, reads: Reads) -> TimedBlock:
         flags = np.zeros(len(block), dtype=np.uint32)
         ticks = self._counter_steps(block) if self._has_counter else block.lost_before + 1
-        by_silence = self._as_arrival_allows(ticks, reads) if self._has_counter and stamped is None else []
+        by_silence = self._as_arrival_allows(ticks, stamped, reads) if self._has_counter else []
         steps = ticks.astype(np.float64)
         if stamped is not None:
             time_s = stamped.time_s
-            flags[stamped.reset] |= np.uint32(Status.GAP_ESTIMATED | Status.CLOCK_SET)
-            self._statistics.clock_resets += int(np.count_nonzero(stamped.reset))
+            flags[stamped.reset] |= np.uint32(Status.GAP_ESTIMATED)
+            lasted = stamped.step_s > self._step_s
+            flags[stamped.reset & ~lasted] |= np.uint32(Status.CLOCK_SET)
+            self._statistics.clock_resets += int(np.count_nonzero(stamped.reset & ~lasted))
+            by_silence += np.flatnonzero(stamped.reset & lasted).tolist()
             # The counter is exact but goes round; the stamps beside it tell how often it did.
             steps = self._add_wraps(steps, stamped.step_s) if self._has_counter else stamped.step_s
             self._learn_mean(stamped, steps if self._has_counter else None)
@@ -293,24 +299,33 @@ class SampleClock(Clock):
         self._last_counter = int(block.counter[-1])
         return (steps - 1) % self._rule.counter_modulus + 1
 
-    def _as_arrival_allows(self, ticks: IntArray, reads: Reads) -> list[int]:
-        """Correct steps of a counter that arrival disproves, in place, and return their rows.
+    def _as_arrival_allows(self, ticks: IntArray, stamped: Stamped | None, reads: Reads) -> list[int]:
+        """Correct steps of a counter that arrival, or the time stamp beside it, disproves, in place, and return their rows.
 
         Nothing arrives before it was measured: at such a step the instrument began to count anew, or noise passed the
         checksum. As many samples are missing as the silence before it had room for.
         """
         step, rows = int(self._steps.step), []
         for row in np.flatnonzero(ticks > _DISPROVED_S * self._tick_rate_hz).tolist():
-            number = next(number for number, (end, _) in enumerate(reads) if end > row)
-            begin, before_s = reads[number - 1] if number else (0, self._watch.last_arrival_s)
-            end, arrival_s = reads[number]
-            time_s = float(self._time_of(self._ticks + ticks[: row + 1].sum()))
-            if self._watch.baseline.lag_s(arrival_s, time_s) < -_DISPROVED_S:
-                # Up to the last sample of the read, whose arrival it is; a read within usual delays was not silent before.
-                silence_s = arrival_s - before_s - (end - 1 - row) * self._step_s if row == begin else 0.0
-                ticks[row] = step * (round(silence_s / self._step_s) if silence_s > _FREE_LAG_S else 1)
+            if self._begins_anew(ticks, row, reads) if stamped is None else stamped.reset[row]:
+                ticks[row] = step * self._steps_of_silence(row, reads)
                 rows.append(row)
         return rows
+
+    def _begins_anew(self, ticks: IntArray, row: int, reads: Reads) -> bool:
+        """Whether a sample arrived before it was measured, by the steps of the counter."""
+        arrival_s = next(arrival_s for end, arrival_s in reads if end > row)
+        time_s = float(self._time_of(self._ticks + ticks[: row + 1].sum()))
+        return self._watch.baseline.lag_s(arrival_s, time_s) < -_DISPROVED_S
+
+    def _steps_of_silence(self, row: int, reads: Reads) -> int:
+        """Return how many regular steps the silence before a row takes; 1 where there was none, or arrival is not known."""
+        number = next(number for number, (end, _) in enumerate(reads) if end > row)
+        begin, before_s = reads[number - 1] if number else (0, self._watch.last_arrival_s)
+        end, arrival_s = reads[number]
+        # Up to the last sample of the read, whose arrival it is; within a read nothing was silent.
+        silence_s = arrival_s - before_s - (end - 1 - row) * self._step_s if row == begin else 0.0
+        return steps_in_silence(silence_s, self._step_s)
 
     def _add_wraps(self, steps: FloatArray, step_s: FloatArray) -> FloatArray:
         """Return the steps of a counter with the whole wraps that the time stamps beside it show."""
@@ -336,6 +351,7 @@ class SampleClock(Clock):
                 if not self._has_time:
                     self._follow_host(timed.time_s[at:end], arrival_s)
                 elif math.isfinite(arrival_s):
+                    self._watch.last_arrival_s = arrival_s
                     self._watch.baseline.add(arrival_s, last_s)
                 at = end
                 continue

@@ -7,6 +7,7 @@ and host, ``can_sent_time`` gives them to the samples of a bus; ``host_lag`` com
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import TypeVar
 
 import numpy as np
@@ -32,7 +33,7 @@ class Stamped:
 
     time_s: FloatArray
     step_s: FloatArray
-    """Time since the sample before; the regular step where the clock was set anew. Shape (n,)."""
+    """Time since the sample before; the step assumed where the clock was set anew. Shape (n,)."""
     reset: NDArray[np.bool_]
     """Where the time stamp ran backwards or leapt ahead. Shape (n,)."""
     range_s: tuple[float, float] | None = None
@@ -68,17 +69,17 @@ class StampClock:
         self._time_s = self._raw_s = self._last / self._ticks_per_s
         return np.diff(stamps) / self._ticks_per_s
 
-    def time(self, stamps: Ticks, regular_s: float) -> Stamped:
+    def time(self, stamps: Ticks, step_over: Callable[[int], float]) -> Stamped:
         """Return the time of the next n samples.
 
         Parameters
         ----------
         stamps : ndarray of int64 or float64, shape (n,)
             As sent.
-        regular_s : float
-            Step to assume where the instrument's clock was set anew, s.
+        step_over : callable
+            Returns the step to assume, s, to the row where the instrument's clock was set anew.
         """
-        return self._time_forward(stamps) or self._time_with_jumps(stamps, regular_s)
+        return self._time_forward(stamps) or self._time_with_jumps(stamps, step_over)
 
     def _time_forward(self, stamps: Ticks) -> Stamped | None:
         """Return the time of stamps that only go forward, nearly always; None where they do not."""
@@ -96,7 +97,7 @@ class StampClock:
         self._last, self._raw_s, self._time_s = stamps[-1].item(), raw_s.item(-1), time_s.item(-1)
         return Stamped(time_s, step_s, np.zeros(len(stamps), dtype=np.bool_), (lowest_s, highest_s))
 
-    def _time_with_jumps(self, stamps: Ticks, regular_s: float) -> Stamped:
+    def _time_with_jumps(self, stamps: Ticks, step_over: Callable[[int], float]) -> Stamped:
         stamps = self._unwrap(self._without_garbage(stamps))
         raw_s: FloatArray = np.divide(stamps, self._ticks_per_s, dtype=np.float64)
         step_s = steps_between(raw_s, self._raw_s)
@@ -104,8 +105,8 @@ class StampClock:
         offset_s = np.full(len(stamps), self._offset_s)
         for place in reset.nonzero()[0].tolist():
             before_s = raw_s[place - 1] + offset_s[place - 1] if place else self._raw_s + self._offset_s
-            offset_s[place:] = before_s + regular_s - raw_s[place]
-            step_s[place] = regular_s
+            step_s[place] = step_over(place)
+            offset_s[place:] = before_s + step_s[place] - raw_s[place]
         # Between times far apart the offset is coarser than a step, which must not turn time back.
         time_s = np.maximum.accumulate(np.maximum(raw_s + offset_s, self._time_s))
         self._raw_s, self._offset_s, self._time_s = float(raw_s[-1]), float(offset_s[-1]), float(time_s[-1])

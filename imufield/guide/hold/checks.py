@@ -125,6 +125,7 @@ def explain_flags(cells: Cells, share: float, limit: float) -> Refusal:
         (Status.INSTRUMENT_FAULT, refusals.FAULT),
         (Status.ACCELEROMETER_INVALID, refusals.ACCELEROMETER_INVALID),
         (Status.GYROSCOPE_INVALID, refusals.GYROSCOPE_INVALID),
+        (Status.CLOCK_SET, refusals.CLOCK_SET),
     ):
         if flags & flag:
             return kind.refusal(percent, limit_percent)

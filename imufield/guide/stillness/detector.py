@@ -52,7 +52,7 @@ from imufield.guide.stillness.noise_floor import (
 )
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import JudgedCell, Judgement, Phase, Standard, Stretch, Tracker
-from imufield.samples import median
+from imufield.samples import Status, median
 
 # No more than this of a stretch is kept: beyond the minimum of the Allan deviation a hold gains nothing.
 LONGEST_KEPT_S = 60.0
@@ -209,6 +209,8 @@ class StillnessDetector:
         means = cells.mean[start:].tolist()
         slots = cells.slot[start:].tolist()
         full = (cells.usable[start:] >= USABLE_SHARE * standard.usual_samples).tolist()
+        # Nobody knows how long it took to set the clock, nor whether the instrument was off meanwhile.
+        timed = ((cells.flags[start:] & np.uint32(Status.CLOCK_SET)) == 0).tolist()
         for offset, mean in enumerate(means):
             gap = 1 if self._slot is None else slots[offset] - self._slot
             if full[offset]:
@@ -217,7 +219,7 @@ class StillnessDetector:
                     tracker.follow(
                         JudgedCell(cells, start + offset, ratio[offset], mean),
                         # One lost cell between two is bridged.
-                        unbroken=gap in (1, 2),
+                        unbroken=gap in (1, 2) and timed[offset],
                         bias=self._bias,
                     )
                     for tracker, ratio in zip(self._trackers, vibration, strict=True)

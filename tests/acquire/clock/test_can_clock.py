@@ -343,6 +343,23 @@ def test_stamps_of_the_instrument() -> None:
     assert not (samples.status & Status.TIME_ESTIMATED).any()
 
 
+@pytest.mark.parametrize("block", [7, 50, 4000])
+def test_an_instrument_that_begins_anew_is_a_gap_as_long_as_the_silence(block: int) -> None:
+    numbers = np.concatenate([np.arange(1234), np.arange(2000)])
+    rule = ClockRule(time_ticks_per_s=1e6)
+    stamp_s = np.arange(3234) / 100.0
+    stamp_s[1234:] += 3.0
+    samples, statistics = run(stamp_s, ticks=numbers * 1e4, rule=rule, block=block)
+    np.testing.assert_allclose(samples.time_s, stamp_s, atol=0.011)
+    assert (statistics.samples_lost, statistics.gaps, statistics.clock_resets) == (300, 1, 0)
+    assert np.flatnonzero(samples.status).tolist() == [1234]
+    assert int(samples.status[1234]) == Status.GAP_ESTIMATED
+    # A log without time tells of no silence.
+    samples, statistics = run(np.zeros(3234), ticks=numbers * 1e4, rule=rule, block=block)
+    assert (statistics.samples_lost, statistics.clock_resets) == (0, 1)
+    assert np.flatnonzero(samples.status & Status.CLOCK_SET).tolist() == [1234]
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_cuts_do_not_matter(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -183,30 +183,50 @@ def test_time_stamps_wrap_and_restart() -> None:
 
 
 COUNTED = ClockRule(counter_field="counter", counter_modulus=65536, rate_hz=100.0)
+STAMPED = ClockRule(time_field="time", time_ticks_per_s=1000.0)
+# Nobody told the rate of the counter.
+BOTH = ClockRule(counter_field="counter", counter_modulus=2**32, time_field="time", time_ticks_per_s=1000.0)
 
 
-def counted(counter: np.ndarray, arrival_s: np.ndarray, size: int) -> tuple[Samples, DecoderStatistics]:
-    """Run samples of a 16-bit counter at 100 Hz, read by ``size``; a block has two reads."""
+def counted(
+    counter: np.ndarray, arrival_s: np.ndarray, size: int, rule: ClockRule = COUNTED
+) -> tuple[Samples, DecoderStatistics]:
+    """Run samples at 100 Hz with a counter, a time of ten ticks a count, or both, read by ``size``; a block has two reads."""
     blocks = []
     for at in range(0, len(counter), 2 * size):
-        part = arrival_s[at : at + 2 * size]
+        part, counts = arrival_s[at : at + 2 * size], counter[at : at + 2 * size]
         ends = np.array(sorted({min(size, len(part)), len(part)}))
-        blocks.append((block(counter[at : at + 2 * size] % 65536), Arrivals(ends, part[ends - 1])))
+        ticks = counts * 10 if rule.time_field else None
+        raw = block(counts % rule.counter_modulus if rule.counter_field else None, ticks)
+        blocks.append((raw, Arrivals(ends, part[ends - 1])))
     statistics = DecoderStatistics()
-    clock = SampleClock(COUNTED, SampleUnits(), statistics)
+    clock = SampleClock(rule, SampleUnits(), statistics)
     done = [*(clock.push(*each) for each in blocks), clock.flush()]
     return concatenate([samples for samples in done if samples is not None]), statistics
 
 
 @pytest.mark.parametrize("size", [1, 5, 7])
-def test_a_counter_that_begins_anew_is_a_gap_as_long_as_the_silence(size: int) -> None:
+@pytest.mark.parametrize("rule", [COUNTED, STAMPED, BOTH])
+def test_an_instrument_that_begins_anew_is_a_gap_as_long_as_the_silence(rule: ClockRule, size: int) -> None:
     arrival_s = np.concatenate([np.arange(2870), np.arange(3000) + 3870]) / 100 + 50
-    samples, statistics = counted(np.concatenate([np.arange(2870), np.arange(3000)]), arrival_s, size)
+    samples, statistics = counted(np.concatenate([np.arange(2870), np.arange(3000)]), arrival_s, size, rule)
     assert statistics.samples_lost == pytest.approx(1000, abs=2 * size)
+    assert statistics.gaps == 1
+    assert statistics.clock_resets == 0
     assert np.ptp(samples.time_s) == pytest.approx(68.69, abs=0.02 * size)
     (gap,) = np.flatnonzero(samples.status & GAP)
     assert gap == 2870
-    assert int(samples.status[gap] & GAP) == Status.GAP_ESTIMATED
+    assert int(samples.status[gap]) == Status.GAP_ESTIMATED
+
+
+@pytest.mark.parametrize("rule", [STAMPED, BOTH])
+def test_a_time_set_back_without_a_silence_is_no_loss(rule: ClockRule) -> None:
+    numbers = np.concatenate([np.arange(2870) + 1000, np.arange(3000)])
+    samples, statistics = counted(numbers, np.arange(5870) / 100 + 50, 7, rule)
+    assert statistics.samples_lost == 0
+    assert statistics.clock_resets == 1
+    np.testing.assert_allclose(np.diff(samples.time_s), 0.01, atol=1e-9)
+    assert np.flatnonzero(samples.status & Status.CLOCK_SET).tolist() == [2870]
 
 
 @pytest.mark.parametrize("size", [1, 5, 7])

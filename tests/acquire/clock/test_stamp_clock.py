@@ -12,7 +12,7 @@ from imufield.acquire.protocol.samples_and_clock import ClockRule
 def run(stamps: np.ndarray, rule: ClockRule, size: int) -> tuple[np.ndarray, np.ndarray]:
     clock = StampClock(rule)
     clock.start(stamps[:size])
-    parts = [clock.time(stamps[at : at + size], 0.01) for at in range(0, len(stamps), size)]
+    parts = [clock.time(stamps[at : at + size], lambda _: 0.01) for at in range(0, len(stamps), size)]
     return np.concatenate([part.time_s for part in parts]), np.concatenate([part.reset for part in parts])
 
 

@@ -153,6 +153,14 @@ def test_one_lost_cell_is_bridged_and_two_are_not(make_path: Any) -> None:
     assert len(found) == 2
 
 
+def test_a_clock_that_is_set_ends_a_still(make_path: Any) -> None:
+    samples = make_path(100.0).hold([0, 0, 1], 12).samples()
+    assert len(stretches(samples)[0]) == 1
+    samples.status[700] |= np.uint32(Status.CLOCK_SET)
+    found, _ = stretches(samples)
+    assert [round(one.cells().start_s[0], 1) for one in found] == [0.0, 7.0]
+
+
 def test_activity_names_triad_axis_value_and_limit(make_path: Any) -> None:
     path = make_path(200.0).hold([0, 0, 1], 8)
     samples = path.samples()
