@@ -37,8 +37,6 @@ from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
 
-# No position is accepted first while the temperature changes faster than this: the bias of a chip would follow it.
-_WARM_UP_DEGC_MIN = 0.5
 _SILENT_S = 1.0  # A hold that ends within this time (guard bands off) was a pause in a turn; nobody needs to hear of it.
 _IN_A_ROW = 2  # Holds that end by motion before the guide says what to do otherwise.
 # Refusals that pass if the unit is left where it is.
@@ -50,7 +48,6 @@ _PASSING = (
     RefusalCode.START_UP,
     RefusalCode.TREMBLING,
     RefusalCode.SWAYING,
-    RefusalCode.WARMING_UP,
 )
 # Nobody puts a unit down again within this while the link is gone; one that nobody touched stays within a tenth of it.
 _MOVED_UNSEEN_DEG = 0.5
@@ -137,7 +134,6 @@ class GuideActions:
         self.watch = StreamWatch(self.detector, self.speaker)
         self.resting = Resting()
         self.announced = False  # Whether the noise floor was announced.
-        self.goes_on_cold = False  # The operator does not wait for the temperature.
         self.judgement: Judgement | None = None
         self._lingering = Lingering()
         self._sides = SidesCheck()
@@ -243,6 +239,7 @@ class GuideActions:
     def recognise(self) -> Input:
         """Find the position that the unit is in."""
         plan = self.plan
+        self.hold.refusal = None
         direction = self.detector.scale.up(np.array(self.detector.stretch.mean[:3]))
         pending, nearest = plan.nearest(direction, pending=True), plan.nearest(direction, pending=False)
         if nearest is None:
@@ -256,7 +253,8 @@ class GuideActions:
             self.speaker.reject(self._sides.note(asked, direction, chosen=bool(plan.accepted)))
         if pending is not None and pending.angle_deg <= plan.tolerance_deg:
             self.hold.position = pending.index
-            return Input.NEAR
+            self.hold.refusal = self.watch.warmth.refusal()
+            return Input.NEAR if self.hold.refusal is None else Input.REFUSED
         if nearest.angle_deg <= plan.tolerance_deg:
             self.hold.refusal = refusals.ALREADY_DONE.refusal(
                 nearest.angle_deg,
@@ -293,7 +291,8 @@ class GuideActions:
     def count(self) -> Input | None:
         """Count the cells of a hold; when there are enough, check whether enough remain after trimming."""
         hold, speaker = self.hold, self.speaker
-        if hold.evaluate():
+        # By the first hold the slope of the temperature may not be known yet.
+        if hold.evaluate() and self.watch.warmth.is_known:
             return Input.LONG_ENOUGH
         if hold.position is not None and speaker.due("holding", REPEAT_S):
             speaker.say(Holding(speaker.now_s, self.plan.position(hold.position).name, hold.fraction, hold.left_s))
@@ -303,16 +302,13 @@ class GuideActions:
         """Examine the hold."""
         hold = self.hold
         measured = hold.measured
-        hold.refusal = None
-        if measured is not None:
+        hold.refusal = self.watch.warmth.refusal()
+        if hold.refusal is None and measured is not None:
             found = examine(measured) or check_gravity(measured.cells.mean[:, :3].mean(axis=0), measured.scale)
             hold.output = output = HoldOutput.of(measured.cells)
             self.watch.outputs.add(output, again=hold.again_at is not None and hold.again_at == hold.position)
             hold.refusal = self.watch.outputs.refusal(output, found)
             self.take_back()
-        slope, is_first = self.watch.warmth.slope_degc_min, not self.plan.accepted
-        if hold.refusal is None and is_first and not self.goes_on_cold and abs(slope) > _WARM_UP_DEGC_MIN:
-            hold.refusal = refusals.WARMING_UP.refusal(abs(slope), _WARM_UP_DEGC_MIN, slope=slope)
         if hold.refusal is None:
             return Input.GOOD
         return Input.AGAIN if hold.refusal.reason in _PASSING else Input.REFUSED
@@ -448,8 +444,13 @@ class GuideActions:
         self.resting.lift()
         self._lingering = Lingering()
 
-    def rest(self) -> None:
-        """Wait for the unit to be moved."""
+    def rest(self) -> Input | None:
+        """Wait for the unit to be moved, or for its temperature to be steady where nothing else is in the way."""
+        refusal = self.hold.refusal
+        if refusal is None or refusal.reason is not RefusalCode.WARMING_UP or self.watch.warmth.refusal():
+            return None
+        self.detector.restart()
+        return Input.AGAIN
 
     def pause(self) -> None:
         """Stop measuring."""

@@ -27,7 +27,7 @@ class State(Enum):
     JUDGING = "judging"
     """Passing: is the hold good?"""
     RESTING = "resting"
-    """Still, but nothing more to measure here: waiting for the unit to be moved."""
+    """Still, but nothing to measure here: waiting for the unit to be moved, or for its temperature to be steady."""
     ROLLING = "rolling"
     """The positions are done: whole turns for the gyroscope."""
     PAUSED = "paused"

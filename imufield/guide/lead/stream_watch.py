@@ -18,6 +18,7 @@ from imufield.guide.events import RefusalCode
 from imufield.guide.hold.checks import explain_flags
 from imufield.guide.lead.advice import gyroscope_scale_advice
 from imufield.guide.lead.speaker import REMIND_S, Speaker
+from imufield.guide.refusals import Refusal
 from imufield.guide.stillness.cells import Cells
 from imufield.guide.stillness.detector import USABLE_SHARE, StillnessDetector
 from imufield.guide.stillness.noise_floor import FLOOR_S, is_even, measure_floor, why_not_quiet
@@ -31,8 +32,10 @@ _RATE_REMIND_S = 6 * REMIND_S  # A rate that changed stays so.
 _JUMP_S = 2.0  # A gap in the sample clock that is told: a suspended computer, an instrument that began anew.
 _WAIT = 2  # Lengths of a noise floor waited for before anybody is told why.
 _IN_VAIN = 5  # The same before the settings come under suspicion.
+_LARGEST_DEGC_MIN = 0.5  # The bias of a chip follows its temperature.
 _WARMTH_CELLS = 300  # Half a minute: a longer one still sees a warm-up that is over.
 _FEWEST_OF_WARMTH = 60  # Six seconds tell a slope of 1 degC/min from a step of 0.01 degC.
+_FEWEST_READINGS = 5  # An instrument that sends it once a second has as many by then.
 _STILLS_KEPT = 200  # Far more than tell an offset; memory does not grow with the session.
 
 
@@ -41,30 +44,40 @@ class Warmth:
 
     def __init__(self) -> None:
         self._degc: deque[float] = deque(maxlen=_WARMTH_CELLS)
+        self.goes_on_cold = False  # The operator does not wait for the temperature.
 
     def follow(self, cells: Cells, row: int) -> None:
-        """Add one cell; a NaN temperature is ignored."""
-        value = float(cells.temperature_degc[row])
-        if math.isfinite(value):
-            self._degc.append(value)
+        """Add one cell; its temperature may be NaN."""
+        self._degc.append(float(cells.temperature_degc[row]))
 
     def clear(self) -> None:
         """Forget the temperatures: time has passed that was not observed."""
         self._degc.clear()
 
     @property
+    def is_known(self) -> bool:
+        """Whether there are enough cells for a slope, or none is needed."""
+        return self.goes_on_cold or len(self._degc) >= _FEWEST_OF_WARMTH or not np.isfinite(self._degc).any()
+
+    @property
     def slope_degc_min(self) -> float:
         """Slope of a straight line less twice its sigma towards zero, degC per minute; 0 while not known."""
         window = np.array(self._degc)
-        if len(window) < _FEWEST_OF_WARMTH:
+        known = np.flatnonzero(np.isfinite(window))
+        if len(window) < _FEWEST_OF_WARMTH or len(known) < _FEWEST_READINGS:
             return 0.0
-        time_min = (np.arange(len(window)) - (len(window) - 1) / 2) * CELL_S / 60
+        window, time_min = window[known], (known - known.mean()) * CELL_S / 60
         spread = float(time_min @ time_min)
         slope = float(time_min @ window) / spread
         residual = window - window.mean() - slope * time_min
         # Readings come in steps and repeat from cell to cell: a tenth of them counts.
         sigma = math.sqrt(float(residual @ residual) / max(len(window) / 10 - 2, 1) / spread)
         return math.copysign(max(abs(slope) - 2 * sigma, 0.0), slope)
+
+    def refusal(self) -> Refusal | None:
+        """Return why no hold counts at this temperature; None where one does, or the operator does not wait."""
+        slope = 0.0 if self.goes_on_cold else self.slope_degc_min
+        return refusals.WARMING_UP.beyond(abs(slope), _LARGEST_DEGC_MIN, slope=slope)
 
 
 class StreamWatch:

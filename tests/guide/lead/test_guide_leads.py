@@ -403,24 +403,55 @@ def test_a_wrong_latitude_shows_against_an_earlier_calibration(make_path: Any, l
     assert isinstance(events[-1], Done)
 
 
-def warming(make_path: Any, slope_degc_min: float) -> Samples:
-    samples = make_path(100.0).hold([0, 0, 1], 40).samples()
-    samples.temperature_degc[:] = 20 + np.round(slope_degc_min / 60 * samples.time_s, 2)
+def warming(make_path: Any, slope_degc_min: float, from_s: float = 0.0, to_s: float = math.inf) -> Samples:
+    """Hold three sides for 30 s each while the temperature changes for some of the time."""
+    path = make_path(100.0).hold([0, 0, 1], 30).turn([1, 0, 0], 2).hold([1, 0, 0], 28).turn([0, 1, 0], 2).hold([0, 1, 0], 28)
+    samples = path.samples()
+    samples.temperature_degc[:] = 20 + np.round(slope_degc_min / 60 * np.clip(samples.time_s - from_s, 0, to_s - from_s), 2)
     return samples
 
 
-def test_nothing_is_accepted_while_the_unit_warms_up_unless_the_operator_says_so(make_path: Any) -> None:
-    guide, events = feed(warming(make_path, 2.0), hold_s=8.0)
+@pytest.mark.parametrize("slope_degc_min", [2.0, -30.0])
+@pytest.mark.parametrize("hold_s", [3.0, 8.0, None])
+def test_nothing_is_accepted_while_the_temperature_changes(make_path: Any, hold_s: float | None, slope_degc_min: float) -> None:
+    guide, events = feed(warming(make_path, slope_degc_min), hold_s=hold_s)
     refused = of(events, Rejected)
     assert {event.reason for event in refused} == {RefusalCode.WARMING_UP}
-    assert refused[0].measured == pytest.approx(2.0, rel=0.2)
+    assert refused[0].measured == pytest.approx(abs(slope_degc_min), rel=0.2)
     assert len(guide.observations()) == 0
-    assert len(feed(warming(make_path, 0.3), hold_s=8.0)[0].observations()) == 1
+    # Nothing asks to hold still, and nobody who moves on hears that a hold ended too early.
+    assert [event.position for event in of(events, Hold)] == ["+z"]
+    assert [event.position for event in refused] == ["+z", "+x", "+y"]
+
+
+def test_a_slow_change_of_temperature_is_none(make_path: Any) -> None:
+    assert len(feed(warming(make_path, 0.3), hold_s=8.0)[0].observations()) == 3
+
+
+def test_a_later_change_of_temperature_is_waited_for(make_path: Any) -> None:
+    guide, events = feed(warming(make_path, 3.0, 20.0, 32.0), hold_s=3.0)
+    assert guide.observations().name == ("+z", "+x", "+y")
+    assert [event.position for event in of(events, Rejected)] == ["+x"]
+    # The line through half a minute sees what is over, in part.
+    assert 40 < guide.observations().start_s[1] < 60
+
+
+def test_the_operator_may_measure_while_the_temperature_changes(make_path: Any) -> None:
     samples = warming(make_path, 2.0)
     guide = Guide(scheme("faces6"), samples.units, settings=GuideSettings(hold_s=8.0))
-    guide.mark("go_on", 10.0)
-    guide.feed(samples)
-    assert len(guide.observations()) == 1
+    guide.mark("go_on", 15.0)
+    events = guide.feed(samples)
+    assert len(of(events, Rejected)) == 1
+    # At once, where the unit lies.
+    assert guide.observations().name == ("+z", "+x", "+y")
+    assert 15 < guide.observations().start_s[0] < 17
+
+
+def test_without_a_temperature_nothing_is_waited_for(make_path: Any) -> None:
+    samples = warming(make_path, 2.0)
+    samples.temperature_degc[:] = np.nan
+    _, events = feed(samples, hold_s=3.0)
+    assert of(events, Accepted)[0].time_s < 4
 
 
 def test_a_jump_of_the_clock_is_told(make_path: Any) -> None:

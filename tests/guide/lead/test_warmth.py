@@ -28,6 +28,11 @@ def test_steps_of_the_sensor_are_no_slope(make_path: Any) -> None:
     assert abs(slope(make_path, lambda time_s: 25 + rng.normal(0, 0.1, len(time_s)))) < 0.2
 
 
+def test_a_temperature_that_comes_once_a_second_has_the_same_slope(make_path: Any) -> None:
+    seldom = slope(make_path, lambda time_s: np.where(np.arange(len(time_s)) % 50 == 7, 25 + 2 / 60 * time_s, np.nan))
+    assert seldom == pytest.approx(2.0, rel=0.02)
+
+
 def test_what_is_not_known_is_no_slope(make_path: Any) -> None:
     assert slope(make_path, lambda time_s: np.full(len(time_s), np.nan)) == 0
     assert slope(make_path, lambda time_s: 25 + time_s, seconds=4.0) == 0
