@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import os
 import re
+import signal
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -41,6 +44,43 @@ def test_help_has_an_example(command: str, monkeypatch: pytest.MonkeyPatch, caps
     assert "<bool>" not in shown
     assert run([command, "-h"]) == 0
     assert capsys.readouterr().out == shown
+
+
+class Dropping:
+    """Python drops what is raised when it is deleted."""
+
+    def __del__(self) -> None:
+        signal.raise_signal(signal.SIGTERM)
+
+
+class Wrapping:
+    """Python 3.11 makes a RuntimeError of what is raised when a class is made with it."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        signal.raise_signal(signal.SIGTERM)
+
+
+def drop(_: list[str]) -> int:
+    for _number in range(2):
+        Dropping()
+    time.sleep(60)
+    return 0
+
+
+def wrap(_: list[str]) -> int:
+    type("Owner", (), {"field": Wrapping()})
+    return 0
+
+
+@pytest.mark.parametrize("command", [drop, wrap])
+def test_a_signal_ends_the_program_wherever_it_comes(
+    command: Callable[[list[str]], int], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    handlers = [signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGALRM)]
+    monkeypatch.setattr("imufield.cli.run.run_line", command)
+    assert run(["sessions"]) == EXIT_INTERRUPTED
+    assert capsys.readouterr().err == "imufield: interrupted.\n"
+    assert [signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGALRM)] == handlers
 
 
 @pytest.mark.parametrize(

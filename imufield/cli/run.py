@@ -18,6 +18,7 @@ from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
 
+_AGAIN_S = 0.01  # Until an interrupt that was dropped is raised again: what dropped it takes microseconds.
 RECORDING_COMMANDS = ("capture", "record", "demo")
 
 
@@ -36,10 +37,30 @@ def _signals_as_interrupts() -> Iterator[None]:
     heard = [number for number in numbers if signal.getsignal(number) != signal.SIG_IGN]
     previous = [(number, signal.signal(number, _raise_interrupted)) for number in heard]
     try:
-        yield
+        with _dropped_interrupts_again():
+            yield
     finally:
         for number, handler in previous:
             signal.signal(number, handler)
+
+
+@contextlib.contextmanager
+def _dropped_interrupts_again() -> Iterator[None]:
+    """Raise an interrupt again that Python drops: in a destructor, or in what a weak reference calls, as at every import."""
+    previous = sys.unraisablehook
+    with contextlib.ExitStack() as undone:
+
+        def hear(dropped: sys.UnraisableHookArgs) -> None:
+            if isinstance(dropped.exc_value, KeyboardInterrupt) and hasattr(signal, "setitimer"):
+                undone.callback(signal.signal, signal.SIGALRM, signal.signal(signal.SIGALRM, _raise_interrupted))
+                undone.callback(signal.setitimer, signal.ITIMER_REAL, 0)
+                signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
+            else:
+                previous(dropped)
+
+        undone.callback(setattr, sys, "unraisablehook", previous)
+        sys.unraisablehook = hear
+        yield
 
 
 def run(arguments: list[str]) -> int:
@@ -86,6 +107,11 @@ def _run(arguments: list[str]) -> int:
         return error.exit_code
     except KeyboardInterrupt as interrupt:
         return _interrupted(arguments, interrupt)
+    except RuntimeError as error:
+        # Python 3.11 makes one of what is raised while a class is made.
+        if not isinstance(error.__cause__, KeyboardInterrupt):
+            raise
+        return _interrupted(arguments, error)
     except SystemExit as leave:
         if isinstance(leave.__context__, BrokenPipeError):
             # typer leaves with 1 then, which is kept for defects.
