@@ -42,6 +42,7 @@ _TOKEN = re.compile(
     re.DOTALL,
 )
 _BRACE = re.compile("[{}]")
+_HEADER = re.compile(r"^[^\S\n]{0,100}\[[\w.\"' \[\]-]{1,200}\][^\S\n]{0,100}(?:#|$)", re.MULTILINE)
 # More digits than Python makes a number of.
 _ENDLESS_NUMBER = re.compile("(?<![0-9_])[0-9_]{4300}")
 
@@ -127,9 +128,11 @@ def line_of(text: str, place: Place) -> int:
 def _behind_key(text: str, at: int, name: str) -> int | None:
     # Few blanks, and a comment passed over as a whole: a text that is made to be slow is looked at once all the same.
     key = re.compile(rf"(?<![\w-])[\"']?{re.escape(name)}[\"']?[^\S\n]{{0,100}}[=.\]]")
+    header = _HEADER.search(text, at)
+    own = header.start() if header else len(text)  # Behind it, a value is another table's.
     while found := key.search(text, at):
         line = text[text.rfind("\n", 0, found.start()) + 1 : found.start()]
-        if not line.lstrip().startswith("#"):
+        if not line.lstrip().startswith("#") and (found.start() < own or not found[0].endswith("=")):
             return found.end()
         at = text.find("\n", found.end())
         if at < 0:

@@ -171,6 +171,7 @@ def parse_protocol(
     rules = read_rules(top.table("settings"))
     chosen = choose_settings(rules, settings or {}, read or {}, source)
     top.settings = {name: setting.value for name, setting in chosen.items()}
+    top.given = [name for name, setting in chosen.items() if setting.origin == "given"]
     return replace(_build(top, chosen), rules=rules)
 
 

@@ -10,12 +10,12 @@ A value may be written out, or taken from a setting::
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from functools import lru_cache
 from typing import Self, TypeVar
 
 from imufield.dataclass import dataclass, field
-from imufield.errors import ProtocolError, Reason
+from imufield.errors import ProtocolError, Reason, SettingError
 from imufield.sentences import Sentence, Sentences, shortened
 from imufield.toml_and_json import Place, line_of, parse_toml
 
@@ -47,13 +47,18 @@ class Source:
         """Return the error for the value at ``path``; its key and values are those of the problem."""
         key = ".".join(map(str, path)) or "(whole file)"
         message = sentence("toml.place", label=self.label, line=line_of(self.text, path), key=key, problem=problem)
-        if isinstance(problem, Sentence):
-            message.key, message.values = problem.key, {**problem.values, "key": key}
-        return ProtocolError(message, reason)
+        return ProtocolError(_about(message, problem, key), reason)
 
     def parse(self) -> dict[str, object]:
         """Parse the text as TOML; raises ProtocolError as ``parse_toml``."""
         return {key: _copy(value) for key, value in _parsed(self.text, self.label).items()}
+
+
+def _about(message: Sentence, problem: str, key: str) -> Sentence:
+    """Return a message with the key and the values of the problem that it names."""
+    if isinstance(problem, Sentence):
+        message.key, message.values = problem.key, {**problem.values, "key": key}
+    return message
 
 
 def _copy(value: object) -> object:
@@ -80,10 +85,18 @@ class Table:
     path: Place
     source: Source
     settings: Mapping[str, object] = field(default_factory=dict)
+    given: Collection[str] = ()
+    """The settings that the user gave."""
     _known: set[str] = field(default_factory=set)
 
     def error(self, key: str, problem: str, reason: Reason | None = None) -> ProtocolError:
-        """Return the error for ``key`` of this table."""
+        """Return the error for ``key`` of this table: a SettingError where its value is a setting that the user gave."""
+        found = self.values.get(key)
+        name = found.get("setting") if isinstance(found, dict) else None
+        if isinstance(name, str) and name in self.given:
+            value = spell(self.settings[name])
+            message = sentence("toml.given", name=name, label=self.source.label, value=value, problem=problem)
+            return SettingError(_about(message, problem, name), reason)
         return self.source.error((*self.path, key) if key else self.path, problem, reason)
 
     def has(self, key: str) -> bool:
@@ -204,7 +217,7 @@ class Table:
         """Return a table from a value that must be one."""
         if not isinstance(found, dict):
             raise self.source.error((*self.path, *path), sentence("toml.table", found=_shown(found)))
-        return Table(values=found, path=(*self.path, *path), source=self.source, settings=self.settings)
+        return Table(values=found, path=(*self.path, *path), source=self.source, settings=self.settings, given=self.given)
 
     def _of_kind(self, key: str, default: object, kind: type[_Kind], needs: str) -> _Kind:
         found = self.value(key, default)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from imufield.acquire.protocol.protocol import load_protocol, parse_protocol, protocol_names
 from imufield.acquire.protocol.toml import FILE_LIMIT_BYTES
-from imufield.errors import ProtocolError, Reason
+from imufield.errors import ProtocolError, Reason, SettingError
 from imufield.toml_and_json import DEEPEST
 from tests.refused import refused
 
@@ -78,10 +78,31 @@ def test_wrong_settings_name_what_is_allowed(given: dict[str, object], reason: R
 
 
 @pytest.mark.parametrize(
+    ("columns", "key"),
+    [
+        ("ax,ay", "samples_and_clock.no_acceleration"),
+        ("ax,ay,az,foo", "samples_and_clock.column"),
+        ("ax,ax,ay,az", "samples_and_clock.column"),
+        ("", "samples_and_clock.column"),
+    ],
+)
+def test_a_setting_that_its_key_refuses_is_the_users(columns: str, key: str) -> None:
+    with refused(SettingError, Reason.USAGE, "columns", repr(columns)) as caught:
+        load_protocol("text", {"columns": columns})
+    assert "line" not in caught.value.message
+    assert getattr(caught.value.message, "key", None) == key
+    # What the instrument or its driver says is not.
+    with refused(ProtocolError, Reason.BAD_PROTOCOL, "text.columns") as caught:
+        load_protocol("text", read={"columns": columns})
+    assert not isinstance(caught.value, SettingError)
+
+
+@pytest.mark.parametrize(
     ("old", "new", "at", "key", "problem", "says"),
     [
         ('kind = "frames"', 'kind = "frame"', 'kind = "frames"', "kind", "toml.choice", "frames, text"),
-        ('byte_order = "big"', "", None, "byte_order", "toml.choice", "big, little"),
+        ('name = "stim300"\n', "", "# Sensonor STIM300", "name", "toml.text", "nothing"),
+        ('byte_order = "big"', "", "# Sensonor STIM300", "byte_order", "toml.choice", "big, little"),
         (
             "default = 10\n",
             "default = 11\n",
