@@ -258,7 +258,7 @@ class Guide:
             yield "undo"
         yield from (action for action, given in _INPUTS.items() if given in known and action != "reopen")
         refusal = self._actions.hold.refusal
-        if refusal is not None and refusal.reason is RefusalCode.WARMING_UP and not self._watch.warmth.goes_on_cold:
+        if refusal is not None and refusal.reason is RefusalCode.WARMING_UP and self._watch.warmth.waits:
             yield "go_on"
 
     def _process(self, cells: Cells) -> None:
@@ -373,7 +373,7 @@ class Guide:
         return index, sentence("guide.skip", position=self.plan.position(index).name)
 
     def _go_on_cold(self, _name: str | None) -> tuple[int | None, str]:
-        self._watch.warmth.goes_on_cold = True
+        self._watch.warmth.waits = False
         return None, sentence("guide.goes_on_cold")
 
     def _undo(self, _name: str | None) -> tuple[int | None, str]:

@@ -291,8 +291,7 @@ class GuideActions:
     def count(self) -> Input | None:
         """Count the cells of a hold; when there are enough, check whether enough remain after trimming."""
         hold, speaker = self.hold, self.speaker
-        # By the first hold the slope of the temperature may not be known yet.
-        if hold.evaluate() and self.watch.warmth.is_known:
+        if hold.evaluate():
             return Input.LONG_ENOUGH
         if hold.position is not None and speaker.due("holding", REPEAT_S):
             speaker.say(Holding(speaker.now_s, self.plan.position(hold.position).name, hold.fraction, hold.left_s))
@@ -336,6 +335,7 @@ class GuideActions:
         is_revisit = index == plan.revisiting
         replaces = plan.accept(index, observation)
         self.hold.learn(hold)
+        self.watch.warmth.waits = False
         adviser.fit_again(self.detector.scale)
         event = accepted_event(
             now_s,

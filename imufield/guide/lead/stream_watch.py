@@ -34,7 +34,7 @@ _WAIT = 2  # Lengths of a noise floor waited for before anybody is told why.
 _IN_VAIN = 5  # The same before the settings come under suspicion.
 _LARGEST_DEGC_MIN = 0.5  # The bias of a chip follows its temperature.
 _WARMTH_CELLS = 300  # Half a minute: a longer one still sees a warm-up that is over.
-_FEWEST_OF_WARMTH = 60  # Six seconds tell a slope of 1 degC/min from a step of 0.01 degC.
+_FEWEST_OF_WARMTH = 35  # The shortest hold. They tell a slope of 1 degC/min from a step of 0.01 degC.
 _FEWEST_READINGS = 5  # An instrument that sends it once a second has as many by then.
 _STILLS_KEPT = 200  # Far more than tell an offset; memory does not grow with the session.
 
@@ -44,7 +44,7 @@ class Warmth:
 
     def __init__(self) -> None:
         self._degc: deque[float] = deque(maxlen=_WARMTH_CELLS)
-        self.goes_on_cold = False  # The operator does not wait for the temperature.
+        self.waits = True  # Until the session has begun, or the operator goes on; what changes outdoors would end it later.
 
     def follow(self, cells: Cells, row: int) -> None:
         """Add one cell; its temperature may be NaN."""
@@ -53,11 +53,6 @@ class Warmth:
     def clear(self) -> None:
         """Forget the temperatures: time has passed that was not observed."""
         self._degc.clear()
-
-    @property
-    def is_known(self) -> bool:
-        """Whether there are enough cells for a slope, or none is needed."""
-        return self.goes_on_cold or len(self._degc) >= _FEWEST_OF_WARMTH or not np.isfinite(self._degc).any()
 
     @property
     def slope_degc_min(self) -> float:
@@ -75,8 +70,8 @@ class Warmth:
         return math.copysign(max(abs(slope) - 2 * sigma, 0.0), slope)
 
     def refusal(self) -> Refusal | None:
-        """Return why no hold counts at this temperature; None where one does, or the operator does not wait."""
-        slope = 0.0 if self.goes_on_cold else self.slope_degc_min
+        """Return why no session begins at this temperature; None where one does, or the operator does not wait."""
+        slope = self.slope_degc_min if self.waits else 0.0
         return refusals.WARMING_UP.beyond(abs(slope), _LARGEST_DEGC_MIN, slope=slope)
 
 

@@ -428,12 +428,18 @@ def test_a_slow_change_of_temperature_is_none(make_path: Any) -> None:
     assert len(feed(warming(make_path, 0.3), hold_s=8.0)[0].observations()) == 3
 
 
-def test_a_later_change_of_temperature_is_waited_for(make_path: Any) -> None:
-    guide, events = feed(warming(make_path, 3.0, 20.0, 32.0), hold_s=3.0)
+def test_a_later_change_of_temperature_ends_no_session(make_path: Any) -> None:
+    guide, events = feed(warming(make_path, 3.0, 20.0, 50.0), hold_s=3.0)
     assert guide.observations().name == ("+z", "+x", "+y")
-    assert [event.position for event in of(events, Rejected)] == ["+x"]
+    assert not of(events, Rejected)
+
+
+def test_the_first_hold_starts_when_the_temperature_is_steady(make_path: Any) -> None:
+    guide, events = feed(warming(make_path, 3.0, 0.0, 35.0), hold_s=3.0)
+    assert guide.observations().name == ("+x", "+y")
+    assert [event.position for event in of(events, Rejected)] == ["+z", "+x"]
     # The line through half a minute sees what is over, in part.
-    assert 40 < guide.observations().start_s[1] < 60
+    assert 40 < guide.observations().start_s[0] < 60
 
 
 def test_the_operator_may_measure_while_the_temperature_changes(make_path: Any) -> None:

@@ -35,4 +35,4 @@ def test_a_temperature_that_comes_once_a_second_has_the_same_slope(make_path: An
 
 def test_what_is_not_known_is_no_slope(make_path: Any) -> None:
     assert slope(make_path, lambda time_s: np.full(len(time_s), np.nan)) == 0
-    assert slope(make_path, lambda time_s: 25 + time_s, seconds=4.0) == 0
+    assert slope(make_path, lambda time_s: 25 + time_s, seconds=3.0) == 0
