@@ -147,17 +147,7 @@ def to_document(verification: Verification) -> Document:
 
 
 def _positions(left_out: LeftOutPositions) -> Document:
-    figures = (
-        "rms_m_s2",
-        "before_rms_m_s2",
-        "forecast_rms_m_s2",
-        "misfit",
-        "misfit_limit",
-        "as_forecast",
-        "chance",
-        "words",
-        "hidden",
-    )
+    figures = ("rms_m_s2", "before_rms_m_s2", "forecast_rms_m_s2", "misfit", "misfit_limit", "as_forecast", "chance")
     arrays = ("up", "residual_m_s2", "before_m_s2", "sigma_m_s2")
     return {
         **{key: getattr(left_out, key) for key in ("how", *figures, "words", "hidden")},

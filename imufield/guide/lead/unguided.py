@@ -11,7 +11,6 @@ from imufield.guide.cross_checks.axes import AxesCheck, MoveLog, check_axes, che
 from imufield.guide.cross_checks.centre import centred
 from imufield.guide.cross_checks.outputs import Outputs
 from imufield.guide.hold.checks import HoldUnderTest, check_gravity, examine
-from imufield.guide.hold.hand_mean import HandMean
 from imufield.guide.hold.in_hand import SampleHistory, measure_in_hand, trim_in_hand
 from imufield.guide.hold.observe import Observation, gather, observe, trim_stretch
 from imufield.guide.lead.settings import MOVED_DEG, MOVED_S
@@ -30,6 +29,8 @@ sentence = Sentences(__package__)
 # A still interval shorter than this, guard bands off, is a pause in a motion; in the hand, where sway decides, of no use.
 _SHORTEST_S = 1.0
 _SHORTEST_IN_HAND_S = 3.0
+_LONG_IN_HAND_S = 5.0  # One in the hand that is as still as on a table is measured as such where it is shorter.
+_HAND_SHOWS_S = 2.5  # Whether a unit is in the hand or on a table shows so long after it came to rest.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +62,7 @@ class StillIntervalFinder:
         self.units = units
         self.detector = StillnessDetector(scale or RoughScale.of_units(units), hand=True)
         self._history = SampleHistory(LONGEST_WAIT_S)  # For holds in the hand.
-        self._in_hand = False  # Whether the unit was in the hand in the cell before.
+        self._held = 0  # Cells up to the one before in which the unit was in the hand.
         # Each time that the unit was put down, and why that does not count, as far as itself shows.
         self._placements: list[tuple[Observation, Refusal | None]] = []
         self._last: Stretch | None = None  # The stretch before, of whatever length.
@@ -92,7 +93,7 @@ class StillIntervalFinder:
         """
         self._process(self._builder.flush())
         if self.detector.phase is Phase.STILL:
-            self._add(self.detector.stretch, in_hand=self._in_hand)
+            self._add(self.detector.stretch, in_hand=self._held > 0)
             self.detector.restart()
         if self.detector.floor is None:
             raise self._never_quiet()
@@ -129,10 +130,13 @@ class StillIntervalFinder:
             return
         self._outputs.follow(cells)
         for judgement in self.detector.judge(cells):
-            self._moves.follow(judgement, self.detector.stretch.mean)
+            held = self._held + 1 if self.detector.in_hand else 0
+            # A unit that is put down passes for one in the hand before it lies: the move is not over then.
+            moves = 0 < held < cells_in(_HAND_SHOWS_S)
+            self._moves.follow(judgement._replace(phase=Phase.MOVING) if moves else judgement, self.detector.stretch.mean)
             if judgement.ended is not None:
-                self._add(judgement.ended, in_hand=self._in_hand)
-            self._in_hand = self.detector.in_hand
+                self._add(judgement.ended, in_hand=self._held > 0)
+            self._held = held
 
     def _add(self, stretch: Stretch, *, in_hand: bool) -> None:
         """Add the observation of a stretch, or its refusal; of the stretches of one placement the best counts."""
@@ -150,24 +154,20 @@ class StillIntervalFinder:
         self._put_down = False
 
     def _hold(self, stretch: Stretch, *, in_hand: bool) -> HoldUnderTest | None:
-        """Return the hold of a stretch, guard bands off; None where it is too short.
-
-        Of one in the hand, what was as still as on a table counts as such where it is longer.
-        """
-        detector, limits = self.detector, self.detector.limits
-        placed, found = detector.stillest if in_hand else stretch, list[tuple[Cells, HandMean | None]]()
-        if placed is not None:
-            cells = placed.cells()
-            found.append((cells[trim_stretch(cells, limits)], None))
-        if in_hand:
-            cells = stretch.cells()
+        """Return the hold of a stretch, guard bands off; None where it is too short."""
+        detector, limits, mean = self.detector, self.detector.limits, None
+        # In the hand the unit may have been as still as on a table for some time.
+        placed, cells = detector.stillest if in_hand else stretch, stretch.cells()
+        kept = cells[:0] if placed is None else placed.cells()[trim_stretch(placed.cells(), limits)]
+        is_placed = len(kept) >= cells_in(_SHORTEST_S)
+        if in_hand or (is_placed and detector.knows_hands and detector.is_hand_like(kept)):
             held = trim_in_hand(cells, trim_stretch(cells, limits), detector)
-            if len(held) >= cells_in(_SHORTEST_IN_HAND_S) and (hand_mean := measure_in_hand(held, self._history, detector)):
-                found.append((held, hand_mean))
-        cells, mean = max(found, key=lambda each: len(each[0]), default=(stretch.cells()[:0], None))
-        if detector.floor is None or len(cells) < cells_in(_SHORTEST_S):
+            if len(held) >= cells_in(_LONG_IN_HAND_S if is_placed else _SHORTEST_IN_HAND_S):
+                mean = measure_in_hand(held, self._history, detector)
+            kept = kept if mean is None else held
+        if detector.floor is None or (mean is None and not is_placed):
             return None
-        return HoldUnderTest(cells=cells, floor=detector.floor, limits=limits, scale=detector.scale, hand_mean=mean)
+        return HoldUnderTest(cells=kept, floor=detector.floor, limits=limits, scale=detector.scale, hand_mean=mean)
 
     def _is_where_it_was(self, stretch: Stretch) -> bool:
         """Whether the unit was not lifted since the stretch before; where samples are missing, nobody knows."""
