@@ -127,7 +127,7 @@ def run_verify(options: VerifyOptions) -> Verification:
         console.out(to_ascii(text) if console.options.ascii_only else text, end="", highlight=False)
     tell_written(output, as_json=options.as_json)
     if joined["passed"] is False and found.passed is not False:
-        earlier = [one["name"] for one in joined["requirement"] if not one["passed"]] or joined["objections"]
+        earlier = [*(one["name"] for one in joined["requirement"] if not one["passed"]), *joined["objections"]]
         say(sentence("verify.earlier", name=output.name, earlier=earlier), err=options.as_json)
     # An objection goes first: parameters that contradict the data are refused whatever the limits.
     if found.objections:

@@ -221,7 +221,8 @@ def _check_protocols(first: Session, other: Session) -> None:
 def _check_numbers(first: SolvedSession, other: SolvedSession) -> None:
     """Refuse sessions whose biases are from different raw zeros, or whose range or signs changed; raises CalibrationError."""
     names, zeros = [first.name, other.name], [each.raw_zero for each in (first, other)]
-    if zeros[0] != zeros[1]:
+    # Where one of them has no gyroscope, its zero is compared with nothing.
+    if any(one != another for one, another in zip(*zeros, strict=False)):
         raise CalibrationError(sentence("together.setting", names=names, key="zero", values=zeros), Reason.UNITS)
     before = {number.name: number.value for number in first.numbers.numbers}
     for number in other.numbers.numbers:

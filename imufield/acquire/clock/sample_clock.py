@@ -9,8 +9,7 @@ Three sources, in this order of trust:
 * the *host clock*: samples in even steps at the measured rate, kept to the line of earliest arrivals.
 
 Time never runs backwards. A time stamp that does (the instrument restarted, or set its clock) becomes a gap, as long as the
-silence before it by the host's clock. On a CAN bus
-``can_clock`` unwraps counters, and ``can_sent_time`` time stamps.
+silence before it by the host's clock. On a CAN bus ``can_clock`` unwraps counters, and ``can_sent_time`` time stamps.
 """
 
 from __future__ import annotations

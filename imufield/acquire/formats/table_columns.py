@@ -54,6 +54,7 @@ time at most."""
 _DATES_S = (946_684_800.0, 4_102_444_800.0)  # 2000 and 2100, from 1970: also less than a factor of 1000 apart.
 # Of all steps: longer ones are pauses. Rows that are handed over in bursts, up to a hundred at once, have more long ones.
 _NO_PAUSE = 0.99
+_BURST = 4.0  # The mean step over the median one: in a burst of two it is more, where one sample of two is lost two.
 # A typed rate within 20 % of the time column's decides the unit of time; outside, one of the two is wrong.
 _RATE_TOLERANCE = 0.2
 
@@ -312,7 +313,7 @@ def refuse_coarse_times(path: Path, time: FloatArray) -> None:
 def refuse_bursts(path: Path, time_s: FloatArray) -> None:
     """Raise ``UsageError`` if most rows follow the one before at once and the others much later: they have times of arrival."""
     step_s, mean_s = _median_step(time_s), _mean_step(time_s)
-    if step_s < SHORTEST_STEP_S <= mean_s:
+    if step_s < SHORTEST_STEP_S and mean_s >= _BURST * step_s:
         told = {"limit_s": SHORTEST_STEP_S, "step_s": step_s, "rate_hz": (len(time_s) - 1) / (time_s[-1] - time_s[0])}
         raise UsageError(sentence("table_columns.bursts", path=str(path), **told))
 

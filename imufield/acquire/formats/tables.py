@@ -144,8 +144,11 @@ def read_tables(
     # Row by row, nothing of one file alone may go.
     if all(TIME in file.fields for file in files):
         files = [_with_own_times(file) for file in files]
+        for file in files:
+            unit = given_time_unit(settings or {}) or file.units.get(TIME)
+            scale, _ = choose_time_scale(file.path, file.fields[TIME], unit, rate_hz)
+            refuse_bursts(file.path, file.fields[TIME] * scale)
     table = _table(files, rate_hz, zero, settings)
-    refuse_bursts(files[0].path, table.rows[:, 0])
     table = _with_rate_of_increments(table, settings or {})
     faults = _no_positions(table.rows[:, 1:4], str(table.settings["accelerometer_unit"]))
     return replace(table, assumptions=(*table.assumptions, *faults))

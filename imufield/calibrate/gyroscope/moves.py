@@ -59,8 +59,7 @@ GUARD_CELLS = 10
 _SIGMAS = 5.0  # Of the cells inside the still; what is further off looks like motion.
 _FEWEST = 5  # Cells inside a still that tell its scatter.
 SLOT_S = 0.005
-_QUIET_SLOTS = round(CELL_S / SLOT_S)
-"""Slots of a quiet stretch that are joined: those of a cell."""
+_QUIET_SLOTS = round(CELL_S / SLOT_S)  # Of a quiet stretch that are joined: those of a cell.
 BRIDGED_S = 0.03
 """Longest loss of samples that a straight line bridges: a hand at 2 Hz and 1 rad/s then strays by 0.4 mrad."""
 BRIDGED_INTERVALS = 3.5
@@ -239,7 +238,7 @@ class MoveCollector:
         self._compact_at = _COMPACT_AT
         self._pending: Samples | None = None
         self._flat = np.zeros(3, dtype=np.int64)
-        self._steep = np.zeros(3, dtype=np.bool_)  # Whether the latest change was one.
+        self._steep = np.zeros(3, dtype=np.bool_)  # Whether the latest change was one; what a stream begins with is none.
         self._step = np.full(3, np.inf)
 
     def feed(self, samples: Samples) -> None:

@@ -128,9 +128,8 @@ class Guide:
 
     @property
     def turns(self) -> tuple[int, int]:
-        """How many whole turns are no longer left to make, and how many are planned."""
-        turns = self._actions.turns
-        return turns.planned - len(turns.left or turns.given_up), turns.planned
+        """How many whole turns were made, and how many are planned."""
+        return self._actions.turns.made, self._actions.turns.planned
 
     def asked_to_finish(self) -> Marked:
         """Return the answer to a first request to finish: what there would be, and how to confirm it."""
@@ -258,7 +257,7 @@ class Guide:
             yield "undo"
         yield from (action for action, given in _INPUTS.items() if given in known and action != "reopen")
         refusal = self._actions.hold.refusal
-        if refusal is not None and refusal.reason is RefusalCode.WARMING_UP and self._watch.warmth.waits:
+        if refusal is not None and refusal.reason is RefusalCode.WARMING_UP and not self._watch.warmth.goes_on_cold:
             yield "go_on"
 
     def _process(self, cells: Cells) -> None:
@@ -373,7 +372,7 @@ class Guide:
         return index, sentence("guide.skip", position=self.plan.position(index).name)
 
     def _go_on_cold(self, _name: str | None) -> tuple[int | None, str]:
-        self._watch.warmth.waits = False
+        self._watch.warmth.goes_on_cold = True
         return None, sentence("guide.goes_on_cold")
 
     def _undo(self, _name: str | None) -> tuple[int | None, str]:

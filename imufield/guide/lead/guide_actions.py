@@ -253,7 +253,7 @@ class GuideActions:
             self.speaker.reject(self._sides.note(asked, direction, chosen=bool(plan.accepted)))
         if pending is not None and pending.angle_deg <= plan.tolerance_deg:
             self.hold.position = pending.index
-            self.hold.refusal = self.watch.warmth.refusal()
+            self.hold.refusal = self.watch.warmth.refusal(self.plan)
             return Input.NEAR if self.hold.refusal is None else Input.REFUSED
         if nearest.angle_deg <= plan.tolerance_deg:
             self.hold.refusal = refusals.ALREADY_DONE.refusal(
@@ -301,7 +301,7 @@ class GuideActions:
         """Examine the hold."""
         hold = self.hold
         measured = hold.measured
-        hold.refusal = self.watch.warmth.refusal()
+        hold.refusal = self.watch.warmth.refusal(self.plan)
         if hold.refusal is None and measured is not None:
             found = examine(measured) or check_gravity(measured.cells.mean[:, :3].mean(axis=0), measured.scale)
             hold.output = output = HoldOutput.of(measured.cells)
@@ -335,7 +335,6 @@ class GuideActions:
         is_revisit = index == plan.revisiting
         replaces = plan.accept(index, observation)
         self.hold.learn(hold)
-        self.watch.warmth.waits = False
         adviser.fit_again(self.detector.scale)
         event = accepted_event(
             now_s,
@@ -447,7 +446,7 @@ class GuideActions:
     def rest(self) -> Input | None:
         """Wait for the unit to be moved, or for its temperature to be steady where nothing else is in the way."""
         refusal = self.hold.refusal
-        if refusal is None or refusal.reason is not RefusalCode.WARMING_UP or self.watch.warmth.refusal():
+        if refusal is None or refusal.reason is not RefusalCode.WARMING_UP or self.watch.warmth.refusal(self.plan):
             return None
         self.detector.restart()
         return Input.AGAIN

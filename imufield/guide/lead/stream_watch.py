@@ -17,6 +17,7 @@ from imufield.guide.cross_checks.sides import DeadAxis
 from imufield.guide.events import RefusalCode
 from imufield.guide.hold.checks import explain_flags
 from imufield.guide.lead.advice import gyroscope_scale_advice
+from imufield.guide.lead.plan import Plan
 from imufield.guide.lead.speaker import REMIND_S, Speaker
 from imufield.guide.refusals import Refusal
 from imufield.guide.stillness.cells import Cells
@@ -44,7 +45,7 @@ class Warmth:
 
     def __init__(self) -> None:
         self._degc: deque[float] = deque(maxlen=_WARMTH_CELLS)
-        self.waits = True  # Until the session has begun, or the operator goes on; what changes outdoors would end it later.
+        self.goes_on_cold = False  # The operator does not wait for the temperature.
 
     def follow(self, cells: Cells, row: int) -> None:
         """Add one cell; its temperature may be NaN."""
@@ -69,9 +70,10 @@ class Warmth:
         sigma = math.sqrt(float(residual @ residual) / max(len(window) / 10 - 2, 1) / spread)
         return math.copysign(max(abs(slope) - 2 * sigma, 0.0), slope)
 
-    def refusal(self) -> Refusal | None:
-        """Return why no session begins at this temperature; None where one does, or the operator does not wait."""
-        slope = self.slope_degc_min if self.waits else 0.0
+    def refusal(self, plan: Plan) -> Refusal | None:
+        """Return why a session does not begin at this temperature; None where it has begun, or the operator does not wait."""
+        # What changes outdoors would end it later.
+        slope = 0.0 if plan.accepted or self.goes_on_cold else self.slope_degc_min
         return refusals.WARMING_UP.beyond(abs(slope), _LARGEST_DEGC_MIN, slope=slope)
 
 

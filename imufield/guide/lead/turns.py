@@ -86,7 +86,7 @@ class TurnLeader:
 
     def __init__(self, about: str | None) -> None:
         self.left = plan_turns(about)
-        self.planned = len(self.left)
+        self.planned, self.made = len(self.left), 0
         self.rests: list[Observation] = []  # The stills before, between and after the turns; they belong to no position.
         self._move: _Move | None = None
         self._moved = False
@@ -190,6 +190,7 @@ class TurnLeader:
                 float(angle[axis]), 360.0 * asked.sense, axis=AXES[axis], made=made.name, left=len(self.left), asked=asked.name
             )
         self.left.remove(made)
+        self.made += 1
         return Turned(
             time_s=now_s,
             axis=AXES[axis],

@@ -154,6 +154,24 @@ def test_times_of_arrival_in_bursts_are_refused(
     assert sum(len(table.rows) for table in stream_table(path)) == 2000
 
 
+def test_the_second_of_two_files_may_not_come_in_bursts_either(tmp_path: Path) -> None:
+    values = np.random.default_rng(1).normal(size=(2000, 3))
+    even, bursts = tmp_path / "even", tmp_path / "bursts"
+    for folder in (even, bursts):
+        folder.mkdir()
+    first = write(even, text_of(0.01 * np.arange(2000), values))
+    second = write(bursts, "time (s),gx (rad/s),gy (rad/s),gz (rad/s)\n" + text_of(arrivals(of=5), values))
+    with refused(UsageError, Reason.USAGE, str(second), key="table_columns.bursts"):
+        read_tables([first, second])
+
+
+def test_losses_of_a_fast_instrument_are_no_bursts(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    time_s = (np.arange(8000) / 4400)[rng.random(8000) > 0.15]
+    table = read_tables([write(tmp_path, text_of(time_s, rng.normal(size=(len(time_s), 3))))], rate_hz=4400)
+    assert len(table.rows) == len(time_s)
+
+
 def test_pauses_are_no_bursts(tmp_path: Path) -> None:
     time_us = 1e4 * np.arange(2000) + 6e8 * (np.arange(2000) // 200)
     table = read_tables([write(tmp_path, text_of(time_us, np.random.default_rng(1).normal(size=(2000, 3))))])

@@ -188,12 +188,14 @@ def test_a_turn_that_is_not_left_is_told_with_what_is(axis: int, first_deg: floa
     assert isinstance(events[-1], Turn)
 
 
-def test_turns_given_up_are_not_counted_as_made() -> None:
+def test_turns_skipped_or_given_up_are_not_counted_as_made() -> None:
     samples = Roll((0.0, 0.0, 1.0)).rest(9).turn(0, 360, 4).rest(2).samples()
     guide = Guide(scheme("faces6"), samples.units, settings=GuideSettings(hold_s=3.0, rotations="horizontal"))
     for index in range(1, 6):
         guide.mark("skip", 4.0 + 0.1 * index)
     guide.feed(samples)
+    assert guide.turns == (1, 6)
+    guide.mark("skip", math.nan)
     assert guide.turns == (1, 6)
     guide.mark("finish", math.nan)
     assert guide.turns == (1, 6)
