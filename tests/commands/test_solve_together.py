@@ -262,6 +262,17 @@ def test_the_raw_zeros_of_sessions_that_are_joined_are_equal(
         run_solve(SolveOptions(sessions=sessions, together=True, model="linear", output=tmp_path / "o.toml", workers=1))
 
 
+def test_a_session_without_gyroscope_has_no_zero_of_it(days: Days) -> None:
+    parameters = load(days.file)
+    alone = replace(parameters, calibration=replace(parameters.calibration, gyroscope=None))
+    first, other = (
+        together.SolvedSession(Session.open(folder), each, each.gauge_free(), RecordingMarks())
+        for folder, each in zip(days.folders, (parameters, alone), strict=False)
+    )
+    together._check_numbers(first, other)
+    assert (len(first.raw_zero), len(other.raw_zero)) == (6, 3)
+
+
 def test_sessions_are_found_by_serial_number(days: Days) -> None:
     root = days.folders[0].parent
     assert [session.name for session in together.sessions_of(SERIAL, root)] == ["day1", "day2"]
