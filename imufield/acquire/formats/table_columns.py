@@ -128,7 +128,7 @@ def columns_by_header(
     text_columns: Collection[int],
     no_clocks: Collection[int],
 ) -> Meaning:
-    """Understand a header above rows of ``width`` cells; ``text_columns`` have no numbers, ``no_clocks`` stand or have gaps.
+    """Understand a header above rows of ``width`` cells; ``text_columns`` have no numbers, ``no_clocks`` repeat or have gaps.
 
     Raises
     ------

@@ -85,10 +85,10 @@ def meaning_of(source: Source, columns: str | None, number: int, files: int) -> 
 
 
 def _no_clocks(source: Source) -> set[int]:
-    """Return which columns have the same in all of the first rows, or nothing in some."""
+    """Return which columns have the same, or nothing, in some of the first rows."""
     rows = source.head if isinstance(source, TextTable) else source.values[:ROWS_LOOKED_AT].tolist()
-    cells = [{str(row[column]).lower() for row in rows if column < len(row)} for column in range(source.width)]
-    return {column for column, found in enumerate(cells) if len(found) == 1 or not found.isdisjoint(("", "nan"))}
+    cells = [[str(row[column]).lower() for row in rows if column < len(row)] for column in range(source.width)]
+    return {column for column, found in enumerate(cells) if len({*found, "", "nan"}) < len(found) + 2}
 
 
 def files_of(source: Source, meaning: Meaning, values: FloatArray) -> list[File]:

@@ -218,7 +218,7 @@ def one_of_each(
     text_columns : collection of int
         Those that hold no numbers, e.g. dates.
     no_clocks : collection of int
-        Those that stand still or have gaps.
+        Those that repeat a value or have gaps.
     """
     columns = _without_quaternions(columns, header)
     # Axes without a name are those of the file's sensor where it has no others.

@@ -29,6 +29,8 @@ sentence = Sentences(__package__)
 # A still interval shorter than this, guard bands off, is a pause in a motion; in the hand, where sway decides, of no use.
 _SHORTEST_S = 1.0
 _SHORTEST_IN_HAND_S = 3.0
+_LONGEST_IN_HAND_S = 45.0  # Nobody holds still for longer: a person walks with the unit, or a car drives.
+_TURNED_DEG = 20.0  # Of the force between two holds in the hand; a car that brakes tilts it by as much.
 _LONG_IN_HAND_S = 5.0  # One in the hand that is as still as on a table is measured as such where it is shorter.
 _HAND_SHOWS_S = 2.5  # Whether a unit is in the hand or on a table shows so long after it came to rest.
 
@@ -66,6 +68,7 @@ class StillIntervalFinder:
         # Each time that the unit was put down, and why that does not count, as far as itself shows.
         self._placements: list[tuple[Observation, Refusal | None]] = []
         self._last: Stretch | None = None  # The stretch before, of whatever length.
+        self._lain: Stretch | None = None  # The latest one that was as still as on a table.
         self._put_down = True  # Whether the unit was put down since the last of the placements.
         self._outputs = Outputs()
         self._moves = MoveLog()
@@ -140,14 +143,19 @@ class StillIntervalFinder:
 
     def _add(self, stretch: Stretch, *, in_hand: bool) -> None:
         """Add the observation of a stretch, or its refusal; of the stretches of one placement the best counts."""
-        self._put_down |= not self._is_where_it_was(stretch)
+        self._put_down |= not self._is_where_it_was(stretch, in_hand=in_hand)
         self._last = stretch
+        self._lain = self._lain if in_hand else stretch
         hold = self._hold(stretch, in_hand=in_hand)
         if hold is None:
             return
         placement = observe(hold.cells, hold.limits, "", hand_mean=hold.hand_mean), examine(hold)
         if not self._put_down:
             # A soft support gives way, a table is knocked: the unit was not put down a second time.
+            before, refusal = self._placements[-1]
+            if in_hand and refusal is None and before.hand_mean is None:
+                # What lay on a table tells more than what was lifted from it.
+                return
             placement = max(placement, self._placements.pop(), key=lambda found: (found[1] is None, found[0].duration_s))
         self._outputs.add(placement[0].output, again=not self._put_down)
         self._placements.append(placement)
@@ -162,18 +170,23 @@ class StillIntervalFinder:
         is_placed = len(kept) >= cells_in(_SHORTEST_S)
         if in_hand or (is_placed and detector.knows_hands and detector.is_hand_like(kept)):
             held = trim_in_hand(cells, trim_stretch(cells, limits), detector)
-            if len(held) >= cells_in(_LONG_IN_HAND_S if is_placed else _SHORTEST_IN_HAND_S):
+            shortest_s = _LONG_IN_HAND_S if is_placed else _SHORTEST_IN_HAND_S
+            if cells_in(shortest_s) <= len(held) <= cells_in(_LONGEST_IN_HAND_S):
                 mean = measure_in_hand(held, self._history, detector)
             kept = kept if mean is None else held
         if detector.floor is None or (mean is None and not is_placed):
             return None
         return HoldUnderTest(cells=kept, floor=detector.floor, limits=limits, scale=detector.scale, hand_mean=mean)
 
-    def _is_where_it_was(self, stretch: Stretch) -> bool:
-        """Whether the unit was not lifted since the stretch before; where samples are missing, nobody knows."""
-        before, cells = self._last, stretch.cells()
+    def _is_where_it_was(self, stretch: Stretch, *, in_hand: bool) -> bool:
+        """Whether the unit was not lifted since the stretch before; where samples are missing, nobody knows.
+
+        In the hand it must have been turned: a person who walks, or a car that drives, carries it on as it is.
+        """
+        before, cells = self._last if in_hand else self._lain, stretch.cells()
         if before is None:
             return False
         away = int(cells.slot[0] - before.cells().slot[0]) - before.judged
         up, up_before = (self.detector.scale.up(np.array(each.mean[:3])) for each in (stretch, before))
-        return away < cells_in(MOVED_S) and angle_deg(up, up_before) < MOVED_DEG
+        turned_deg = angle_deg(up, up_before)
+        return turned_deg < _TURNED_DEG if in_hand else away < cells_in(MOVED_S) and turned_deg < MOVED_DEG
