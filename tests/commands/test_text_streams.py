@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -164,12 +164,17 @@ def test_lines_that_nobody_understands_are_shown_with_the_option(program: Progra
     assert not missing(told["error"]["message"], "5 numbers in a line, 7 expected", "--driver text --set columns=ax,ay,az,-,-")
 
 
+def frames_of(printed: Iterable[str]) -> Frames:
+    """Return lines as a board sends them."""
+    lines = [*printed]
+    ends = np.cumsum([len(line) for line in lines], dtype=np.int64)
+    return Frames(np.frombuffer("".join(lines).encode(), dtype=np.uint8), ends, ends - 1)
+
+
 def test_numbers_with_labels_are_told_how_to_be_printed() -> None:
     class Labelled(Board):
         def encode(self, samples: Samples) -> Frames:
-            lines = ["ax={:.3f} ay={:.3f} az={:.3f}\n".format(*row) for row in samples.accelerometer.tolist()]
-            ends = np.cumsum([len(line) for line in lines], dtype=np.int64)
-            return Frames(np.frombuffer("".join(lines).encode(), dtype=np.uint8), ends, ends - 1)
+            return frames_of("ax={:.3f} ay={:.3f} az={:.3f}\n".format(*row) for row in samples.accelerometer.tolist())
 
     with printing(Labelled(SIX), moves=False) as port:
         found = probe_port(port, None, SystemClock())
@@ -185,9 +190,7 @@ def test_counts_are_offered_and_not_taken(word: str, prefix: str) -> None:
     class Counts(Board):
         def encode(self, samples: Samples) -> Frames:
             values = np.rint(np.hstack([samples.accelerometer * 1671, samples.gyroscope * 7506])).astype(int)
-            lines = [word + ",".join(map(str, row)) + "\n" for row in values.tolist()]
-            ends = np.cumsum([len(line) for line in lines], dtype=np.int64)
-            return Frames(np.frombuffer("".join(lines).encode(), dtype=np.uint8), ends, ends - 1)
+            return frames_of(word + ",".join(map(str, row)) + "\n" for row in values.tolist())
 
     with printing(Counts(SIX), moves=False) as port:
         found = probe_port(port, None, SystemClock())

@@ -7,7 +7,7 @@ import numpy as np
 
 from imufield.calibrate.model.models import predict
 from imufield.earth import STANDARD_GRAVITY_M_S2
-from imufield.guide.events import Rejected
+from imufield.guide.events import Event, Rejected
 from imufield.guide.hold.observe import Observation
 from imufield.guide.hold.output import HoldOutput
 from imufield.guide.lead.guide import Guide
@@ -44,6 +44,15 @@ def run(
         events += guide.mark(action, time_s)
     for block in blocks or [samples]:
         events += guide.feed(block)
+    return guide, events + guide.flush()
+
+
+def feed(samples: Samples, name: str = "faces6", cuts: int = 1, **settings: Any) -> tuple[Guide, list[Event]]:
+    """Return a guide that was given samples in some pieces, and what it said; holds of 3 s unless stated."""
+    guide = Guide(scheme(name), samples.units, settings=GuideSettings(**{"hold_s": 3.0, **settings}))
+    events: list[Event] = []
+    for part in np.array_split(np.arange(len(samples)), cuts):
+        events += guide.feed(samples[int(part[0]) : int(part[-1]) + 1])
     return guide, events + guide.flush()
 
 

@@ -185,7 +185,6 @@ def join_slots(slots: Slots, starts: IntArray) -> Slots:
     before -= np.repeat(before[starts], length, axis=0)
     moment = slots.moment + before * slots.duration_s[:, None]
     area = slots.area + cross(before, slots.turn)
-
     sums = {"duration_s": slots.duration_s, "turn": slots.turn, "moment": moment, "area": area, "force": slots.force}
     return Slots(
         start_s=slots.start_s[starts],
@@ -209,8 +208,7 @@ def sum_cells(start_s: FloatArray, sums: FloatArray) -> tuple[FloatArray, FloatA
 
 def _interval_of(time_s: FloatArray, width_s: float) -> IntArray:
     """Return the numbers of the slots or cells, of this width, that hold some times."""
-    number: IntArray = np.floor(time_s / width_s + _SLOT_MARGIN).astype(np.int64)
-    return number
+    return np.asarray(np.floor(time_s / width_s + _SLOT_MARGIN).astype(np.int64))
 
 
 def _run_starts(number: IntArray) -> IntArray:
@@ -371,18 +369,16 @@ class MoveCollector:
         # The smallest change so far is one step of the output; the top of a turn is reached by such, a limit from farther.
         step = np.minimum.accumulate(np.column_stack([self._step, np.where(equal, np.inf, change)]), axis=1)
         self._step, is_jump = step[:, -1], change > _STEEP * step[:, 1:]
-        result = np.full((len(starts), 3), np.nan)
-        for axis in np.flatnonzero(equal.any(axis=1)):
-            place = np.arange(1, equal.shape[1] + 1)
-            last_change = np.maximum.accumulate(np.where(equal[axis], 0, place))
-            is_old = last_change == 0
-            run = place - last_change + np.where(is_old, self._flat[axis], 0)
-            steep = np.where(is_old, self._steep[axis], is_jump[axis, last_change - 1])
-            result[:, axis] = np.fmax.reduceat(np.where(steep & (run >= _PLATEAU - 1), N[axis, 1:], np.nan), starts)
-            self._flat[axis], self._steep[axis] = run[-1], steep[-1]
-        ended = ~equal[:, -1]
-        self._flat[ended], self._steep[ended] = 0, is_jump[ended, -1]
-        return result
+        if not equal.any():
+            self._flat, self._steep = np.zeros_like(self._flat), is_jump[:, -1]
+            return np.full((len(starts), 3), np.nan)
+        place = np.arange(1, equal.shape[1] + 1)
+        last_change = np.maximum.accumulate(np.where(equal, 0, place), axis=1)
+        is_old = last_change == 0
+        run = place - last_change + np.where(is_old, self._flat[:, None], 0)
+        steep = np.where(is_old, self._steep[:, None], np.take_along_axis(is_jump, last_change - 1, axis=1))
+        self._flat, self._steep = run[:, -1], steep[:, -1]
+        return np.fmax.reduceat(np.where(steep & (run >= _PLATEAU - 1), N[:, 1:], np.nan), starts, axis=1).T
 
     def _compact(self) -> None:
         """Join the slots of the quieter half of the recording into cells of 0.1 s."""
@@ -498,10 +494,7 @@ def _fault(slots: Slots, begin: float, end: float, limits: tuple[FloatArray, Flo
         key = "moves.interrupted" if missing_s >= INTERRUPTED_S else "moves.lost_samples"
         return sentence(key, missing_s=missing_s, bridged_s=BRIDGED_S, intervals=BRIDGED_INTERVALS, **span)
     # An output that repeats itself at the end of its range is saturated too.
-    stuck = False
-    if limits is not None:
-        low, high = limits
-        stuck = bool(np.any(((slots.plateau == high) | (slots.plateau == low)) & (high > low)))
-    if flags & SlotFlag.SATURATED or stuck:
+    low, high = limits or (np.nan, np.nan)
+    if flags & SlotFlag.SATURATED or np.any(((slots.plateau == high) | (slots.plateau == low)) & (high > low)):
         return sentence("moves.saturated", **span)
     return sentence("moves.invalid_samples", **span) if flags & SlotFlag.INVALID else None

@@ -294,14 +294,6 @@ def test_sample_loss_in_a_hold_is_refused_and_measured_again(make_path: Any) -> 
     assert len(guide.observations()) == 1
 
 
-def test_a_hold_does_not_go_on_where_the_clock_was_set(make_path: Any) -> None:
-    samples = make_path(100.0).hold([0, 0, 1], 16).samples()
-    samples.status[500] |= np.uint32(Status.CLOCK_SET)
-    guide, events = run(samples, settings=GuideSettings(hold_s=6.0))
-    assert [event.reason for event in of(events, Rejected)] == [RefusalCode.CLOCK_JUMP]
-    assert guide.observations().start_s[0] >= 5
-
-
 def test_a_scale_that_no_offset_explains_is_refused_as_gravity(make_path: Any) -> None:
     samples = make_path(100.0).hold([0, 0, 1], 8).samples(0.01, scale=(0.1, 1.0))
     guide, events = run(samples)

@@ -12,8 +12,7 @@ import pytest
 
 from imufield.calibrate.accelerometer.drift import MOST_CONFUSION
 from imufield.earth import MILLI_G_M_S2, choose_gravity
-from imufield.guide import refusals
-from imufield.guide.events import Accepted, Advice, Done, Event, Hold, Holding, Move, RefusalCode, Rejected, Topic
+from imufield.guide.events import Accepted, Advice, Done, Event, Hold, Move, RefusalCode, Rejected, Topic
 from imufield.guide.lead.guide import Guide
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.positions import scheme
@@ -21,116 +20,12 @@ from imufield.guide.view.marks import with_keys
 from imufield.guide.view.plain import PlainView
 from imufield.samples import FloatArray, Samples
 from imufield.sentences import Sentences
-from imufield.simulate.truth.grades import TACTICAL, perfect_instrument
-from imufield.simulate.truth.imu import Imu, ImuSettings
-from imufield.simulate.truth.operator import Operator, OperatorSettings
-from tests.guide.guided import is_said_by, values_of
+from tests.guide.guided import FACES, feed, of, values_of
 from tests.told import key_of, told
 
 sentence = Sentences("imufield.guide.lead")
 
-FACES = {"+x": [1, 0, 0], "-x": [-1, 0, 0], "+y": [0, 1, 0], "-y": [0, -1, 0], "+z": [0, 0, 1], "-z": [0, 0, -1]}
 ORDER = ("+z", "+x", "-z", "+y", "-x", "-y")
-
-
-def of(events: list[Event], kind: type[Any]) -> Any:
-    return [event for event in events if isinstance(event, kind)]
-
-
-def feed(samples: Samples, name: str = "faces6", cuts: int = 1, **settings: Any) -> tuple[Guide, list[Event]]:
-    guide = Guide(scheme(name), samples.units, settings=GuideSettings(**{"hold_s": 3.0, **settings}))
-    events: list[Event] = []
-    for part in np.array_split(np.arange(len(samples)), cuts):
-        events += guide.feed(samples[int(part[0]) : int(part[-1]) + 1])
-    return guide, events + guide.flush()
-
-
-def hand_session(tremor_deg: float = 0.08, sway_deg: float = 0.3, seed: int = 5) -> tuple[Samples, Operator, Imu]:
-    habits = OperatorSettings(
-        style="held",
-        hold_s=9.0,
-        initial_still_s=5.0,
-        turn_s=(1.0, 2.5),
-        tremor_rad=math.radians(tremor_deg),
-        sway_rad=math.radians(sway_deg),
-        sway_m=0.001,
-    )
-    operator = Operator([FACES[name] for name in ORDER[:4]], seed, habits)
-    imu = Imu(perfect_instrument(TACTICAL), seed, ImuSettings(rate_hz=125, drift=False, loss_probability=0.001))
-    count = round((operator.plan_all() - 0.5) * 125)
-    return imu.feed(operator.block(0, count, imu.interval_s)), operator, imu
-
-
-def test_a_unit_in_the_hand_is_measured_as_such() -> None:
-    samples, operator, imu = hand_session()
-    guide, events = feed(samples, hold_s=5.0)
-    taken = of(events, Accepted)
-    assert sorted(guide.observations().name) == sorted(ORDER[:4])
-    held = [event for event in taken if event.held]
-    assert len(held) >= 3
-    assert all(0.05 < event.tremor_deg < 0.12 for event in held)
-    for event in held:
-        end_s = event.start_s + event.duration_s
-        assert not any(
-            imu.to_sample_clock(move.start_s) < end_s and imu.to_sample_clock(move.end_s) > event.start_s
-            for move in operator.moves
-        )
-    norm = np.linalg.norm(guide.observations().mean_raw, axis=1)
-    np.testing.assert_allclose(norm, operator.site.gravity_m_s2, atol=300e-6 * 9.8)
-
-
-def test_the_time_that_is_told_is_the_time_to_hold() -> None:
-    """Guard bands included: whoever lets go when it is over has held long enough."""
-    told: list[Holding] = []
-    held = 0
-    for event in feed(hand_session()[0], hold_s=5.0)[1]:
-        if isinstance(event, Hold):
-            told = []
-        if isinstance(event, Holding):
-            told.append(event)
-        if isinstance(event, Accepted) and event.held:
-            held += 1
-            np.testing.assert_allclose([each.time_s + each.remaining_s for each in told], event.time_s, atol=0.6)
-    assert held >= 3
-
-
-def test_guard_bands_do_not_count_in_a_hold_that_ended_too_early() -> None:
-    """Of 9 s in the hand 6 count, where 7 are asked for."""
-    told = [values_of(event.words) for event in of(feed(hand_session()[0], hold_s=7.0)[1], Rejected)]
-    lasted_s = [values["lasted_s"] for values in told if "lasted_s" in values]
-    assert len(lasted_s) >= 2
-    assert max(lasted_s) < 7
-
-
-def test_letting_go_too_early_again_and_again_is_helped() -> None:
-    """Holds of 9 s in the hand where 12 are asked for: the first refusal says what moved, the others say what to do."""
-    samples, _, _ = hand_session()
-    _, events = feed(samples, hold_s=12.0)
-    let_go = [event for event in of(events, Rejected) if event.reason is RefusalCode.MOVED]
-    assert len(let_go) >= 3
-    assert is_said_by(refusals.MOVED, let_go[0])
-    for times, event in enumerate(let_go[1:], start=2):
-        assert is_said_by(refusals.MOVED_AGAIN, event)
-        assert values_of(event.remedy)["times"] == times
-
-
-def test_events_of_a_hand_do_not_depend_on_the_cuts() -> None:
-    samples, _, _ = hand_session()
-    told = [event.to_dict() for event in feed(samples, hold_s=5.0)[1]]
-    for cuts in (7, 611):
-        assert [event.to_dict() for event in feed(samples, hold_s=5.0, cuts=cuts)[1]] == told
-
-
-@pytest.mark.parametrize(("tremor_deg", "sway_deg"), [(0.35, 0.2), (0.05, 4.0)])
-def test_larger_movement_is_refused_with_the_value(tremor_deg: float, sway_deg: float) -> None:
-    samples, _, _ = hand_session(tremor_deg, sway_deg)
-    guide, events = feed(samples, hold_s=5.0)
-    refused = of(events, Rejected)
-    reasons = {event.reason for event in refused}
-    assert reasons & {RefusalCode.TREMBLING, RefusalCode.SWAYING, RefusalCode.NOT_STILL, RefusalCode.MOVED}
-    assert all(event.measured > event.limit > 0 for event in refused if event.reason is not RefusalCode.ALREADY_DONE)
-    assert not any(event.held for event in of(events, Accepted))
-    assert len(guide.observations()) <= 1
 
 
 def corners(
