@@ -185,10 +185,7 @@ def _left_out(task: _Task, chain: Chain, reading: Reading | None, problems: list
             # For other raw units they are refused, as applying them would; without a protocol there is no sample.
             if protocol is not None:
                 parameters.check_unit("accelerometer", protocol.units.accelerometer_rate_unit)
-        if reading is not None:
-            observations = reading.observations
-        else:
-            observations = chain.observations() if chain.guide is not None else chain.still_intervals().observations
+        observations = chain.observations() if reading is None else reading.observations
         before = _before_accelerometer(task, protocol)
         if not task.is_its_own:
             # Its own positions were measured where the parameters hold; others may come from the cold.

@@ -202,9 +202,9 @@ class Axes:
     def _rule(self, x: float, y: float, to_x: float, to_y: float, *, color: str) -> None:
         self.picture.line(np.array([x, to_x]), np.array([y, to_y]), color=color, width=0.6)
 
-    def curve(self, x: FloatArray, y: FloatArray, *, color: str, width: float = 1.3, dashes: str = "") -> None:
+    def curve(self, x: FloatArray, y: FloatArray, *, color: str, width: float = 1.3) -> None:
         """Join points."""
-        self.picture.line(*self.place(x, y), color=color, width=width, dashes=dashes)
+        self.picture.line(*self.place(x, y), color=color, width=width)
 
     def stems(self, x: FloatArray, low: FloatArray, high: FloatArray) -> None:
         """Draw upright lines."""

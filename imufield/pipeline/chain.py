@@ -226,10 +226,8 @@ class Chain:
         return events + self.guide.flush() if self.guide is not None else events
 
     def observations(self) -> Observations:
-        """Return the accepted positions of a guided session."""
-        if self.guide is None:
-            raise ValueError("the session is not guided: ask `still_intervals`")
-        return self.guide.observations()
+        """Return the accepted positions of a guided session, or those of the stills of another; raises as these do."""
+        return self.still_intervals().observations if self.guide is None else self.guide.observations()
 
     def turn_rests(self) -> Observations | None:
         """Return the stills between the whole turns of a guided session; None where there are none."""
@@ -244,9 +242,7 @@ class Chain:
         CalibrationError
             If no stretch is quiet enough.
         """
-        if self.finder is None:
-            raise ValueError("the session is guided: ask `observations`")
-        return self.finder.finish()
+        return cast("StillIntervalFinder", self.finder).finish()
 
     def raw_zero(self, protocol: Protocol) -> FloatArray:
         """Return the raw zero of the accelerometer, shape (3,), or of both triads, shape (6,), as rates."""

@@ -125,11 +125,8 @@ class FrameCheck:
             found = self._forms[0].lengths(buffer, starts)
             return np.where(self._forms[0].matches(buffer, starts), found, NONE) if self._forms[0].form.sync else found
         found = np.full(len(starts), NONE, dtype=np.intp)
-        which = self._form_of(buffer, starts)
-        for number, form in enumerate(self._forms):
-            mine = np.flatnonzero(which == number)
-            if len(mine):
-                found[mine] = form.lengths(buffer, starts[mine])
+        for form, mine in self._by_form(buffer, starts):
+            found[mine] = form.lengths(buffer, starts[mine])
         return found
 
     def judge(self, buffer: Bytes, starts: Positions, last: bool) -> tuple[NDArray[np.int8], Positions]:

@@ -110,7 +110,6 @@ class CanEmulator(EmulatorCore):
         super().__init__(source, settings, self._bus, self.injector)
         # An adapter hands out nothing before its channel is open, so it always waits for that.
         self._waits |= bus == SLCAN
-        self.frames_sent = 0
         messages = protocol.can.messages if protocol.can else ()
         # By PGN: bits 8 to 25 of the 29 of an identifier.
         self._messages = {message.can_id >> 8 & 0x3FFFF: message.name for message in messages}
@@ -150,7 +149,6 @@ class CanEmulator(EmulatorCore):
 
     def _send_pending(self) -> None:
         self._send(self._pending)
-        self.frames_sent += len(self._pending)
         self._pending = []
 
     def _send(self, frames: list[Frame]) -> None:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 
 import numpy as np
 
 from imufield.dataclass import dataclass
 from imufield.samples import Samples
 from imufield.simulate.wire.frames import Bytes
+from imufield.simulate.wire.lines import LINE_END
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,6 +23,12 @@ class Frames:
     """Where each frame ends in it, ascending. Shape (m,)."""
     checksum_at: np.ndarray[tuple[int], np.dtype[np.int64]]
     """Place of one byte of the checksum of each frame; of any byte where the form has no checksum."""
+
+    @classmethod
+    def of_lines(cls, lines: Sequence[bytes]) -> Frames:
+        """Return lines of text; a checksum, where they have one, stands before the end of the line."""
+        ends = np.cumsum([len(line) for line in lines], dtype=np.int64)
+        return cls(np.frombuffer(b"".join(lines), dtype=np.uint8), ends, ends - len(LINE_END) - 1)
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import chain
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from imufield.simulate.instruments.scripted import NoCommands, ScriptedInstrumen
 from imufield.simulate.truth.source import SampleSource
 from imufield.simulate.wire.forms import WireForm
 from imufield.simulate.wire.frames import FrameEncoder, WireClock
-from imufield.simulate.wire.lines import LINE_END, LineEncoder, SentenceEncoder
+from imufield.simulate.wire.lines import LineEncoder, SentenceEncoder
 
 COUNTS_OF_A_CONVERTER = 32768.0
 """From the middle of a 16-bit converter to its end."""
@@ -75,9 +76,7 @@ class ProtocolDevice(Device):
         """Return the frames of a block, all those of a sample one behind another."""
         if self._sentences:
             of_sample = zip(*(encoder.encode(samples) for encoder in self._sentences), strict=True)
-            lines = [line for lines_of_sample in of_sample for line in lines_of_sample]
-            ends = np.cumsum([len(line) for line in lines], dtype=np.int64)
-            return Frames(np.frombuffer(b"".join(lines), dtype=np.uint8), ends, ends - len(LINE_END) - 1)
+            return Frames.of_lines([*chain.from_iterable(of_sample)])
         rows = np.hstack([encoder.encode(samples) for encoder in self._frames])
         lengths = np.array([encoder.length for encoder in self._frames])
         ends = (np.arange(len(rows))[:, np.newaxis] * rows.shape[1] + np.cumsum(lengths)).reshape(-1)

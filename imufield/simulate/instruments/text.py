@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import numpy as np
-
 from imufield.errors import UsageError
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, Samples
 from imufield.sentences import Sentences
@@ -56,9 +54,7 @@ class TextDevice(Device):
             ["" if math.isnan(value) else template.format(value) for value in values[name].tolist()]
             for name, template in self._templates.items()
         ]
-        lines = [(self._prefix + ",".join(row) + LINE_END).encode("ascii") for row in zip(*cells, strict=True)]
-        ends = np.cumsum([len(line) for line in lines], dtype=np.int64)
-        return Frames(np.frombuffer(b"".join(lines), dtype=np.uint8), ends, ends - len(LINE_END) - 1)
+        return Frames.of_lines([(self._prefix + ",".join(row) + LINE_END).encode("ascii") for row in zip(*cells, strict=True)])
 
     def jump_counter(self, by: int) -> None:
         """Let the counter column, if there is one, jump."""

@@ -13,6 +13,7 @@ from imufield.calibrate.model.grades import GRADES
 from imufield.calibrate.model.models import at_temperature, predict, recover
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration
 from imufield.calibrate.model.temperature_polynomials import HIGHEST_ORDER, Polynomials, TriadTemperature, powers, unchanging
+from imufield.calibrate.model.uncertainty import rms
 from imufield.calibrate.temperature.fit import RampBlocks, TemperatureData, fit_orders, fit_temperature
 from imufield.calibrate.temperature.points import accelerometer_points
 from imufield.calibrate.temperature.ramp import RampWindows, cut_ramp
@@ -169,14 +170,6 @@ def _rms_mg(
     return float(np.sqrt(np.mean((recover(base, raw) - force) ** 2))) / MILLI_G_M_S2
 
 
-def _percentile_95(ratios: FloatArray) -> float:
-    return float(np.percentile(ratios, 95))
-
-
-def _rms_of_all(residuals_mg: FloatArray) -> float:
-    return float(np.sqrt(np.mean(residuals_mg**2)))
-
-
 _ORDERS: Rows = {f"order {order}, 20 blocks": partial(order_of_blocks, order, 20, 3) for order in (1, 2, 3)} | {
     "order 3, 40 blocks": partial(order_of_blocks, 3, 40, 3),
     "order 2, 20 blocks, seen in one axis only": partial(order_of_blocks, 2, 20, 1),
@@ -188,7 +181,13 @@ _DAYS: Rows = {
     "repeatability 1 mg, 200 ppm": partial(left_after, 1.0, 200.0),
 }
 chosen_order = Study(
-    Table(label="truth", campaign="answers-orders", rows=_ORDERS, runs=(1000, 2), statistics={"ratio_95": _percentile_95})
+    Table(
+        label="truth",
+        campaign="answers-orders",
+        rows=_ORDERS,
+        runs=(1000, 2),
+        statistics={"ratio_95": partial(np.percentile, q=95)},
+    )
 )
 other_poses = Study(
     Table(
@@ -196,6 +195,6 @@ other_poses = Study(
         campaign="answers-poses",
         rows=_DAYS,
         runs=(300, 1),
-        statistics=dict.fromkeys(("one session", "one pose", "joint"), _rms_of_all),
+        statistics=dict.fromkeys(("one session", "one pose", "joint"), rms),
     )
 )
