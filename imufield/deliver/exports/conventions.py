@@ -200,14 +200,6 @@ def rotation_to(parameters: AccelerometerParameters, frame: Frame) -> FloatArray
     return change_gauge(vector, frame).rotation
 
 
-def rotation_vector(rotation: FloatArray) -> FloatArray:
-    """Return the rotation vector of R in rad, shape (3,), for angles below pi."""
-    axis = np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
-    sine = float(np.linalg.norm(axis)) / 2
-    angle = float(np.arctan2(sine, (np.trace(rotation) - 1) / 2))
-    return axis / 2 * (angle / sine if sine else 1.0)
-
-
 def rotation_times_triangle(matrix: FloatArray, triangle: Literal["lower", "upper"]) -> tuple[FloatArray, FloatArray]:
     """Split a matrix into Q, the proper rotation near the identity, and a triangular matrix: M = Q L or M = Q U."""
     order = slice(None, None, -1) if triangle == "lower" else slice(None)

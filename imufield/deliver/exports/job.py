@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from imufield.acquire.protocol.units import nominal_scale
+from imufield.calibrate.model.rotation import from_matrix, logarithm
 from imufield.dataclass import dataclass, replace
 from imufield.deliver.exports.conventions import (
     Correction,
@@ -15,7 +16,6 @@ from imufield.deliver.exports.conventions import (
     Frame,
     linear_corrections,
     require_usable,
-    rotation_vector,
 )
 from imufield.deliver.exports.loss import at_one_temperature, loss_sentences
 from imufield.deliver.exports.target import Exported, ExportOptions, Target
@@ -193,7 +193,7 @@ def run(export: Callable[[Job], Draft], parameters: Parameters, target: Target, 
 
 def frame_note(rotation: FloatArray) -> tuple[str, ...]:
     """Say by how much the target's body frame is turned; nothing where it is not."""
-    turn_rad = rotation_vector(rotation)
+    turn_rad = logarithm(from_matrix(rotation))
     if np.linalg.norm(turn_rad) < _NO_TURN_RAD:
         return ()
     x, y, z = turn_rad * 1e3

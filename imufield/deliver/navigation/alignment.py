@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from imufield.calibrate.model.rotation import skew
+from imufield.calibrate.model.rotation import exponential, matrix, skew
 from imufield.dataclass import dataclass
 from imufield.earth import EARTH_RATE_RAD_S
 from imufield.errors import Reason, RecordingError, UsageError
@@ -166,11 +166,7 @@ def earth_rate(latitude_deg: float) -> FloatArray:
 
 def rotation(vector: FloatArray) -> FloatArray:
     """Return the rotation matrices of rotation vectors, shape (..., 3) -> (..., 3, 3)."""
-    angle = np.linalg.norm(vector, axis=-1)[..., np.newaxis, np.newaxis]
-    A = skew(vector)
-    # np.sinc is sin(pi x)/(pi x): both factors are exact at zero.
-    half = np.sinc(angle / (2 * np.pi))
-    return np.asarray(np.eye(3) + np.sinc(angle / np.pi) * A + 0.5 * half**2 * (A @ A))
+    return matrix(exponential(vector))
 
 
 def _fine(means: RestMeans, latitude_deg: float, noise: NoiseDensity, heading: Heading | None) -> tuple[FloatArray, FloatArray]:
@@ -230,7 +226,7 @@ def _filter(
     return attitude, phi[..., 0], P
 
 
-def _orthonormal(matrix: FloatArray) -> FloatArray:
+def _orthonormal(attitude: FloatArray) -> FloatArray:
     # The rotation nearest to the product of thousands, which rounding has bent.
-    left, _, right = np.linalg.svd(matrix)
+    left, _, right = np.linalg.svd(attitude)
     return np.asarray(left @ right, dtype=np.float64)

@@ -27,7 +27,7 @@ from itertools import pairwise
 import numpy as np
 
 from imufield.calibrate.model.result import Calibration
-from imufield.calibrate.model.rotation import skew
+from imufield.calibrate.model.rotation import from_matrix, logarithm, skew
 from imufield.dataclass import dataclass, field
 from imufield.deliver.navigation.alignment import Alignment, earth_rate
 from imufield.deliver.navigation.drift import QUANTITIES, Drift
@@ -235,20 +235,9 @@ class _Slow:
 def _errors(parameters: DrawnParameters, scene: Scene, before: FloatArray, after: FloatArray, *, step_s: float) -> FloatArray:
     """Return the errors of corrected values in a step from one attitude to another, shape (m, 6)."""
     force = before.T @ np.array([0.0, 0.0, -scene.gravity_m_s2])
-    rate = before.T @ earth_rate(scene.latitude_deg) + _rotation_vector(before.T @ after) / step_s
+    turn_rad = logarithm(from_matrix(before.T @ after))
+    rate = before.T @ earth_rate(scene.latitude_deg) + turn_rad * (np.linalg.norm(turn_rad) >= _TURNED_RAD) / step_s
     return parameters.errors(force, rate)
-
-
-def _rotation_vector(R: FloatArray) -> FloatArray:
-    """Return the rotation vector of R, shape (3,)."""
-    angle = math.acos(min(1.0, max(-1.0, (np.trace(R) - 1) / 2)))
-    if angle < _TURNED_RAD:
-        return np.zeros(3)
-    # Half a turn has no antisymmetric part; the axis is an eigenvector in any case.
-    value, vectors = np.linalg.eigh(R + R.T)
-    axis = vectors[:, int(np.argmax(value))]
-    sense = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) @ axis
-    return np.asarray(math.copysign(angle, sense) * axis, dtype=np.float64)
 
 
 def _angle(first: FloatArray, second: FloatArray) -> float:

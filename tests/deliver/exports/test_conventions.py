@@ -7,7 +7,7 @@ import pytest
 
 from imufield.calibrate.model.models import predict
 from imufield.calibrate.model.result import AccelerometerParameters
-from imufield.deliver.exports.conventions import Correction, linearised, rotation_times_triangle, rotation_to, rotation_vector
+from imufield.deliver.exports.conventions import Correction, linearised, rotation_times_triangle, rotation_to
 
 pytestmark = pytest.mark.numerical
 
@@ -49,12 +49,6 @@ def test_rotation_times_triangle_far_from_the_identity() -> None:
     Q, L = rotation_times_triangle(swapped, "lower")
     np.testing.assert_allclose(Q @ L, swapped, atol=1e-14)
     assert np.linalg.det(Q) == pytest.approx(1)
-
-
-def test_rotation_vector_of_a_known_turn() -> None:
-    c, s = np.cos(0.3), np.sin(0.3)
-    np.testing.assert_allclose(rotation_vector(np.array([[1, 0, 0], [0, c, -s], [0, s, c]])), [0.3, 0, 0], atol=1e-15)
-    np.testing.assert_array_equal(rotation_vector(np.eye(3)), 0)
 
 
 @pytest.mark.parametrize("axes", ["sensing", "body"])
