@@ -20,7 +20,7 @@ from imufield.acquire.instrument.can_map import protocol_from_dbc
 from imufield.acquire.protocol.can_frame import ERROR, EXTENDED, FD, REMOTE, Frame, pack_frame
 from imufield.acquire.protocol.protocol import Protocol, load_protocol
 from imufield.samples import Samples, Status, concatenate
-from tests.acquire.plain_frames import parse_candump
+from tests.acquire.plain_frames import pack_frames, parse_candump
 
 ACCELERATION, RATE = 0x08F02D80 | EXTENDED, 0x0CF02A80 | EXTENDED
 J1939, XSENS, SBG = (load_protocol(name) for name in ("j1939_imu", "xsens_can", "sbg_can"))
@@ -63,10 +63,6 @@ MAP = {
 }
 
 
-def pack(frames: list[Frame]) -> bytes:
-    return b"".join(pack_frame(frame.can_id, frame.data, frame.time_s, frame.flags) for frame in frames)
-
-
 def decode(protocol: Protocol, data: bytes, cuts: list[int] | None = None) -> tuple[Samples, DecoderStatistics]:
     decoder = Decoder(protocol)
     edges = [0, *(cuts or []), len(data)]
@@ -93,7 +89,7 @@ def test_cuts_do_not_matter(seed: int) -> None:
     rng = random.Random(seed)
     frames = [frame for frame in stream(300) if rng.random() > 0.03]
     frames += [Frame(ERROR | 8, bytes(8), 1.0), Frame(0x123, b"other", 1.0)]
-    data = pack(frames)
+    data = pack_frames(frames)
     whole, first = decode(J1939, data)
     cut, second = decode(J1939, data, sorted(rng.sample(range(len(data)), 60)))
     np.testing.assert_array_equal(whole.accelerometer, cut.accelerometer)
@@ -116,7 +112,7 @@ def unequal(samples: int, each: int, slower: int = RATE, *, offset: int = 0) -> 
 
 @pytest.mark.parametrize("each", [2, 3, 5, 10])
 def test_a_slower_message_stands_until_the_next(each: int) -> None:
-    data = pack(unequal(400, each))
+    data = pack_frames(unequal(400, each))
     for cuts in ([], list(range(24, len(data), 24)), list(range(77, len(data), 77))):
         samples, statistics = decode(J1939, data, cuts)
         assert len(samples) == 400
@@ -135,7 +131,7 @@ def test_a_slower_message_stands_until_the_next(each: int) -> None:
 
 
 def test_the_acceleration_may_be_the_slower_one() -> None:
-    samples, statistics = decode(J1939, pack(unequal(400, 2, ACCELERATION)))
+    samples, statistics = decode(J1939, pack_frames(unequal(400, 2, ACCELERATION)))
     assert len(samples) == 400
     # What comes before the first rate belongs to no sample.
     assert samples.usable[1:-1].all()
@@ -151,7 +147,7 @@ def test_of_two_messages_at_three_to_two_the_faster_one_begins(slower: int) -> N
             frames.append(Frame(ACCELERATION + RATE - slower, words(20000 + number, 32000, 32000), number * 0.005 + 0.0003))
         if number % 3 == 0:
             frames.append(Frame(slower, words(20000 + number, 32000, 32000), number * 0.005))
-    samples, statistics = decode(J1939, pack(frames))
+    samples, statistics = decode(J1939, pack_frames(frames))
     assert len(samples) == 600
     assert samples.usable.mean() > 0.98
     assert statistics.by_kind.get(LEFT_OUT, 0) <= 1
@@ -162,7 +158,7 @@ def test_frames_left_out_are_said() -> None:
     assert J1939.can is not None
     begin = next(number for number, kind in enumerate(J1939.can.kinds) if kind.message.can_id & 0xFFFF00 == RATE & 0xFFFF00)
     rule = replace(J1939.can, assembly=replace(J1939.can.assembly, starts_with=begin))
-    samples, statistics = decode(replace(J1939, can=rule), pack(unequal(400, 2)))
+    samples, statistics = decode(replace(J1939, can=rule), pack_frames(unequal(400, 2)))
     assert statistics.by_kind[LEFT_OUT] == pytest.approx(400 - len(samples), abs=2)
     (said,) = remarks([statistics])
     assert f"{statistics.by_kind[LEFT_OUT]} frames" in said
@@ -171,7 +167,7 @@ def test_frames_left_out_are_said() -> None:
 
 
 def test_a_message_too_rare_to_stand_is_said_with_the_remedy() -> None:
-    _, statistics = decode(J1939, pack(unequal(2000, 40)))
+    _, statistics = decode(J1939, pack_frames(unequal(2000, 40)))
     (said,) = remarks([statistics])
     assert re.search(r"1950\b.*\b2000\b.*98 %", said)
     assert "starts_with" in said
@@ -181,7 +177,7 @@ def test_a_slower_message_that_is_lost_stands_no_longer_than_its_turn() -> None:
     frames = unequal(400, 2)
     lost = next(place for place, frame in enumerate(frames) if frame.can_id == RATE and frame.time_s > 1.0)
     number = round(frames[lost].time_s / 0.005)
-    samples, statistics = decode(J1939, pack(frames[:lost] + frames[lost + 1 :]))
+    samples, statistics = decode(J1939, pack_frames(frames[:lost] + frames[lost + 1 :]))
     assert np.flatnonzero(~samples.usable).tolist() == [number, number + 1]
     assert statistics.samples_incomplete == 2
 
@@ -189,7 +185,7 @@ def test_a_slower_message_that_is_lost_stands_no_longer_than_its_turn() -> None:
 def test_messages_lost_at_random_do_not_stand() -> None:
     rng = random.Random(5)
     frames = [frame for frame in stream(600) if frame.can_id == ACCELERATION or rng.random() > 0.4]
-    samples, statistics = decode(J1939, pack(frames))
+    samples, statistics = decode(J1939, pack_frames(frames))
     assert statistics.samples_standing == 0
     assert np.count_nonzero(~samples.usable) == 600 - sum(frame.can_id == RATE for frame in frames)
 
@@ -203,7 +199,7 @@ def test_cuts_do_not_matter_where_frames_are_stamped_as_they_are_read(seed: int)
         now_s = max(now_s, frame.time_s + (rng.uniform(0.01, 0.08) if rng.random() < 0.2 else 0.0))
         if rng.random() > 0.02:
             frames.append(Frame(frame.can_id, frame.data, now_s))
-    data = pack(frames)
+    data = pack_frames(frames)
     whole, statistics = decode(J1939, data)
     for size in (24, 77, 480, 4800):
         parts, counts = decode(J1939, data, list(range(size, len(data), size)))
@@ -216,7 +212,7 @@ def test_cuts_do_not_matter_where_frames_are_stamped_as_they_are_read(seed: int)
 
 
 def test_byte_by_byte() -> None:
-    data = pack(stream(40))
+    data = pack_frames(stream(40))
     whole, _ = decode(J1939, data)
     bytewise, _ = decode(J1939, data, list(range(1, len(data))))
     np.testing.assert_array_equal(whole.accelerometer, bytewise.accelerometer)
@@ -228,7 +224,7 @@ def test_codes_become_gaps() -> None:
     frames[20] = Frame(ACCELERATION, words(0x8000, 0xFFFF, 0x8000), frames[20].time_s)
     frames[41] = Frame(RATE, words(0xFE01, 0x8000, 0x8000), frames[41].time_s)
     frames[60] = Frame(ACCELERATION, words(0x8000, 0x8000, 0x8000, last=0b100000), frames[60].time_s)
-    samples, _ = decode(J1939, pack(frames))
+    samples, _ = decode(J1939, pack_frames(frames))
     assert len(samples) == 200
     assert np.isnan(samples.accelerometer[10]).tolist() == [False, True, False]
     assert np.isnan(samples.gyroscope[20]).tolist() == [True, False, False]
@@ -242,7 +238,7 @@ def test_codes_become_gaps() -> None:
 def test_short_frames_are_refused_and_counted() -> None:
     frames = stream(100)
     frames[50] = Frame(ACCELERATION, frames[50].data[:5], frames[50].time_s)
-    samples, statistics = decode(J1939, pack(frames))
+    samples, statistics = decode(J1939, pack_frames(frames))
     assert len(samples) == 99
     assert statistics.by_kind["AccelerationSensor, too short"] == 1
     assert statistics.by_kind["without a sample"] == 1
@@ -264,8 +260,8 @@ def test_strangers_on_the_bus() -> None:
     ]
     remote = Frame(ACCELERATION | REMOTE, b"", 0.5)
     mixed = sorted([*own, *strangers, remote], key=lambda frame: frame.time_s)
-    samples, statistics = decode(J1939, pack(mixed))
-    alone, _ = decode(J1939, pack(own))
+    samples, statistics = decode(J1939, pack_frames(mixed))
+    alone, _ = decode(J1939, pack_frames(own))
     np.testing.assert_array_equal(samples.accelerometer, alone.accelerometer)
     np.testing.assert_array_equal(samples.gyroscope, alone.gyroscope)
     assert statistics.by_kind["other"] == 501
@@ -274,18 +270,18 @@ def test_strangers_on_the_bus() -> None:
 def test_two_instruments_are_not_mixed() -> None:
     first, second = stream(100, 0x80, 1), stream(100, 0xE2, 2)
     mixed = sorted([*first, *second], key=lambda frame: frame.time_s)
-    alone, _ = decode(J1939, pack(first))
-    samples, _ = decode(J1939, pack(mixed))
+    alone, _ = decode(J1939, pack_frames(first))
+    samples, _ = decode(J1939, pack_frames(mixed))
     np.testing.assert_array_equal(samples.accelerometer, alone.accelerometer)
-    chosen, _ = decode(load_protocol("j1939_imu", {"source_address": 0xE2}), pack(mixed))
-    other, _ = decode(J1939, pack(second))
+    chosen, _ = decode(load_protocol("j1939_imu", {"source_address": 0xE2}), pack_frames(mixed))
+    other, _ = decode(J1939, pack_frames(second))
     np.testing.assert_array_equal(chosen.gyroscope, other.gyroscope)
 
 
 def test_messages_of_identity() -> None:
     decoder = Decoder(J1939)
     version = parse_candump("18FEDA80#1301330002")
-    decoder.feed(pack([*stream(5), version]))
+    decoder.feed(pack_frames([*stream(5), version]))
     (message,) = decoder.messages()
     assert message["kind"] == "SoftwareVersion"
     assert (message["VersionMajor"], message["VersionMinor"], message["VersionPatch"]) == (19, 1, 51)
@@ -311,7 +307,7 @@ def test_multiplexed_messages_are_joined_by_their_counter(tmp_path: Path) -> Non
             Frame(256, rate, number * 0.01 + 0.001),
         ]
         frames += pair[::-1] if number % 3 == 0 else pair
-    samples, statistics = decode(protocol, pack(frames))
+    samples, statistics = decode(protocol, pack_frames(frames))
     np.testing.assert_allclose(samples.accelerometer, [[0.01 * n, -0.01 * n, 9.81] for n in range(100)])
     np.testing.assert_allclose(samples.gyroscope, [[0.01 * n, -0.01 * n, 5.0] for n in range(100)])
     assert statistics.by_kind["Motion[0]"] == statistics.by_kind["Motion[1]"] == statistics.by_kind["other"] == 100
@@ -325,7 +321,7 @@ def test_wide_frames_of_can_fd(tmp_path: Path) -> None:
         data = struct.pack("<Qfff", 1_000_000 + number * 2500, 0.5, number, -1.0)
         data = data.ljust(24, b"\0") + struct.pack(">ffd", number + 0.25, 0.125, -number)
         frames.append(Frame(256, data.ljust(48, b"\0"), 0.0, FD))
-    samples, statistics = decode(protocol, pack(frames), [100, 1000, 1001])
+    samples, statistics = decode(protocol, pack_frames(frames), [100, 1000, 1001])
     np.testing.assert_allclose(samples.accelerometer / 9.80665, [[0.5, n, -1.0] for n in range(100)])
     np.testing.assert_allclose(samples.gyroscope, [[-n, n + 0.25, 0.125] for n in range(100)])
     np.testing.assert_allclose(samples.time_s, 1.0 + np.arange(100) * 0.0025)
@@ -346,7 +342,7 @@ def test_floats_that_are_no_numbers(tmp_path: Path) -> None:
             (0x603, bad),
         ):
             frames.append(Frame(can_id, data, number * 0.01 + (can_id & 3) * 2e-4))
-    samples, _ = decode(protocol, pack(frames))
+    samples, _ = decode(protocol, pack_frames(frames))
     assert len(samples) == 50
     assert np.isnan(samples.accelerometer[20]).tolist() == [False, False, True]
     assert samples.status[20] & Status.ACCELEROMETER_INVALID

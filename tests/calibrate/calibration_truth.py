@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -118,3 +119,10 @@ def still_means(acc: FloatArray, noise: float, *, window: int = 51, shortest: in
     pairs = [(a + trim, b - trim) for a, b in zip(change[::2], change[1::2], strict=True) if b - a - 2 * trim >= shortest]
     mean = np.array([acc[a:b].mean(axis=0) for a, b in pairs])
     return observe(mean, np.array([np.cov(acc[a:b].T) / (b - a) for a, b in pairs]))
+
+
+def numeric_jacobian(residuals: Callable[[FloatArray], FloatArray], z: FloatArray, step: FloatArray) -> FloatArray:
+    """Return the derivatives by central differences, shape (m, n)."""
+    return np.stack(
+        [(residuals(z + e) - residuals(z - e)) / (2 * size) for e, size in zip(np.diag(step), step, strict=True)], axis=1
+    )

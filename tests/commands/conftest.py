@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 from imufield.acquire.link.serial import Chunk
+from imufield.acquire.recording.reader import RecordedEvent, read_session
 from imufield.acquire.recording.recorder import Recorder, part_metadata
 from imufield.acquire.recording.session import Session
 from imufield.acquire.registry import load_driver
@@ -33,6 +34,7 @@ from imufield.simulate.truth.operator import OperatorSettings
 from imufield.simulate.truth.source import VirtualImu
 from imufield.simulate.wire.stim300 import Stim300Format
 from tests.commands import at_start
+from tests.commands.pty_terminal import Terminal
 from tests.conftest import write_secret
 
 IMUFIELD = [sys.executable, "-m", "imufield"]
@@ -139,6 +141,25 @@ def program(tmp_path: Path) -> Iterator[Program]:
     program = Program(tmp_path)
     yield program
     program.stop()
+
+
+@pytest.fixture
+def terminals() -> Iterator[list[Terminal]]:
+    """Return a list for terminals, which are closed in the end."""
+    opened: list[Terminal] = []
+    yield opened
+    for terminal in opened:
+        terminal.close()
+
+
+def newest(program: Program) -> Session:
+    """Return the session that was begun last."""
+    return Session.newest(program.folder / "imufield-sessions")
+
+
+def recorded_events(session: Session) -> list[dict[str, Any]]:
+    """Return what the guide said, as it is on disk."""
+    return [item.event for item in read_session(session) if isinstance(item, RecordedEvent)]
 
 
 Change = Callable[[Samples], Samples]

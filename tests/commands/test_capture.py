@@ -16,26 +16,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from imufield.acquire.recording.reader import RecordedEvent, read_session
 from imufield.acquire.recording.session import Session
 from imufield.pipeline.chain import session_samples
 from imufield.sentences import Sentences
-from tests.commands.conftest import IMUFIELD, SPEED
+from tests.commands.conftest import FACES, IMUFIELD, SPEED, newest, recorded_events
 from tests.commands.pty_terminal import Terminal
 from tests.commands.told import missing, says
 
 if TYPE_CHECKING:
     from tests.commands.conftest import Program
-
-FACES = ["+x", "+y", "+z", "-x", "-y", "-z"]
-
-
-def newest(program: Program) -> Session:
-    return Session.newest(program.folder / "imufield-sessions")
-
-
-def events(session: Session) -> list[dict[str, object]]:
-    return [item.event for item in read_session(session) if isinstance(item, RecordedEvent)]
 
 
 @pytest.fixture
@@ -85,7 +74,7 @@ def test_a_whole_session_in_plain_lines_then_solve(program: Program, faces: str)
     assert document["site"]["gravity_sigma_m_s2"] == pytest.approx(0.018)
     assert any("gravity" in reason and "assumed" in reason for reason in document["quality"]["reasons"])
     assert document["instrument"]["serial_number"] == session.metadata["instrument"]["serial_number"]
-    assert sorted(position["name"] for position in document["position"]) == FACES
+    assert sorted(position["name"] for position in document["position"]) == sorted(FACES)
     assert (session.folder / "parameters.toml").is_file()
 
 
@@ -116,7 +105,7 @@ def test_json_lines_and_nothing_else(program: Program, faces: str) -> None:
     assert told[0] == {"version": 1, "event": "session", "session": str(newest(program).folder.relative_to(program.folder))}
     assert told[-1]["event"] == "done"
     assert [event["position"] for event in told if event["event"] == "accepted"][-1] in FACES
-    assert told[1:] == events(newest(program))
+    assert told[1:] == recorded_events(newest(program))
 
 
 def test_replay_tells_the_same(program: Program, faces: str) -> None:
@@ -156,7 +145,7 @@ def test_resume(program: Program) -> None:
         assert words in " ".join(refused.stderr.split())
 
     # The list of sessions decodes nothing.
-    accepted = [event for event in events(newest(program)) if event["event"] == "accepted"]
+    accepted = [event for event in recorded_events(newest(program)) if event["event"] == "accepted"]
     assert newest(program).record.accepted == len(accepted) >= 2
     # Port, driver, baud rate, positions and site are those of the session.
     resumed = program.run("capture", "--resume", variables={"IMUFIELD_CLOCK_SPEED": "16"})
@@ -167,8 +156,8 @@ def test_resume(program: Program) -> None:
     assert (session.finished, session.record.accepted) == (True, 6)
     assert session.metadata["site"]["gravity_m_s2"] == 9.81
     assert [path.name for path in session.parts] == ["part-001.mcap", "part-002.mcap"]
-    taken = [event["position"] for event in events(session) if event["event"] == "accepted"]
-    assert sorted(map(str, taken)) == FACES
+    taken = [event["position"] for event in recorded_events(session) if event["event"] == "accepted"]
+    assert sorted(map(str, taken)) == sorted(FACES)
 
 
 def test_what_is_proposed_can_be_pasted(program: Program) -> None:
@@ -300,10 +289,10 @@ def test_keys_on_a_terminal(program: Program, screen: Terminal) -> None:
     session = newest(program)
     assert session.finished
     assert session.metadata["site"] == {"latitude_deg": 48.1, "height_m": 520.0}
-    marks = [event["action"] for event in events(session) if event["event"] == "mark"]
+    marks = [event["action"] for event in recorded_events(session) if event["event"] == "mark"]
     assert marks == ["pause", "pause", "skip", "undo", "retake", "skip", "finish"]
     told = program.run("replay", "--json").stdout.splitlines()
-    live = [event for event in events(session) if event["event"] != "mark"]
+    live = [event for event in recorded_events(session) if event["event"] != "mark"]
     assert [json.loads(line) for line in told] == live
 
 
@@ -330,7 +319,7 @@ def test_what_was_finished_early_goes_on_when_it_is_named(
     assert again.wait() == 0
     session = newest(program)
     assert not session.finished
-    recorded = events(session)
+    recorded = recorded_events(session)
     assert [event["action"] for event in recorded if event["event"] == "mark"] == ["finish", "reopen"]
     told = program.run("replay", "--json").stdout.splitlines()
     assert [json.loads(line) for line in told] == [event for event in recorded if event["event"] != "mark"]
@@ -361,7 +350,7 @@ def test_a_finished_session_measures_a_position_again(program: Program) -> None:
     assert again.returncode == 0, again.stderr
     session = Session.open(program.folder / "s")
     assert session.finished
-    recorded = events(session)
+    recorded = recorded_events(session)
     marks = [(event["action"], event.get("position")) for event in recorded if event["event"] == "mark"]
     assert marks == [("reopen", None), ("retake", "+x")]
     # It was finished, and no link was lost.
@@ -409,7 +398,7 @@ def test_a_terminal_that_is_closed(program: Program, screen: Terminal) -> None:
     assert screen.process.wait(120) == 130
     session = newest(program)
     assert not session.finished
-    assert "accepted" in {event["event"] for event in events(session)}
+    assert "accepted" in {event["event"] for event in recorded_events(session)}
     assert program.run("replay").returncode == 0
 
 

@@ -7,15 +7,13 @@ import os
 import signal
 import subprocess
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
-from imufield.acquire.recording.reader import RecordedEvent, read_session
 from imufield.acquire.recording.session import Session
-from tests.commands.conftest import FACES
+from tests.commands.conftest import FACES, newest, recorded_events
 from tests.commands.pty_terminal import Terminal
 from tests.commands.told import missing, says
 
@@ -23,22 +21,9 @@ if TYPE_CHECKING:
     from tests.commands.conftest import Program
 
 
-def newest(program: Program) -> Session:
-    return Session.newest(program.folder / "imufield-sessions")
-
-
 def accepted(session: Session) -> list[str]:
     """Return the positions that were accepted, as they are on disk."""
-    events = (item.event for item in read_session(session) if isinstance(item, RecordedEvent))
-    return [str(event["position"]) for event in events if event["event"] == "accepted"]
-
-
-@pytest.fixture
-def terminals() -> Iterator[list[Terminal]]:
-    opened: list[Terminal] = []
-    yield opened
-    for one in opened:
-        one.close()
+    return [str(event["position"]) for event in recorded_events(session) if event["event"] == "accepted"]
 
 
 def open_terminal(opened: list[Terminal], program: Program, *arguments: object, **variables: str) -> Terminal:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -40,14 +39,6 @@ def here(program: Program, short_solved: Path) -> Path:
     # Without what is kept of its replay: reading it again is what takes long.
     shutil.copytree(short_solved, program.folder / "here", ignore=shutil.ignore_patterns(KEPT_FILE))
     return program.folder / "here"
-
-
-@pytest.fixture
-def terminals() -> Iterator[list[Terminal]]:
-    opened: list[Terminal] = []
-    yield opened
-    for terminal in opened:
-        terminal.close()
 
 
 def start(terminals: list[Terminal], program: Program, command: str) -> Terminal:

@@ -47,13 +47,14 @@ def run(
     return guide, events + guide.flush()
 
 
-def feed(samples: Samples, name: str = "faces6", cuts: int = 1, **settings: Any) -> tuple[Guide, list[Event]]:
+def feed(
+    samples: Samples, name: str = "faces6", cuts: int = 1, *, marks: Iterable[tuple[str, float]] = (), **settings: Any
+) -> tuple[Guide, list[Event]]:
     """Return a guide that was given samples in some pieces, and what it said; holds of 3 s unless stated."""
-    guide = Guide(scheme(name), samples.units, settings=GuideSettings(**{"hold_s": 3.0, **settings}))
-    events: list[Event] = []
-    for part in np.array_split(np.arange(len(samples)), cuts):
-        events += guide.feed(samples[int(part[0]) : int(part[-1]) + 1])
-    return guide, events + guide.flush()
+    parts = np.array_split(np.arange(len(samples)), cuts)
+    blocks = [samples[int(part[0]) : int(part[-1]) + 1] for part in parts]
+    guide, events = run(samples, name, GuideSettings(**{"hold_s": 3.0, **settings}), marks, blocks)
+    return guide, events
 
 
 def cells_of(blocks: Iterable[Samples]) -> Iterator[Cells]:

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from imufield.acquire.link.serial import Chunk
-from imufield.acquire.recording.reader import RecordedEvent, read_session
+from imufield.acquire.recording.reader import read_session
 from imufield.acquire.recording.session import Session
 from imufield.guide.positions import scheme
-
-if TYPE_CHECKING:
-    from tests.commands.conftest import Program
+from tests.commands.conftest import Program, recorded_events
 
 SPEED = 16
 SCHEME = "corners24"
@@ -36,13 +33,9 @@ def capture_into(program: Program, port: str, folder: Path, positions: str = SCH
     return (*program.capture(port, "--session", folder, "--json"), "--positions", positions, *resume)
 
 
-def events_on_disk(folder: Path) -> list[dict[str, Any]]:
-    return [item.event for item in read_session(Session.open(folder)) if isinstance(item, RecordedEvent)]
-
-
 def accepted_on_disk(folder: Path) -> list[str]:
     """Return the positions that were accepted, in their order."""
-    return [event["position"] for event in events_on_disk(folder) if event["event"] == "accepted"]
+    return [event["position"] for event in recorded_events(Session.open(folder)) if event["event"] == "accepted"]
 
 
 def bytes_on_disk(folder: Path) -> int:

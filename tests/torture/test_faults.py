@@ -20,6 +20,7 @@ from imufield.acquire.link.serial import Chunk
 from imufield.acquire.recording.reader import read_session
 from imufield.acquire.recording.session import Session
 from imufield.sentences import Sentences
+from tests.commands.conftest import recorded_events
 from tests.commands.pty_terminal import Terminal
 from tests.commands.told import says
 from tests.torture.captures import (
@@ -28,7 +29,6 @@ from tests.torture.captures import (
     bytes_on_disk,
     capture_into,
     end_and_solve,
-    events_on_disk,
     show_rounds,
 )
 from tests.torture.conftest import FULL, Campaign
@@ -238,7 +238,7 @@ def test_two_captures_want_the_same(program: Program, campaign: Campaign) -> Non
     screen.type("ff")
     assert screen.wait() == 0, screen.text[-1000:]
     screen.close()
-    assert not any(event["event"] in ("link_lost", "gap") for event in events_on_disk(folder))
+    assert not any(event["event"] in ("link_lost", "gap") for event in recorded_events(Session.open(folder)))
     assert len(Session.open(folder).parts) == 1
     assert bytes_on_disk(folder) > 20 * FLOW
     solved = program.run("solve", folder, "--json")

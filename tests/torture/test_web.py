@@ -11,10 +11,11 @@ from urllib.parse import urlsplit
 
 import pytest
 
+from tests.commands.conftest import recorded_events
 from tests.torture.conftest import FULL, Campaign
 from tests.web.browser import Screens, open_browser
 from tests.web.network import ARGUMENT, Network
-from tests.web.page_session import POSITIONS, WAIT_S, PageSession, finish, parameters_of, recorded_events, without_a_page
+from tests.web.page_session import POSITIONS, WAIT_S, PageSession, finish, parameters_of, without_a_page
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

@@ -6,6 +6,7 @@ And the same capture without one: its bytes and marks, from the recording, throu
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import socket
 import threading
@@ -32,7 +33,7 @@ from imufield.guide.positions import scheme
 from imufield.guide.view.marks import KEYS
 from imufield.pipeline.chain import MARK, Chain, ReadingPlan
 from imufield.pipeline.intake import Intake
-from tests.commands.conftest import SPEED, Program
+from tests.commands.conftest import SPEED, Program, recorded_events
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -152,8 +153,8 @@ class PageSession:
         raise AssertionError(f"not printed within {WAIT_S} s; the last was {self.told[-1]}")
 
 
-def recorded_events(session: Session) -> list[dict[str, Any]]:
-    return [item.event for item in read_session(session) if isinstance(item, RecordedEvent)]
+def wait_for(page: Page, place: str, words: str) -> None:
+    page.locator(place, has_text=re.compile(words)).first.wait_for()
 
 
 def finish(session: PageSession, page: Page) -> None:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.web.page_session import POSITIONS, PageSession, finish, parameters_of, recorded_events, without_a_page
+from tests.commands.conftest import recorded_events
+from tests.web.page_session import POSITIONS, PageSession, finish, parameters_of, wait_for, without_a_page
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -20,10 +20,6 @@ pytest.importorskip("websockets", reason="the page needs websockets")
 
 def tap(page: Page, key: str) -> None:
     page.locator(f"#marks [data-key={key}]").click()
-
-
-def wait_for_words(page: Page, place: str, words: str) -> None:
-    page.locator(place, has_text=re.compile(words)).first.wait_for()
 
 
 def leave_one_out(page: Page) -> dict[str, str]:
@@ -51,11 +47,11 @@ def test_a_whole_session_from_the_page(program: Program, screens: Screens) -> No
     session = PageSession.begin(program)
     page, watching = screens.open(session.url), screens.open(session.watch_url)
     assert "token" not in page.url
-    wait_for_words(page, "#done", r"^([2-9]|1\d|2\d)$")
+    wait_for(page, "#done", r"^([2-9]|1\d|2\d)$")
     tap(page, "p")
     # While it is paused, no measurement comes between two marks.
     for each in (page, watching):
-        wait_for_words(each, "#headline", "PAUSED")
+        wait_for(each, "#headline", "PAUSED")
     skipped = marked(session, page, "s", "skip")
     assert marked(session, page, "u", "undo") == skipped
     retaken = marked(session, page, "r", "retake")
@@ -65,21 +61,21 @@ def test_a_whole_session_from_the_page(program: Program, screens: Screens) -> No
     watching.keyboard.press("p")
     before = session.told[-1]
     page.reload()
-    wait_for_words(page, "#headline", "PAUSED")
+    wait_for(page, "#headline", "PAUSED")
     page.locator("#log li", has_text=retaken).first.wait_for()
     assert session.told[-1] == before
     tap(page, "p")
-    wait_for_words(page, "#headline", "TURN|HOLD")
+    wait_for(page, "#headline", "TURN|HOLD")
     session.unplug()
-    wait_for_words(page, "#headline", "NO LINK")
+    wait_for(page, "#headline", "NO LINK")
     session.plug_in()
     page.locator("#log li.link_back").wait_for()
     second = screens.open(session.url)
-    wait_for_words(page, "#done", "^24$")
+    wait_for(page, "#done", "^24$")
     # The person goes on turning it while the pages are read, and may show what ends the session.
     tap(page, "p")
     for each in (page, second, watching):
-        wait_for_words(each, "#headline", "PAUSED")
+        wait_for(each, "#headline", "PAUSED")
     found = leave_one_out(page)
     assert found == leave_one_out(second) == leave_one_out(watching)
     assert sorted(found) == sorted(POSITIONS)
@@ -93,8 +89,8 @@ def test_a_whole_session_from_the_page(program: Program, screens: Screens) -> No
     assert session.process.poll() is None
     finish(session, second)
     for each in (page, second, watching):
-        wait_for_words(each, "#headline", "FINISHED")
-        wait_for_words(each, "#details", r"24 of 24 [\s\S]* imufield solve")
+        wait_for(each, "#headline", "FINISHED")
+        wait_for(each, "#details", r"24 of 24 [\s\S]* imufield solve")
     assert session.process.wait(300) == 0, session.process.communicate()[1]
     assert screens.console == []
 

@@ -18,6 +18,7 @@ from imufield.deliver.parameters.file import load
 from imufield.guide.positions import scheme
 from imufield.web.page_commands import VIRTUAL
 from tests.commands.conftest import SPEED, Program
+from tests.web.page_session import wait_for
 from tests.web.test_page_looks import AXE, RUN_AXE, SIZES
 
 if TYPE_CHECKING:
@@ -115,10 +116,6 @@ def assert_each_angle_stands_below_its_axis(page: Page, found: Parameters) -> No
         # Half of the last digit that is shown.
         half = 0.51 * 10 ** -len(mrad.partition(".")[2])
         assert float(mrad) == pytest.approx(1e3 * exact_rad["xyz".index(pair[0]), "xyz".index(pair[1])], abs=half)
-
-
-def wait_for(page: Page, place: str, words: str) -> None:
-    page.locator(place, has_text=re.compile(words)).first.wait_for()
 
 
 # The browser and some fifteen programs, six positions of an emulated instrument among them: once, for the whole way.

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
-from calibration_truth import GRAVITY, campaign, outputs, paper24, random_parameters
+from calibration_truth import GRAVITY, campaign, numeric_jacobian, outputs, paper24, random_parameters
 
 from imufield.calibrate.accelerometer.fit import column_basis
 from imufield.calibrate.model.models import recover_vectors, to_vector
@@ -136,12 +134,6 @@ def test_a_singular_alignment_costs_infinity() -> None:
     costs = problem.cost(z)
     assert np.isfinite(costs[0])
     assert costs[1] > 1e3
-
-
-def numeric_jacobian(residuals: Callable[[FloatArray], FloatArray], z: FloatArray, step: FloatArray) -> FloatArray:
-    return np.stack(
-        [(residuals(z + e) - residuals(z - e)) / (2 * size) for e, size in zip(np.diag(step), step, strict=True)], axis=1
-    )
 
 
 @pytest.mark.parametrize("cost", ["weighted", "squares"])

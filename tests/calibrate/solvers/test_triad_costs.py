@@ -1,22 +1,15 @@
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from calibration_truth import numeric_jacobian
 
 from imufield.calibrate.solvers.triad_costs import TriadProblem, TurnsProblem
-from imufield.samples import FloatArray
 from imufield.study.instruments import GYROSCOPE_TRUTH, IDE_GRAVITY_M_S2, IDE_TRUTH, gyroscope_turns_problem, ide_problem
 
 pytestmark = pytest.mark.numerical
-
-
-def numeric_jacobian(residuals: Callable[[FloatArray], FloatArray], z: FloatArray, step: FloatArray) -> FloatArray:
-    return np.stack(
-        [(residuals(z + e) - residuals(z - e)) / (2 * size) for e, size in zip(np.diag(step), step, strict=True)], axis=1
-    )
 
 
 def test_triad_cost_by_hand() -> None:

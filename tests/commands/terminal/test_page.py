@@ -36,7 +36,7 @@ from imufield.errors import Reason
 from imufield.guide.events import EVENT_VERSION
 from imufield.web.address import lan_addresses
 from imufield.web.guide_page import GuidePage
-from tests.commands.conftest import RATE_HZ
+from tests.commands.conftest import RATE_HZ, recorded_events
 from tests.commands.pty_terminal import Terminal
 from tests.commands.told import fails
 from tests.guide.test_event_schema import read_schema
@@ -74,8 +74,7 @@ def log_of(message: Any) -> list[str]:
 
 def marks_of(folder: Path) -> list[object]:
     """Return what was marked, as it stands in the recording."""
-    events = [item.event for item in read_session(Session.open(folder)) if isinstance(item, RecordedEvent)]
-    return [event["action"] for event in events if event["event"] == "mark"]
+    return [event["action"] for event in recorded_events(Session.open(folder)) if event["event"] == "mark"]
 
 
 @contextmanager

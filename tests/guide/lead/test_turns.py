@@ -16,7 +16,7 @@ from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.lead.turns import plan_turns
 from imufield.guide.positions import scheme
 from imufield.samples import Samples, SampleUnits, make_samples
-from tests.guide.guided import is_said_by, key_of, values_of
+from tests.guide.guided import feed, is_said_by, key_of, of, values_of
 
 RATE = 100.0
 G = 9.80665
@@ -61,19 +61,9 @@ class Roll:
 
 
 def run(roll: Roll, about: str = "horizontal", cuts: int = 1) -> list[Event]:
-    settings = GuideSettings(hold_s=3.0, rotations=about)
-    samples = roll.samples()
-    guide = Guide(scheme("faces6"), samples.units, settings=settings)
-    events: list[Event] = []
-    for index in range(1, 6):
-        events += guide.mark("skip", 4.0 + 0.1 * index)
-    for part in np.array_split(np.arange(len(samples)), cuts):
-        events += guide.feed(samples[int(part[0]) : int(part[-1]) + 1])
-    return events + guide.flush()
-
-
-def of(events: list[Event], kind: type[Any]) -> Any:
-    return [event for event in events if isinstance(event, kind)]
+    marks = [("skip", 4.0 + 0.1 * index) for index in range(1, 6)]
+    _, events = feed(roll.samples(), cuts=cuts, marks=marks, rotations=about)
+    return events
 
 
 def rolled_both_ways() -> Roll:
