@@ -110,7 +110,7 @@ def evolve(
         record.end_of_iteration()
         if relative_spread(costs) <= settings.interval:
             break
-    return record.population_result(relative_spread(costs), settings.tolerance, settings.EG)
+    return record.population_result(costs, settings.tolerance, settings.EG)
 
 
 solve_de_rand_1 = partial(evolve, strategy="rand")
@@ -139,16 +139,13 @@ def _mutants(
 ) -> FloatArray:
     x, y, z = _three_distinct(len(members), rng)
     b, F = weights
-    mutants: FloatArray = F * (members[y] - members[z])
-    if strategy == "rand":
-        mutants += members[x]  # eq. 11
-        return mutants
     to_best = members + F * (best - members)
-    if strategy == "current-to-best":
-        mutants += to_best  # eq. 14
-        return mutants
-    mutants += (1 - b) * members[x] + b * to_best  # eq. 15 and 18
-    return mutants
+    origins = {
+        "rand": members[x],  # eq. 11
+        "current-to-best": to_best,  # eq. 14
+        "combined": (1 - b) * members[x] + b * to_best,  # eq. 15 and 18
+    }
+    return np.asarray(origins[strategy] + F * (members[y] - members[z]))
 
 
 def _three_distinct(size: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -68,8 +68,7 @@ def solve_with_pymoo(
         algorithm.next()
         record.end_of_iteration()
     costs = np.asarray(algorithm.pop.get("F"), dtype=np.float64).ravel()
-    spread = float((costs.max() - costs.min()) / costs.min()) if costs.min() > 0 else float("inf")
-    return record.population_result(spread, settings.tolerance, settings.generations)
+    return record.population_result(costs, settings.tolerance, settings.generations)
 
 
 solve_ga = partial(solve_with_pymoo, name="GA")

@@ -91,9 +91,10 @@ class Record:
             return self._result(SolverStatus.STALLED, sentence("population.stalled", message=message, gain=gain))
         return self._result(SolverStatus.CONVERGED, message)
 
-    def population_result(self, spread: float, tolerance: float, generations: int) -> SolverResult:
-        """Return the result of a population whose costs have this relative spread at its end."""
+    def population_result(self, costs: FloatArray, tolerance: float, generations: int) -> SolverResult:
+        """Return the result of a population that has these costs at its end."""
         lower, upper = self._problem.bounds
+        spread = relative_spread(costs)
         agreed = spread <= tolerance
         key = "population.agreed" if agreed else "population.generation_limit"
         return self.result(upper - lower, sentence(key, spread=spread, generations=generations), converged=agreed)
