@@ -190,27 +190,28 @@ class Jobs:
         while line := stream.readline(LONGEST_OUTPUT):
             text = line.rstrip("\n")
             if text.startswith(ERASE):
-                self._go_on(number, printable(text.removeprefix(ERASE)))
+                # How far a command is: shown, and nothing to be kept.
+                words = printable(text.removeprefix(ERASE))
+                self._note(number, PROGRESS, {"event": PROGRESS, "words": words} if words else None)
+                self._tell()
                 continue
             value = _value(text) if kind == "line" else None
             if value is None:
                 self._tell({"job": number, kind: printable(text)})
             elif (event := value.get("event")) not in _PASSING:
-                with self._lock:
-                    told = self._heads[number].told
-                    told.pop(event, None)
-                    # A result has no name: it is told once.
-                    told |= {} if event is None else {event: value}
+                # A result has no name: it is told once.
+                if event is not None:
+                    self._note(number, event, value)
                 self._tell({"job": number, "value": value})
         stream.close()
 
-    def _go_on(self, number: int, words: str) -> None:
-        """Show how far a command is, which is nothing to be kept."""
+    def _note(self, number: int, event: object, value: Json | None) -> None:
+        """Keep the newest value of an event, behind those of the others; None forgets the one before."""
         with self._lock:
             told = self._heads[number].told
-            told.pop(PROGRESS, None)
-            told |= {PROGRESS: {"event": PROGRESS, "words": words}} if words else {}
-        self._tell()
+            told.pop(event, None)
+            if value is not None:
+                told[event] = value
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

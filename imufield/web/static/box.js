@@ -29,6 +29,16 @@ function shaded(paint, light) {
   return `rgb(${[1, 3, 5].map((at) => Math.round(parseInt(paint.slice(at, at + 2), 16) * share)).join(" ")})`;
 }
 
+/**
+ * Make a closed path of corners as the onlooker sees them.
+ * @param {CanvasRenderingContext2D} context @param {Vector[]} corners @param {[number, number]} middle @param {number} size
+ */
+function surround(context, corners, middle, size) {
+  context.beginPath();
+  for (const [x, , z] of corners) context.lineTo(middle[0] + x * size, middle[1] - z * size);
+  context.closePath();
+}
+
 export class Box {
   /** @param {HTMLCanvasElement} canvas */
   constructor(canvas) {
@@ -164,12 +174,7 @@ export class Box {
       context.lineWidth = hasEdges ? Math.max(1, size * 0.02) : 0.7;
       // Of triangles no edge is to be seen, nor a gap between two.
       if (!hasEdges) context.strokeStyle = context.fillStyle;
-      context.beginPath();
-      seen.forEach(([x, , z], index) => {
-        if (index) context.lineTo(middle[0] + x * size, middle[1] - z * size);
-        else context.moveTo(middle[0] + x * size, middle[1] - z * size);
-      });
-      context.closePath();
+      surround(context, seen, middle, size);
       context.fill();
       context.stroke();
     }
@@ -224,12 +229,7 @@ export class Box {
     context.fillStyle = colour("arrow");
     for (const corners of pieces) {
       if (corners.reduce((sum, corner) => sum + corner[1], 0) > 0 !== isBehind) continue;
-      context.beginPath();
-      corners.forEach(([x, , z], index) => {
-        if (index) context.lineTo(middle[0] + x * size, middle[1] - z * size);
-        else context.moveTo(middle[0] + x * size, middle[1] - z * size);
-      });
-      context.closePath();
+      surround(context, corners, middle, size);
       context.fill();
     }
   }
