@@ -15,7 +15,7 @@ from imufield.calibrate.temperature.fit import SessionPoints, TemperatureData, T
 from imufield.calibrate.temperature.one_pose import gyroscope_sentence, pose_sentence
 from imufield.calibrate.temperature.points import accelerometer_points, gyroscope_points
 from imufield.calibrate.temperature.ramp import RampWindows, cut_ramp, in_one_pose, ramp_sentences, turns
-from imufield.dataclass import dataclass, field, replace
+from imufield.dataclass import asdict, dataclass, field, replace
 from imufield.deliver.parameters.context import TemperatureSource
 from imufield.deliver.parameters.document import judgement
 from imufield.deliver.parameters.file import Parameters, from_document
@@ -76,16 +76,7 @@ def read_ramp(session: Session, base: Parameters) -> RampMeans:
         remarks.append(sentence("temperature.moved", name=session.name, kept=share))
         means = means[kept]
     require_possible_degc(session.name, means.temperature_degc)
-    return RampMeans(
-        name=session.name,
-        sha256=session.sha256(),
-        time_s=means.time_s,
-        temperature_degc=means.temperature_degc,
-        accelerometer=means.accelerometer,
-        gyroscope=means.gyroscope,
-        remarks=tuple(remarks),
-        marks=marks,
-    )
+    return RampMeans(**asdict(means), name=session.name, sha256=session.sha256(), remarks=tuple(remarks), marks=marks)
 
 
 @dataclass(frozen=True, slots=True)

@@ -117,10 +117,8 @@ def _join_by_row(
     if len(set(sizes)) > 1:
         listed = [f"{path}: {size}" for path, size in zip(paths, sizes, strict=True)]
         raise UsageError(sentence("table_join.other_rows", listed=listed, rows=sizes))
-    joined: dict[str, FloatArray] = {}
     # Of a time in several files the first counts.
-    for file in files:
-        joined = {**file, **joined}
+    joined = {name: column for file in reversed(files) for name, column in file.items()}
     if TIME in joined:
         return joined, [sentence("table_join.by_row")]
     if rate_hz is None:

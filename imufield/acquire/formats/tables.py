@@ -7,7 +7,7 @@ Whatever the files do not state is assumed aloud: ``ImportedTable.assumptions`` 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -251,13 +251,19 @@ def stream_table(path: str | Path, *, rate_hz: float | None = None) -> Iterator[
 def _pieces(source: TextTable, meaning: Meaning) -> Iterator[FloatArray]:
     """Yield the rows of a text: enough to guess units by, then block by block."""
     blocks = source.blocks(meaning.places)
-    head: list[FloatArray] = []
-    for block in blocks:
-        head.append(block)
-        if sum(map(len, head)) >= _ROWS_TO_GUESS_BY:
-            break
+    head = _enough_of(blocks)
     yield np.concatenate(head) if head else source.read(meaning.places)
     yield from blocks
+
+
+def _enough_of(blocks: Iterable[FloatArray]) -> list[FloatArray]:
+    """Return the first blocks, enough to guess a unit by."""
+    found: list[FloatArray] = []
+    for block in blocks:
+        found.append(block)
+        if sum(map(len, found)) >= _ROWS_TO_GUESS_BY:
+            break
+    return found
 
 
 def _late(source: TextTable, meaning: Meaning, head: FloatArray) -> dict[str, FloatArray]:
@@ -268,11 +274,8 @@ def _late(source: TextTable, meaning: Meaning, head: FloatArray) -> dict[str, Fl
         return late
     for group in (ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, (STATUS,)):
         columns = [column for place, column in enumerate(meaning.columns) if column.field in group and is_empty(head[:, place])]
-        found: list[FloatArray] = []
-        for block in source.blocks([column.index for column in columns]) if columns else ():
-            found.append(block[~np.isnan(block).all(axis=1)])
-            if sum(map(len, found)) >= _ROWS_TO_GUESS_BY:
-                break
+        blocks = source.blocks([column.index for column in columns]) if columns else ()
+        found = _enough_of(block[~np.isnan(block).all(axis=1)] for block in blocks)
         numbers = np.concatenate(found) if found else np.empty((0, len(columns)))
         late |= {column.field: each for column, each in zip(columns, numbers.T, strict=True) if np.isfinite(each).any()}
     return late

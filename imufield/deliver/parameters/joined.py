@@ -16,7 +16,7 @@ from imufield.calibrate.model.budget import Kind, Share, picked, root_of
 from imufield.calibrate.model.coverage_factors import NORMAL_FACTOR_95
 from imufield.calibrate.model.gauge import intrinsic, make_intrinsic
 from imufield.calibrate.model.grades import Grade
-from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS, PARAMETERS, from_vector
+from imufield.calibrate.model.models import PARAMETERS, from_vector
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import (
     GRAVITY_NAME,
@@ -193,7 +193,7 @@ def _calibration(base: Calibration, joint: Joint, shared: FloatArray, reference:
     return replace(
         base,
         accelerometer=accelerometer,
-        accelerometer_sigma=replace(from_vector(sigma[:PARAMETERS]), misalignment_rad=_off_diagonal(sigma[6:12])),
+        accelerometer_sigma=from_vector(sigma[:PARAMETERS]),
         gauge="lower",
         intrinsic=make_intrinsic(numbers, np.where((np.arange(12) < 9) | quadratic, spread, np.nan)),
         covariance_names=tuple(name for name, is_known in zip(names, known, strict=True) if is_known),
@@ -223,12 +223,6 @@ def _shares(joint: Joint, shared: FloatArray, J: FloatArray, gravity_sigma_m_s2:
             input_unit="m/s^2" if is_gravity else "",
             sigma=np.append(root_of(np.diag(J @ parts[name] @ J.T)), gravity_sigma_m_s2 * is_gravity),
         )
-
-
-def _off_diagonal(values: FloatArray) -> FloatArray:
-    matrix = np.zeros((3, 3))
-    matrix[MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS] = values
-    return matrix
 
 
 def _gyroscope(base: GyroscopeCalibration | None, vector: FloatArray, sigma: FloatArray) -> GyroscopeCalibration | None:

@@ -7,6 +7,8 @@ Frames come the other way in the same form. Error frames have no form at all.
 
 from __future__ import annotations
 
+from can.util import CAN_FD_DLC
+
 from imufield.acquire.protocol.can_frame import BIT_RATE_SWITCH, ERROR, EXTENDED, FD, ID_MASK, REMOTE, Frame
 from imufield.simulate.emulator.port import BUFFER_BYTES, PseudoTerminal
 
@@ -16,7 +18,6 @@ _END = b"\r"
 _BELL = b"\a"
 _LONGEST_LINE = 200  # A CAN FD frame of 64 bytes has 138 characters.
 _FLAGS = {"t": 0, "r": 0, "d": FD, "b": FD | BIT_RATE_SWITCH}  # By the letter a frame begins with, a capital if extended.
-_FD_SIZES = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 
 
 class SlcanDevice:
@@ -112,7 +113,7 @@ def format_frame(frame: Frame) -> str:
     extended, remote = bool(frame.can_id & EXTENDED), bool(frame.can_id & REMOTE)
     letter = "b" if frame.flags & BIT_RATE_SWITCH else "d" if frame.flags & FD else "r" if remote else "t"
     identifier = f"{frame.can_id & ID_MASK:0{8 if extended else 3}X}"
-    size = _FD_SIZES.index(len(frame.data)) if frame.flags & FD else len(frame.data)
+    size = CAN_FD_DLC.index(len(frame.data)) if frame.flags & FD else len(frame.data)
     data = "" if remote else frame.data.hex().upper()
     return f"{letter.upper() if extended else letter}{identifier}{size:X}{data}\r"
 
@@ -126,7 +127,7 @@ def parse_frame(line: bytes) -> Frame | None:
     digits = 8 if letter.isupper() else 3
     try:
         can_id = int(line[1 : 1 + digits], 16) | (EXTENDED if letter.isupper() else 0)
-        size = _FD_SIZES[int(line[1 + digits : 2 + digits], 16)]
+        size = CAN_FD_DLC[int(line[1 + digits : 2 + digits], 16)]
         data = bytes.fromhex(line[2 + digits :].decode("ascii"))
     except ValueError:
         return None
