@@ -26,6 +26,7 @@ UIntArray = NDArray[np.uint64]
 AXES = ("x", "y", "z")
 ACCELEROMETER_COLUMNS = ("ax", "ay", "az")
 GYROSCOPE_COLUMNS = ("gx", "gy", "gz")
+TRIADS = {"accelerometer": ACCELEROMETER_COLUMNS, "gyroscope": GYROSCOPE_COLUMNS}
 SAMPLE_COLUMNS = ("time_s", *ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS, "temperature_degc", "counter", "status")
 """Columns of exported samples, in this order (docs/file-formats.md)."""
 

@@ -11,18 +11,17 @@ from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.protocol.units import nominal_scale
 from imufield.dataclass import replace
 from imufield.guide.lead.still_scales import StillScales, find_scales
-from imufield.samples import LARGEST_OUTPUT, FloatArray, Samples, SampleUnits, make_samples
+from imufield.samples import LARGEST_OUTPUT, TRIADS, FloatArray, Samples, SampleUnits, make_samples
 from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
 
-_TRIADS = ("accelerometer", "gyroscope")
 _ROWS_AT_ONCE = 4096
 
 
 def with_units_of_stills(table: ImportedTable) -> ImportedTable:
     """Return a table with the units that its stills show in place of guesses, and what is to be said of them."""
-    stated = {triad: str(table.settings[f"{triad}_unit"]) for triad in _TRIADS}
+    stated = {triad: str(table.settings[f"{triad}_unit"]) for triad in TRIADS}
     found = find_scales(_blocks(table), np.array(table.raw_zero))
     units, said = found.choose(stated, table.guessed)
     if units.get("gyroscope") == "count" and "rate_hz" in table.settings:

@@ -27,13 +27,12 @@ from imufield.pipeline.same_recording import RecordingMarks, without_copies
 from imufield.pipeline.site import SiteOptions
 from imufield.pipeline.solving import solve_session
 from imufield.pipeline.windows import RAMP, WindowMeans, WindowSums
-from imufield.samples import FloatArray, require_possible_degc
+from imufield.samples import TRIADS, FloatArray, require_possible_degc
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
 
 _MOST_OF_IT = 0.5  # Of a recording that nobody was led through: a ramp is one pose for most of its time.
-_TRIADS = ("accelerometer", "gyroscope")
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -148,7 +147,7 @@ def with_temperature(
     for other in sessions:
         _require_comparable(base, other)
     reference_degc = _temperature(base)
-    triads = _TRIADS if base.gyroscope_is_complete else _TRIADS[:1]
+    triads = [*TRIADS] if base.gyroscope_is_complete else ["accelerometer"]
     for means in ramps:
         _require_output(means, triads)
     fits = {triad: _fit_triad(base, triad, sessions, ramps, reference_degc=reference_degc) for triad in triads}

@@ -27,7 +27,7 @@ import numpy as np
 
 from imufield.acquire.clock.can_period import LEARN_S, LEARN_SAMPLES, learned_from, sample_period_s
 from imufield.acquire.clock.clock import Arrival, Arrivals, Clock, filled_in
-from imufield.acquire.clock.stamp_clock import steps_between
+from imufield.acquire.clock.stamp_clock import LONGEST_PAUSE_S, steps_between
 from imufield.acquire.decode.assembly import RawBlock, join
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
@@ -39,7 +39,6 @@ _LEAST_WINDOW = 2  # Periods; slow instruments send less than that in a quarter 
 _USUAL_DELAY = 0.95
 _BURST_S = 0.02  # Least step that counts where frames come in bursts: a host under load is late by as much at any time.
 _RESET_S = 1.0  # A stamp that runs back by more is another clock (the adapter's wrapped), by less frames out of order.
-_LONGEST_PAUSE_S = 3600.0
 _DRIFT = 0.1  # Part of a period: a sample that moves the phase by more is off.
 _DRIFT_RUN = 64  # Samples off in a row from which the rate has changed.
 _LEAST_STEP = 0.25  # Part of a period by which time goes on from one sample to the next.
@@ -99,8 +98,8 @@ class CanClock(Clock):
         self._last_stamp_s = float(stamp_s[-1])
         before_s, self._step_s = self._step_s, max(float(step_s[-1]), 0.0)
         # A NaN counts as the least and as the most.
-        if not (step_s[step_s.argmin()] >= -_RESET_S and step_s[step_s.argmax()] <= _LONGEST_PAUSE_S):
-            jumps = ~((step_s >= -_RESET_S) & (step_s <= _LONGEST_PAUSE_S))
+        if not (step_s[step_s.argmin()] >= -_RESET_S and step_s[step_s.argmax()] <= LONGEST_PAUSE_S):
+            jumps = ~((step_s >= -_RESET_S) & (step_s <= LONGEST_PAUSE_S))
             # A stamp that is no number is bridged and tells of no clock.
             is_set = jumps & np.isfinite(step_s)
             self._statistics.clock_resets += int(np.count_nonzero(is_set))

@@ -22,7 +22,7 @@ from imufield.samples import FloatArray, every
 _Number = TypeVar("_Number", bound=np.number)
 _LARGEST_TIME_S = 1e11  # 3000 years; in an unchecked stream anything further from zero, infinity and NaN are garbage.
 # A time stamp further ahead than this is a clock being set, e.g. by GNSS, not an hour without samples.
-_LONGEST_PAUSE_S = 3600.0
+LONGEST_PAUSE_S = 3600.0
 _PAUSE = 2.5  # Times a tick: stamps of whole milliseconds make two of one.
 _ROUNDING = 1e-9  # Relative, of the sum of a day of time stamps: even ones have the mean of each step.
 
@@ -54,7 +54,7 @@ class StampClock:
     def __init__(self, rule: ClockRule) -> None:
         self._modulus = rule.time_modulus
         self._ticks_per_s = rule.time_ticks_per_s
-        self._longest_pause_s = math.inf if rule.gaps_told else _LONGEST_PAUSE_S
+        self._longest_pause_s = math.inf if rule.gaps_told else LONGEST_PAUSE_S
         self._last: float = 0
         self._wraps = 0
         self._offset_s = 0.0

@@ -21,7 +21,7 @@ from imufield.acquire.protocol.layout import Field, FieldPair, Frames, Layout
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.protocol.samples_and_clock import NANOSECONDS, FlagRule
 from imufield.dataclass import dataclass
-from imufield.samples import LARGEST_OUTPUT, FloatArray, IntArray, Status, no_counters, unknown
+from imufield.samples import LARGEST_OUTPUT, TRIADS, FloatArray, IntArray, Status, no_counters, unknown
 
 _Triads = FloatArray | list[FloatArray]  # Acceleration and rate.
 _FAR = 2.0**62  # Bound on time stamps in ns, for bits that are no time.
@@ -154,7 +154,7 @@ class _FrameReader:
     def __init__(self, protocol: Protocol, layout: Layout) -> None:
         rule = protocol.samples
         self.kind, self.length = layout.kind, layout.length
-        self._triads = [_TriadReader(protocol, layout, part) for part in ("accelerometer", "gyroscope")]
+        self._triads = [_TriadReader(protocol, layout, triad) for triad in TRIADS]
         temperatures = layout.fields_of(rule.temperature.fields)
         self._temperature = temperatures[0] if temperatures else None
         # Which of the values are there at all, in the order of a block.
@@ -163,7 +163,7 @@ class _FrameReader:
         self._may_be_garbage = any(field.type[0] == "f" for triad in self._triads for field in triad.fields)
         # False for frames that carry other things, e.g. a magnetometer alone.
         self.has_samples = any(triad.fields for triad in self._triads)
-        sensors = [rule.quantity(part).sensor_temperature for part in ("accelerometer", "gyroscope")]
+        sensors = [rule.quantity(triad).sensor_temperature for triad in TRIADS]
         self._of_sensors = [(place, field) for place, name in enumerate(sensors) if (field := layout.field(name))]
         read = [*self._triads[0].fields, *self._triads[1].fields, *temperatures, *(field for _, field in self._of_sensors)]
         self._has_fractions = any(field.type[0] == "f" for field in read)

@@ -24,7 +24,7 @@ from imufield.acquire.formats.table_text import unreadable
 from imufield.dataclass import dataclass, field, replace
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.files import open_to_read
-from imufield.samples import AXES, FloatArray
+from imufield.samples import AXES, TRIADS, FloatArray
 from imufield.sentences import Sentences, printable, shortened
 
 if TYPE_CHECKING:
@@ -271,9 +271,7 @@ def _stated(stated: Mapping[str, str]) -> tuple[dict[str, str | float], tuple[fl
     """Return what our own exports say of their numbers: settings and mid-scale."""
     if "imufield_accelerometer_unit" not in stated:
         return {}, None
-    settings: dict[str, str | float] = {
-        f"{part}_unit": stated[f"imufield_{part}_unit"] for part in ("accelerometer", "gyroscope")
-    }
+    settings: dict[str, str | float] = {f"{triad}_unit": stated[f"imufield_{triad}_unit"] for triad in TRIADS}
     if stated.get("imufield_increments") == "true":
         settings |= {"increments": "true", "rate_hz": float(stated["imufield_rate_hz"])}
     return settings, tuple(map(float, stated.get("imufield_raw_zero", "0,0,0").split(",")))

@@ -68,7 +68,7 @@ _MOST_REGULAR = 0.9  # Share of the ticks that are so: the others are pauses and
 _STANDS_FOR_G = (0.8, 1.25)
 _STANDS_FOR_M_S2 = (8.0, 12.0)  # Median norm of an accelerometer that is at rest most of the time.
 # Hands turn a unit faster than this in deg/s at once, and hardly ever in rad/s: 1150 deg/s, half the range of a chip.
-_FASTEST_RAD_S = 20.0
+FASTEST_RAD_S = 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -418,7 +418,7 @@ def _guess(quantity: str, values: FloatArray, stated: Mapping[str, str], *, has_
                 return unit, "table_columns.unit_by_norm", norm
         return "count", "table_columns.count_by_norm", norm
     fastest = float(np.quantile(np.abs(values), _FAST, method="lower"))
-    if fastest > _FASTEST_RAD_S:
+    if fastest > FASTEST_RAD_S:
         return "deg/s", "table_columns.deg_by_fastest", fastest
     if stated.get("accelerometer") in ("g", "mg"):
         return "deg/s", "table_columns.deg_by_g", fastest

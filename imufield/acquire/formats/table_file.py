@@ -19,12 +19,12 @@ from imufield.acquire.formats.table_columns import (
     columns_by_user,
     in_degc,
 )
-from imufield.acquire.formats.table_names import TEMPERATURE, TIME, TRIADS, refuse_several_instruments
+from imufield.acquire.formats.table_names import TEMPERATURE, TIME, refuse_several_instruments
 from imufield.acquire.formats.table_text import ROWS_LOOKED_AT, TextTable, open_table
 from imufield.dataclass import dataclass, field, replace
 from imufield.errors import Reason, RecordingError
 from imufield.limits import TEMPERATURE_RANGE_DEGC
-from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, FloatArray, Status, is_possible_degc
+from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, TRIADS, FloatArray, Status, is_possible_degc
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)

@@ -12,7 +12,7 @@ import tomli
 from imufield.acquire.protocol.units import TO_SI, plain_signs, unit_name
 from imufield.dataclass import dataclass, replace
 from imufield.errors import UsageError
-from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS
+from imufield.samples import TRIADS
 from imufield.sentences import Sentences, shortened
 
 sentence = Sentences(__package__)
@@ -21,7 +21,6 @@ TIME = "time"
 TEMPERATURE = "temperature"
 SAMPLE_TIME_FINE = "SampleTimeFine"
 """Unit of the times that instruments of Xsens send: 0.1 ms, or 1 us for the DOT."""
-TRIADS = {"accelerometer": ACCELEROMETER_COLUMNS, "gyroscope": GYROSCOPE_COLUMNS}
 
 _WORDS = tomli.loads(Path(__file__).with_name("table_words.toml").read_text(encoding="utf-8"))
 _NAMES = {quantity: frozenset(names.split()) for quantity, names in _WORDS["names"].items()}

@@ -30,14 +30,14 @@ from imufield.acquire.formats.table_columns import (
 )
 from imufield.acquire.formats.table_file import File, file_of, files_of, is_empty, meaning_of, open_source
 from imufield.acquire.formats.table_join import join
-from imufield.acquire.formats.table_names import TIME, TRIADS
+from imufield.acquire.formats.table_names import TIME
 from imufield.acquire.formats.table_text import TextTable
 from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.protocol.units import SECONDS
 from imufield.dataclass import dataclass, field, replace
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import UsageError
-from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, NO_COUNTER, FloatArray, IntArray, Samples, median
+from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, NO_COUNTER, TRIADS, FloatArray, IntArray, Samples, median
 from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)

@@ -19,16 +19,15 @@ from imufield.acquire.protocol.units import unit_name
 from imufield.acquire.registry import load_driver
 from imufield.errors import ProtocolError, Reason, UsageError
 from imufield.files import read_start
-from imufield.samples import AXES
+from imufield.samples import AXES, TRIADS
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
 
-_TRIADS = ("accelerometer", "gyroscope")
 _MAP_TEXTS = ("accelerometer.unit", "gyroscope.unit", "temperature", "temperature.unit", "counter", "time")
 _ASSEMBLY_LISTS = ("needs", "counters")
 _IDENTIFIERS = ("auto", "exact", "j1939")
-_TRIAD_KEYS = {triad: [f"{triad}.{axis}" for axis in AXES] for triad in _TRIADS}
+_TRIAD_KEYS = {triad: [f"{triad}.{axis}" for axis in AXES] for triad in TRIADS}
 KEYS = (
     *(key for keys in _TRIAD_KEYS.values() for key in keys),
     *_MAP_TEXTS,

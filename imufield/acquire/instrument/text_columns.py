@@ -14,7 +14,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from imufield.acquire.formats.table_columns import HEADERLESS
+from imufield.acquire.formats.table_columns import FASTEST_RAD_S, HEADERLESS
 from imufield.acquire.formats.table_names import TIME, named_column
 from imufield.acquire.formats.table_text import delimiter_of, is_number, split_cells
 from imufield.acquire.instrument.recognise import CERTAIN_SAMPLES, FEWEST_SAMPLES, RATE_S, Candidate, Listener, usual_rate
@@ -51,7 +51,6 @@ _SAME_GRAVITY = 1.25  # Of an accelerometer that was never calibrated, most of t
 _SAME_NORM = 0.2  # Median departure from the median norm: what a hand does not exceed.
 _LARGER = 20.0  # Norm of an accelerometer in counts over that of a gyroscope that lies still.
 _STEADY_DEGC = 5.0
-_FASTEST_RAD_S = 20.0  # As for tables without a heading: hands turn so fast in deg/s at once.
 _MEAN_S = 0.1  # Shorter than any turn, longer than a tremor.
 _TURNED_RAD = 0.2
 _CORRELATED = 0.8
@@ -213,7 +212,7 @@ def _gyroscope_unit(force: FloatArray, rate: FloatArray, force_unit: str, rate_h
     fastest = float(np.nanquantile(np.abs(rate), _MOST))
     if force_unit == "count":
         return "count", sentence("text_columns.like_accelerometer", unit=force_unit), False
-    if fastest > _FASTEST_RAD_S:
+    if fastest > FASTEST_RAD_S:
         return "deg/s", sentence("text_columns.fastest", fastest=fastest), False
     unit = "deg/s" if force_unit in ("g", "mg") else "rad/s"
     return unit, sentence("text_columns.like_accelerometer", unit=force_unit or "m/s^2"), False

@@ -32,7 +32,7 @@ from imufield.acquire.protocol.units import SI_UNITS, TO_SI, UNITS_OF
 from imufield.dataclass import dataclass, field, replace
 from imufield.errors import ProtocolError, Reason, UnknownNameError
 from imufield.files import Origin, read_start
-from imufield.samples import FloatArray, SampleUnits
+from imufield.samples import TRIADS, FloatArray, SampleUnits
 from imufield.sentences import Sentences, printable
 from imufield.toml_and_json import decode_toml
 
@@ -330,7 +330,7 @@ def _check_fields(top: Table, frame: FrameRule, samples: SampleRule, clock: Cloc
             raise where.error(key, sentence("protocol.field", name=name, near=near(name, known)))
     # A status bit of the same name counts 1, and is no value of the triad.
     sizes = {name: max(field.count for field in frame.all_fields() if field.name == name) for name in known}
-    for part in ("accelerometer", "gyroscope"):
+    for part in TRIADS:
         names = samples.quantity(part).fields
         counts = [sizes[name] for name in names]
         # Alternatives of three values each, or the three axes.

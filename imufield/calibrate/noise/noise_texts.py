@@ -26,6 +26,7 @@ from imufield.drawing.style import figure, legend_beside, plain_ticks, plot_styl
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.files import source_date
+from imufield.samples import TRIADS
 from imufield.sentences import Sentences
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ def noise_text(result: NoiseResult, form: NoiseFormat) -> str:
     """
     if not result.is_si or not result.triad("gyroscope"):
         raise UsageError(sentence("noise_texts.not_si"), Reason.UNITS)
-    for triad in ("accelerometer", "gyroscope"):
+    for triad in TRIADS:
         if not np.isfinite(result.upper_limits(triad, "density")).any():
             raise CalibrationError(sentence("noise_texts.dead", triad=triad), Reason.TOO_FEW)
     source = f"# {result.source}; largest axis of each triad"
@@ -124,7 +125,7 @@ def draw_plot(result: NoiseResult, kind: str) -> bytes:
         none.
     """
     source_date()
-    triads = [triad for triad in ("accelerometer", "gyroscope") if result.triad(triad)]
+    triads = [triad for triad in TRIADS if result.triad(triad)]
     with plot_style():
         drawn = figure(2.6 * len(triads) + 0.5)
         panels = drawn.subplots(len(triads), 1, sharex=True, squeeze=False)[:, 0]

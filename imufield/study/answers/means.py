@@ -17,11 +17,12 @@ from imufield.calibrate.model.models import predict, to_vector
 from imufield.calibrate.model.observations import Observations, leave_out
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration
 from imufield.dataclass import dataclass, replace
-from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2, Gravity
+from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity
 from imufield.guide.positions import scheme
 from imufield.samples import FloatArray, SampleUnits
 from imufield.simulate.truth.grades import TrueInstrument
 
+KNOWN = Gravity(gravity_m_s2=STANDARD_GRAVITY_M_S2, sigma_m_s2=1e-6, source="measured")
 HOLD_S = 10.0
 MOVE_S = 4.0
 FLICKER_M_S2 = 20 * MICRO_G_M_S2

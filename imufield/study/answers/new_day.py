@@ -17,22 +17,19 @@ from imufield.calibrate.model.uncertainty import rms
 from imufield.calibrate.temperature.fit import TemperatureData, fit_temperature
 from imufield.calibrate.temperature.points import accelerometer_points
 from imufield.dataclass import replace
-from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity
+from imufield.earth import MILLI_G_M_S2
 from imufield.samples import FloatArray
 from imufield.simulate.truth.grades import draw_truth, perfect_instrument
-from imufield.study.answers.means import MeanSession
+from imufield.study.answers.means import KNOWN, MeanSession
 from imufield.study.answers.tables import Rows, Study, Table
+from imufield.study.answers.temperature import BIAS_PER_DEGC, REFERENCE_DEGC, SCALE_PER_DEGC
 
-BIAS_PER_DEGC = 0.15 * MILLI_G_M_S2
-SCALE_PER_DEGC = 60e-6
 AT_DEGC = {3: (-10.0, 20.0, 50.0), 5: (-10.0, 5.0, 20.0, 35.0, 50.0)}
 """Sessions over 60 degC; the reference is the one at 20."""
 BENT = 0.5
 """Quadratic term 30 degC from the reference, in the straight line's."""
 _DAY_PPM_OF_SCALE = 0.2  # Share of what a maker leaves in the scale: the days of no instrument differ by all of that.
-_REFERENCE_DEGC = 20.0
 _AWAY_DEGC = 30.0
-_KNOWN = Gravity(gravity_m_s2=STANDARD_GRAVITY_M_S2, sigma_m_s2=1e-6, source="measured")
 
 
 def covered(sessions: int, order: int, grade: Grade, rng: np.random.Generator) -> dict[str, ArrayLike]:
@@ -44,10 +41,10 @@ def covered(sessions: int, order: int, grade: Grade, rng: np.random.Generator) -
     over = _drawn(order, rng)
     at_degc = AT_DEGC[sessions]
     found = [_solved(_of_day(truth, over, degc, grade, rng=rng), grade, rng) for degc in at_degc]
-    reference = at_degc.index(_REFERENCE_DEGC)
+    reference = at_degc.index(REFERENCE_DEGC)
     base = found[reference]
     points = accelerometer_points(base.accelerometer, found, at_degc, reference)
-    model = fit_temperature(TemperatureData(reference_degc=_REFERENCE_DEGC, points=points)).temperature
+    model = fit_temperature(TemperatureData(reference_degc=REFERENCE_DEGC, points=points)).temperature
     new_degc = float(rng.uniform(at_degc[0], at_degc[-1]))
     stated, day = at_temperature(base.accelerometer, model, new_degc), _of_day(truth, over, new_degc, grade, rng=rng)
     own = base.accelerometer_sigma
@@ -72,7 +69,7 @@ def _drawn(order: int, rng: np.random.Generator) -> TriadTemperature:
     """Return coefficients of a cheap chip."""
     bent = np.array([[1.0], [BENT / _AWAY_DEGC]])[:order]
     return TriadTemperature(
-        reference_degc=_REFERENCE_DEGC,
+        reference_degc=REFERENCE_DEGC,
         range_degc=(AT_DEGC[5][0], AT_DEGC[5][-1]),
         bias=Polynomials(BIAS_PER_DEGC * bent * rng.standard_normal((order, 3)), np.zeros((3, order, order))),
         scale=Polynomials(SCALE_PER_DEGC * bent * rng.standard_normal((order, 3)), np.zeros((3, order, order))),
@@ -92,8 +89,8 @@ def _of_day(
 
 def _solved(truth: AccelerometerParameters, grade: Grade, rng: np.random.Generator) -> Calibration:
     instrument = replace(perfect_instrument(grade), accelerometer=truth)
-    session = MeanSession(instrument=instrument, gravity_m_s2=_KNOWN.gravity_m_s2).observe(rng)
-    return calibrate_accelerometer(session.observations, _KNOWN, model="linear", grade=grade.name)
+    session = MeanSession(instrument=instrument, gravity_m_s2=KNOWN.gravity_m_s2).observe(rng)
+    return calibrate_accelerometer(session.observations, KNOWN, model="linear", grade=grade.name)
 
 
 _WAYS = {"five sessions, quadratic": (5, 2), "three sessions, linear": (3, 1)}

@@ -36,7 +36,7 @@ from imufield.guide.lead.still_scales import find_scales
 from imufield.guide.lead.unguided import StillIntervalFinder, StillIntervals
 from imufield.guide.positions import scheme
 from imufield.guide.stillness.scale import RoughScale
-from imufield.samples import FloatArray, Samples, concatenate
+from imufield.samples import TRIADS, FloatArray, Samples, concatenate
 from imufield.simulate.truth.effects import NO_EFFECTS, Effects
 from imufield.simulate.truth.grades import TrueInstrument, draw_truth
 from imufield.simulate.truth.imu import Imu, ImuSettings
@@ -148,7 +148,7 @@ def with_offset(offset_g: float, unit: str, rng: np.random.Generator) -> dict[st
     in_si = [*_blocks(_played(truth, seed, RATE_HZ, operator))]
     table = [replace(block, gyroscope=block.gyroscope * UNITS[unit]) for block in in_si]
     scales = find_scales(table, np.zeros(3))
-    chosen, _ = scales.choose({}, ("accelerometer", "gyroscope"))
+    chosen, _ = scales.choose({}, TRIADS)
     by_size, _, _ = choose_unit("gyroscope", concatenate(table).gyroscope, {}, {}, has_zero=False)
     # As the session is read once the unit is known.
     finder = StillIntervalFinder(truth.grade.units)

@@ -17,7 +17,7 @@ from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity, choose_
 from imufield.sentences import Sentence
 from imufield.simulate.truth.effects import Effects
 from imufield.simulate.truth.grades import draw_truth, perfect_instrument
-from imufield.study.answers.means import PLACED_M_S2, Answer, MeanSession, true_gravity
+from imufield.study.answers.means import KNOWN, PLACED_M_S2, Answer, MeanSession, true_gravity
 from imufield.study.answers.tables import Statistics, Study, Table, least
 
 EXPLICIT_M_S2 = 2e-4
@@ -27,7 +27,6 @@ _PAPER = ("paper24", "paper24, in turn", "paper24, faces first", "paper24, shuff
 ORDERS = (*_PAPER, "corners24", "corners24, faces first")
 WARM_UPS_MG = (0.0, 0.3, 1.0, 5.0)
 QUADRATIC_SIGMAS = (0.0, 0.5, 1.0, 2.0, 3.0, 5.0)
-_KNOWN = Gravity(gravity_m_s2=STANDARD_GRAVITY_M_S2, sigma_m_s2=1e-6, source="measured")
 _INDUSTRIAL = GRADES["industrial"]
 _OUTLIERS = ("quality.outlier", "quality.gross_outlier")
 
@@ -88,7 +87,7 @@ def with_terms(
     effects = Effects(warm_up_m_s2=tuple(warm_up.tolist()))
     instrument = replace(drawn, accelerometer=replace(drawn.accelerometer, quadratic=quadratic), effects=effects)
     session = MeanSession(instrument=instrument, gravity_m_s2=STANDARD_GRAVITY_M_S2, order=order)
-    found = session.observe(rng).answer(_KNOWN)
+    found = session.observe(rng).answer(KNOWN)
     return {"inside": found.inside, "least": found.inside, **_judged(found)}
 
 
@@ -105,7 +104,7 @@ def with_typical_terms(grade: str, order: str, rng: np.random.Generator) -> dict
         order=order,
         scatter_m_s2=typical.scatter_m_s2,
     )
-    found = session.observe(rng).answer(_KNOWN, grade=grade)
+    found = session.observe(rng).answer(KNOWN, grade=grade)
     groups = {name: found.inside[rows] for name, rows in (("scale", SCALE), ("bias", BIAS), ("angle", slice(6, 9)))}
     return {"inside": found.inside, **groups, **_judged(found)}
 
@@ -124,7 +123,7 @@ def _judged(found: Answer) -> dict[str, ArrayLike]:
 def _quadratic_sigma(order: str) -> float:
     """Return the sigma of K2 / K that sessions of this kind have, 1 / (m/s^2)."""
     session = MeanSession(instrument=perfect_instrument(_INDUSTRIAL), gravity_m_s2=STANDARD_GRAVITY_M_S2, order=order)
-    found = calibrate_accelerometer(session.observe(np.random.default_rng(0)).observations, _KNOWN, model="quadratic")
+    found = calibrate_accelerometer(session.observe(np.random.default_rng(0)).observations, KNOWN, model="quadratic")
     return float(np.mean(found.accelerometer_sigma.quadratic / found.accelerometer.scale))
 
 

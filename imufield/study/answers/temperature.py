@@ -18,10 +18,10 @@ from imufield.calibrate.temperature.fit import RampBlocks, TemperatureData, fit_
 from imufield.calibrate.temperature.points import accelerometer_points
 from imufield.calibrate.temperature.ramp import RampWindows, cut_ramp
 from imufield.dataclass import replace
-from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity
+from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2
 from imufield.samples import FloatArray
 from imufield.simulate.truth.grades import draw_truth, perfect_instrument
-from imufield.study.answers.means import MeanSession
+from imufield.study.answers.means import KNOWN, MeanSession
 from imufield.study.answers.tables import Rows, Study, Table
 
 REFERENCE_DEGC = 20.0
@@ -31,7 +31,6 @@ LAST_SIGMAS = 5.0
 BIAS_PER_DEGC = 0.15 * MILLI_G_M_S2
 SCALE_PER_DEGC = 60e-6
 _BENT = 0.2  # Share of the quadratic term at 40 degC in the straight line's.
-_KNOWN = Gravity(gravity_m_s2=STANDARD_GRAVITY_M_S2, sigma_m_s2=1e-6, source="measured")
 _INDUSTRIAL = GRADES["industrial"]
 # Of an ICM-42688: milli-g to tens of them over the range, and a wave that no cubic follows (ArduPilot#27295).
 _WAVE_MG = (5.0, 2.0, 1.0, 0.7, 0.5)
@@ -104,8 +103,8 @@ def left_after(repeatability_mg: float, repeatability_ppm: float, rng: np.random
 
     def solved(temperature_degc: float) -> Calibration:
         instrument = replace(unit, accelerometer=day(temperature_degc))
-        session = MeanSession(instrument=instrument, gravity_m_s2=_KNOWN.gravity_m_s2).observe(rng)
-        return calibrate_accelerometer(session.observations, _KNOWN, model="linear", grade="industrial")
+        session = MeanSession(instrument=instrument, gravity_m_s2=KNOWN.gravity_m_s2).observe(rng)
+        return calibrate_accelerometer(session.observations, KNOWN, model="linear", grade="industrial")
 
     at_degc = [REFERENCE_DEGC - AWAY_DEGC, REFERENCE_DEGC, REFERENCE_DEGC + AWAY_DEGC]
     sessions = [solved(temperature_degc) for temperature_degc in at_degc]
@@ -119,7 +118,7 @@ def left_after(repeatability_mg: float, repeatability_ppm: float, rng: np.random
     }
     end_degc = float(rng.choice([at_degc[0], at_degc[2]]))
     up = rng.standard_normal((_POSES, 3))
-    force = _KNOWN.gravity_m_s2 * up / np.linalg.norm(up, axis=1)[:, None]
+    force = KNOWN.gravity_m_s2 * up / np.linalg.norm(up, axis=1)[:, None]
     raw = predict(day(end_degc), force)
     return {name: _rms_mg(base, temperature, raw, end_degc, force=force) for name, temperature in ways.items()}
 
@@ -143,7 +142,7 @@ def _ramp(
     """Return a ramp in one pose over the whole range."""
     at_degc = REFERENCE_DEGC + np.linspace(-AWAY_DEGC, AWAY_DEGC, 41)
     up = rng.standard_normal(3)
-    pose = _KNOWN.gravity_m_s2 * up / np.linalg.norm(up)
+    pose = KNOWN.gravity_m_s2 * up / np.linalg.norm(up)
     raw = np.vstack([predict(at_temperature(truth, over, float(degc)), pose) for degc in at_degc])
     sigma = _INDUSTRIAL.accelerometer.bias_instability
     output = raw / base.scale + sigma * rng.standard_normal(raw.shape)

@@ -18,10 +18,10 @@ from imufield.calibrate.sessions.kinds import PPM
 from imufield.dataclass import replace
 from imufield.deliver.parameters.gauge_free import GaugeFree, gauge_free
 from imufield.deliver.parameters.joined import numbers_of, prior_scales
-from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity
+from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2
 from imufield.samples import AXES, FloatArray
 from imufield.simulate.truth.grades import TrueInstrument, draw_truth
-from imufield.study.answers.means import PLACED_M_S2, MeanSession
+from imufield.study.answers.means import KNOWN, PLACED_M_S2, MeanSession
 from imufield.study.answers.tables import Study, Table
 
 DAY_MG = 0.1
@@ -30,7 +30,6 @@ DAY_PPM = 60.0
 LENGTHS = (3, 5, 10)
 GRADE = GRADES["tactical"]
 """Of the instruments."""
-_KNOWN = Gravity(gravity_m_s2=STANDARD_GRAVITY_M_S2, sigma_m_s2=1e-6, source="measured")
 
 
 def with_days(sessions: int, rng: np.random.Generator) -> dict[str, ArrayLike]:
@@ -65,7 +64,7 @@ def calibrated(instrument: TrueInstrument, rng: np.random.Generator) -> tuple[Ca
     """Return the calibration of a session of 24 positions, and its gauge-free numbers."""
     session = MeanSession(instrument=instrument, gravity_m_s2=STANDARD_GRAVITY_M_S2, scatter_m_s2=PLACED_M_S2).observe(rng)
     observations = session.observations
-    calibration = calibrate_accelerometer(observations, _KNOWN, model="linear", grade=GRADE.name)
+    calibration = calibrate_accelerometer(observations, KNOWN, model="linear", grade=GRADE.name)
     sigma_raw = np.sqrt(np.diagonal(observations.covariance_raw, axis1=1, axis2=2))
     return calibration, gauge_free(calibration, observations.mean_raw, sigma_raw)
 
