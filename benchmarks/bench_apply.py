@@ -17,10 +17,10 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from benchmarks.rows import Row, print_rows, row
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import (
     AccelerometerParameters,
@@ -133,19 +133,15 @@ def _stream(parameters: Parameters, folder: str) -> None:
     apply_session(parameters, blocks(), Path(folder) / "corrected.csv")
 
 
-def _streamed(parameters: Parameters) -> list[dict[str, Any]]:
+def _streamed(parameters: Parameters) -> list[Row]:
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     with tempfile.TemporaryDirectory() as folder:
         rate = _million_per_s(lambda: _stream(parameters, folder), STREAMED, 1)
     more = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
-    return [_row("stream to CSV", rate, "million samples/s"), _row("stream to CSV, peak memory more than before", more, "MiB")]
+    return [row("stream to CSV", rate, "million samples/s"), row("stream to CSV, peak memory more than before", more, "MiB")]
 
 
-def _row(name: str, value: float, unit: str, peer: float | None = None) -> dict[str, Any]:
-    return {"name": name, "value": value, "unit": unit, "peer": peer, "ratio": None if peer is None else value / peer}
-
-
-def run() -> list[dict[str, Any]]:
+def run() -> list[Row]:
     """Return one row for each figure: name, value, unit, peer's value and ratio (None where there is no peer)."""
     linear = make_parameters(np.zeros(3), np.zeros((3, 3)))
     sensitive = make_parameters(np.zeros(3), np.full((3, 3), 1e-5))
@@ -156,22 +152,18 @@ def run() -> list[dict[str, Any]]:
     unit = "million samples/s"
     peer = _million_per_s(lambda: _plain(linear, samples), SAMPLES)
     rows = [
-        _row("linear, block of 2 million", _million_per_s(lambda: linear.apply(samples), SAMPLES), unit, peer),
-        _row("linear, array of six columns", _million_per_s(lambda: linear.apply(columns), SAMPLES), unit, peer),
-        _row("linear, blocks of 4096", _million_per_s(lambda: linear.apply(small), len(small), 200), unit),
-        _row("with g-sensitivity", _million_per_s(lambda: sensitive.apply(samples), SAMPLES), unit, peer),
-        _row("with quadratic term", _million_per_s(lambda: quadratic.apply(samples), SAMPLES), unit),
+        row("linear, block of 2 million", _million_per_s(lambda: linear.apply(samples), SAMPLES), unit, peer),
+        row("linear, array of six columns", _million_per_s(lambda: linear.apply(columns), SAMPLES), unit, peer),
+        row("linear, blocks of 4096", _million_per_s(lambda: linear.apply(small), len(small), 200), unit),
+        row("with g-sensitivity", _million_per_s(lambda: sensitive.apply(samples), SAMPLES), unit, peer),
+        row("with quadratic term", _million_per_s(lambda: quadratic.apply(samples), SAMPLES), unit),
     ]
     return [*rows, *streamed]
 
 
 def main() -> None:
     """Print the figures as a table."""
-    print(f"{'':58} {'imufield':>10} {'peer':>10} {'ratio':>7}")
-    for row in run():
-        peer = "" if row["peer"] is None else f"{row['peer']:10.3f}"
-        ratio = "" if row["ratio"] is None else f"{row['ratio']:7.2f}"
-        print(f"{row['name']:58} {row['value']:10.3f} {peer:>10} {ratio:>7}  {row['unit']}")
+    print_rows(run())
 
 
 if __name__ == "__main__":

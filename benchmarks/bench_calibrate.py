@@ -11,11 +11,11 @@ import sys
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
 
+from benchmarks.rows import Row, print_rows
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
 from imufield.calibrate.accelerometer.ellipsoid_start import closed_form_start
 from imufield.calibrate.accelerometer.fit import column_basis
@@ -122,7 +122,7 @@ def worst_error_in_sigma(model: str, quadratic: float) -> tuple[float, float]:
     return float(np.sqrt(np.mean(values**2))), float(np.abs(values).max())
 
 
-def row(name: str, value: float, unit: str, peer_value: float | None = None) -> dict[str, Any]:
+def row(name: str, value: float, unit: str, peer_value: float | None = None) -> Row:
     """Return one line of the table; the ratio is peer over ours, because less is better here."""
     return {
         "name": name,
@@ -133,7 +133,7 @@ def row(name: str, value: float, unit: str, peer_value: float | None = None) -> 
     }
 
 
-def run() -> list[dict[str, Any]]:
+def run() -> list[Row]:
     """Return every figure as a row."""
     truth, observations = make_session(1)
     linear, quadratic = plain_problem(observations, 9), plain_problem(observations, 12)
@@ -169,11 +169,7 @@ def run() -> list[dict[str, Any]]:
 
 def main() -> None:
     """Print the figures as a table."""
-    print(f"{'':58} {'imufield':>10} {'peer':>10} {'ratio':>7}")
-    for line in run():
-        peer_value = "" if line["peer"] is None else f"{line['peer']:10.3f}"
-        ratio = "" if line["ratio"] is None else f"{line['ratio']:7.2f}"
-        print(f"{line['name']:58} {line['value']:10.3f} {peer_value:>10} {ratio:>7}  {line['unit']}")
+    print_rows(run())
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ import cantools
 import numpy as np
 
 from benchmarks.bench_decode import decode_live
+from benchmarks.rows import Row, print_rows, row
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.protocol.can_frame import EXTENDED, MARK, UNIT_BYTES
 from imufield.acquire.protocol.protocol import load_protocol
@@ -167,11 +168,7 @@ def _best_in_turns(works: list[Callable[[], object]]) -> list[float]:
     return best
 
 
-def _row(name: str, value: float, unit: str, peer: float | None = None) -> dict[str, Any]:
-    return {"name": name, "value": value, "unit": unit, "peer": peer, "ratio": value / peer if peer else None}
-
-
-def decode_rows() -> list[dict[str, Any]]:
+def decode_rows() -> list[Row]:
     """Return the decode rates."""
     protocol = load_protocol("j1939_imu")
     database = cantools.database.load_string(protocol.text.split("text = '''\n")[1].rsplit("'''", 1)[0], "dbc")
@@ -195,11 +192,11 @@ def decode_rows() -> list[dict[str, Any]]:
     peer, bare = PEER_FRAMES / peer_s / 1e6, PEER_FRAMES / bare_s / 1e6
     blocks, small, live = 2 * SAMPLES / blocks_s / 1e6, SAMPLES / 2 / small_s / 1e6, SAMPLES / 2 / live_s / 1e6
     return [
-        _row("J1939, 64 KiB blocks, to samples (peer: cantools, to samples)", blocks, "million frames/s", peer),
-        _row("J1939, 64 KiB blocks, to samples (peer: cantools' decode alone)", blocks, "million frames/s", bare),
-        _row("J1939, blocks of 80 frames (peer: cantools, to samples)", small, "million frames/s", peer),
-        _row("J1939, blocks of 80 frames (peer: 64 KiB)", small, "million frames/s", blocks),
-        _row("J1939, live reads of 80 frames (peer: 64 KiB)", live, "million frames/s", blocks),
+        row("J1939, 64 KiB blocks, to samples (peer: cantools, to samples)", blocks, "million frames/s", peer),
+        row("J1939, 64 KiB blocks, to samples (peer: cantools' decode alone)", blocks, "million frames/s", bare),
+        row("J1939, blocks of 80 frames (peer: cantools, to samples)", small, "million frames/s", peer),
+        row("J1939, blocks of 80 frames (peer: 64 KiB)", small, "million frames/s", blocks),
+        row("J1939, live reads of 80 frames (peer: 64 KiB)", live, "million frames/s", blocks),
     ]
 
 
@@ -212,7 +209,7 @@ def _line(process: subprocess.Popen[str]) -> str:
     return process.stdout.readline().strip()
 
 
-def live_rows(live_s: float) -> list[dict[str, Any]]:
+def live_rows(live_s: float) -> list[Row]:
     """Return what a live bus of 1000 Hz x 2 messages costs, and what it loses."""
     bus = f"udp_multicast:{GROUP}"
     with tempfile.TemporaryDirectory() as folder:
@@ -227,15 +224,15 @@ def live_rows(live_s: float) -> list[dict[str, Any]]:
         process.wait()
     name = f"live {RATE_HZ:g} Hz x 2 messages, {live_s:g} s, UDP multicast"
     return [
-        _row(f"{name}: samples (peer: sent)", ours["samples"], "samples", sent),
-        _row(f"{name}: said to be lost", ours["lost"], "samples"),
-        _row(f"{name}: processor, recording (peer: recv())", 100 * ours["cpu"], "% of a core", 100 * plain["cpu"]),
-        _row(f"{name}: above recv()", 100 * (ours["cpu"] - plain["cpu"]), "% of a core"),
-        _row(f"{name}: recording", recorded / 1e6, "MB"),
+        row(f"{name}: samples (peer: sent)", ours["samples"], "samples", sent),
+        row(f"{name}: said to be lost", ours["lost"], "samples"),
+        row(f"{name}: processor, recording (peer: recv())", 100 * ours["cpu"], "% of a core", 100 * plain["cpu"]),
+        row(f"{name}: above recv()", 100 * (ours["cpu"] - plain["cpu"]), "% of a core"),
+        row(f"{name}: recording", recorded / 1e6, "MB"),
     ]
 
 
-def slcan_rows(live_s: float) -> list[dict[str, Any]]:
+def slcan_rows(live_s: float) -> list[Row]:
     """Return the same on slcan over a pseudo-terminal, which takes one reader at a time, with three messages a sample."""
     found = []
     for code in (_READ, _RECEIVE):
@@ -250,14 +247,14 @@ def slcan_rows(live_s: float) -> list[dict[str, Any]]:
     ours, plain = found
     name = f"live {RATE_HZ:g} Hz x 3 messages, {live_s:g} s, slcan"
     return [
-        _row(f"{name}: samples (peer: sent)", ours["samples"], "samples", sent),
-        _row(f"{name}: said to be lost", ours["lost"], "samples"),
-        _row(f"{name}: processor, recording (peer: recv())", 100 * ours["cpu"], "% of a core", 100 * plain["cpu"]),
-        _row(f"{name}: above recv()", 100 * (ours["cpu"] - plain["cpu"]), "% of a core"),
+        row(f"{name}: samples (peer: sent)", ours["samples"], "samples", sent),
+        row(f"{name}: said to be lost", ours["lost"], "samples"),
+        row(f"{name}: processor, recording (peer: recv())", 100 * ours["cpu"], "% of a core", 100 * plain["cpu"]),
+        row(f"{name}: above recv()", 100 * (ours["cpu"] - plain["cpu"]), "% of a core"),
     ]
 
 
-def run(live_s: float = 60.0, slcan_s: float = 20.0) -> list[dict[str, Any]]:
+def run(live_s: float = 60.0, slcan_s: float = 20.0) -> list[Row]:
     """Return one row for each figure: name, value, unit, peer's value and ratio (None where there is no peer)."""
     return [*decode_rows(), *live_rows(live_s), *slcan_rows(slcan_s)]
 
@@ -268,11 +265,7 @@ def main() -> None:
     parser.add_argument("--live-s", type=float, default=60.0, help="seconds of the live bus")
     parser.add_argument("--slcan-s", type=float, default=20.0, help="seconds of the slcan adapter")
     options = parser.parse_args()
-    print(f"{'':76} {'imufield':>10} {'peer':>10} {'ratio':>7}")
-    for row in run(options.live_s, options.slcan_s):
-        peer = "" if row["peer"] is None else f"{row['peer']:10.3f}"
-        ratio = "" if row["ratio"] is None else f"{row['ratio']:7.2f}"
-        print(f"{row['name']:76} {row['value']:10.3f} {peer:>10} {ratio:>7}  {row['unit']}")
+    print_rows(run(options.live_s, options.slcan_s), width=76)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 The peer is a start with ``import scipy.optimize`` in the same run, but for the C++ program and where there is none.
 
-``python benchmarks/bench_commands.py 60`` listens for 60 s to the emulated instrument of 2000 Hz, which is what the figures
+``python -m benchmarks.bench_commands 60`` listens for 60 s to the emulated instrument of 2000 Hz, which is what the figures
 are stated for. The real recording of a calibrated unit is looked for in ``shared/data`` beside the project.
 """
 
@@ -19,10 +19,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from benchmarks.rows import Row, print_rows, row
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.recording.recorder import Recorder, part_metadata
 from imufield.acquire.recording.session import Session
@@ -93,10 +93,6 @@ def emulator(*options: object) -> Iterator[str]:
             process.terminate()
 
 
-def row(name: str, value: float, unit: str, peer: float | None = None) -> dict[str, Any]:
-    return {"name": name, "value": value, "unit": unit, "peer": peer, "ratio": None if peer is None else value / peer}
-
-
 def unit_s() -> float:
     """Return the time of a start with ``import scipy.optimize``, in which the times of commands are told."""
     found = []
@@ -107,7 +103,7 @@ def unit_s() -> float:
     return min(found)
 
 
-def help_rows(folder: Path) -> list[dict[str, Any]]:
+def help_rows(folder: Path) -> list[Row]:
     best = {
         command: min(run_program(folder, *command.split(), "--help").wall_s for _ in range(ROUNDS))
         for command in ("", *COMMANDS)
@@ -117,7 +113,7 @@ def help_rows(folder: Path) -> list[dict[str, Any]]:
     return [row("--help", best[""], "s", unit), row(f"--help of the slowest command ({slowest})", best[slowest], "s", unit)]
 
 
-def demo_rows(folder: Path) -> list[dict[str, Any]]:
+def demo_rows(folder: Path) -> list[Row]:
     ended = run_program(folder, "demo", "--plain")
     passed = "Passed:" in ended.output
     text = ended.output.partition("in units of the stated sigma:")[2]
@@ -129,7 +125,7 @@ def demo_rows(folder: Path) -> list[dict[str, Any]]:
     ]
 
 
-def real_rows(folder: Path) -> list[dict[str, Any]]:
+def real_rows(folder: Path) -> list[Row]:
     files = [REAL_DATA / "xsens_acc.mat.gz", REAL_DATA / "xsens_gyro.mat.gz"]
     if not all(path.is_file() for path in files):
         return []
@@ -146,7 +142,7 @@ def real_rows(folder: Path) -> list[dict[str, Any]]:
     ]
 
 
-def live_rows(folder: Path, duration_s: float) -> list[dict[str, Any]]:
+def live_rows(folder: Path, duration_s: float) -> list[Row]:
     """Read the emulator with the real commands; their start is counted in."""
     rows = []
     for command in ("record", "capture"):
@@ -196,7 +192,7 @@ def write_long_session(folder: Path) -> Session:
     return session
 
 
-def long_rows(folder: Path) -> list[dict[str, Any]]:
+def long_rows(folder: Path) -> list[Row]:
     session = write_long_session(folder / "long")
     size_mb = sum(path.stat().st_size for path in session.parts) / 1e6
     unit = unit_s()
@@ -229,7 +225,7 @@ def long_rows(folder: Path) -> list[dict[str, Any]]:
     ]
 
 
-def run(duration_s: float = DURATION_S) -> list[dict[str, Any]]:
+def run(duration_s: float = DURATION_S) -> list[Row]:
     """Return one row for each figure: name, value, unit, peer's value and ratio (None where there is no peer)."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -244,11 +240,7 @@ def run(duration_s: float = DURATION_S) -> list[dict[str, Any]]:
 
 def main() -> None:
     """Print the figures as a table."""
-    print(f"{'':58} {'imufield':>10} {'peer':>10} {'ratio':>7}")
-    for line in run(float(sys.argv[1]) if len(sys.argv) > 1 else DURATION_S):
-        peer = "" if line["peer"] is None else f"{line['peer']:10.3f}"
-        ratio = "" if line["ratio"] is None else f"{line['ratio']:7.2f}"
-        print(f"{line['name']:58} {line['value']:10.3f} {peer:>10} {ratio:>7}  {line['unit']}")
+    print_rows(run(float(sys.argv[1]) if len(sys.argv) > 1 else DURATION_S))
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.rows import Row, print_rows, row
 from benchmarks.wire_streams import STREAMS, Stream, microstrain
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.link.serial import COLLECT_S
@@ -125,23 +126,19 @@ def _best_s(work: Callable[[], object]) -> float:
     return best
 
 
-def _row(name: str, value: float, unit: str, peer: float | None = None) -> dict[str, Any]:
-    return {"name": name, "value": value, "unit": unit, "peer": peer, "ratio": None if peer is None else value / peer}
-
-
-def _format_rows(make: Callable[[int], Stream], peer: float | None) -> Iterator[dict[str, Any]]:
+def _format_rows(make: Callable[[int], Stream], peer: float | None) -> Iterator[Row]:
     stream = make(FRAMES)
     protocol = load_protocol(stream.protocol, stream.settings)
     size = len(stream.data) // stream.frames
     frames = stream.frames
     large = frames / _best_s(lambda: _decode(stream.data, BLOCK_BYTES, protocol)) / 1e6
-    yield _row(f"{stream.name}, 64 KiB blocks", large, "million frames/s", peer)
+    yield row(f"{stream.name}, 64 KiB blocks", large, "million frames/s", peer)
     small = stream.data[: 80 * size * (frames // 800)]
     rate = len(small) / size / _best_s(lambda: _decode(small, 80 * size, protocol)) / 1e6
-    yield _row(f"{stream.name}, blocks of 80 frames", rate, "million frames/s", peer)
-    yield _row(f"{stream.name}, blocks of 80 frames (peer: 64 KiB)", rate, "million frames/s", large)
+    yield row(f"{stream.name}, blocks of 80 frames", rate, "million frames/s", peer)
+    yield row(f"{stream.name}, blocks of 80 frames (peer: 64 KiB)", rate, "million frames/s", large)
     live = len(small) / size / _best_s(lambda: decode_live(small, 80 * size, protocol)) / 1e6
-    yield _row(f"{stream.name}, live reads of 80 frames (peer: 64 KiB)", live, "million frames/s", large)
+    yield row(f"{stream.name}, live reads of 80 frames (peer: 64 KiB)", live, "million frames/s", large)
 
 
 def _serve(data: bytes, port: Any) -> None:
@@ -175,18 +172,18 @@ def mscl_rate() -> float | None:
     return packets / used_s / 1e6 if packets else None
 
 
-def run() -> list[dict[str, Any]]:
+def run() -> list[Row]:
     """Return one row for each figure: name, value, unit, peer's value and ratio (None where there is no peer)."""
     return [*_stim300_rows(), *_all_format_rows()]
 
 
-def _all_format_rows() -> Iterator[dict[str, Any]]:
+def _all_format_rows() -> Iterator[Row]:
     mscl_peer = mscl_rate()
     for make in STREAMS:
         yield from _format_rows(make, mscl_peer if make.__name__.startswith("microstrain") else None)
 
 
-def _stim300_rows() -> list[dict[str, Any]]:
+def _stim300_rows() -> list[Row]:
     clean = make_stream(FRAMES)
     short = clean[: 40 * PEER_FRAMES]
     parser = PerFrameParser()
@@ -211,24 +208,20 @@ def _stim300_rows() -> list[dict[str, Any]]:
     quarter_s = _best_s(lambda: _decode(noise[:quarter], BLOCK_BYTES))
     noise_s = _best_s(lambda: _decode(noise, BLOCK_BYTES))
     return [
-        _row("STIM300, 64 KiB blocks", clean_rate, "million frames/s", peer),
-        _row("STIM300, blocks of 80 frames", small_rate, "million frames/s", peer),
-        _row("STIM300, blocks of 80 frames (peer: 64 KiB)", small_rate, "million frames/s", clean_rate),
-        _row("STIM300, live reads of 80 frames (peer: 64 KiB)", live_rate, "million frames/s", clean_rate),
-        _row("STIM300, bit flips at 1e-4 per byte (peer: clean rate)", flip_rate, "million frames/s", clean_rate),
-        _row("STIM300, bytes lost at 1e-4 (peer: clean rate)", drop_rate, "million frames/s", clean_rate),
-        _row("noise, 1 MiB", quarter / quarter_s / 1e6, "MB/s"),
-        _row("noise, 4 MiB (peer: 1 MiB)", len(noise) / noise_s / 1e6, "MB/s", quarter / quarter_s / 1e6),
+        row("STIM300, 64 KiB blocks", clean_rate, "million frames/s", peer),
+        row("STIM300, blocks of 80 frames", small_rate, "million frames/s", peer),
+        row("STIM300, blocks of 80 frames (peer: 64 KiB)", small_rate, "million frames/s", clean_rate),
+        row("STIM300, live reads of 80 frames (peer: 64 KiB)", live_rate, "million frames/s", clean_rate),
+        row("STIM300, bit flips at 1e-4 per byte (peer: clean rate)", flip_rate, "million frames/s", clean_rate),
+        row("STIM300, bytes lost at 1e-4 (peer: clean rate)", drop_rate, "million frames/s", clean_rate),
+        row("noise, 1 MiB", quarter / quarter_s / 1e6, "MB/s"),
+        row("noise, 4 MiB (peer: 1 MiB)", len(noise) / noise_s / 1e6, "MB/s", quarter / quarter_s / 1e6),
     ]
 
 
 def main() -> None:
     """Print the figures as a table."""
-    print(f"{'':58} {'imufield':>10} {'peer':>10} {'ratio':>7}")
-    for row in run():
-        peer = "" if row["peer"] is None else f"{row['peer']:10.3f}"
-        ratio = "" if row["ratio"] is None else f"{row['ratio']:7.2f}"
-        print(f"{row['name']:58} {row['value']:10.3f} {peer:>10} {ratio:>7}  {row['unit']}")
+    print_rows(run())
 
 
 if __name__ == "__main__":

@@ -18,7 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import bench_commands
-from benchmarks.bench_commands import Ended, row, run_program, unit_s, write_long_session
+from benchmarks.bench_commands import Ended, run_program, unit_s, write_long_session
+from benchmarks.rows import Row, row
 from imufield.acquire.recording.session import Session
 from imufield.deliver.parameters import to_toml
 from imufield.deliver.parameters.read import read_document
@@ -49,14 +50,14 @@ def write_files(folder: Path, source: Path, count: int) -> None:
         path.write_text(to_toml(made), encoding="utf-8")
 
 
-def growth(command: str, times: dict[int, float]) -> dict[str, Any]:
+def growth(command: str, times: dict[int, float]) -> Row:
     """Return the exponent between the last two sizes."""
     *_, smaller, larger = times
     exponent = math.log(times[larger] / times[smaller]) / math.log(larger / smaller)
     return row(f"{command}: growth from {smaller} to {larger}", exponent, "exponent")
 
 
-def history_rows(folder: Path, source: Path) -> list[dict[str, Any]]:
+def history_rows(folder: Path, source: Path) -> list[Row]:
     """Return what the history of one unit among many takes, with nothing and with everything in the index."""
     unit, rows = unit_s(), []
     start_s = run_program(folder, "history", "--help").cpu_s
@@ -74,7 +75,7 @@ def history_rows(folder: Path, source: Path) -> list[dict[str, Any]]:
     return [*rows, *(growth(f"history, {what}", times) for what, times in above.items())]
 
 
-def solve_rows(folder: Path, session: Session) -> list[dict[str, Any]]:
+def solve_rows(folder: Path, session: Session) -> list[Row]:
     """Return what ``solve`` of copies of a session takes on one and two workers."""
     copies = [folder / f"copy-{number}" for number in range(max(SESSIONS))]
     for copy in copies:
@@ -111,7 +112,7 @@ def dask_cluster(workers: int) -> Iterator[str]:
         yield str(cluster.scheduler_address)
 
 
-def run() -> list[dict[str, Any]]:
+def run() -> list[Row]:
     """Return one row for each figure."""
     bench_commands.LONG_SESSION_S = 60 * MINUTES
     with tempfile.TemporaryDirectory() as name:
