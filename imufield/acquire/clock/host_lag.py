@@ -55,7 +55,6 @@ _LEAST_BUCKETS = 5  # 1 s: minima that are known before their jitter is.
 # A 4 % slow unit is 40 ms behind by then, below what counts as a lag; before, minima are too close together.
 _SLOPE_AFTER_S = 1.0
 _RESTART_S = 1.0  # Arrival that runs back by more than this is another host clock, not the order of threads.
-_ROUNDING_S = 1e-6  # By so much the lag is known whatever way it is computed: times of 1e9 s have steps of 1e-7 s.
 _LARGEST_SLOPE = 0.05  # The worst unit on record ran 3.8 % slow; more is not a clock error.
 
 
@@ -121,21 +120,13 @@ class HostBaseline:
         """Return the lowest offset to expect at ``arrival_s``; None before anything arrived."""
         if not self._buckets:
             return None
-        rise = self._rise
-        return min([offset + rise * (arrival_s - at) for at, offset in self._buckets])
+        at, offset = self._buckets[-1]
+        return self._rise * arrival_s + min(self._full_s, offset - self._rise * at)
 
     def lag_s(self, arrival_s: float, sample_s: float) -> float:
         """Return by how much ``sample_s`` is later at the host than it must be; 0 before anything arrived."""
         expected = self.offset_at(arrival_s)
         return 0.0 if expected is None else arrival_s - sample_s - expected
-
-    def is_surely_within(self, limit_s: float, arrival_s: float, sample_s: float) -> bool:
-        """Whether the lag is within the limit either way, without a look at each bucket; False too where rounding decides."""
-        if not self._buckets:
-            return False
-        at, offset = self._buckets[-1]
-        expected = self._rise * arrival_s + min(self._full_s, offset - self._rise * at)
-        return abs(arrival_s - sample_s - expected) < limit_s - _ROUNDING_S
 
 
 def _slope(first: tuple[float, float], second: tuple[float, float]) -> float:
@@ -214,8 +205,7 @@ class LossWatch:
         """
         if self._pending or not math.isfinite(arrival_s):
             return not self._pending
-        is_in_time = self.baseline.is_surely_within(self._smallest_s, arrival_s, last_s)
-        if not (is_in_time or abs(self.baseline.lag_s(arrival_s, last_s)) <= self._smallest_s):
+        if abs(self.baseline.lag_s(arrival_s, last_s)) > self._smallest_s:
             return False
         self.last_arrival_s = arrival_s
         self.baseline.add(arrival_s, last_s)

@@ -409,7 +409,7 @@ class SampleClock(Clock):
         wanted_s = self._watch.baseline.offset_at(arrival_s) or 0.0
         span_s = len(time_s) / self._tick_rate_hz
         step_s = min(max(wanted_s - self._shift_s, -_SLEW * span_s), _SLEW * span_s)
-        time_s += np.linspace(step_s / len(time_s), step_s, len(time_s))
+        time_s += step_s / len(time_s) * self._even_ticks(len(time_s))
         self._shift_s += step_s
 
     def _measure(self) -> None:

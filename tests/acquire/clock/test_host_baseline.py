@@ -58,16 +58,15 @@ def test_a_host_clock_that_starts_anew_is_taken_as_it_comes() -> None:
     assert baseline.lag_s(2.1, 3.2) == pytest.approx(0, abs=1e-9)
 
 
-@pytest.mark.parametrize("error", [-0.02, 0.0, 0.03])
-def test_the_quick_look_at_a_lag_decides_as_the_lag_does(error: float) -> None:
+def test_the_line_lies_below_the_last_4_s() -> None:
     baseline = HostBaseline()
-    assert not baseline.is_surely_within(1.0, 5.0, 5.0)
     rng = np.random.default_rng(4)
-    decided = []
-    for arrival_s in 1e5 + np.arange(0, 20, 0.02):
-        sample_s, late_s = arrival_s * (1 - error), arrival_s + rng.exponential(0.05)
-        if arrival_s > 1e5:
-            decided.append((baseline.is_surely_within(0.06, late_s, sample_s), abs(baseline.lag_s(late_s, sample_s)) <= 0.06))
-        baseline.add(late_s, sample_s)
-    assert 100 < sum(quick for quick, _ in decided) < 980
-    assert all(quick == exact for quick, exact in decided)
+    arrivals_s = 1e5 + np.arange(0, 20, 0.02)
+    # Fast by 2 %: the line falls by itself, no slope lifts it.
+    samples_s = arrivals_s * 1.02
+    late_s = arrivals_s + rng.exponential(0.05, len(arrivals_s))
+    for row in range(1, len(arrivals_s)):
+        baseline.add(late_s[row - 1], samples_s[row - 1])
+        window = [late_s[at] - samples_s[at] for at in range(row) if late_s[at] > late_s[row - 1] - 3.5]
+        assert baseline.slope is None or baseline.slope < 0
+        assert baseline.offset_at(late_s[row]) == pytest.approx(min(window), abs=1e-7)
