@@ -46,8 +46,9 @@ TEMPERATURE_SPAN_DEGC = 5.0
 """Bias of a chip moves by 0.5 to 1 mg/degC (data sheets of MPU-6000 and BMI160): here as much as ``POOR_RESIDUAL_M_S2``."""
 # Means at the same extreme of an axis: two different placements do not agree to the last digit by chance.
 _SATURATED_POSITIONS = 2
-# Share of an axis' span within which two means are the same number: the mean of a constant is that to rounding.
-_SAME_OUTPUT = 1e-9
+# Share of an axis' span within which two means are the same number: the mean of a constant is that to rounding. Within 1e-9
+# two of thousands of sessions agreed by chance.
+_SAME_OUTPUT = 1e-12
 # What paper24 leaves with drift and quadratic term. With four, as after two holds that were left out, terms are admitted that
 # by chance leave no scatter where it is 100 ug, and sigma was up to 20 times too small.
 _SPARE_WITH_DRIFT = 6

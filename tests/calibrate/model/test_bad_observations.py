@@ -87,6 +87,16 @@ def test_means_that_stop_at_a_limit_are_saturated() -> None:
     assert caught.value.reason is Reason.SATURATED
 
 
+def test_means_that_agree_by_chance_are_not_taken_for_a_limit() -> None:
+    raw = sent(scheme("paper24").directions())
+    highest, next_highest = np.argsort(raw[:, 2])[[-1, -2]]
+    raw[next_highest, 2] = raw[highest, 2] * (1 - 1e-10)
+    raw[5, 1] += 0.5
+    calibration = calibrate_accelerometer(means(raw), EXACT)
+    assert np.abs(calibration.positions.residual_m_s2).max() > 0.1
+    assert calibration.quality.verdict == "poor"
+
+
 def test_coarse_steps_are_not_taken_for_a_limit() -> None:
     raw = np.round(sent(scheme("paper24").directions()) / 0.6) * 0.6
     calibration = calibrate_accelerometer(means(raw), EXACT)
