@@ -92,6 +92,7 @@ def make_parameters(quadratic: FloatArray, g_sensitivity: FloatArray) -> Paramet
         covariance_raw=np.zeros((0, 3, 3)),
         gyroscope_mean_raw=empty,
         gyroscope_covariance_raw=np.zeros((0, 3, 3)),
+        gyroscope_rounding_raw=np.zeros((0, 3)),
         direction=empty,
         start_s=times,
         duration_s=times,

@@ -56,6 +56,7 @@ def make_session(seed: int, quadratic: float = 0.0) -> tuple[FloatArray, Observa
         covariance_raw=covariance,
         gyroscope_mean_raw=nothing,
         gyroscope_covariance_raw=np.full((24, 3, 3), np.nan),
+        gyroscope_rounding_raw=np.zeros((24, 3)),
         direction=up,
         start_s=nan,
         duration_s=nan,

@@ -156,7 +156,7 @@ def static_session(seed: int, seconds: float) -> tuple[StaticData, FloatArray, F
     seen = up + 1e-5 * rng.standard_normal((24, 3))
     seen /= np.linalg.norm(seen, axis=1)[:, None]
     return (
-        StaticData(raw, np.tile(sigma**2 * np.eye(3), (24, 1, 1)), seen, np.asarray(np.arange(24) * (seconds + 10.0))),
+        StaticData(raw, sigma**2 * np.eye(72), seen, np.asarray(np.arange(24) * (seconds + 10.0))),
         M,
         bias,
     )

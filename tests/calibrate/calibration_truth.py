@@ -74,6 +74,7 @@ def observe(
         covariance_raw=np.full((m, 3, 3), np.nan) if covariance is None else covariance,
         gyroscope_mean_raw=np.full((m, 3), np.nan) if gyroscope is None else gyroscope,
         gyroscope_covariance_raw=np.full((m, 3, 3), np.nan),
+        gyroscope_rounding_raw=np.zeros((m, 3)),
         direction=np.full((m, 3), np.nan) if direction is None else direction,
         start_s=nan,
         duration_s=nan,

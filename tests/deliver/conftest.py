@@ -71,6 +71,7 @@ def observations(parameters: AccelerometerParameters, residual: np.ndarray) -> O
         covariance_raw=np.broadcast_to(np.diag([1e-8, 2e-8, 3e-8]), (POSITIONS, 3, 3)),
         gyroscope_mean_raw=unknown,
         gyroscope_covariance_raw=np.full((POSITIONS, 3, 3), np.nan),
+        gyroscope_rounding_raw=np.zeros((POSITIONS, 3)),
         direction=up,
         start_s=60 + 14 * np.arange(POSITIONS, dtype=np.float64),
         duration_s=np.full(POSITIONS, 9.7),

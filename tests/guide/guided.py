@@ -101,6 +101,7 @@ def observations(grade: str, seed: int, bump: float = 0.0, scatter: float = 2e-4
                 covariance_raw=np.eye(3) * scatter**2,
                 gyroscope_mean_raw=np.zeros(3),
                 gyroscope_covariance_raw=np.eye(3),
+                gyroscope_rounding_raw=np.zeros(3),
                 start_s=0.0,
                 duration_s=10.0,
                 temperature_degc=20.0,

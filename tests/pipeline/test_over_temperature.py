@@ -75,6 +75,7 @@ def observed(temperature_degc: float, sensor_offset_degc: tuple[float, ...] = ()
         covariance_raw=np.broadcast_to(NOISE_M_S2**2 * np.eye(3), (m, 3, 3)),
         gyroscope_mean_raw=np.full((m, 3), np.nan),
         gyroscope_covariance_raw=np.full((m, 3, 3), np.nan),
+        gyroscope_rounding_raw=np.zeros((m, 3)),
         direction=up,
         start_s=20 * np.arange(m, dtype=np.float64),
         duration_s=np.full(m, 10.0),

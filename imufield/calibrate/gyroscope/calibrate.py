@@ -43,7 +43,7 @@ from imufield.calibrate.gyroscope.stills_alone import (
 )
 from imufield.calibrate.gyroscope.whole_turns import find_stops, misses_and_limits
 from imufield.calibrate.model.grades import find_grade
-from imufield.calibrate.model.uncertainty import rms
+from imufield.calibrate.model.uncertainty import block_diagonal, rms
 from imufield.dataclass import replace
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
@@ -173,7 +173,8 @@ def _static(given: GyroscopeInput) -> GyroscopeResult:
         up = given.force_m_s2 / np.linalg.norm(given.force_m_s2, axis=1)[:, None]
         middle_s = observations.start_s + observations.duration_s / 2
         rate_raw = observations.gyroscope_mean_raw - given.rest_raw
-        data = StaticData(rate_raw, observations.gyroscope_covariance_raw, up, middle_s)
+        covariance = block_diagonal(observations.gyroscope_unrounded_covariance) + observations.gyroscope_rounding()
+        data = StaticData(rate_raw, covariance, up, middle_s)
         fitted = fit_static(data, A, given.latitude_deg, given.static_free)
         return static_norm_result(StaticSolution(given=given, data=data, fitted=fitted))
     gyroscope = static_bias(

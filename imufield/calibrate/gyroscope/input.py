@@ -118,12 +118,13 @@ def make_data(given: GyroscopeInput) -> GyroscopeData:
     observations, moves = given.observations, given.moves
     parameters = given.calibration.accelerometer
     rest = given.rest_raw
-    covariance = observations.gyroscope_covariance_raw
-    density = np.sqrt(median(np.diagonal(covariance, 0, 1, 2) * observations.duration_s[:, None]))
+    variance = np.diagonal(observations.gyroscope_covariance_raw, 0, 1, 2)
+    density = np.sqrt(median(variance * observations.duration_s[:, None]))
     duration = np.maximum(moves.slots.duration_s, 1e-9)[:, None]  # a slot of a clock that stood lasts nothing
     return GyroscopeData(
         rate_raw=observations.gyroscope_mean_raw - rest,
-        rate_covariance=covariance,
+        rate_covariance=observations.gyroscope_unrounded_covariance,
+        rounding_covariance=observations.gyroscope_rounding(),
         force=given.force_m_s2,
         moves=centre(moves, rest, _slot_force(parameters, moves.slots.force / duration)),
         chain=chains_of(len(observations), moves.before, moves.after),

@@ -1,8 +1,9 @@
 """Covariance of the residuals of the gyroscope fit: every source of error, shared sources counted once.
 
 Sources, all independent: noise of the accelerometer mean of each still (enters the two moves that share it, and, through the
-calibration, every other), the rest of the accelerometer's uncertainty, noise of the gyroscope mean of each still, its noise
-during each move, and three kinds of scatter whose size the residuals tell:
+calibration, every other), the rest of the accelerometer's uncertainty, noise of the gyroscope mean of each still, what rounding
+leaves in it (stills that read alike share that), its noise during each move, and three kinds of scatter whose size the
+residuals tell:
 
 drift    the bias of each still differs from the fitted one (flicker, and g-sensitivity where it is not fitted)
 wander   the bias walks over the session (temperature, slow flicker): a random walk about its mean over the stills
@@ -110,6 +111,9 @@ def covariances(evaluation: Evaluation, x: FloatArray, data: GyroscopeData) -> C
     within, at_stops, of_rates, turn = np.zeros((4, rows, rows))
     within[of_stills, of_stills] = block_diagonal(A @ data.rate_covariance @ A.T)
     within[of_table, of_table] = block_diagonal(A @ table.covariance_raw @ A.T)
+    # As a drift: a move begins and ends at rest, where it is rounded as the still beside it.
+    by_rounding = drift @ np.kron(np.eye(len(data.force)), A)
+    within += by_rounding @ data.rounding_covariance @ by_rounding.T
     of_rates[of_table, of_table] = block_diagonal(table.rate_covariance)
     at_stops[stops, stops] = data.stop_sigma_rad**2
     turning = [*range(m), *stops]

@@ -93,7 +93,9 @@ class GyroscopeData:
     rate_raw : ndarray, shape (s, 3)
         Mean gyroscope output less ``rest_raw``.
     rate_covariance : ndarray, shape (s, 3, 3)
-        Of that mean, within the still.
+        Of that mean, within the still, without rounding.
+    rounding_covariance : ndarray, shape (3 s, 3 s)
+        Of what rounding leaves in these means.
     force : ndarray, shape (s, 3)
         Specific force, m/s^2, body frame.
     moves : Moves
@@ -117,6 +119,7 @@ class GyroscopeData:
 
     rate_raw: FloatArray
     rate_covariance: FloatArray
+    rounding_covariance: FloatArray
     force: FloatArray
     moves: Moves
     chain: IntArray

@@ -95,8 +95,10 @@ def static_bias(
         key = "stills_alone.bias_no_scale"
     gain = np.nan_to_num(K)
     values = observations.gyroscope_mean_raw - gain * (earth_known @ (np.eye(3) + misalignment).T)
-    # The scatter between positions contains g-sensitivity and drift.
-    sigma = np.sqrt(values.var(axis=0, ddof=1) / m + (gain * unknown_earth_rate(up, latitude_deg)) ** 2)
+    # The scatter between positions contains g-sensitivity and drift, and nothing that is the same in all of them.
+    rounding = np.diag(observations.gyroscope_rounding().reshape(m, 3, m, 3).mean(axis=(0, 2)))
+    shared = rounding + (gain * unknown_earth_rate(up, latitude_deg)) ** 2
+    sigma = np.sqrt(values.var(axis=0, ddof=1) / m + shared)
     not_estimated = np.full((3, 3), np.nan)
     return GyroscopeCalibration(
         parameters=GyroscopeParameters(K, misalignment, values.mean(axis=0), np.zeros((3, 3))),
@@ -135,7 +137,7 @@ class StaticData:
     ----------
     rate_raw : ndarray, shape (s, 3)
         Mean outputs less the output at rest.
-    covariance_raw : ndarray, shape (s, 3, 3)
+    covariance_raw : ndarray, shape (3 s, 3 s)
     up : ndarray, shape (s, 3)
     time_s : ndarray, shape (s,)
     """
@@ -271,7 +273,8 @@ def linearise_static(p: FloatArray, data: StaticData) -> tuple[FloatArray, Float
     jacobian[:, :, 9:12] = -B
     jacobian[:, 1, 12] = -1.0
     # Norm and invariant share the noise of their still: B C B^T, block by block.
-    spread, noise = block_diagonal(B), block_diagonal(A @ data.covariance_raw @ A.T)
+    to_rates = np.kron(np.eye(s), A)
+    spread, noise = block_diagonal(B), to_rates @ data.covariance_raw @ to_rates.T
     at_pole = np.eye(2 * s) * (_AT_POLE * EARTH_RATE_RAD_S) ** 2
     wander = spread @ np.kron(random_walk(data.time_s), np.eye(3)) @ spread.T
     parts = Covariances(

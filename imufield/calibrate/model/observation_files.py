@@ -88,6 +88,7 @@ def parse_observations(content: bytes, path: str | Path) -> Observations:
         covariance_raw=_diagonal(_triad(table, _SIGMA_ACCELEROMETER)),
         gyroscope_mean_raw=_triad(table, GYROSCOPE_COLUMNS),
         gyroscope_covariance_raw=_diagonal(_triad(table, _SIGMA_GYROSCOPE)),
+        gyroscope_rounding_raw=np.zeros((m, 3)),
         direction=np.full((m, 3), np.nan),
         start_s=unknown,
         duration_s=unknown.copy(),

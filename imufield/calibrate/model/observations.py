@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 
 import numpy as np
@@ -13,6 +14,12 @@ from imufield.samples import FloatArray, SampleUnits
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
+
+ROUNDING = 1 / math.sqrt(12)
+"""1 sigma over a step of an output that was rounded: the value may be anywhere within it."""
+
+_SHARED = 0.99  # Of the variance of rounding to one code: the values that it hides are not quite the same.
+_NO_STEP = 1e-100  # Of any unit; what noise leaves of a rounding may be less.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,6 +36,8 @@ class Observations:
     gyroscope_mean_raw : ndarray, shape (m, 3)
         NaN where there is no gyroscope.
     gyroscope_covariance_raw : ndarray, shape (m, 3, 3)
+    gyroscope_rounding_raw : ndarray, shape (m, 3)
+        1 sigma of what rounding of the output leaves in that mean; in its covariance too.
     direction : ndarray, shape (m, 3)
         Planned direction of "up" in the body frame (unit vector); NaN where no position was planned.
     start_s, duration_s, temperature_degc : ndarray, shape (m,)
@@ -43,6 +52,7 @@ class Observations:
     covariance_raw: FloatArray
     gyroscope_mean_raw: FloatArray
     gyroscope_covariance_raw: FloatArray
+    gyroscope_rounding_raw: FloatArray
     direction: FloatArray
     start_s: FloatArray
     duration_s: FloatArray
@@ -57,6 +67,24 @@ class Observations:
         name = tuple(name for name, kept in zip(self.name, rows, strict=True) if kept)
         arrays = {array: getattr(self, array)[rows] for array in _ARRAYS}
         return Observations(name=name, units=self.units, left_out=self.left_out, **arrays)
+
+    @property
+    def gyroscope_unrounded_covariance(self) -> FloatArray:
+        """The covariance of each gyroscope mean without what rounding leaves in it, shape (m, 3, 3)."""
+        return np.asarray(self.gyroscope_covariance_raw - self.gyroscope_rounding_raw[:, :, None] ** 2 * np.eye(3))
+
+    def gyroscope_rounding(self) -> FloatArray:
+        """Return the covariance of what rounding leaves in the gyroscope means, shape (3 m, 3 m).
+
+        A gyroscope at rest reads nearly the same in all positions, and what is read alike is rounded alike: one error for all.
+        A step further the error is another. An accelerometer is turned, and reads another value in each position.
+        """
+        rounding, mean = self.gyroscope_rounding_raw, self.gyroscope_mean_raw.T
+        step = np.maximum(rounding.max(axis=0, initial=0.0) / ROUNDING, _NO_STEP)
+        # Positive definite whatever the means are. One size for all: by sizes that differ, weights would cancel the error.
+        alike = np.maximum(1 - np.abs(mean[:, :, None] - mean[:, None]) / step[:, None, None], 0.0)
+        alike = np.where(np.eye(len(self)), 1.0, _SHARED * alike) * np.mean(rounding**2, axis=0)[:, None, None]
+        return np.asarray(np.einsum("kij,kl->ikjl", alike, np.eye(3)).reshape(3 * len(self), -1))
 
 
 _ARRAYS = tuple(field.name for field in fields(Observations) if field.name not in ("name", "units", "left_out"))

@@ -338,6 +338,7 @@ def _no_observations() -> Observations:
         covariance_raw=covariance,
         gyroscope_mean_raw=none,
         gyroscope_covariance_raw=covariance,
+        gyroscope_rounding_raw=none,
         direction=none,
         start_s=times,
         duration_s=times,

@@ -73,6 +73,7 @@ def with_gyroscope(file: Observations, reading: Observations) -> Observations:
         file,
         gyroscope_mean_raw=np.where(found[:, None], mean, np.nan),
         gyroscope_covariance_raw=np.where(found[:, None, None], covariance, np.nan),
+        gyroscope_rounding_raw=reading.gyroscope_rounding_raw[row],
         units=reading.units,
     )
 
@@ -91,6 +92,7 @@ def observations_of(parameters: Parameters) -> Observations:
         covariance_raw=np.array([np.diag(np.square(table["sigma_raw"])) for table in tables], dtype=np.float64),
         gyroscope_mean_raw=np.full((m, 3), np.nan),
         gyroscope_covariance_raw=np.full((m, 3, 3), np.nan),
+        gyroscope_rounding_raw=np.zeros((m, 3)),
         direction=column("direction"),
         start_s=column("start_s"),
         duration_s=column("duration_s"),

@@ -35,6 +35,7 @@ from statistics import NormalDist
 
 import numpy as np
 
+from imufield.calibrate.model.observations import ROUNDING
 from imufield.dataclass import replace
 from imufield.guide import refusals
 from imufield.guide.events import RefusalCode
@@ -136,12 +137,14 @@ class Outputs:
         # An output that never changed has the step of the others of its triad.
         triads = np.where(np.isfinite(self.step), self.step, 0.0).reshape(2, 3)
         step = np.where(triads > 0, triads, triads.max(axis=1, keepdims=True)).ravel()
-        least = np.where(observation.output.still, step**2 / 12, 0.0)
+        rounding = np.where(observation.output.still, ROUNDING * step, 0.0)
+        least = rounding**2
         force, rate = observation.covariance_raw, observation.gyroscope_covariance_raw
         return replace(
             observation,
             covariance_raw=force + np.diag(np.maximum(least[:3] - np.diag(force), 0.0)),
             gyroscope_covariance_raw=rate + np.diag(np.fmax(least[3:] - np.diag(rate), 0.0)),
+            gyroscope_rounding_raw=np.maximum(observation.gyroscope_rounding_raw, rounding[3:]),
         )
 
     def sticking(self) -> tuple[Sentence, ...]:

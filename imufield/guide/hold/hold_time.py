@@ -125,7 +125,7 @@ def sigma_along(cells: Cells, scale: RoughScale) -> float:
     """Return 1 sigma of the mean of cells along the mean force, m/s^2; infinite for fewer than 8 cells."""
     if len(cells) < _FEWEST_CELLS or not scale.accelerometer:
         return math.inf
-    mean, covariance = cell_means(cells)
+    mean, covariance, _ = cell_means(cells)
     along = mean[:3] - scale.raw_zero
     along = along / np.linalg.norm(along)
     return math.sqrt(max(float(along @ covariance[:3, :3] @ along), 0.0)) / scale.accelerometer

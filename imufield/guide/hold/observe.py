@@ -7,7 +7,11 @@ mean, and where they are many the stretch is refused.
 
 Neighbouring cell means are not independent (bandwidth of the instrument, flicker noise, tremor), so the covariance of the
 mean of N cells is C0 / N times 1 + 2 (rho_1 + rho_2 + ...) for each axis, the sum cut off where a pair of successive
-autocorrelations turns negative [1]_. It is never less than white noise or the resolution of the output would give.
+autocorrelations turns negative [1]_. It is never less than white noise would give.
+
+Rounding of the output comes to that. A silent output is off by q / sqrt(12), 1 sigma, with its step q. Gaussian noise of s
+spreads the reading over the steps, and leaves exp(-2 pi^2 (s / q)^2) of it [2]_, which no further sample averages out. What the
+output scatters tells s only beyond the two codes about the mean: they alone show anything up to half a step, whatever s is.
 
 The mean is that of the vector as measured: right for a unit that is placed. A unit in the hand wobbles, which shortens the
 mean vector; ``hand_mean`` turns every sample of such a hold into one frame first.
@@ -15,16 +19,19 @@ mean vector; ``hand_mean`` turns every sample of such a hold into one frame firs
 References
 ----------
 .. [1] C. J. Geyer, "Practical Markov chain Monte Carlo", Statistical Science 7(4), 1992: initial positive sequence.
+.. [2] B. Widrow, I. Kollar, "Quantization Noise", Cambridge University Press, 2008: the mean of a dithered quantiser.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from statistics import NormalDist
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.calibrate.model.observations import Observations
+from imufield.calibrate.model.observations import ROUNDING, Observations
 from imufield.dataclass import dataclass
 from imufield.guide.hold.hand_mean import HandMean
 from imufield.guide.hold.output import HoldOutput
@@ -41,9 +48,12 @@ _VIBRATION_OVER_MEDIAN = 1.25  # Times the scatter of a variance: the median of 
 _LEAST_RATIO = 0.1  # Nothing below this share of the detector's limit stands out: a perfectly quiet output has a median of 0.
 _KNOCK_RATIO = 2.0  # A cell inside that stands out this far holds a knock; less is the scatter of a long stretch.
 UNKNOWN_RESOLUTION = 1e-6  # Of the reading: resolution assumed where the output never changed.
+_NORMAL = NormalDist()
+_FEWEST_BEYOND = 1e-15  # Share of the samples: none, as far as the rounding of numbers lets it be seen.
+_MOST_BEYOND = 0.4999  # So many that rounding is nothing.
 # Of the fields of one observation that the solvers take as arrays.
 _SHAPES: dict[str, tuple[int, ...]] = {
-    **dict.fromkeys(("mean_raw", "gyroscope_mean_raw", "direction"), (3,)),
+    **dict.fromkeys(("mean_raw", "gyroscope_mean_raw", "gyroscope_rounding_raw", "direction"), (3,)),
     **dict.fromkeys(("covariance_raw", "gyroscope_covariance_raw"), (3, 3)),
     **dict.fromkeys(("start_s", "duration_s", "temperature_degc"), ()),
 }
@@ -59,6 +69,7 @@ class Observation:
     covariance_raw: FloatArray
     gyroscope_mean_raw: FloatArray
     gyroscope_covariance_raw: FloatArray
+    gyroscope_rounding_raw: FloatArray
     start_s: float
     duration_s: float
     temperature_degc: float
@@ -115,8 +126,19 @@ def knocked(cells: Cells, limits: Limits) -> NDArray[np.bool_]:
     return wider
 
 
-def cell_means(cells: Cells) -> tuple[FloatArray, FloatArray]:
-    """Return the mean over cells, weighted by their samples, shape (6,), and the covariance of that mean, shape (6, 6)."""
+class CellMeans(NamedTuple):
+    """The mean over cells, accelerometer and gyroscope."""
+
+    mean: FloatArray
+    """Weighted by their samples, shape (6,)."""
+    covariance: FloatArray
+    """Of that mean, shape (6, 6)."""
+    rounding: FloatArray
+    """1 sigma of what rounding of the output leaves in the mean, in the covariance too, shape (6,)."""
+
+
+def cell_means(cells: Cells) -> CellMeans:
+    """Return the mean over cells and what is known of its errors."""
     weight = np.repeat(np.stack([cells.usable, cells.gyroscope_usable], axis=1), 3, axis=1).astype(np.float64)
     known, spare = weight > 0, (weight - 1).clip(0)
     values = np.where(known, cells.mean, 0.0)
@@ -130,17 +152,29 @@ def cell_means(cells: Cells) -> tuple[FloatArray, FloatArray]:
     if m > 1:
         factor = np.sqrt([correlation_factor(column) for column in deviation.T])
         covariance = deviation.T @ deviation / ((m - 1) * m) * np.outer(factor, factor)
-    # A step q of the output gives q^2 / 12. Noise above half a step spreads the reading over the steps, so the error averages
-    # out with the samples; a quieter output sits between two steps and stays there.
-    step = cells.step.min(axis=0)
-    step = np.where(np.isfinite(step), step, UNKNOWN_RESOLUTION * np.abs(mean))
-    samples = np.where(np.sqrt(pooled) > step / 2, total, 1.0)
-    least = np.maximum(white, step**2 / 12 / np.maximum(samples, 1.0))
-    covariance += np.diag(np.maximum(least - np.diag(covariance), 0.0))
+    scatter = (spare * cells.variance + weight * deviation**2).sum(axis=0) / np.maximum(total, 1)
+    rounding = _rounding(cells, mean, scatter)
+    covariance += np.diag(np.maximum(white - np.diag(covariance), 0.0) + rounding**2)
     absent = np.isnan(mean)
     covariance[absent, :] = np.nan
     covariance[:, absent] = np.nan
-    return mean, covariance
+    return CellMeans(mean, covariance, rounding)
+
+
+def _rounding(cells: Cells, mean: FloatArray, variance: FloatArray) -> FloatArray:
+    """Return 1 sigma of what rounding leaves in means over cells whose samples scatter by that variance, shape (6,)."""
+    # Between cells as well as within them: those of a slow instrument have one sample.
+    change = np.abs(np.diff(cells.first, axis=0))
+    step = np.fmin.reduce(np.vstack([cells.step, np.where(change > 0, change, np.inf)]))
+    step = np.where(np.isfinite(step), step, UNKNOWN_RESOLUTION * np.abs(mean))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        places = (mean - np.fmin.reduce(cells.low)) / step
+        off = np.abs(places - np.rint(places))
+        # Beyond the two codes about the mean, on the side of the farther one: at least (1/2 + off) steps away.
+        beyond = (variance / step**2 - off * (1 - off)) / 2
+    sigmas = [-_NORMAL.inv_cdf(p) for p in np.clip(np.nan_to_num(beyond), _FEWEST_BEYOND, _MOST_BEYOND).tolist()]
+    noise_steps = (0.5 + np.nan_to_num(off)) / sigmas
+    return np.asarray(ROUNDING * step * np.exp(-2 * (np.pi * noise_steps) ** 2))
 
 
 def correlation_factor(deviation: FloatArray) -> float:
@@ -184,8 +218,10 @@ def observe(
     out = knocked(cells, limits)
     kept = cells if not out.any() or out.all() else cells[np.flatnonzero(~out)]
     if hand_mean is None:
-        mean, covariance = cell_means(kept)
+        mean, covariance, rounding = cell_means(kept)
     else:
+        # The sway of a hand leads the output over many steps.
+        rounding = np.zeros(6)
         mean = np.concatenate([hand_mean.force_raw, hand_mean.gyroscope_raw])
         covariance = np.zeros((6, 6))
         covariance[:3, :3], covariance[3:, 3:] = hand_mean.covariance_raw, hand_mean.gyroscope_covariance_raw
@@ -197,6 +233,7 @@ def observe(
         covariance_raw=covariance[:3, :3],
         gyroscope_mean_raw=mean[3:],
         gyroscope_covariance_raw=covariance[3:, 3:],
+        gyroscope_rounding_raw=rounding[3:],
         start_s=float(cells.start_s[0]),
         duration_s=float(cells.end_s[-1] - cells.start_s[0]),
         temperature_degc=float(warmth.mean()) if len(warmth) else float("nan"),

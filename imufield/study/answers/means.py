@@ -121,6 +121,7 @@ class MeanSession:
             covariance_raw=np.broadcast_to(np.diag((scale * noise) ** 2), (m, 3, 3)),
             gyroscope_mean_raw=unknown,
             gyroscope_covariance_raw=np.full((m, 3, 3), np.nan),
+            gyroscope_rounding_raw=np.zeros((m, 3)),
             direction=up,
             start_s=start_s,
             duration_s=np.full(m, HOLD_S),

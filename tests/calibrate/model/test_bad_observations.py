@@ -41,6 +41,7 @@ def means(raw: FloatArray) -> Observations:
         covariance_raw=unknown,
         gyroscope_mean_raw=np.full((m, 3), np.nan),
         gyroscope_covariance_raw=unknown,
+        gyroscope_rounding_raw=np.zeros((m, 3)),
         direction=np.full((m, 3), np.nan),
         start_s=nothing,
         duration_s=nothing,

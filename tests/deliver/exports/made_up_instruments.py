@@ -91,6 +91,7 @@ def loaded(
         covariance_raw=np.zeros((POSITIONS, 3, 3)),
         gyroscope_mean_raw=unknown,
         gyroscope_covariance_raw=np.full((POSITIONS, 3, 3), np.nan),
+        gyroscope_rounding_raw=np.zeros((POSITIONS, 3)),
         direction=up,
         start_s=np.arange(POSITIONS, dtype=np.float64),
         duration_s=np.ones(POSITIONS),

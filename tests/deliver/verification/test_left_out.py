@@ -44,6 +44,7 @@ def observe(seed: int, positions: str = "paper24", truth: AccelerometerParameter
         covariance_raw=np.broadcast_to(np.eye(3) * SIGMA**2, (m, 3, 3)),
         gyroscope_mean_raw=unknown,
         gyroscope_covariance_raw=np.full((m, 3, 3), np.nan),
+        gyroscope_rounding_raw=np.zeros((m, 3)),
         direction=up,
         start_s=np.arange(m, dtype=np.float64),
         duration_s=np.ones(m),

@@ -18,6 +18,7 @@ def observation(name: str, start_s: Any = 0.0) -> Any:
         covariance_raw=np.eye(3),
         gyroscope_mean_raw=nothing,
         gyroscope_covariance_raw=np.eye(3),
+        gyroscope_rounding_raw=np.zeros(3),
         start_s=start_s,
         duration_s=10.0,
         temperature_degc=20.0,
