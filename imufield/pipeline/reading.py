@@ -30,8 +30,8 @@ class Reading:
         Stills between whole turns: for the gyroscope alone.
     slots : Slots
         Of the moves, and of the stills in cells.
-    range_raw : ndarray, shape (2, 3)
-        Smallest and largest output of the gyroscope.
+    ends_raw : ndarray, shape (2, 3)
+        Lowest and highest output of the gyroscope where it is an end of its range, else NaN.
     turned_s : ndarray, shape (k,)
         Times of the whole turns about the vertical.
     cells : TraceCells
@@ -56,7 +56,7 @@ class Reading:
     observations: Observations
     rests: Observations | None
     slots: Slots
-    range_raw: FloatArray
+    ends_raw: FloatArray
     turned_s: FloatArray
     cells: TraceCells
     best: DecoderStatistics | None
@@ -75,7 +75,7 @@ class Reading:
     def between(self, observations: Observations) -> Moves:
         """Return the moves between the observed stills, and those between whole turns."""
         stills = observations if self.rests is None else join_observations(observations, self.rests)
-        return cut_moves(self.slots, stills.start_s, stills.duration_s, (self.range_raw[0], self.range_raw[1]))
+        return cut_moves(self.slots, stills.start_s, stills.duration_s, self.ends_raw)
 
 
 class ReadingCollector:
@@ -103,13 +103,12 @@ class ReadingCollector:
                 self.turned_s.append((event.start_s + event.end_s) / 2)
 
     def slots(self, stills: Observations) -> tuple[Slots, FloatArray]:
-        """Return the slots of all samples, those inside stills joined, and the range of the outputs, shape (2, 3)."""
+        """Return the slots of all samples, those inside stills joined, and the ends of the outputs' range, shape (2, 3)."""
         if self._waiting:
             self._take()
         if self._moves is None:
-            return no_slots(), np.array([[np.inf] * 3, [-np.inf] * 3])
-        slots = self._moves.joined_slots(stills.start_s, stills.duration_s)
-        return slots, np.array([self._moves.low, self._moves.high])
+            return no_slots(), np.full((2, 3), np.nan)
+        return self._moves.joined_slots(stills.start_s, stills.duration_s), self._moves.ends
 
     def _take(self) -> None:
         samples = concatenate(self._waiting)

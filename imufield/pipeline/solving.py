@@ -213,14 +213,14 @@ def reading_of(
         raise usable.axes.error
     observations = usable.observations
     rests = chain.turn_rests()
-    slots, range_raw = collected.slots(observations if rests is None else join_observations(observations, rests))
+    slots, ends_raw = collected.slots(observations if rests is None else join_observations(observations, rests))
     nominal = None if chain.protocol is None else chain.protocol.nominal
     return Reading(
         sha256=sha256,
         observations=observations,
         rests=rests,
         slots=slots,
-        range_raw=range_raw,
+        ends_raw=ends_raw,
         turned_s=np.array(collected.turned_s),
         cells=collected.trace.finish(),
         best=best_rate(chain.statistics),

@@ -54,23 +54,20 @@ from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
 
-GUARD_CELLS = 10
-"""Kept between the stretched still and what looks like motion."""
+_GUARD_CELLS = 10  # Kept between the stretched still and what looks like motion.
 _SIGMAS = 5.0  # Of the cells inside the still; what is further off looks like motion.
 _FEWEST = 5  # Cells inside a still that tell its scatter.
 SLOT_S = 0.005
 _QUIET_SLOTS = round(CELL_S / SLOT_S)  # Of a quiet stretch that are joined: those of a cell.
-BRIDGED_S = 0.03
-"""Longest loss of samples that a straight line bridges: a hand at 2 Hz and 1 rad/s then strays by 0.4 mrad."""
-BRIDGED_INTERVALS = 3.5
-"""The same for slow instruments: two lost samples."""
-LONGEST_MOVE_S = 300.0
-"""The noise of a longer one says nothing any more."""
-INTERRUPTED_S = 1.0
-"""A hole as long is no loss on the wire: the session was broken off and resumed, or the cable was out."""
+_BRIDGED_S = 0.03  # Longest loss of samples that a straight line bridges: a hand at 2 Hz and 1 rad/s then strays by 0.4 mrad.
+_BRIDGED_INTERVALS = 3.5  # The same for slow instruments: two lost samples.
+_LONGEST_MOVE_S = 300.0  # The noise of a longer one says nothing any more.
+_INTERRUPTED_S = 1.0  # A hole as long is no loss on the wire: the session was broken off and resumed, or the cable was out.
 _LOST_INTERVALS = 1.5  # Between one interval, however unsteady the clock, and the two of a lost sample.
-_STEEP = 1.5  # Steps of the output: a larger change at once is no creep from one code to the next.
-_PLATEAU = 4  # Equal values in a row at the largest or smallest output of the session that make it a saturated axis.
+_PLATEAU = 4  # Equal values in a row at an end of the range that make it a saturated axis.
+# Times the samples of the next value that make the largest an end of the range: the top of a turn, a parabola, has 2.4 times.
+_LONGER = 3
+_MORE = 5  # And so many more: of few samples, one and two differ by chance.
 _COMPACT_AT = 1_000_000  # Slots before quiet stretches are joined: 83 minutes, 170 MB.
 _JOINED_AT_ONCE = 16  # Parts of slots that are joined at once: as much as stays in the cache.
 _SLOT_MARGIN = 1e-6  # Of a slot or cell, or s: rounding may put a time just below the edge it stands on.
@@ -101,8 +98,8 @@ def stretch_stills(cell_s: FloatArray, sums: FloatArray, *, stills: FloatArray) 
         later, earlier = calm[high[k] - before :], calm[: low[k] - before][::-1]
         forward = len(later) if later.all() else int(np.argmin(later))
         backward = len(earlier) if earlier.all() else int(np.argmin(earlier))
-        left = int(low[k]) - max(backward - GUARD_CELLS, 0)
-        right = int(high[k]) + max(forward - GUARD_CELLS, 0)
+        left = int(low[k]) - max(backward - _GUARD_CELLS, 0)
+        right = int(high[k]) + max(forward - _GUARD_CELLS, 0)
         stretched[k, 0] = min(stills[k, 0], cell_s[min(left, len(cell_s) - 1)])
         stretched[k, 1] = max(stills[k, 1], cell_s[min(right, len(cell_s) - 1)])
     # Two that met in the calm between them leave it to the move.
@@ -228,16 +225,14 @@ class MoveCollector:
     """
 
     def __init__(self, units: SampleUnits) -> None:
-        self.low = np.full(3, np.inf)
-        self.high = np.full(3, -np.inf)
         self.interval_s = units.interval_s
         self._parts: list[Slots] = []
         self._count = 0
         self._compact_at = _COMPACT_AT
         self._pending: Samples | None = None
         self._flat = np.zeros(3, dtype=np.int64)
-        self._steep = np.zeros(3, dtype=np.bool_)  # Whether the latest change was one; what a stream begins with is none.
-        self._step = np.full(3, np.inf)
+        # The two largest outputs so far, of the axes and of the axes reversed, and how often they came.
+        self._largest, self._times = np.full((6, 2), -np.inf), np.zeros((6, 2), dtype=np.int64)
 
     def feed(self, samples: Samples) -> None:
         """Take the next samples."""
@@ -245,6 +240,7 @@ class MoveCollector:
         samples = samples if every(finite) else samples[np.flatnonzero(finite.all(axis=1))]
         if not len(samples):
             return
+        self._count_largest(samples.gyroscope_rate().T)
         if self._pending is not None:
             samples = concatenate([self._pending, samples])
         if self.interval_s is None and len(samples) > 2:
@@ -264,8 +260,7 @@ class MoveCollector:
 
     def slots(self) -> Slots:
         """Return the slots of all samples so far."""
-        parts = self._all()
-        return stack_slots(parts) if parts else no_slots()
+        return stack_slots(self._all() or [no_slots()])
 
     def joined_slots(self, start_s: FloatArray, duration_s: FloatArray) -> Slots:
         """Return the same with those inside stretched stills joined into cells; moves are cut at cells, so they stay the same.
@@ -296,7 +291,22 @@ class MoveCollector:
 
     def finish(self, start_s: FloatArray, duration_s: FloatArray) -> Moves:
         """Return the moves between still intervals (sample clock, shape (s,), in any order)."""
-        return cut_moves(self.joined_slots(start_s, duration_s), start_s, duration_s, (self.low, self.high))
+        return cut_moves(self.joined_slots(start_s, duration_s), start_s, duration_s, self.ends)
+
+    @property
+    def ends(self) -> FloatArray:
+        """Lowest and highest output of each axis that is an end of its range, shape (2, 3); NaN for the top of a turn."""
+        is_end = self._times[:, 0] > _LONGER * self._times[:, 1] + _MORE
+        high, low = np.where(is_end, self._largest[:, 0], np.nan).reshape(2, 3)
+        return np.stack([-low, high])
+
+    def _count_largest(self, N: FloatArray) -> None:
+        """Count how often the two largest values of outputs, shape (3, n), and of these reversed come."""
+        values = np.hstack([self._largest, np.vstack([N, -N])])
+        times = np.hstack([self._times, np.ones((6, N.shape[1]), dtype=np.int64)])
+        largest = values.max(axis=1, keepdims=True)
+        self._largest = np.hstack([largest, np.where(values < largest, values, -np.inf).max(axis=1, keepdims=True)])
+        self._times = np.stack([np.sum(times, axis=1, where=values == value[:, None]) for value in self._largest.T], axis=1)
 
     def _all(self) -> list[Slots]:
         if self._pending is None or len(self._pending) < 2 or not self.interval_s:
@@ -335,7 +345,6 @@ class MoveCollector:
         area = cross(middle.T, turn.T).T
         moment = dt * middle + 0.5 * half * (second - first)
         sums = np.add.reduceat(np.vstack([dt, turn, moment, area, force]), starts, axis=1).T.copy()
-        self.low, self.high = np.minimum(self.low, N.min(axis=1)), np.maximum(self.high, N.max(axis=1))
         return Slots(
             start_s=samples.time_s[starts],
             duration_s=sums[:, 0],
@@ -352,7 +361,7 @@ class MoveCollector:
         """Return the flags of the intervals ``dt`` between samples of this status, in some of which the clock stood."""
         interval_s, flags = self.interval_s or 0.0, np.zeros(len(dt), dtype=np.uint8)
         flags[dt > _LOST_INTERVALS * interval_s] |= np.uint8(SlotFlag.BRIDGED)
-        flags[dt > max(BRIDGED_S, BRIDGED_INTERVALS * interval_s)] |= np.uint8(SlotFlag.LOST)
+        flags[dt > max(_BRIDGED_S, _BRIDGED_INTERVALS * interval_s)] |= np.uint8(SlotFlag.LOST)
         is_set = (status[1:] & np.uint32(Status.CLOCK_SET)) != 0
         flags[(dt < 0) | stood | is_set] |= np.uint8(SlotFlag.CLOCK_JUMP)
         # An interval has the flags of both of its samples.
@@ -364,21 +373,11 @@ class MoveCollector:
 
     def _plateau(self, N: FloatArray, starts: IntArray) -> FloatArray:
         """Return the largest output (of shape (3, n + 1)) in each slot that was repeated often enough, NaN elsewhere."""
-        change = np.abs(np.diff(N, axis=1))
-        equal = change == 0
-        # The smallest change so far is one step of the output; the top of a turn is reached by such, a limit from farther.
-        step = np.minimum.accumulate(np.column_stack([self._step, np.where(equal, np.inf, change)]), axis=1)
-        self._step, is_jump = step[:, -1], change > _STEEP * step[:, 1:]
-        if not equal.any():
-            self._flat, self._steep = np.zeros_like(self._flat), is_jump[:, -1]
-            return np.full((len(starts), 3), np.nan)
-        place = np.arange(1, equal.shape[1] + 1)
-        last_change = np.maximum.accumulate(np.where(equal, 0, place), axis=1)
-        is_old = last_change == 0
-        run = place - last_change + np.where(is_old, self._flat[:, None], 0)
-        steep = np.where(is_old, self._steep[:, None], np.take_along_axis(is_jump, last_change - 1, axis=1))
-        self._flat, self._steep = run[:, -1], steep[:, -1]
-        return np.fmax.reduceat(np.where(steep & (run >= _PLATEAU - 1), N[:, 1:], np.nan), starts, axis=1).T
+        place = np.arange(1, N.shape[1])
+        last_change = np.maximum.accumulate(np.where(np.diff(N, axis=1) == 0, 0, place), axis=1)
+        run = place - last_change + np.where(last_change == 0, self._flat[:, None], 0)
+        self._flat = run[:, -1]
+        return np.fmax.reduceat(np.where(run >= _PLATEAU - 1, N[:, 1:], np.nan), starts, axis=1).T
 
     def _compact(self) -> None:
         """Join the slots of the quieter half of the recording into cells of 0.1 s."""
@@ -435,23 +434,25 @@ class Moves:
         return np.add.reduceat(self.slots.duration_s, self.first)
 
 
-def cut_moves(
-    slots: Slots, start_s: FloatArray, duration_s: FloatArray, limits: tuple[FloatArray, FloatArray] | None = None
-) -> Moves:
-    """Cut slots at still intervals; ``limits`` are the smallest and largest output of the session."""
+def cut_moves(slots: Slots, start_s: FloatArray, duration_s: FloatArray, ends: FloatArray | float = np.nan) -> Moves:
+    """Cut slots at still intervals; ``ends`` are those of the range of the outputs, shape (2, 3), NaN where it has none."""
     # Means that somebody else averaged have no time: nothing is known of what lies between them.
     order = np.argsort(start_s, kind="stable") if np.isfinite(start_s).all() else np.empty(0, dtype=np.int64)
     # A clock that jumps back must not hide what lies behind the jump; the move with the jump is dropped.
     rising_s = np.maximum.accumulate(slots.start_s)
     stills = np.stack([start_s, start_s + duration_s], axis=1)[order]
-    if len(slots):
+    if len(slots) and len(stills):
+        # An axis that was never turned one way ends there at what it reads at rest.
+        latest = np.searchsorted(stills[:, 0], rising_s, side="right") - 1
+        at_rest = slots.plateau[(latest >= 0) & (rising_s < stills[latest, 1])]
+        ends = np.where(np.any(at_rest[:, None] == ends, axis=0), np.nan, ends)
         stills = stretch_stills(*sum_cells(rising_s, slot_sums(slots)), stills=stills)
     kept: list[tuple[int, int, float, float, IntArray]] = []  # Stills before and after, begin and end, rows of the slots.
     dropped: list[Sentence] = []
     for k, (before, after) in enumerate(pairwise(order)):
         begin, end = float(stills[k, 1]), float(stills[k + 1, 0])
         low, high = (int(row) for row in np.searchsorted(rising_s, [begin - _SLOT_MARGIN, end - _SLOT_MARGIN]))
-        fault = _fault(slots[low:high], begin, end, limits)
+        fault = _fault(slots[low:high], begin, end, ends)
         if fault is None:
             kept.append((int(before), int(after), begin, end, np.arange(low, high)))
         else:
@@ -477,11 +478,11 @@ def _join_cells(slots: Slots, cell_s: FloatArray, which: NDArray[np.bool_]) -> S
     return join_slots(slots, np.flatnonzero(keep))
 
 
-def _fault(slots: Slots, begin: float, end: float, limits: tuple[FloatArray, FloatArray] | None) -> Sentence | None:
+def _fault(slots: Slots, begin: float, end: float, ends: FloatArray | float) -> Sentence | None:
     """Return why a move cannot be used, None if it can."""
     span = {"begin_s": begin, "end_s": end}
-    if end - begin > LONGEST_MOVE_S:
-        return sentence("moves.too_long", longest_s=LONGEST_MOVE_S, **span)
+    if end - begin > _LONGEST_MOVE_S:
+        return sentence("moves.too_long", longest_s=_LONGEST_MOVE_S, **span)
     if not len(slots):
         return sentence("moves.no_samples", **span)
     flags = int(np.bitwise_or.reduce(slots.flags))
@@ -489,12 +490,11 @@ def _fault(slots: Slots, begin: float, end: float, limits: tuple[FloatArray, Flo
     if flags & SlotFlag.CLOCK_JUMP:
         return sentence("moves.clock_jump", **span)
     hole_s = float(slots.duration_s[(slots.flags & np.uint8(SlotFlag.LOST)) != 0].sum())
-    if flags & SlotFlag.LOST or covered < end - begin - BRIDGED_S - CELL_S:
+    if flags & SlotFlag.LOST or covered < end - begin - _BRIDGED_S - CELL_S:
         missing_s = max(hole_s, end - begin - covered)
-        key = "moves.interrupted" if missing_s >= INTERRUPTED_S else "moves.lost_samples"
-        return sentence(key, missing_s=missing_s, bridged_s=BRIDGED_S, intervals=BRIDGED_INTERVALS, **span)
+        key = "moves.interrupted" if missing_s >= _INTERRUPTED_S else "moves.lost_samples"
+        return sentence(key, missing_s=missing_s, bridged_s=_BRIDGED_S, intervals=_BRIDGED_INTERVALS, **span)
     # An output that repeats itself at the end of its range is saturated too.
-    low, high = limits or (np.nan, np.nan)
-    if flags & SlotFlag.SATURATED or np.any(((slots.plateau == high) | (slots.plateau == low)) & (high > low)):
+    if flags & SlotFlag.SATURATED or np.any(slots.plateau[:, None] == ends):
         return sentence("moves.saturated", **span)
     return sentence("moves.invalid_samples", **span) if flags & SlotFlag.INVALID else None

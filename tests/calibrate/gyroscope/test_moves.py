@@ -11,6 +11,7 @@ from gyroscope_sessions import collect_moves
 from imufield.calibrate.gyroscope.move_integration import centre, integrate, rough_inverse, sums_at_end
 from imufield.calibrate.gyroscope.moves import MoveCollector, Moves, cut_moves, join_slots, stretch_stills
 from imufield.calibrate.model.rotation import exponential, matrix, multiply, right_jacobian
+from imufield.dataclass import replace
 from imufield.samples import FloatArray, Samples, SampleUnits, Status, make_samples
 
 pytestmark = pytest.mark.numerical
@@ -201,6 +202,34 @@ def test_the_top_of_a_turn_in_coarse_steps_is_no_limit() -> None:
     assert len(collect_moves([session(coarse)], START_S, DURATION_S)) == 2
 
 
+def in_steps(samples: Samples, step: float, low: float, high: float) -> Samples:
+    """Clipped at so many steps from rest, which each take some samples."""
+    codes = np.clip(np.rint((samples.gyroscope - REST) / step), low, high)
+    return make_samples(samples.time_s, samples.accelerometer, REST + step * codes, units=samples.units)
+
+
+def test_a_limit_that_is_reached_step_by_step_is_seen() -> None:
+    samples = in_steps(session(), 200.0, -40, 40)
+    assert np.abs(np.diff(samples.gyroscope, axis=0)).max() == 200
+    assert set(keys(collect_moves([samples], START_S, DURATION_S))) == {"moves.saturated"}
+
+
+def test_a_limit_with_which_a_stream_begins_is_seen() -> None:
+    samples = in_steps(session(), 1.0, -9000, 9000)
+    collector = MoveCollector(samples.units)
+    for first in range(3000, 3600, 60):
+        collector.feed(samples[slice(first, first + 60)])
+    assert samples.gyroscope[3000, 0] == collector.ends[0, 0] == REST[0] - 9000
+    assert np.isnan(collector.ends[1, 0])
+
+
+def test_an_axis_that_is_turned_one_way_only_does_not_end_at_rest() -> None:
+    samples = session()
+    one_way = replace(samples, gyroscope=REST + np.abs(samples.gyroscope - REST))
+    moves = collect_moves([in_steps(one_way, 200.0, 0, 1e9)], START_S, DURATION_S)
+    assert keys(moves) == []
+
+
 def test_saturation_is_seen_with_and_without_a_flag() -> None:
     moves = collect_moves([session(saturate)], START_S, DURATION_S)
     assert set(keys(moves)) == {"moves.saturated"}
@@ -287,7 +316,7 @@ def test_slots_joined_inside_stills_leave_the_moves_alone() -> None:
     whole, joined = collector.slots(), collector.joined_slots(START_S, DURATION_S)
     assert len(joined) < 0.6 * len(whole)
     assert joined.duration_s.sum() == pytest.approx(whole.duration_s.sum(), rel=1e-12)
-    a, b = (cut_moves(slots, START_S, DURATION_S, (collector.low, collector.high)) for slots in (whole, joined))
+    a, b = (cut_moves(slots, START_S, DURATION_S, collector.ends) for slots in (whole, joined))
     assert a.start_s.tolist() == b.start_s.tolist()
     assert len(a.slots) == len(b.slots)
     for name in ("turn", "moment", "area", "force"):
