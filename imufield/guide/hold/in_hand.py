@@ -11,23 +11,15 @@ from imufield.guide.stillness.cells import Cells, cells_in
 from imufield.guide.stillness.detector import StillnessDetector
 from imufield.samples import CELL_S, Samples, concatenate
 
-MOST_SAMPLES = 200_000
-"""Bound of the history, whatever the rate: 100 s at 2000 Hz, some 17 MB."""
+_MOST_SAMPLES = 1_200_000  # Whatever the rate: 100 MB. At 2000 Hz it is the 600 s in which cells wait for the first rest.
 HAND_GUARD_S = 1.5
 """Cut off at both ends of a hold in the hand: an arm comes to rest slowly, and a slow turn begins below its sway."""
 
 
 class SampleHistory:
-    """Keeps blocks of samples for a while.
+    """Keeps blocks of samples for a while."""
 
-    Parameters
-    ----------
-    keep_s : float
-        Sample clock kept behind the newest sample.
-    """
-
-    def __init__(self, keep_s: float) -> None:
-        self._keep_s = keep_s
+    def __init__(self) -> None:
         self._blocks: deque[Samples] = deque()
         self._count = 0
 
@@ -37,12 +29,12 @@ class SampleHistory:
             self._blocks.append(samples)
             self._count += len(samples)
 
-    def prune(self) -> None:
-        """Discard what is older than ``keep_s``; call it when the newest block has been used."""
+    def prune(self, keep_s: float) -> None:
+        """Discard what is older than that behind the newest sample; call it when the newest block has been used."""
         while len(self._blocks) > 1:
             oldest, newest = self._blocks[0], self._blocks[-1]
-            too_old = float(oldest.time_s[-1]) < float(newest.time_s[-1]) - self._keep_s
-            if not too_old and self._count - len(oldest) <= MOST_SAMPLES:
+            too_old = float(oldest.time_s[-1]) < float(newest.time_s[-1]) - keep_s
+            if not too_old and self._count - len(oldest) <= _MOST_SAMPLES:
                 return
             self._count -= len(self._blocks.popleft())
 

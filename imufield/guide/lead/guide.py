@@ -158,7 +158,7 @@ class Guide:
         cells = self._builder.feed(samples)
         if cells is not None:
             self._process(cells)
-        self._actions.hold.history.prune()
+        self._actions.hold.history.prune(self._actions.hold.history_s)
         return self._speaker.take()
 
     def mark(self, action: str, time_s: float, position: str | None = None) -> list[Event]:

@@ -40,7 +40,8 @@ class HoldUnderWay:
         self._detector = detector
         self.target = target
         self._allan = AllanMinimum()
-        self.history = SampleHistory(longest_s + _HISTORY_MARGIN_S)
+        self.history = SampleHistory()
+        self.history_s = longest_s + _HISTORY_MARGIN_S
         self.first_judged_s = math.nan  # Samples from before this time are not kept.
         self.position: int | None = None  # Where the hold belongs.
         self.fraction = 0.0  # Part of the hold that is done.

@@ -30,6 +30,7 @@ sentence = Sentences(__package__)
 _SHORTEST_S = 1.0
 _SHORTEST_IN_HAND_S = 3.0
 _LONGEST_IN_HAND_S = 45.0  # Nobody holds still for longer: a person walks with the unit, or a car drives.
+_HISTORY_S = 120.0  # Samples kept: longer than such a hold, and what is still before and behind it.
 _TURNED_DEG = 20.0  # Of the force between two holds in the hand; a car that brakes tilts it by as much.
 _LONG_IN_HAND_S = 5.0  # One in the hand that is as still as on a table is measured as such where it is shorter.
 _HAND_SHOWS_S = 2.5  # Whether a unit is in the hand or on a table shows so long after it came to rest.
@@ -63,7 +64,7 @@ class StillIntervalFinder:
     def __init__(self, units: SampleUnits, scale: RoughScale | None = None) -> None:
         self.units = units
         self.detector = StillnessDetector(scale or RoughScale.of_units(units), hand=True)
-        self._history = SampleHistory(LONGEST_WAIT_S)  # For holds in the hand.
+        self._history = SampleHistory()  # For holds in the hand.
         self._held = 0  # Cells up to the one before in which the unit was in the hand.
         # Each time that the unit was put down, and why that does not count, as far as itself shows.
         self._placements: list[tuple[Observation, Refusal | None]] = []
@@ -84,7 +85,8 @@ class StillIntervalFinder:
         if self.detector.knows_hands:
             self._history.add(samples)
         self._process(self._builder.feed(samples))
-        self._history.prune()
+        # Cells that came before the first rest are judged when it has come.
+        self._history.prune(LONGEST_WAIT_S if self.detector.floor is None else _HISTORY_S)
 
     def finish(self) -> StillIntervals:
         """Return the still intervals; the last one ends here.

@@ -226,6 +226,22 @@ def test_holds_in_the_hand_do_not_depend_on_the_cuts(in_hand: tuple[Samples, Imu
     np.testing.assert_allclose(parts.covariance_raw, whole.covariance_raw, rtol=1e-9)
 
 
+def test_holds_in_the_hand_before_the_first_rest_count_at_any_rate(in_hand: tuple[Samples, Imu, float]) -> None:
+    """The same in reverse, 20 times as fast: the rest comes 230,000 samples after the first hold."""
+    samples, _, gravity_m_s2 = in_hand
+    n, rng = len(samples), np.random.default_rng(3)
+    at = np.linspace(0, n - 1, 20 * n)
+    force, rate = (
+        np.stack([np.interp(at, np.arange(n), column[::-1]) for column in values.T], axis=1)
+        + sigma * rng.normal(size=(20 * n, 3))
+        for values, sigma in ((samples.accelerometer, 3e-3), (-samples.gyroscope, 3e-4))
+    )
+    fast = make_samples(at / 100, force, rate, units=samples.units)
+    found = find_still_intervals([fast[slice(first, first + 20_000)] for first in range(0, len(fast), 20_000)]).observations
+    assert len(found) == 14
+    assert np.abs(np.linalg.norm(found.mean_raw, axis=1) - gravity_m_s2).max() < 0.01
+
+
 def test_without_the_scale_of_the_gyroscope_a_hand_is_no_rest(in_hand: tuple[Samples, Imu, float]) -> None:
     samples = in_hand[0]
     counts = replace(samples, units=SampleUnits(accelerometer="m/s^2", gyroscope="count"))
