@@ -37,12 +37,13 @@ from imufield.calibrate.model.temperature_polynomials import (
 )
 from imufield.calibrate.temperature.scatter import (
     BIAS,
-    LEAST,
+    FEWEST_FREEDOM,
     RAMP,
     SCALE,
     Equations,
     Scatter,
     scatter_of,
+    scatter_ratio,
     shares_of,
     whitened,
 )
@@ -63,7 +64,6 @@ MOST_SCATTER = 4.0
 _BIAS_OF_REFERENCE = 0  # Places in a joint covariance; the coefficients follow.
 _SCALE_OF_REFERENCE = 1
 _STEPS = 21  # Over the range of temperature.
-_FEWEST_FREEDOM = 0.5  # Of one kind of rows: with fewer the others fit them, and they show no scatter.
 # Free rows of a kind on all axes, those of six sessions or of a ramp. Where the days of three sessions differ by more than the
 # slope, the stated 95 % held 92 % after a choice, and 85 % where it was a line.
 _FEWEST_TO_CHOOSE = 8.0
@@ -130,7 +130,7 @@ class TemperatureFit:
     blocks: int
     """Distinct temperatures."""
     factor: float
-    """By which the scatter about the polynomials is beyond the sigma given; 1 at least."""
+    """By which sessions or ramps scatter about the polynomials beyond the sigma given; 1 at least."""
     gap_degc: float
     """From the reference to the nearest temperature that was measured: there the polynomials only join the two."""
 
@@ -272,8 +272,8 @@ def fit_orders(data: TemperatureData, bias: int, scale: int) -> TemperatureFit:
         sessions=None if data.points is None else _changes(data.points),
         bias_scale_covariance=_block(covariance, of_bias[1:], of_scale[1:]),
     )
-    if scatter.freedom[BIAS] >= _FEWEST_FREEDOM:
-        is_shown = scatter.freedom[SCALE] >= _FEWEST_FREEDOM
+    if scatter.freedom[BIAS] >= FEWEST_FREEDOM:
+        is_shown = scatter.freedom[SCALE] >= FEWEST_FREEDOM
         days = np.sqrt(scatter.variances)
         left = np.array([_variance_in_residuals(data.points, axis, each, scatter.variances) for axis, each in enumerate(axes)])
         d = np.linspace(range_d_degc[0], range_d_degc[1], _STEPS)
@@ -293,7 +293,7 @@ def fit_orders(data: TemperatureData, bias: int, scale: int) -> TemperatureFit:
         temperature = replace(temperature, new_day=new_day)
     gap_degc = float(np.abs(measured_degc - data.reference_degc).min())
     return TemperatureFit(
-        temperature=temperature, blocks=distinct(measured_degc), factor=_scatter_ratio(axes), gap_degc=gap_degc
+        temperature=temperature, blocks=distinct(measured_degc), factor=scatter_ratio(axes), gap_degc=gap_degc
     )
 
 
@@ -340,13 +340,6 @@ def _freedom(scatter: Scatter, shares: FloatArray, left: FloatArray, *, kind: in
     # What is stated for another day is off by what that day differs, too.
     of_day[1 + kind] += 1.0
     return float(median(np.concatenate([scatter.freedom_of(of_day[:, axis], kind, left[axis, None]) for axis in range(3)])))
-
-
-def _scatter_ratio(axes: Sequence[Equations]) -> float:
-    """Return the scatter about the polynomials over the sigma given, 1 at least."""
-    given = [whitened(each, LEAST) for each in axes]
-    spare = sum(len(each.values) - each.matrix.shape[1] for each in given)
-    return math.sqrt(max(1.0, sum(_square(each.residual()) for each in given) / max(spare, 1)))
 
 
 def _changes(points: SessionPoints) -> SessionChanges | None:

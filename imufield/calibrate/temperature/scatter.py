@@ -22,6 +22,7 @@ References
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -35,6 +36,8 @@ BIAS, SCALE, RAMP = range(3)
 """Kinds of rows, each with a variance."""
 LEAST = np.array([0.0, 0.0, 1.0])
 """What the variances are at least."""
+FEWEST_FREEDOM = 0.5
+"""Free rows of one kind: with fewer the others fit them, and they show no scatter."""
 _MOST_LEFT = 0.9  # Share of a variance: of what is stated for another day it is half at most.
 _STEPS = 50  # Of the scoring, at most; it takes 5 to 20.
 _SETTLED = 1e-6  # Relative change of a variance, against a sampling error of a fifth and more.
@@ -137,15 +140,25 @@ def whitened(equations: Equations, variances: FloatArray) -> Whitened:
 def scatter_of(axes: Sequence[Equations]) -> Scatter:
     """Return the variances of the largest restricted likelihood of all axes."""
     variances = _first(axes)
-    information, score, freedom = _sums(axes, variances)
+    information, squares, traces, freedom = _sums(axes, variances)
     for _ in range(_STEPS):
-        before, variances = variances, _bounded(information, information @ variances + score, variances)
-        information, score, freedom = _sums(axes, variances)
+        before, variances = variances, _bounded(information, information @ variances + squares - traces, variances)
+        information, squares, traces, freedom = _sums(axes, variances)
         if np.all(np.abs(variances - before) <= _SETTLED * variances):
             break
     size = np.sqrt(np.where(np.diag(information) > 0, np.diag(information), 1.0))
     covariance = 2 * np.linalg.pinv(information / np.outer(size, size), hermitian=True) / np.outer(size, size)
     return Scatter(variances, covariance, freedom)
+
+
+def scatter_ratio(axes: Sequence[Equations]) -> float:
+    """Return the scatter about the best fit over the sigma given, of the kind of rows where it is largest; 1 at least.
+
+    Hundreds of blocks of a ramp that lie on the curve say nothing of three scales that do not.
+    """
+    _, squares, traces, freedom = _sums(axes, LEAST)
+    shown = freedom >= FEWEST_FREEDOM
+    return math.sqrt(np.max(squares[shown] / traces[shown], initial=1.0))
 
 
 def _first(axes: Sequence[Equations]) -> FloatArray:
@@ -162,15 +175,25 @@ def _means_by_kind(equations: Equations) -> FloatArray:
     return np.asarray((np.bincount(equations.kind, equations.values, minlength=3) / np.maximum(counts, 1))[equations.kind])
 
 
-def _sums(axes: Sequence[Equations], variances: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+class _Terms(NamedTuple):
+    """What the variances of the kinds follow from."""
+
+    information: FloatArray
+    """tr(P Z_i P Z_j), shape (3, 3)."""
+    squares: FloatArray
+    """y^T P Z_i P y, shape (3,)."""
+    traces: FloatArray
+    """tr(P Z_i): what the squares are expected to be, shape (3,)."""
+    freedom: FloatArray
+    """How many rows of each kind are free, shape (3,)."""
+
+
+def _sums(axes: Sequence[Equations], variances: FloatArray) -> _Terms:
     """Return the terms of all axes."""
-    every = [_terms(each, variances) for each in axes]
-    information, score, freedom = (np.sum([terms[k] for terms in every], axis=0) for k in range(3))
-    return information, score, freedom
+    return _Terms(*(np.sum(terms, axis=0) for terms in zip(*(_terms(each, variances) for each in axes), strict=True)))
 
 
-def _terms(equations: Equations, variances: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return tr(P Z_i P Z_j), y^T P Z_i P y - tr(P Z_i), and of each kind how many rows are free."""
+def _terms(equations: Equations, variances: FloatArray) -> _Terms:
     white, sessions = whitened(equations, variances), len(equations.own)
     U, size, _ = np.linalg.svd(white.matrix, full_matrices=False)
     U = U[:, size > size[0] * np.finfo(np.float64).eps * max(white.matrix.shape)]
@@ -188,11 +211,11 @@ def _terms(equations: Equations, variances: FloatArray) -> tuple[FloatArray, Flo
     whole[RAMP, RAMP] = blocks / variances[RAMP] ** 2
     information = whole - 2 * np.einsum("inp,jnp->ij", fitted, fitted) + np.einsum("ipq,jqp->ij", inside, inside)
     traces = np.append(np.trace(parts, axis1=1, axis2=2), blocks / variances[RAMP]) - np.trace(inside, axis1=1, axis2=2)
-    squares = residual[:sessions] @ parts @ residual[:sessions]
-    score = np.append(squares, residual[sessions:] @ residual[sessions:] / variances[RAMP]) - traces
+    of_ramps = residual[sessions:] @ residual[sessions:] / variances[RAMP]
+    squares = np.append(residual[:sessions] @ parts @ residual[:sessions], of_ramps)
     # Of rows that count alike the share of free ones.
     share = np.diag(information) / np.maximum(np.diag(whole), np.finfo(np.float64).tiny)
-    return information, score, np.bincount(equations.kind, minlength=3) * share
+    return _Terms(information, squares, traces, np.bincount(equations.kind, minlength=3) * share)
 
 
 def _bounded(information: FloatArray, right: FloatArray, variances: FloatArray) -> FloatArray:

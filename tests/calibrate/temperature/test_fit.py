@@ -204,6 +204,18 @@ def test_scatter_beyond_the_stated_sigma_widens_the_uncertainty() -> None:
     assert not fit_warnings(honest, "accelerometer")
 
 
+def test_a_long_ramp_does_not_dilute_what_sessions_scatter() -> None:
+    """Three scales of a gyroscope that lie on no line, beside 82 blocks at rest that say nothing of them."""
+    rng = np.random.default_rng(3)
+    found = sessions([-18.0, 20.0, 58.0], rng, SIGMA)
+    off = replace(found, scale=found.scale + 12 * SIGMA[1] * np.array([[0.0], [1.0], [0.0]]))
+    at_rest = ramp(rng, 1e-4, force=np.zeros(3))
+    told = [fit_temperature(TemperatureData(reference_degc=20.0, points=each, ramps=[at_rest])) for each in (found, off)]
+    assert [keys(fit_warnings(each, "gyroscope")) for each in told] == [[], ["fit.scatter"]]
+    # Two thirds of the square of an error in the middle are left of a line.
+    assert told[1].factor == pytest.approx(12 * np.sqrt(2 / 3), abs=2.5)
+
+
 def test_a_reference_far_from_what_was_measured_is_told() -> None:
     whole = ramp(np.random.default_rng(10), 1e-4)
     warm = whole.temperature_degc >= 44
