@@ -14,7 +14,7 @@ from imufield.calibrate.model.temperature_polynomials import TriadTemperature
 from imufield.calibrate.temperature.fit import SessionPoints, TemperatureData, TemperatureFit, fit_temperature, fit_warnings
 from imufield.calibrate.temperature.one_pose import gyroscope_sentence, pose_sentence
 from imufield.calibrate.temperature.points import accelerometer_points, gyroscope_points
-from imufield.calibrate.temperature.ramp import RampWindows, cut_ramp, in_one_pose, ramp_sentences, turns
+from imufield.calibrate.temperature.ramp import Ramp, RampWindows, cut_ramp, in_one_pose, ramp_sentences, turns
 from imufield.dataclass import asdict, dataclass, field, replace
 from imufield.deliver.parameters.context import TemperatureSource
 from imufield.deliver.parameters.document import judgement
@@ -146,11 +146,14 @@ def with_temperature(
     """
     for other in sessions:
         _require_comparable(base, other)
-    reference_degc = _temperature(base)
     triads = [*TRIADS] if base.gyroscope_is_complete else ["accelerometer"]
     for means in ramps:
         _require_output(means, triads)
-    fits = {triad: _fit_triad(base, triad, sessions, ramps, reference_degc=reference_degc) for triad in triads}
+    cut = {triad: _cut(base, triad, ramps) for triad in triads}
+    # One thermometer: what its ramps show of its lag holds in the sessions, too.
+    lags_s = [ramp.lag_s for of_triad in cut.values() for _, ramp in of_triad if ramp.goes_both_ways]
+    lag_s = float(np.mean(lags_s)) if lags_s else 0.0
+    fits = {triad: _fit_triad(base, triad, sessions, cut, lag_s=lag_s) for triad in triads}
     told = [*notes, *(remark for means in ramps for remark in means.remarks)]
     told += [note for fit in fits.values() for note in fit.notes]
     others = [session for session in sessions if session is not base]
@@ -178,22 +181,30 @@ class _TriadFit:
     warnings: Sequence[str] = ()
 
 
+def _cut(base: Parameters, triad: str, ramps: Sequence[RampMeans]) -> Sequence[tuple[RampMeans, Ramp]]:
+    """Return the ramps of a triad; one without this triad is still good for the other."""
+    return [(means, cut_ramp(_windows(base, triad, means))) for means in ramps if _shows(means, triad)]
+
+
 def _fit_triad(
-    base: Parameters, triad: str, sessions: Sequence[Parameters], ramps: Sequence[RampMeans], *, reference_degc: float
+    base: Parameters,
+    triad: str,
+    sessions: Sequence[Parameters],
+    cut: Mapping[str, Sequence[tuple[RampMeans, Ramp]]],
+    *,
+    lag_s: float,
 ) -> _TriadFit:
-    # A ramp without one triad is still good for the other.
-    shown = [means for means in ramps if _shows(means, triad)]
-    cut = [cut_ramp(_windows(base, triad, means)) for means in shown]
     notes: list[str] = []
-    for ramp, means in zip(cut, shown, strict=True):
+    for means, ramp in cut[triad]:
         # Once for both triads.
         if triad == "accelerometer" or not _shows(means, "accelerometer"):
             notes += ramp_sentences(ramp, means.name)
-    points = _points(base, triad, sessions) if sessions else None
+    points = _points(base, triad, sessions, lag_s) if sessions else None
     # A ramp is by the temperature of the instrument, and no curve belongs to two thermometers.
-    if points is not None and not shown:
+    if points is not None and not cut[triad]:
         points = _by_sensors(points, base, triad, sessions)
-    data = TemperatureData(reference_degc=reference_degc, points=points, ramps=[ramp.blocks for ramp in cut])
+    ramps = [ramp.blocks for _, ramp in cut[triad]]
+    data = TemperatureData(reference_degc=_temperature(base, lag_s), points=points, ramps=ramps)
     highest = data.highest_orders()
     if triad == "gyroscope" and highest.bias == 0:
         return _TriadFit(None, [*notes, sentence("temperature.gyroscope_unknown")])
@@ -237,11 +248,18 @@ def _require_comparable(base: Parameters, other: Parameters) -> None:
             raise CalibrationError(sentence("temperature.differs", **values), Reason.UNITS)
 
 
-def _temperature(parameters: Parameters) -> float:
-    """Return the temperature at which parameters hold: the mean over their positions, as the bias is the mean over them."""
-    measured = np.array([row["temperature_degc"] for row in parameters.document["position"] if row["used"]], dtype=np.float64)
+def _temperature(parameters: Parameters, lag_s: float = 0.0) -> float:
+    """Return the temperature at which parameters hold: the mean over their positions, as the bias is the mean over them.
+
+    A thermometer that lags is as far behind as the temperature of the session changes meanwhile.
+    """
+    rows = [(row["start_s"], row["temperature_degc"]) for row in parameters.document["position"] if row["used"]]
+    at_s, measured = np.array(rows, dtype=np.float64).reshape(-1, 2).T
     known = measured[np.isfinite(measured)]
     mean = float(known.mean() if len(known) else np.mean(parameters.context.session.temperature_degc))
+    from_middle_s = at_s - at_s.mean()
+    if len(known) == len(measured) and (size := float(from_middle_s @ from_middle_s)) > 0:
+        mean += lag_s * float(from_middle_s @ measured) / size
     if not np.isfinite(mean):
         none = sentence("temperature.none", name=parameters.context.session.name)
         raise CalibrationError(none, Reason.NOT_FINITE)
@@ -249,9 +267,9 @@ def _temperature(parameters: Parameters) -> float:
     return mean
 
 
-def _points(base: Parameters, triad: str, sessions: Sequence[Parameters]) -> SessionPoints:
+def _points(base: Parameters, triad: str, sessions: Sequence[Parameters], lag_s: float) -> SessionPoints:
     """Return what the sessions found of a triad."""
-    at_degc = [_temperature(session) for session in sessions]
+    at_degc = [_temperature(session, lag_s) for session in sessions]
     of_base = next((number for number, session in enumerate(sessions) if session is base), None)
     calibrations = [session.calibration for session in sessions]
     gyroscope = base.calibration.gyroscope

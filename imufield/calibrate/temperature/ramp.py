@@ -67,6 +67,11 @@ class Ramp:
     lag_s: float
     """Of the thermometer behind the sensor; 0 where none was found."""
 
+    @property
+    def goes_both_ways(self) -> bool:
+        """Whether the temperature rises and falls: else nothing shows a lag or hysteresis."""
+        return {-1.0, 1.0} <= set(self.blocks.direction.tolist())
+
 
 def cut_ramp(windows: RampWindows) -> Ramp:
     """Return a ramp in blocks of temperature, the lag of the thermometer taken out where there is one.
@@ -203,6 +208,6 @@ def ramp_sentences(ramp: Ramp, name: str) -> tuple[str, ...]:
         told.append(sentence("ramp.fast", name=name, **limits))
     if ramp.lag_s:
         told.append(sentence("ramp.lag", name=name, lag_s=ramp.lag_s))
-    if not {-1.0, 1.0} <= set(ramp.blocks.direction):
+    if not ramp.goes_both_ways:
         told.append(sentence("ramp.one_way", name=name))
     return tuple(told)
