@@ -35,7 +35,9 @@ def session(sensor_degc: float, degc_per_min: float, rng: np.random.Generator) -
     at_rest = observed(sensor_degc)
     since_s = at_rest.start_s - at_rest.start_s.mean()
     observations = replace(at_rest, temperature_degc=sensor_degc + degc_per_min / 60 * (since_s - LAG_S))
-    facts = SessionFacts(name=f"at {sensor_degc:g}", sha256=64 * "b", sample_rate_hz=100.0, temperature_degc=(sensor_degc,) * 2)
+    facts = SessionFacts(
+        name=f"at {sensor_degc:g}", sha256=64 * "b", sample_rate_hz=100.0, temperature_degc=(sensor_degc, sensor_degc)
+    )
     context = Context(instrument=InstrumentFacts(serial_number="A1"), session=facts)
     settings = SolveSettings(model="linear", grade="industrial")
     solved = calibrate(SolveInput(observations=observations, gravity=GRAVITY, context=context), settings)

@@ -58,7 +58,6 @@ _GUARD_CELLS = 10  # Kept between the stretched still and what looks like motion
 _SIGMAS = 5.0  # Of the cells inside the still; what is further off looks like motion.
 _FEWEST = 5  # Cells inside a still that tell its scatter.
 SLOT_S = 0.005
-_QUIET_SLOTS = round(CELL_S / SLOT_S)  # Of a quiet stretch that are joined: those of a cell.
 _BRIDGED_S = 0.03  # Longest loss of samples that a straight line bridges: a hand at 2 Hz and 1 rad/s then strays by 0.4 mrad.
 _BRIDGED_INTERVALS = 3.5  # The same for slow instruments: two lost samples.
 _LONGEST_MOVE_S = 300.0  # The noise of a longer one says nothing any more.
@@ -382,15 +381,11 @@ class MoveCollector:
     def _compact(self) -> None:
         """Join the slots of the quieter half of the recording into cells of 0.1 s."""
         slots = stack_slots(self._parts)
-        cell = _interval_of(slots.start_s, SLOT_S) // _QUIET_SLOTS
-        cell_starts = _run_starts(cell)
+        cell_starts = _run_starts(_interval_of(slots.start_s, CELL_S))
         rate = slots.turn / np.maximum(slots.duration_s, 1e-9)[:, None]
         swing = np.max(np.maximum.reduceat(rate, cell_starts) - np.minimum.reduceat(rate, cell_starts), axis=1)
         quiet = swing <= 2 * median(swing[swing > 0]) if np.any(swing > 0) else np.ones(len(swing), dtype=np.bool_)
-        length = np.diff(np.append(cell_starts, len(slots)))
-        keep = ~np.repeat(quiet, length)
-        keep[cell_starts] = True
-        joined = join_slots(slots, np.flatnonzero(keep))
+        joined = _join_runs(slots, cell_starts, quiet)
         self._parts, self._count = [joined], len(joined)
         self._compact_at = max(_COMPACT_AT, 2 * self._count)
 
@@ -472,9 +467,14 @@ def cut_moves(slots: Slots, start_s: FloatArray, duration_s: FloatArray, ends: F
 
 def _join_cells(slots: Slots, cell_s: FloatArray, which: NDArray[np.bool_]) -> Slots:
     """Return slots with those in some of the cells, which begin at ``cell_s``, joined."""
-    cell = _interval_of(slots.start_s, CELL_S)
-    keep = ~which[np.searchsorted(_interval_of(cell_s, CELL_S), cell)]
-    keep[_run_starts(cell)] = True
+    starts = _run_starts(cell := _interval_of(slots.start_s, CELL_S))
+    return _join_runs(slots, starts, which[np.searchsorted(_interval_of(cell_s, CELL_S), cell[starts])])
+
+
+def _join_runs(slots: Slots, starts: IntArray, which: NDArray[np.bool_]) -> Slots:
+    """Return slots with some of the runs that begin at ``starts`` joined."""
+    keep = ~np.repeat(which, np.diff(np.append(starts, len(slots))))
+    keep[starts] = True
     return join_slots(slots, np.flatnonzero(keep))
 
 
