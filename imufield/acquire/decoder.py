@@ -24,8 +24,6 @@ from imufield.acquire.decode.frame_source import FrameSource
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.decode.text_lines import LineReader, SentenceReader
 from imufield.acquire.protocol.protocol import Protocol
-from imufield.acquire.protocol.samples_and_clock import NANOSECONDS, ClockRule
-from imufield.dataclass import replace
 from imufield.samples import FloatArray, IntArray, Samples, Status, concatenate, no_samples
 
 _INCOMPLETE = np.uint32(Status.ACCELEROMETER_INVALID | Status.GYROSCOPE_INVALID)
@@ -33,7 +31,6 @@ _INCOMPLETE = np.uint32(Status.ACCELEROMETER_INVALID | Status.GYROSCOPE_INVALID)
 _PIECE_BYTES = 1 << 18
 # Messages kept until somebody fetches them: identity comes first, a stream of the same kind must not fill memory.
 _MESSAGES_KEPT = 1000
-_LONGEST_WRAP_NS = 2.0**62  # Stamps of 64 bits do not wrap while a program runs.
 
 
 class Decoder:
@@ -143,31 +140,8 @@ def _parts(protocol: Protocol, statistics: DecoderStatistics, keep: Keep) -> tup
         has_time = any(kind.time for kind in protocol.can.kinds)
         bus_clock = (CanSentTime if has_time else CanClock)(protocol.clock, protocol.units, statistics)
         return CanSource(protocol.can, statistics, keep), bus_clock
-    clock = SampleClock(_clock_rule(protocol), protocol.units, statistics)
+    clock = SampleClock(protocol.clock, protocol.units, statistics)
     if protocol.frame is not None:
         return FrameSource(protocol, protocol.frame, statistics, keep), clock
     reader = SentenceReader if protocol.lines and protocol.lines.sentences else LineReader
     return reader(protocol, statistics, keep), clock
-
-
-def _clock_rule(protocol: Protocol) -> ClockRule:
-    """Return the clock's rule with what the fields of the stream add: their moduli, and which of them are there."""
-    rule = protocol.clock
-    if protocol.lines is not None:
-        columns = protocol.lines.columns
-        return replace(
-            rule,
-            counter_field=rule.counter_field if rule.counter_field in columns else "",
-            time_field=rule.time_field if rule.time_field in columns else "",
-        )
-    fields = {field.name: field for field in reversed(protocol.frame.all_fields())} if protocol.frame else {}
-    if rule.counter_field and not rule.counter_modulus:
-        rule = replace(rule, counter_modulus=fields[rule.counter_field].modulus)
-    if rule.times and not rule.time_modulus:
-        # Several time stamps are turned into ns; the longest wrap is theirs.
-        wraps = [fields[time.field].modulus * NANOSECONDS / time.ticks_per_s for time in rule.times]
-        return replace(rule, time_modulus=round(max((wrap for wrap in wraps if wrap < _LONGEST_WRAP_NS), default=0)))
-    if rule.times or rule.time_modulus or not rule.time_field:
-        return rule
-    field = fields[rule.time_field]
-    return replace(rule, time_modulus=field.modulus) if field.type in ("u8", "u16", "u24", "u32") else rule

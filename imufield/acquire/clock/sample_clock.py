@@ -230,7 +230,8 @@ class SampleClock(Clock):
     def _counter_goes_on(self, counter: IntArray) -> bool:
         """Whether a counter makes nothing but regular steps; if it does, they are taken note of."""
         step, modulus = self._steps.step, self._rule.counter_modulus
-        if not every((self._even_ticks(len(counter)) + self._last_counter) % modulus == counter):
+        # A counter with a sign goes below 0.
+        if not every((self._even_ticks(len(counter)) + self._last_counter - counter) % modulus == 0):
             return False
         self._last_counter = int(counter[-1])
         return self._steps.are_regular(step, step)

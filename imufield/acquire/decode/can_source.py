@@ -185,7 +185,7 @@ class CanSource:
             for number, reader in enumerate(self._kinds):
                 mine = own == number
                 if reader.kind.group is not None and mine.any():
-                    group[mine] = reader.kind.group.raw(reader.data(frames, places[mine])).astype(np.int64)
+                    group[mine] = reader.kind.group.count(reader.data(frames, places[mine]))
         return SampleFrames(own, frames.time_s if whole else frames.time_s[places], is_repeated, group)
 
     def _values(self, frames: CanFrames, rows: IntArray, is_complete: bool) -> RawBlock | None:
@@ -312,7 +312,7 @@ class _KindReader:
         if values_only:
             return has_gaps
         if kind.counter is not None:
-            into.counter[rows] = kind.counter.raw(data).astype(np.int64)
+            into.counter[rows] = kind.counter.count(data)
         if kind.time is not None:
             into.ticks[rows] = kind.time.raw(data).astype(np.float64)
         return has_gaps

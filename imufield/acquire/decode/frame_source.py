@@ -364,7 +364,7 @@ class _TickReader:
             if found := layout.field(time.field):
                 self._field, self._factor = found, NANOSECONDS / time.ticks_per_s
         # What stands for a missing stamp must fit the type of those that are there: the block has one array of them.
-        known = protocol.frame.all_fields() if protocol.frame and not rule.times else []
+        known = protocol.frame.sample_fields() if protocol.frame and not rule.times else []
         fractions = any(field.name == rule.time_field and field.type[0] == "f" for field in known)
         self._missing: float | int = np.nan if fractions else NO_TICKS
 

@@ -18,11 +18,11 @@ from operator import xor
 
 import numpy as np
 
-from imufield.acquire.decode.assembly import Keep, RawBlock
+from imufield.acquire.decode.assembly import ABSENT, Keep, RawBlock
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.protocol import Protocol
-from imufield.acquire.protocol.samples_and_clock import SentenceRule, TextRule
-from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, NO_COUNTER, FloatArray, IntArray
+from imufield.acquire.protocol.samples_and_clock import PARTS, SentenceRule, TextRule
+from imufield.samples import FloatArray, IntArray, no_counters, unknown
 
 LARGEST_NUMBER = 1e17
 """Above any counter (2**53) and any time stamp in ns of a century ago; larger numbers, infinity and NaN are garbage."""
@@ -54,10 +54,15 @@ class LineReader:
         self._keep = keep
         self._prefix = rule.prefix.encode()
         self._comments = tuple(comment.encode() for comment in rule.comments)
-        self._factors = protocol.factors
         # What is needed for a sample: an instrument may leave its temperature out now and then.
         self._column = {name: index for index, name in enumerate(rule.columns) if name != "-"}
         self._needed = [index for name, index in self._column.items() if name != "temperature"]
+        fields = {part: protocol.samples.quantity(part).fields for part in PARTS}
+        self._places = {part: [self._column[name] for name in names if name in self._column] for part, names in fields.items()}
+        self._factors = protocol.factors
+        # A counter is kept with the samples, whatever the clock goes by.
+        self._counter = self._column.get(protocol.clock.counter_field or "counter")
+        self._time = self._column.get(protocol.clock.time_field)
         self._finds_delimiter = rule.delimiter == "auto"
         self._delimiter = _DELIMITERS.get(rule.delimiter)
         self._rest = b""
@@ -156,23 +161,22 @@ class LineReader:
         if not self._rule.sentences:
             self._statistics.frames += len(rows)
             self._statistics.count("line", len(rows))
-        column, nothing = self._column, np.full(len(rows), np.nan)
         return RawBlock(
-            accelerometer=self._triad(rows, "accelerometer", ACCELEROMETER_COLUMNS),
-            gyroscope=self._triad(rows, "gyroscope", GYROSCOPE_COLUMNS),
-            temperature_degc=rows[:, column["temperature"]].copy() if "temperature" in column else nothing,
-            counter=rows[:, column["counter"]].astype(np.int64) if "counter" in column else np.full(len(rows), NO_COUNTER),
-            ticks=rows[:, column["time"]].copy() if "time" in column else np.empty(0),
+            accelerometer=self._values(rows, "accelerometer", 3),
+            gyroscope=self._values(rows, "gyroscope", 3),
+            temperature_degc=self._values(rows, "temperature", 1)[:, 0],
+            counter=no_counters(len(rows)) if self._counter is None else rows[:, self._counter].astype(np.int64),
+            ticks=ABSENT if self._time is None else rows[:, self._time].copy(),
             status=np.zeros(len(rows), dtype=np.uint32),
             lost_before=lost,
             skipped_before=lost.astype(np.float64),
             stream_end=ends,
         )
 
-    def _triad(self, rows: FloatArray, part: str, names: tuple[str, ...]) -> FloatArray:
-        if not all(name in self._column for name in names):
-            return np.full((len(rows), 3), np.nan)
-        return rows[:, [self._column[name] for name in names]] * self._factors[part]
+    def _values(self, rows: FloatArray, part: str, count: int) -> FloatArray:
+        """Return the values of a part of the sample, NaN where a line does not have all of them. Shape (n, count)."""
+        places = self._places[part][:count]
+        return rows[:, places] * self._factors[part] if len(places) == count else unknown((len(rows), count))
 
 
 class SentenceReader(LineReader):

@@ -22,6 +22,7 @@ from imufield.acquire.protocol.layout import MessageValue, Numbers
 from imufield.acquire.protocol.toml import LARGEST, LEAST_SCALE, near
 from imufield.dataclass import dataclass
 from imufield.errors import ProtocolError, Reason
+from imufield.samples import IntArray
 from imufield.sentences import Sentences, shortened
 
 sentence = Sentences(__package__)
@@ -30,6 +31,8 @@ Rows = NDArray[np.uint8]
 
 CLASSICAL_BYTES = 8
 _MOST_BITS = 64
+COUNTER_BITS = 62
+"""Of which a counter is read at most: arithmetic is done in 64 bits with a sign."""
 _FLOAT_BITS = (16, 32, 64)
 # cantools logs names of a file as they are; what it finds is checked below.
 logging.getLogger("cantools").setLevel(logging.CRITICAL)
@@ -107,13 +110,22 @@ class CanSignal:
         return 8 * (self.start // 8) + 7 - self.start % 8
 
     @property
+    def type(self) -> str:
+        """Type of the numbers, as those of fields are called: u16, f32, also i12."""
+        return f"{'f' if self.is_float else 'i' if self.is_signed else 'u'}{self.length}"
+
+    @property
+    def modulus(self) -> int:
+        """How many values whole numbers of so many bits have, with a sign or without; 0 for others."""
+        return 0 if self.is_float else 1 << self.length
+
+    @property
     def number_type(self) -> str | None:
         """NumPy's type where the signal fills whole bytes of one; None where bits must be cut out."""
         whole = self._first_bit_in_order % 8 == 0 if self.big_endian else self.start % 8 == 0
         if not whole or self.length not in (8, 16, 32, 64):
             return None
-        kind = "f" if self.is_float else "i" if self.is_signed else "u"
-        return f"{'>' if self.big_endian else '<'}{kind}{self.length // 8}"
+        return f"{'>' if self.big_endian else '<'}{self.type[0]}{self.length // 8}"
 
     def raw(self, rows: Rows) -> Numbers:
         """Return the numbers as sent, shape (n,).
@@ -134,6 +146,10 @@ class CanSignal:
             return bits
         shift = 64 - self.length
         return (bits << np.uint64(shift)).view(np.int64) >> np.int64(shift)
+
+    def count(self, rows: Rows) -> IntArray:
+        """Return the numbers of a counter, from 0 on whether they have a sign or not. Shape (n,)."""
+        return self.raw(rows).astype(np.int64) & ((1 << min(self.length, COUNTER_BITS)) - 1)
 
     def _bits(self, rows: Rows) -> NDArray[np.uint64]:
         """Cut the bits out of a window of 8 bytes, and of a ninth where the signal reaches into it."""

@@ -11,7 +11,8 @@ import re
 from collections.abc import Callable
 from typing import TypeVar
 
-from imufield.acquire.protocol.can_dbc import CanMessage, CanSignal, DbcFile, Selectors
+from imufield.acquire.protocol.can_dbc import COUNTER_BITS, CanMessage, CanSignal, DbcFile, Selectors
+from imufield.acquire.protocol.references import check_whole
 from imufield.acquire.protocol.samples_and_clock import (
     LEAST_TICKS_PER_S,
     MOST_TICKS_PER_S,
@@ -40,7 +41,6 @@ TEMPERATURE = 6
 _PLACES = {"accelerometer": 0, "gyroscope": 3}
 _LONGEST_LIMIT_S = 10.0
 _SHORTEST_LIMIT_S = 1e-6  # Below the time of one frame on the fastest bus.
-_MOST_BITS = 62  # Of a counter: arithmetic is done in 64 bits with a sign.
 _LONG_TIME_BITS = 48  # A time stamp of so many bits runs for 8.9 years of microseconds before it wraps.
 _Found = TypeVar("_Found")
 _DBC_LINE = re.compile(r'^[ \t]*+dbc[ \t]*+=[ \t]*+"([^"\n]+)"', re.MULTILINE)
@@ -170,7 +170,7 @@ def read_can(top: Table) -> tuple[CanRule, SampleUnits, ClockRule]:
         raise mapped.table.error("", sentence("can_protocol.nothing_mapped", candidates=_candidates(dbc)))
     clock_rule = ClockRule(
         counter_modulus=mapped.counter_modulus,
-        counter_steps=read_steps(clock, "counter_steps"),
+        counter_steps=read_steps(clock, "counter_steps", mapped.counter_modulus),
         time_modulus=mapped.time_modulus,
         time_ticks_per_s=clock.number("time_ticks_per_s", mapped.ticks_per_s, low=LEAST_TICKS_PER_S, high=MOST_TICKS_PER_S),
         rate_hz=read_rate(clock),
@@ -247,7 +247,8 @@ class _Mapping:
             kind.columns.append(Column(TEMPERATURE, signal, signal.factor * factor, signal.offset * factor + offset))
         if self.table.has("counter"):
             kind, signal = self._find("counter", self.table.text("counter"))
-            kind.counter, self.counter_modulus = signal, self._modulus("counter", signal)
+            check_whole(self.table, "counter", signal)
+            kind.counter, self.counter_modulus = signal, 1 << min(signal.length, COUNTER_BITS)
         if self.table.has("time"):
             kind, signal = self._find("time", self.table.text("time"))
             kind.time = signal
@@ -255,13 +256,16 @@ class _Mapping:
             unit = unit_name(signal.unit, "time")
             # A factor of 0 is refused with the other rates that no clock has.
             self.ticks_per_s = 1.0 / (SECONDS[unit or "s"] * abs(signal.factor) or math.inf)
-            never_wraps = signal.is_float or signal.length >= _LONG_TIME_BITS
-            self.time_modulus = 0 if never_wraps else self._modulus("time", signal)
+            self.time_modulus = 0 if signal.length >= _LONG_TIME_BITS else signal.modulus
         for each in self.table.tables("flags"):
             kind, signal = self._find("flags", each.text("signal"))
-            kind.flags.append((signal, read_flag(each, "signal")))
+            flag = read_flag(each, "signal")
+            numbers = {"values": max(flag.values)} if flag.values else {"mask": flag.mask % (1 << 64)}
+            check_whole(each, "signal", signal, **numbers)
+            kind.flags.append((signal, flag))
         for each in self.table.tables("instrument_status"):
             kind, signal = self._find("instrument_status", each.text("signal"))
+            check_whole(each, "signal", signal)
             kind.status.append((signal, read_shift(each, "signal")[1]))
 
     def group(self, key: str, table: Table, name: str) -> None:
@@ -272,7 +276,7 @@ class _Mapping:
         kinds = [kind for kind in kinds if not found.selectors or kind.message.selectors == found.selectors]
         if not kinds:
             raise table.error(key, sentence("can_protocol.group", message=found.name, name=name))
-        self._modulus(key, signal)
+        check_whole(table, key, signal)
         for kind in kinds:
             kind.group = signal
 
@@ -294,11 +298,6 @@ class _Mapping:
         elif (message.name, ()) in self.kinds:
             raise self.table.error(key, sentence("can_protocol.some_forms", name=name, message=message.name))
         return self.kinds.setdefault((message.name, message.selectors), CanKind(message=message)), signal
-
-    def _modulus(self, key: str, signal: CanSignal) -> int:
-        if signal.is_float or signal.is_signed:
-            raise self.table.error(key, sentence("can_protocol.no_counter", signal=signal.name))
-        return 1 << min(signal.length, _MOST_BITS)
 
 
 def _read_assembly(table: Table, mapped: _Mapping) -> AssemblyRule:

@@ -214,11 +214,12 @@ class FrameForm:
         """Whether frames of one key and length may still differ in shape."""
         return self.fields is not None or self.masks is not None
 
-    def all_fields(self) -> list[Field]:
-        """Return every field a frame of this form may have."""
-        found = [field for layout in self.layouts.values() for field in layout.fields]
-        if self.fields:
-            found += [field for table in self.fields.known.values() for fields in table.values() for field in fields]
+    def sample_fields(self) -> list[Field]:
+        """Return every field that a frame of this form may have which is no message."""
+        found = [field for layout in self.layouts.values() if not layout.is_message for field in layout.fields]
+        if rule := self.fields:
+            kinds = [kind for key, kind in rule.known.items() if key not in rule.messages]
+            found += [field for kind in kinds for fields in kind.values() for field in fields]
         if self.masks:
             found += [field for bits in self.masks.groups.values() for fields in bits for field in fields]
         return found

@@ -48,9 +48,9 @@ class FrameRule:
     """Bytes that may follow a frame and carry nothing."""
     join: JoinRule | None = None
 
-    def all_fields(self) -> list[Field]:
-        """Return every field a frame may have."""
-        return [field for form in self.forms for field in form.all_fields()]
+    def sample_fields(self) -> list[Field]:
+        """Return every field that a frame may have which is no message."""
+        return [field for form in self.forms for field in form.sample_fields()]
 
 
 def read_frames(top: Table) -> FrameRule:
@@ -213,6 +213,7 @@ def _read_fields_rule(top: Table, frame: Table, big_endian: bool) -> FieldsRule 
     with frame.table("fields") as table, table.table("id") as number, table.table("size") as size:
         keys = frozenset(_hexadecimal_key(table, "keys", key) for key in table.texts("keys"))
         kinds = tuple(_format_type(table, kind, big_endian) for kind in table.texts("formats"))
+        types = (FORMAT,) if kinds else ()
         messages = table.table("messages").values
         return FieldsRule(
             at=table.integer("at", 0, 64),
@@ -225,7 +226,7 @@ def _read_fields_rule(top: Table, frame: Table, big_endian: bool) -> FieldsRule 
             keys=keys if table.has("keys") else None,
             ignored_bits=table.integer("ignored_id_bits", 0, (1 << 32) - 1, 0),
             format_types=kinds,
-            known=_known_fields(top, big_endian),
+            known=_known_fields(top, big_endian, types),
             messages={_hexadecimal_key(table, "messages", key): str(name) for key, name in messages.items()},
         )
 
@@ -237,13 +238,13 @@ def _format_type(table: Table, kind: str, big_endian: bool) -> Field:
     return Field(name="", type=name, at=0, size=NUMBER_BYTES[name], big_endian=big_endian, factor=1 / 2.0**bits)
 
 
-def _known_fields(top: Table, big_endian: bool) -> dict[int | None, dict[int, tuple[Field, ...]]]:
+def _known_fields(top: Table, big_endian: bool, types: tuple[str, ...]) -> dict[int | None, dict[int, tuple[Field, ...]]]:
     known: dict[int | None, dict[int, tuple[Field, ...]]] = {}
     groups = top.table("fields")
     for key in groups.values:
         group = groups.table(key)
         number = None if key == ANY_KEY else _hexadecimal_key(groups, key, key)
-        known[number] = {_hexadecimal_key(group, each, each): _read_fields(group, each, big_endian) for each in group.values}
+        known[number] = {_hexadecimal_key(group, id_, id_): _read_fields(group, id_, big_endian, types) for id_ in group.values}
     return known
 
 
@@ -266,19 +267,20 @@ def _read_masks(top: Table, frame: Table, big_endian: bool) -> MasksRule | None:
     return MasksRule(at, groups)
 
 
-def _read_fields(table: Table, key: str, big_endian: bool) -> tuple[Field, ...]:
+def _read_fields(table: Table, key: str, big_endian: bool, types: tuple[str, ...] = ()) -> tuple[Field, ...]:
     tables = list(table.tables(key))
     if len(tables) > MOST_FIELDS:
         raise table.error(key, sentence("frame_schema.most_fields", fields=len(tables), limit=MOST_FIELDS))
-    fields = tuple(_read_field(each, big_endian) for each in tables)
+    fields = tuple(_read_field(each, big_endian, types) for each in tables)
     if not fields:
         raise table.error(key, sentence("frame_schema.no_field"))
     return fields
 
 
-def _read_field(table: Table, default_big: bool) -> Field:
+def _read_field(table: Table, default_big: bool, types: tuple[str, ...] = ()) -> Field:
+    """Read a field; ``types`` are those that it may have besides the usual ones."""
     with table:
-        name, kind = table.text("name"), table.choice("type", (*NUMBER_BYTES, "fp12.20", FORMAT, *TEXT_TYPES))
+        name, kind = table.text("name"), table.choice("type", (*NUMBER_BYTES, "fp12.20", *types, *TEXT_TYPES))
         if kind in TEXT_TYPES:
             size = 0 if table.flag("rest") else table.integer("size", 1, LONGEST_FRAME)
             return Field(name=name, type=kind, at=0, size=size, repeat=table.integer("repeat", 0, 256, 0))

@@ -108,8 +108,8 @@ class Field:
 
     @property
     def modulus(self) -> int:
-        """One more than the largest value of an unsigned type; 0 for others."""
-        return 1 << 8 * NUMBER_BYTES[self.type] if self.type[0] == "u" else 0
+        """How many values a whole number of this type has: a counter of n bits wraps at 2^n, with a sign or without; else 0."""
+        return 1 << 8 * NUMBER_BYTES[self.type] if self.type[0] in "ui" else 0
 
     def raw(self, frames: Frames) -> Numbers:
         """Return the numbers as sent, shape (n,) or (n, count). Integers of 24 bits come as 32."""

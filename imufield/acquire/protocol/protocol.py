@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import importlib
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,9 +16,12 @@ import numpy as np
 
 from imufield.acquire.protocol.frame_schema import FrameRule, read_frames
 from imufield.acquire.protocol.layout import Field
+from imufield.acquire.protocol.references import References, complete_clock
 from imufield.acquire.protocol.samples_and_clock import (
+    COLUMN_FIELDS,
     PARTS,
     ClockRule,
+    Quantity,
     SampleRule,
     TextRule,
     read_clock,
@@ -32,7 +35,7 @@ from imufield.acquire.protocol.units import SI_UNITS, TO_SI, UNITS_OF
 from imufield.dataclass import dataclass, field, replace
 from imufield.errors import ProtocolError, Reason, UnknownNameError
 from imufield.files import Origin, read_start
-from imufield.samples import TRIADS, FloatArray, SampleUnits
+from imufield.samples import FloatArray, SampleUnits
 from imufield.sentences import Sentences, printable
 from imufield.toml_and_json import decode_toml
 
@@ -47,6 +50,8 @@ DOCUMENT_ONLY = "document only"
 FOLDER = "imufield.protocols"
 
 _CAN_KIND = re.compile(r'^kind\s*=\s*"can"', re.MULTILINE)
+GRADES = ("navigation", "tactical", "industrial", "mems")
+"""Of what an instrument may be built; ``calibrate.model.grades`` has their figures."""
 DBC_LIMIT_BYTES = 1 << 22
 """The largest public DBC files, of whole vehicles, are about 2 MiB."""
 
@@ -240,15 +245,17 @@ def _build(top: Table, settings: dict[str, Setting]) -> Protocol:
         else:
             frame = read_frames(top) if kind == "frames" else None
             lines = read_text(top) if kind == "text" else None
-            samples, clock = read_samples(top), read_clock(top)
-            units_of = {part: _unit_of(top, part, frame, samples) for part in PARTS}
+            fields = frame.sample_fields() if frame else COLUMN_FIELDS
+            samples, clock = read_samples(top, of_text=frame is None), read_clock(top, of_text=frame is None)
+            References(fields).check(top, samples, clock)
+            # Of the columns that a line may have, those that it has.
+            clock = complete_clock(clock, [field for field in fields if lines is None or field.name in lines.columns])
+            units_of = {part: _unit_of(top, part, fields, samples.quantity(part)) for part in PARTS}
             factors = {str(part): factor for part, (_, factor) in units_of.items()}
             accelerometer, gyroscope = units_of["accelerometer"][0], units_of["gyroscope"][0]
             increments = samples.accelerometer.increment, samples.gyroscope.increment
             units = sample_units(top.table("clock"), clock, accelerometer, gyroscope, increments=increments)
         nominal = _read_nominal(top, units, clock)
-        if frame is not None:
-            _check_fields(top, frame, samples, clock)
         with top.table("names") as table:
             kind_names = {key: table.text(key) for key in table.values}
         # What the emulator reads, and frames of instruments whose protocol has only fields or masks.
@@ -274,24 +281,22 @@ def _build(top: Table, settings: dict[str, Setting]) -> Protocol:
         )
 
 
-def _unit_of(top: Table, part: str, frame: FrameRule | None, samples: SampleRule) -> tuple[str, float]:
+def _unit_of(top: Table, part: str, fields: Sequence[Field], quantity: Quantity) -> tuple[str, float]:
     """Return what unit a part of the sample has and the factor to it."""
-    quantity = samples.quantity(part)
-    written = quantity.unit
-    fields = {field.name: field for field in reversed(frame.all_fields())} if frame else {}
-    units = list(dict.fromkeys(fields[name].unit for name in quantity.fields if name in fields))
-    if written is None:
-        written = units[0] if units else UNITS_OF[part][0]
+    units = list(dict.fromkeys(field.unit for name in quantity.fields for field in fields if field.name == name))
+    if quantity.unit is not None or not units:
+        units = [UNITS_OF[part][0] if quantity.unit is None else quantity.unit]
     table = top.table("samples")
-    unit, factor = TO_SI.get(written, ("", 0.0))
-    if unit not in UNITS_OF[part]:
-        known = [name for name, (si, _) in TO_SI.items() if si in UNITS_OF[part]]
-        raise table.error(part, sentence("protocol.unit", unit=written, near=near(written, known), known=known))
-    other = next((name for name in units if TO_SI.get(name, ("",))[0] != unit), None) if quantity.unit is None else None
-    if other is not None:
-        raise table.error(part, sentence("protocol.two_units", unit=written, other=other))
+    found = [TO_SI.get(written, ("", 0.0)) for written in units]
+    unit, factor = found[0]
+    for written, (other, _) in zip(units, found, strict=True):
+        if other not in UNITS_OF[part]:
+            known = [name for name, (si, _) in TO_SI.items() if si in UNITS_OF[part]]
+            raise table.error(part, sentence("protocol.unit", unit=written, near=near(written, known), known=known))
+        if other != unit:
+            raise table.error(part, sentence("protocol.two_units", unit=units[0], other=written))
     if quantity.increment and unit in ("m/s^2", "rad/s"):
-        raise table.error(part, sentence("protocol.increment", unit=written))
+        raise table.error(part, sentence("protocol.increment", unit=units[0]))
     return unit, factor * quantity.scale
 
 
@@ -311,32 +316,5 @@ def _read_nominal(top: Table, units: SampleUnits, clock: ClockRule) -> Nominal:
             accelerometer_range_m_s2=ranges[0],
             gyroscope_range_rad_s=ranges[1],
             rate_hz=clock.rate_hz or None,
-            grade=table.text("grade", ""),
+            grade=table.choice("grade", GRADES) if table.value("grade") else "",
         )
-
-
-def _check_fields(top: Table, frame: FrameRule, samples: SampleRule, clock: ClockRule) -> None:
-    """Refuse a name in [samples] or [clock] that no frame has: a typing error would silently lose the value."""
-    known = {field.name for field in frame.all_fields()}
-    table, times = top.table("samples"), top.table("clock")
-    stamps = (clock.counter_field, clock.time_field, *(time.field for time in clock.times))
-    used = [(table, part, name) for part in PARTS for name in samples.quantity(part).fields]
-    used += [(table, part, name) for part in PARTS if (name := samples.quantity(part).sensor_temperature)]
-    used += [(table, "flags", flag.field) for flag in samples.flags]
-    used += [(table, "flags", name) for name, _ in samples.instrument_status]
-    used += [(times, "", name) for name in stamps if name]
-    for where, key, name in used:
-        if name not in known:
-            raise where.error(key, sentence("protocol.field", name=name, near=near(name, known)))
-    # A status bit of the same name counts 1, and is no value of the triad.
-    sizes = {name: max(field.count for field in frame.all_fields() if field.name == name) for name in known}
-    for part in TRIADS:
-        names = samples.quantity(part).fields
-        counts = [sizes[name] for name in names]
-        # Alternatives of three values each, or the three axes.
-        if counts not in ([], [3] * len(counts), [1, 1, 1]):
-            raise table.error(part, sentence("protocol.triad", names=names, counts=counts))
-    of_sensors = {samples.quantity(part).sensor_temperature for part in PARTS}
-    for each in frame.all_fields():
-        if each.name in of_sensors and each.count not in (1, 3):
-            raise table.error("sensor_temperature", sentence("protocol.sensors", name=each.name, count=each.count))

@@ -6,11 +6,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.acquire.protocol.checksum import Checksum, make_checksum
+from imufield.acquire.protocol.layout import Field
 from imufield.acquire.protocol.toml import Table
+from imufield.acquire.protocol.units import UNITS_OF
 from imufield.dataclass import dataclass
 from imufield.errors import ProtocolError
 from imufield.limits import RATE_RANGE_HZ
-from imufield.samples import INSTRUMENT_STATUS_SHIFT, IntArray, SampleUnits, Status
+from imufield.samples import (
+    ACCELEROMETER_COLUMNS,
+    GYROSCOPE_COLUMNS,
+    INSTRUMENT_STATUS_SHIFT,
+    IntArray,
+    SampleUnits,
+    Status,
+)
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -18,14 +27,25 @@ sentence = Sentences(__package__)
 NANOSECONDS = 1e9
 PARTS = ("accelerometer", "gyroscope", "temperature")
 """Of a sample."""
-COLUMNS = ("time", "counter", "ax", "ay", "az", "gx", "gy", "gz", "temperature", "-")
+COLUMNS = ("time", "counter", *ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS, "temperature", "-")
 """What a number of a line may be; "-" is passed over."""
-
+_COLUMNS_OF = {
+    "accelerometer": ACCELEROMETER_COLUMNS,
+    "gyroscope": GYROSCOPE_COLUMNS,
+    "temperature": ("temperature",),
+}
+COLUMN_FIELDS = (
+    Field(name="time", type="f64", at=0),
+    Field(name="counter", type="u64", at=0),
+    *(Field(name=name, type="f64", at=0, unit=UNITS_OF[part][0]) for part, names in _COLUMNS_OF.items() for name in names),
+)
+"""Columns as fields. A stream may lack some of them: its user says which there are."""
 
 # No instrument counts more slowly than every quarter of an hour, or faster than femtoseconds.
 LEAST_TICKS_PER_S = 1e-3
 MOST_TICKS_PER_S = 1e15
-_MOST_TICKS = 1 << 53  # A float tells all smaller numbers of ticks apart.
+MOST_TICKS = 1 << 53
+"""A float tells all smaller numbers of ticks apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +117,7 @@ class FlagRule:
     """Field of a frame, or signal of a bus."""
     flag: Status
     mask: int
-    """Any of these bits sets it; 0 where ``values`` tell."""
+    """Any of these bits sets it, as a number of 64 bits with a sign; 0 where ``values`` tell."""
     when_clear: bool = False
     values: tuple[int, ...] = ()
     """Numbers that set it; signals of a bus only."""
@@ -211,45 +231,47 @@ def read_checksum(table: Table, pad_to: int = 1) -> Checksum:
         raise table.error("algorithm", error.message) from error
 
 
-def read_samples(top: Table) -> SampleRule:
-    """Read ``[samples]``."""
+def read_samples(top: Table, *, of_text: bool) -> SampleRule:
+    """Read ``[samples]``; lines of text have neither status bits nor sensor temperatures, so their keys are unknown there."""
     with top.table("samples") as table:
         return SampleRule(
-            **{part: _read_quantity(table.table(part)) for part in PARTS},
-            flags=tuple(read_flag(each, "field") for each in table.tables("flags")),
-            instrument_status=tuple(read_shift(each, "field") for each in table.tables("instrument_status")),
+            **{part: _read_quantity(table.table(part), _COLUMNS_OF[part] if of_text else ()) for part in PARTS},
+            flags=() if of_text else tuple(read_flag(each, "field") for each in table.tables("flags")),
+            instrument_status=() if of_text else tuple(read_shift(each, "field") for each in table.tables("instrument_status")),
             corrected=table.flag("corrected"),
             advice=table.text("advice", ""),
         )
 
 
-def _read_quantity(table: Table) -> Quantity:
+def _read_quantity(table: Table, columns: tuple[str, ...]) -> Quantity:
     with table:
         scale_when = None
-        if table.has("scale_when"):
+        if not columns and table.has("scale_when"):
             with table.table("scale_when") as when:
                 scale_when = ScaleWhen(when.text("field"), when.integer("mask", 1, (1 << 63) - 1), when.scale("scale"))
         return Quantity(
-            fields=table.texts("fields"),
+            fields=table.texts("fields") or columns,
             unit=table.text("unit") if table.has("unit") else None,
             increment=table.flag("increment"),
             scale=table.scale("scale", 1.0),
             scale_when=scale_when,
-            sensor_temperature=table.text("sensor_temperature", ""),
+            sensor_temperature="" if columns else table.text("sensor_temperature", ""),
         )
 
 
 def read_flag(table: Table, source: str) -> FlagRule:
     """Read a flag; key ``source`` names the field or signal. Signals of a bus may have values instead of a mask."""
     names = {flag.name.lower(): flag for flag in Status if flag.name}
-    values = table.items("values", []) if source == "signal" else []
+    has_values = source == "signal" and table.has("values")
     with table:
+        mask = 0 if source == "signal" and not table.has("mask") else table.integer("mask", 1, (1 << 64) - 1)
         rule = FlagRule(
             field=table.text(source),
-            mask=0 if source == "signal" and not table.has("mask") else table.integer("mask", 1, (1 << 64) - 1),
+            # Fields of all sizes are read as numbers of 64 bits with a sign.
+            mask=mask - (mask >> 63 << 64),
             flag=names[table.choice("flag", names)],
             when_clear=table.choice("when", ("set", "clear"), "set") == "clear",
-            values=tuple(int(value) for value in values if isinstance(value, int | float | str)),
+            values=table.integers("values", -(1 << 63), (1 << 63) - 1, ()) if has_values else (),
         )
         if bool(rule.values) == bool(rule.mask):
             raise table.error("values", sentence("samples_and_clock.flag"))
@@ -262,21 +284,22 @@ def read_shift(table: Table, source: str) -> tuple[str, int]:
         return table.text(source), table.integer("shift", 0, 31 - INSTRUMENT_STATUS_SHIFT, 0)
 
 
-def read_clock(top: Table) -> ClockRule:
-    """Read ``[clock]``."""
+def read_clock(top: Table, *, of_text: bool) -> ClockRule:
+    """Read ``[clock]``; a line of text has one time stamp, and no flags that tell of losses."""
     with top.table("clock") as table, table.table("counter") as counter:
-        several = isinstance(table.plain("time"), list)
+        several = not of_text and isinstance(table.plain("time"), list)
         times = [_read_time(each) for each in (table.tables("time") if several else [table.table("time")])]
         if several and not all(each.field for each in times):
             raise table.error("time", sentence("samples_and_clock.time_field"))
         # What several have in common: the first field, the longest wrap, ns.
         longest = max(round(each.modulus * NANOSECONDS / each.ticks_per_s) for each in times)
         time = TimeRule(times[0].field, longest, NANOSECONDS) if several else times[0]
+        modulus = counter.known_integer("modulus", low=2, high=MOST_TICKS)
         return ClockRule(
             counter_field=counter.text("field", ""),
-            counter_modulus=counter.known_integer("modulus", low=2, high=_MOST_TICKS),
+            counter_modulus=modulus,
             counter_ticks_per_s=counter.known_number("ticks_per_s", low=LEAST_TICKS_PER_S, high=MOST_TICKS_PER_S),
-            counter_steps=read_steps(counter, "steps"),
+            counter_steps=read_steps(counter, "steps", modulus),
             time_field=time.field,
             time_modulus=time.modulus,
             time_ticks_per_s=time.ticks_per_s,
@@ -284,13 +307,13 @@ def read_clock(top: Table) -> ClockRule:
             counter_jitter=counter.integer("jitter", 0, 1 << 16, 0),
             counter_counts_others=counter.flag("counts_others"),
             times=tuple(times) if several else (),
-            gaps_told=table.flag("gaps_told"),
+            gaps_told=not of_text and table.flag("gaps_told"),
         )
 
 
-def read_steps(table: Table, key: str) -> tuple[int, ...]:
-    """Read the steps that a counter may make from one sample to the next; 1 where none is given."""
-    return table.integers(key, 1, _MOST_TICKS, (1,))
+def read_steps(table: Table, key: str, modulus: int) -> tuple[int, ...]:
+    """Read the steps that a counter may make from one sample to the next, 1 where none is given; modulus 0: not known."""
+    return table.integers(key, 1, (modulus or MOST_TICKS) - 1, (1,))
 
 
 def read_rate(table: Table) -> float:
@@ -302,7 +325,7 @@ def _read_time(table: Table) -> TimeRule:
     with table:
         return TimeRule(
             table.text("field", ""),
-            table.known_integer("modulus", low=2, high=_MOST_TICKS),
+            table.known_integer("modulus", low=2, high=MOST_TICKS),
             table.number("ticks_per_s", 1.0, low=LEAST_TICKS_PER_S, high=MOST_TICKS_PER_S),
         )
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from imufield.acquire.protocol.can_dbc import CanSignal
+from imufield.acquire.protocol.can_dbc import COUNTER_BITS, CanSignal
 from imufield.acquire.protocol.can_frame import FD, Frame
 from imufield.acquire.protocol.can_protocol import ANY_ADDRESS, TEMPERATURE, CanKind, Column
 from imufield.acquire.protocol.protocol import Protocol
@@ -81,11 +81,18 @@ class CanEncoder:
         count = samples.counter * self._counter_step + self.counter_offset
         for counter in (kind.counter, kind.group):
             if counter is not None:
-                raw[counter.name] = count % (1 << counter.length)
+                raw[counter.name] = _wrapped(counter, count)
         if kind.time is not None:
             ticks = np.rint(samples.time_s * self._ticks_per_s).astype(np.int64)
-            raw[kind.time.name] = ticks % (1 << kind.time.length)
+            raw[kind.time.name] = _wrapped(kind.time, ticks)
         return raw
+
+
+def _wrapped(signal: CanSignal, ticks: IntArray) -> IntArray:
+    """Return counts as a signal sends them; a float has all of them."""
+    turn = min(signal.modulus, 1 << COUNTER_BITS)
+    low = -(turn // 2) if signal.is_signed else 0
+    return (ticks - low) % turn + low if turn else ticks
 
 
 def _values(samples: Samples, place: int) -> FloatArray:

@@ -12,9 +12,10 @@ import pytest
 
 from imufield.acquire.decode.text_lines import LONGEST_LINE
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.protocol.protocol import load_protocol
+from imufield.acquire.protocol.protocol import load_protocol, parse_protocol
 from imufield.errors import ProtocolError, Reason
 from imufield.samples import Samples, Status, concatenate
+from tests.acquire.own_protocols import LINES, changed
 from tests.refused import refused
 
 GAP = np.uint32(Status.AFTER_GAP)
@@ -185,6 +186,39 @@ def test_the_last_line_needs_no_end() -> None:
 def test_wrong_settings_are_named(settings: dict[str, object], reason: Reason, facts: tuple[str, ...]) -> None:
     with refused(ProtocolError, reason, *facts):
         load_protocol("text", settings)
+
+
+def own(data: str, *changes: tuple[str, str]) -> tuple[Samples, Decoder]:
+    """Decode lines by a protocol file of a user's own."""
+    decoder = Decoder(parse_protocol(changed(LINES, *changes)))
+    return concatenate([decoder.feed(data.encode()), decoder.flush()]), decoder
+
+
+def test_values_stand_in_the_order_that_fields_tell() -> None:
+    samples, _ = own(
+        "0,1,2,3,4,5,6,20\n", ('["ax", "ay", "az"]', '["ay", "az", "ax"]'), ('["gx", "gy", "gz"]', '["gz", "gx", "gy"]')
+    )
+    np.testing.assert_allclose(samples.accelerometer, np.array([[2, 3, 1]]) * 9.80665)
+    np.testing.assert_allclose(samples.gyroscope, np.radians([[6, 4, 5]]))
+
+
+def test_a_scale_of_the_temperature_counts() -> None:
+    samples, _ = own("0,1,2,3,4,5,6,255\n", ('unit = "degC"', 'unit = "degC", scale = 0.1'))
+    assert samples.temperature_degc.tolist() == [25.5]
+
+
+@pytest.mark.parametrize(("modulus", "first"), [(", modulus = 65536", 32700), (", modulus = 1000", 700), ("", 65500)])
+def test_counters_of_lines_have_a_sign_or_never_wrap(modulus: str, first: int) -> None:
+    numbers = [first + n for n in range(200) if n != 100]
+    if modulus == ", modulus = 65536":
+        # An int of an Arduino.
+        numbers = [(number + 32768) % 65536 - 32768 for number in numbers]
+    if modulus == ", modulus = 1000":
+        numbers = [number % 1000 for number in numbers]
+    data = "".join(f"{number},0,0,1,0,0,0,20\n" for number in numbers)
+    samples, decoder = own(data, (", modulus = 65536", modulus))
+    assert (len(samples), decoder.statistics.samples_lost) == (199, 1)
+    assert samples.time_s[-1] - samples.time_s[0] == pytest.approx(1.99)
 
 
 def test_a_real_logger(shared_folder: Path) -> None:

@@ -42,6 +42,17 @@ BO_ 258 Housekeeping: 4 A
  SG_ Temp : 0|8@1- (1,0) [0|0] "K" A
  SG_ Speed : 8|16@1+ (1,0) [0|0] "km/h" A
  SG_ Nameless : 8|16@1+ (1,0) [0|0] "" A
+
+BO_ 259 Floats: 4 A
+ SG_ Share : 0|32@1- (1,0) [0|0] "" A
+
+BO_ 260 Wide: 8 A
+ SG_ Bits : 0|64@1+ (1,0) [0|0] "" A
+
+BO_ 256 Twin: 4 A
+ SG_ TwinTemp : 0|8@1- (1,0) [0|0] "K" A
+
+SIG_VALTYPE_ 259 Share : 1;
 """
 MAP = {
     "accelerometer.x": "AccX",
@@ -198,6 +209,58 @@ def test_the_text_of_a_protocol_is_all_that_decodes_it(dbc: Path) -> None:
     assert again.clock.rate_hz == 100
 
 
+def with_lines(dbc: Path, after: str, *lines: str, counter: str = "AccX") -> Protocol:
+    """Return the protocol of a map with more lines in its file, behind the header of a table."""
+    text = protocol_text("mine", dbc.name, {**MAP, "counter": counter})
+    assert after in text
+    return parse_protocol(text.replace(after, "\n".join((after, *lines)), 1) + dbc_table(DBC))
+
+
+@pytest.mark.parametrize(
+    ("flag", "key", "problem"),
+    [
+        ('values = ["on"]', "map.flags.0.values", "toml.integer"),
+        ("values = [inf]", "map.flags.0.values", "toml.integer"),
+        ("values = [1.5]", "map.flags.0.values", "toml.integer"),
+        ("values = [1, 256]", "map.flags.0.values", "references.beyond"),
+        ("mask = 256", "map.flags.0.mask", "references.beyond"),
+    ],
+)
+def test_what_is_wrong_with_a_flag(dbc: Path, flag: str, key: str, problem: str) -> None:
+    with refused(ProtocolError, Reason.BAD_PROTOCOL, key, key=problem):
+        with_lines(dbc, "[map]", f'flags = [{{ signal = "Acc.Count", {flag}, flag = "start_up" }}]')
+    with refused(ProtocolError, Reason.BAD_PROTOCOL, "map.flags.0.signal", key="references.no_whole"):
+        with_lines(dbc, "[map]", 'flags = [{ signal = "Share", mask = 1, flag = "start_up" }]')
+    with refused(ProtocolError, Reason.BAD_PROTOCOL, "map.instrument_status.0.signal", key="references.no_whole"):
+        with_lines(dbc, "[map]", 'instrument_status = [{ signal = "Share" }]')
+    with refused(ProtocolError, Reason.BAD_PROTOCOL, "clock.counter_steps", "255", key="toml.integer"):
+        with_lines(dbc, "[assembly]", "[clock]", "counter_steps = [256]", counter="Acc.Count")
+
+
+def test_the_highest_bit_of_a_signal_may_be_a_flag(dbc: Path) -> None:
+    protocol = with_lines(dbc, "[map]", f'flags = [{{ signal = "Bits", mask = {1 << 63}, flag = "start_up" }}]')
+    frames = [
+        Frame(can_id, data, number * 0.01 + (can_id & 7) * 1e-4)
+        for number in range(60)
+        for can_id, data in ((0x100, bytes(8)), (0x101, bytes(8)), (0x104, (number % 2 << 63).to_bytes(8, "little")))
+    ]
+    status = decode(protocol, frames).status & np.uint32(Status.START_UP)
+    assert (status > 0).tolist() == [number % 2 == 1 for number in range(60)]
+
+
+def test_a_signal_with_a_sign_counts(dbc: Path) -> None:
+    protocol = protocol_from_dbc(dbc, {**MAP, "counter": "Temp"}, {"rate_hz": 100})
+    frames = [
+        Frame(can_id, data, number * 0.01 + (can_id & 7) * 1e-4)
+        for number in range(400)
+        if number not in (130, 250)
+        for can_id, data in ((0x100, bytes(8)), (0x101, bytes(8)), (0x102, bytes([number % 256, 0, 0, 0])))
+    ]
+    samples = decode(protocol, frames)
+    assert samples.counter.tolist() == [number % 256 for number in range(400) if number not in (130, 250)]
+    assert np.flatnonzero(samples.status & Status.AFTER_GAP).tolist() == [130, 249]
+
+
 def test_a_written_protocol_beside_its_dbc(dbc: Path) -> None:
     path = dbc.with_name("mine.toml")
     path.write_text(protocol_text("mine", dbc.name, MAP), encoding="utf-8")
@@ -224,7 +287,7 @@ def test_code_page_of_windows_and_quotes(tmp_path: Path) -> None:
         ({"temperature": "Speed"}, "can_protocol.temperature_unit", ("Speed", "'km/h'", "degC")),
         ({"temperature": "Temp", "temperature.unit": "degR"}, "can_protocol.temperature_unit", ("Temp", "'degR'")),
         ({"counter": "Count"}, "can_dbc.several", ("Acc.Count, Gyro.Count",)),
-        ({"counter": "AccX"}, "can_protocol.no_counter", ("AccX",)),
+        ({"counter": "Share"}, "references.no_whole", ("'Share'", "f32", "map.counter")),
         ({"starts_with": "Housekeeping"}, "can_protocol.not_mapped", ("'Housekeeping'", "Acc, Gyro")),
         ({"starts_with": "Akk"}, "can_dbc.unknown", ("message 'Akk'", "Acc, Gyro")),
         ({"counters": "Acc.Count"}, "can_protocol.counters", ("assembly.counters",)),

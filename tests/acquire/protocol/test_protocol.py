@@ -12,8 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imufield.acquire.protocol.protocol import load_protocol, parse_protocol, protocol_names
+from imufield.acquire.protocol.protocol import GRADES, load_protocol, parse_protocol, protocol_names
 from imufield.acquire.protocol.toml import FILE_LIMIT_BYTES
+from imufield.calibrate.model import grades
 from imufield.errors import ProtocolError, Reason, SettingError
 from imufield.toml_and_json import DEEPEST
 from tests.refused import refused
@@ -152,7 +153,7 @@ def test_a_setting_that_its_key_refuses_is_the_users(columns: str, key: str) -> 
             'accelerometer = { fields = ["acceleration"]',
             "accelerometer = { fields",
             "samples.accelerometer",
-            "protocol.field",
+            "references.field",
             "'acceleration'",
         ),
         # A frame is one sample: of several in it the others would be lost.
@@ -169,7 +170,7 @@ def test_a_setting_that_its_key_refuses_is_the_users(columns: str, key: str) -> 
             '"accelerometer", type = "i24", count = 6',
             "accelerometer = { fields",
             "samples.accelerometer",
-            "protocol.triad",
+            "references.triad",
             "6",
         ),
         (
@@ -238,9 +239,10 @@ def test_what_would_break_at_the_first_bytes_is_refused(name: str, old: str, new
 
 
 def test_a_unit_that_is_none() -> None:
-    with refused(ProtocolError, Reason.BAD_PROTOCOL, "samples.temperature", "'K'", "degC") as caught:
-        parse_protocol(STIM300.replace('unit = "degC"', 'unit = "K"'))
-    assert caught.value.values["key"] == "samples.temperature"
+    for name, key in (("witmotion", "samples.temperature"), ("stim300", "samples.accelerometer.sensor_temperature")):
+        with refused(ProtocolError, Reason.BAD_PROTOCOL, key, "'K'", "degC") as caught:
+            parse_protocol(load_protocol(name).text.replace('unit = "degC"', 'unit = "K"'))
+        assert caught.value.values["key"] == key
 
 
 def test_own_files_by_path(tmp_path: Path) -> None:
@@ -248,6 +250,10 @@ def test_own_files_by_path(tmp_path: Path) -> None:
     path.write_text(STIM300.replace('name = "stim300"', 'name = "mine"'), encoding="utf-8")
     assert load_protocol(path).name == "mine"
     assert load_protocol(str(path)).name == "mine"
+
+
+def test_grades_are_those_of_the_calibration() -> None:
+    assert tuple(grades.GRADES) == GRADES
 
 
 def test_files_that_are_none(tmp_path: Path) -> None:
