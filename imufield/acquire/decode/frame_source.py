@@ -157,6 +157,7 @@ class _FrameReader:
         self._triads = [_TriadReader(protocol, layout, triad) for triad in TRIADS]
         temperatures = layout.fields_of(rule.temperature.fields)
         self._temperature = temperatures[0] if temperatures else None
+        self._to_degc = protocol.factors["temperature"]
         # Which of the values are there at all, in the order of a block.
         self.has = (self._triads[0].is_whole, self._triads[1].is_whole, self._temperature is not None)
         self._pair = _TriadPair.of(self._triads[0], self._triads[1], layout.length)
@@ -206,7 +207,9 @@ class _FrameReader:
     def _values(self, frames: Frames) -> tuple[_Triads, FloatArray, FloatArray]:
         """Return acceleration and rate, temperature, and the temperatures of the axes."""
         triads = [triad.read(frames) for triad in self._triads] if self._pair is None else self._pair.read(frames)
-        temperature_degc = unknown(frames.count) if self._temperature is None else _degc(self._temperature, frames)
+        temperature_degc = (
+            unknown(frames.count) if self._temperature is None else _degc(self._temperature, self._to_degc, frames)
+        )
         return triads, temperature_degc, self._sensor_temperatures(frames) if self._of_sensors else ABSENT
 
     def _sensor_temperatures(self, frames: Frames) -> FloatArray:
@@ -217,11 +220,11 @@ class _FrameReader:
         return found
 
 
-def _degc(field: Field, frames: Frames) -> FloatArray:
+def _degc(field: Field, scale: float, frames: Frames) -> FloatArray:
     """Return a temperature, the mean of those in its field, shape (n,)."""
     raw = field.raw(frames)
     total: FloatArray = raw.astype(np.float64) if raw.ndim == 1 else raw.sum(axis=1, dtype=np.float64)
-    return total * (field.factor / field.count) + field.offset
+    return total * (field.factor * scale / field.count) + field.offset * scale
 
 
 def _flag_garbage(triads: _Triads, status: NDArray[np.uint32]) -> None:
@@ -243,7 +246,8 @@ class _TriadReader:
         quantity = protocol.samples.quantity(part)
         self.fields = layout.fields_of(quantity.fields)
         self.is_whole = sum(field.count for field in self.fields[:3]) >= 3
-        self._factor = protocol.factor(part, self.fields[0]) if self.fields else 1.0
+        # From each field's own unit to SI.
+        self._factors = [protocol.factor(part, field) for field in self.fields]
         # The scale that holds while status bits of the frame are set, relative to the usual one.
         when = quantity.scale_when
         self._when = None if when is None else layout.field(when.field)
@@ -257,23 +261,25 @@ class _TriadReader:
     @property
     def factor(self) -> float:
         """From numbers as sent to SI units, where the field is only scaled."""
-        return self.fields[0].factor * self._factor
+        return self.fields[0].factor * self._factors[0]
 
     def read(self, frames: Frames) -> FloatArray:
         """Return the values in SI units, NaN where the frame has none. Shape (n, 3)."""
         if not self.is_whole:
             return unknown((frames.count, 3))
         if self.fields[0].count == 3:
-            values = self._scaled(frames, self.fields[0])
+            values = _scaled(self.fields[0], self._factors[0], frames)
         else:
-            values = np.column_stack([self._scaled(frames, field) for field in self.fields])
+            each = zip(self.fields, self._factors, strict=True)
+            values = np.column_stack([_scaled(field, factor, frames) for field, factor in each])
         if self._when is not None:
             values[(self._when.raw(frames).astype(np.int64) & self._mask) != 0] *= self._ratio
         return values
 
-    def _scaled(self, frames: Frames, field: Field) -> FloatArray:
-        values: FloatArray = np.multiply(field.raw(frames), field.factor * self._factor, dtype=np.float64)
-        return values + field.offset * self._factor if field.offset else values
+
+def _scaled(field: Field, factor: float, frames: Frames) -> FloatArray:
+    values: FloatArray = np.multiply(field.raw(frames), field.factor * factor, dtype=np.float64)
+    return values + field.offset * factor if field.offset else values
 
 
 class _TriadPair:

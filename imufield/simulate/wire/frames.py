@@ -125,7 +125,7 @@ class FrameEncoder:
         named = next((name for name in rules.temperature.fields if name in self._fields), None)
         if named is not None:
             field = self._fields[named]
-            degc = (samples.temperature_degc - field.offset) / field.factor
+            degc = (samples.temperature_degc / self._protocol.factors["temperature"] - field.offset) / field.factor
             raw[named] = degc if field.count == 1 else np.repeat(degc[:, np.newaxis], field.count, axis=1)
         # Several flags may share a field, which may have constant bits besides; nothing else is written to such a field.
         flags: dict[str, Numbers] = {}
@@ -145,11 +145,12 @@ class FrameEncoder:
     def _triad(self, part: str, values: FloatArray) -> dict[str, Numbers]:
         rule = getattr(self._protocol.samples, part)
         found = [self._fields[name] for name in rule.fields if name in self._fields]
-        factor = self._protocol.factor(part, found[0]) if found else 1.0
         # One field with three numbers, or three fields.
         columns = [values] if found and found[0].count == 3 else list(values.T) if len(found) >= 3 else []
         triad = zip(found, columns, strict=False)
-        return {field.name: (column / factor - field.offset) / field.factor for field, column in triad}
+        return {
+            field.name: (column / self._protocol.factor(part, field) - field.offset) / field.factor for field, column in triad
+        }
 
 
 def _find_form(protocol: Protocol, frame: WireFrame) -> FrameForm:

@@ -8,9 +8,10 @@ import numpy as np
 
 from imufield.acquire.formats.table_names import quantity_of
 from imufield.acquire.protocol.protocol import Protocol
+from imufield.acquire.protocol.samples_and_clock import PARTS
 from imufield.dataclass import dataclass
 from imufield.errors import UsageError
-from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, FloatArray, IntArray, Samples
+from imufield.samples import FloatArray, IntArray, Samples
 from imufield.sentences import Sentences
 from imufield.simulate.wire.forms import WireFrame, number_template
 from imufield.simulate.wire.frames import WireClock
@@ -117,14 +118,13 @@ class _Table:
 
     def _values(self, column: str, samples: Samples) -> FloatArray | IntArray | None:
         """Return the numbers of one column as they are printed; None for one that means nothing in a sample."""
-        name, factors, rule = column.removeprefix("-"), self.protocol.factors, self.protocol.clock
+        name, rule = column.removeprefix("-"), self.protocol.clock
         sign = -1.0 if column.startswith("-") else 1.0
-        if name in ACCELEROMETER_COLUMNS:
-            return sign * samples.accelerometer[:, ACCELEROMETER_COLUMNS.index(name)] / factors["accelerometer"]
-        if name in GYROSCOPE_COLUMNS:
-            return sign * samples.gyroscope[:, GYROSCOPE_COLUMNS.index(name)] / factors["gyroscope"]
-        if name == "temperature":
-            return samples.temperature_degc
+        parts = (samples.accelerometer, samples.gyroscope, samples.temperature_degc[:, np.newaxis])
+        for part, values in zip(PARTS, parts, strict=True):
+            fields = self.protocol.samples.quantity(part).fields
+            if name in fields:
+                return sign * values[:, fields.index(name)] / self.protocol.factors[part]
         if name == "time":
             ticks = self.clock.time_s(samples) * rule.time_ticks_per_s
             return ticks % rule.time_modulus if rule.time_modulus else ticks

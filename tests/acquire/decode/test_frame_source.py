@@ -14,6 +14,7 @@ from tests.acquire.own_protocols import FRAMES, changed, frame
 
 COUNTER = '{ name = "counter", type = "u8" }'
 CODES = {"i8": ">b", "i16": ">h", "i32": ">i", "i64": ">q", "u8": ">B", "u64": ">Q"}
+G = 9.80665
 
 
 def decode(text: str, frames: list[bytes], rate_hz: float = 0.0) -> tuple[Samples, Decoder]:
@@ -52,6 +53,26 @@ def test_a_time_stamp_with_a_sign_wraps_too(kind: str) -> None:
     samples, decoder = decode(text, counted(kind, 2 ** (bits - 1) - 200, range(1000)))
     assert (decoder.statistics.samples_lost, decoder.statistics.clock_resets) == (10, 0)
     assert samples.time_s[-1] - samples.time_s[0] == pytest.approx(9.99)
+
+
+def test_a_scale_of_the_temperature_counts() -> None:
+    text = changed(
+        FRAMES,
+        ('type = "i16", unit', 'type = "i16", scale = 2, offset = 40, unit'),
+        ('{ fields = ["temperature"] }', '{ fields = ["temperature"], scale = 0.1 }'),
+    )
+    samples, _ = decode(text, [frame(temperature=105)])
+    assert samples.temperature_degc.tolist() == pytest.approx([25.0])
+
+
+def test_each_axis_is_scaled_by_its_own_unit() -> None:
+    text = changed(
+        FRAMES,
+        ('"ax", type = "f32", unit = "m/s^2"', '"ax", type = "f32", unit = "g"'),
+        ('"ay", type = "f32", unit = "m/s^2"', '"ay", type = "f32", offset = 500, unit = "mg"'),
+    )
+    samples, _ = decode(text, [frame(acceleration=(1.0, 1500.0, 3.0))])
+    np.testing.assert_allclose(samples.accelerometer, [[G, 2 * G, 3.0]])
 
 
 @pytest.mark.parametrize(("kind", "mask"), [("u64", 1 << 63), ("i64", 1 << 63), ("u32", 1 << 31), ("i8", 1 << 7)])

@@ -19,6 +19,7 @@ from imufield.simulate.instruments.device import Device
 from imufield.simulate.instruments.protocol_device import InProtocolUnits, ProtocolDevice
 from imufield.simulate.truth.source import SampleSource
 from imufield.simulate.wire.forms import choose_form, wire_forms
+from tests.acquire.own_protocols import FRAMES, LINES, changed
 from tests.refused import refused
 from tests.simulate.accounting import Wire, random_samples, serial_wires
 
@@ -203,6 +204,37 @@ def test_a_users_own_file_is_emulated(tmp_path: Path) -> None:
     got, _ = decode(choice.protocol, make_device(options, choice), sent)
     np.testing.assert_allclose(got.accelerometer, sent.accelerometer, atol=0.51 * G / 2**18)
     assert got.counter.tolist() == list(range(300))
+
+
+@pytest.mark.parametrize("stamp", ["counter", "time"])
+def test_what_a_file_says_of_a_field_holds_both_ways(stamp: str) -> None:
+    """A counter with a sign, axes in different units, a scale of the temperature."""
+    protocol = parse_protocol(
+        changed(
+            FRAMES,
+            ('"counter", type = "u8"', '"counter", type = "i8"'),
+            ("counter = {", f"{stamp} = {{"),
+            ('"ay", type = "f32", unit = "m/s^2"', '"ay", type = "f32", unit = "mg"'),
+            ('{ fields = ["temperature"] }', '{ fields = ["temperature"], scale = 0.01 }'),
+        )
+    )
+    (form,) = wire_forms(protocol)
+    sent = random_samples(protocol, form.rate_hz, 0, 400)
+    got, decoder = decode(protocol, ProtocolDevice(protocol, form, form.rate_hz), sent)
+    np.testing.assert_allclose(got.accelerometer, sent.accelerometer, atol=2e-6)
+    np.testing.assert_allclose(got.temperature_degc, sent.temperature_degc, atol=0.0051)
+    np.testing.assert_allclose(got.time_s - got.time_s[0], np.arange(400) / 100)
+    assert decoder.statistics.lost == 0
+
+
+def test_lines_stand_in_the_order_that_fields_tell() -> None:
+    order, scale = ('["ax", "ay", "az"]', '["ay", "az", "ax"]'), ('unit = "degC"', 'unit = "degC", scale = 0.1')
+    protocol = parse_protocol(changed(LINES, order, scale))
+    (form,) = wire_forms(protocol)
+    sent = random_samples(protocol, 100.0, 0, 50)
+    got, _ = decode(protocol, ProtocolDevice(protocol, form, 100.0), sent)
+    np.testing.assert_allclose(got.accelerometer, sent.accelerometer, atol=1e-7)
+    np.testing.assert_allclose(got.temperature_degc, sent.temperature_degc, atol=0.00051)
 
 
 @pytest.mark.parametrize(
