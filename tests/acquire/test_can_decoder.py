@@ -313,6 +313,20 @@ def test_multiplexed_messages_are_joined_by_their_counter(tmp_path: Path) -> Non
     assert statistics.by_kind["Motion[0]"] == statistics.by_kind["Motion[1]"] == statistics.by_kind["other"] == 100
 
 
+def test_all_forms_of_a_message_that_is_needed_are_needed(tmp_path: Path) -> None:
+    (tmp_path / "mux.dbc").write_text(MUX)
+    protocol = protocol_from_dbc(tmp_path / "mux.dbc", {**MAP, "counters": "Group", "needs": "Motion"})
+    frames = []
+    for number in range(100):
+        count = number % 64 << 2
+        frames.append(Frame(256, struct.pack("<Bhhhx", count, 1, 2, 3), number * 0.01))
+        if number != 50:
+            frames.append(Frame(256, struct.pack("<Bq", count | 1, 0)[:8], number * 0.01 + 0.001))
+    samples, _ = decode(protocol, pack(frames))
+    assert len(samples) == 99
+    assert np.isfinite(samples.gyroscope).all()
+
+
 def test_wide_frames_of_can_fd(tmp_path: Path) -> None:
     (tmp_path / "wide.dbc").write_text(WIDE)
     protocol = protocol_from_dbc(tmp_path / "wide.dbc", {**MAP, "time": "T"})

@@ -198,6 +198,10 @@ class CanMessage:
     selectors: Selectors = ()
     """Multiplexer signals and the values they must have."""
 
+    def meets(self, other: CanMessage) -> bool:
+        """Whether a frame may be of either message by its identifier."""
+        return (self.can_id ^ other.can_id) & self.mask & other.mask == 0
+
     @classmethod
     def of(cls, message: Message, selectors: Selectors, is_j1939: bool) -> Self:
         """Return a message of cantools."""

@@ -280,17 +280,22 @@ class _Mapping:
         for kind in kinds:
             kind.group = signal
 
-    def number_of(self, table: Table, key: str, name: str) -> int:
-        """Return the number of the kind of frame that a key of another table names."""
-        for number, kind in enumerate(self.kinds.values()):
-            if name in (kind.name, kind.message.name):
-                return number
+    def numbers_of(self, table: Table, key: str, name: str) -> list[int]:
+        """Return the numbers of the kinds of frames that a key of another table names: all forms of a message."""
+        kinds = [*self.kinds.values()]
+        found = [number for number, kind in enumerate(kinds) if name in (kind.name, kind.message.name)]
+        if found:
+            return found
         _in_file(table, key, self._dbc.message, name)
-        names = [kind.name for kind in self.kinds.values()]
+        names = [kind.name for kind in kinds]
         raise table.error(key, sentence("can_protocol.not_mapped", name=name, near=near(name, names), known=names))
 
     def _find(self, key: str, name: str) -> tuple[CanKind, CanSignal]:
         message, signal = _in_file(self.table, key, self._dbc.find, name)
+        for other in (kind.message for kind in self.kinds.values()):
+            if other.name != message.name and other.meets(message):
+                names = [other.name, message.name]
+                raise self.table.error(key, sentence("can_protocol.same_identifier", names=names))
         if not message.selectors:
             forms = [kind for kind in self.kinds.values() if kind.message.name == message.name]
             if forms:
@@ -308,8 +313,8 @@ def _read_assembly(table: Table, mapped: _Mapping) -> AssemblyRule:
         raise table.error("counters", sentence("can_protocol.counters"))
     start = table.text("starts_with", "")
     return AssemblyRule(
-        mapped.number_of(table, "starts_with", start) if start else None,
-        tuple(mapped.number_of(table, "needs", name) for name in table.texts("needs")),
+        mapped.numbers_of(table, "starts_with", start)[0] if start else None,
+        tuple(number for name in table.texts("needs") for number in mapped.numbers_of(table, "needs", name)),
         min(table.known_number("limit_s", low=_SHORTEST_LIMIT_S, high=LARGEST), _LONGEST_LIMIT_S),
         bool(counters),
     )

@@ -288,6 +288,7 @@ def test_code_page_of_windows_and_quotes(tmp_path: Path) -> None:
         ({"temperature": "Temp", "temperature.unit": "degR"}, "can_protocol.temperature_unit", ("Temp", "'degR'")),
         ({"counter": "Count"}, "can_dbc.several", ("Acc.Count, Gyro.Count",)),
         ({"counter": "Share"}, "references.no_whole", ("'Share'", "f32", "map.counter")),
+        ({"temperature": "TwinTemp", "starts_with": "Acc"}, "can_protocol.same_identifier", ("Acc, Twin", "map.temperature")),
         ({"starts_with": "Housekeeping"}, "can_protocol.not_mapped", ("'Housekeeping'", "Acc, Gyro")),
         ({"starts_with": "Akk"}, "can_dbc.unknown", ("message 'Akk'", "Acc, Gyro")),
         ({"counters": "Acc.Count"}, "can_protocol.counters", ("assembly.counters",)),
