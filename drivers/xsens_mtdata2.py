@@ -87,9 +87,9 @@ class XsensMtData2(Driver):
         return found
 
 
-def request(name: str, message_id: int, answer: str, *, is_last: bool = False) -> Command:
+def request(name: str, message_id: int, answer: str, data: bytes = b"", *, is_last: bool = False) -> Command:
     """Return a message to the instrument, answered by a message called ``answer`` or by an error."""
-    body = bytes([0xFF, message_id, 0])  # None has data.
+    body = bytes([0xFF, message_id, len(data)]) + data
     return Command(
         name=name,
         data=b"\xfa" + body + bytes([_SUM(body)]),

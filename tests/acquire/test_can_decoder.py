@@ -322,7 +322,7 @@ def test_all_forms_of_a_message_that_is_needed_are_needed(tmp_path: Path) -> Non
         frames.append(Frame(256, struct.pack("<Bhhhx", count, 1, 2, 3), number * 0.01))
         if number != 50:
             frames.append(Frame(256, struct.pack("<Bq", count | 1, 0)[:8], number * 0.01 + 0.001))
-    samples, _ = decode(protocol, pack(frames))
+    samples, _ = decode(protocol, pack_frames(frames))
     assert len(samples) == 99
     assert np.isfinite(samples.gyroscope).all()
 
