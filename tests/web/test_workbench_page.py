@@ -76,6 +76,17 @@ WIDER = """() => [...document.querySelectorAll("body *")]
     .filter((element) => element.getBoundingClientRect().right > innerWidth + 1)
     .map((element) => element.id || element.tagName)"""
 
+# Names of positions, and those of them whose side is in two lines.
+CUT = """() => {
+    const names = [...document.querySelectorAll(".holds span")].map((span) => span.firstChild);
+    const cut = names.filter((name) => {
+        const range = document.createRange();
+        range.setStart(name, name.data.search(/[^ ]*$/));
+        range.setEnd(name, name.length);
+        return range.getClientRects().length !== 1;
+    });
+    return [names, cut].map((each) => each.map((name) => name.data));
+}"""
 
 DRAGGED = """([name, text]) => {
     const dragged = new DataTransfer();
@@ -93,6 +104,16 @@ def assert_it_is_for_everybody(page: Page) -> None:
         page.locator(f'header a[href="{part}"]').click()
         page.locator(shown).first.wait_for()
         assert barriers(page) == [], part
+
+
+def assert_sides_are_whole(page: Page) -> None:
+    """Look whether a line ends inside the name of a side: "near -" with "y" below it reads as +y."""
+    for width, height in SIZES:
+        page.set_viewport_size({"width": width, "height": height})
+        names, cut = page.evaluate(CUT)
+        assert cut == []
+        assert any("\u2212" in name for name in names)
+        assert page.locator(".holds b", has_text=re.compile("^-")).count() == 0
 
 
 def barriers(page: Page) -> list[str]:
@@ -250,6 +271,7 @@ def test_a_dropped_file_is_asked_about_and_solved_without_a_position(program: Pr
     page.get_by_label("Latitude").last.fill("45")
     page.get_by_role("button", name="Compute the result").click()
     wait_for(page, "#verdict", "GOOD|USABLE")
+    assert_sides_are_whole(page)
     page.get_by_role("button", name="Show the signals").click()
     page.get_by_role("button", name="Closer").click()
     assert page.locator("#signals-of-session polyline").count() == page.locator("#signals-of-session polygon").count() == 3

@@ -20,7 +20,7 @@ from imufield.deliver.report.correlations import correlations
 from imufield.deliver.report.data import ReportData
 from imufield.deliver.report.gain import Gain, gain
 from imufield.deliver.report.over_temperature import temperature_curves
-from imufield.deliver.report.positions import directions, position_cards
+from imufield.deliver.report.positions import directions, position_cards, with_minus
 from imufield.deliver.report.rows import GAUGE_WORDS, VERDICT_WORDS, Row, parameter_rows
 from imufield.deliver.report.summary import sigma_words
 from imufield.deliver.report.together import HEADINGS, session_rows, together_rows
@@ -130,8 +130,8 @@ def _facts(data: ReportData, gained: Gain | None) -> Document:
         "verdict": quality.verdict,
         "verdict_words": VERDICT_WORDS[quality.verdict],
         "edited": parameters.edited,
-        "reasons": folded([*quality.warnings, *quality.reasons[:1], *data.notes]),
-        "notes": folded(quality.details),
+        "reasons": [*map(with_minus, folded([*quality.warnings, *quality.reasons[:1], *data.notes]))],
+        "notes": [*map(with_minus, folded(quality.details))],
         "triads": {"accelerometer": quality.accelerometer_verdict, "gyroscope": quality.gyroscope_verdict},
         "sigma": sigma_words(quality),
         "two_clocks": scale_words(parameters),

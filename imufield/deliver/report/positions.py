@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 
@@ -18,6 +19,8 @@ _SCALE = _SIZE / 2 / 1.36  # From the box to those: half its diagonal is 1.30.
 _MOST_DECIMALS = 3  # Residuals of ideal outputs are nothing but rounding.
 _HEADINGS = tuple(np.radians(45.0) * k for k in range(8))
 _UPWARDS = 0.5  # Cosine to the vertical of the sides that are shaded: one on a face, two on an edge, three on a corner.
+# As on the pages (``texts.js``): not in the quotes of a shell, nor of an option.
+_SIDES = re.compile(r"(?<![\w+=-])(?:[+-][xyz])+(?![\w'+-])")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,7 +80,12 @@ def directions(parameters: Parameters, raw: FloatArray) -> FloatArray:
 
 def short_name(name: str) -> str:
     """Return "7 +x" for "free 7: near +x", which stands for a position nobody planned."""
-    return name.removeprefix("free ").replace(": near", "")
+    return with_minus(name.removeprefix("free ").replace(": near", ""))
+
+
+def with_minus(words: str) -> str:
+    """Return words whose sides have a minus, which ends no line as a hyphen does; what is to be typed keeps its own."""
+    return _SIDES.sub(lambda found: found[0].replace("-", "\u2212"), words)
 
 
 def draw_position(up: FloatArray) -> str:

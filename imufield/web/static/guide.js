@@ -17,8 +17,7 @@ const ROUND = 2 * Math.PI * 52;
 const SIGNS = { accepted: "●", next: "◉", here: "@", open: "○", suspect: "■", again: "↻", skipped: "×" };
 
 /** @param {string} words as a terminal can show them, marks by their names @returns {string} */
-const pretty = (words) =>
-  withSigns(withMarks(words, role === "mark" ? "tap" : "named")).replace(/(^|\W)-(?=[xyz\d])/g, "$1−");
+const pretty = (words) => withSigns(withMarks(words, role === "mark" ? "tap" : "named"));
 /** @param {string} id @param {string} words changed only where they are others: each change is read out */
 const write = (id, words) => {
   const element = at(id);
@@ -144,7 +143,7 @@ function showWords() {
   document.body.dataset.mood = state.mood;
   document.body.dataset.state = state.state;
   write("headline", state.headline);
-  const side = state.side && text("side", { side: state.side.replaceAll("-", "−").replace(/(.)([+−])/g, "$1 $2") });
+  const side = state.side && text("side", { side: withSigns(state.side).replace(/(.)([+−])/g, "$1 $2") });
   write("side", state.now === "suspect" && role === "mark" ? pretty("[retake]") : side);
   write("details", pretty(state.details));
   const [, done] = at("ring").querySelectorAll("circle");
@@ -199,9 +198,9 @@ function showPositions(places) {
     const off = position.leaveOneOut === null ? "" : signed(position.leaveOneOut, size < 10 ? 2 : 1);
     return make(
       "li",
-      { class: position.state, title: position.words },
+      { class: position.state, title: withSigns(position.words) },
       make("span", { class: "sign", "aria-hidden": "true" }, SIGNS[position.state]),
-      make("span", { class: "name" }, position.name.replaceAll("-", "−")),
+      make("span", { class: "name" }, withSigns(position.name)),
       make("span", { class: "unseen" }, [text(position.state), off && text("leaveOneOut", { off })].filter(Boolean).join(", ")),
       make("span", { class: "off", "aria-hidden": "true" }, off),
     );

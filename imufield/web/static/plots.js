@@ -94,12 +94,12 @@ export function drawSignals(columns, holds, without, onChoose, { zoom, unit }) {
           tabindex: 0,
           role: "checkbox",
           "aria-checked": String(isKept),
-          "aria-label": hold.name,
+          "aria-label": withSigns(hold.name),
           "data-still": hold.name,
           onclick: choose,
           onkeydown: choose,
         },
-        draw("title", {}, hold.name),
+        draw("title", {}, withSigns(hold.name)),
       );
     });
   const words = ticks(0, last - first, 2 * zoom).map((seconds) => {

@@ -3,7 +3,7 @@
 import { complaint } from "./bench.js";
 import { at, button, clean, filled, make, table } from "./make.js";
 import { barOf, drawSignals, readOverview } from "./plots.js";
-import { text, when, withSigns } from "./texts.js";
+import { signed, text, when, withSigns } from "./texts.js";
 
 const PARAMETERS = "parameters.toml"; // Its button stands below the verdict, those of other files at the end.
 const MICRO_G = 9.80665e-6;
@@ -257,7 +257,7 @@ export class SessionView {
           ? make(
               "ul",
               {},
-              quality.warnings.map((/** @type {string} */ words) => make("li", {}, words)),
+              quality.warnings.map((/** @type {string} */ words) => make("li", {}, withSigns(words))),
             )
           : null,
         make(
@@ -290,7 +290,7 @@ export class SessionView {
           { class: "row" },
           button(text("solveThese"), () => this.solve()),
           this.row?.kind === "capture" && (doubts.length || holds.length < this.row.planned)
-            ? button(doubts.length ? text("retake", { names: doubts.join(", ") }) : text("more"), () => this.resume(doubts))
+            ? button(doubts.length ? text("retake", { names: withSigns(doubts.join(", ")) }) : text("more"), () => this.resume(doubts))
             : null,
           button(text("signals"), () => void this.showSignals(holds, found.accelerometer.raw_unit)),
         ),
@@ -302,16 +302,16 @@ export class SessionView {
 
   /** @param {any} hold @param {number} share @param {boolean} isDoubtful */
   hold(hold, share, isDoubtful) {
-    const value = hold.leave_one_out_m_s2 ?? hold.residual_m_s2;
+    const [value, name] = [hold.leave_one_out_m_s2 ?? hold.residual_m_s2, withSigns(hold.name)];
     const box = make("input", { type: "checkbox", checked: hold.used, onchange: () => this.keep(hold.name, box.checked) });
     box.dataset.hold = hold.name;
     return make(
       "label",
       { class: isDoubtful ? "doubt" : "" },
       box,
-      make("span", {}, isDoubtful ? text("doubtful", { name: hold.name }) : hold.name),
+      make("span", {}, isDoubtful ? text("doubtful", { name }) : name),
       barOf(share, !hold.used ? "left" : isDoubtful ? "doubt" : "bar"),
-      make("b", {}, value === null ? "–" : (value / MICRO_G).toFixed(0)),
+      make("b", {}, value === null ? "–" : signed(value / MICRO_G, 0)),
     );
   }
 

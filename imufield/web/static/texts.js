@@ -17,9 +17,12 @@ export function text(name, values = {}) {
  */
 export const withMarks = (words, how) => words.replace(/\[([a-z ]+)\]/g, (_, mark) => text(how, { mark }));
 
-/** Words as a terminal can show them, with the signs of units; names of options stay. @param {string} words */
+// A hyphen ends a line: "near -" and "y" below it read as +y. What is to be typed, in quotes or behind "=", keeps it.
+const NEGATIVE = /(?<![\w+=-])(?:-(?=\d)|(?:[+-][xyz])+(?![\w'+-]))/g;
+
+/** Words as a terminal can show them, with the signs of units, sides and numbers; options stay. @param {string} words */
 export const withSigns = (words) =>
-  words.replaceAll("^2", "²").replaceAll(" per root Hz", "/√Hz").replace(/(?<![\w-])u(?=g\b|rad\b)/g, "µ").replace(/ deg\b/g, "°").replace(/(?<![\d.])\+-(?=\d)/g, "±");
+  words.replace(NEGATIVE, (found) => found.replaceAll("-", "−")).replaceAll("^2", "²").replaceAll(" per root Hz", "/√Hz").replace(/(?<![\w-])u(?=g\b|rad\b)/g, "µ").replace(/ deg\b/g, "°").replace(/(?<![\d.])\+-(?=\d)/g, "±");
 
 /** A number with its sign; what is rounded to zero has none. @param {number} value @param {number} digits */
 export function signed(value, digits) {

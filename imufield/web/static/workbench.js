@@ -7,7 +7,7 @@ import { watchDrop } from "./dropped.js";
 import { watchPlan } from "./plan.js";
 import { SessionView } from "./session.js";
 import { isOfThisMachine } from "./link.js";
-import { text, withMarks } from "./texts.js";
+import { text, withMarks, withSigns } from "./texts.js";
 
 const VIEWS = ["calibrate", "import", "sessions", "session", "history"];
 const LOOKS = ["devices", "probe", "plan", "targets", "sessions", "history"]; // What the page asks for by itself.
@@ -288,7 +288,7 @@ function showUnderWay() {
     // Changed and not made anew: somebody may be about to press a button of it.
     const { words, newest, guide } = banners.get(job.job) ?? banner(job, name);
     words.textContent = clean(underWay(job, { name, accepted: counted?.accepted, planned: counted?.planned }, Boolean(job.told.page)));
-    newest.textContent = job.action === "emulate" ? "" : clean(withMarks(told.filter((value) => value.words).pop()?.words ?? "", "named"));
+    newest.textContent = job.action === "emulate" ? "" : clean(withSigns(withMarks(told.filter((value) => value.words).pop()?.words ?? "", "named")));
     guide.hidden = !job.told.page;
   }
 }

@@ -15,7 +15,7 @@ from imufield.deliver.parameters.context import Context
 from imufield.deliver.parameters.file import Parameters, from_document, to_document
 from imufield.deliver.report.data import ReportData
 from imufield.deliver.report.page import render_report
-from imufield.deliver.report.positions import draw_position, position_cards
+from imufield.deliver.report.positions import draw_position, position_cards, short_name, with_minus
 from imufield.guide.positions import cube_directions
 
 DIRECTIONS = cube_directions()
@@ -79,3 +79,19 @@ def test_sigma_is_that_of_the_residual(suspected: Parameters) -> None:
     cards, _ = position_cards(suspected)
     sigma_m_s2 = np.sqrt(0.5 * (1.9e-4**2 + 2e-8))
     assert float(cards[0].sigma) == pytest.approx(sigma_m_s2 / MICRO_G_M_S2, abs=3)
+
+
+@pytest.mark.parametrize(
+    ("words", "shown"),
+    [
+        ("near -y", "near \u2212y"), ("+x-y+z (2)", "+x\u2212y+z (2)"), ("-z-y up, on -y", "\u2212z\u2212y up, on \u2212y"),
+        ("x-45", "x-45"), ("'--without=free 2: near -y+z'", "'--without=free 2: near -y+z'"), ("--without=-y", "--without=-y"),
+        ("left-side", "left-side"), ("--zero", "--zero"), ("unit-x", "unit-x"),
+    ],
+)  # fmt: skip
+def test_a_side_has_a_minus_that_ends_no_line(words: str, shown: str) -> None:
+    assert with_minus(words) == shown
+
+
+def test_a_free_position_is_named_by_its_number_and_side() -> None:
+    assert short_name("free 7: near -y+z") == "7 \u2212y+z"
