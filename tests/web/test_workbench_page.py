@@ -187,6 +187,8 @@ def test_from_an_empty_folder_to_the_files(program: Program, screens: Screens, a
     page.get_by_label("CAL_ACC0_ID").fill("1310988")
     page.get_by_role("button", name="Make the file").click()
     wait_for(page, "#commands code", "export .*--to=px4 --set=accelerometer_id=1310988")
+    page.get_by_role("button", name="Make the report").click()
+    wait_for(page, "#made", r"report\.html")
     page.get_by_label("Program").select_option("c")
     assert not page.locator("#asked input").count()
     page.get_by_role("button", name="Make the file").click()

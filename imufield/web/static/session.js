@@ -455,7 +455,8 @@ export class SessionView {
     try {
       const job = await this.bench.run(action, values);
       if (job.code !== 0) throw new Error(complaint(job));
-      const { files, losses, notes } = job.found[0] ?? {};
+      // A command that prints no value says in lines what it made.
+      const { files, losses, notes } = job.found[0] ?? { notes: job.lines };
       at("made").replaceChildren(
         files ? make("p", {}, text("made", { names: files.map((/** @type {string} */ path) => this.bench.nameOf(path)).join(", ") })) : "",
         make(
