@@ -46,6 +46,8 @@ class _Upload:
     file: BinaryIO
     left: int
     heard_s: float
+    page: threading.Thread
+    """Of its connection: it ends with that."""
 
 
 class Uploads:
@@ -64,6 +66,8 @@ class Uploads:
     def begin(self, name: object, size: object, folder: object = None) -> Json:
         """Begin a file, in a folder of its own or one that an earlier file of the same recording was given.
 
+        It ends with the thread that calls this, which is that of the page.
+
         Raises
         ------
         UsageError
@@ -75,7 +79,7 @@ class Uploads:
         if (plain := _plain(name)).lower().endswith(".toml"):
             raise UsageError(sentence("transfers.no_recording", name=plain))
         with self._lock:
-            self._forget_silent()
+            self._forget_abandoned()
             if len(self._open) >= UPLOADS_AT_ONCE:
                 raise UsageError(sentence("transfers.too_many", limit=UPLOADS_AT_ONCE))
             identity = secrets.token_hex(ID_BYTES // 2)
@@ -91,7 +95,12 @@ class Uploads:
                 # It takes its name when it is whole: what a program that was killed leaves behind is no recording.
                 descriptor, beside = make_beside(path)
                 self._open[identity] = _Upload(
-                    path=path, beside=Path(beside), file=os.fdopen(descriptor, "wb"), left=size, heard_s=time.monotonic()
+                    path=path,
+                    beside=Path(beside),
+                    file=os.fdopen(descriptor, "wb"),
+                    left=size,
+                    heard_s=time.monotonic(),
+                    page=threading.current_thread(),
                 )
         return {"upload": identity, "folder": where.name}
 
@@ -136,10 +145,11 @@ class Uploads:
             for identity in [*self._open]:
                 self._drop(identity)
 
-    def _forget_silent(self) -> None:
-        """Drop the uploads of pages that went away."""
-        for identity in [name for name, upload in self._open.items() if time.monotonic() - upload.heard_s > GOOD_FOR_S]:
-            self._drop(identity)
+    def _forget_abandoned(self) -> None:
+        """Drop the uploads of pages that went away, or send no more of a file."""
+        for identity, upload in [*self._open.items()]:
+            if not upload.page.is_alive() or time.monotonic() - upload.heard_s > GOOD_FOR_S:
+                self._drop(identity)
 
     def _drop(self, identity: str) -> None:
         upload = self._open.pop(identity)

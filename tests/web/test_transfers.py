@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -98,6 +99,21 @@ def test_more_than_was_said_is_refused_and_leaves_nothing(page: Page, root: Path
     # Those of a page that went away make room.
     monkeypatch.setattr(transfers, "GOOD_FOR_S", 0.0)
     assert "answer" in page.ask({"upload": "x.csv", "size": 3})
+
+
+def test_an_upload_ends_with_its_page(served: Served, page: Page, root: Path) -> None:
+    begun = page.ask({"upload": "y.csv", "size": 3})["answer"]
+    before = {*threading.enumerate()}
+    with served.open() as line:
+        closed = Page(line)
+        for _ in range(transfers.UPLOADS_AT_ONCE - 1):
+            closed.ask({"upload": "x.csv", "size": 3})
+    for thread in {*threading.enumerate()} - before:
+        thread.join(WAIT_S)
+    assert "answer" in page.ask({"upload": "x.csv", "size": 3})
+    # Of those that ended nothing is left, and what another page sends goes on.
+    assert page.ask(begun["upload"].encode() + b"one")["answer"]["left"] == 0
+    assert len([*(root / UPLOADS).iterdir()]) == 2
 
 
 def test_a_giant_piece_closes_its_page_only(served: Served, page: Page) -> None:
