@@ -80,6 +80,20 @@ def test_a_torn_end_may_be_that_of_a_recording_under_way() -> None:
     assert all("or is still" in text for text in torn)
 
 
+def test_options_of_import_are_named_with_their_command() -> None:
+    """``apply`` reads the same tables and has none of them."""
+    first = re.compile(r"(imufield import )?--(?:set|columns|zero)\b(?! was given)")
+    of_tables = [
+        (key, named)
+        for key, text in sentences()
+        # One that begins with an option is of what was given.
+        if re.match(r"acquire/formats: table|pipeline: still_units|guide/lead: still_scales", key) and not text.startswith("--")
+        if (named := first.search(text))
+    ]
+    assert len(of_tables) > 20
+    assert [key for key, named in of_tables if named[1] is None] == []
+
+
 def test_no_private_words() -> None:
     found = [f"{key}: {text}" for key, text in sentences() if PRIVATE.search(text)]
     assert not found, "\n".join(found)

@@ -121,6 +121,7 @@ def test_a_heading_is_read_and_what_lies_still_is_assumed_aloud() -> None:
     assert settings_of(found) == {"columns": f"time,{GYROSCOPE_FIRST}", **units}
     (guess,) = (taken for taken in found.taken if taken.startswith("gyroscope_unit"))
     assert "assumed" in guess
+    assert "of capture" in guess  # A probe itself has no such option.
 
 
 def test_record_takes_them_and_says_so(program: Program) -> None:

@@ -149,6 +149,9 @@ def test_from_an_empty_folder_to_the_files(program: Program, screens: Screens, a
     person.stdin.flush()
     page = screens.open(address)
     assert "token" not in page.url
+    # What has a field on the page is named as that.
+    wait_for(page, "#plan-says", "Give “Latitude” and “Height” .* “measured gravity”")
+    wait_for(page, "#plan-says", "Give “Class of the instrument”, or imufield plan --noise-ug")
     page.get_by_text("by hand").click()
     page.get_by_label("Port", exact=True).fill(port)
     page.get_by_label("Latitude").first.fill("45")

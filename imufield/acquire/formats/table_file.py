@@ -239,5 +239,4 @@ def _check_no_step_back(source: Source, time: FloatArray | None, rows: Sequence[
         return
     row = int(np.argmax(steps_back)) + 1
     key = "table_file.guessed_time_back" if is_guess else "table_file.time_back"
-    example = {"width": source.width, "example": ",".join(FIELDS[: source.width])}
-    raise _fault(key, source, rows[row], before=time[row - 1], after=time[row], **example)
+    raise _fault(key, source, rows[row], before=time[row - 1], after=time[row], example=",".join(FIELDS[: source.width]))

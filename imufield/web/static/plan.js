@@ -1,7 +1,7 @@
 // How long a session takes with what was chosen, asked of the program whenever that changes.
 
 import { at, filled } from "./make.js";
-import { text, withSigns } from "./texts.js";
+import { text, withFields, withSigns } from "./texts.js";
 
 /**
  * @param {import("./bench.js").Bench} bench
@@ -24,7 +24,7 @@ export function watchPlan(bench, noise) {
         withSigns(
           [words, remedy, assumed]
             .filter(Boolean)
-            .map((part) => `${part[0].toUpperCase()}${part.slice(1).replace(/\.$/, "")}.`)
+            .map((part) => withFields(`${part[0].toUpperCase()}${part.slice(1).replace(/\.$/, "")}.`, "[data-view=calibrate]"))
             .join(" "),
         ),
       (/** @type {Error} */ error) => error.message,

@@ -3,7 +3,7 @@
 import { complaint } from "./bench.js";
 import { at, button, clean, filled, make, table } from "./make.js";
 import { barOf, drawSignals, readOverview } from "./plots.js";
-import { signed, text, when, withSigns } from "./texts.js";
+import { signed, text, when, withFields, withSigns } from "./texts.js";
 
 const PARAMETERS = "parameters.toml"; // Its button stands below the verdict, those of other files at the end.
 const MICRO_G = 9.80665e-6;
@@ -257,7 +257,7 @@ export class SessionView {
           ? make(
               "ul",
               {},
-              quality.warnings.map((/** @type {string} */ words) => make("li", {}, withSigns(words))),
+              quality.warnings.map((/** @type {string} */ words) => make("li", {}, withSigns(withFields(words, "#solve-place")))),
             )
           : null,
         make(

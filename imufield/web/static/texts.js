@@ -24,6 +24,17 @@ const NEGATIVE = /(?<![\w+=-])(?:-(?=\d)|(?:[+-][xyz])+(?![\w'+-]))/g;
 export const withSigns = (words) =>
   words.replace(NEGATIVE, (found) => found.replaceAll("-", "−")).replaceAll("^2", "²").replaceAll(" per root Hz", "/√Hz").replace(/(?<![\w-])u(?=g\b|rad\b)/g, "µ").replace(/ deg\b/g, "°").replace(/(?<![\d.])\+-(?=\d)/g, "±");
 
+/**
+ * Words that name options, with the fields of the page in place of those that it has; what is a command stays.
+ * @param {string} words @param {string} place a selector of what the fields are in
+ */
+export const withFields = (words, place) =>
+  words.replace(/(?<!imufield [^.;:]*)--([a-z]+(?:-[a-z]+)*)/g, (option, name) => {
+    const field = document.querySelector(`${place} :is([name="${name.replaceAll("-", "_")}"], #${name})`);
+    const label = field?.closest("label")?.firstChild?.textContent;
+    return label ? `“${label.trim().replace(/^or |,.*/gs, "")}”` : option;
+  });
+
 /** A number with its sign; what is rounded to zero has none. @param {number} value @param {number} digits */
 export function signed(value, digits) {
   const size = Math.abs(value).toFixed(digits);
