@@ -10,6 +10,7 @@ import numpy as np
 from imufield.dataclass import replace
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.samples.export_data import export_csv
+from imufield.errors import Reason, RecordingError
 from imufield.samples import Samples, SampleUnits, Status, TemperatureHold, require_possible_degc
 from imufield.sentences import Sentences
 
@@ -96,7 +97,8 @@ def apply_session(
     ParameterFileError
         If the parameters are for another instrument or other raw units.
     RecordingError
-        If the file cannot be written. In every case what stood under ``path`` before is untouched.
+        If the file cannot be written, or nothing of the recording can be corrected. In every case what stood under ``path``
+        before is untouched.
     """
     # Before the first block: the file must not begin with numbers of another instrument.
     parameters.check_instrument(serial_number)
@@ -104,8 +106,13 @@ def apply_session(
 
 
 def corrected_blocks(parameters: Parameters, blocks: Iterable[Samples], flags: TemperatureFlags) -> Iterator[Samples]:
-    """Yield blocks in SI, with the temperatures that were recorded, for raw blocks; raises as ``Parameters.apply``."""
+    """Yield blocks in SI, with the temperatures that were recorded, for raw blocks; raises as ``apply_session``."""
+    rows, is_empty = 0, True
     for block in blocks:
         flagged = flags.flag(block)
         _, force, rate = parameters.apply(flagged)
+        rows, is_empty = rows + len(force), is_empty and not (np.isfinite(force).any() or np.isfinite(rate).any())
         yield replace(block, accelerometer=force, gyroscope=rate, status=flagged.status, units=SampleUnits())
+    # Known at the end: a block without a value may be a gap. With an acceleration there is a specific force.
+    if rows and is_empty:
+        raise RecordingError(sentence("apply_session.nothing"), Reason.BAD_DATA)

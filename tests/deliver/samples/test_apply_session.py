@@ -97,6 +97,23 @@ def test_memory_does_not_grow_with_the_recording(loaded: Parameters, tmp_path: P
     assert peaks[1] < 1.2 * peaks[0]
 
 
+def test_rates_that_need_an_acceleration_which_is_not_there_are_refused(loaded: Parameters, tmp_path: Path) -> None:
+    found = loaded.calibration.gyroscope
+    assert found is not None
+    path = tmp_path / "corrected.csv"
+    sensitive, insensitive = (
+        replace(loaded, calibration=replace(loaded.calibration, gyroscope=replace(found, parameters=gyroscope)))
+        for gyroscope in (replace(found.parameters, g_sensitivity=np.eye(3) * size) for size in (1e-4, 0.0))
+    )
+    lacking = replace(block(), accelerometer=np.full((ROWS, 3), np.nan))
+    with refused(RecordingError, Reason.BAD_DATA, key="apply_session.nothing"):
+        apply_session(sensitive, [lacking, lacking], path)
+    assert not path.exists()
+    # A part of it may lack the acceleration, and a gyroscope alone is corrected where it needs none.
+    assert apply_session(sensitive, [lacking, block(1)], path) == 2 * ROWS
+    assert apply_session(insensitive, [lacking], path) == ROWS
+
+
 @pytest.fixture
 def warm(loaded: Parameters) -> Parameters:
     return replace(loaded, calibration=over_temperature(loaded.calibration, 1e-3))
