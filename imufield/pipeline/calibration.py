@@ -85,6 +85,8 @@ class SolveSettings:
     seed: int = 0
     without: tuple[str, ...] = ()
     """Names of positions to leave out."""
+    is_of_several: bool = False
+    """Whether other sessions are solved with it: a name to leave out may be one of theirs."""
     clock_sigma: float | None = None
     """1 sigma of the sample period, relative; None: by what clock it is."""
 

@@ -107,7 +107,7 @@ def solve_session(
         naming_damage(session, damage),
         task("solving"),
     ):
-        observations, left_out = leave_out(reading.observations, settings.without)
+        observations, left_out = leave_out(reading.observations, settings.without, may_lack=settings.is_of_several)
         between, best = reading.between(observations), reading.best
         is_import = session.record.kind == "import"
         of_recording = (*filter(None, (reading.saturated,)), *reading.refused, *reading.notes, *reading.lost)

@@ -9,6 +9,7 @@ import numpy as np
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
 from imufield.calibrate.model.grades import DEFAULT_GRADE, find_grade
+from imufield.calibrate.model.observations import require_named
 from imufield.calibrate.model.result import Quality, of_session
 from imufield.calibrate.model.temperature_polynomials import TriadTemperature
 from imufield.calibrate.temperature.fit import SessionPoints, TemperatureData, TemperatureFit, fit_temperature, fit_warnings
@@ -100,8 +101,8 @@ def over_temperature(
     recording one counts.
     """
     found: list[MarkedSession | RampMeans] = [base]
-    # Positions that are left out are those of the first session; the model is chosen once, or a term would be in some only.
-    others = replace(settings, without=(), model=base.parameters.calibration.model)
+    # The model is chosen once, or a term would be in some only.
+    others = replace(settings, is_of_several=True, model=base.parameters.calibration.model)
     for session in recorded:
         means = None if session.record.kind == "capture" else read_ramp(session, base.parameters)
         is_turned = (
@@ -115,6 +116,7 @@ def over_temperature(
     kept, copies = without_copies(found)
     ramps = [each for each in kept if isinstance(each, RampMeans)]
     sessions = [each.parameters for each in kept if isinstance(each, MarkedSession)]
+    require_named((table["name"] for each in sessions for table in each.document["position"]), settings.without)
     return with_temperature(base.parameters, sessions if len(sessions) > 1 else [], ramps, copies)
 
 
@@ -164,10 +166,7 @@ def with_temperature(
             quality = quality.lowered("usable", *fit.warnings).triad_lowered(triad, "usable")
     # The last comes first, as each goes before the others.
     for other in reversed(others):
-        name, found = other.context.session.name, other.calibration.quality
-        if found.suspects:
-            quality = quality.lowered(found.verdict, sentence("temperature.suspects", name=name))
-        quality = quality.joined(name, found)
+        quality = quality.joined(other.context.session.name, other.calibration.quality)
     return _joined(base, fits, sources=_sources(sessions, ramps), quality=quality)
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from imufield.acquire.decoded_session import session_protocol
 from imufield.acquire.recording.session import SETTINGS_FILE, Session
 from imufield.calibrate.model.grades import find_grade
+from imufield.calibrate.model.observations import require_named
 from imufield.calibrate.model.result import of_session
 from imufield.calibrate.sessions.joint import FEWEST, FEWEST_WITHOUT_PRIOR, Joint, SessionNumbers, adjust
 from imufield.calibrate.sessions.kinds import kind_of
@@ -142,7 +143,9 @@ def solve_together(
     # In order of time where all have one; else as they were named.
     if all(session.record.recorded for session in sessions):
         sessions = sorted(sessions, key=lambda session: session.record.recorded)
+    settings = replace(settings, is_of_several=True)
     every = _solved([SolveJob(session, settings, site) for session in sessions], workers)
+    require_named((table["name"] for each in every for table in each.parameters.document["position"]), settings.without)
     # Of copies the most complete counts.
     kept, copies = without_copies(sorted(every, key=lambda each: -len(each.parameters.document["position"])))
     solved = sorted(kept, key=every.index)

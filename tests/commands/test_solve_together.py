@@ -221,6 +221,26 @@ def test_what_made_the_worst_verdict_is_read_first(days: Days, monkeypatch: pyte
     assert "day0: it is usable" in quality.warnings
 
 
+def test_a_position_is_left_out_of_each_session_that_has_it(days: Days, monkeypatch: pytest.MonkeyPatch) -> None:
+    solved: dict[str, list[dict[str, Any]]] = {}
+
+    def solve(session: Session, *given: Any) -> Parameters:
+        found = solve_session(session, *given)
+        solved[session.name] = found.document["position"]
+        return found
+
+    monkeypatch.setattr(together, "solve_session", solve)
+    sessions = [Session.open(folder) for folder in days.folders]
+    together.solve_together(sessions[1:], SolveSettings(model="linear"), workers=1)
+    names = [{table["name"] for table in tables} for tables in solved.values()]
+    only = min(names[1] - names[0])
+    together.solve_together(sessions[1:], SolveSettings(model="linear", without=(only,)), workers=1)
+    left_out = {name: [table["name"] for table in tables if not table["used"]] for name, tables in solved.items()}
+    assert left_out == {"day1": [], "day2": [only]}
+    with refused(UsageError, Reason.USAGE, key="observations.not_there"):
+        together.solve_together(sessions[1:], SolveSettings(model="linear", without=("nowhere",)), workers=1)
+
+
 def test_one_session_is_too_few(days: Days, tmp_path: Path) -> None:
     with refused(CalibrationError, Reason.TOO_FEW, key="together.too_few"):
         run_solve(SolveOptions(sessions=days.folders[:1], together=True, output=tmp_path / "o.toml"))

@@ -25,11 +25,12 @@ from imufield.deliver.report.data import ReportData
 from imufield.deliver.report.over_temperature import temperature_curves
 from imufield.deliver.report.page import render_report
 from imufield.earth import MILLI_G_M_S2, Gravity
-from imufield.errors import CalibrationError, ParameterFileError, Reason, RecordingError
+from imufield.errors import CalibrationError, ParameterFileError, Reason, RecordingError, UsageError
 from imufield.guide.positions import scheme
+from imufield.pipeline import temperature
 from imufield.pipeline.calibration import SolveInput, SolveSettings, calibrate
 from imufield.pipeline.solving import lost_by_replacing, solve_session
-from imufield.pipeline.temperature import RampMeans, read_ramp, with_temperature
+from imufield.pipeline.temperature import MarkedSession, RampMeans, read_ramp, with_temperature
 from imufield.samples import SampleUnits
 from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
 from imufield.simulate.truth.imu import ImuSettings
@@ -251,6 +252,25 @@ def judged(session: Parameters, verdict: str, *warnings: str, suspects: tuple[st
     return replace(session, calibration=replace(session.calibration, quality=quality), of_recording=("cut short",))
 
 
+def test_a_position_of_any_session_may_be_left_out(
+    sessions: tuple[Parameters, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its file is not read: what it is solved with is looked at, and refused where no session has the name."""
+    cold, base, _ = sessions
+    given: list[SolveSettings] = []
+
+    def solve(_session: Session, settings: SolveSettings, *_: object) -> Parameters:
+        given.append(settings)
+        return cold
+
+    monkeypatch.setattr(temperature, "solve_session", solve)
+    recorded = Session.create(tmp_path, "imu", {"kind": "capture"})
+    settings = SolveSettings(without=("nowhere",))
+    with refused(UsageError, Reason.USAGE, key="observations.not_there"):
+        temperature.over_temperature(MarkedSession(base), [recorded], settings)
+    assert [(each.without, each.is_of_several) for each in given] == [(("nowhere",), True)]
+
+
 def test_no_session_is_worse_than_the_verdict_and_each_is_heard(sessions: tuple[Parameters, ...]) -> None:
     cold, base, warm = sessions
     usable, poor = judged(cold, "usable", "it warmed up"), judged(warm, "poor", "two", "three", suspects=("+x",))
@@ -265,8 +285,6 @@ def test_no_session_is_worse_than_the_verdict_and_each_is_heard(sessions: tuple[
     ]
     # Positions of the file itself: the workbench offers to repeat them.
     assert quality.suspects == ()
-    # What a person is told to type for it would leave out a position of the first session.
-    assert [words.values["name"] for words in told(quality.warnings, "temperature.suspects")] == ["at 55"]
     assert {"at -18: cut short", "at 55: cut short"} <= set(quality.details)
     quality = with_temperature(base, [usable, base, warm], [ramp()]).calibration.quality
     assert (quality.verdict, quality.accelerometer_verdict) == ("usable", "usable")

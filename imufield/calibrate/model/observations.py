@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,23 +97,34 @@ def join_observations(first: Observations, second: Observations) -> Observations
     return Observations(name=name, units=first.units, left_out=left_out, **joined)
 
 
-def leave_out(observations: Observations, names: Collection[str]) -> tuple[Observations, Observations]:
+def leave_out(
+    observations: Observations, names: Collection[str], *, may_lack: bool = False
+) -> tuple[Observations, Observations]:
     """Return the observations without those of some names, and those; "free 3" names "free 3: near +x".
 
     Raises
     ------
     UsageError
-        If there is no observation of a name.
+        If there is no observation of a name, which may be one of another session where it ``may_lack``.
     """
-    known, meant = list(observations.name), list[str]()
-    for name in names:
-        # The name itself goes first.
-        found = [each for each in known if each == name] or [each for each in known if each.startswith(f"{name}: near ")]
-        if not found:
-            raise UsageError(sentence("observations.not_there", name=name, known=known), names=known)
-        meant += found
-    out = np.array([name in meant for name in known], dtype=np.bool_)
+    if not may_lack:
+        require_named(observations.name, names)
+    meant = [each for name in names for each in _named(observations.name, name)]
+    out = np.array([name in meant for name in observations.name], dtype=np.bool_)
     return replace(observations[~out], left_out=(*observations.left_out, *meant)), observations[out]
+
+
+def require_named(known: Iterable[str], names: Collection[str]) -> None:
+    """Raise ``UsageError`` where one of the names is that of no position that is known."""
+    known = list(dict.fromkeys(known))
+    for name in names:
+        if not _named(known, name):
+            raise UsageError(sentence("observations.not_there", name=name, known=known), names=known)
+
+
+def _named(known: Sequence[str], name: str) -> list[str]:
+    # The name itself goes first.
+    return [each for each in known if each == name] or [each for each in known if each.startswith(f"{name}: near ")]
 
 
 def count_repeats_once(observations: Observations) -> tuple[Observations, tuple[str, ...]]:

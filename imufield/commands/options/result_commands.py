@@ -149,6 +149,7 @@ class SolveOptions:
             grade=None if self.grade is None else one_of("grade", self.grade, tuple(GRADES)),
             seed=self.seed,
             without=tuple(self.without or ()),
+            is_of_several=bool(self.temperature),
             clock_sigma=None if self.clock_sigma_ppm is None else 1e-6 * self.clock_sigma_ppm,
         )
 
