@@ -94,7 +94,7 @@ class StillnessDetector:
         self.in_hand = False  # Whether ``phase`` and ``stretch`` are those of a unit in the hand.
         # The longest stretch as still as on a table within the latest hold in the hand, once it ended.
         self.stillest: Stretch | None = None
-        self._bias: list[float] = []  # Gyroscope at rest, raw rate, from the last still stretch; empty without a gyroscope.
+        self._rest: list[float] = []  # Raw rates (6) at rest, from the last still stretch; empty without a gyroscope.
         self._waiting: list[Cells] = []
         self._cells_waiting = 0
         self._tail: list[Cells] = []  # The last of those that wait, joined; a window may begin there.
@@ -200,8 +200,8 @@ class StillnessDetector:
         self.floor = floor
         for tracker in self._trackers:
             tracker.standard = Standard.of(floor, noise_limits(floor, self.scale, tracker.allowances))
-        if not self._bias and floor.has_gyroscope:
-            self._bias = floor.mean[3:].tolist()
+        if not self._rest and floor.has_gyroscope:
+            self._rest = floor.mean.tolist()
 
     def _judge_under_one_floor(self, cells: Cells, start: int) -> Iterator[Judgement]:
         standard = self._table.standard
@@ -220,7 +220,7 @@ class StillnessDetector:
                         JudgedCell(cells, start + offset, ratio[offset], mean),
                         # One lost cell between two is bridged.
                         unbroken=gap in (1, 2) and timed[offset],
-                        bias=self._bias,
+                        rest=self._rest,
                     )
                     for tracker, ratio in zip(self._trackers, vibration, strict=True)
                 ]
@@ -288,8 +288,8 @@ class StillnessDetector:
             return
         cells = stretch.cells()
         inner = cells[len(cells) // 4 : len(cells) - len(cells) // 4]
-        if self._bias:
-            self._bias = np.where(np.isnan(mean := np.nanmean(inner.mean[:, 3:], axis=0)), self._bias, mean).tolist()
+        if self._rest:
+            self._rest = np.where(np.isnan(mean := np.nanmean(inner.mean, axis=0)), self._rest, mean).tolist()
         quieter = measure_floor(inner)
         if quieter.samples_per_cell < FEW_SAMPLES and len(inner) < cells_in(FLOOR_S):
             # Few samples look quieter than they are by chance.

@@ -19,6 +19,10 @@ _CHANGE_SIGMAS = 5.0
 _OFFSET_RATIO = 1.5
 # Without a known scale the limit is a multiple of the noise alone: a quiet MEMS gyroscope changes by that from side to side.
 _OFFSET_RATIO_UNSCALED = 15.0
+# And one with a g-sensitivity of some deg/s/g by that; what turns there as slowly has rested on that side before.
+_OFFSET_RATIO_OTHER_SIDE = 100.0
+OTHER_SIDE = 0.2
+"""Change of the force, relative to it, from which on another side is up: 11 degrees."""
 _UNLIKELY = 14.0  # exp(-14) is once in a million cells.
 
 
@@ -77,6 +81,8 @@ class Limits:
     change: FloatArray
     gyroscope_offset: float
     """Largest change ratio of the gyroscope against its last known bias."""
+    offset_on_other_side: float
+    """The same where another side is up than in the stretch that shows it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,6 +134,7 @@ def noise_limits(floor: NoiseFloor, scale: RoughScale, allowances: Allowances = 
         np.where(vibration > 0, vibration, np.inf),
         np.where(change > 0, change, np.inf),
         _OFFSET_RATIO if scale.gyroscope else _OFFSET_RATIO_UNSCALED,
+        _OFFSET_RATIO if scale.gyroscope else _OFFSET_RATIO_OTHER_SIDE,
     )
 
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imufield.guide.stillness.cells import Cells, cells_in, join_cells
-from imufield.guide.stillness.limits import Allowances, Limits
+from imufield.guide.stillness.limits import OTHER_SIDE, Allowances, Limits
 from imufield.guide.stillness.noise_floor import NoiseFloor
 
 # The activity that ends a stretch. One begins at 1: without this hysteresis a unit at the limit would flicker.
@@ -102,7 +102,7 @@ class Standard(NamedTuple):
         return cls(limits, weight.tolist(), floor.samples_per_cell)
 
 
-_NO_STANDARD = Standard(Limits(np.full(6, np.inf), np.full(6, np.inf), 1.0), [0.0] * 6, 0.0)
+_NO_STANDARD = Standard(Limits(np.full(6, np.inf), np.full(6, np.inf), 1.0, 1.0), [0.0] * 6, 0.0)
 
 
 class JudgedCell(NamedTuple):
@@ -136,7 +136,7 @@ class Tracker:
         self.stretch = Stretch(self._longest)
         self.phase = Phase.MOVING
 
-    def follow(self, cell: JudgedCell, *, unbroken: bool, bias: list[float]) -> Judgement:
+    def follow(self, cell: JudgedCell, *, unbroken: bool, rest: list[float]) -> Judgement:
         """Judge one cell.
 
         Parameters
@@ -144,8 +144,8 @@ class Tracker:
         cell : JudgedCell
         unbroken : bool
             Whether it follows the one before.
-        bias : list of float
-            Last known bias of the gyroscope, raw rate; empty without one.
+        rest : list of float
+            Raw rates (6) of the last stretch that shows the bias of the gyroscope; empty without a gyroscope.
         """
         cells, row, vibration, mean = cell
         activity = max(vibration, self._change_ratio(mean))
@@ -156,7 +156,8 @@ class Tracker:
                 return Judgement(Phase.STILL, cells, row, reference, limits=limits)
             ended = self.stretch
             self._passed.clear()
-            self._begin(cell, bias)
+            # What it showed of the rest is learned with the next cell: a turn on its side is none of another side.
+            self._begin(cell, rest and ended.mean)
             return Judgement(self.phase, cells, row, reference, ended=ended, limits=limits)
         if not unbroken:
             self._passed.clear()
@@ -167,7 +168,7 @@ class Tracker:
             if self.phase is Phase.STILL:
                 self._reach_back()
         else:
-            self._begin(cell, bias)
+            self._begin(cell, rest)
         return Judgement(self.phase, cells, row, reference, limits=limits)
 
     def _reach_back(self) -> None:
@@ -182,14 +183,17 @@ class Tracker:
             for cell in passed[begin:]:
                 self.stretch.add(cell.cells, cell.row, cell.mean)
 
-    def _begin(self, cell: JudgedCell, bias: list[float]) -> None:
+    def _begin(self, cell: JudgedCell, rest: list[float]) -> None:
         """Begin a candidate with this cell if it could be the first of a stretch."""
         self._drop()
-        weight, offset = self.standard.change_weight, 0.0
-        if bias:
-            offset = math.hypot(*((cell.mean[i] - bias[i - 3]) * weight[i] for i in range(3, 6)))
+        weight, limits, offset = self.standard.change_weight, self.standard.limits, 0.0
+        limit = limits.gyroscope_offset
+        if rest:
+            offset = math.hypot(*((cell.mean[i] - rest[i]) * weight[i] for i in range(3, 6)))
+            if math.dist(cell.mean[:3], rest[:3]) > OTHER_SIDE * math.hypot(*rest[:3]):
+                limit = limits.offset_on_other_side
         # A cell without a value of the gyroscope, NaN, is judged by the accelerometer alone.
-        if cell.vibration <= 1 and not offset > self.standard.limits.gyroscope_offset:
+        if cell.vibration <= 1 and not offset > limit:
             self.stretch.add(cell.cells, cell.row, cell.mean)
             self.phase = Phase.SETTLING
 
