@@ -10,8 +10,10 @@ from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
 from imufield.calibrate.model.grades import DEFAULT_GRADE, find_grade
 from imufield.calibrate.model.observations import require_named
-from imufield.calibrate.model.result import Quality, of_session
+from imufield.calibrate.model.result import Calibration, Quality, of_session
 from imufield.calibrate.model.temperature_polynomials import TriadTemperature
+from imufield.calibrate.sessions.verdict import judged_by_sigma
+from imufield.calibrate.temperature.at_temperature import calibration_at
 from imufield.calibrate.temperature.fit import SessionPoints, TemperatureData, TemperatureFit, fit_temperature, fit_warnings
 from imufield.calibrate.temperature.one_pose import gyroscope_sentence, pose_sentence
 from imufield.calibrate.temperature.points import accelerometer_points, gyroscope_points
@@ -160,14 +162,18 @@ def with_temperature(
     told += [note for fit in fits.values() for note in fit.notes]
     others = [session for session in sessions if session is not base]
     told += [of_session(other.context.session.name, reason) for other in others for reason in other.of_recording]
-    quality = base.calibration.quality.with_reasons(*told)
+    calibration = _over_temperature(base.calibration, fits)
+    quality = _judged_over_temperature(base.calibration.quality.with_reasons(*told), calibration)
     for triad, fit in fits.items():
         if fit.warnings:
             quality = quality.lowered("usable", *fit.warnings).triad_lowered(triad, "usable")
     # The last comes first, as each goes before the others.
     for other in reversed(others):
         quality = quality.joined(other.context.session.name, other.calibration.quality)
-    return _joined(base, fits, sources=_sources(sessions, ramps), quality=quality)
+    calibration = replace(calibration, quality=quality)
+    document = base.document | {"quality": base.document["quality"] | judgement(quality)}
+    document.pop("integrity", None)
+    return from_document(add_temperature(document, calibration, _sources(sessions, ramps)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -327,19 +333,21 @@ def _sources(sessions: Sequence[Parameters], ramps: Sequence[RampMeans]) -> tupl
     return (*of_sessions, *of_ramps)
 
 
-def _joined(
-    base: Parameters, fits: Mapping[str, _TriadFit], *, sources: tuple[TemperatureSource, ...], quality: Quality
-) -> Parameters:
-    """Return the parameters with what was found."""
-    gyroscope = base.calibration.gyroscope
+def _over_temperature(base: Calibration, fits: Mapping[str, _TriadFit]) -> Calibration:
+    """Return a calibration with what was found."""
+    gyroscope = base.gyroscope
     if gyroscope is not None and "gyroscope" in fits and fits["gyroscope"].temperature is not None:
         gyroscope = replace(gyroscope, temperature=fits["gyroscope"].temperature)
-    calibration = replace(
-        base.calibration,
-        quality=quality,
-        accelerometer_temperature=fits["accelerometer"].temperature,
-        gyroscope=gyroscope,
-    )
-    document = base.document | {"quality": base.document["quality"] | judgement(quality)}
-    document.pop("integrity", None)
-    return from_document(add_temperature(document, calibration, sources))
+    return replace(base, accelerometer_temperature=fits["accelerometer"].temperature, gyroscope=gyroscope)
+
+
+def _judged_over_temperature(quality: Quality, calibration: Calibration) -> Quality:
+    """Return a verdict that holds at both ends of the range, where polynomials are least sure."""
+    model = calibration.accelerometer_temperature
+    for end_degc in () if model is None else model.range_degc:
+        remedy = sentence("temperature.remedy", end=end_degc)
+        judged = judged_by_sigma(quality, calibration_at(calibration, end_degc), remedy)
+        # Both ends are mostly as unsure for one reason, which is said once.
+        if len(judged.warnings) > len(quality.warnings):
+            return judged
+    return quality

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from imufield.acquire.recording.session import Session
+from imufield.calibrate.accelerometer.quality import USABLE_SCALE_SIGMA
 from imufield.calibrate.model.budget import combined_sigma
 from imufield.calibrate.model.coverage_factors import student_factor
 from imufield.calibrate.model.models import at_temperature, predict, predict_gyroscope
@@ -66,14 +67,17 @@ def outputs(force: np.ndarray, of_axes_degc: np.ndarray) -> np.ndarray:
     return np.column_stack([*of_axes])
 
 
-def observed(temperature_degc: float, sensor_offset_degc: tuple[float, ...] = ()) -> Observations:
+def observed(
+    temperature_degc: float, sensor_offset_degc: tuple[float, ...] = (), *, noise_m_s2: float = NOISE_M_S2, day: float = 1.0
+) -> Observations:
+    """Return what positions show, of a day whose scale is ``day`` times the usual one."""
     rng, up = np.random.default_rng(int(temperature_degc) + 50), scheme("paper24").directions()
     m = len(up)
     output = outputs(GRAVITY.gravity_m_s2 * up, temperature_degc + np.array((*sensor_offset_degc, 0, 0, 0)[:3]))
     return Observations(
         name=tuple(position.name for position in scheme("paper24").positions),
-        mean_raw=output + NOISE_M_S2 * rng.normal(size=output.shape),
-        covariance_raw=np.broadcast_to(NOISE_M_S2**2 * np.eye(3), (m, 3, 3)),
+        mean_raw=day * output + noise_m_s2 * rng.normal(size=output.shape),
+        covariance_raw=np.broadcast_to(noise_m_s2**2 * np.eye(3), (m, 3, 3)),
         gyroscope_mean_raw=np.full((m, 3), np.nan),
         gyroscope_covariance_raw=np.full((m, 3, 3), np.nan),
         gyroscope_rounding_raw=np.zeros((m, 3)),
@@ -92,8 +96,10 @@ def solved(
     serial_number: str = "A1",
     gravity: Gravity = GRAVITY,
     sensor_offset_degc: tuple[float, ...] = (),
+    noise_m_s2: float = NOISE_M_S2,
+    day: float = 1.0,
 ) -> Parameters:
-    observations = observed(temperature_degc, sensor_offset_degc)
+    observations = observed(temperature_degc, sensor_offset_degc, noise_m_s2=noise_m_s2, day=day)
     context = Context(
         instrument=InstrumentFacts(serial_number=serial_number),
         session=SessionFacts(
@@ -199,6 +205,20 @@ def test_neither_gauge_nor_an_assumed_gravity_changes_what_is_found(sessions: tu
     assert np.all(there.accelerometer_sigma.scale > 1e-3)
 
 
+@pytest.mark.parametrize(("day_change", "verdict"), [(0.0, "good"), (7e-4, "usable")])
+def test_a_scale_that_days_leave_unsure_is_not_good(day_change: float, verdict: str) -> None:
+    """Each session is good, and none contradicts the others: they are as noisy as their days differ."""
+    at_degc, signs = (0.0, 10.0, 20.0, 30.0, 40.0), (1, -1, 1, 1, -1)
+    days = [solved(degc, noise_m_s2=5e-3, day=1 + sign * day_change) for degc, sign in zip(at_degc, signs, strict=True)]
+    assert {session.calibration.quality.verdict for session in days} == {"good"}
+    joint = with_temperature(days[2], days, [])
+    sigma = max(float(joint.at(degc).calibration.accelerometer_sigma.scale.max()) for degc in (at_degc[0], at_degc[-1]))
+    assert (sigma > USABLE_SCALE_SIGMA) is (verdict == "usable")
+    quality = joint.calibration.quality
+    assert (quality.verdict, quality.accelerometer_verdict) == (verdict, verdict)
+    assert len(quality.warnings) == (verdict == "usable")
+
+
 def test_the_budget_stays_that_of_the_reference(sessions: tuple[Parameters, ...]) -> None:
     joined = with_temperature(sessions[1], (sessions[0], sessions[2]), [ramp()])
     variances = np.diag(joined.calibration.covariance)
@@ -239,10 +259,10 @@ def test_one_pose_alone_is_never_good_and_sessions_keep_their_verdict(sessions: 
     one_pose = with_temperature(base, [], [ramp()]).calibration.quality
     assert one_pose.verdict == one_pose.accelerometer_verdict == "usable"
     assert "one_pose.pose" in keys(one_pose.warnings)
-    # Three sessions show a straight line, which the bias is not.
+    # Three sessions show a straight line, which the bias is not, and what they differ from it by is sigma, too.
     bent = with_temperature(base, sessions, []).calibration.quality
     assert bent.verdict == "usable"
-    assert keys(bent.warnings) == ["fit.scatter"]
+    assert keys(bent.warnings) == ["fit.scatter", "quality.bias_sigma"]
     assert with_temperature(base, sessions, [ramp()]).calibration.quality.verdict == "good"
 
 

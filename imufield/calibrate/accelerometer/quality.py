@@ -23,7 +23,7 @@ from imufield.dataclass import dataclass
 from imufield.earth import MILLI_G_M_S2, Gravity, contradiction
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray
-from imufield.sentences import Sentences
+from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
 
@@ -113,7 +113,8 @@ def judge(evidence: Evidence) -> Quality:
     poor = _outlier_sentences(evidence, "quality.gross_outlier", gross)
     poor += poor_sentences(None if fitted.solved.converged else fitted.solved.message, freedom, without)
     mild = _outlier_sentences(evidence, "quality.outlier", [outlier for outlier in outliers if outlier not in gross])
-    cautions = [*_position_sentences(evidence), *mild, *_cautions(evidence), *_sigma_sentences(evidence)]
+    coarse = sigma_sentences(fitted.vector, evidence.known.sigma, evidence.gravity)
+    cautions = [*_position_sentences(evidence), *mild, *_cautions(evidence), *coarse]
     return Quality(
         residual_rms_m_s2=residual_rms,
         residual_max_m_s2=float(np.abs(fitted.residual_m_s2).max()),
@@ -250,22 +251,32 @@ def _unobservable_sentence(evidence: Evidence) -> str:
     return sentence(key, names=[_words(name) for name in hidden], costs=told_costs)
 
 
-def _sigma_sentences(evidence: Evidence) -> list[str]:
-    relative = evidence.known.sigma[SCALE] / np.abs(evidence.fitted.vector[SCALE])
-    bias = evidence.known.sigma[BIAS]
+def sigma_sentences(vector: FloatArray, sigma: FloatArray, gravity: Gravity, remedy: Sentence | None = None) -> list[str]:
+    """Return what of scale and bias is too uncertain for a good verdict, of one session or of several as one.
+
+    Parameters
+    ----------
+    vector, sigma : ndarray, shape (15,)
+        Parameters and 1 sigma.
+    gravity : Gravity
+    remedy : Sentence, optional
+        What makes them surer; by default more positions.
+    """
+    relative, bias = sigma[SCALE] / np.abs(vector[SCALE]), sigma[BIAS]
+    remedy = remedy or sentence("quality.more_positions")
     reasons: list[str] = []
     # Written so that NaN (no uncertainty at all) counts as too large.
-    if not np.all(relative <= USABLE_SCALE_SIGMA) and evidence.gravity.source != "assumed":
-        by_gravity = evidence.gravity.sigma_m_s2 / evidence.gravity.gravity_m_s2
+    if not np.all(relative <= USABLE_SCALE_SIGMA) and gravity.source != "assumed":
+        by_gravity = gravity.sigma_m_s2 / gravity.gravity_m_s2
         # Half of the variance: more positions leave that as it is.
         key = "quality.scale_sigma_by_gravity" if 2 * by_gravity**2 > relative.max() ** 2 else "quality.scale_sigma"
         key = key if np.isfinite(relative).all() else "quality.no_scale_sigma"
         sizes_ppm = {"sigma_ppm": relative.max() * 1e6, "gravity_ppm": by_gravity * 1e6, "limit_ppm": USABLE_SCALE_SIGMA * 1e6}
-        reasons.append(sentence(key, **sizes_ppm))
+        reasons.append(sentence(key, remedy=remedy, **sizes_ppm))
     if not np.all(bias <= USABLE_BIAS_SIGMA_M_S2):
         key = "quality.bias_sigma" if np.isfinite(bias).all() else "quality.no_bias_sigma"
         limit_mg = USABLE_BIAS_SIGMA_M_S2 / MILLI_G_M_S2
-        reasons.append(sentence(key, sigma_mg=bias.max() / MILLI_G_M_S2, limit_mg=limit_mg))
+        reasons.append(sentence(key, remedy=remedy, sigma_mg=bias.max() / MILLI_G_M_S2, limit_mg=limit_mg))
     return reasons
 
 

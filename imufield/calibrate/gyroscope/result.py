@@ -192,9 +192,6 @@ def joint_result(solution: JointSolution) -> GyroscopeResult:
     are_enough = turns_tell_scatter(fitted.scatter, now.jacobian[:, fitted.free], fitted.parts)
     few = (sentence("result.few_moves", moves=m),) if m and not are_enough else ()
     gyroscope = result.calibration
-    # NaN where a scale is not observable, which is said elsewhere.
-    sigma_ppm = 1e6 * float(np.nan_to_num(np.abs(gyroscope.sigma.scale / gyroscope.parameters.scale)).max())
-    coarse = _beyond("result.coarse", sigma_ppm, _SCALE_SIGMA_LIMIT_PPM)
     nominal = solution.given.nominal_scale or (
         1.0 if solution.given.observations.units.gyroscope_rate_unit == "rad/s" else np.nan
     )
@@ -212,13 +209,20 @@ def joint_result(solution: JointSolution) -> GyroscopeResult:
         turns=turns,
         unobservable=observability.hidden_names,
         reasons=_reasons(solution, moves, turns),
-        cautions=(*few, *coarse, *off_unit, *worse, *(linearity.sentences if linearity.matters else ())),
+        cautions=(*few, *coarse_scale(gyroscope), *off_unit, *worse, *(linearity.sentences if linearity.matters else ())),
         faults=(*unsettled, *apart),
     )
 
 
-def _beyond(key: str, found: float, limit: float) -> tuple[Sentence, ...]:
-    return (sentence(key, found=found, limit=limit),) if found > limit else ()
+def coarse_scale(gyroscope: GyroscopeCalibration, remedy: Sentence | None = None) -> tuple[Sentence, ...]:
+    """Return that the scale is too uncertain for a good verdict, of one session or of several as one; nothing if it is not."""
+    # NaN where a scale is not observable, which is said elsewhere.
+    sigma_ppm = 1e6 * float(np.nan_to_num(np.abs(gyroscope.sigma.scale / gyroscope.parameters.scale)).max())
+    return _beyond("result.coarse", sigma_ppm, _SCALE_SIGMA_LIMIT_PPM, remedy=remedy or sentence("result.more_positions"))
+
+
+def _beyond(key: str, found: float, limit: float, **told: Sentence) -> tuple[Sentence, ...]:
+    return (sentence(key, found=found, limit=limit, **told),) if found > limit else ()
 
 
 def static_bias_result(

@@ -11,7 +11,6 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from imufield.calibrate.accelerometer.quality import USABLE_BIAS_SIGMA_M_S2
 from imufield.calibrate.model.budget import Kind, Share, picked, root_of
 from imufield.calibrate.model.coverage_factors import NORMAL_FACTOR_95
 from imufield.calibrate.model.gauge import intrinsic, make_intrinsic
@@ -30,6 +29,7 @@ from imufield.calibrate.model.result import (
 from imufield.calibrate.model.uncertainty import rms
 from imufield.calibrate.sessions.joint import Joint, SessionNumbers
 from imufield.calibrate.sessions.kinds import PPM, SCALES, kind_of, of_gyroscope
+from imufield.calibrate.sessions.verdict import judged_by_sigma
 from imufield.dataclass import dataclass, replace
 from imufield.deliver.parameters.context import Context, DayToDay, JoinedSession, SessionFacts, Together, now_text
 from imufield.deliver.parameters.file import Parameters, from_document, to_document
@@ -149,9 +149,9 @@ def joined_parameters(
         What lowers the verdict, and what does not.
     """
     base = joined.parameters[joined.base].calibration
-    quality = _quality(joined, joint, warnings, notes)
     shared = _shared(joined.shared, joint.names)
     calibration = _calibration(base, joint, shared, reference)
+    quality = judged_by_sigma(_quality(joined, joint, warnings, notes), calibration, sentence("joined.remedy"))
     context = _context(joined, joint, dict(zip(joint.names, np.diag(shared).tolist(), strict=True)))
     return from_document(to_document(replace(calibration, quality=quality), _no_observations(), context))
 
@@ -264,11 +264,6 @@ def _quality(joined: JoinedFrom, joint: Joint, warnings: Sequence[str], notes: S
     # The last comes first, as each goes before the others.
     for parameters in reversed(joined.parameters):
         quality = quality.joined(parameters.context.session.name, parameters.calibration.quality)
-    bias = joint.daily.get("bias")
-    largest_m_s2 = 0.0 if bias is None else float(bias.day_sigma.max()) * MILLI_G_M_S2
-    if largest_m_s2 > USABLE_BIAS_SIGMA_M_S2:
-        figures = {"sigma_mg": largest_m_s2 / MILLI_G_M_S2, "limit_mg": USABLE_BIAS_SIGMA_M_S2 / MILLI_G_M_S2}
-        quality = quality.lowered("usable", sentence("joined.day_sigma", **figures))
     return quality
 
 
