@@ -63,7 +63,7 @@ class Entry:
     """Infinite where it is not known."""
     numbers: tuple[Number, ...]
     setup: str
-    """Positions and model: sessions that share them share what the model leaves out."""
+    """Model and sides that were up, in no order: sessions that share them share what the model leaves out."""
     error: tuple[float, ...]
     """Covariances of ``GaugeFree``: the upper triangle, row by row."""
     scatter: tuple[float, ...]
@@ -82,9 +82,7 @@ class Entry:
     def of(cls, path: str, parameters: Parameters) -> Entry:
         """Return the entry of a loaded file; raises as ``Parameters.gauge_free``."""
         context, calibration = parameters.context, parameters.calibration
-        positions = parameters.document["position"]
         found = parameters.gauge_free()
-        names = " ".join(sorted(position["name"] for position in positions))
         temperature_degc = float(np.mean(context.session.temperature_degc))
         linear, parameters_fitted = found.linear, calibration.quality.parameters_fitted
         noise = np.inf if context.noise is None else context.noise.gyroscope_density_rad_s_per_sqrt_hz
@@ -102,7 +100,7 @@ class Entry:
             gyroscope_noise_rad_s_per_root_hz=float(np.max(np.nan_to_num(noise, nan=np.inf))),
             numbers=found.numbers,
             # A drift shows in the number of parameters.
-            setup=f"{calibration.model} {parameters_fitted} {names}",
+            setup=f"{calibration.model} {parameters_fitted} {_sides(parameters)}",
             error=_triangle(found.error),
             scatter=_triangle(found.scatter),
             edited=parameters.edited,
@@ -166,10 +164,10 @@ class Entry:
         """The setup in the linear model."""
         if not self.linear:
             return self.setup
-        _, parameters, names = self.setup.split(" ", 2)
+        _, parameters, sides = self.setup.split(" ", 2)
         own = self.numbers[linear_places(self.numbers)[0]]
         # What the residuals gain is what is fitted no more.
-        return f"linear {int(parameters) - round(self.linear[0] - own.scatter_freedom)} {names}"
+        return f"linear {int(parameters) - round(self.linear[0] - own.scatter_freedom)} {sides}"
 
     def in_linear_model(self) -> Entry:
         """Return the same as the linear model has it."""
@@ -182,6 +180,16 @@ class Entry:
         known = "assumed" not in (self.gravity_source, other.gravity_source)
         same = abs(self.gravity_m_s2 - other.gravity_m_s2) < SAME_GRAVITY_M_S2
         return Shared(gravity=known and same, setup=self.setup == other.setup)
+
+
+def _sides(parameters: Parameters) -> str:
+    """Return which sides of a cube, edges and corners among them, were up: as planned, or as measured where nothing was."""
+    used, rows = parameters.calibration.accelerometer, parameters.document["position"]
+    planned, raw = (np.array([row[key] for row in rows], dtype=np.float64).reshape(-1, 3) for key in ("direction", "mean_raw"))
+    up = np.where(np.isfinite(planned), planned, (raw - used.offset) / used.scale)
+    # Placements differ by some 5 degrees; from here to another side it is 16 at least.
+    sides = np.rint(up / np.abs(up).max(axis=1, keepdims=True)).astype(np.int64)
+    return str(sorted(sides.tolist()))
 
 
 def _triangle(square: FloatArray) -> tuple[float, ...]:

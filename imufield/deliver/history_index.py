@@ -23,7 +23,7 @@ State = str
 """Size of a file in bytes, and time of its last change in ns: what tells that it is still the one that was read."""
 
 # In the name of the index: programs of two versions have one each. Raise it where entries or judgements hold other things.
-INDEX_VERSION = 17
+INDEX_VERSION = 18
 _IN_THIS_RUN = Path(":memory:")  # What SQLite calls a database that is never written.
 _WAIT_S = 1.0  # For another program that writes the index; to put some thousands of rows takes less.
 # Texts of entries are apart, so that names and states of all files are few pages.

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime, timedelta
 
 from imufield.calibrate.model.grades import GRADES, grade_by_noise
-from imufield.calibrate.sessions.changes import FEWEST, day_to_day
+from imufield.calibrate.sessions.changes import FEWEST, DatedNumbers, day_to_day
 from imufield.calibrate.sessions.forecast import Forecast, forecast
 from imufield.calibrate.sessions.kinds import PPM, kind_of
 from imufield.deliver.history import STALE_DAYS, Entry, History
@@ -135,13 +135,22 @@ def _judged(history: JudgedHistory) -> Iterator[Sentence]:
     between = sentence("history_words.between_sessions" if is_one_day else "history_words.between_days")
     for kind, found in judged.repeatability.items():
         if found.high == 0:
-            key = "history_words.daily_closer"
+            is_alone = _scatters_alone(history.sessions, kind)
+            key = "history_words.daily_closer" if is_alone else "history_words.daily_closer_in_part"
         elif found.sigma > 0:
             key = "history_words.daily"
         else:
             key = "history_words.daily_unseen"
         figures = {"sigma": found.sigma, "low": found.low, "high": found.high}
         yield sentence(key, kind=kind, between=between, unit=unit_of(f"{kind} x"), **figures)
+
+
+def _scatters_alone(sessions: Sequence[DatedNumbers], kind: str) -> bool:
+    """Whether what the sigma of a kind predicts of its scatter holds nothing that may be common to the sessions."""
+    is_told_apart = all(
+        any(session.hidden[k, k] for k, name in enumerate(session.names) if kind_of(name) == kind) for session in sessions
+    )
+    return is_told_apart and len({(session.setup, session.site) for session in sessions}) == 1
 
 
 def _around(entries: Sequence[Entry], first_after: int) -> dict[str, str]:

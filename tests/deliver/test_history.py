@@ -18,10 +18,14 @@ from imufield.deliver.history import Entry, InstrumentHistory, find, one_instrum
 from imufield.deliver.history_words import sentences, to_csv
 from imufield.deliver.judged_history import judge_history
 from imufield.deliver.pair_test import Shared
+from imufield.deliver.parameters.context import Context, InstrumentFacts, SessionFacts
 from imufield.deliver.parameters.gauge_free import gauge_free
 from imufield.errors import ParameterFileError, Reason
+from imufield.guide.positions import nearest_cube_direction
+from imufield.pipeline.calibration import SolveInput, SolveSettings, calibrate
 from imufield.sentences import Sentence
 from tests.parameter_files import on_purpose
+from tests.pipeline.test_over_temperature import GRAVITY, observed, solved
 from tests.refused import refused
 from tests.told import key_of, keys, with_key
 
@@ -106,7 +110,10 @@ def test_a_step_is_told_with_the_days_it_lies_between(tmp_path: Path, write) -> 
     step, *daily = sentences(history, NOW)
     assert key_of(step) == "history_words.step"
     assert (step.values["before"], step.values["after"]) == ("4 March 2026", "1 May 2026")
-    assert set(keys(daily)) == {"history_words.daily_closer"}
+    # Nothing in a file tells apart what of a gyroscope's sigma all sessions have in common.
+    closer = {each.values["kind"]: key_of(each) for each in daily}
+    assert closer["scale"] == "history_words.daily_closer"
+    assert closer["gyroscope bias"] == "history_words.daily_closer_in_part"
     # The step is news, and nothing that days do.
     assert history.repeatability["bias"].sigma == 0.0
     # The sigma of the difference has what days do in it, which is nothing here.
@@ -132,6 +139,35 @@ def test_an_assumed_gravity_is_not_that_of_the_same_place(tmp_path: Path, write)
     assert not replace(new, gravity_source="assumed").shared_with(replace(old, gravity_source="assumed")).gravity
     assert not replace(new, gravity_m_s2=9.79).shared_with(old).gravity
     assert not replace(new, setup="quadratic 1-1").shared_with(old).setup
+
+
+@pytest.mark.parametrize("step", [0.0, 4e-4])
+def test_the_same_sides_in_any_order_share_what_the_model_leaves_out(step: float) -> None:
+    rng, planned = np.random.default_rng(5), observed(20.0)
+    entries = []
+    for day in range(5):
+        order = rng.permutation(len(planned))
+        # As of an import: nothing was planned, and names count what was found.
+        seen = replace(
+            planned,
+            name=tuple(f"free {k + 1}: near {nearest_cube_direction(planned.direction[row])}" for k, row in enumerate(order)),
+            mean_raw=planned.mean_raw[order] * (1 + step * (day == 4)) + 2e-4 * rng.normal(size=(len(planned), 3)),
+            direction=np.full((len(planned), 3), np.nan),
+        )
+        context = Context(
+            instrument=InstrumentFacts(serial_number="A1"),
+            session=SessionFacts(name=f"{day}", sha256=f"{day}" * 64, sample_rate_hz=100.0, temperature_degc=(20.0, 20.0)),
+            created=f"2026-08-0{day + 1}T10:00:00Z",
+        )
+        settings = SolveSettings(model="linear", grade="mems")
+        entries.append(Entry.of("", calibrate(SolveInput(observations=seen, gravity=GRAVITY, context=context), settings)))
+    assert entries[0].shared_with(entries[1]).setup
+    assert entries[0].setup == Entry.of("", solved(20.0)).setup
+    history = judge_history(InstrumentHistory("", "A1", tuple(entries)))
+    assert [(change.name, change.first_after) for change in history.judged.news] == [
+        (f"scale {axis}", 4) for axis in "xyz" if step
+    ]
+    assert "history_words.daily_closer" not in keys(sentences(history, NOW))
 
 
 def test_of_two_on_one_day_the_time_is_told(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
@@ -160,9 +196,15 @@ def test_scatter_of_one_day_is_not_that_of_days(tmp_path: Path, write) -> None: 
 def test_scatter_below_its_own_sigma_has_no_limit(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
     for k, moved in enumerate((0.0, 1e-3, -1e-3)):
         write(f"s{k}", f"2026-08-0{k + 1}T10:00:00Z", moved=moved, session=f"{k}" * 64)
-    told = keys(sentences(judge_history(read_history(tmp_path).instruments[0]), NOW))
+    (instrument,) = read_history(tmp_path).instruments
+    told = keys(sentences(judge_history(instrument), NOW))
     assert "history_words.daily_closer" in told
     assert "history_words.daily_unseen" not in told
+    # From other sides, the sigma holds what the model leaves out, which may be the same in all of them.
+    apart = tuple(replace(entry, setup=f"quadratic 12 {k}") for k, entry in enumerate(instrument.entries))
+    told = keys(sentences(judge_history(replace(instrument, entries=apart)), NOW))
+    assert "history_words.daily_closer" not in told
+    assert "history_words.daily_closer_in_part" in told
 
 
 def test_other_temperatures_are_told(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
