@@ -132,7 +132,7 @@ def calibrate_accelerometer(  # noqa: PLR0913 (the settings of `solve`, by keywo
     fitted, to_gauge = _in_gauge(data, chosen, wanted, before)
     derivatives = norm_derivatives(chosen.fit.vector, data.raw, quadratic_axes, chosen.fit.higher)
     up = derivatives.a / derivatives.norm[:, None]
-    is_open = _open_entries(chosen, model, has_preset=preset is not None)
+    is_open = _open_entries(chosen, has_preset=preset is not None)
     hidden = unshown(fitted, chosen, typical, up, is_open=is_open, to_gauge=to_gauge, gravity_m_s2=gravity.gravity_m_s2)
     known = propagate(fitted, chosen, data, gravity, hidden=hidden, to_gauge=to_gauge)
     evidence = Evidence(
@@ -182,17 +182,12 @@ def _unobservable(sigma: FloatArray, observability: Observability) -> tuple[str,
     return tuple(name for name in names if "quadratic" not in name or name in observability.unobservable)
 
 
-def _open_entries(chosen: ChosenModel, model: ModelChoice, *, has_preset: bool) -> NDArray[np.bool_]:
+def _open_entries(chosen: ChosenModel, *, has_preset: bool) -> NDArray[np.bool_]:
     """Return which entries the positions leave open: three misalignments, three quadratic terms, shape (6,)."""
     entries = LOWER_GAUGE_COLUMNS[6:]
-    is_open = np.array([entry not in chosen.free for entry in entries])
-    # A preset knows what these positions do not show.
-    if has_preset:
-        is_open[:] = False
-    # A quadratic term that was asked for at the gate is in the covariance; one that the user rules out is not there.
-    if chosen.is_quadratic_tested or model == "linear":
-        is_open[3:] = False
-    return is_open
+    # A quadratic term that was asked for at the gate is in the covariance, and a preset knows what these positions do not show.
+    known = {*chosen.free, *(entries[3:] if chosen.is_quadratic_tested else ())}
+    return np.array([not has_preset and entry not in known for entry in entries])
 
 
 def _intrinsic(vector: FloatArray, data: FitData, known: Uncertainty) -> Intrinsic:

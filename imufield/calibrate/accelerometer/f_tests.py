@@ -185,6 +185,11 @@ class Gate:
             covariance=without.covariance + f * (part.covariance - without.covariance),
         )
 
+    def bias_shift_m_s2(self) -> float:
+        """Return by how much all terms together move the bias, at most over the axes."""
+        with_all, without = self._parts[self.all], self._parts[frozenset()]
+        return float(np.abs(with_all.change - without.change)[BIAS].max())
+
     def confusion(self) -> float:
         """Return how much less sure the bias is with all terms than with the worse of them alone."""
         if len(self.all) < 2:

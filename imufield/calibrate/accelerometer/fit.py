@@ -121,19 +121,7 @@ def fit(
     higher : ndarray, shape (12, k), optional
         Combinations of higher terms; not with a drift.
     """
-    extra = 0 if drift is None else 3 * drift.shape[1]
-    extra += 0 if higher is None else higher.shape[1]
-    m = len(data.raw)
-    problem = NormProblem(
-        raw=data.raw,
-        gravity_m_s2=data.gravity_m_s2,
-        sigma_m_s2=np.ones(m),
-        origin=origin,
-        basis=np.hstack([basis, np.zeros((len(basis), extra))]),
-        quadratic_axes=data.quadratic_axes,
-        drift=drift,
-        higher=higher,
-    )
+    problem = _problem(data, origin, basis, drift, higher)
     # Unweighted first: within needs parameters to carry raw covariances to the norm.
     solved = solve_least_squares(problem)
     current = _evaluate(data, problem, solved)
@@ -147,6 +135,31 @@ def fit(
             break
     chi_squared = float(np.sum((current.residual_m_s2 / current.sigma_m_s2) ** 2))
     return replace(current, solved=replace(solved, evaluations=evaluations, cost=chi_squared))
+
+
+def fit_beside(data: FitData, fitted: Fit, basis: FloatArray, drift: FloatArray | None) -> Fit:
+    """Return the fit with more terms that one step from a fit without them leads to, exact where they are small beside 1 g."""
+    problem = _problem(data, fitted.vector, basis, drift)
+    sigma = fitted.sigma_m_s2
+    jacobian = problem.derivatives(np.zeros(problem.basis.shape[1]))[1]
+    step = np.linalg.lstsq(jacobian / sigma[:, None], -fitted.residual_m_s2 / sigma, rcond=None)[0]
+    return _evaluate(data, problem, replace(fitted.solved, x=step.astype(np.float64)))
+
+
+def _problem(
+    data: FitData, origin: FloatArray, basis: FloatArray, drift: FloatArray | None, higher: FloatArray | None = None
+) -> NormProblem:
+    extra = (0 if drift is None else 3 * drift.shape[1]) + (0 if higher is None else higher.shape[1])
+    return NormProblem(
+        raw=data.raw,
+        gravity_m_s2=data.gravity_m_s2,
+        sigma_m_s2=np.ones(len(data.raw)),
+        origin=origin,
+        basis=np.hstack([basis, np.zeros((len(basis), extra))]),
+        quadratic_axes=data.quadratic_axes,
+        drift=drift,
+        higher=higher,
+    )
 
 
 def _evaluate(data: FitData, problem: NormProblem, solved: SolverResult) -> Fit:

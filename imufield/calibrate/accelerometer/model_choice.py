@@ -1,9 +1,9 @@
 """Choice of the accelerometer model: which of the 15 parameters the positions can show, and which terms the data need.
 
 With the model choice "auto" the quadratic term and a drift of the bias over the session pass one gate (``f_tests``); an
-admitted changes the model, and what is not sure about the choice is in the covariance. Where there is no quadratic term, the
-bias is three times better than stated: who knows that asks for the linear model. Higher terms (``higher_terms``) are fitted
-where they are asked for; in every other model with the quadratic term open one F test says where the residuals show them.
+admitted changes the model, and what is not sure about the choice is in the covariance. With "linear" none is admitted, the
+covariance is the same, and the verdict says where the gate contradicts. Higher terms (``higher_terms``) are fitted where they
+are asked for; in every other model with the quadratic term open one F test says where the residuals show them.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from imufield.calibrate.accelerometer.drift import FEWEST_TO_SPARE, DriftForm, drift_forms
+from imufield.calibrate.accelerometer.drift import FEWEST_TO_SPARE, MOST_CONFUSION, DriftForm, drift_forms
 from imufield.calibrate.accelerometer.ellipsoid_start import FEWEST_FOR_MISALIGNMENT, FEWEST_FOR_QUADRATIC, closed_form_start
 from imufield.calibrate.accelerometer.f_tests import LEVEL, Choice, Gate, Term, Terms
-from imufield.calibrate.accelerometer.fit import Fit, FitData, column_basis, fit
+from imufield.calibrate.accelerometer.fit import Fit, FitData, column_basis, fit, fit_beside
 from imufield.calibrate.model.aliasing import typical_higher
 from imufield.calibrate.model.coverage_factors import f_tail
 from imufield.calibrate.model.gauge import change_gauge
@@ -73,14 +73,12 @@ class ChosenModel:
     drift: DriftForm | None = None
     choice: Choice = Choice()  # Frozen, so one default may be shared.
     """What choosing the model makes of the covariance."""
-    confusion: float = 1.0
-    """How much less sure the bias is because quadratic term and drift are told apart; 1 where none is admitted."""
-    terms_p: float = 1.0
-    """Of the joint F test of all candidates, times the number of tests."""
     higher: FloatArray = field(default_factory=lambda: np.zeros((TERMS, 0)))
     """Combinations of higher terms that are fitted, in steps of ``higher_scale``, shape (12, k)."""
     left_out: LeftOutTerms | None = None
     sentences: tuple[Sentence, ...]
+    cautions: tuple[Sentence, ...] = ()
+    """What lowers the verdict."""
 
 
 def find_origin(
@@ -115,7 +113,7 @@ def find_origin(
     for row in np.flatnonzero(~np.isfinite(derivatives.jacobian).all(axis=1)):
         values = {"position": int(row) + 1, "count": len(data.raw), "output": data.raw[row].tolist()}
         raise CalibrationError(sentence("model_choice.unexplained", gravity_m_s2=data.gravity_m_s2, **values), Reason.BOUNDS)
-    observability = observe(derivatives, origin, data.gravity_m_s2, quadratic=model != "linear")
+    observability = observe(derivatives, origin, data.gravity_m_s2, quadratic=True)
     require_scale_and_bias(observability)
     # This number of positions could at best fit these without a single one to spare.
     missing: set[int] = set()
@@ -125,7 +123,9 @@ def find_origin(
         missing.update(range(_FIRST_QUADRATIC, PARAMETERS))
     names = tuple(ACCELEROMETER_NAMES[k] for k in observability.free if k in missing)
     free = tuple(k for k in observability.free if k not in missing)
-    observability = replace(observability, free=free, unobservable=(*observability.unobservable, *names))
+    # What is not asked for is not missed.
+    hidden = (name for name in (*observability.unobservable, *names) if model != "linear" or "quadratic" not in name)
+    observability = replace(observability, free=free, unobservable=tuple(hidden))
     if sum(k in _MISALIGNMENT_ENTRIES for k in free) == 3:
         full = closed_form_start(data.raw, data.gravity_m_s2, sign)
         origin = np.concatenate([full[:_FIRST_QUADRATIC], origin[QUADRATIC]])
@@ -152,31 +152,34 @@ def choose_model(
     if model == "extended":
         return _extended(data, origin, free)
     forms: tuple[DriftForm | None, ...] = drift_forms(observations, count - len(free)) or ((None,) if is_open else ())
-    if model != "auto" or not forms:
+    if model == "quadratic" or not forms:
         return _untested(data, origin, free, model)
-    tried = [_all_terms(data, origin, free, form, is_quadratic_open=is_open) for form in forms]
+    # What was asked for is fitted in full, and the others by a step from it.
+    linear = _fit(data, origin, free, quadratic=False) if model == "linear" else None
+    tried = [_all_terms(data, origin, free, form, linear=linear, is_quadratic_open=is_open) for form in forms]
     # Where drift may follow time or temperature, each is asked at its share of the level.
     level = LEVEL / len(tried)
     gate, form = min(zip(tried, forms, strict=True), key=lambda each: each[0].chance(each[0].all))
-    terms = gate.admitted(level)
+    p = gate.chance(gate.all)
+    terms: Terms = frozenset() if linear is not None else gate.admitted(level)
     with_quadratic, kept = "quadratic" in terms, form if "drift" in terms else None
-    fitted = _fit(data, origin, free, quadratic=with_quadratic, drift=kept)
-    choice = gate.choice(terms, data.typical_quadratic_m_s2)
+    # Where no grade says what is typical, who asks for the linear model is believed as far as the test goes.
+    is_believed = linear is not None and p >= level and math.isinf(data.typical_quadratic_m_s2)
+    choice = Choice() if is_believed else gate.choice(terms, data.typical_quadratic_m_s2)
     if not with_quadratic:
         choice.root[list(quadratic_free)] = 0.0
-    sentences: list[Sentence] = []
-    if is_open:
-        # Where the drift explains what the linear model does not, the term is asked for beside it.
-        alone: Terms = frozenset({"quadratic"})
-        p = gate.chance(alone) if kept is not None and not with_quadratic else gate.chance(gate.all)
-        key = "model_choice.quadratic_kept" if with_quadratic else "model_choice.quadratic_left_out"
-        sentences.append(sentence(key, p=p, limit=level))
-    else:
-        sentences.append(sentence("model_choice.linear_as_shown"))
+    fitted = linear or _fit(data, origin, free, quadratic=with_quadratic, drift=kept)
+    said = _gate_sentences(gate, terms, is_asked=linear is not None, is_quadratic_open=is_open, level=level)
+    cautions: list[Sentence] = []
+    if linear is not None and p < level:
+        said, cautions = cautions, said
     if kept is not None:
         drift_mg = fitted.drift_span_m_s2 / MILLI_G_M_S2
-        found = {"kind": kept.kind, "drift_mg": drift_mg, "p": gate.chance(gate.all), "limit": level}
-        sentences.append(sentence("model_choice.drift_kept", **found))
+        said.append(sentence("model_choice.drift_kept", kind=kept.kind, drift_mg=drift_mg, p=p, limit=level))
+    if terms and (factor := gate.confusion()) > MOST_CONFUSION:
+        # Terms that show less may be none: then the order costs what sigma says, and nothing else.
+        told = cautions if p * len(tried) < VERDICT_LEVEL else said
+        told.append(sentence("model_choice.confounded", factor=factor, limit=MOST_CONFUSION))
     return ChosenModel(
         fit=fitted,
         free=free if with_quadratic else tuple(k for k in free if k < _FIRST_QUADRATIC),
@@ -184,17 +187,41 @@ def choose_model(
         is_quadratic_tested=is_open,
         drift=kept,
         choice=choice,
-        confusion=gate.confusion() if terms else 1.0,
-        terms_p=gate.chance(gate.all) * len(tried),
-        sentences=tuple(sentences),
+        sentences=tuple(said),
+        cautions=tuple(cautions),
     )
 
 
+def _gate_sentences(gate: Gate, terms: Terms, *, is_asked: bool, is_quadratic_open: bool, level: float) -> list[Sentence]:
+    """Return what the gate says of the model, ``is_asked`` where the linear one was asked for."""
+    p = gate.chance(gate.all)
+    if is_asked and p < level:
+        shift_mg = gate.bias_shift_m_s2() / MILLI_G_M_S2
+        return [sentence("model_choice.linear_contradicted", p=p, limit=level, shift_mg=shift_mg)]
+    if not is_quadratic_open:
+        return [sentence(_UNTESTED["linear" if is_asked else "auto"])]
+    # Where the drift explains what the linear model does not, the term is asked for beside it.
+    if terms == {"drift"}:
+        p = gate.chance(frozenset({"quadratic"}))
+    left_out = "model_choice.linear_not_contradicted" if is_asked else "model_choice.quadratic_left_out"
+    return [sentence("model_choice.quadratic_kept" if "quadratic" in terms else left_out, p=p, limit=level)]
+
+
 def _all_terms(
-    data: FitData, origin: FloatArray, free: tuple[int, ...], form: DriftForm | None, *, is_quadratic_open: bool
+    data: FitData,
+    origin: FloatArray,
+    free: tuple[int, ...],
+    form: DriftForm | None,
+    *,
+    linear: Fit | None,
+    is_quadratic_open: bool,
 ) -> Gate:
     """Return the gate with one form of drift, or none."""
-    everything = _fit(data, origin, free, quadratic=True, drift=form)
+    if linear is None:
+        everything = _fit(data, origin, free, quadratic=True, drift=form)
+    else:
+        basis = column_basis(origin, free, data.gravity_m_s2)
+        everything = fit_beside(data, linear, basis, None if form is None else form.columns)
     columns = {k: place for place, k in enumerate(free)}
     coordinates: dict[Term, tuple[int, ...]] = {}
     value = np.zeros(everything.basis.shape[1])

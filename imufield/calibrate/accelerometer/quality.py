@@ -7,7 +7,6 @@ import shlex
 import numpy as np
 
 from imufield.calibrate.accelerometer.covariance import Uncertainty
-from imufield.calibrate.accelerometer.drift import MOST_CONFUSION
 from imufield.calibrate.accelerometer.fit import Fit, FitData
 from imufield.calibrate.accelerometer.leave_one_out import PAIR_SHARE, position_pairs, single_positions
 from imufield.calibrate.accelerometer.model_choice import VERDICT_LEVEL, ChosenModel
@@ -220,25 +219,15 @@ def _cautions(evidence: Evidence) -> list[str]:
 
 def _model_sentences(evidence: Evidence) -> list[str]:
     """Return what the model says of drift, and of terms that it does not have."""
-    reasons: list[str] = []
     chosen = evidence.chosen
+    reasons: list[str] = [*chosen.cautions]
     drift_mg, most_mg = evidence.fitted.drift_span_m_s2 / MILLI_G_M_S2, MOST_DRIFT_M_S2 / MILLI_G_M_S2
     if drift_mg > most_mg:
         reasons.append(sentence("quality.drift", drift_mg=drift_mg, limit_mg=most_mg))
-    # Terms that show less may be none: then the order costs what sigma says, and nothing else.
-    if chosen.terms_p < VERDICT_LEVEL:
-        reasons += _order_sentences(chosen)
     if (left_out := chosen.left_out) is not None:
         sizes_mg = {"cubic_mg": left_out.cubic_m_s2 / MILLI_G_M_S2, "cross_mg": left_out.cross_m_s2 / MILLI_G_M_S2}
         reasons.append(sentence("quality.left_out_terms", p=left_out.p, limit=VERDICT_LEVEL, **sizes_mg))
     return reasons
-
-
-def _order_sentences(chosen: ChosenModel) -> list[str]:
-    """Return what the order of the positions costs, where terms are admitted that it confounds."""
-    if chosen.confusion <= MOST_CONFUSION:
-        return []
-    return [sentence("quality.confounded", factor=chosen.confusion, limit=MOST_CONFUSION)]
 
 
 def _unobservable_sentence(evidence: Evidence) -> str:
@@ -319,10 +308,7 @@ def _outlier_sentences(evidence: Evidence, key: str, outliers: list[Outlier]) ->
 
 
 def _notes(evidence: Evidence) -> list[str]:
-    chosen = evidence.chosen
-    notes: list[str] = [*chosen.sentences]
-    if chosen.terms_p >= VERDICT_LEVEL:
-        notes += _order_sentences(chosen)
+    notes: list[str] = [*evidence.chosen.sentences]
     if evidence.grade is not None:
         typical = np.linalg.norm(evidence.hidden.typical, axis=1)
         scale_ppm = 1e6 * np.max(typical[SCALE] / np.abs(evidence.fitted.vector[SCALE]))

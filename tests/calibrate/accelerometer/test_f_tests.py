@@ -199,7 +199,7 @@ def test_an_order_that_confounds_is_named() -> None:
     observations, _ = Session(directions=faces_first(), quadratic_ug=1000.0, warm_up_ug=1500.0).take(rng)
     quality = calibrate_accelerometer(observations, EXACT).quality
     assert quality.verdict == "usable"
-    assert told(quality.warnings, "quality.confounded")
+    assert told(quality.warnings, "model_choice.confounded")
 
 
 @pytest.mark.statistical
@@ -207,12 +207,12 @@ def test_an_order_that_confounds_costs_a_clean_session_its_good_once_in_a_hundre
     """The gate admits a term in 5 % of them: then the order is named all the same, and its cost is in sigma."""
     session = Session(directions=faces_first())
     found = [calibrate_accelerometer(session.take(np.random.default_rng(seed))[0], EXACT).quality for seed in range(100)]
-    named = [quality for quality in found if told(quality.reasons, "quality.confounded")]
+    named = [quality for quality in found if told(quality.reasons, "model_choice.confounded")]
     assert 1 <= len(named) <= 12
     # At 5 % all of them would lose it; 0.5 % of 100 are beyond two in 1 of 70 such tests.
     lost = [quality for quality in named if quality.verdict != "good"]
     assert len(lost) <= 2 < len(named)
-    assert all(told(quality.warnings, "quality.confounded") for quality in lost)
+    assert all(told(quality.warnings, "model_choice.confounded") for quality in lost)
 
 
 def test_a_drift_that_leaves_four_positions_is_not_good() -> None:
