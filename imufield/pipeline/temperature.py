@@ -165,8 +165,7 @@ def with_temperature(
     calibration = _over_temperature(base.calibration, fits)
     quality = _judged_over_temperature(base.calibration.quality.with_reasons(*told), calibration)
     for triad, fit in fits.items():
-        if fit.warnings:
-            quality = quality.lowered("usable", *fit.warnings).triad_lowered(triad, "usable")
+        quality = quality.triad_doubted(triad, fit.warnings)
     # The last comes first, as each goes before the others.
     for other in reversed(others):
         quality = quality.joined(other.context.session.name, other.calibration.quality)

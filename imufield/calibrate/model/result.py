@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -235,6 +236,10 @@ class Quality:
         name = f"{triad}_verdict"
         both = (getattr(self, name), verdict)
         return replace(self, **{name: max(both, key=VERDICTS.index)}) if set(both) <= set(VERDICTS) else self
+
+    def triad_doubted(self, triad: str, why: Sequence[str]) -> Quality:
+        """Return the same with no verdict better than usable, of the whole and of a triad, where there are sentences why."""
+        return self.lowered("usable", *why).triad_lowered(triad, "usable") if why else self
 
     def joined(self, session: str, other: Quality) -> Quality:
         """Return the same with no verdict better than those of another session, whose warnings are told with its name."""

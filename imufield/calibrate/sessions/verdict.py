@@ -12,10 +12,6 @@ from imufield.sentences import Sentence
 def judged_by_sigma(quality: Quality, calibration: Calibration, remedy: Sentence) -> Quality:
     """Return a verdict, lowered where a session with the uncertainty of this calibration would be, and what makes it surer."""
     vector, sigma = to_vector(calibration.accelerometer), to_vector(calibration.accelerometer_sigma)
-    uncertain = {"accelerometer": sigma_sentences(vector, sigma, calibration.gravity, remedy)}
-    if calibration.gyroscope is not None:
-        uncertain["gyroscope"] = [*coarse_scale(calibration.gyroscope, remedy)]
-    for triad, why in uncertain.items():
-        if why:
-            quality = quality.lowered("usable", *why).triad_lowered(triad, "usable")
-    return quality
+    gyroscope = calibration.gyroscope
+    quality = quality.triad_doubted("accelerometer", sigma_sentences(vector, sigma, calibration.gravity, remedy))
+    return quality if gyroscope is None else quality.triad_doubted("gyroscope", coarse_scale(gyroscope, remedy))
