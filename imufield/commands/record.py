@@ -8,8 +8,8 @@ from contextlib import ExitStack, nullcontext, suppress
 
 from imufield.acquire.decode.statistics import DecoderStatistics, combined, remarks
 from imufield.acquire.instrument.connect import connect
-from imufield.acquire.instrument.connected import Connected
 from imufield.acquire.instrument.same_stream import SameStream
+from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.link.host_clock import HostClock, patience_s
 from imufield.acquire.link.reconnect import ReconnectingLink
 from imufield.acquire.recording.recorder import Recorder, part_metadata
@@ -18,7 +18,7 @@ from imufield.commands.options.acquire_commands import RecordOptions
 from imufield.commands.terminal.output import echo, host_clock, say, say_assumed
 from imufield.commands.terminal.ramp import RampLead
 from imufield.deliver.parameters.printed_numbers import beside
-from imufield.errors import RecordingError
+from imufield.errors import LinkTimeoutError, RecordingError
 from imufield.pipeline.chain import Chain, ReadingPlan
 from imufield.pipeline.intake import Intake
 from imufield.pipeline.windows import RAMP
@@ -59,9 +59,10 @@ def run_record(options: RecordOptions, clock: HostClock | None = None) -> Sessio
         intake = Intake(recorder=recorder, chain=chain, stream=stream)
         intake.start_part(connected.protocol)
         stream.begin()
+        link = ReconnectingLink(connected.link, clock, connected.ask_again)
         try:
             try:
-                _record(connected, intake, clock, options=options, ramp=ramp)
+                _record(link, intake, clock, heard=connected.chunks, options=options, ramp=ramp)
             except KeyboardInterrupt:
                 # What was read before Ctrl-C still waits in the link.
                 intake.take_rest(connected.link.drain())
@@ -72,30 +73,36 @@ def run_record(options: RecordOptions, clock: HostClock | None = None) -> Sessio
             # Where nothing could be recorded (the folder is gone), that is what has to be told, not what follows from it.
             with suppress(RecordingError) if isinstance(sys.exception(), RecordingError) else nullcontext():
                 session.update(finished=True)
-            _tell_end(session, intake, options.as_json)
+            _tell_end(session, intake, link.pauses_s, as_json=options.as_json)
             if ramp is not None:
                 ramp.tell_end(session)
     return session
 
 
-def _record(connected: Connected, intake: Intake, clock: HostClock, *, options: RecordOptions, ramp: RampLead | None) -> None:
+def _record(
+    link: ReconnectingLink,
+    intake: Intake,
+    clock: HostClock,
+    *,
+    heard: list[Chunk],
+    options: RecordOptions,
+    ramp: RampLead | None,
+) -> None:
     # What was heard while connecting is recorded, so its time is part of what was asked for.
-    for heard in connected.chunks:
-        intake.take(heard)
+    for chunk in heard:
+        intake.take(chunk)
     told_s = clock.monotonic_s()
-    start_s, is_silent = (connected.chunks[0].monotonic_s, False) if connected.chunks else (told_s, True)
-    link, was_lost = ReconnectingLink(connected.link, clock, connected.ask_again), False
+    start_s, is_silent = (heard[0].monotonic_s, False) if heard else (told_s, True)
+    was_lost, trouble = False, ""
     while options.duration_s is None or clock.monotonic_s() - start_s < options.duration_s:
-        chunk = link.read()
+        read = link.read()
         if link.lost is not None and not was_lost:
-            say(sentence("record.waiting", lost=link.lost.message), err=True)
             intake.link_lost()
-        elif was_lost and link.lost is None:
-            say(sentence("record.back"), err=True)
         was_lost = link.lost is not None
-        if chunk is not None:
-            start_s, is_silent = (chunk.monotonic_s if is_silent else start_s), False
-            intake.take(chunk)
+        trouble = _tell_trouble(link, trouble)
+        if read is not None:
+            start_s, is_silent = (read.monotonic_s if is_silent else start_s), False
+            intake.take(read)
         else:
             intake.catch_up()
         now_s = clock.monotonic_s()
@@ -104,19 +111,37 @@ def _record(connected: Connected, intake: Intake, clock: HostClock, *, options: 
             if ramp is not None:
                 ramp.tell()
             else:
-                _tell_progress(combined(intake.chain.statistics), now_s - start_s, options.as_json)
+                _tell_progress(combined(intake.chain.statistics), now_s - start_s, link.pause_s, as_json=options.as_json)
     if link.lost is not None:
         raise link.lost
+    if link.is_silent:
+        raise LinkTimeoutError(sentence("record.ended_silent", port=link.name, pause_s=link.pause_s))
 
 
-def _tell_progress(counts: DecoderStatistics, elapsed_s: float, as_json: bool) -> None:
+def _tell_trouble(link: ReconnectingLink, before: str) -> str:
+    """Say why nothing arrives, and when it does again, each once; return what was said, empty while all is well."""
+    trouble = ""
+    if link.lost is not None:
+        trouble = sentence("record.waiting", lost=link.lost.message)
+    elif link.is_silent:
+        trouble = sentence("record.silent", port=link.name)
+    if trouble != before:
+        if sys.stdout.isatty():
+            echo()
+        say(trouble or sentence("record.back"), err=True)
+    return trouble
+
+
+def _tell_progress(counts: DecoderStatistics, elapsed_s: float, pause_s: float, *, as_json: bool) -> None:
     if as_json:
-        echo(json.dumps({"event": "recording", "elapsed_s": round(elapsed_s, 3), **counts.to_dict()}))
+        times = {"elapsed_s": round(elapsed_s, 3), "pause_s": round(pause_s, 3)}
+        echo(json.dumps({"event": "recording", **times, **counts.to_dict()}))
     elif sys.stdout.isatty():
-        echo(f"{elapsed_s:8.0f} s  {counts.samples} samples  {counts.lost} lost  (Ctrl-C ends)", begin="\r", end="")
+        state = f"NO DATA for {pause_s:.0f} s" if pause_s else "(Ctrl-C ends)"
+        echo(f"{elapsed_s:8.0f} s  {counts.samples} samples  {counts.lost} lost  {state:<20}", begin="\r", end="")
 
 
-def _tell_end(session: Session, intake: Intake, as_json: bool) -> None:
+def _tell_end(session: Session, intake: Intake, pauses_s: float, *, as_json: bool) -> None:
     if not session.folder.exists():
         return
     # What the decoder holds back until it is sure of its time counts as well.
@@ -124,10 +149,13 @@ def _tell_end(session: Session, intake: Intake, as_json: bool) -> None:
     statistics = intake.chain.statistics
     counts = combined(statistics)
     if as_json:
-        echo(json.dumps({"event": "recorded", "session": str(session.folder), **counts.to_dict()}))
+        told = {"session": str(session.folder), "pauses_s": round(pauses_s, 3)}
+        echo(json.dumps({"event": "recorded", **told, **counts.to_dict()}))
         return
     if sys.stdout.isatty():
         echo()
     echo(beside(f"{counts.samples} samples, {counts.lost} lost, session", session.folder))
+    if pauses_s:
+        say(sentence("record.pauses", pauses_s=pauses_s))
     for remark in remarks(statistics):
         say(remark)

@@ -1,8 +1,10 @@
-"""``imufield record`` without a port: how long it goes on."""
+"""``imufield record``: how long it goes on, and what it says of a link that is lost or silent."""
 
 from __future__ import annotations
 
 import json
+import signal
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -16,14 +18,17 @@ from imufield.acquire.recording.session import Session
 from imufield.commands import record as module
 from imufield.commands.options.acquire_commands import RecordOptions
 from imufield.commands.record import run_record
-from imufield.errors import LinkError, Reason, UsageError
+from imufield.errors import LinkError, LinkTimeoutError, Reason, UsageError
 from imufield.pipeline.chain import session_samples
 from imufield.pipeline.windows import RAMP
 from imufield.samples import Status, concatenate
 from imufield.sentences import Sentences
+from tests.commands.conftest import SPEED, Program
+from tests.commands.pty_terminal import Terminal
 from tests.refused import refused
 
 sentence = Sentences("imufield.commands.terminal")
+commands_sentence = Sentences("imufield.commands")
 
 
 def chunk(number: int) -> Chunk:
@@ -205,3 +210,55 @@ def test_a_ramp_without_temperature_is_refused_at_once(tmp_path: Path, monkeypat
     with refused(UsageError, Reason.NOT_FINITE, key="ramp.no_temperature"):
         record_ramp(host, tmp_path / "cold", monkeypatch)
     assert host.now_s < 60
+
+
+@dataclass
+class Pausing(Simulated):
+    """A host whose instrument says nothing from the third second on, and is not lost; until a second, or for good."""
+
+    back_s: float = 1e9
+
+    def read(self) -> Chunk | None:
+        got = super().read()
+        return None if 3.0 <= self.now_s < self.back_s else got
+
+
+def record_pausing(host: Pausing, folder: Path, monkeypatch: pytest.MonkeyPatch, *, as_json: bool = False) -> None:
+    connect_to(host, "time,ax,ay,az", 10, monkeypatch)
+    run_record(RecordOptions(connect=ConnectOptions(), session=folder, duration_s=60.0, as_json=as_json), host)
+
+
+def test_silence_is_said_while_it_lasts_and_at_the_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record_pausing(Pausing(0.0, back_s=43.0), tmp_path / "here", monkeypatch)
+    said = capsys.readouterr()
+    assert commands_sentence("record.silent", port="line") in said.err
+    assert commands_sentence("record.back") in said.err
+    assert commands_sentence("record.pauses", pauses_s=40.0) in said.out
+    record_pausing(Pausing(0.0, back_s=43.0), tmp_path / "json", monkeypatch, as_json=True)
+    *progress, last = [json.loads(text) for text in capsys.readouterr().out.splitlines()]
+    pauses_s = [event["pause_s"] for event in progress]
+    assert max(pauses_s) == pytest.approx(40.0, abs=1.1)
+    assert pauses_s.count(0.0) == pytest.approx(20, abs=2)
+    assert last["pauses_s"] == pytest.approx(40.0, abs=0.2)
+
+
+def test_a_recording_that_ends_in_silence_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with refused(LinkTimeoutError, Reason.SILENCE, "line", key="record.ended_silent"):
+        record_pausing(Pausing(0.0), tmp_path / "here", monkeypatch)
+    session = Session.open(tmp_path / "here")
+    assert session.finished
+    assert len(concatenate(list(session_samples(session, [])))) == pytest.approx(30, abs=2)
+
+
+def test_an_instrument_that_stops_is_missed_on_the_terminal(program: Program) -> None:
+    port = program.emulate()
+    options = ("--driver", "stim300", "--clock-speed", SPEED, "--duration-s", 10 * SPEED, "--session", "mine")
+    with closing(Terminal(program, "record", "--port", port, *options)) as terminal:
+        terminal.expect("(Ctrl-C ends)")
+        program.started[0].send_signal(signal.SIGSTOP)
+        terminal.expect("no data on")
+        terminal.expect("NO DATA for")
+        assert terminal.wait() == 3
+        assert "nothing arrived" in terminal.text

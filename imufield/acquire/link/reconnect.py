@@ -1,4 +1,7 @@
-"""Open a lost link again, so that a loose plug does not end a session; that it is lost, ``serial`` and ``can`` tell."""
+"""Open a lost link again, so that a loose plug does not end a session, and watch for silence of one that is there.
+
+That a link is lost, ``serial`` and ``can`` tell; of one that is silent they tell nothing.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +9,13 @@ from collections.abc import Callable
 
 from imufield.acquire.link.background import BackgroundLink
 from imufield.acquire.link.chunk import Chunk
-from imufield.acquire.link.host_clock import HostClock
+from imufield.acquire.link.host_clock import HostClock, patience_s
 from imufield.errors import LinkError, Reason
 
 RECONNECT_EVERY_S = 0.5  # A plug is back within seconds; opening a port takes some milliseconds.
 _BETWEEN_TRIES_S = 0.1  # The caller still sees Ctrl-C and draws its screen.
+SILENCE_S = 2.0
+"""Real time without a byte after which a person is told: the slowest instruments send ten times a second."""
 
 
 class ReconnectingLink:
@@ -26,12 +31,32 @@ class ReconnectingLink:
     """
 
     def __init__(self, link: BackgroundLink, clock: HostClock, ask: Callable[[list[Chunk]], None]) -> None:
+        self.name = link.name
         self._link = link
         self._clock = clock
         self._ask = ask
         self._is_new = False  # Nothing was read since it was opened again.
         self._next_try_s = 0.0
+        self._now_s = self._heard_s = clock.monotonic_s()  # Of the newest read, and of the newest with data.
+        self._there_s = self._now_s  # The time without a link is no silence of the instrument.
+        self._pauses_s = 0.0  # Those that have ended, together.
         self.lost: LinkError | None = None  # Why nothing arrives; None while the link is there.
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether the link is there and nothing arrives."""
+        return self._now_s - max(self._heard_s, self._there_s) > patience_s(self._clock, SILENCE_S)
+
+    @property
+    def pause_s(self) -> float:
+        """Time for which nothing has arrived, whether the link is there or not; 0 while it is too short to count."""
+        pause_s = self._now_s - self._heard_s
+        return pause_s if pause_s > patience_s(self._clock, SILENCE_S) else 0.0
+
+    @property
+    def pauses_s(self) -> float:
+        """All pauses together, that under way among them."""
+        return self._pauses_s + self.pause_s
 
     def read(self) -> Chunk | None:
         """Return the next chunk, None if nothing came for a moment.
@@ -41,6 +66,15 @@ class ReconnectingLink:
         LinkError
             The port is there again and cannot be used, or another instrument is on it: waiting would not help.
         """
+        chunk, now_s = self._read(), self._clock.monotonic_s()
+        if chunk is not None:
+            self._pauses_s, self._heard_s = self.pauses_s, now_s
+        self._now_s = now_s
+        if self.lost is not None:
+            self._there_s = self._now_s
+        return chunk
+
+    def _read(self) -> Chunk | None:
         if self.lost is None:
             try:
                 chunk = self._link.read()

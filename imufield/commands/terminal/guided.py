@@ -54,8 +54,6 @@ if TYPE_CHECKING:
 
 sentence = Sentences(__package__)
 
-SILENCE_S = 2.0
-"""Real time without a byte after which the screen says so: the slowest instruments send ten times a second."""
 REFRESH_EVERY_S = 0.1  # Ten pictures a second: a person sees a turn without delay, and the decoder keeps its time.
 BIG = "b"
 HELP = "?"
@@ -255,7 +253,6 @@ class CaptureLoop:
 
     def __post_init__(self) -> None:
         self.chain = self.intake.chain
-        self._last_byte_s = self.clock.monotonic_s()
         self._last_refresh_s = self._last_shown_s = float("-inf")
         self._link = ReconnectingLink(self.connected.link, self.clock, self.connected.ask_again)
         self._finish_until_s = float("-inf")  # Until then the key that finishes is believed.
@@ -336,17 +333,12 @@ class CaptureLoop:
     def _next_chunk(self) -> Chunk | None:
         was_lost = self._link.lost is not None
         chunk = self._link.read()
-        if was_lost:
-            # The time without a link is no silence of the instrument.
-            self._last_byte_s = self.clock.monotonic_s()
-        elif self._link.lost is not None:
+        if self._link.lost is not None and not was_lost:
             self._publish(self.intake.link_lost())
         return chunk
 
     def _take(self, chunk: Chunk) -> None:
         self._publish(self.intake.take(chunk))
-        # Behind the work: what arrives meanwhile waits, and the wire is not silent.
-        self._last_byte_s = self.clock.monotonic_s()
 
     def _follow_keys(self) -> bool:
         keys, page = _SEQUENCE.sub("", self.keyboard.read()), self.view.page
@@ -399,9 +391,7 @@ class CaptureLoop:
         if not (draws or shows) or self.chain.guide is None:
             return
         snapshot = cache(self.chain.guide.snapshot)
-        silence_s = self.clock.monotonic_s() - self._last_byte_s
-        silent = self._link.lost is None and silence_s > patience_s(self.clock, SILENCE_S)
-        lost = sum(part.lost for part in self.chain.statistics)
+        silent, lost = self._link.is_silent, sum(part.lost for part in self.chain.statistics)
         if page is not None and shows:
             self._last_shown_s = now_s
             page.refresh(snapshot(), silent=silent, samples_lost=lost)
