@@ -41,6 +41,7 @@ _BURST_S = 0.02  # Least step that counts where frames come in bursts: a host un
 _RESET_S = 1.0  # A stamp that runs back by more is another clock (the adapter's wrapped), by less frames out of order.
 _DRIFT = 0.1  # Part of a period: a sample that moves the phase by more is off.
 _DRIFT_RUN = 64  # Samples off in a row from which the rate has changed.
+_LARGEST_MODULUS = 1 << 62  # Arithmetic is done in 64 bits with a sign.
 _LEAST_STEP = 0.25  # Part of a period by which time goes on from one sample to the next.
 
 
@@ -50,7 +51,7 @@ class _Phase:
 
     period_s: float
     window_s: float
-    unit: int  # Samples in the smallest loss that only time shows: 1, or a wrap of the counter.
+    unit: int = 1  # Samples in the smallest loss that only time shows: 1, or a wrap of the counter.
     number: float = 0.0  # Number of the next sample.
     delay_s: float = 0.0  # By which nearly all samples are late at most.
     visible_s: float = 0.0  # Smallest step of the phase that counts as loss.
@@ -76,18 +77,27 @@ class CanClock(Clock):
         self._last_stamp_s: float | None = None
         self._step_s = 0.0  # The last step of the stamps that was no jump.
         self._last_counter: int | None = None
+        self._modulus = rule.counter_modulus
         self._counter_step = 1
         # Number and time of the first sample since the period was learned.
         self._begin: tuple[float, float] | None = None
 
     def push(self, block: RawBlock, arrivals: Arrival | Arrivals) -> Samples | None:  # noqa: ARG002  frames have their own stamps
         """Return the samples whose time is settled now, None if there are none."""
+        self._widen(int(block.counter.max()))
         self._pending.append(self._continuous(block))
         return self._release(last=False)
 
     def flush(self) -> Samples | None:
         """Return what is kept back; nothing will follow."""
         return self._release(last=True) if self._pending else None
+
+    def _widen(self, counter: int) -> None:
+        """Let a counter that is beyond its stated end go on to the next power of two: ranges of DBC files may be wrong."""
+        if self._modulus and counter >= self._modulus:
+            self._modulus = min(1 << counter.bit_length(), _LARGEST_MODULUS)
+            if self._phase is not None:
+                self._set_unit(self._phase)
 
     def _continuous(self, block: RawBlock) -> RawBlock:
         """Take out jumps of the clock that made the stamps, and flag the samples behind them."""
@@ -145,8 +155,8 @@ class CanClock(Clock):
     def _learn(self, block: RawBlock) -> _Phase:
         """Learn the period, and the usual step of a counter."""
         known = block.counter >= 0
-        if np.count_nonzero(known) > len(known) / 2 and self._rule.counter_modulus:
-            steps = np.diff(block.counter)[known[1:] & known[:-1]] % self._rule.counter_modulus
+        if np.count_nonzero(known) > len(known) / 2 and self._modulus:
+            steps = np.diff(block.counter)[known[1:] & known[:-1]] % self._modulus
             counts = [int(np.count_nonzero(steps == step)) for step in self._rule.counter_steps]
             self._counter_step = self._rule.counter_steps[int(np.argmax(counts))]
             first = int(np.argmax(known))
@@ -154,23 +164,28 @@ class CanClock(Clock):
         steps = self._steps(block.counter, remember=False)
         period_s = sample_period_s(block.stamp_s, np.cumsum(steps), self._rule.rate_hz)
         window_s = max(_WINDOW_S, _LEAST_WINDOW * period_s)
-        unit = self._rule.counter_modulus // self._counter_step if self._last_counter is not None else 1
-        phase = _Phase(period_s=period_s, window_s=window_s, unit=max(unit, 1))
+        phase = _Phase(period_s=period_s, window_s=window_s)
         lag_s = block.stamp_s - np.cumsum(steps) * period_s
         envelope_s = _minimum_ahead(lag_s, block.stamp_s, window_s, len(block))
         phase.base_s = float(envelope_s[0])
-        phase.delay_s = delay_s = float(np.quantile(lag_s - envelope_s, _USUAL_DELAY))
-        unit_s = phase.unit * period_s
-        phase.visible_s = unit_s / 2
-        if 2 * delay_s >= unit_s:
-            phase.visible_s = max(2 * delay_s, _BURST_S)
-            phase.burst = math.ceil(delay_s / period_s)
-            if self._last_counter is None:
-                self._statistics.least_loss_s = max(self._statistics.least_loss_s, phase.visible_s)
+        phase.delay_s = float(np.quantile(lag_s - envelope_s, _USUAL_DELAY))
+        self._set_unit(phase)
         # An adapter or a log without time: nothing can be seen as missing, and nothing is waited for.
         if block.stamp_s[-1] <= block.stamp_s[0]:
             phase.is_blind, phase.base_s = True, 0.0
         return phase
+
+    def _set_unit(self, phase: _Phase) -> None:
+        """Settle which losses only time shows, and from which step of the phase on it does."""
+        unit = self._modulus // self._counter_step if self._last_counter is not None else 1
+        phase.unit = max(unit, 1)
+        unit_s = phase.unit * phase.period_s
+        phase.visible_s = unit_s / 2
+        if 2 * phase.delay_s >= unit_s:
+            phase.visible_s = max(2 * phase.delay_s, _BURST_S)
+            phase.burst = math.ceil(phase.delay_s / phase.period_s)
+            if self._last_counter is None:
+                self._statistics.least_loss_s = max(self._statistics.least_loss_s, phase.visible_s)
 
     def _steps(self, counter: IntArray, *, remember: bool = True) -> FloatArray:
         """Return how many samples each one is behind the one before, by the counter; 1 where there is none. Shape (n,)."""
@@ -179,7 +194,7 @@ class CanClock(Clock):
         known = counter >= 0
         # A lost counter message: go on from the last one known.
         filled = counter if every(known) else filled_in(counter, known, self._last_counter, self._counter_step)
-        modulus = self._rule.counter_modulus
+        modulus = self._modulus
         steps = steps_between(filled, self._last_counter) % modulus / self._counter_step
         if remember:
             self._last_counter = int(filled[-1]) % modulus

@@ -8,6 +8,7 @@ bit, big-endian ("Motorola") ones at their most significant.
 from __future__ import annotations
 
 import logging
+import math
 import re
 from collections.abc import Iterable, Mapping
 from typing import Self
@@ -90,6 +91,9 @@ class CanSignal:
     factor: float
     offset: float
     unit: str
+    minimum: float = -math.inf
+    maximum: float = math.inf
+    """The range that the file states, as values."""
     codes: tuple[Code, ...] = ()
 
     @property
@@ -103,6 +107,13 @@ class CanSignal:
         if self.big_endian:
             return (self._first_bit_in_order + self.length + 7) // 8
         return (self.start + self.length + 7) // 8
+
+    @property
+    def numbers(self) -> int:
+        """How many raw numbers from 0 on there are: by the stated range where that begins at 0, else by the bits."""
+        by_bits = 1 << self.length
+        last = (self.maximum - self.offset) / self.factor
+        return round(last) + 1 if self.minimum == self.offset and 1 <= last < by_bits else by_bits
 
     @property
     def _first_bit_in_order(self) -> int:
@@ -368,12 +379,18 @@ def compile_signal(signal: Signal, is_j1939: bool = False) -> CanSignal:
         big_endian=signal.byte_order == "big_endian",
         is_signed=bool(signal.is_signed),
         is_float=bool(signal.is_float),
-        # By their text, as the float of a whole number of 400 digits is an error and that of its text is infinite.
-        factor=float(str(signal.scale)),
-        offset=float(str(signal.offset)),
+        factor=_number(signal.scale),
+        offset=_number(signal.offset),
         unit=signal.unit or "",
+        minimum=-math.inf if signal.minimum is None else _number(signal.minimum),
+        maximum=math.inf if signal.maximum is None else _number(signal.maximum),
         codes=tuple(codes),
     )
+
+
+def _number(found: float) -> float:
+    # By its text, as the float of a whole number of 400 digits is an error and that of its text is infinite.
+    return float(str(found))
 
 
 def _check_extent(text: str, label: str) -> None:

@@ -19,6 +19,7 @@ from imufield.acquire.protocol.samples_and_clock import (
     ClockRule,
     FlagRule,
     read_flag,
+    read_modulus,
     read_rate,
     read_shift,
     read_steps,
@@ -168,9 +169,10 @@ def read_can(top: Table) -> tuple[CanRule, SampleUnits, ClockRule]:
     mapped.others()
     if not any(units_of.values()):
         raise mapped.table.error("", sentence("can_protocol.nothing_mapped", candidates=_candidates(dbc)))
+    modulus = read_modulus(clock, "counter_modulus") or mapped.counter_modulus
     clock_rule = ClockRule(
-        counter_modulus=mapped.counter_modulus,
-        counter_steps=read_steps(clock, "counter_steps", mapped.counter_modulus),
+        counter_modulus=modulus,
+        counter_steps=read_steps(clock, "counter_steps", modulus),
         time_modulus=mapped.time_modulus,
         time_ticks_per_s=clock.number("time_ticks_per_s", mapped.ticks_per_s, low=LEAST_TICKS_PER_S, high=MOST_TICKS_PER_S),
         rate_hz=read_rate(clock),
@@ -248,7 +250,7 @@ class _Mapping:
         if self.table.has("counter"):
             kind, signal = self._find("counter", self.table.text("counter"))
             check_whole(self.table, "counter", signal)
-            kind.counter, self.counter_modulus = signal, 1 << min(signal.length, COUNTER_BITS)
+            kind.counter, self.counter_modulus = signal, min(signal.numbers, 1 << COUNTER_BITS)
         if self.table.has("time"):
             kind, signal = self._find("time", self.table.text("time"))
             kind.time = signal

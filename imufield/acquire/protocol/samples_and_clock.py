@@ -294,7 +294,7 @@ def read_clock(top: Table, *, of_text: bool) -> ClockRule:
         # What several have in common: the first field, the longest wrap, ns.
         longest = max(round(each.modulus * NANOSECONDS / each.ticks_per_s) for each in times)
         time = TimeRule(times[0].field, longest, NANOSECONDS) if several else times[0]
-        modulus = counter.known_integer("modulus", low=2, high=MOST_TICKS)
+        modulus = read_modulus(counter)
         return ClockRule(
             counter_field=counter.text("field", ""),
             counter_modulus=modulus,
@@ -316,6 +316,11 @@ def read_steps(table: Table, key: str, modulus: int) -> tuple[int, ...]:
     return table.integers(key, 1, (modulus or MOST_TICKS) - 1, (1,))
 
 
+def read_modulus(table: Table, key: str = "modulus") -> int:
+    """Read how many numbers a counter or a time stamp runs through before it begins anew; 0 where that is not stated."""
+    return table.known_integer(key, low=2, high=MOST_TICKS)
+
+
 def read_rate(table: Table) -> float:
     """Read the nominal sample rate in Hz of ``[clock]``; 0 where it is not known."""
     return table.known_number("rate_hz", low=RATE_RANGE_HZ[0], high=RATE_RANGE_HZ[1])
@@ -325,7 +330,7 @@ def _read_time(table: Table) -> TimeRule:
     with table:
         return TimeRule(
             table.text("field", ""),
-            table.known_integer("modulus", low=2, high=MOST_TICKS),
+            read_modulus(table),
             table.number("ticks_per_s", 1.0, low=LEAST_TICKS_PER_S, high=MOST_TICKS_PER_S),
         )
 

@@ -43,6 +43,7 @@ class CanEncoder:
             raise UsageError(sentence("can_frames.no_bus", protocol=protocol.name))
         self._rule = protocol.can
         self._ticks_per_s = protocol.clock.time_ticks_per_s
+        self._counter_modulus = protocol.clock.counter_modulus
         self._counter_step = protocol.clock.counter_steps[0]
         self._address = DEFAULT_ADDRESS if self._rule.source_address == ANY_ADDRESS else self._rule.source_address
         # The order in which frames win the bus; sorted() keeps the forms of one multiplexed message as they are.
@@ -79,9 +80,9 @@ class CanEncoder:
             before = raw.get(signal.name, np.zeros(n, dtype=np.int64)).astype(np.int64)
             raw[signal.name] = before | np.where(is_set, value, 0)
         count = samples.counter * self._counter_step + self.counter_offset
-        for counter in (kind.counter, kind.group):
+        for counter, modulus in ((kind.group, 0), (kind.counter, self._counter_modulus)):
             if counter is not None:
-                raw[counter.name] = _wrapped(counter, count)
+                raw[counter.name] = _wrapped(counter, count % modulus if modulus else count)
         if kind.time is not None:
             ticks = np.rint(samples.time_s * self._ticks_per_s).astype(np.int64)
             raw[kind.time.name] = _wrapped(kind.time, ticks)

@@ -248,7 +248,7 @@ def test_a_large_loss_shows_through_bursts() -> None:
     assert np.flatnonzero(samples.status & Status.GAP_ESTIMATED)[0] == pytest.approx(4000, abs=12)
 
 
-@pytest.mark.parametrize("modulus", [16, 256, 65536])
+@pytest.mark.parametrize("modulus", [15, 16, 100, 256, 65536])
 @pytest.mark.parametrize("block", [9, 4000])
 def test_a_counter_counts_exactly(modulus: int, block: int) -> None:
     rng = np.random.default_rng(modulus)
@@ -259,6 +259,24 @@ def test_a_counter_counts_exactly(modulus: int, block: int) -> None:
     assert statistics.samples_lost == missing.sum()
     assert statistics.losses_estimated == 0
     assert ((samples.status[1:] & Status.AFTER_GAP) != 0).tolist() == (missing > 0).tolist()
+
+
+@pytest.mark.parametrize("begin", [0, 3000, 60_000])
+@pytest.mark.parametrize("block", [9, 100_000])
+def test_a_counter_beyond_its_stated_end_has_another(begin: int, block: int) -> None:
+    kept = np.delete(np.arange(70_000), [200, 254, 255, 256, 6000, 65_535, 65_536])
+    _, statistics = run(kept / 400.0, counter=(begin + kept) % 65_536, modulus=255, block=block)
+    assert statistics.samples_lost == 7
+    assert statistics.losses_estimated == 0
+
+
+def test_a_counter_that_has_another_end_tells_its_losses_from_those_that_only_time_shows() -> None:
+    kept = np.concatenate([np.arange(1000), np.arange(1000 + 150, 4000)])
+    stamp_s = kept / 400.0
+    # As late for good as the stated period would be.
+    stamp_s[2000:] += 100 / 400.0
+    _, statistics = run(stamp_s, counter=kept, modulus=100)
+    assert (statistics.samples_lost, statistics.losses_estimated) == (150, 0)
 
 
 def test_whole_wraps_are_estimated() -> None:

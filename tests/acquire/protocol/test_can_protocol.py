@@ -302,6 +302,30 @@ def test_what_is_wrong_with_a_map(dbc: Path, change: dict[str, str], key: str, w
     assert re.search(r"line \d+, key `[a-z_.0-9]+`", caught.value.message)
 
 
+@pytest.mark.parametrize(
+    ("bits", "stated", "modulus"),
+    [
+        ("4", "(1,0) [0|14]", 15),
+        ("4", "(1,0) [0|15]", 16),
+        ("4", "(0.5,0) [0|7]", 15),
+        ("8", "(1,0) [0|99]", 100),
+        ("8", "(1,-10) [-10|89]", 100),
+        ("8", "(1,0) [0|0]", 256),
+        ("8", "(1,0) [1|99]", 256),
+        ("8", "(1,0) [0|1000]", 256),
+        ("8", "(1,0) [0|1e400]", 256),
+        ("8", "(-1,0) [0|99]", 256),
+    ],
+)
+def test_a_counter_begins_anew_behind_the_range_of_the_file(tmp_path: Path, bits: str, stated: str, modulus: int) -> None:
+    path = tmp_path / "mine.dbc"
+    path.write_text(DBC.replace("48|8@1+ (1,0) [0|0]", f"48|{bits}@1+ {stated}"), encoding="cp1252")
+    protocol = protocol_from_dbc(path, {**MAP, "counter": "Gyro.Count"})
+    assert protocol.clock.counter_modulus == modulus
+    told = protocol.text.replace("[clock.rate_hz]", "[clock]\ncounter_modulus = 12\n[clock.rate_hz]")
+    assert parse_protocol(told).clock.counter_modulus == 12
+
+
 @pytest.mark.parametrize(("signal", "unit"), [("Nameless", "no unit"), ("Speed", "'km/h'")])
 def test_a_time_stamp_without_a_unit_is_refused_but_in_earlier_sessions(dbc: Path, signal: str, unit: str) -> None:
     with refused(ProtocolError, Reason.UNITS, signal, unit, "time.ticks_per_s", key="can_map.time_unit"):
