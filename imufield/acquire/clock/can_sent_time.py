@@ -1,18 +1,24 @@
-"""The clock of a CAN bus whose instrument sends the time in one of its messages."""
+"""The clock of a CAN bus whose instrument sends the time in one of its messages.
+
+Of a stamp that wraps, whole wraps that are missing show only in the stamps of the frames: behind a silence of the bus. A host
+that stood still makes the same silence, and then hands over at once what had waited; so samples behind a silence are kept back
+for as long as ``can_clock`` allows for that.
+"""
 
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 
 from imufield.acquire.clock.clock import Arrival, Arrivals, Clock, filled_in
-from imufield.acquire.clock.missing_samples import LEARN_FROM, StepRule, steps_in_silence
+from imufield.acquire.clock.missing_samples import FREE_LAG_S, LEARN_FROM, StepRule, steps_in_silence
 from imufield.acquire.clock.stamp_clock import MeanStep, StampClock, steps_between
 from imufield.acquire.decode.assembly import RawBlock, Ticks, join
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
-from imufield.samples import Samples, SampleUnits, Status
+from imufield.samples import FloatArray, Samples, SampleUnits, Status, concatenate
 
 
 class CanSentTime(Clock):
@@ -23,45 +29,76 @@ class CanSentTime(Clock):
         self._stamps = StampClock(rule)
         self._steps = StepRule()
         self._mean = MeanStep()
-        self._early: list[RawBlock] = []
+        self._pending: list[RawBlock] = []
         self._started = False
         self._last = 0.0
         self._last_stamp_s = math.nan  # Of the bus.
 
     def push(self, block: RawBlock, arrivals: Arrival | Arrivals) -> Samples | None:  # noqa: ARG002  the instrument tells the time
         """Return the samples whose time is settled now, None if there are none."""
-        if self._started:
-            return self._time(block)
-        self._early.append(block)
-        return self._start() if sum(map(len, self._early)) > LEARN_FROM else None
+        self._pending.append(block)
+        return self._release(last=False) if self._started or sum(map(len, self._pending)) > LEARN_FROM else None
 
     def flush(self) -> Samples | None:
         """Return what is kept back; nothing will follow."""
-        return self._start() if self._early else None
+        return self._release(last=True) if self._pending else None
 
-    def _start(self) -> Samples:
-        """Learn the regular step from the first stamps, then time their samples like all others."""
-        block, self._early, self._started = join(self._early), [], True
-        # Of as many in any case, so that it does not matter in what pieces they come.
+    def _release(self, *, last: bool) -> Samples | None:
+        """Time what has come, up to a silence behind which it is not clear yet whether data are late or missing."""
+        block, self._pending = join(self._pending), []
+        if not self._started:
+            self._learn(block)
+        silence_s = steps_between(block.stamp_s, self._last_stamp_s)
+        begins = np.flatnonzero(silence_s > max(self._stamps.wrap_s / 2, FREE_LAG_S)).tolist()
+        done = []
+        for begin, end in pairwise(sorted({0, *begins, len(block)})):
+            unseen_s = 0.0
+            if begin in begins:
+                late_s = self._late_s(block.stamp_s[begin:], float(silence_s[begin]), last=last)
+                if late_s is None:
+                    self._pending = [block[begin:]]
+                    break
+                unseen_s = float(silence_s[begin]) - late_s
+            self._last_stamp_s = float(block.stamp_s[end - 1])
+            done.append(self._time(block[begin:end], silence_s[begin:end], unseen_s))
+        return concatenate(done) if done else None
+
+    def _late_s(self, stamp_s: FloatArray, silence_s: float, *, last: bool) -> float | None:
+        """Return by how much the first sample behind a silence is late: what waited comes at once, behind a loss nothing does.
+
+        None while that cannot be told.
+        """
+        waited_s = np.arange(len(stamp_s)) * self._steps.step
+        since_s = stamp_s - stamp_s[0]
+        if not last and since_s.max() <= FREE_LAG_S and waited_s[-1] < silence_s:
+            return None
+        return float((waited_s - since_s)[since_s <= FREE_LAG_S].max())
+
+    def _learn(self, block: RawBlock) -> None:
+        """Learn the regular step from the first stamps: of as many in any case, in whatever pieces they come."""
+        self._started = True
         first = block.ticks[: LEARN_FROM + 1]
         known = first[np.isfinite(first)] if np.isfinite(first).any() else np.zeros(1)
         self._last = float(known[0])
         self._steps.learn(self._stamps.start(self._whole(known)))
-        return self._time(block)
 
-    def _time(self, block: RawBlock) -> Samples:
+    def _time(self, block: RawBlock, silence_s: FloatArray, unseen_s: float) -> Samples:
+        """Time samples by their stamps; before the first nothing was sent for ``unseen_s``, if that is not 0."""
         step_s = self._steps.step or 1.0
         ticks = self._filled(block.ticks, step_s * self._rule.time_ticks_per_s)
-        silence_s = steps_between(block.stamp_s, self._last_stamp_s)
-        self._last_stamp_s = float(block.stamp_s[-1])
+        went_round = bool(unseen_s) and self._stamps.go_round(ticks[0].item(), unseen_s)
         stamped = self._stamps.time(ticks, lambda row: steps_in_silence(silence_s[row], step_s) * step_s)
         lost = self._steps.examine(stamped.step_s).lost
         is_set = stamped.reset & (stamped.step_s <= step_s)
-        flags = np.where((lost > 0) & ~stamped.reset, np.uint32(Status.AFTER_GAP), np.uint32(0))
-        flags[stamped.reset] |= np.uint32(Status.GAP_ESTIMATED)
+        guessed = stamped.reset.copy()
+        guessed[0] |= went_round
+        estimated = int(lost[0]) if went_round else 0
+        flags = np.where((lost > 0) & ~guessed, np.uint32(Status.AFTER_GAP), np.uint32(0))
+        flags[guessed] |= np.uint32(Status.GAP_ESTIMATED)
         flags[is_set] |= np.uint32(Status.CLOCK_SET)
         statistics = self._statistics
-        statistics.samples_lost += int(lost.sum())
+        statistics.samples_lost += int(lost.sum()) - estimated
+        statistics.losses_estimated += estimated
         statistics.gaps += int(np.count_nonzero(flags))
         statistics.clock_resets += int(np.count_nonzero(is_set))
         mean_s = self._mean.by_stamps(stamped, self._steps.step)

@@ -1,4 +1,4 @@
-"""Lag of the sample clock behind the host, and the losses that it alone shows: wraps of a counter, or any without a counter.
+"""Lag of the sample clock behind the host, and the losses that it alone shows: wraps of a counter or a stamp, or any without.
 
 Such a loss makes the sample clock fall behind arrival by the loss, and stay behind by just that. Much else makes it fall
 behind, too, with nothing missing: a host that stood still and hands over old data late, a cable or network that is slower

@@ -2,7 +2,7 @@
 
 Three sources, in this order of trust:
 
-* a *time stamp* of the instrument, unwrapped;
+* a *time stamp* of the instrument, unwrapped; whole wraps of it that are missing show as those of a counter;
 * a *counter* of known rate, unwrapped: fewer losses than one wrap of it are counted exactly. More cannot be seen in it
   (256 counts at 2000 Hz are 128 ms). They show as a lag against the host clock that does not go away; samples are kept
   back until it is clear whether the lag is a burst of late data (nothing is missing) or whole wraps are;
@@ -67,6 +67,7 @@ class SampleClock(Clock):
         self._block_ticks: IntArray = np.empty(0, dtype=np.int64)  # Of the samples of the newest block, shape (n,).
         self._even: IntArray = np.zeros(1, dtype=np.int64)  # Multiples of the regular step, as many as a block needed.
         self._unit_ticks = 1
+        self._unit_s = 1.0  # Of the smallest loss that only the host's clock shows; infinite where stamps show all.
         self._origin_s = 0.0
         self._shift_s = 0.0  # Added to even steps to follow the host clock, where there is neither time nor counter.
 
@@ -150,8 +151,8 @@ class SampleClock(Clock):
             self._start_by_host()
         self._ticks = -int(self._steps.step)
         self._unit_ticks = self._rule.counter_modulus if self._has_counter else 1
-        unit_s = self._unit_ticks / self._tick_rate_hz
-        self._watch = LossWatch(unit_s, unit_s / 2 if self._has_counter else FREE_LAG_S)
+        self._unit_s = self._stamps.wrap_s if self._has_time else self._unit_ticks / self._tick_rate_hz
+        self._watch = LossWatch(self._unit_s, self._unit_s / 2 if self._has_time or self._has_counter else FREE_LAG_S)
         self._check_interval(len(first))
         early, self._early = self._early, []
         return [timed for block, arrival_s in early for timed in self._settle(block, [(len(block), arrival_s)])]
@@ -347,12 +348,8 @@ class SampleClock(Clock):
         begin = at = 0
         for end, arrival_s in reads:
             last_s = float(timed.time_s[end - 1])
-            if self._has_time or self._watch.passes(arrival_s, last_s):
-                if not self._has_time:
-                    self._follow_host(timed.time_s[at:end], arrival_s)
-                elif math.isfinite(arrival_s):
-                    self._watch.last_arrival_s = arrival_s
-                    self._watch.baseline.add(arrival_s, last_s)
+            if self._watch.passes(arrival_s, last_s):
+                self._follow_host(timed.time_s[at:end], arrival_s)
                 at = end
                 continue
             if at > begin:
@@ -374,13 +371,16 @@ class SampleClock(Clock):
         self._statistics.gaps += self._watch.gaps
         self._watch.gaps = 0
         if taken_back:
-            self._statistics.losses_estimated -= round(taken_back * self._unit_ticks / self._steps.step)
+            self._statistics.losses_estimated -= round(taken_back * self._unit_s / self._step_s)
         if units:
+            self._statistics.losses_estimated += round(units * self._unit_s / self._step_s)
+        if units and self._has_time:
+            time_s[following:] = self._stamps.add_wraps(units, time_s[following:])
+        elif units:
             self._ticks += units * self._unit_ticks
             # From whole ticks again: a sum of times would depend in its last bit on how reads were joined into blocks.
             self._block_ticks[following:] += units * self._unit_ticks
             time_s[following:] = self._time_of(self._block_ticks[following:])
-            self._statistics.losses_estimated += round(units * self._unit_ticks / self._steps.step)
 
     def _emit(self, done: list[TimedBlock]) -> Samples | None:
         if not done:

@@ -54,6 +54,7 @@ class StampClock:
     def __init__(self, rule: ClockRule) -> None:
         self._modulus = rule.time_modulus
         self._ticks_per_s = rule.time_ticks_per_s
+        self.wrap_s = self._modulus / self._ticks_per_s if self._modulus else math.inf
         self._longest_pause_s = math.inf if rule.gaps_told else LONGEST_PAUSE_S
         self._last: float = 0
         self._wraps = 0
@@ -68,6 +69,25 @@ class StampClock:
         self._last = max(stamps[0].item(), -_LARGEST_TIME_S * self._ticks_per_s)
         self._time_s = self._raw_s = self._last / self._ticks_per_s
         return np.diff(stamps) / self._ticks_per_s
+
+    def go_round(self, stamp: float, silence_s: float) -> bool:
+        """Add the wraps that a silence before the next stamp has room for; return whether the stamp does not show them."""
+        step = stamp - self._last
+        wraps = round((silence_s * self._ticks_per_s - step) / self._modulus)
+        if wraps <= int(step < -(self._modulus // 2)):
+            return False
+        self._wraps, self._last = self._wraps + wraps, stamp
+        return True
+
+    def add_wraps(self, wraps: int, time_s: FloatArray) -> FloatArray:
+        """Add wraps that were found missing before these newest times, which may be none; return them moved on. Shape (n,)."""
+        self._wraps += wraps
+        raw_s = np.append(time_s - self._offset_s, self._raw_s)
+        # From whole ticks again: a sum of times would depend in its last bit on how reads were joined into blocks.
+        raw_s = (np.rint(raw_s * self._ticks_per_s) + wraps * self._modulus) / self._ticks_per_s
+        self._raw_s = raw_s.item(-1)
+        self._time_s += wraps * self.wrap_s
+        return np.asarray(raw_s[:-1] + self._offset_s)
 
     def time(self, stamps: Ticks, step_over: Callable[[int], float]) -> Stamped:
         """Return the time of the next n samples.

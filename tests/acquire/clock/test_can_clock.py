@@ -378,6 +378,41 @@ def test_an_instrument_that_begins_anew_is_a_gap_as_long_as_the_silence(block: i
     assert np.flatnonzero(samples.status & Status.CLOCK_SET).tolist() == [1234]
 
 
+WRAPPING = ClockRule(time_modulus=1 << 16, time_ticks_per_s=1e4)  # Every 6.5 s.
+
+
+@pytest.mark.parametrize("missing", [10, 300, 399, 655, 656, 1399, 1966])
+@pytest.mark.parametrize("block", [1, 7, 10_000])
+def test_wraps_of_a_time_stamp_are_told_by_the_silence_of_the_bus(missing: int, block: int) -> None:
+    kept = np.concatenate([np.arange(3000), np.arange(3000 + missing, 8000)])
+    true_s = kept / 100.0
+    rng = np.random.default_rng(missing)
+    samples, statistics = run(
+        true_s + rng.uniform(0, 0.02, len(kept)), ticks=kept * 100.0 % 65536.0, rule=WRAPPING, block=block
+    )
+    np.testing.assert_array_equal(samples.time_s, kept * 100 / 1e4)
+    assert (statistics.lost, statistics.gaps, statistics.clock_resets) == (missing, 1, 0)
+    assert np.flatnonzero(samples.status).tolist() == [3000]
+    assert bool(samples.status[3000] & Status.GAP_ESTIMATED) == (missing > 327)
+
+
+@pytest.mark.parametrize("long_s", [1.0, 6.5, 14.0])
+@pytest.mark.parametrize("block", [1, 7, 10_000])
+def test_time_stamps_that_wrapped_while_the_host_stood_still_are_no_loss(long_s: float, block: int) -> None:
+    true_s = 1.0 + np.arange(8000) / 100.0
+    late = (true_s > 30.0) & (true_s < 30.0 + long_s)
+    stamp_s = np.where(late, 30.0 + long_s + np.arange(8000) * 1e-5, true_s)
+    samples, statistics = run(np.sort(stamp_s), ticks=np.arange(8000) * 100.0 % 65536.0, rule=WRAPPING, block=block)
+    assert (statistics.lost, statistics.gaps) == (0, 0)
+    np.testing.assert_array_equal(samples.time_s, np.arange(8000) * 100 / 1e4)
+
+
+def test_a_silence_at_the_end_keeps_nothing_back() -> None:
+    kept = np.append(np.arange(3000), 4399)
+    samples, statistics = run(kept / 100.0, ticks=kept * 100.0 % 65536.0, rule=WRAPPING)
+    assert (len(samples), statistics.lost) == (3001, 1399)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_cuts_do_not_matter(seed: int) -> None:
     rng = np.random.default_rng(seed)

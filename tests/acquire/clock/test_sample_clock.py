@@ -98,6 +98,39 @@ def test_the_rate_is_that_of_all_stamps_and_not_of_the_first(rate_hz: float, has
     assert statistics.nominal_rate_hz == pytest.approx(rate_hz, rel=2e-4)
 
 
+WRAPPING = ClockRule(time_field="time", time_modulus=1 << 16, time_ticks_per_s=1e4)  # Every 6.5 s.
+
+
+@pytest.mark.parametrize("missing", [300, 655, 656, 1399, 1966])
+@pytest.mark.parametrize("size", [1, 5])
+def test_wraps_of_a_time_stamp_are_estimated_from_the_host_clock(missing: int, size: int) -> None:
+    kept = np.concatenate([np.arange(3000), np.arange(3000 + missing, 8000)])
+    arrival_s = 50 + kept / 100.0 + np.random.default_rng(missing).exponential(0.0005, len(kept))
+    ticks = kept * 100 % (1 << 16)
+    ends = np.append(np.arange(size, len(kept), size), len(kept))
+    alone, statistics = run(WRAPPING, [(block(ticks=ticks[end - size : end]), float(arrival_s[end - 1])) for end in ends[:-1]])
+    rest = len(alone)
+    np.testing.assert_allclose(alone.time_s, kept[:rest] * 100 / 1e4, atol=1e-9)
+    assert (statistics.lost, statistics.gaps, statistics.clock_resets) == (missing, 1, 0)
+    assert bool(alone.status[3000] & np.uint32(Status.GAP_ESTIMATED)) == (missing > 500)
+    clock = SampleClock(WRAPPING, SampleUnits(), DecoderStatistics())
+    timed = (clock.push(block(ticks=ticks), Arrivals(ends, arrival_s[ends - 1])), clock.flush())
+    np.testing.assert_array_equal(concatenate([each for each in timed if each]).time_s[:rest], alone.time_s)
+
+
+@pytest.mark.parametrize("pace", [1.5, 10.0])
+def test_time_stamps_that_wrapped_while_data_were_late_are_no_loss(pace: float) -> None:
+    true_s = np.arange(8000) / 100.0
+    # From 30 s to 44 s nothing is read; then what waited comes faster than it is made.
+    arrival_s = 50 + np.maximum(true_s, np.where(true_s > 30, 44 + (true_s - 30) / pace, 0))
+    ticks = np.arange(8000) * 100 % (1 << 16)
+    samples, statistics = run(
+        WRAPPING, [(block(ticks=ticks[at : at + 5]), float(arrival_s[at + 4])) for at in range(0, 8000, 5)]
+    )
+    assert (statistics.lost, statistics.gaps) == (0, 0)
+    np.testing.assert_array_equal(samples.time_s, np.arange(8000) * 100 / 1e4)
+
+
 def test_a_burst_of_late_data_is_no_loss() -> None:
     numbers = np.arange(8000)
     arrival_s = 10 + numbers / 2000
