@@ -12,11 +12,12 @@ from itertools import pairwise
 
 import numpy as np
 
+from imufield.acquire.clock.can_clock import CanClock
 from imufield.acquire.clock.clock import Arrival, Arrivals, Clock, filled_in
 from imufield.acquire.clock.missing_samples import FREE_LAG_S, LEARN_FROM, StepRule, steps_in_silence
 from imufield.acquire.clock.stamp_clock import MeanStep, StampClock, steps_between
 from imufield.acquire.decode.assembly import RawBlock, Ticks, join
-from imufield.acquire.decode.statistics import DecoderStatistics
+from imufield.acquire.decode.statistics import NO_TIME, DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
 from imufield.samples import FloatArray, Samples, SampleUnits, Status, concatenate
 
@@ -31,23 +32,30 @@ class CanSentTime(Clock):
         self._mean = MeanStep()
         self._pending: list[RawBlock] = []
         self._started = False
+        self._by_frames: CanClock | None = None  # Takes over where the stamps are no times.
         self._last = 0.0
         self._last_stamp_s = math.nan  # Of the bus.
 
     def push(self, block: RawBlock, arrivals: Arrival | Arrivals) -> Samples | None:  # noqa: ARG002  the instrument tells the time
         """Return the samples whose time is settled now, None if there are none."""
+        if self._by_frames is not None:
+            return self._timed_by_frames(self._by_frames, block)
         self._pending.append(block)
         return self._release(last=False) if self._started or sum(map(len, self._pending)) > LEARN_FROM else None
 
     def flush(self) -> Samples | None:
         """Return what is kept back; nothing will follow."""
-        return self._release(last=True) if self._pending else None
+        timed = [self._release(last=True)] if self._pending else []
+        timed += [self._by_frames.flush()] if self._by_frames is not None else []
+        done = [samples for samples in timed if samples is not None]
+        return concatenate(done) if done else None
 
     def _release(self, *, last: bool) -> Samples | None:
         """Time what has come, up to a silence behind which it is not clear yet whether data are late or missing."""
         block, self._pending = join(self._pending), []
-        if not self._started:
-            self._learn(block)
+        if not self._started and not self._learn(block):
+            self._by_frames = CanClock(self._rule, self._units, self._statistics)
+            return self._timed_by_frames(self._by_frames, block)
         silence_s = steps_between(block.stamp_s, self._last_stamp_s)
         begins = np.flatnonzero(silence_s > max(self._stamps.wrap_s / 2, FREE_LAG_S)).tolist()
         done = []
@@ -63,6 +71,10 @@ class CanSentTime(Clock):
             done.append(self._time(block[begin:end], silence_s[begin:end], unseen_s))
         return concatenate(done) if done else None
 
+    def _timed_by_frames(self, clock: CanClock, block: RawBlock) -> Samples | None:
+        self._statistics.count(NO_TIME, len(block))
+        return clock.push(block, Arrival(math.nan))
+
     def _late_s(self, stamp_s: FloatArray, silence_s: float, *, last: bool) -> float | None:
         """Return by how much the first sample behind a silence is late: what waited comes at once, behind a loss nothing does.
 
@@ -74,13 +86,19 @@ class CanSentTime(Clock):
             return None
         return float((waited_s - since_s)[since_s <= FREE_LAG_S].max())
 
-    def _learn(self, block: RawBlock) -> None:
-        """Learn the regular step from the first stamps: of as many in any case, in whatever pieces they come."""
-        self._started = True
-        first = block.ticks[: LEARN_FROM + 1]
-        known = first[np.isfinite(first)] if np.isfinite(first).any() else np.zeros(1)
-        self._last = float(known[0])
-        self._steps.learn(self._stamps.start(self._whole(known)))
+    def _learn(self, block: RawBlock) -> bool:
+        """Learn the regular step from the first stamps: of as many in any case, in whatever pieces they come.
+
+        False where they tell no time.
+        """
+        first = block[: LEARN_FROM + 1]
+        has_host = bool(first.stamp_s[-1] > first.stamp_s[0])
+        self._started = self._stamps.tells_time(first.ticks, has_host=has_host)
+        if self._started:
+            known = first.ticks[np.isfinite(first.ticks)]
+            self._last = float(known[0])
+            self._steps.learn(self._stamps.start(self._whole(known)))
+        return self._started
 
     def _time(self, block: RawBlock, silence_s: FloatArray, unseen_s: float) -> Samples:
         """Time samples by their stamps; before the first nothing was sent for ``unseen_s``, if that is not 0."""

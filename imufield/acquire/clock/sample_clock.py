@@ -22,7 +22,7 @@ from imufield.acquire.clock.clock import Arrival, Arrivals, Clock, Reads
 from imufield.acquire.clock.host_lag import LossWatch, TimedBlock
 from imufield.acquire.clock.missing_samples import FREE_LAG_S, LEARN_FROM, StepRule, steps_in_silence
 from imufield.acquire.clock.stamp_clock import MeanStep, StampClock, Stamped, steps_between
-from imufield.acquire.decode.assembly import NO_TICKS, RawBlock, join
+from imufield.acquire.decode.assembly import RawBlock, join
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
 from imufield.errors import ProtocolError, Reason
@@ -38,8 +38,6 @@ _LARGEST_RATE_ERROR = 0.25
 # A step of a counter that puts a sample so far ahead of its arrival is none: above what waits in buffers, and drift.
 _DISPROVED_S = 2.0
 _SLEW = 0.1  # Largest part by which steps are stretched to follow the host clock.
-# Share of the first samples with another stamp than the one before: of eight with the same, the host dates each better.
-_LEAST_MOVING = 1 / 8
 
 
 class SampleClock(Clock):
@@ -117,11 +115,7 @@ class SampleClock(Clock):
             return
         self._chosen = True
         first = join([block for block, _ in self._early])[: LEARN_FROM + 1]
-        missing = np.isnan(first.ticks) if first.ticks.dtype.kind == "f" else first.ticks == NO_TICKS
-        self._has_time = self._has_time and bool(2 * np.count_nonzero(~missing) > len(first))
-        # Of stamps that most samples share with the one before, the clock of the host tells more.
-        if len(first) > 1 and math.isfinite(self._early[0][1]):
-            self._has_time &= bool(np.count_nonzero(np.diff(first.ticks)) > _LEAST_MOVING * (len(first) - 1))
+        self._has_time &= self._stamps.tells_time(first.ticks, has_host=math.isfinite(self._early[0][1]))
         counted = bool(2 * np.count_nonzero(first.counter != NO_COUNTER) > len(first))
         others = self._has_time and self._rule.counter_counts_others
         # A counter whose rate nobody told counts samples and tells no time: the clock of the host does.

@@ -23,6 +23,8 @@ _Number = TypeVar("_Number", bound=np.number)
 _LARGEST_TIME_S = 1e11  # 3000 years; in an unchecked stream anything further from zero, infinity and NaN are garbage.
 # A time stamp further ahead than this is a clock being set, e.g. by GNSS, not an hour without samples.
 LONGEST_PAUSE_S = 3600.0
+# Share of the first samples with another stamp than the one before: of eight with the same, the host dates each better.
+_LEAST_MOVING = 1 / 8
 _PAUSE = 2.5  # Times a tick: stamps of whole milliseconds make two of one.
 _ROUNDING = 1e-9  # Relative, of the sum of a day of time stamps: even ones have the mean of each step.
 
@@ -61,6 +63,13 @@ class StampClock:
         self._offset_s = 0.0
         self._raw_s = 0.0
         self._time_s = 0.0
+
+    def tells_time(self, first: Ticks, *, has_host: bool) -> bool:
+        """Whether most of the first stamps are times; and whether they move, where a host dates the samples as well."""
+        if 2 * np.count_nonzero(self._good(first)) <= len(first):
+            return False
+        # Of stamps that most samples share with the one before, the clock of the host tells more.
+        return not has_host or len(first) < 2 or int(np.count_nonzero(np.diff(first))) > _LEAST_MOVING * (len(first) - 1)
 
     def start(self, stamps: Ticks) -> FloatArray:
         """Begin with the first of the first n time stamps; return the n - 1 steps between them, s."""

@@ -14,6 +14,8 @@ sentence = Sentences(__package__)
 
 LEFT_OUT = "without a sample"
 """Kind under which frames of a bus are counted that belong to no sample."""
+NO_TIME = "sample without a time"
+"""Kind under which samples are counted whose time stamps are no times."""
 _FEW_LEFT_OUT = 10  # A stream begins and ends within a sample, and a bus sends a frame again now and then.
 _KINDS_NAMED = 8  # An instrument sends a few kinds of frames; thousands would fill a page.
 _MANY_PERCENT = 25.0  # Of the samples incomplete: more than a bus loses that works.
@@ -122,6 +124,8 @@ def remarks(parts: Sequence[DecoderStatistics]) -> list[Sentence]:
     left_out = sum(part.by_kind.get(LEFT_OUT, 0) for part in parts)
     if left_out > _FEW_LEFT_OUT and 100 * left_out >= samples:
         found.append(sentence("statistics.left_out", left_out=left_out, samples=samples))
+    if any(NO_TIME in part.by_kind for part in parts):
+        found.append(sentence("statistics.no_time"))
     if resets:
         found.append(sentence("statistics.resets", times="once" if resets == 1 else f"{resets} times"))
     least_loss_s = max((part.least_loss_s for part in parts), default=0.0)

@@ -378,6 +378,21 @@ def test_an_instrument_that_begins_anew_is_a_gap_as_long_as_the_silence(block: i
     assert np.flatnonzero(samples.status & Status.CLOCK_SET).tolist() == [1234]
 
 
+@pytest.mark.parametrize(
+    "ticks",
+    [2.0**63 + 1e4 * np.arange(3000), np.full(3000, np.nan), np.full(3000, 7.0)],
+    ids=["too large", "missing", "standing still"],
+)
+@pytest.mark.parametrize("block", [1, 7, 4000])
+def test_a_time_stamp_that_is_no_time_gives_way_to_that_of_the_frames(ticks: FloatArray, block: int) -> None:
+    kept = np.delete(np.arange(3001), 2000)
+    true_s = kept / 100.0
+    samples, statistics = run(true_s + jitter(3000, 2e-4), ticks=ticks, rule=ClockRule(time_ticks_per_s=1e6), block=block)
+    np.testing.assert_allclose(samples.time_s, true_s, atol=2e-3)
+    assert statistics.lost == 1
+    assert [remark.key for remark in remarks([statistics])] == ["statistics.no_time"]
+
+
 WRAPPING = ClockRule(time_modulus=1 << 16, time_ticks_per_s=1e4)  # Every 6.5 s.
 
 
@@ -402,7 +417,7 @@ def test_time_stamps_that_wrapped_while_the_host_stood_still_are_no_loss(long_s:
     true_s = 1.0 + np.arange(8000) / 100.0
     late = (true_s > 30.0) & (true_s < 30.0 + long_s)
     stamp_s = np.where(late, 30.0 + long_s + np.arange(8000) * 1e-5, true_s)
-    samples, statistics = run(np.sort(stamp_s), ticks=np.arange(8000) * 100.0 % 65536.0, rule=WRAPPING, block=block)
+    samples, statistics = run(np.sort(stamp_s), ticks=np.arange(0.0, 8e5, 100.0) % 65536.0, rule=WRAPPING, block=block)
     assert (statistics.lost, statistics.gaps) == (0, 0)
     np.testing.assert_array_equal(samples.time_s, np.arange(8000) * 100 / 1e4)
 
