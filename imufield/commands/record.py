@@ -51,7 +51,7 @@ def run_record(options: RecordOptions, clock: HostClock | None = None) -> Sessio
         session = create_session(options.session, options.root, connected.model, metadata)
         stack.enter_context(session.lock())
         of_part = part_metadata(connected.protocol, connected.session_tables())
-        recorder = stack.enter_context(Recorder(session.add_part(), of_part, clock=clock))
+        recorder = stack.enter_context(Recorder(session.add_part(), of_part, clock=clock, remedy=sentence("record.remedy")))
         stream = SameStream(connected.link.name, patience_s(clock, 1.0))
         ramp = RampLead(connected.protocol.raw_zero_rate(), as_json=options.as_json) if options.ramp else None
         listeners = (stream.hear,) if ramp is None else (stream.hear, ramp.feed)

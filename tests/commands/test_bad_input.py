@@ -23,6 +23,7 @@ from imufield.cli.run import _interrupted_words
 from imufield.errors import Reason
 from imufield.pipeline.kept import KEPT_FILE
 from imufield.samples import Samples, Status
+from imufield.sentences import Sentences
 from tests.commands.conftest import FACES
 from tests.commands.told import failure, missing
 
@@ -244,15 +245,19 @@ def test_disk_full_while_recording(program: Program) -> None:
     arguments = ("record", "--port", port, "--driver", "stim300", "--clock-speed", 16)
     ended = program.run(*arguments, at_start=[("limit_file_size", 1_000_000)])
     assert ended.returncode == RECORDING
-    assert not missing(one_sentence(ended.stderr), "part-001.mcap", "space")
+    said = one_sentence(ended.stderr)
+    assert not missing(said, "part-001.mcap", "space", Sentences("imufield.commands")("record.remedy"))
+    assert "resume" not in said
     assert bytes_on_disk(only_session(program.folder)) > 300_000
+    # What it advises is possible beside what is there.
+    assert program.run(*arguments, "--duration-s", 32).returncode == 0
 
 
 def test_disk_full_while_capturing(program: Program) -> None:
     port = program.emulate("--positions", "none", rate_hz=2000)
     ended = program.run(*program.capture(port), at_start=[("limit_file_size", 1_000_000)])
     assert ended.returncode == RECORDING
-    assert "space" in one_sentence(ended.stderr)
+    assert not missing(one_sentence(ended.stderr), "space", Sentences("imufield.commands.terminal")("guided.remedy"))
     session = only_session(program.folder)
     assert not session.finished
     assert f"--resume --session {session.folder.relative_to(program.folder)}" in ended.stdout

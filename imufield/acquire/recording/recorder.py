@@ -31,6 +31,9 @@ from imufield.acquire.recording.mcap_format import (
 )
 from imufield.errors import RecordingError
 from imufield.files import open_regular, sync_folder, write_error
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 SYNC_INTERVAL_S = 0.3
 """With the time of one fsync, well below the one second that a crash may cost."""
@@ -40,8 +43,6 @@ BACKLOG_LIMIT_BYTES = 16 << 20
 """Two minutes of a 1 Mbit/s wire: longer than a disk stalls. Beyond it the caller waits."""
 MESSAGE_LIMIT_BYTES = CHUNK_LIMIT_BYTES - BLOCK_BYTES
 """One message more must not lift a block over what the reader accepts."""
-
-_ADVICE = "; what was recorded more than a second before is safe, resume the session when it can be written again"
 
 
 def part_metadata(protocol: Protocol, extra: Mapping[str, object]) -> dict[str, object]:
@@ -67,6 +68,8 @@ class Recorder:
         identity, software. JSON-compatible values.
     clock : HostClock, optional
         Stamps the events; the system's clock by default.
+    remedy : str
+        What the person can do when it can be written again; what was written is safe.
 
     Raises
     ------
@@ -74,10 +77,13 @@ class Recorder:
         If the file cannot be created.
     """
 
-    def __init__(self, path: str | Path, metadata: Mapping[str, object], *, clock: HostClock | None = None) -> None:
+    def __init__(
+        self, path: str | Path, metadata: Mapping[str, object], *, clock: HostClock | None = None, remedy: str = ""
+    ) -> None:
         self.path = Path(path)
         self._clock = clock or SystemClock()
-        self._file = _create(self.path, start_of_part(metadata))
+        self._remedy = remedy
+        self._file = _create(self.path, start_of_part(metadata), remedy)
         # Entered itself: a condition is entered by Python code, where an interrupt could leave the lock held for ever.
         self._lock = threading.RLock()
         self._changed = threading.Condition(self._lock)
@@ -160,7 +166,7 @@ class Recorder:
             _write_all(self._file, end_of_part())
             self._sync()
         except OSError as error:
-            self._fail(_cannot_write(self.path, error))
+            self._fail(_cannot_write(self.path, error, self._remedy))
         # A defect, too, must end the recording at its next chunk: one that ended only this thread would lose all that follows.
         except Exception as error:  # noqa: BLE001
             self._fail(error)
@@ -194,12 +200,12 @@ class Recorder:
             self._changed.notify_all()
 
 
-def _create(path: Path, content: bytes) -> int:
+def _create(path: Path, content: bytes, remedy: str) -> int:
     """Create a file that does not exist yet, make it durable and return its descriptor."""
     try:
         file = open_regular(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, follow=False)
     except OSError as error:
-        raise _cannot_write(path, error) from error
+        raise _cannot_write(path, error, remedy) from error
     try:
         _write_all(file, content)
         os.fsync(file)
@@ -208,7 +214,7 @@ def _create(path: Path, content: bytes) -> int:
         # Half a start is no part; left there it would be named as damage ever after.
         os.close(file)
         path.unlink(missing_ok=True)
-        raise _cannot_write(path, error) from error
+        raise _cannot_write(path, error, remedy) from error
     return file
 
 
@@ -233,7 +239,8 @@ def _blocks(messages: list[bytes]) -> Iterator[list[bytes]]:
         yield block
 
 
-def _cannot_write(path: Path, error: OSError) -> RecordingError:
-    # A folder that was deleted, or a part that stands there already, leaves nothing to resume.
-    nothing_to_resume = isinstance(error, FileNotFoundError | FileExistsError)
-    return write_error(path, error, RecordingError, advice="" if nothing_to_resume else _ADVICE)
+def _cannot_write(path: Path, error: OSError, remedy: str) -> RecordingError:
+    # A folder that was deleted, or a part that stands there already, leaves nothing to go on with.
+    nothing_is_left = isinstance(error, FileNotFoundError | FileExistsError)
+    advice = "" if nothing_is_left else sentence("recorder.safe", remedy=remedy)
+    return write_error(path, error, RecordingError, advice=advice)

@@ -191,7 +191,9 @@ def guided_session(
     loop = None
     try:
         with hidden(), ExitStack() as stack:
-            recorder = stack.enter_context(Recorder(session.add_part(), metadata, clock=clock))
+            recorder = stack.enter_context(
+                Recorder(session.add_part(), metadata, clock=clock, remedy=sentence("guided.remedy"))
+            )
             keyboard = stack.enter_context(Keyboard())
             positions = scheme(chain.plan.scheme or DEFAULT_SCHEME)
             page = None
