@@ -72,6 +72,28 @@ def printable(text: str) -> str:
     return _UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text)
 
 
+def shell_word(value: object) -> str:
+    r"""Return a file name, or another value, as a person types it: one word of a shell, and no option of a command.
+
+    What is not ``printable`` is spelled as POSIX shells read it: ``$'new\nline'``.
+    """
+    text = str(value)
+    text = f"./{text}" if text.startswith("-") else text
+    if not _UNPRINTABLE.search(text):
+        return shlex.quote(text)
+    escaped = re.sub(r"[\\']", r"\\\g<0>", text)
+    return f"$'{_UNPRINTABLE.sub(_spelled, escaped)}'"
+
+
+def _spelled(found: re.Match[str]) -> str:
+    character = found[0]
+    if character < "\x80":
+        return printable(character)
+    # Of a file name that is no UTF-8 a surrogate stands for each byte; others are in no file name.
+    is_byte = "\udc80" <= character <= "\udcff"
+    return "".join(f"\\x{byte:02x}" for byte in character.encode(errors="surrogateescape" if is_byte else "replace"))
+
+
 def printable_lines(text: str) -> str:
     """Return a text whose lines are ours in the form of ``printable``."""
     return "\n".join(map(printable, text.split("\n")))
@@ -97,7 +119,7 @@ class Sentence(str):
 
 class _Format(string.Formatter):
     def convert_field(self, value: object, conversion: str | None) -> object:
-        return shlex.quote(str(value)) if conversion == "q" else super().convert_field(value, conversion)
+        return shell_word(value) if conversion == "q" else super().convert_field(value, conversion)
 
     def format_field(self, value: object, format_spec: str) -> str:
         if isinstance(value, list | tuple):

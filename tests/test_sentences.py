@@ -3,14 +3,27 @@
 from __future__ import annotations
 
 import copy
+import os
 import pickle
+import shutil
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from imufield.errors import Reason, RecordingError
-from imufield.sentences import Sentence, Sentences, counted, folded, printable, printable_lines, shortened, three_digits
+from imufield.sentences import (
+    Sentence,
+    Sentences,
+    counted,
+    folded,
+    printable,
+    printable_lines,
+    shell_word,
+    shortened,
+    three_digits,
+)
 
 sentence = Sentences("imufield")
 
@@ -51,6 +64,18 @@ def test_what_a_person_is_to_type_is_quoted() -> None:
     made = Sentences("imufield.pipeline")("table_samples.device", path="/dev/my port")
     assert made.startswith("/dev/my port ")
     assert "imufield record --port '/dev/my port'" in made
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
+@pytest.mark.parametrize(
+    "name",
+    ["plain", "-dash", "--option", "my file's", "new\nline", "it's\\\x1b[31mred", "\x9fbe", "bad\udcff\udcfe", "\u2028ü日"],
+)
+def test_what_a_person_is_to_type_is_the_name_of_the_file(name: str) -> None:
+    word = shell_word(name)
+    assert printable(word) == word
+    typed = subprocess.run(["bash", "-c", f"printf %s {word}"], capture_output=True, check=True).stdout
+    assert os.path.normpath(typed) == os.fsencode(name)
 
 
 def test_numbers_are_counted_and_lists_joined(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -28,7 +27,7 @@ from imufield.pipeline.calibration import SolveSettings
 from imufield.pipeline.solving import solve_session
 from imufield.pipeline.temperature import MarkedSession, over_temperature
 from imufield.samples import AXES, FloatArray
-from imufield.sentences import Sentences
+from imufield.sentences import Sentences, shell_word
 from imufield.simulate.truth.motion import Site
 
 sentence = Sentences(__package__)
@@ -146,7 +145,7 @@ def _print_slopes(joint: Parameters) -> None:
 
 def _print_commands(folders: Sequence[Path]) -> None:
     """Print what does the same, from the first folder, at the reference, and the others."""
-    room, *others = (shlex.quote(str(folder)) for folder in folders)
+    room, *others = (shell_word(folder) for folder in folders)
     echo()
     echo("The same as commands:")
     echo(f"  imufield solve {room} --grade {GRADE} \\")

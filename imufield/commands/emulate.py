@@ -26,7 +26,7 @@ from imufield.guide.positions import DEFAULT_SCHEME, REVISIT_FROM, named_directi
 from imufield.limits import TEMPERATURE_RANGE_DEGC
 from imufield.pipeline.chain import ROTATIONS
 from imufield.progress import hidden
-from imufield.sentences import Sentences
+from imufield.sentences import Sentences, shell_word
 from imufield.simulate.emulator.core import EmulatorCore, EmulatorSettings
 from imufield.simulate.emulator.emulate import STIM300_RATES_HZ, TRUTH_FORMAT, Emulation, choose_wire, emulate
 from imufield.simulate.emulator.faults import CanFaults, Faults, WireFaults
@@ -227,17 +227,17 @@ def _announce(options: EmulateOptions, emulation: Emulation, emulator: EmulatorC
     # The right place matters: the scale of the accelerometer is as good as the gravity it is given, which is that of height 0.
     place = f"--latitude {emulation.site.latitude_deg:g} --height 0"
     # A protocol file of the user's own is no driver that another command knows by name.
-    which = f"{'--driver' if wire.driver else '--protocol'} {shlex.quote(options.driver)}"
+    which = f"{'--driver' if wire.driver else '--protocol'} {shell_word(options.driver)}"
     # A guide that asks for other positions than the operator turns to would wait for ever.
     known = options.poses or options.positions in (STANDS_STILL, DEFAULT_SCHEME)
-    asked = [] if known else [f"--positions {shlex.quote(options.positions)}"]
+    asked = [] if known else [f"--positions {shell_word(options.positions)}"]
     told = [f"--set {shlex.quote(f'{name}={spell(value)}')}" for name, value in wire.settings.items()]
     if options.truth is not None:
         echo(beside("truth in", options.truth))
     echo("read it with:")
     # Folded as a shell reads it, between options alone: broken by a terminal it cannot be copied.
     lines = ["  imufield capture"]
-    for option in (f"--{kind} {shlex.quote(address)}", which, *asked, *told, place, *clock):
+    for option in (f"--{kind} {shell_word(address)}", which, *asked, *told, place, *clock):
         fits = len(f"{lines[-1]} {option} \\") <= WIDTH
         lines[-1:] = [f"{lines[-1]} {option}"] if fits else [lines[-1], f"    {option}"]
     echo(" \\\n".join(lines))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import shlex
 import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -38,7 +37,7 @@ from imufield.guide.lead.still_scales import find_scales
 from imufield.pipeline.still_units import settings_of_stills, with_units_of_stills
 from imufield.pipeline.table_samples import refuse_endless
 from imufield.samples import Samples, require_possible_degc
-from imufield.sentences import Sentence, Sentences, printable
+from imufield.sentences import Sentence, Sentences, printable, shell_word
 
 sentence = Sentences(__package__)
 
@@ -59,7 +58,7 @@ def run_import(options: ImportOptions) -> Session:
         return session
     say_each(assumptions, err=True, indent=2)
     echo(beside("session", session.folder))
-    echo(beside("next: ", f"imufield solve {shlex.quote(str(session.folder))}"))
+    echo(beside("next: ", f"imufield solve {shell_word(session.folder)}"))
     return session
 
 

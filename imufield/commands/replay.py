@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shlex
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -31,7 +30,7 @@ from imufield.guide.events import Event
 from imufield.guide.positions import scheme
 from imufield.guide.view.plain import JsonLinesView, PlainView
 from imufield.pipeline.chain import Chain, ReadingPlan, replay_into
-from imufield.sentences import Sentences, counted
+from imufield.sentences import Sentences, counted, shell_word
 
 if TYPE_CHECKING:
     from imufield.acquire.protocol.can_frame import Frame
@@ -112,7 +111,7 @@ def _replay_to_page(
 
         replay_into(chain, session, damage, listen, items=items())
         refresh(at_once=True)
-        command = f"imufield replay --web {shlex.quote(str(session.folder))}"
+        command = f"imufield replay --web {shell_word(session.folder)}"
         counts = {"accepted": len(chain.observations()), "planned": len(positions), "lacking": ""}
         page.end({"outcome": "replayed", "reason": "", "command": command, **counts})
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import shlex
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -46,7 +45,7 @@ from imufield.pipeline.reading import Reading, ReadingCollector
 from imufield.pipeline.site import SiteOptions
 from imufield.pipeline.windows import is_ramp
 from imufield.progress import task
-from imufield.sentences import Sentences, printable
+from imufield.sentences import Sentences, printable, shell_word
 
 if TYPE_CHECKING:
     from imufield.guide.lead.guide import Guide
@@ -412,7 +411,7 @@ def _lost_temperature(before: Parameters, now: Parameters) -> tuple[str, ...]:
     sources = before.context.temperature_sources
     others = [source.name for source in sources if source.sha256 != now.context.session.sha256]
     low, high = before.temperature_range_degc
-    again = " ".join(f"--temperature {shlex.quote(name)}" for name in others)
+    again = " ".join(f"--temperature {shell_word(name)}" for name in others)
     return (sentence("solving.lost_temperature", low=low, high=high, again=again),)
 
 

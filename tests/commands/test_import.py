@@ -7,6 +7,8 @@ import gzip
 import json
 import os
 import re
+import shutil
+import subprocess
 from pathlib import Path
 
 import can
@@ -28,6 +30,7 @@ from imufield.pipeline.table_samples import table_samples
 from imufield.samples import NO_COUNTER, Samples, Status, concatenate, make_samples
 from imufield.simulate.wire.can_frames import CanEncoder
 from tests.acquire.formats.conftest import fork_readers
+from tests.commands.conftest import Program
 from tests.commands.told import fails, missing
 from tests.refused import refused
 
@@ -443,3 +446,15 @@ def test_what_lacks_its_first_values_comes_back(tmp_path: Path, to: str, suffix:
     assert (found.units.accelerometer, found.units.gyroscope) == ("m/s^2", "rad/s")
     np.testing.assert_array_equal(found.accelerometer[141:], sent.accelerometer[141:])
     np.testing.assert_array_equal(found.gyroscope[141:], sent.gyroscope[141:])
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
+@pytest.mark.parametrize("name", ["-dash", "new\nline", "it's"])
+def test_the_next_command_can_be_pasted_whatever_the_session_is_called(name: str, program: Program) -> None:
+    (program.folder / "mine.csv").write_text("time,ax,ay,az\n" + "".join(f"{row / 100},0,0,9.8\n" for row in range(500)))
+    imported = program.run("import", "mine.csv", f"--output={name}")
+    assert imported.returncode == 0, imported.stderr
+    (command,) = re.findall(r"^next: +imufield (.*)$", imported.stdout, re.MULTILINE)
+    words = subprocess.run(["bash", "-c", f"printf '%s\\0' {command}"], capture_output=True, check=True, text=True).stdout
+    solved = program.run(*words.split("\0")[:-1])
+    assert solved.returncode == 6, solved.stderr

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shlex
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -47,7 +46,7 @@ from imufield.pipeline.reading import ReadingCollector
 from imufield.pipeline.site import SiteOptions
 from imufield.pipeline.solving import reading_of
 from imufield.progress import can_draw, hidden
-from imufield.sentences import Sentences
+from imufield.sentences import Sentences, shell_word
 
 if TYPE_CHECKING:
     from imufield.web.address import PageAddress
@@ -423,7 +422,7 @@ def farewell(captured: Captured, view: ViewName, clock: HostClock) -> None:
 
 def _next_command(captured: Captured, clock: HostClock) -> str:
     """Return what to type next, as it can be pasted."""
-    folder = shlex.quote(str(captured.session.folder))
+    folder = shell_word(captured.session.folder)
     if captured.can_be_solved:
         return f"imufield solve {folder}"
     # An emulated instrument that runs faster than real must be read as fast again.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import shlex
 import sys
 
 from imufield.acquire.recording.session import Session
@@ -15,7 +14,7 @@ from imufield.deliver.parameters.printed_numbers import beside
 from imufield.errors import Reason, UsageError
 from imufield.pipeline.windows import WINDOW_S, WindowSums
 from imufield.samples import FloatArray, Samples
-from imufield.sentences import Sentences
+from imufield.sentences import Sentences, shell_word
 
 sentence = Sentences(__package__)
 
@@ -91,7 +90,7 @@ class RampLead:
             say(sentence("ramp.short", span=progress.span_degc, limit=LEAST_SPAN_DEGC))
             return
         say(sentence("ramp.recorded", low=progress.low_degc, high=progress.high_degc))
-        echo(beside("next: ", f"imufield solve SESSION --temperature {shlex.quote(str(session.folder))}"))
+        echo(beside("next: ", f"imufield solve SESSION --temperature {shell_word(session.folder)}"))
         say(sentence("ramp.pose"))
 
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import io
 import math
-import shlex
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -35,7 +34,7 @@ from imufield.deliver.report.gain import gain
 from imufield.deliver.report.rows import GAUGE_WORDS, VERDICT_WORDS, Quantity, quantities
 from imufield.earth import MICRO_G_M_S2, height_words
 from imufield.samples import AXES, FloatArray
-from imufield.sentences import Sentence, Sentences, folded, printable, three_digits
+from imufield.sentences import Sentence, Sentences, folded, printable, shell_word, three_digits
 
 if TYPE_CHECKING:
     from imufield.acquire.recording.session import Session
@@ -277,7 +276,7 @@ def _bullets(texts: Iterable[str]) -> Iterator[RenderableType]:
 def _next_steps(parameters: Parameters, outcome: Outcome) -> Iterator[RenderableType]:
     calibration = parameters.calibration
     if calibration.gravity.source == "assumed":
-        again = "imufield solve" if outcome.session is None else f"imufield solve {shlex.quote(str(outcome.session.folder))}"
+        again = "imufield solve" if outcome.session is None else f"imufield solve {shell_word(outcome.session.folder)}"
         yield from _bullets([sentence("summary.tell_place")])
         yield _unbroken(f"   {again} --latitude DEGREES --height METRES")
     yield from _remedy(outcome.quality or calibration.quality, outcome.session)
@@ -295,7 +294,7 @@ def _remedy(quality: Quality, session: Session | None) -> Iterator[RenderableTyp
     """Yield what to do about positions that disagree or are too few, and the command that this session takes for it."""
     is_poor = (quality.accelerometer_verdict or quality.verdict) == "poor"
     guided = session if session is not None and session.record.kind == "capture" else None
-    folder = "" if session is None else shlex.quote(str(session.folder))
+    folder = "" if session is None else shell_word(session.folder)
     if guided is not None and not guided.finished and is_poor:
         key, command = "summary.go_on", f"imufield capture --resume --session {folder}"
     elif quality.degrees_of_freedom < 1:
