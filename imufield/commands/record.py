@@ -18,7 +18,7 @@ from imufield.commands.options.acquire_commands import RecordOptions
 from imufield.commands.terminal.output import echo, host_clock, say, say_assumed
 from imufield.commands.terminal.ramp import RampLead
 from imufield.deliver.parameters.printed_numbers import beside
-from imufield.errors import LinkTimeoutError, RecordingError
+from imufield.errors import LinkTimeoutError, Reason, RecordingError
 from imufield.pipeline.chain import Chain, ReadingPlan
 from imufield.pipeline.intake import Intake
 from imufield.pipeline.windows import RAMP
@@ -99,7 +99,7 @@ def _record(
         if link.lost is not None and not was_lost:
             intake.link_lost()
         was_lost = link.lost is not None
-        trouble = _tell_trouble(link, trouble)
+        trouble = _tell_trouble(link, intake.stream, trouble)
         if read is not None:
             start_s, is_silent = (read.monotonic_s if is_silent else start_s), False
             intake.take(read)
@@ -116,15 +116,19 @@ def _record(
         raise link.lost
     if link.is_silent:
         raise LinkTimeoutError(sentence("record.ended_silent", port=link.name, pause_s=link.pause_s))
+    if intake.stream.is_unread:
+        raise LinkTimeoutError(sentence("record.ended_unread", port=link.name), Reason.NO_FRAMES)
 
 
-def _tell_trouble(link: ReconnectingLink, before: str) -> str:
-    """Say why nothing arrives, and when it does again, each once; return what was said, empty while all is well."""
+def _tell_trouble(link: ReconnectingLink, stream: SameStream, before: str) -> str:
+    """Say why no sample arrives, and when it does again, each once; return what was said, empty while all is well."""
     trouble = ""
     if link.lost is not None:
         trouble = sentence("record.waiting", lost=link.lost.message)
     elif link.is_silent:
         trouble = sentence("record.silent", port=link.name)
+    elif stream.is_unread:
+        trouble = sentence("record.unread", port=link.name)
     if trouble != before:
         if sys.stdout.isatty():
             echo()

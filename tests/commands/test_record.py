@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import signal
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -250,6 +250,34 @@ def test_a_recording_that_ends_in_silence_is_an_error(tmp_path: Path, monkeypatc
     session = Session.open(tmp_path / "here")
     assert session.finished
     assert len(concatenate(list(session_samples(session, [])))) == pytest.approx(30, abs=2)
+
+
+@dataclass
+class Overheard(Simulated):
+    """A host with an instrument of which only others are heard from the third second on; until a second, or for good."""
+
+    back_s: float = 1e9
+
+    def read(self) -> Chunk | None:
+        got = super().read()
+        return got if got is None or not 3.0 <= self.now_s < self.back_s else Chunk(b"others\n", got.monotonic_s, got.utc_ns)
+
+
+def test_a_recording_at_whose_end_only_others_sent_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lost = Overheard(0.0)
+    connect_to(lost, "time,ax,ay,az", 10, monkeypatch)
+    options = RecordOptions(connect=ConnectOptions(), session=tmp_path / "here", duration_s=60.0)
+    with refused(LinkTimeoutError, Reason.NO_FRAMES, "line", key="record.ended_unread"):
+        run_record(options, lost)
+    assert commands_sentence("record.unread", port="line") in capsys.readouterr().err
+    host = Overheard(0.0, back_s=40.0)
+    connect_to(host, "time,ax,ay,az", 10, monkeypatch)
+    run_record(replace(options, session=tmp_path / "back"), host)
+    said = capsys.readouterr().err
+    assert commands_sentence("record.unread", port="line") in said
+    assert commands_sentence("record.back") in said
 
 
 def test_an_instrument_that_stops_is_missed_on_the_terminal(program: Program) -> None:

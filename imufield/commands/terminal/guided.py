@@ -392,7 +392,7 @@ class CaptureLoop:
         if not (draws or shows) or self.chain.guide is None:
             return
         snapshot = cache(self.chain.guide.snapshot)
-        silent, lost = self._link.is_silent, sum(part.lost for part in self.chain.statistics)
+        silent, lost = self._link.is_silent or self.intake.stream.is_unread, sum(part.lost for part in self.chain.statistics)
         if page is not None and shows:
             self._last_shown_s = now_s
             page.refresh(snapshot(), silent=silent, samples_lost=lost)
