@@ -36,7 +36,8 @@ class SessionDecoder:
         self._decoder: Decoder | None = None
         self._offset_s: float | None = 0.0  # None from the start of a later decoder to its first samples, which tell it.
         self._last_s: float | None = None
-        self._last_utc_ns = 0  # Of the newest read.
+        self._last_utc_ns, self._last_arrival_s = 0, 0.0  # Of the newest read.
+        self._is_same_part = False  # As the decoder before: one program recorded both.
         self._pause_s: float | None = None  # From the last read of a decoder to the first of the next one.
 
     @property
@@ -56,14 +57,15 @@ class SessionDecoder:
             units = [self.protocol.units.words, protocol.units.words]
             raise ProtocolError(sentence("session_decoder.units", units=units), Reason.UNITS)
         self.protocol = protocol
-        return self._start(protocol)
+        return self._start(protocol, is_same_part=False)
 
     def start_anew(self) -> Samples | None:
         """Begin anew inside a part, where the link was lost; as ``start_part``."""
-        return None if self.protocol is None else self._start(self.protocol)
+        return None if self.protocol is None else self._start(self.protocol, is_same_part=True)
 
-    def _start(self, protocol: Protocol) -> Samples | None:
+    def _start(self, protocol: Protocol, *, is_same_part: bool) -> Samples | None:
         held_back = self.flush()
+        self._is_same_part = is_same_part
         self._decoder = Decoder(protocol)
         self.statistics.append(self._decoder.statistics)
         # At the very first there is nothing to be behind of.
@@ -73,18 +75,21 @@ class SessionDecoder:
 
     def feed(self, block: RecordedBlock) -> Samples | None:
         """Take reads, joined, as if they came one by one."""
-        self._note_arrival(block.first_utc_ns, block.utc_ns)
+        self._note_arrival(block)
         return self._on_session_clock(self._started().feed_chunks(block.data, block.end, block.monotonic_s))
 
     def flush(self) -> Samples | None:
         """Return what the decoder held back; nothing will follow it."""
         return None if self._decoder is None else self._on_session_clock(self._decoder.flush())
 
-    def _note_arrival(self, first_utc_ns: int, last_utc_ns: int) -> None:
+    def _note_arrival(self, block: RecordedBlock) -> None:
         """Measure the pause behind which a new decoder begins: by reads, which are the same however they are joined."""
         if self._offset_s is None and self._pause_s is None:
-            self._pause_s = max((first_utc_ns - self._last_utc_ns) / 1e9, PART_GAP_S)
-        self._last_utc_ns = last_utc_ns
+            # UTC steps when somebody sets it; the monotonic clock is another one after a restart of the computer.
+            by_utc_s = (block.first_utc_ns - self._last_utc_ns) / 1e9
+            pause_s = float(block.monotonic_s[0]) - self._last_arrival_s if self._is_same_part else by_utc_s
+            self._pause_s = max(pause_s, PART_GAP_S)
+        self._last_utc_ns, self._last_arrival_s = block.utc_ns, float(block.monotonic_s[-1])
 
     def _started(self) -> Decoder:
         if self._decoder is None:

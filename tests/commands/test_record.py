@@ -157,6 +157,28 @@ def test_a_loose_plug_does_not_end_a_recording(
     assert "the link is back" in said
 
 
+@dataclass
+class ClockSet(Loose):
+    """The same, whose computer has its clock set, an hour on or back, while the plug is out."""
+
+    by_s: float = 3600.0
+
+    def read(self) -> Chunk | None:
+        got = super().read()
+        moved_ns = round(1e9 * self.by_s) if self.now_s >= self.back_s else 0
+        return None if got is None else replace(got, utc_ns=got.utc_ns + moved_ns)
+
+
+@pytest.mark.parametrize("by_s", [3600.0, -3600.0])
+def test_a_clock_that_is_set_while_the_plug_is_out_moves_no_sample(
+    by_s: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record_loose(ClockSet(0.0, by_s=by_s), tmp_path / "here", monkeypatch)
+    samples = concatenate(list(session_samples(Session.open(tmp_path / "here"), [])))
+    assert np.diff(samples.time_s).max() == pytest.approx(3.0, abs=0.5)
+    assert samples.time_s[-1] == pytest.approx(10.0, abs=0.2)
+
+
 def test_a_plug_that_stays_out_is_an_error_at_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(LinkError, match="line is gone"):
         record_loose(Loose(0.0, back_s=1e9), tmp_path / "here", monkeypatch)
