@@ -25,22 +25,12 @@ from imufield.pipeline.kept import KEPT_FILE
 from imufield.samples import Samples, Status
 from imufield.sentences import Sentences
 from tests.commands.conftest import FACES
-from tests.commands.told import failure, missing
+from tests.commands.told import failure, missing, one_sentence
 
 if TYPE_CHECKING:
     from tests.commands.conftest import Program
 
 USAGE, LINK, RECORDING, PARAMETER_FILE, CALIBRATION, INTERRUPTED = 2, 3, 4, 5, 6, 130
-
-
-def one_sentence(stderr: str) -> str:
-    """Return the error: the last line, which is all there is but for what was assumed."""
-    lines = stderr.strip().splitlines()
-    assert "Traceback" not in stderr
-    assert sum(line.startswith("imufield: ") for line in lines) == 1, stderr
-    assert lines[-1].startswith("imufield: ")
-    assert lines[-1].endswith(".")
-    return lines[-1].removeprefix("imufield: ")
 
 
 @dataclass(frozen=True)

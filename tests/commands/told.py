@@ -45,3 +45,13 @@ def missing(text: str, *facts: object) -> list[str]:
     """Return which facts (names, options, numbers with their units) a text does not tell, however its lines are broken."""
     told = " ".join(text.split())
     return [str(fact) for fact in facts if str(fact) not in told]
+
+
+def one_sentence(stderr: str) -> str:
+    """Return the error: the last line, which is all there is but for what was assumed."""
+    lines = stderr.strip().splitlines()
+    assert "Traceback" not in stderr
+    assert sum(line.startswith("imufield: ") for line in lines) == 1, stderr
+    assert lines[-1].startswith("imufield: ")
+    assert lines[-1].endswith(".")
+    return lines[-1].removeprefix("imufield: ")
