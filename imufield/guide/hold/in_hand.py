@@ -11,7 +11,8 @@ from imufield.guide.stillness.cells import Cells, cells_in
 from imufield.guide.stillness.detector import StillnessDetector
 from imufield.samples import CELL_S, Samples, concatenate
 
-_MOST_SAMPLES = 1_200_000  # Whatever the rate: 100 MB. At 2000 Hz it is the 600 s in which cells wait for the first rest.
+MOST_SAMPLES = 1_200_000
+"""Whatever the rate: 100 MB. At 2000 Hz it is the 600 s in which cells wait for the first rest."""
 HAND_GUARD_S = 1.5
 """Cut off at both ends of a hold in the hand: an arm comes to rest slowly, and a slow turn begins below its sway."""
 
@@ -34,7 +35,7 @@ class SampleHistory:
         while len(self._blocks) > 1:
             oldest, newest = self._blocks[0], self._blocks[-1]
             too_old = float(oldest.time_s[-1]) < float(newest.time_s[-1]) - keep_s
-            if not too_old and self._count - len(oldest) <= _MOST_SAMPLES:
+            if not too_old and self._count - len(oldest) <= MOST_SAMPLES:
                 return
             self._count -= len(self._blocks.popleft())
 
