@@ -171,14 +171,16 @@ def choose_model(
     fitted = linear or _fit(data, origin, free, quadratic=with_quadratic, drift=kept)
     said = _gate_sentences(gate, terms, is_asked=linear is not None, is_quadratic_open=is_open, level=level)
     cautions: list[Sentence] = []
-    if linear is not None and p < level:
+    # Of clean sessions as few lose their verdict by this as by anything else; sigma allows for what is found in any case.
+    is_doubtful = p * len(tried) < VERDICT_LEVEL
+    if linear is not None and is_doubtful:
         said, cautions = cautions, said
     if kept is not None:
         drift_mg = fitted.drift_span_m_s2 / MILLI_G_M_S2
         said.append(sentence("model_choice.drift_kept", kind=kept.kind, drift_mg=drift_mg, p=p, limit=level))
     if terms and (factor := gate.confusion()) > MOST_CONFUSION:
         # Terms that show less may be none: then the order costs what sigma says, and nothing else.
-        told = cautions if p * len(tried) < VERDICT_LEVEL else said
+        told = cautions if is_doubtful else said
         told.append(sentence("model_choice.confounded", factor=factor, limit=MOST_CONFUSION))
     return ChosenModel(
         fit=fitted,

@@ -35,6 +35,16 @@ def test_a_linear_model_that_residuals_contradict_is_not_good_and_its_limits_hol
     assert np.mean(inside) > 0.92
 
 
+def test_hardly_any_clean_session_loses_its_verdict_to_the_test() -> None:
+    session, verdicts = Session(directions=PAPER24), []
+    for seed in range(200):
+        observations, _ = session.take(np.random.default_rng(seed))
+        verdicts.append(calibrate_accelerometer(observations, EXACT, model="linear", grade="industrial").quality.verdict)
+    # One of 200 is expected; of p below 5 % there are ten.
+    assert verdicts.count("usable") <= 4
+    assert verdicts.count("good") >= 196
+
+
 def test_what_contradicts_is_told_as_the_quadratic_model_finds_it() -> None:
     observations, _ = Session(directions=PAPER24, quadratic_ug=1000.0).take(np.random.default_rng(1))
     # Nothing says when: a drift cannot be asked for.
