@@ -40,9 +40,9 @@ def test_hardly_any_clean_session_loses_its_verdict_to_the_test() -> None:
     for seed in range(200):
         observations, _ = session.take(np.random.default_rng(seed))
         verdicts.append(calibrate_accelerometer(observations, EXACT, model="linear", grade="industrial").quality.verdict)
-    # One of 200 is expected; of p below 5 % there are ten.
-    assert verdicts.count("usable") <= 4
-    assert verdicts.count("good") >= 196
+    # One of 200 is expected, and one for other terms; of p below 5 % there are ten.
+    assert verdicts.count("usable") <= 6
+    assert verdicts.count("good") >= 194
 
 
 def test_what_contradicts_is_told_as_the_quadratic_model_finds_it() -> None:
