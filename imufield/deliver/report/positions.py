@@ -19,8 +19,8 @@ _SCALE = _SIZE / 2 / 1.36  # From the box to those: half its diagonal is 1.30.
 _MOST_DECIMALS = 3  # Residuals of ideal outputs are nothing but rounding.
 _HEADINGS = tuple(np.radians(45.0) * k for k in range(8))
 _UPWARDS = 0.5  # Cosine to the vertical of the sides that are shaded: one on a face, two on an edge, three on a corner.
-# As on the pages (``texts.js``): not in the quotes of a shell, nor of an option.
-_SIDES = re.compile(r"(?<![\w+=-])(?:[+-][xyz])+(?![\w'+-])")
+# As on the pages (``texts.js``): not in the quotes of a shell, nor of an option, which is found first.
+_SIDES = re.compile(r"--[\w-]+ \S+|(?<![\w+=-])(?:[+-][xyz])+(?![\w'+-])")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,7 +85,7 @@ def short_name(name: str) -> str:
 
 def with_minus(words: str) -> str:
     """Return words whose sides have a minus, which ends no line as a hyphen does; what is to be typed keeps its own."""
-    return _SIDES.sub(lambda found: found[0].replace("-", "\u2212"), words)
+    return _SIDES.sub(lambda found: found[0] if found[0].startswith("--") else found[0].replace("-", "\u2212"), words)
 
 
 def draw_position(up: FloatArray) -> str:

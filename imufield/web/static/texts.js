@@ -17,12 +17,12 @@ export function text(name, values = {}) {
  */
 export const withMarks = (words, how) => words.replace(/\[([a-z ]+)\]/g, (_, mark) => text(how, { mark }));
 
-// A hyphen ends a line: "near -" and "y" below it read as +y. What is to be typed, in quotes or behind "=", keeps it.
-const NEGATIVE = /(?<![\w+=-])(?:-(?=\d)|(?:[+-][xyz])+(?![\w'+-]))/g;
+// A hyphen ends a line: "near -" and "y" below it read as +y. What is to be typed, an option with its value or in quotes, keeps it.
+const NEGATIVE = /--[\w-]+ \S+|(?<![\w+=-])(?:-(?=\d)|(?:[+-][xyz])+(?![\w'+-]))/g;
 
 /** Words as a terminal can show them, with the signs of units, sides and numbers; options stay. @param {string} words */
 export const withSigns = (words) =>
-  words.replace(NEGATIVE, (found) => found.replaceAll("-", "−")).replaceAll("^2", "²").replaceAll(" per root Hz", "/√Hz").replace(/(?<![\w-])u(?=g\b|rad\b)/g, "µ").replace(/ deg\b/g, "°").replace(/(?<![\d.])\+-(?=\d)/g, "±");
+  words.replace(NEGATIVE, (found) => (found.startsWith("--") ? found : found.replaceAll("-", "−"))).replaceAll("^2", "²").replaceAll(" per root Hz", "/√Hz").replace(/(?<![\w-])u(?=g\b|rad\b)/g, "µ").replace(/ deg\b/g, "°").replace(/(?<![\d.])\+-(?=\d)/g, "±");
 
 /**
  * Words that name options, with the fields of the page in place of those that it has; what is a command stays.
