@@ -17,12 +17,14 @@ says how sure the residuals are, ``result`` puts it together.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from imufield.calibrate.gyroscope.fit import fit_jointly
 from imufield.calibrate.gyroscope.input import GyroscopeInput, handedness_error, make_data, refuse_dead, refuse_foreign
-from imufield.calibrate.gyroscope.model_choice import FULL, GyroscopeModel, check_linearity, choose_model
-from imufield.calibrate.gyroscope.move_integration import INVERSE, PARAMETERS, arranged_inverse, rough_inverse
+from imufield.calibrate.gyroscope.model_choice import FULL, ChosenModel, GyroscopeModel, check_linearity, choose_model
+from imufield.calibrate.gyroscope.move_integration import INVERSE, PARAMETERS, SENSITIVITY, arranged_inverse, rough_inverse
 from imufield.calibrate.gyroscope.observability import Observability, observe, told_by
 from imufield.calibrate.gyroscope.residuals import VERTICAL, GyroscopeData, evaluate
 from imufield.calibrate.gyroscope.result import (
@@ -34,22 +36,30 @@ from imufield.calibrate.gyroscope.result import (
     static_norm_result,
 )
 from imufield.calibrate.gyroscope.stills_alone import (
+    CONTRADICTED,
     StaticData,
+    contradicts,
     fit_static,
     latitude_words,
+    observed_latitude_deg,
     sees_earth,
     static_bias,
     unknown_earth_rate,
 )
 from imufield.calibrate.gyroscope.whole_turns import find_stops, misses_and_limits
+from imufield.calibrate.model.coverage_factors import student_quantile
 from imufield.calibrate.model.grades import find_grade
 from imufield.calibrate.model.uncertainty import block_diagonal, rms
 from imufield.dataclass import replace
+from imufield.earth import EARTH_RATE_RAD_S
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
-from imufield.sentences import Sentences
+from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
+
+_OTHERS = 8  # Entries of a g-sensitivity beside the part that is alike on all axes.
+_ALIKE = 0.995  # Both ways: one of a hundred instruments with entries that are random seems to be at another latitude.
 
 _NO_START_RAD = 0.35  # 20 deg: right axes with a bias of 1 m/s^2 on each accelerometer axis miss by 14.
 
@@ -104,26 +114,49 @@ def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -
     while (told := told_by(chosen.fit, None if given.turntable else estimate, observability)) != observability:
         observability, start = told, _with_hidden(start, preset, told)
         chosen = choose_model(data, start, observability, model)
-    fitted = chosen.fit
-    # With a g-sensitivity fitted the specific force times the Earth's rate says nothing of the latitude: the vertical Earth
-    # rate is an exact alias of G = (rate sin(latitude) / g) I.
-    if given.latitude_deg is not None and fitted.heading_fitted and not chosen.g_sensitive:
-        free = fitted.free[fitted.free < PARAMETERS]
-        loose = fit_jointly(replace(data, latitude_deg=None), fitted.p, free, fitted.scatter)
-        place = int(np.flatnonzero(loose.free == VERTICAL)[0])
-        sigma_rad_s = float(np.sqrt(loose.covariance[place, place]))
-        warnings += (latitude_words(given.latitude_deg, float(loose.p[VERTICAL]), sigma_rad_s),)
+    of_latitude, is_caution = _latitude_told(given, data, chosen)
     return joint_result(
         JointSolution(
             given=given,
             data=data,
             chosen=chosen,
-            linearity=check_linearity(data, fitted, None if given.grade is None else find_grade(given.grade)),
+            linearity=check_linearity(data, chosen.fit, None if given.grade is None else find_grade(given.grade)),
             start=start,
             observability=observability,
-            warnings=warnings,
+            warnings=warnings if is_caution else (*warnings, *of_latitude),
+            cautions=of_latitude if is_caution else (),
         )
     )
+
+
+def _latitude_told(given: GyroscopeInput, data: GyroscopeData, chosen: ChosenModel) -> tuple[tuple[Sentence, ...], bool]:
+    """Return what the gyroscope says of the latitude, if anything, and whether that lowers the verdict.
+
+    An error of the vertical Earth rate is an exact alias of a g-sensitivity c I: where one is fitted, their sum is compared.
+    """
+    latitude_deg = given.latitude_deg
+    if latitude_deg is None:
+        return (), False
+    fitted, gravity_m_s2 = chosen.fit, given.calibration.gravity.gravity_m_s2
+    loose = fit_jointly(replace(data, latitude_deg=None), fitted.p, fitted.free[fitted.free < PARAMETERS], fitted.scatter)
+    share = np.zeros(data.parameters)
+    share[VERTICAL] = 1.0
+    share[SENSITIVITY] = gravity_m_s2 / 3 * np.eye(3).ravel()
+    vertical_rad_s = float(share @ loose.p)
+    sigma_rad_s = float(np.sqrt(share[loose.free] @ loose.covariance @ share[loose.free]))
+    is_contradicted = contradicts(latitude_deg, vertical_rad_s, sigma_rad_s)
+    if not chosen.g_sensitive:
+        words = latitude_words(latitude_deg, vertical_rad_s, sigma_rad_s)
+        return (words,) if fitted.heading_fitted or is_contradicted else (), is_contradicted
+    if not is_contradicted or abs(vertical_rad_s) > EARTH_RATE_RAD_S + CONTRADICTED * sigma_rad_s:
+        return (), False
+    observed_deg, sigma_deg = observed_latitude_deg(vertical_rad_s, sigma_rad_s)
+    told = sentence("calibrate.alike", latitude_deg=latitude_deg, observed_deg=observed_deg, sigma_deg=sigma_deg)
+    # Of nine independent entries the part along c I is Student's over the root mean square of the other eight.
+    H = loose.p[SENSITIVITY].reshape(3, 3)
+    others = gravity_m_s2 * float(np.linalg.norm(H - np.trace(H) / 3 * np.eye(3))) / math.sqrt(3 * _OTHERS)
+    off_rad_s = abs(vertical_rad_s - EARTH_RATE_RAD_S * math.sin(math.radians(latitude_deg)))
+    return (told,), off_rad_s > student_quantile(_OTHERS, _ALIKE) * math.hypot(others, sigma_rad_s)
 
 
 def _first_estimate(data: GyroscopeData, preset: FloatArray | None) -> FloatArray:

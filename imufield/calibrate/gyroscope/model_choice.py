@@ -1,7 +1,8 @@
 """The gyroscope's model: whether the g-sensitivity G is fitted, and whether one scale serves all rates.
 
 The choice "auto" keeps G where an F test on its nine entries together says 95 %. Where it does not, the best guess of what it
-hides goes into the covariance, as for the accelerometer's quadratic term.
+hides goes into the covariance, as for the accelerometer's quadratic term. The fit that is tested knows no latitude: of a wrong
+one the error of the vertical Earth rate is a G that is alike on all axes, and that of the horizontal rate has a part in others.
 
 A scale that differs between the senses of rotation, or changes with the rate, is not fitted but tested. With the rate ``s``
 along the sensing axes and its largest value ``S``, the output has another ``K f(s) c``:
@@ -49,7 +50,7 @@ from imufield.calibrate.model.coverage_factors import NORMAL_FACTOR_95, f_limit_
 from imufield.calibrate.model.grades import Grade
 from imufield.calibrate.model.rotation import skew
 from imufield.calibrate.model.uncertainty import block_diagonal, told_apart
-from imufield.dataclass import dataclass
+from imufield.dataclass import dataclass, replace
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentence, Sentences
@@ -87,9 +88,10 @@ def choose_model(data: GyroscopeData, start: FloatArray, observability: Observab
         why = sentence("model_choice.basic_as_asked" if model == "basic" else "model_choice.basic_as_shown")
         basic = fit_jointly(data, start, observability.free(BASIC))
         return ChosenModel(basic, False, nothing, why)
-    full = fit_jointly(data, start, observability.free(FULL))
+    free = observability.free(FULL)
     if model == "g-sensitive":
-        return ChosenModel(full, True, nothing, sentence("model_choice.fitted_as_asked"))
+        return ChosenModel(fit_jointly(data, start, free), True, nothing, sentence("model_choice.fitted_as_asked"))
+    full = fit_jointly(replace(data, latitude_deg=None), start, free)
     # F statistic of the entries of G against zero.
     places = np.flatnonzero((full.free >= SENSITIVITY.start) & (full.free < SENSITIVITY.stop))
     values = full.p[full.free[places]]
@@ -97,6 +99,7 @@ def choose_model(data: GyroscopeData, start: FloatArray, observability: Observab
     F, limit = max(F, np.finfo(float).tiny), f_limit_95(len(places), full.degrees_of_freedom)
     told = dict(zip(("F", "limit"), told_apart(F, limit), strict=True))
     if limit < F:
+        full = full if data.latitude_deg is None else fit_jointly(data, full.p, free, full.scatter)
         return ChosenModel(full, True, nothing, sentence("model_choice.kept", **told))
     basic = fit_jointly(data, start, observability.free(BASIC))
     # Of F only what is above 1, the value of pure noise, speaks for a true G.

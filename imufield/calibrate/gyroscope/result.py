@@ -15,7 +15,7 @@ from imufield.calibrate.gyroscope.move_integration import BIAS, INVERSE, PARAMET
 from imufield.calibrate.gyroscope.observability import Observability
 from imufield.calibrate.gyroscope.residual_covariance import gyroscope_share, input_sigmas, turns_tell_scatter
 from imufield.calibrate.gyroscope.residuals import Evaluation, GyroscopeData, evaluate
-from imufield.calibrate.gyroscope.stills_alone import StaticData, StaticFit, latitude_words
+from imufield.calibrate.gyroscope.stills_alone import StaticData, StaticFit, contradicts, latitude_words
 from imufield.calibrate.gyroscope.whole_turns import find_whole_turns
 from imufield.calibrate.model.budget import Share, joined_shares, picked, root_of
 from imufield.calibrate.model.coverage_factors import degrees_of_freedom
@@ -146,6 +146,8 @@ class JointSolution:
     start: FloatArray
     observability: Observability
     warnings: tuple[str, ...]
+    cautions: tuple[str, ...] = ()
+    """Warnings that make the verdict no better than usable."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -209,7 +211,14 @@ def joint_result(solution: JointSolution) -> GyroscopeResult:
         turns=turns,
         unobservable=observability.hidden_names,
         reasons=_reasons(solution, moves, turns),
-        cautions=(*few, *coarse_scale(gyroscope), *off_unit, *worse, *(linearity.sentences if linearity.matters else ())),
+        cautions=(
+            *solution.cautions,
+            *few,
+            *coarse_scale(gyroscope),
+            *off_unit,
+            *worse,
+            *(linearity.sentences if linearity.matters else ()),
+        ),
         faults=(*unsettled, *apart),
     )
 
@@ -252,11 +261,13 @@ def static_norm_result(solution: StaticSolution) -> GyroscopeResult:
     everything = given.static_free == "all"
     known = np.array([name in GYROSCOPE_BIAS_NAMES or (everything and k < 9) for k, name in enumerate(GYROSCOPE_NAMES)])
     path = sentence("result.norm_all" if everything else "result.norm_bias", stills=len(given.observations))
-    latitude = latitude_words(given.latitude_deg or 0.0, fitted.vertical_rad_s, fitted.vertical_sigma_rad_s)
+    observed = (given.latitude_deg or 0.0, fitted.vertical_rad_s, fitted.vertical_sigma_rad_s)
+    latitude, is_contradicted = latitude_words(*observed), contradicts(*observed)
     return replace(
         _result(solution, np.concatenate([fitted.x, np.zeros(9)]), own, known, path=path),
         unobservable=() if everything else GYROSCOPE_NAMES[:9],
-        reasons=(latitude, *given.moves.dropped),
+        reasons=given.moves.dropped if is_contradicted else (latitude, *given.moves.dropped),
+        cautions=(latitude,) if is_contradicted else (),
         faults=() if fitted.converged else (_unsettled(sentence("result.static_moves"), given.latitude_deg),),
     )
 

@@ -121,7 +121,7 @@ StaticFree = Literal["bias", "all"]
 SEES_EARTH = 0.1
 """Sigma of a position mean over the Earth's rate below which an instrument sees the Earth turn."""
 CONTRADICTED = 4.0
-"""Sigmas between the latitude that is given and the one that is observed: once in 16 000 good sessions."""
+"""Sigmas between the vertical Earth rate of the latitude and the one that is observed: once in 16 000 good sessions."""
 # Steps before it says that it did not converge; Gauss-Newton on a nearly linear problem, the scatters settle last.
 _ITERATIONS = 40
 _SETTLED = 1e-10  # Sum of squared changes in sigma at which it stops: a hundred-thousandth of a sigma.
@@ -173,11 +173,16 @@ def observed_latitude_deg(vertical_rad_s: float, sigma_rad_s: float) -> tuple[fl
     return math.degrees(math.asin(sine)), math.degrees(sigma_rad_s / EARTH_RATE_RAD_S / cosine)
 
 
+def contradicts(latitude_deg: float, vertical_rad_s: float, sigma_rad_s: float) -> bool:
+    """Whether a vertical Earth rate is not that of a latitude."""
+    return abs(vertical_rad_s - EARTH_RATE_RAD_S * math.sin(math.radians(latitude_deg))) > CONTRADICTED * sigma_rad_s
+
+
 def latitude_words(latitude_deg: float, vertical_rad_s: float, sigma_rad_s: float) -> Sentence:
     """Return what u . w says about the latitude that was given."""
     observed, latitude_sigma = observed_latitude_deg(vertical_rad_s, sigma_rad_s)
-    contradicted = abs(observed - latitude_deg) > CONTRADICTED * latitude_sigma
-    key = "stills_alone.latitude_contradicted" if contradicted else "stills_alone.latitude_seen"
+    is_contradicted = contradicts(latitude_deg, vertical_rad_s, sigma_rad_s)
+    key = "stills_alone.latitude_contradicted" if is_contradicted else "stills_alone.latitude_seen"
     return sentence(key, latitude_deg=latitude_deg, observed_deg=observed, sigma_deg=latitude_sigma)
 
 

@@ -190,7 +190,34 @@ def test_a_fine_gyroscope_finds_north_and_checks_the_latitude(fine: Session) -> 
     assert np.abs(np.degrees(result.calibration.parameters.bias - fine.truth.bias) * 3600).max() < 0.03
     assert told(result.reasons, "stills_alone.latitude_seen")[0].values["observed_deg"] == pytest.approx(45.0, abs=0.5)
     wrong = calibrate_gyroscope(replace(fine.given, latitude_deg=45.5), "basic")
-    assert told(wrong.reasons, "stills_alone.latitude_contradicted")
+    assert told(wrong.cautions, "stills_alone.latitude_contradicted")
+
+
+@pytest.mark.parametrize("latitude_deg", [-45.0, 12.0, 45.5])
+def test_a_wrong_latitude_is_no_g_sensitivity(fine: Session, latitude_deg: float) -> None:
+    result = calibrate_gyroscope(replace(fine.given, latitude_deg=latitude_deg))
+    assert not result.calibration.parameters.g_sensitivity.any()
+    (said,) = told(result.cautions, "stills_alone.latitude_contradicted")
+    assert said.values["observed_deg"] == pytest.approx(45.0, abs=0.5)
+    assert result.verdict == "usable"
+
+
+def test_a_fitted_g_sensitivity_that_is_a_latitude_is_said_to_be_one(session: Session, fine: Session) -> None:
+    wrong = calibrate_gyroscope(replace(fine.given, latitude_deg=-45.0), "g-sensitive")
+    (said,) = told(wrong.cautions, "calibrate.alike")
+    assert said.values["observed_deg"] == pytest.approx(45.0, abs=0.5)
+    assert not told(calibrate_gyroscope(fine.given, "g-sensitive").cautions, "calibrate.alike")
+    # Beside nine large entries it is one of them.
+    hidden = calibrate_gyroscope(replace(session.given, latitude_deg=-45.0))
+    assert hidden.calibration.parameters.g_sensitivity.any()
+    assert hidden.verdict == "good"
+
+
+def test_a_latitude_that_no_heading_shows_is_contradicted(fine: Session) -> None:
+    # So near to the pole the horizontal rate is too small for a heading.
+    polar = calibrate_gyroscope(replace(fine.given, latitude_deg=89.95), "basic")
+    assert sentence("result.azimuth") not in polar.calibration.path
+    assert told(polar.cautions, "stills_alone.latitude_contradicted")
 
 
 def test_without_a_latitude_the_earth_is_in_the_sigma(session: Session, result: GyroscopeResult) -> None:
@@ -379,6 +406,8 @@ def test_static_norm_for_an_instrument_that_sees_the_earth(fine: Session) -> Non
     result = calibrate_gyroscope(replace(fine.given, moves=nothing, preset=fine.truth))
     assert key_of(result.calibration.path) == "result.norm_bias"
     assert np.abs(np.degrees(result.calibration.parameters.bias - fine.truth.bias) * 3600).max() < 0.05
+    wrong = calibrate_gyroscope(replace(fine.given, moves=nothing, preset=fine.truth, latitude_deg=-45.0))
+    assert told(wrong.cautions, "stills_alone.latitude_contradicted")
     everything = calibrate_gyroscope(replace(fine.given, moves=nothing, static_free="all"))
     assert np.isfinite(everything.calibration.sigma.scale).all()
 
