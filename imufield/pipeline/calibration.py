@@ -65,6 +65,8 @@ class SolveInput:
     """Sentences about the recording that belong to the verdict."""
     cautions: tuple[str, ...] = ()
     """The same that keep the verdict from being good."""
+    of_place: tuple[str, ...] = ()
+    """The same that doubt gravity: that on the accelerometer is no better either."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -151,6 +153,7 @@ def calibrate(measured: SolveInput, settings: SolveSettings) -> Parameters:
         accelerometer_verdict=accelerometer_verdict,
         gyroscope_verdict=gyroscope_verdict,
     )
+    quality = quality.triad_doubted("accelerometer", measured.of_place)
     if measured.cautions:
         quality = quality.lowered("usable", *measured.cautions)
     calibration, observations = replace(calibration, quality=quality), measured.observations

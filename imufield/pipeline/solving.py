@@ -126,8 +126,9 @@ def solve_session(
             raw_zero=reading.raw_zero,
             gyroscope_scale=reading.gyroscope_scale,
             grade=reading.grade,
-            reasons=(*filter(None, (site.another_place(session.record.site), reading.compared)), *of_recording),
+            reasons=(*filter(None, (reading.compared,)), *of_recording),
             cautions=reading.sticking,
+            of_place=tuple(filter(None, (site.another_place(session.record.site),))),
         )
         try:
             return replace(calibrate(measured, settings), of_recording=of_recording)

@@ -246,7 +246,9 @@ def test_another_place_than_the_recorded_one_is_said(
 def test_a_height_is_added_to_the_latitude_of_a_session(nowhere: Path) -> None:
     with_site(nowhere, latitude_deg=45.0)
     assert math.isnan(solved(nowhere)["site"]["height_m"])
-    assert "ppm apart" in reasons(solved(nowhere, "--latitude", "75"))
+    elsewhere = solved(nowhere, "--latitude", "75")["quality"]
+    assert "ppm apart" in elsewhere["warnings"][0]
+    assert (elsewhere["verdict"], elsewhere["accelerometer_verdict"]) == ("usable", "usable")
     site = solved(nowhere, "--height", "300")["site"]
     assert (site["latitude_deg"], site["height_m"]) == (45.0, 300.0)
     assert site["gravity_m_s2"] == pytest.approx(normal_gravity(45.0, 300.0), abs=1e-9)
