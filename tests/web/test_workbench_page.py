@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import itertools
+import math
 import os
 import re
 import signal
 import socket
 import subprocess
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
 from imufield.deliver.parameters.file import load
+from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.guide.positions import scheme
 from imufield.web.page_commands import VIRTUAL
 from tests.commands.conftest import SPEED, Program
@@ -230,6 +232,42 @@ def test_from_an_empty_folder_to_the_files(program: Program, screens: Screens, a
 
 
 # The browser and six programs.
+PARAMETERS_OF = """async (found) => {
+    const { SessionView } = await import("./session.js");
+    const shown = SessionView.prototype.parameters.call(SessionView.prototype, found);
+    return [...shown.querySelectorAll("tbody tr")].map((row) => [...row.children].map((cell) => cell.textContent));
+}"""
+
+
+def test_every_parameter_that_was_fitted_is_shown(screens: Screens, address: str) -> None:
+    page = screens.open(address)
+    micro, per_g = 1e-6 / STANDARD_GRAVITY_M_S2, math.radians(1 / 3600) / STANDARD_GRAVITY_M_S2
+    zero, angles = [0.0] * 3, {"misalignment_rad": [[0.0] * 3] * 3}
+    accelerometer: dict[str, Any] = {"raw_unit": "count", "scale": [100.0] * 3, "bias_m_s2": zero, **angles}
+    sigma: dict[str, Any] = {"scale": [1.0] * 3, "bias_m_s2": [1.0] * 3, **angles}
+    accelerometer |= {"quadratic_fitted": True, "quadratic": [300 * micro, 0.0, 0.0], "uncertainty": sigma}
+    sigma["quadratic"] = [100 * micro] * 3
+    higher = {"cubic": zero, "cubic_sigma": [1.0] * 3, "cross": [zero, [0.0, 4 * micro, 0.0], zero]}
+    accelerometer["higher"] = {**higher, "cross_sigma": [[2 * micro] * 3] * 3}
+    gyroscope: dict[str, Any] = {"raw_unit": "count", "scale": [2.0] * 3, "bias_rad_s": zero, **angles}
+    gyroscope["g_sensitivity"] = [zero, [0.0, 0.0, 40 * per_g], zero]
+    sigma = {"scale": [0.5] * 3, "bias_rad_s": [1.0] * 3, "g_sensitivity": [[2 * per_g] * 3] * 3, **angles}
+    gyroscope["uncertainty"] = sigma
+    found = {"accelerometer": accelerometer, "gyroscope": gyroscope}
+    rows = page.evaluate(PARAMETERS_OF, found)
+    assert ["accelerometer quadratic term", "µg/g²", "3.0 ± 1.0", "0.0 ± 1.0", "0.0 ± 1.0"] in rows
+    assert ["accelerometer cross term xz", "µg/g²", "0.0 ± 2.0", "4.0 ± 2.0", "0.0 ± 2.0"] in rows
+    assert "accelerometer cubic term" in {row[0] for row in rows}
+    assert ["gyroscope scale", "count per rad/s", "2.00 ± 0.50", "2.00 ± 0.50", "2.00 ± 0.50"] in rows
+    assert ["gyroscope g-sensitivity", "deg/h/g", "xz 0.0 ± 1.0", "yz 20.0 ± 1.0", "zz 0.0 ± 1.0"] in rows
+    # Of terms that were not fitted there is no row.
+    sigma["g_sensitivity"] = [[None] * 3] * 3
+    accelerometer["quadratic_fitted"] = False
+    del accelerometer["higher"]
+    rows = page.evaluate(PARAMETERS_OF, found)
+    assert not [row for row in rows if "term" in row[0] or "sensitivity" in row[0]]
+
+
 def test_a_session_of_a_virtual_instrument_is_stopped_and_goes_on(program: Program, screens: Screens, address: str) -> None:
     page = screens.open(address)
     for _ in range(2):

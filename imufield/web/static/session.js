@@ -7,6 +7,8 @@ import { signed, text, when, withFields, withSigns } from "./texts.js";
 
 const PARAMETERS = "parameters.toml"; // Its button stands below the verdict, those of other files at the end.
 const MICRO_G = 9.80665e-6;
+const GRAVITY = 1e6 * MICRO_G;
+const DEG_PER_HOUR = (180 / Math.PI) * 3600; // Of a rad/s.
 const FEWEST_SOLVED = 6; // Positions, for a result at all.
 const FEWEST_CHECKED = 10; // Positions, for a result that is checked: see the pipeline of the program.
 const AXES = ["x", "y", "z"];
@@ -378,17 +380,18 @@ export class SessionView {
       /** @type {string} */ unit,
       /** @type {any} */ triad,
       /** @type {string} */ key,
-      /** @type {number} */ factor,
+      /** @type {number | number[]} */ factor,
       /** @type {number} */ less,
     ) => {
       const sigma = triad.uncertainty[key];
+      const factors = Array.isArray(factor) ? factor : AXES.map(() => factor);
       rows.push([
         name,
         unit,
         ...AXES.map((_, k) =>
           withSigma(
-            triad[key][k] === null ? null : (triad[key][k] - less) * factor,
-            sigma[k] === null ? null : sigma[k] * factor,
+            triad[key][k] === null ? null : (triad[key][k] - less) * factors[k],
+            sigma[k] === null ? null : sigma[k] * Math.abs(factors[k]),
           ),
         ),
       ]);
@@ -399,27 +402,46 @@ export class SessionView {
     else of(text("scale"), text("perUnit", { unit: acc.raw_unit }), acc, "scale", 1, 0);
     const gyro = found.gyroscope;
     if (gyro) {
-      of(text("gyroBias"), "deg/h", gyro, "bias_rad_s", (180 / Math.PI) * 3600, 0);
+      of(text("gyroBias"), "deg/h", gyro, "bias_rad_s", DEG_PER_HOUR, 0);
       if (gyro.raw_unit === "rad/s") of(text("gyroScale"), "ppm", gyro, "scale", 1e6, 1);
+      else of(text("gyroScaleOf"), text("perRate", { unit: gyro.raw_unit }), gyro, "scale", 1, 0);
     }
     for (const [name, triad] of [
       [text("angles"), acc],
       [text("gyroAngles"), gyro],
     ])
-      if (triad) rows.push(...this.angles(name, triad));
+      if (triad) rows.push(...this.entries(name, "mrad", triad.misalignment_rad, triad.uncertainty.misalignment_rad, [1e3, 1e3, 1e3]));
+    const micro = acc.scale.map((/** @type {number} */ scale) => (1e6 * GRAVITY) / scale);
+    if (acc.quadratic_fitted) of(text("quadratic"), "µg/g²", acc, "quadratic", micro, 0);
+    if (acc.higher) {
+      const terms = { ...acc.higher, uncertainty: { cubic: acc.higher.cubic_sigma } };
+      of(text("cubic"), "µg/g³", terms, "cubic", 1e6 * GRAVITY ** 2, 0);
+      for (const [k, axes] of ["xy", "xz", "yz"].entries()) {
+        const cross = { cross: acc.higher.cross[k], uncertainty: { cross: acc.higher.cross_sigma[k] } };
+        of(text("cross", { axes }), "µg/g²", cross, "cross", 1e6 * GRAVITY, 0);
+      }
+    }
+    if (gyro) {
+      const perG = gyro.scale.map((/** @type {number} */ scale) => (DEG_PER_HOUR * GRAVITY) / scale);
+      rows.push(...this.entries(text("sensitivity"), "deg/h/g", gyro.g_sensitivity, gyro.uncertainty.g_sensitivity, perG));
+    }
     return table(text("parametersHead").split(", "), rows, "stacks");
   }
 
-  /** Rows of the angles that were fitted, each below the sensing axis that it is of. @param {string} name @param {any} triad */
-  angles(name, triad) {
-    const sigmas = triad.uncertainty.misalignment_rad;
+  /**
+   * Rows of the entries of a matrix that were fitted, each below the sensing axis that it is of.
+   * @param {string} name @param {string} unit @param {number[][]} values @param {(number | null)[][]} sigmas
+   * @param {number[]} factors of each axis
+   */
+  entries(name, unit, values, sigmas, factors) {
     const columns = AXES.map((axis, i) =>
-      AXES.flatMap((towards, j) =>
-        i !== j && sigmas[i][j] > 0 ? `${axis}${towards} ${withSigma(1e3 * triad.misalignment_rad[i][j], 1e3 * sigmas[i][j])}` : [],
-      ),
+      AXES.flatMap((towards, j) => {
+        const sigma = (sigmas[i][j] ?? 0) * Math.abs(factors[i]);
+        return sigma > 0 ? `${axis}${towards} ${withSigma(values[i][j] * factors[i], sigma)}` : [];
+      }),
     );
     const high = Math.max(...columns.map((column) => column.length));
-    return Array.from({ length: high }, (_, k) => [name, "mrad", ...columns.map((column) => column[k] ?? "")]);
+    return Array.from({ length: high }, (_, k) => [name, unit, ...columns.map((column) => column[k] ?? "")]);
   }
 
   /** @param {Event} event */
