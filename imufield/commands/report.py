@@ -61,7 +61,7 @@ def run_report(options: ReportOptions) -> tuple[Path, ...]:
     if options.pdf:
         load_weasyprint()
     data, folder = gather(options)
-    pages: tuple[Path, ...] = (options.output or folder / REPORT_FILE, options.record or folder / RECORD_FILE)
+    pages = _pages(options, data.parameters.path, folder)
     if options.pdf:
         pages += tuple(path.with_suffix(".pdf") for path in pages)
     inputs = [
@@ -79,6 +79,18 @@ def run_report(options: ReportOptions) -> tuple[Path, ...]:
             write_output(path, texts[number].encode() if number < len(texts) else to_pdf(texts[number - len(texts)]))
     say(sentence("report.record", record=pages[1].name))
     return pages
+
+
+def _pages(options: ReportOptions, parameters: Path | None, folder: Path) -> tuple[Path, ...]:
+    """Return where report and record go: unless named, the report is called after the parameters, the record after the report.
+
+    Two results in one folder have two names: one never stands in place of the other.
+    """
+    is_alone = options.session is None and parameters is not None and parameters.name != PARAMETER_FILE
+    default = folder / (f"{parameters.stem}.html" if is_alone and parameters is not None else REPORT_FILE)
+    report = options.output or default
+    record = RECORD_FILE if report.name == REPORT_FILE else f"{report.stem}-record.html"
+    return report, options.record or report.with_name(record)
 
 
 def gather(options: ReportOptions) -> tuple[ReportData, Path]:

@@ -107,6 +107,19 @@ def test_parameters_alone_make_a_page_and_presets_a_column(solved: Path, tmp_pat
     assert "<h3>Stillness</h3>" not in text
 
 
+def test_two_results_in_one_folder_keep_a_record_each(solved: Path, tmp_path: Path) -> None:
+    first, second = (Path(shutil.copy(solved / "parameters.toml", tmp_path / f"{name}.toml")) for name in ("one", "two"))
+    pages = {
+        *run_report(ReportOptions(parameters=first)),
+        *run_report(ReportOptions(parameters=second)),
+        *run_report(ReportOptions(parameters=first, output=tmp_path / "a.html")),
+        *run_report(ReportOptions(parameters=second, output=tmp_path / "b.html")),
+    }
+    names = {f"{name}{tail}.html" for name in ("one", "two", "a", "b") for tail in ("", "-record")}
+    assert pages == {tmp_path / name for name in names}
+    assert {path.name for path in tmp_path.glob("*.html")} == names
+
+
 def test_verification_gets_into_the_page(solved: Path) -> None:
     assert run(["verify", str(solved / "parameters.toml"), str(solved), "--require", "residual-ug=5000"]) == 0
     report, _ = run_report(ReportOptions(session=solved))

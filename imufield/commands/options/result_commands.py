@@ -313,8 +313,14 @@ class ReportOptions:
     parameters: Annotated[Path | None, option(help="Parameter file (default: SESSION/parameters.toml).")] = None
     preset: Annotated[Path | None, option(help="Previous parameter file, to compare with.")] = None
     operator: Annotated[str, option(help="Person who calibrated; printed on the calibration record.")] = ""
-    output: Annotated[Path | None, option("-o", "--output", help="Report page (default: SESSION/report.html).")] = None
-    record: Annotated[Path | None, option(help="Calibration record (default: SESSION/calibration-record.html).")] = None
+    output: Annotated[
+        Path | None,
+        option("-o", "--output", help="Report page (default: SESSION/report.html; of parameters FILE.toml alone, FILE.html)."),
+    ] = None
+    record: Annotated[
+        Path | None,
+        option(help="Calibration record (default: calibration-record.html; beside another PAGE.html, PAGE-record.html)."),
+    ] = None
     pdf: Annotated[bool, option("--pdf", help="Write both as PDF, too, beside them (takes some seconds).")] = False
 
 
