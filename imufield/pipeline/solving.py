@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from imufield.acquire.protocol.units import nominal_scale
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
 from imufield.calibrate.accelerometer.ellipsoid_start import FEWEST_FOR_SCALE_AND_BIAS
@@ -30,11 +31,12 @@ from imufield.deliver.parameters.file import (
     load_found,
     write_document,
 )
-from imufield.earth import Gravity
+from imufield.earth import STANDARD_GRAVITY_M_S2, Gravity
 from imufield.errors import CalibrationError, ImufieldError, Reason
 from imufield.files import Origin, utf8_text
 from imufield.guide.cross_checks.axes import AxesCheck
 from imufield.guide.events import RefusalCode, Rejected
+from imufield.guide.lead.still_scales import fitting_unit
 from imufield.guide.refusals import Refusal, what_is_left
 from imufield.guide.view.marks import with_keys
 from imufield.pipeline.calibration import SolveInput, SolveSettings, calibrate
@@ -45,6 +47,7 @@ from imufield.pipeline.reading import Reading, ReadingCollector
 from imufield.pipeline.site import SiteOptions
 from imufield.pipeline.windows import is_ramp
 from imufield.progress import task
+from imufield.samples import median
 from imufield.sentences import Sentences, printable, shell_word
 
 if TYPE_CHECKING:
@@ -109,7 +112,7 @@ def solve_session(
         observations, left_out = leave_out(reading.observations, settings.without, may_lack=settings.is_of_several)
         between, best = reading.between(observations), reading.best
         is_import = session.record.kind == "import"
-        of_recording = (*filter(None, (reading.saturated,)), *reading.refused, *reading.notes, *reading.lost)
+        saturated, of_holds = tuple(filter(None, (reading.saturated,))), (*reading.refused, *reading.notes, *reading.lost)
         site = site or SiteOptions()
         measured = SolveInput(
             observations=observations,
@@ -126,12 +129,13 @@ def solve_session(
             raw_zero=reading.raw_zero,
             gyroscope_scale=reading.gyroscope_scale,
             grade=reading.grade,
-            reasons=(*filter(None, (reading.compared,)), *of_recording),
-            cautions=reading.sticking,
+            reasons=(*filter(None, (reading.compared,)), *of_holds),
+            # First: more positions of the same range would be clipped, too.
+            cautions=(*saturated, *reading.sticking),
             of_place=tuple(filter(None, (site.another_place(session.record.site),))),
         )
         try:
-            return replace(calibrate(measured, settings), of_recording=of_recording)
+            return replace(calibrate(measured, settings), of_recording=(*saturated, *of_holds))
         except CalibrationError as error:
             if not reading.saturated:
                 raise
@@ -295,7 +299,7 @@ def _unguided(chain: Chain, session: Session) -> _Usable:
     """Return the still intervals of a session that nobody guided; raises ``CalibrationError`` where it is of one pose."""
     try:
         found = chain.still_intervals()
-        _check_count(len(found.observations), [refusal for _, refusal in found.refused])
+        _check_count(len(found.observations), _as_imported(chain, session, [refusal for _, refusal in found.refused]))
     except CalibrationError as error:
         _refuse_ramp(chain, session, error)
         raise
@@ -314,6 +318,19 @@ def _unguided(chain: Chain, session: Session) -> _Usable:
         saturated=_saturation_sentence(clipped),
         sticking=found.sticking,
     )
+
+
+def _as_imported(chain: Chain, session: Session, refusals: list[Refusal]) -> list[Refusal]:
+    """Return the refusals with the remedy of an import where the unit is wrong: it has no driver that could be set."""
+    setting = None if chain.protocol is None else chain.protocol.settings.get("accelerometer_unit")
+    scale = None if setting is None else nominal_scale(str(setting.value))
+    if session.record.kind != "import" or scale is None:
+        return refusals
+    # Offsets, of which nothing is known, lengthen some and shorten others.
+    typical_m_s2 = float(median(np.array([each.measured for each in refusals if each.reason is RefusalCode.GRAVITY] or [0.0])))
+    unit = fitting_unit(scale * typical_m_s2 / STANDARD_GRAVITY_M_S2, "m/s^2")
+    remedy = sentence("solving.import_unit", unit=unit) if unit else sentence("solving.import_scale")
+    return [replace(each, remedy=remedy) if each.reason is RefusalCode.GRAVITY else each for each in refusals]
 
 
 def _refuse_ramp(chain: Chain, session: Session, error: CalibrationError | None = None) -> None:

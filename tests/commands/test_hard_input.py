@@ -11,8 +11,13 @@ import numpy as np
 import pytest
 import tomli_w
 
+from imufield.acquire.recording.session import Session
 from imufield.cli.run import run
+from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import Reason
+from imufield.pipeline.calibration import SolveSettings
+from imufield.pipeline.site import SiteOptions
+from imufield.pipeline.solving import solve_session
 from tests.commands.told import fails
 
 
@@ -94,6 +99,20 @@ def test_a_clipped_axis_is_in_the_verdict(rows: tuple[list[str], np.ndarray], ca
     run(["solve", "new"])
     captured = capsys.readouterr()
     assert "saturated" in " ".join((captured.out + captured.err).split())
+
+
+def test_positions_lost_to_a_small_range_are_a_warning_before_the_wish_for_more(rows: tuple[list[str], np.ndarray]) -> None:
+    header, table = rows
+    column = header.index("ax")
+    # Only what has +x up comes so far.
+    table[:, column] = np.clip(table[:, column], None, 0.95 * STANDARD_GRAVITY_M_S2)
+    write(header, table)
+    assert run(["import", "changed.csv", "-o", "new"]) == 0
+    quality = solve_session(Session.open(Path("new")), SolveSettings(), SiteOptions(latitude_deg=48)).calibration.quality
+    keys = [getattr(warning, "key", "") for warning in quality.warnings]
+    assert keys[0] == "solving.clipped"
+    assert quality.verdict != "good"
+    assert [getattr(reason, "key", "") for reason in quality.reasons].count("solving.clipped") == 1
 
 
 def test_all_axes_clipped_names_saturation(rows: tuple[list[str], np.ndarray]) -> None:

@@ -111,6 +111,30 @@ def test_a_stated_unit_that_the_stills_contradict_is_kept_and_told(tmp_path: Pat
     assert said == ["still_scales.other_accelerometer", "still_scales.other_gyroscope"]
 
 
+@pytest.mark.parametrize(
+    ("accelerometer", "stated", "key", "right"),
+    [
+        (1 / G, "m/s^2", "still_scales.other_accelerometer", "g"),
+        (1000 / G, "g", "still_scales.other_accelerometer", "mg"),
+        (0.612 / G, "g", "still_scales.no_accelerometer_unit", ""),
+    ],
+)
+def test_only_a_unit_that_fits_is_named(tmp_path: Path, accelerometer: float, stated: str, key: str, right: str) -> None:
+    options = ImportOptions(
+        files=[table(tmp_path, accelerometer)], output=tmp_path / "session", settings={"accelerometer_unit": stated}
+    )
+    _, said = import_session(options)
+    (words,) = (one for one in said if key_of(one) == key)
+    assert words.values["right"] == right  # type: ignore[attr-defined]
+    assert not right or f"accelerometer_unit={right} --replace" in words
+
+
+def test_an_import_in_a_wrong_unit_is_not_sent_to_a_driver(tmp_path: Path) -> None:
+    session, _ = imported(table(tmp_path, 1 / G), accelerometer_unit="m/s^2")
+    with refused(CalibrationError, Reason.TOO_FEW, "imufield import", "accelerometer_unit=g --replace", key="solving.too_few"):
+        solve_session(session, SolveSettings(), SiteOptions(gravity_m_s2=G))
+
+
 def test_a_stated_unit_that_is_right_needs_no_word(tmp_path: Path) -> None:
     _, said = imported(table(tmp_path, 1 / G), accelerometer_unit="g", gyroscope_unit="rad/s")
     assert not [key for key in said if key.startswith("still_scales.")]

@@ -13,7 +13,7 @@ from copy import deepcopy
 
 import numpy as np
 
-from imufield.acquire.protocol.units import nominal_scale
+from imufield.acquire.protocol.units import TO_SI, nominal_scale
 from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError
 from imufield.guide.lead.unguided import StillIntervalFinder
@@ -38,6 +38,7 @@ class _Kind:
     taken: str
     taken_as_count: str
     contradicted: str
+    fits_none: str
 
 
 _KINDS = {
@@ -46,9 +47,14 @@ _KINDS = {
         "still_scales.accelerometer",
         "still_scales.accelerometer_count",
         "still_scales.other_accelerometer",
+        "still_scales.no_accelerometer_unit",
     ),
     "gyroscope": _Kind(
-        ("rad/s", "deg/s"), "still_scales.gyroscope", "still_scales.gyroscope_count", "still_scales.other_gyroscope"
+        ("rad/s", "deg/s"),
+        "still_scales.gyroscope",
+        "still_scales.gyroscope_count",
+        "still_scales.other_gyroscope",
+        "still_scales.no_gyroscope_unit",
     ),
 }
 
@@ -80,8 +86,16 @@ class StillScales:
                 count = {"count": 1 / scale, "count_deg": math.degrees(1 / scale)}
                 said[triad] = sentence(key, unit=unit, stills=self.stills, ratio=_ratio(scale, unit), **count)
             elif stated[triad] in kind.units and unit != stated[triad]:
-                said[triad] = sentence(kind.contradicted, stated=stated[triad], ratio=_ratio(scale, stated[triad]))
+                right = fitting_unit(scale, kind.units[0])
+                key = kind.contradicted if right else kind.fits_none
+                said[triad] = sentence(key, stated=stated[triad], ratio=_ratio(scale, stated[triad]), right=right)
         return units, said
+
+
+def fitting_unit(scale: float, si_unit: str) -> str:
+    """Return the unit of which so many are one of the SI unit; empty where no usual unit has about that scale."""
+    units = [unit for unit, (si, _) in TO_SI.items() if si == si_unit and scale > 0]
+    return next((unit for unit in units if abs(math.log(_ratio(scale, unit))) < _SAME_FACTOR), "")
 
 
 def _ratio(scale: float, unit: str) -> float:
