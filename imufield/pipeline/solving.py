@@ -314,7 +314,10 @@ def _unguided(chain: Chain, session: Session) -> _Usable:
     return _Usable(
         observations=found.observations,
         axes=found.axes,
-        refused=tuple(_left_out_sentence("solving.left_out", stills) for stills in others.values()),
+        refused=tuple(
+            _left_out_sentence("solving.shaken" if code is RefusalCode.NOT_STILL else "solving.left_out", stills)
+            for code, stills in others.items()
+        ),
         saturated=_saturation_sentence(clipped),
         sticking=found.sticking,
     )
@@ -369,6 +372,7 @@ def _check_count(count: int, refusals: Sequence[Rejected | Refusal]) -> None:
         are="is" if count == 1 else "are",
         limit=FEWEST_FOR_SCALE_AND_BIAS,
         refused=len(refusals),
+        position=getattr(last, "position", None) or "1",
         words=last.words,
         remedy=with_keys(last.remedy),
     )

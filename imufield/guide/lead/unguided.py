@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from bisect import bisect
+
 import numpy as np
 
 from imufield.calibrate.model.observations import Observations
@@ -13,6 +15,7 @@ from imufield.guide.cross_checks.outputs import Outputs
 from imufield.guide.hold.checks import HoldUnderTest, check_gravity, examine
 from imufield.guide.hold.in_hand import SampleHistory, measure_in_hand, trim_in_hand
 from imufield.guide.hold.observe import Observation, gather, observe, trim_stretch
+from imufield.guide.hold.shaken import ShakenHolds
 from imufield.guide.lead.settings import MOVED_DEG, MOVED_S
 from imufield.guide.positions import angle_deg, nearest_cube_direction
 from imufield.guide.refusals import FROZEN, Refusal
@@ -21,7 +24,7 @@ from imufield.guide.stillness.detector import LONGEST_WAIT_S, StillnessDetector
 from imufield.guide.stillness.noise_floor import FLOOR_S, MAX_FLOOR_M_S2
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import Phase, Stretch
-from imufield.samples import Samples, SampleUnits
+from imufield.samples import Samples, SampleUnits, median
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
@@ -71,6 +74,8 @@ class StillIntervalFinder:
         self._last: Stretch | None = None  # The stretch before, of whatever length.
         self._lain: Stretch | None = None  # The latest one that was as still as on a table.
         self._put_down = True  # Whether the unit was put down since the last of the placements.
+        self._shaken = ShakenHolds()
+        self._rest_raw = np.full(3, np.nan)  # Of the gyroscope, in the hold before.
         self._outputs = Outputs()
         self._moves = MoveLog()
         self._builder = CellBuilder()
@@ -100,6 +105,7 @@ class StillIntervalFinder:
         if self.detector.phase is Phase.STILL:
             self._add(self.detector.stretch, in_hand=self._held > 0)
             self.detector.restart()
+        self._shaken.end(self.detector)
         if self.detector.floor is None:
             raise self._never_quiet()
         sound = [observation.mean_raw for observation, own in self._placements if own is None]
@@ -115,11 +121,23 @@ class StillIntervalFinder:
                 found.append(replace(self._outputs.with_resolution(observation), name=name))
         return StillIntervals(
             observations=gather(found, self.units),
-            refused=tuple(refused),
+            refused=tuple(sorted([*refused, *self._shaken_elsewhere(scale)], key=lambda still: still[0])),
             scale=scale,
             axes=check_axes(self._moves.moves(scale), scale.gyroscope),
             sticking=self._outputs.sticking(),
         )
+
+    def _shaken_elsewhere(self, scale: RoughScale) -> list[tuple[float, Refusal]]:
+        """Return the holds that shook, except where the unit lay still just before or afterwards: it was put down there."""
+        refused = list[tuple[float, Refusal]]()
+        times_s = [observation.start_s for observation, _ in self._placements]
+        for start_s, mean_raw, refusal in self._shaken.found:
+            after = bisect(times_s, start_s)
+            near = (observation.mean_raw for observation, _ in self._placements[max(after - 1, 0) : after + 1])
+            up = scale.up(mean_raw)
+            if all(angle_deg(up, scale.up(each)) > _TURNED_DEG for each in near):
+                refused.append((start_s, refusal))
+        return refused
 
     def _never_quiet(self) -> CalibrationError:
         """Return why there is no noise floor."""
@@ -138,6 +156,7 @@ class StillIntervalFinder:
             held = self._held + 1 if self.detector.in_hand else 0
             # A unit that is put down passes for one in the hand before it lies: the move is not over then.
             moves = 0 < held < cells_in(_HAND_SHOWS_S)
+            self._shaken.follow(judgement, self.detector, self._rest_raw)
             self._moves.follow(judgement._replace(phase=Phase.MOVING) if moves else judgement, self.detector.stretch.mean)
             if judgement.ended is not None:
                 self._add(judgement.ended, in_hand=self._held > 0)
@@ -151,6 +170,7 @@ class StillIntervalFinder:
         hold = self._hold(stretch, in_hand=in_hand)
         if hold is None:
             return
+        self._rest_raw = median(hold.cells.mean[:, 3:])
         placement = observe(hold.cells, hold.limits, "", hand_mean=hold.hand_mean), examine(hold)
         if not self._put_down:
             # A soft support gives way, a table is knocked: the unit was not put down a second time.

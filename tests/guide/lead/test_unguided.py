@@ -55,6 +55,7 @@ def xsens(shared_folder: Any) -> Any:
 def test_xsens_session(xsens: Any) -> None:
     found = find_still_intervals([xsens], scale=RoughScale(raw_zero=np.full(3, 32768.0)))
     assert 36 <= len(found.observations) <= 46
+    assert not found.refused
     gravity, scale, bias, misalignment = REFERENCE["xsens"]
     start = np.array([*scale, *bias, *misalignment])
     fit = fit_norms(found.observations.mean_raw, 32768, start, gravity)
@@ -82,6 +83,7 @@ def test_mpu_9150_session(shared_folder: Any, name: str, residual_mg: float) -> 
     samples = make_samples(np.arange(len(table)) / 100, table[:, :3], table[:, 3:], units=SampleUnits())
     found = find_still_intervals([samples])
     assert 17 <= len(found.observations) <= 23
+    assert not found.refused
     gravity, scale, bias, misalignment = REFERENCE[name]
     fit = fit_norms(found.observations.mean_raw, 0, np.array([*scale, *bias, *misalignment]), gravity)
     # The reference moves by so much when the settings of its own detector are swept.
