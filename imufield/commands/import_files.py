@@ -260,17 +260,8 @@ def _in_place_of_earlier(options: ImportOptions) -> Iterator[None]:
     if not (folder / SETTINGS_FILE).exists():
         yield
         return
-    earlier = Session.open(folder)
-    kind = earlier.record.kind
-    # Nothing goes that cannot be imported again from its files.
-    if kind != "import":
-        raise UsageError(sentence("import_files.no_import", folder=folder, kind=kind))
-    from imufield.pipeline.kept import KEPT_FILE  # With what solving needs; few imports replace one.
-
-    own = {SETTINGS_FILE, LOCK_FILE, KEPT_FILE, *(part.name for part in earlier.parts)}
-    others = sorted(path.name for path in folder.iterdir() if path.name not in own)
-    if others:
-        raise UsageError(sentence("import_files.holds_more", folder=folder, others=others[:3]))
+    if (cannot := _stays(folder)) is not None:
+        raise UsageError(cannot)
     # In the same folder, so that it can be renamed back; hidden from what looks for sessions.
     aside = folder.with_name(f".{folder.name}.replaced")
     shutil.rmtree(aside, ignore_errors=True)
@@ -281,6 +272,19 @@ def _in_place_of_earlier(options: ImportOptions) -> Iterator[None]:
         aside.rename(folder)
         raise
     shutil.rmtree(aside, ignore_errors=True)
+
+
+def _stays(folder: Path) -> Sentence | None:
+    """Return why the session in a folder cannot be replaced: nothing goes that cannot be imported again from its files."""
+    earlier = Session.open(folder)
+    kind = earlier.record.kind
+    if kind != "import":
+        return sentence("import_files.no_import", folder=folder, kind=kind)
+    from imufield.pipeline.kept import KEPT_FILE  # With what solving needs; few imports replace one.
+
+    own = {SETTINGS_FILE, LOCK_FILE, KEPT_FILE, *(part.name for part in earlier.parts)}
+    others = sorted(path.name for path in folder.iterdir() if path.name not in own)
+    return sentence("import_files.holds_more", folder=folder, others=others[:3]) if others else None
 
 
 @contextmanager
@@ -321,5 +325,6 @@ def _new_session(options: ImportOptions, protocol: Protocol, table: ImportedTabl
         metadata["nominal"] = {"raw_zero": list(table.raw_zero)}
         metadata["notes"] = list(table.assumptions)
     if options.output is not None and not options.replace and (options.output / SETTINGS_FILE).exists():
-        raise RecordingError(sentence("import_files.exists", folder=str(options.output)), Reason.UNFINISHED)
+        key = "import_files.exists" if _stays(options.output) is None else "import_files.exists_and_stays"
+        raise RecordingError(sentence(key, folder=str(options.output)), Reason.UNFINISHED)
     return create_session(options.output, options.root, model, metadata)

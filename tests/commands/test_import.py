@@ -361,6 +361,8 @@ def test_an_import_is_replaced_when_asked_and_nothing_else_is(tmp_path: Path, ca
     (here / "parameters.toml").touch()
     again = ["import", str(tmp_path / "a.csv"), "-o", str(here), "--replace"]
     fails(again, 2, Reason.USAGE, "parameters.toml", key="import_files.holds_more")
+    # Only what works is offered.
+    assert "--replace" not in fails(once_more, 4, Reason.UNFINISHED, str(here), key="import_files.exists_and_stays").message
     (here / "parameters.toml").unlink()
     Session.open(here).update(kind="capture")
     fails(again, 2, Reason.USAGE, "capture", key="import_files.no_import")
