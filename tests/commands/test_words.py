@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,13 +19,19 @@ from imufield.cli.run import _interrupted_words, run
 from imufield.commands.terminal.guided import Captured, farewell
 from imufield.commands.terminal.output import NothingRecorded
 from imufield.deliver.exports import export_parameters
-from imufield.errors import ParameterFileError, Reason
+from imufield.earth import normal_gravity
+from imufield.errors import CalibrationError, ParameterFileError, Reason
+from imufield.guide import refusals
 from imufield.guide.events import Event, LinkLost, Rejected
 from imufield.guide.view.sound import heard
 from imufield.pipeline.chain import Chain, ReadingPlan, replay_into
+from imufield.pipeline.solving import _check_count
 from imufield.samples import Samples, Status
 from imufield.sentences import Sentences
 from tests.commands.told import fails, missing
+from tests.refused import refused
+
+ROOT = Path(__file__).parents[2]
 
 
 def starting_up(samples: Samples) -> Samples:
@@ -74,10 +81,29 @@ def test_an_export_asks_for_all_that_is_missing_at_once(solved_session: Path) ->
     assert "--set gyroscope_nominal=NUMBER (count per rad/s)" in caught.value.message
 
 
+def test_the_one_hold_that_was_refused_is_named() -> None:
+    refusal = refusals.FAULT.refusal(10.0, 5.0).event(1.0, "x+90")
+    with refused(CalibrationError, Reason.TOO_FEW, "2 positions", "x+90", key="solving.too_few_one"):
+        _check_count(2, [refusal])
+
+
+def test_an_example_of_gravity_is_that_of_the_place_beside_it() -> None:
+    page = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
+    form = (ROOT / "imufield" / "web" / "static" / "workbench.html").read_text(encoding="utf-8")
+    examples = [
+        re.search(r"--latitude ([\d.]+) --height (\d+)`, `--gravity ([\d.]+)", page),
+        re.search(r'(?s)name="latitude".*?holder="([\d.]+)".*?holder="(\d+)".*?holder="([\d.]+)\+-', form),
+    ]
+    for example in examples:
+        assert example is not None
+        latitude_deg, height_m, gravity_m_s2 = map(float, example.groups())
+        assert gravity_m_s2 == pytest.approx(normal_gravity(latitude_deg, height_m), abs=1e-4)
+
+
 def test_an_import_onto_a_session_names_what_it_can_do(solved_session: Path, tmp_path: Path) -> None:
     (tmp_path / "rows.csv").write_text("ax,ay,az,gx,gy,gz\n" + "0.1,0.2,9.8,0,0,0\n" * 50)
     line = ["import", str(tmp_path / "rows.csv"), "--rate-hz", "100", "-o", str(solved_session)]
-    error = fails(line, 4, Reason.UNFINISHED, str(solved_session), key="import_files.exists")
+    error = fails(line, 4, Reason.UNFINISHED, str(solved_session), key="import_files.exists_and_stays")
     assert "--resume" not in error.message
 
 

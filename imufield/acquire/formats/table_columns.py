@@ -36,6 +36,8 @@ STATUS = "status"
 COUNTER = "counter"
 """What the instrument numbered its samples by; known in exports of our own only, whose flags tell of every gap."""
 SKIPPED = ("-", "_", "skip")
+_NAMED_AT_ONCE = 12  # Columns that a sentence lists: as many as a person looks through.
+_EXAMPLE = "time_ms,ax_g,ay_g,az_g,gx_dps,gy_dps,gz_dps"  # A unit goes into a name.
 
 
 HEADERLESS = {
@@ -116,7 +118,7 @@ def columns_by_user(path: Path, columns: str, width: int) -> Meaning:
         if column is None:
             raise UsageError(sentence("table_columns.unknown_name", name=name, known=FIELDS))
         found.append(column)
-    return _checked(path, found, ())
+    return _checked(path, found, (), names)
 
 
 def columns_by_header(
@@ -155,7 +157,7 @@ def columns_by_header(
     if stamp is not None and stamp.index in used and others:
         of = shortened(header[stamp.index])
         said.append(sentence("table_columns.stamp", name=path.name, stamp=of, others=others))
-    return _checked(path, chosen, tuple(said))
+    return _checked(path, chosen, tuple(said), header)
 
 
 def columns_by_count(path: Path, width: int, number: int, files: int) -> Meaning:
@@ -184,8 +186,8 @@ def columns_by_count(path: Path, width: int, number: int, files: int) -> Meaning
     )
 
 
-def _checked(path: Path, found: Sequence[TableColumn], assumptions: tuple[str, ...]) -> Meaning:
-    """Refuse doubled columns and incomplete triads."""
+def _checked(path: Path, found: Sequence[TableColumn], assumptions: tuple[str, ...], names: Sequence[str]) -> Meaning:
+    """Refuse doubled columns and incomplete triads; ``names`` are those of all columns."""
     fields = [column.field for column in found]
     doubled = next((field for field in fields if fields.count(field) > 1), None)
     if doubled is not None:
@@ -195,7 +197,8 @@ def _checked(path: Path, found: Sequence[TableColumn], assumptions: tuple[str, .
         if 0 < len(missing) < 3:
             raise UsageError(sentence("table_columns.missing", path=str(path), missing=missing))
     if not set(fields) - {TIME, TEMPERATURE, STATUS, COUNTER}:
-        raise UsageError(sentence("table_columns.no_triad", path=str(path), example=",".join(FIELDS)))
+        told = {"names": [shortened(name) for name in names[:_NAMED_AT_ONCE]], "example": _EXAMPLE}
+        raise UsageError(sentence("table_columns.no_triad", path=str(path), **told))
     units: dict[str, str] = {}
     for column in found:
         before = units.setdefault(column.quantity, column.unit) if column.unit is not None else None

@@ -122,6 +122,6 @@ def _join_by_row(
     if TIME in joined:
         return joined, [sentence("table_join.by_row")]
     if rate_hz is None:
-        raise UsageError(sentence("table_join.no_rate", path=str(paths[0])))
+        raise UsageError(sentence("table_join.no_rate", path=str(paths[0]), known=[*joined]))
     joined[TIME] = np.arange(sizes[0]) / rate_hz
     return joined, [sentence("table_join.by_rate", rate_hz=rate_hz)]

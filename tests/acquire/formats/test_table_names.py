@@ -223,7 +223,7 @@ def test_headers_of_other_programs(
 )
 def test_axes_without_a_name_are_of_what_the_file_is_named(tmp_path: Path, name: str, fields: tuple[str, ...]) -> None:
     assert found(tmp_path, "time,z,y,x", name)[0] == list(enumerate(fields))
-    with refused(UsageError, Reason.USAGE, key="table_columns.no_triad"):
+    with refused(UsageError, Reason.USAGE, "among time, z, y, x", "ax_g", key="table_columns.no_triad"):
         found(tmp_path, "time,z,y,x", "accel_and_gyro.csv")
 
 

@@ -124,7 +124,7 @@ def test_the_user_s_word_counts_most(tmp_path: Path) -> None:
         ("time,ax,ay,az,gx,gy,colour", "table_columns.unknown_name", ("--columns", "'colour'")),
         ("time,ax,ay,az,gx,gy,gy", "table_columns.doubled", ("gy", "--columns")),
         ("time,ax,ay,az,gx,gy,-", "table_columns.missing", ("gz", "--columns")),
-        ("time,-,-,-,-,-,-", "table_columns.no_triad", ("ax,ay,az,gx,gy,gz",)),
+        ("time,-,-,-,-,-,-", "table_columns.no_triad", ("time", "ax_g,ay_g,az_g,gx_dps,gy_dps,gz_dps")),
         ("a;b", "tables.other_number", ("--columns", "2 ", "1 ")),
     ],
 )
@@ -142,6 +142,12 @@ def test_unknown_columns_are_a_question_to_the_user(tmp_path: Path) -> None:
     with refused(UsageError, Reason.USAGE, "--columns") as caught:
         read_tables([write(tmp_path, text_of(TIME, ACCELEROMETER, TIME, header="t ax ay az ax\n"))])
     assert caught.value.values["field"] == "ax"
+
+
+def test_a_table_without_a_time_says_what_it_knows(tmp_path: Path) -> None:
+    path = write(tmp_path, text_of(ACCELEROMETER, header="ax ay az\n"))
+    with refused(UsageError, Reason.USAGE, "ax, ay, az", "--rate-hz", "time_ms", key="table_join.no_rate"):
+        read_tables([path])
 
 
 @pytest.mark.parametrize(("unit", "scale"), [("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
