@@ -39,9 +39,13 @@ class ShakenHolds:
 
     def follow(self, judgement: Judgement, detector: StillnessDetector, rest_raw: FloatArray) -> None:
         """Take the next cell; ``rest_raw`` is the gyroscope at rest, shape (3,), NaN where not known."""
+        is_still = judgement.phase is Phase.STILL
+        if is_still and not self._run:
+            self._block = []
+            return
         cell = judgement.cells[judgement.row : judgement.row + 1]
         unbroken = not self._block or int(cell.slot[0] - self._block[-1].slot[0]) in (1, 2)
-        if judgement.phase is Phase.STILL or not unbroken or not cell.usable[0]:
+        if is_still or not unbroken or not cell.usable[0]:
             self.end(detector)
             return
         self._block.append(cell)
