@@ -199,7 +199,8 @@ class StillnessDetector:
         self.scale = self.scale.learn(floor.mean[:3])
         self.floor = floor
         for tracker in self._trackers:
-            tracker.standard = Standard.of(floor, noise_limits(floor, self.scale, tracker.allowances))
+            limits = noise_limits(floor, self.scale, tracker.allowances)
+            tracker.standard = Standard.of(floor, limits, self.scale)
         if not self._rest and floor.has_gyroscope:
             self._rest = floor.mean.tolist()
 

@@ -12,6 +12,7 @@ import numpy as np
 from imufield.guide.stillness.cells import Cells, cells_in, join_cells
 from imufield.guide.stillness.limits import OTHER_SIDE, Allowances, Limits
 from imufield.guide.stillness.noise_floor import NoiseFloor
+from imufield.guide.stillness.scale import RoughScale
 
 # The activity that ends a stretch. One begins at 1: without this hysteresis a unit at the limit would flicker.
 LEAVE_FACTOR = 2.0
@@ -94,15 +95,17 @@ class Standard(NamedTuple):
     change_weight: list[float]
     """1 / change, 0 where there is no gyroscope."""
     usual_samples: float
+    raw_zero: list[float]
+    """Raw output of the accelerometer at zero input (3): a side is told by what is above it."""
 
     @classmethod
-    def of(cls, floor: NoiseFloor, limits: Limits) -> Standard:
+    def of(cls, floor: NoiseFloor, limits: Limits, scale: RoughScale) -> Standard:
         """Return the standard of limits that were made for a noise floor."""
         weight = np.where(np.isnan(limits.change), 0.0, 1 / limits.change)
-        return cls(limits, weight.tolist(), floor.samples_per_cell)
+        return cls(limits, weight.tolist(), floor.samples_per_cell, scale.raw_zero.tolist())
 
 
-_NO_STANDARD = Standard(Limits(np.full(6, np.inf), np.full(6, np.inf), 1.0, 1.0), [0.0] * 6, 0.0)
+_NO_STANDARD = Standard(Limits(np.full(6, np.inf), np.full(6, np.inf), 1.0, 1.0), [0.0] * 6, 0.0, [0.0] * 3)
 
 
 class JudgedCell(NamedTuple):
@@ -190,7 +193,7 @@ class Tracker:
         limit = limits.gyroscope_offset
         if rest:
             offset = math.hypot(*((cell.mean[i] - rest[i]) * weight[i] for i in range(3, 6)))
-            if math.dist(cell.mean[:3], rest[:3]) > OTHER_SIDE * math.hypot(*rest[:3]):
+            if math.dist(cell.mean[:3], rest[:3]) > OTHER_SIDE * math.dist(rest[:3], self.standard.raw_zero):
                 limit = limits.offset_on_other_side
         # A cell without a value of the gyroscope, NaN, is judged by the accelerometer alone.
         if cell.vibration <= 1 and not offset > limit:

@@ -250,8 +250,9 @@ def test_without_the_scale_of_the_gyroscope_a_hand_is_no_rest(in_hand: tuple[Sam
     assert len(find_still_intervals([counts]).observations) == 1
 
 
+@pytest.mark.parametrize("raw_zero", [0.0, 32768.0])
 @pytest.mark.parametrize("deg_s_per_g", [0.16, 1.5])
-def test_g_sensitivity_in_counts_loses_no_hold(deg_s_per_g: float) -> None:
+def test_g_sensitivity_in_counts_loses_no_hold(deg_s_per_g: float, raw_zero: float) -> None:
     """A rate at rest that changes with the side that is up, as instruments for consumers have it, and worse ones."""
     quiet = perfect_instrument(find_grade("tactical"))
     g_sensitivity = np.full((3, 3), math.radians(deg_s_per_g) / 9.8)
@@ -261,8 +262,10 @@ def test_g_sensitivity_in_counts_loses_no_hold(deg_s_per_g: float) -> None:
     samples = imu.feed(operator.block(0, int(operator.plan_all() * 100), imu.interval_s))
     rng = np.random.default_rng(2)
     rate = 20_000 * (samples.gyroscope + 6e-4 * rng.standard_normal(samples.gyroscope.shape))
-    counts = replace(samples, gyroscope=np.rint(rate), units=SampleUnits(gyroscope="count"))
-    assert len(find_still_intervals([counts]).observations) == 7
+    force = 400 * samples.accelerometer + raw_zero
+    units = SampleUnits(accelerometer="count", gyroscope="count")
+    counts = replace(samples, accelerometer=force, gyroscope=np.rint(rate), units=units)
+    assert len(find_still_intervals([counts], scale=RoughScale(raw_zero=np.full(3, raw_zero))).observations) == 7
 
 
 @pytest.mark.parametrize("seed", range(4))
