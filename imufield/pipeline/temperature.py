@@ -12,7 +12,7 @@ from imufield.calibrate.model.grades import DEFAULT_GRADE, find_grade
 from imufield.calibrate.model.observations import require_named
 from imufield.calibrate.model.result import Calibration, Quality, of_session
 from imufield.calibrate.model.temperature_polynomials import TriadTemperature
-from imufield.calibrate.sessions.verdict import judged_by_sigma
+from imufield.calibrate.sessions.verdict import sigma_doubts
 from imufield.calibrate.temperature.at_temperature import calibration_at
 from imufield.calibrate.temperature.fit import SessionPoints, TemperatureData, TemperatureFit, fit_temperature, fit_warnings
 from imufield.calibrate.temperature.one_pose import gyroscope_sentence, pose_sentence
@@ -154,9 +154,10 @@ def with_temperature(
     for means in ramps:
         _require_output(means, triads)
     cut = {triad: _cut(base, triad, ramps) for triad in triads}
-    # One thermometer: what its ramps show of its lag holds in the sessions, too.
-    lags_s = [ramp.lag_s for of_triad in cut.values() for _, ramp in of_triad if ramp.goes_both_ways]
+    # One thermometer: the lag that some of its ramps show holds in the others, and in the sessions, too.
+    lags_s = [ramp.lag_s for of_triad in cut.values() for _, ramp in of_triad if ramp.lag_s]
     lag_s = float(np.mean(lags_s)) if lags_s else 0.0
+    cut = {triad: _cut(base, triad, ramps, lag_s) for triad in triads} if lags_s else cut
     fits = {triad: _fit_triad(base, triad, sessions, cut, lag_s=lag_s) for triad in triads}
     told = [*notes, *(remark for means in ramps for remark in means.remarks)]
     told += [note for fit in fits.values() for note in fit.notes]
@@ -185,9 +186,9 @@ class _TriadFit:
     warnings: Sequence[str] = ()
 
 
-def _cut(base: Parameters, triad: str, ramps: Sequence[RampMeans]) -> Sequence[tuple[RampMeans, Ramp]]:
+def _cut(base: Parameters, triad: str, ramps: Sequence[RampMeans], lag_s: float = 0.0) -> Sequence[tuple[RampMeans, Ramp]]:
     """Return the ramps of a triad; one without this triad is still good for the other."""
-    return [(means, cut_ramp(_windows(base, triad, means))) for means in ramps if _shows(means, triad)]
+    return [(means, cut_ramp(_windows(base, triad, means), lag_s)) for means in ramps if _shows(means, triad)]
 
 
 def _fit_triad(
@@ -342,11 +343,11 @@ def _over_temperature(base: Calibration, fits: Mapping[str, _TriadFit]) -> Calib
 
 def _judged_over_temperature(quality: Quality, calibration: Calibration) -> Quality:
     """Return a verdict that holds at both ends of the range, where polynomials are least sure."""
-    model = calibration.accelerometer_temperature
+    model, said = calibration.accelerometer_temperature, set[str]()
     for end_degc in () if model is None else model.range_degc:
         remedy = sentence("temperature.remedy", end=end_degc)
-        judged = judged_by_sigma(quality, calibration_at(calibration, end_degc), remedy)
-        # Both ends are mostly as unsure for one reason, which is said once.
-        if len(judged.warnings) > len(quality.warnings):
-            return judged
+        for triad, why in sigma_doubts(calibration_at(calibration, end_degc), remedy):
+            # Both ends are mostly as unsure for one reason, which is said once.
+            quality = quality.triad_doubted(triad, [each for each in why if each.key not in said])
+            said.update(each.key for each in why)
     return quality

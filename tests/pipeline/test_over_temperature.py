@@ -14,8 +14,9 @@ from imufield.calibrate.model.budget import combined_sigma
 from imufield.calibrate.model.coverage_factors import student_factor
 from imufield.calibrate.model.models import at_temperature, predict, predict_gyroscope
 from imufield.calibrate.model.observations import Observations
-from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeCalibration, GyroscopeParameters
+from imufield.calibrate.model.result import AccelerometerParameters, Calibration, GyroscopeCalibration, GyroscopeParameters
 from imufield.calibrate.model.temperature_polynomials import Polynomials, TriadTemperature
+from imufield.calibrate.temperature.at_temperature import calibration_at
 from imufield.deliver.parameters.context import Context, InstrumentFacts, SessionFacts
 from imufield.deliver.parameters.file import Parameters, from_document, load, to_document, write_document
 from imufield.deliver.report.budget import not_in_budget
@@ -307,18 +308,47 @@ def test_no_session_is_worse_than_the_verdict_and_each_is_heard(sessions: tuple[
     assert with_temperature(own, [cold, own, warm], [ramp()]).calibration.quality.warnings == ("it warmed up",)
 
 
-def test_each_triad_answers_for_its_own_polynomials(sessions: tuple[Parameters, ...]) -> None:
+def with_rates(sessions: tuple[Parameters, ...], biases: tuple[float, ...]) -> list[Parameters]:
+    """Return the sessions with a gyroscope of these biases, good by itself."""
     none, sigma = np.zeros((3, 3)), GyroscopeParameters(np.full(3, 1e-5), np.zeros((3, 3)), np.full(3, 1e-6), np.zeros((3, 3)))
     with_gyroscope = []
-    for degc, session, bias in zip((-18.0, 20.0, 55.0), sessions, (3e-3, 0.0, 3e-3), strict=True):
+    for degc, session, bias in zip((-18.0, 20.0, 55.0), sessions, biases, strict=True):
         rates = GyroscopeParameters(np.ones(3), none, np.full(3, bias), none)
         quality = replace(session.calibration.quality, gyroscope_verdict="good")
         gyroscope = GyroscopeCalibration(parameters=rates, sigma=sigma, path="made up")
         calibration = replace(session.calibration, gyroscope=gyroscope, quality=quality)
         with_gyroscope.append(from_document(to_document(calibration, observed(degc), session.context)))
+    return with_gyroscope
+
+
+def test_each_triad_answers_for_its_own_polynomials(sessions: tuple[Parameters, ...]) -> None:
+    with_gyroscope = with_rates(sessions, (3e-3, 0.0, 3e-3))
     quality = with_temperature(with_gyroscope[1], with_gyroscope, [ramp()]).calibration.quality
     assert [words.values["triad"] for words in told(quality.warnings, "fit.scatter")] == ["gyroscope"]
     assert (quality.verdict, quality.accelerometer_verdict, quality.gyroscope_verdict) == ("usable", "good", "usable")
+
+
+def test_each_end_of_the_range_lowers_what_is_unsure_there(
+    sessions: tuple[Parameters, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with_gyroscope = with_rates(sessions, (0.0, 0.0, 0.0))
+
+    def at_end(calibration: Calibration, end_degc: float) -> Calibration:
+        there, gyroscope = calibration_at(calibration, end_degc), calibration.gyroscope
+        assert gyroscope is not None
+        scale = np.full(3, 0.1)
+        if end_degc < 20:
+            return replace(there, accelerometer_sigma=replace(there.accelerometer_sigma, scale=scale))
+        return replace(there, gyroscope=replace(gyroscope, sigma=replace(gyroscope.sigma, scale=scale)))
+
+    monkeypatch.setattr(temperature, "calibration_at", at_end)
+    quality = with_temperature(with_gyroscope[1], with_gyroscope, [ramp()]).calibration.quality
+    assert {"quality.scale_sigma", "result.coarse"} <= set(keys(quality.warnings))
+    assert (quality.accelerometer_verdict, quality.gyroscope_verdict) == ("usable", "usable")
+    # As unsure at both ends: said once.
+    monkeypatch.setattr(temperature, "calibration_at", lambda calibration, _: at_end(calibration, 60.0))
+    quality = with_temperature(with_gyroscope[1], with_gyroscope, [ramp()]).calibration.quality
+    assert keys(quality.warnings).count("result.coarse") == 1
 
 
 def test_ramps_without_gyroscope_leave_it_at_one_temperature(sessions: tuple[Parameters, ...]) -> None:

@@ -11,11 +11,15 @@ import pytest
 from imufield.calibrate.model.models import at_temperature, predict, predict_gyroscope
 from imufield.calibrate.model.result import GyroscopeCalibration, GyroscopeParameters
 from imufield.calibrate.model.temperature_polynomials import Polynomials
+from imufield.calibrate.temperature.fit import TemperatureData, TemperatureFit, fit_temperature
+from imufield.calibrate.temperature.ramp import Ramp, RampWindows, cut_ramp
 from imufield.deliver.parameters.context import Context, InstrumentFacts, SessionFacts
 from imufield.deliver.parameters.file import Parameters, from_document, to_document
+from imufield.pipeline import temperature
 from imufield.pipeline.calibration import SolveInput, SolveSettings, calibrate
 from imufield.pipeline.temperature import RampMeans, with_temperature
 from tests.pipeline.test_over_temperature import GRAVITY, NOISE_M_S2, OVER_TEMPERATURE, TRUTH, UP, observed
+from tests.told import told
 
 pytestmark = pytest.mark.numerical
 
@@ -85,3 +89,34 @@ def test_sessions_that_warm_or_cool_are_where_the_sensor_was(degc_per_min: Seque
             off.append((there.accelerometer.scale - truth[1]) / there.accelerometer_sigma.scale)
     assert np.abs(off).max() < 4
     assert 0.3 < np.sqrt(np.mean(np.square(off))) < 1.4
+
+
+@pytest.mark.parametrize("flat", ["accelerometer", "gyroscope"])
+def test_a_lag_that_one_triad_shows_is_taken_out_of_both_and_told(flat: str) -> None:
+    """The other triad hardly changes with temperature: that none was found there is no lag of zero."""
+    rng = np.random.default_rng(4)
+    found, shown = [session(degc, 0.6, rng) for degc in (-18.0, 20.0, 55.0)], ramp(rng)
+    still = np.mean(getattr(shown, flat), axis=0) + 1e-4 * rng.normal(size=(len(shown.time_s), 3))
+    fitted: list[TemperatureData] = []
+    lags_s: list[float] = []
+
+    def seen_fit(data: TemperatureData) -> TemperatureFit:
+        fitted.append(data)
+        return fit_temperature(data)
+
+    def seen_cut(windows: RampWindows, *known_lag_s: float) -> Ramp:
+        cut = cut_ramp(windows, *known_lag_s)
+        lags_s.append(cut.lag_s)
+        return cut
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(temperature, "fit_temperature", seen_fit)
+        patch.setattr(temperature, "cut_ramp", seen_cut)
+        joint = with_temperature(found[1], found, [replace(shown, **{flat: still})])
+    assert [words.values["lag_s"] for words in told(joint.calibration.quality.reasons, "ramp.lag")] == [
+        pytest.approx(LAG_S, abs=15)
+    ]
+    assert lags_s[-2:] == pytest.approx([LAG_S, LAG_S], abs=15)
+    for data in fitted:
+        assert data.points is not None
+        np.testing.assert_allclose(data.points.temperature_degc, (-18, 20, 55), atol=0.2)

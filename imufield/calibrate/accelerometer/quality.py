@@ -240,7 +240,7 @@ def _unobservable_sentence(evidence: Evidence) -> str:
     return sentence(key, names=[_words(name) for name in hidden], costs=told_costs)
 
 
-def sigma_sentences(vector: FloatArray, sigma: FloatArray, gravity: Gravity, remedy: Sentence | None = None) -> list[str]:
+def sigma_sentences(vector: FloatArray, sigma: FloatArray, gravity: Gravity, remedy: Sentence | None = None) -> list[Sentence]:
     """Return what of scale and bias is too uncertain for a good verdict, of one session or of several as one.
 
     Parameters
@@ -253,7 +253,7 @@ def sigma_sentences(vector: FloatArray, sigma: FloatArray, gravity: Gravity, rem
     """
     relative, bias = sigma[SCALE] / np.abs(vector[SCALE]), sigma[BIAS]
     remedy = remedy or sentence("quality.more_positions")
-    reasons: list[str] = []
+    reasons: list[Sentence] = []
     # Written so that NaN (no uncertainty at all) counts as too large.
     if not np.all(relative <= USABLE_SCALE_SIGMA) and gravity.source != "assumed":
         by_gravity = gravity.sigma_m_s2 / gravity.gravity_m_s2

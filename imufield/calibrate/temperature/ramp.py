@@ -65,7 +65,7 @@ class Ramp:
     blocks: RampBlocks
     fastest_degc_per_min: float
     lag_s: float
-    """Of the thermometer behind the sensor; 0 where none was found."""
+    """Of the thermometer behind the sensor; 0 where none was found or known."""
 
     @property
     def goes_both_ways(self) -> bool:
@@ -73,8 +73,8 @@ class Ramp:
         return {-1.0, 1.0} <= set(self.blocks.direction.tolist())
 
 
-def cut_ramp(windows: RampWindows) -> Ramp:
-    """Return a ramp in blocks of temperature, the lag of the thermometer taken out where there is one.
+def cut_ramp(windows: RampWindows, known_lag_s: float = 0.0) -> Ramp:
+    """Return a ramp in blocks of temperature, the lag of the thermometer taken out: its own, else a known one.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def cut_ramp(windows: RampWindows) -> Ramp:
     # The steps of a coarse thermometer are no changes; a fine one follows turns that a straight line would cut.
     is_coarse = np.mean(np.abs(np.diff(read_degc)) < _SAME_READING_DEGC) > _MOST_ALIKE
     degc, rate = (even_degc, trend) if is_coarse else (read_degc, _smoothed(time_s, read_degc, RATE_OVER_S)[1])
-    lag_s = _lag(degc, rate, direction, output)
+    lag_s = _lag(degc, rate, direction, output) or known_lag_s
     blocks = _blocks(degc + lag_s * rate, direction, output, force.mean(axis=0))
     return Ramp(blocks=blocks, fastest_degc_per_min=60 * float(np.abs(rate).max()), lag_s=lag_s)
 
