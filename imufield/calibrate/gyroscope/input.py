@@ -118,7 +118,8 @@ def make_data(given: GyroscopeInput) -> GyroscopeData:
     observations, moves = given.observations, given.moves
     parameters = given.calibration.accelerometer
     rest = given.rest_raw
-    variance = np.diagonal(observations.gyroscope_covariance_raw, 0, 1, 2)
+    # What rounding leaves is no noise that a longer mean makes smaller.
+    variance = np.maximum(np.diagonal(observations.gyroscope_unrounded_covariance, 0, 1, 2), 0.0)
     density = np.sqrt(median(variance * observations.duration_s[:, None]))
     duration = np.maximum(moves.slots.duration_s, 1e-9)[:, None]  # a slot of a clock that stood lasts nothing
     return GyroscopeData(
