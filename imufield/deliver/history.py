@@ -184,11 +184,12 @@ class Entry:
 
 def _sides(parameters: Parameters) -> str:
     """Return which sides of a cube, edges and corners among them, were up: as planned, or as measured where nothing was."""
-    used, rows = parameters.calibration.accelerometer, parameters.document["position"]
+    used, rows = parameters.calibration.accelerometer, [row for row in parameters.document["position"] if row["used"]]
     planned, raw = (np.array([row[key] for row in rows], dtype=np.float64).reshape(-1, 3) for key in ("direction", "mean_raw"))
     up = np.where(np.isfinite(planned), planned, (raw - used.offset) / used.scale)
     # Placements differ by some 5 degrees; from here to another side it is 16 at least.
-    sides = np.rint(up / np.abs(up).max(axis=1, keepdims=True)).astype(np.int64)
+    largest = np.abs(up).max(axis=1, keepdims=True)
+    sides = np.rint(up / np.where(largest > 0, largest, 1.0)).astype(np.int64)
     return str(sorted(sides.tolist()))
 
 

@@ -445,3 +445,18 @@ def test_the_calibration_closest_in_time_is_found(tmp_path: Path, write) -> None
     assert find(str(tmp_path), "N1").path == paths[2]
     with refused(ParameterFileError, Reason.FOREIGN, "N3", key="history.none_of_serial"):
         find(tmp_path, "N3")
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_position_left_out_is_no_side_of_the_setup() -> None:
+    whole = solved(20.0)
+    rows = whole.document["position"]
+
+    def setup(changed: dict[str, object]) -> str:
+        return Entry.of(
+            "", replace(whole, document=whole.document | {"position": [*rows[:4], rows[4] | changed, *rows[5:]]})
+        ).setup
+
+    assert setup({"used": False}) != setup({})
+    # What was not measured has no side.
+    assert setup({"direction": [0.0, 0.0, 0.0]})
