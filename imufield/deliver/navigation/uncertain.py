@@ -78,4 +78,6 @@ def _normal(covariance: FloatArray, count: int, rng: np.random.Generator) -> Flo
     # In units of sigma first: eigenvalues of a bias in m/s^2 and of a scale in counts do not compare.
     sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     safe = np.where(sigma > 0, sigma, 1.0)
-    return sigma * rng.multivariate_normal(np.zeros(len(sigma)), covariance / np.outer(safe, safe), count, method="eigh")
+    # As written in digits some eigenvalues are below zero, which `multivariate_normal` would warn of and take the size of.
+    value, vectors = np.linalg.eigh(covariance / np.outer(safe, safe))
+    return np.asarray(sigma * (rng.standard_normal((count, len(sigma))) @ (vectors * np.sqrt(np.maximum(value, 0.0))).T))

@@ -61,3 +61,14 @@ def test_triads_left_out_stay_as_they_are() -> None:
     errors = drawn.errors(FORCE, RATE)
     assert errors[:, :3] == pytest.approx(0, abs=1e-12)
     assert np.abs(errors[:, 3:]).max() > 1e-7
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_covariance_rounded_to_below_zero_is_drawn_without_it() -> None:
+    """Of numbers that are one and the same but for the digits written: their difference does not vary."""
+    covariance = np.array([[1.0, 1.0 + 1e-6], [1.0 + 1e-6, 1.0]]) * 1e-8
+    calibration = replace(perfect(), covariance_names=ACCELEROMETER_NAMES[3:5], covariance=covariance)
+    drawn = draw_parameters(calibration, 100, np.random.default_rng(7))
+    offsets = drawn.vector - to_vector(calibration.accelerometer)
+    assert np.ptp(offsets[:, 3] - offsets[:, 4]) < 1e-12
+    assert np.std(offsets[:, 3]) == pytest.approx(1e-4, rel=0.3)
