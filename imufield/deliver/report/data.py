@@ -73,7 +73,7 @@ def with_gyroscope(file: Observations, reading: Observations) -> Observations:
         file,
         gyroscope_mean_raw=np.where(found[:, None], mean, np.nan),
         gyroscope_covariance_raw=np.where(found[:, None, None], covariance, np.nan),
-        gyroscope_rounding_raw=reading.gyroscope_rounding_raw[row],
+        gyroscope_rounding_raw=np.where(found[:, None], reading.gyroscope_rounding_raw[row], 0.0),
         units=reading.units,
     )
 

@@ -19,3 +19,11 @@ def test_the_gyroscope_of_a_recording_comes_with_its_unit(observations: Observat
     joined = with_gyroscope(replace(observations, units=SampleUnits()), read)
     np.testing.assert_array_equal(joined.gyroscope_mean_raw, rates)
     assert joined.units == units
+
+
+def test_what_the_recording_does_not_show_has_nothing_of_another_position(observations: Observations) -> None:
+    m = len(observations)
+    read = replace(observations, gyroscope_mean_raw=np.ones((m, 3)), gyroscope_rounding_raw=np.ones((m, 3)))
+    joined = with_gyroscope(replace(observations, start_s=observations.start_s + 1e6), read)
+    assert np.isnan(joined.gyroscope_mean_raw).all()
+    assert not joined.gyroscope_rounding_raw.any()
