@@ -241,8 +241,12 @@ class Chain:
         ------
         CalibrationError
             If no stretch is quiet enough.
+        ValueError
+            If the session is guided.
         """
-        return cast("StillIntervalFinder", self.finder).finish()
+        if self.finder is None:
+            raise ValueError("the session is guided: ask `observations`")
+        return self.finder.finish()
 
     def raw_zero(self, protocol: Protocol) -> FloatArray:
         """Return the raw zero of the accelerometer, shape (3,), or of both triads, shape (6,), as rates."""

@@ -264,7 +264,7 @@ def solve_observations(path: Path, settings: SolveSettings, site: SiteOptions) -
     content = read_content(path)
     observations, repeats = count_repeats_once(parse_observations(content, path))
     facts = SessionFacts(name=printable(utf8_text(path.name)), sha256=hashlib.sha256(content).hexdigest())
-    observations, left_out = leave_out(observations, settings.without)
+    observations, left_out = leave_out(observations, settings.without, may_lack=settings.is_of_several)
     context = Context(session=facts)
     measured = SolveInput(
         observations=observations, left_out=left_out, gravity=site.gravity(), context=context, reasons=repeats

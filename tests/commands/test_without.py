@@ -57,6 +57,20 @@ def test_a_name_that_is_not_there_is_refused_with_those_that_are(session: Path) 
     fails(["solve", str(session), "--without", "x+1"], 2, Reason.USAGE, "x+1", "x+0", key="observations.not_there")
 
 
+def test_means_of_a_file_may_lack_what_a_session_at_another_temperature_has(session: Path, tmp_path: Path) -> None:
+    table = tmp_path / "means.csv"
+    rows = [",".join(map(str, position["mean_raw"])) for position in document(session / "parameters.toml")["position"]]
+    table.write_text("\n".join(["ax,ay,az", *rows]), encoding="utf-8")
+    # The message names what all of them have: it comes once every session was read.
+    fails(
+        ["solve", "--observations", str(table), "--temperature", str(session), "--without", "nowhere"],
+        2,
+        Reason.USAGE,
+        "x+0",
+        key="observations.not_there",
+    )
+
+
 def test_a_touched_hold_is_poor_and_what_the_sentence_says_to_type_cures_it(session: Path, tmp_path: Path) -> None:
     clean = document(session / "parameters.toml")
     table, path = tmp_path / "means.csv", tmp_path / "found.toml"

@@ -36,3 +36,9 @@ def test_a_mark_that_was_edited_ends_no_replay(tmp_path: Path, said: dict[str, o
     items = chain(list(islice(recorded, 3)), [mark], recorded)
     replay_into(Chain(ReadingPlan.of(session)), session, [], events.extend, items=items)
     assert sum(isinstance(event, Marked) for event in events) == is_meant
+
+
+def test_a_guided_session_has_no_still_intervals_of_an_unguided_one(tmp_path: Path) -> None:
+    session = simulated_session(tmp_path / "here", "faces6", visits=2)
+    with pytest.raises(ValueError, match="guided"):
+        Chain(ReadingPlan.of(session)).still_intervals()
