@@ -36,6 +36,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from imufield.calibrate.gyroscope.range_ends import LargestOutputs, without_held
 from imufield.calibrate.model.rotation import cross
 from imufield.dataclass import dataclass, fields, replace
 from imufield.samples import (
@@ -64,9 +65,6 @@ _LONGEST_MOVE_S = 300.0  # The noise of a longer one says nothing any more.
 _INTERRUPTED_S = 1.0  # A hole as long is no loss on the wire: the session was broken off and resumed, or the cable was out.
 _LOST_INTERVALS = 1.5  # Between one interval, however unsteady the clock, and the two of a lost sample.
 _PLATEAU = 4  # Equal values in a row at an end of the range that make it a saturated axis.
-# Times the samples of the next value that make the largest an end of the range: the top of a turn, a parabola, has 2.4 times.
-_LONGER = 3
-_MORE = 5  # And so many more: of few samples, one and two differ by chance.
 _COMPACT_AT = 1_000_000  # Slots before quiet stretches are joined: 83 minutes, 170 MB.
 _JOINED_AT_ONCE = 16  # Parts of slots that are joined at once: as much as stays in the cache.
 _SLOT_MARGIN = 1e-6  # Of a slot or cell, or s: rounding may put a time just below the edge it stands on.
@@ -230,8 +228,7 @@ class MoveCollector:
         self._compact_at = _COMPACT_AT
         self._pending: Samples | None = None
         self._flat = np.zeros(3, dtype=np.int64)
-        # The two largest outputs so far, of the axes and of the axes reversed, and how often they came.
-        self._largest, self._times = np.full((6, 2), -np.inf), np.zeros((6, 2), dtype=np.int64)
+        self._largest = LargestOutputs()
 
     def feed(self, samples: Samples) -> None:
         """Take the next samples."""
@@ -239,7 +236,7 @@ class MoveCollector:
         samples = samples if every(finite) else samples[np.flatnonzero(finite.all(axis=1))]
         if not len(samples):
             return
-        self._count_largest(samples.gyroscope_rate().T)
+        self._largest.count(samples.gyroscope_rate().T)
         if self._pending is not None:
             samples = concatenate([self._pending, samples])
         if self.interval_s is None and len(samples) > 2:
@@ -295,17 +292,7 @@ class MoveCollector:
     @property
     def ends(self) -> FloatArray:
         """Lowest and highest output of each axis that is an end of its range, shape (2, 3); NaN for the top of a turn."""
-        is_end = self._times[:, 0] > _LONGER * self._times[:, 1] + _MORE
-        high, low = np.where(is_end, self._largest[:, 0], np.nan).reshape(2, 3)
-        return np.stack([-low, high])
-
-    def _count_largest(self, N: FloatArray) -> None:
-        """Count how often the two largest values of outputs, shape (3, n), and of these reversed come."""
-        values = np.hstack([self._largest, np.vstack([N, -N])])
-        times = np.hstack([self._times, np.ones((6, N.shape[1]), dtype=np.int64)])
-        largest = values.max(axis=1, keepdims=True)
-        self._largest = np.hstack([largest, np.where(values < largest, values, -np.inf).max(axis=1, keepdims=True)])
-        self._times = np.stack([np.sum(times, axis=1, where=values == value[:, None]) for value in self._largest.T], axis=1)
+        return self._largest.ends
 
     def _all(self) -> list[Slots]:
         if self._pending is None or len(self._pending) < 2 or not self.interval_s:
@@ -437,10 +424,8 @@ def cut_moves(slots: Slots, start_s: FloatArray, duration_s: FloatArray, ends: F
     rising_s = np.maximum.accumulate(slots.start_s)
     stills = np.stack([start_s, start_s + duration_s], axis=1)[order]
     if len(slots) and len(stills):
-        # An axis that was never turned one way ends there at what it reads at rest.
         latest = np.searchsorted(stills[:, 0], rising_s, side="right") - 1
-        at_rest = slots.plateau[(latest >= 0) & (rising_s < stills[latest, 1])]
-        ends = np.where(np.any(at_rest[:, None] == ends, axis=0), np.nan, ends)
+        ends = without_held(ends, rising_s, slots.plateau, (latest >= 0) & (rising_s < stills[latest, 1]))
         stills = stretch_stills(*sum_cells(rising_s, slot_sums(slots)), stills=stills)
     kept: list[tuple[int, int, float, float, IntArray]] = []  # Stills before and after, begin and end, rows of the slots.
     dropped: list[Sentence] = []

@@ -230,6 +230,20 @@ def test_an_axis_that_is_turned_one_way_only_does_not_end_at_rest() -> None:
     assert keys(moves) == []
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.05, 0.1, 0.5])
+@pytest.mark.parametrize("shift", [0.0, 0.2, -0.2])
+def test_the_rate_of_a_table_is_no_limit(noise: float, shift: float) -> None:
+    """Codes of 0.01 rad/s and a table that turns at 1 rad/s for 9 s, and back."""
+    time_s = np.arange(0, 30.0, 0.01)
+    speed = np.clip(np.interp(time_s, [3, 4, 13, 14, 16, 17, 26, 27], [0, 1, 1, 0, 0, -1, -1, 0]), -1, 1)
+    codes = 100 * np.stack([0.02 * speed, -0.01 * speed, speed], axis=1) + np.array([0.1, 0.2, shift])
+    rng = np.random.default_rng(6)
+    rate = 0.01 * np.rint(codes + noise * rng.standard_normal(codes.shape))
+    force = np.array([0.1, 0.2, 9.8]) + 0.001 * rng.standard_normal(codes.shape)
+    samples = make_samples(time_s, force, rate, units=SampleUnits())
+    assert keys(collect_moves([samples], np.array([0.0, 14.5, 27.5]), np.array([2.5, 1.0, 2.0]))) == []
+
+
 def test_saturation_is_seen_with_and_without_a_flag() -> None:
     moves = collect_moves([session(saturate)], START_S, DURATION_S)
     assert set(keys(moves)) == {"moves.saturated"}

@@ -1,0 +1,61 @@
+"""The ends of a gyroscope's range, as its outputs show them: where turns stand, and neither a rest nor a rate table does."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imufield.samples import FloatArray
+
+# Times the samples of the next value that make the largest an end of the range: the top of a turn, a parabola, has 2.4 times.
+_LONGER = 3
+_MORE = 5  # And so many more: of few samples, one and two differ by chance.
+# By hand, a whole turn beyond 120 deg/s, the smallest range there is, takes less; what stands longer is the rate of a table.
+_HELD_S = 3.0
+_HOLE_S = 0.25  # Within what is held: noise may reach the next code, and quiet slots are joined into cells of 0.1 s.
+
+
+class LargestOutputs:
+    """The two largest outputs so far, of the axes and of the axes reversed, and how often they came."""
+
+    def __init__(self) -> None:
+        self._largest, self._times = np.full((6, 2), -np.inf), np.zeros((6, 2), dtype=np.int64)
+
+    @property
+    def ends(self) -> FloatArray:
+        """Lowest and highest output of each axis that is an end of its range, shape (2, 3); NaN for the top of a turn."""
+        is_end = self._times[:, 0] > _LONGER * self._times[:, 1] + _MORE
+        high, low = np.where(is_end, self._largest[:, 0], np.nan).reshape(2, 3)
+        return np.stack([-low, high])
+
+    def count(self, N: FloatArray) -> None:
+        """Count the outputs of some samples, shape (3, n)."""
+        values = np.hstack([self._largest, np.vstack([N, -N])])
+        times = np.hstack([self._times, np.ones((6, N.shape[1]), dtype=np.int64)])
+        largest = values.max(axis=1, keepdims=True)
+        self._largest = np.hstack([largest, np.where(values < largest, values, -np.inf).max(axis=1, keepdims=True)])
+        self._times = np.stack([np.sum(times, axis=1, where=values == value[:, None]) for value in self._largest.T], axis=1)
+
+
+def without_held(
+    ends: FloatArray | float, time_s: FloatArray, plateau: FloatArray, is_rest: NDArray[np.bool_]
+) -> FloatArray | float:
+    """Return ends, shape (2, 3), with NaN for those at which an axis stands at rest, or longer than turns by hand do.
+
+    Parameters
+    ----------
+    ends : ndarray or float
+        NaN where there is none.
+    time_s, plateau : ndarray, shape (k,), (k, 3)
+        Begin of each slot, in time order, and the output that repeats itself there.
+    is_rest : ndarray of bool, shape (k,)
+        Whether it is of a still.
+    """
+    reached = plateau[:, None] == ends
+    # An axis that was never turned one way ends there at what it reads at rest.
+    is_none = np.any(reached[is_rest], axis=0)
+    for end, axis in np.argwhere(reached.any(axis=0)):
+        at_s = time_s[reached[:, end, axis]]
+        begins = np.append(0, np.flatnonzero(np.diff(at_s) > _HOLE_S) + 1)
+        is_none[end, axis] |= np.any(at_s[np.append(begins[1:], len(at_s)) - 1] - at_s[begins] > _HELD_S)
+    return np.where(is_none, np.nan, ends)
