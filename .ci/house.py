@@ -45,6 +45,7 @@ ROOMS = (
     ("calibrate/noise",),
     ("calibrate/solvers",),
     ("calibrate/accelerometer",),
+    ("calibrate/moves",),
     ("calibrate/gyroscope",),
     ("calibrate/temperature",),
     ("calibrate/sessions",),

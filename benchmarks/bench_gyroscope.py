@@ -20,11 +20,11 @@ from imufield.calibrate.accelerometer.accelerometer import calibrate_acceleromet
 from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
 from imufield.calibrate.gyroscope.input import GyroscopeInput, make_data
 from imufield.calibrate.gyroscope.move_integration import rough_inverse
-from imufield.calibrate.gyroscope.moves import MoveCollector
 from imufield.calibrate.gyroscope.stills_alone import StaticData, StaticFree, fit_static, observed_latitude_deg
 from imufield.calibrate.gyroscope.turntable import TurntableRun, pair_runs
 from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS
 from imufield.calibrate.model.result import GYROSCOPE_NAMES, GyroscopeParameters
+from imufield.calibrate.moves.moves import MoveCollector
 from imufield.calibrate.noise.noise import NoiseStream
 from imufield.calibrate.solvers.evolution import solve_ide
 from imufield.earth import EARTH_RATE_RAD_S, Gravity

@@ -67,7 +67,9 @@ def test_degrees_of_freedom_are_counted() -> None:
 def test_of_a_move_nothing_is_asked_that_nobody_can_do() -> None:
     """It is found in a recording and has no name: positions and sessions can be repeated, a move cannot."""
     of_moves = {
-        key: text for key, text in sentences() if key.startswith("calibrate/gyroscope") and re.search(r"\bmove\b", text)
+        key: text
+        for key, text in sentences()
+        if key.startswith(("calibrate/gyroscope", "calibrate/moves")) and re.search(r"\bmove\b", text)
     }
     assert of_moves
     assert not [key for key, text in of_moves.items() if re.search(r"repeat it\b", text)]

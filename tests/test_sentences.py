@@ -126,7 +126,7 @@ OFFS = {"x+0": 0.2, "y+45": -1.1, "z+90": 0.3, "x+180": 0.15}
 
 def lost(begin_s: float, missing_s: float) -> Sentence:
     said = {"begin_s": begin_s, "end_s": begin_s + 2, "missing_s": missing_s, "bridged_s": 0.05, "intervals": 3.5}
-    return Sentences("imufield.calibrate.gyroscope")("moves.lost_samples", **said)
+    return Sentences("imufield.calibrate.moves")("moves.lost_samples", **said)
 
 
 def off(position: str, off_mg: float) -> Sentence:
@@ -155,6 +155,6 @@ def test_few_of_a_kind_are_read_one_by_one_in_their_order() -> None:
 
 
 def test_sentences_without_a_size_have_a_first() -> None:
-    saturated = [Sentences("imufield.calibrate.gyroscope")("moves.saturated", begin_s=k, end_s=k + 1) for k in (1, 5, 3, 2)]
+    saturated = [Sentences("imufield.calibrate.moves")("moves.saturated", begin_s=k, end_s=k + 1) for k in (1, 5, 3, 2)]
     assert folded(saturated)[0].endswith(saturated[0])
     assert "worst" not in folded(saturated)[0]

@@ -16,12 +16,12 @@ from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
 from imufield.calibrate.gyroscope.input import FEWEST_STILLS, GyroscopeInput
 from imufield.calibrate.gyroscope.methods import cross_check_gyroscope, solve_gyroscope_with
 from imufield.calibrate.gyroscope.model_choice import GyroscopeModel
-from imufield.calibrate.gyroscope.moves import Moves, cut_moves, no_slots
 from imufield.calibrate.gyroscope.whole_turns import Stop
 from imufield.calibrate.model.grades import DEFAULT_GRADE
 from imufield.calibrate.model.models import recover_vectors, to_vector
 from imufield.calibrate.model.observations import Observations, join_observations
 from imufield.calibrate.model.result import Calibration, Gauge, ModelChoice, PositionResult, without_drift
+from imufield.calibrate.moves.moves import Moves, cut_moves, no_slots
 from imufield.calibrate.solvers.agreement import LEAST_SQUARES
 from imufield.dataclass import dataclass, field, replace
 from imufield.deliver.parameters.clock import clock_words

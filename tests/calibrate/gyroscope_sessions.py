@@ -10,7 +10,6 @@ import numpy as np
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
 from imufield.calibrate.gyroscope.input import GyroscopeInput
-from imufield.calibrate.gyroscope.moves import MoveCollector, Moves, cut_moves, no_slots
 from imufield.calibrate.gyroscope.residuals import GyroscopeData, evaluate
 from imufield.calibrate.gyroscope.result import GyroscopeResult
 from imufield.calibrate.gyroscope.turntable import TableRows
@@ -19,6 +18,7 @@ from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_R
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration, GyroscopeParameters
 from imufield.calibrate.model.rotation import conjugate, logarithm, multiply
+from imufield.calibrate.moves.moves import MoveCollector, Moves, cut_moves, no_slots
 from imufield.calibrate.solvers.triad_costs import TurnsProblem
 from imufield.earth import Gravity
 from imufield.guide.lead.unguided import StillIntervalFinder

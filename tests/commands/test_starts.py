@@ -18,13 +18,19 @@ SLOW = {
     *("typer", "pydantic", "rich", "numpy", "numpy.random", "scipy", "serial", "can", "cantools", "mcap.records", "zstandard"),
     *("crccheck", "matplotlib", "jinja2", "tomli_w", "importlib.metadata", "concurrent.futures", "asyncio", "subprocess"),
     "orjson",
-    *("imufield.acquire.decoder", "imufield.calibrate.gyroscope", "imufield.guide.lead.guide"),
+    *("imufield.acquire.decoder", "imufield.calibrate.gyroscope", "imufield.calibrate.moves", "imufield.guide.lead.guide"),
     *("imufield.simulate", "imufield.web", "imufield.study", "imufield.deliver.exports", "imufield.deliver.report"),
 }
 DECODING = {"numpy", "zstandard", "imufield.acquire.decoder"}
 READING = {*DECODING, "crccheck"}
 # What is kept of a session needs no guide.
-SOLVING = {*READING, "imufield.calibrate.gyroscope", "imufield.deliver.report", "concurrent.futures"}
+SOLVING = {
+    *READING,
+    "imufield.calibrate.gyroscope",
+    "imufield.calibrate.moves",
+    "imufield.deliver.report",
+    "concurrent.futures",
+}
 USED = {
     "--version": set[str](),
     "--help": {"rich"},

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from imufield.calibrate.gyroscope.move_integration import centre
-from imufield.calibrate.gyroscope.moves import Moves
 from imufield.calibrate.gyroscope.residuals import ForceErrors, GyroscopeData, chains_of
 from imufield.calibrate.gyroscope.stills_alone import StaticFree
 from imufield.calibrate.gyroscope.turntable import TurntableRun, no_table, pair_runs
@@ -22,6 +21,7 @@ from imufield.calibrate.model.result import (
     Calibration,
     GyroscopeParameters,
 )
+from imufield.calibrate.moves.moves import Moves
 from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray, median

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from imufield.calibrate.gyroscope.moves import Moves
 from imufield.calibrate.model.rotation import (
     cross,
     exponential,
@@ -32,6 +31,7 @@ from imufield.calibrate.model.rotation import (
     signed_permutations,
     skew,
 )
+from imufield.calibrate.moves.moves import Moves
 from imufield.dataclass import dataclass, replace
 from imufield.samples import FloatArray, IntArray, median
 

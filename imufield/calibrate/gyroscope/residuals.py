@@ -27,7 +27,6 @@ import math
 import numpy as np
 
 from imufield.calibrate.gyroscope.move_integration import BIAS, INVERSE, PARAMETERS, SENSITIVITY, Turns, integrate
-from imufield.calibrate.gyroscope.moves import Moves
 from imufield.calibrate.gyroscope.turntable import TableRows, no_table
 from imufield.calibrate.model.rotation import (
     cross,
@@ -39,6 +38,7 @@ from imufield.calibrate.model.rotation import (
     one_rotation_matrix,
     skew,
 )
+from imufield.calibrate.moves.moves import Moves
 from imufield.dataclass import dataclass, field, replace
 from imufield.samples import FloatArray, IntArray
 

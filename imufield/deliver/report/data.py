@@ -6,10 +6,10 @@ import numpy as np
 
 from imufield.calibrate.accelerometer.methods import problem_for, restart
 from imufield.calibrate.gyroscope.input import GyroscopeInput
-from imufield.calibrate.gyroscope.moves import Moves
 from imufield.calibrate.gyroscope.result import angle_errors_deg
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration, GyroscopeParameters, without_drift
+from imufield.calibrate.moves.moves import Moves
 from imufield.calibrate.solvers.registry import load_solver
 from imufield.dataclass import dataclass, replace
 from imufield.deliver.parameters.file import Parameters

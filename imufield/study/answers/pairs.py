@@ -8,10 +8,10 @@ import numpy as np
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
 from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
-from imufield.calibrate.gyroscope.moves import MoveCollector
 from imufield.calibrate.model.grades import find_grade
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration, ModelChoice
+from imufield.calibrate.moves.moves import MoveCollector
 from imufield.dataclass import replace
 from imufield.deliver.pair_test import Shared, family_of, typical_turn_on
 from imufield.deliver.parameters.gauge_free import GaugeFree, gauge_free

@@ -20,13 +20,13 @@ from imufield.acquire.formats.table_columns import choose_unit
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
 from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
 from imufield.calibrate.gyroscope.input import GyroscopeInput
-from imufield.calibrate.gyroscope.moves import MoveCollector
 from imufield.calibrate.model.coverage_factors import NORMAL_FACTOR_95
 from imufield.calibrate.model.gauge import change_gauge, turn_gyroscope
 from imufield.calibrate.model.grades import find_grade
 from imufield.calibrate.model.models import to_vector
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.uncertainty import rms
+from imufield.calibrate.moves.moves import MoveCollector
 from imufield.dataclass import replace
 from imufield.deliver.parameters.clock import HOST_SIGMA, clock_facts
 from imufield.earth import STANDARD_GRAVITY_M_S2, Gravity

@@ -11,11 +11,11 @@ from gyroscope_sessions import Session, simulate
 from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
 from imufield.calibrate.gyroscope.input import GyroscopeInput
 from imufield.calibrate.gyroscope.methods import cross_check_gyroscope, searched_fit, solve_gyroscope_with
-from imufield.calibrate.gyroscope.moves import cut_moves, no_slots
 from imufield.calibrate.gyroscope.result import GyroscopeResult
 from imufield.calibrate.gyroscope.turntable import TurntableRun
 from imufield.calibrate.model.models import recover
 from imufield.calibrate.model.result import GyroscopeParameters
+from imufield.calibrate.moves.moves import cut_moves, no_slots
 from imufield.errors import Reason, UsageError
 from imufield.sentences import Sentences
 from tests.refused import refused

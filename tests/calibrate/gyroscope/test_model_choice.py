@@ -14,12 +14,12 @@ from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
 from imufield.calibrate.gyroscope.fit import make_prior
 from imufield.calibrate.gyroscope.input import make_data
 from imufield.calibrate.gyroscope.model_choice import SCALES, _rate_columns, check_linearity, typical_rate_terms
-from imufield.calibrate.gyroscope.moves import cut_moves, no_slots
 from imufield.calibrate.gyroscope.residuals import evaluate
 from imufield.calibrate.gyroscope.result import GyroscopeResult, JointSolution
 from imufield.calibrate.gyroscope.turntable import TurntableRun
 from imufield.calibrate.model.coverage_factors import NORMAL_FACTOR_95
 from imufield.calibrate.model.grades import GRADES
+from imufield.calibrate.moves.moves import cut_moves, no_slots
 from imufield.samples import FloatArray
 from imufield.simulate.truth.effects import Effects
 from imufield.simulate.truth.imu import ImuSettings

@@ -36,8 +36,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.calibrate.gyroscope.range_ends import LargestOutputs, without_held
 from imufield.calibrate.model.rotation import cross
+from imufield.calibrate.moves.range_ends import LargestOutputs, without_held
 from imufield.dataclass import dataclass, fields, replace
 from imufield.samples import (
     CELL_S,

@@ -1,0 +1,1 @@
+"""Moves between still positions: their sums, where they begin and end, and the ends of the range that they reach."""
