@@ -27,7 +27,8 @@ import numpy as np
 
 from imufield.acquire.clock.can_period import LEARN_S, LEARN_SAMPLES, learned_from, sample_period_s
 from imufield.acquire.clock.clock import Arrival, Arrivals, Clock, filled_in
-from imufield.acquire.clock.stamp_clock import LONGEST_PAUSE_S, steps_between
+from imufield.acquire.clock.frame_stamps import FrameStamps
+from imufield.acquire.clock.stamp_clock import steps_between
 from imufield.acquire.decode.assembly import RawBlock, join
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
@@ -38,7 +39,6 @@ _WINDOW_S = 0.25  # Longer than the delays of a busy host, as for serial ports.
 _LEAST_WINDOW = 2  # Periods; slow instruments send less than that in a quarter second.
 _USUAL_DELAY = 0.95
 _BURST_S = 0.02  # Least step that counts where frames come in bursts: a host under load is late by as much at any time.
-_RESET_S = 1.0  # A stamp that runs back by more is another clock (the adapter's wrapped), by less frames out of order.
 _DRIFT = 0.1  # Part of a period: a sample that moves the phase by more is off.
 _DRIFT_RUN = 64  # Samples off in a row from which the rate has changed.
 _LARGEST_MODULUS = 1 << 62  # Arithmetic is done in 64 bits with a sign.
@@ -72,10 +72,8 @@ class CanClock(Clock):
         self._pending: list[RawBlock] = []
         self._phase: _Phase | None = None
         self._tried = LEARN_SAMPLES  # Samples from which no period could be learned yet.
-        self._offset_s = 0.0
+        self._stamps = FrameStamps()
         self._last_time_s = -np.inf
-        self._last_stamp_s: float | None = None
-        self._step_s = 0.0  # The last step of the stamps that was no jump.
         self._last_counter: int | None = None
         self._modulus = rule.counter_modulus
         self._counter_step = 1
@@ -101,28 +99,12 @@ class CanClock(Clock):
 
     def _continuous(self, block: RawBlock) -> RawBlock:
         """Take out jumps of the clock that made the stamps, and flag the samples behind them."""
-        stamp_s = block.stamp_s
-        if self._last_stamp_s is None:
-            self._last_stamp_s = float(stamp_s[0])
-        step_s = steps_between(stamp_s, self._last_stamp_s)
-        self._last_stamp_s = float(stamp_s[-1])
-        before_s, self._step_s = self._step_s, max(float(step_s[-1]), 0.0)
-        # A NaN counts as the least and as the most.
-        if not (step_s[step_s.argmin()] >= -_RESET_S and step_s[step_s.argmax()] <= LONGEST_PAUSE_S):
-            jumps = ~((step_s >= -_RESET_S) & (step_s <= LONGEST_PAUSE_S))
-            # A stamp that is no number is bridged and tells of no clock.
-            is_set = jumps & np.isfinite(step_s)
-            self._statistics.clock_resets += int(np.count_nonzero(is_set))
-            step_s = np.where(np.isfinite(step_s), step_s, 0.0)
-            # The last step that was none takes the place of a jump: it is the same in whatever pieces the frames come.
-            usual_s = filled_in(np.maximum(step_s, 0.0), ~jumps, before_s, 0.0)
-            self._step_s = float(usual_s[-1])
-            moved_s = np.where(jumps, usual_s - step_s, 0.0)
-            offset_s: FloatArray = np.cumsum(np.append(self._offset_s, moved_s))[1:]
-            self._offset_s = float(offset_s[-1])
-            status = block.status | np.where(is_set, np.uint32(Status.CLOCK_SET), np.uint32(0))
-            return replace(block, stamp_s=np.nan_to_num(stamp_s) + offset_s, status=status)
-        return replace(block, stamp_s=stamp_s + self._offset_s) if self._offset_s else block
+        stamp_s, is_set = self._stamps.continuous(block.stamp_s)
+        if is_set is None:
+            return block if stamp_s is block.stamp_s else replace(block, stamp_s=stamp_s)
+        self._statistics.clock_resets += int(np.count_nonzero(is_set))
+        status = block.status | np.where(is_set, np.uint32(Status.CLOCK_SET), np.uint32(0))
+        return replace(block, stamp_s=stamp_s, status=status)
 
     def _release(self, *, last: bool) -> Samples | None:
         done: list[Samples] = []

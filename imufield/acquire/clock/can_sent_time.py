@@ -2,7 +2,7 @@
 
 Of a stamp that wraps, whole wraps that are missing show only in the stamps of the frames: behind a silence of the bus. A host
 that stood still makes the same silence, and then hands over at once what had waited; so samples behind a silence are kept back
-for as long as ``can_clock`` allows for that.
+for as long as ``can_clock`` allows for that. A clock of the host that is set makes one, too, but none that fits the stamp.
 """
 
 from __future__ import annotations
@@ -14,12 +14,16 @@ import numpy as np
 
 from imufield.acquire.clock.can_clock import CanClock
 from imufield.acquire.clock.clock import Arrival, Arrivals, Clock, filled_in
+from imufield.acquire.clock.frame_stamps import FrameStamps
 from imufield.acquire.clock.missing_samples import FREE_LAG_S, LEARN_FROM, StepRule, steps_in_silence
 from imufield.acquire.clock.stamp_clock import MeanStep, StampClock, steps_between
 from imufield.acquire.decode.assembly import RawBlock, Ticks, join
 from imufield.acquire.decode.statistics import NO_TIME, DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
-from imufield.samples import FloatArray, Samples, SampleUnits, Status, concatenate
+from imufield.dataclass import replace
+from imufield.samples import FloatArray, Samples, SampleUnits, Status, concatenate, median
+
+_DRIFT = 2e-4  # Two crystals differ by less.
 
 
 class CanSentTime(Clock):
@@ -34,13 +38,16 @@ class CanSentTime(Clock):
         self._started = False
         self._by_frames: CanClock | None = None  # Takes over where the stamps are no times.
         self._last = 0.0
+        self._frame_stamps = FrameStamps()
         self._last_stamp_s = math.nan  # Of the bus.
+        self._frames_tell = False  # Whether the bus has a time at all.
 
     def push(self, block: RawBlock, arrivals: Arrival | Arrivals) -> Samples | None:  # noqa: ARG002  the instrument tells the time
         """Return the samples whose time is settled now, None if there are none."""
         if self._by_frames is not None:
             return self._timed_by_frames(self._by_frames, block)
-        self._pending.append(block)
+        # Until it is clear which clock is used they stay as they are: another one takes out jumps itself.
+        self._pending.append(self._continuous(block) if self._started else block)
         return self._release(last=False) if self._started or sum(map(len, self._pending)) > LEARN_FROM else None
 
     def flush(self) -> Samples | None:
@@ -53,9 +60,11 @@ class CanSentTime(Clock):
     def _release(self, *, last: bool) -> Samples | None:
         """Time what has come, up to a silence behind which it is not clear yet whether data are late or missing."""
         block, self._pending = join(self._pending), []
-        if not self._started and not self._learn(block):
-            self._by_frames = CanClock(self._rule, self._units, self._statistics)
-            return self._timed_by_frames(self._by_frames, block)
+        if not self._started:
+            if not self._learn(block):
+                self._by_frames = CanClock(self._rule, self._units, self._statistics)
+                return self._timed_by_frames(self._by_frames, block)
+            block = self._continuous(block)
         silence_s = steps_between(block.stamp_s, self._last_stamp_s)
         begins = np.flatnonzero(silence_s > max(self._stamps.wrap_s / 2, FREE_LAG_S)).tolist()
         done = []
@@ -72,8 +81,13 @@ class CanSentTime(Clock):
         return concatenate(done) if done else None
 
     def _timed_by_frames(self, clock: CanClock, block: RawBlock) -> Samples | None:
-        self._statistics.count(NO_TIME, len(block))
+        if self._frames_tell:
+            self._statistics.count(NO_TIME, len(block))
         return clock.push(block, Arrival(math.nan))
+
+    def _continuous(self, block: RawBlock) -> RawBlock:
+        # A jump of their clock is no silence, and nothing to a time that the instrument tells.
+        return replace(block, stamp_s=self._frame_stamps.continuous(block.stamp_s)[0])
 
     def _late_s(self, stamp_s: FloatArray, silence_s: float, *, last: bool) -> float | None:
         """Return by how much the first sample behind a silence is late: what waited comes at once, behind a loss nothing does.
@@ -92,19 +106,22 @@ class CanSentTime(Clock):
         False where they tell no time.
         """
         first = block[: LEARN_FROM + 1]
-        has_host = bool(first.stamp_s[-1] > first.stamp_s[0])
-        self._started = self._stamps.tells_time(first.ticks, has_host=has_host)
+        self._frames_tell = bool(first.stamp_s[-1] > first.stamp_s[0])
+        # How often a stamp began anew between two samples cannot be told from it where it does so as fast as they come.
+        is_slow = len(first) > 1 and median(np.diff(first.stamp_s)) > self._stamps.wrap_s / 2
+        self._started = self._stamps.tells_time(first.ticks, has_host=self._frames_tell) and not is_slow
         if self._started:
-            known = first.ticks[np.isfinite(first.ticks)]
+            known = self._whole(first.ticks[np.isfinite(first.ticks)])
             self._last = float(known[0])
-            self._steps.learn(self._stamps.start(self._whole(known)))
+            self._steps.learn(self._stamps.start(known))
         return self._started
 
     def _time(self, block: RawBlock, silence_s: FloatArray, unseen_s: float) -> Samples:
         """Time samples by their stamps; before the first nothing was sent for ``unseen_s``, if that is not 0."""
         step_s = self._steps.step or 1.0
         ticks = self._filled(block.ticks, step_s * self._rule.time_ticks_per_s)
-        went_round = bool(unseen_s) and self._stamps.go_round(ticks[0].item(), unseen_s)
+        within_s = max(FREE_LAG_S, step_s) + _DRIFT * unseen_s
+        went_round = bool(unseen_s) and self._stamps.go_round(ticks[0].item(), unseen_s, within_s)
         stamped = self._stamps.time(ticks, lambda row: steps_in_silence(silence_s[row], step_s) * step_s)
         lost = self._steps.examine(stamped.step_s).lost
         is_set = stamped.reset & (stamped.step_s <= step_s)
@@ -128,11 +145,9 @@ class CanSentTime(Clock):
         known = np.isfinite(ticks)
         if not known.all():
             ticks = filled_in(ticks, known, self._last, step)
-        if self._rule.time_modulus:
-            ticks = ticks % self._rule.time_modulus
         self._last = float(ticks[-1])
         return self._whole(ticks)
 
     def _whole(self, ticks: Ticks) -> Ticks:
-        # Stamps that wrap are whole numbers, and are unwrapped without rounding as such.
-        return np.rint(ticks).astype(np.int64) if self._rule.time_modulus else ticks
+        # Stamps that wrap are whole numbers from 0 on, with a sign or without, and are unwrapped without rounding as such.
+        return np.rint(ticks).astype(np.int64) % self._rule.time_modulus if self._rule.time_modulus else ticks

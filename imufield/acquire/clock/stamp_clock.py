@@ -79,11 +79,15 @@ class StampClock:
         self._time_s = self._raw_s = self._last / self._ticks_per_s
         return np.diff(stamps) / self._ticks_per_s
 
-    def go_round(self, stamp: float, silence_s: float) -> bool:
-        """Add the wraps that a silence before the next stamp has room for; return whether the stamp does not show them."""
+    def go_round(self, stamp: float, silence_s: float, within_s: float) -> bool:
+        """Add the wraps that a silence before the next stamp has room for; return whether the stamp does not show them.
+
+        A silence that no number of wraps makes to ``within_s`` was none: the clock that measured it was set.
+        """
         step = stamp - self._last
         wraps = round((silence_s * self._ticks_per_s - step) / self._modulus)
-        if wraps <= int(step < -(self._modulus // 2)):
+        off_s = silence_s - (step + wraps * self._modulus) / self._ticks_per_s
+        if wraps <= int(step < -(self._modulus // 2)) or abs(off_s) > within_s:
             return False
         self._wraps, self._last = self._wraps + wraps, stamp
         return True

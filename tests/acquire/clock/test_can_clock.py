@@ -422,6 +422,43 @@ def test_time_stamps_that_wrapped_while_the_host_stood_still_are_no_loss(long_s:
     np.testing.assert_array_equal(samples.time_s, np.arange(8000) * 100 / 1e4)
 
 
+@pytest.mark.parametrize("step_s", [5.0, 1800.0, 1.7e9, -1.7e9])
+@pytest.mark.parametrize("rule", [WRAPPING, ClockRule(time_modulus=1 << 32, time_ticks_per_s=1e6)])
+@pytest.mark.parametrize("block", [1, 7, 10_000])
+def test_a_clock_of_the_host_that_is_set_is_no_silence_of_the_bus(step_s: float, rule: ClockRule, block: int) -> None:
+    number = np.arange(4000)
+    stamp_s = number / 100.0 + np.where(number < 3000, 0.0, step_s)
+    ticks = np.asarray(number * (rule.time_ticks_per_s / 100) % rule.time_modulus, dtype=np.float64)
+    samples, statistics = run(stamp_s, ticks=ticks, rule=rule, block=block)
+    np.testing.assert_allclose(samples.time_s, number / 100.0, atol=1e-9)
+    assert (statistics.lost, statistics.gaps, statistics.clock_resets) == (0, 0, 0)
+    assert not samples.status.any()
+
+
+@pytest.mark.parametrize("begin", [-20_000, -1, 0, 20_000])
+def test_a_time_stamp_with_a_sign_begins_anywhere(begin: int) -> None:
+    number = np.arange(2000)
+    ticks = np.asarray((begin + number * 100.0 + (1 << 15)) % (1 << 16) - (1 << 15), dtype=np.float64)
+    samples, statistics = run(number / 100.0, ticks=ticks, rule=WRAPPING)
+    np.testing.assert_allclose(samples.time_s - samples.time_s[0], number / 100.0, atol=1e-9)
+    assert (statistics.lost, statistics.gaps, statistics.clock_resets) == (0, 0, 0)
+
+
+@pytest.mark.parametrize("rate_hz", [2.0, 10.0, 20.0])
+def test_a_time_stamp_that_begins_anew_faster_than_samples_come_gives_way_to_that_of_the_frames(rate_hz: float) -> None:
+    true_s = np.arange(400) / rate_hz
+    rule = ClockRule(time_modulus=1 << 16, time_ticks_per_s=1e6)
+    samples, statistics = run(true_s, ticks=np.rint(true_s * 1e6) % 65536.0, rule=rule)
+    np.testing.assert_allclose(samples.time_s, true_s, atol=1e-6)
+    assert (statistics.lost, statistics.gaps) == (0, 0)
+    assert [remark.key for remark in remarks([statistics])] == ["statistics.no_time"]
+
+
+def test_a_log_without_any_time_is_not_told_that_its_frames_have_one() -> None:
+    _, statistics = run(np.zeros(100), ticks=np.full(100, np.nan), rule=ClockRule(rate_hz=50.0))
+    assert "statistics.no_time" not in [remark.key for remark in remarks([statistics])]
+
+
 def test_a_silence_at_the_end_keeps_nothing_back() -> None:
     kept = np.append(np.arange(3000), 4399)
     samples, statistics = run(kept / 100.0, ticks=kept * 100.0 % 65536.0, rule=WRAPPING)
