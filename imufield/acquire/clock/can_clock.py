@@ -24,6 +24,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imufield.acquire.clock.can_period import LEARN_S, LEARN_SAMPLES, learned_from, sample_period_s
 from imufield.acquire.clock.clock import Arrival, Arrivals, Clock, filled_in
@@ -33,7 +34,7 @@ from imufield.acquire.decode.assembly import RawBlock, join
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
 from imufield.dataclass import dataclass, field, replace
-from imufield.samples import FloatArray, IntArray, Samples, SampleUnits, Status, concatenate, every
+from imufield.samples import NO_COUNTER, FloatArray, IntArray, Samples, SampleUnits, Status, concatenate, every
 
 _WINDOW_S = 0.25  # Longer than the delays of a busy host, as for serial ports.
 _LEAST_WINDOW = 2  # Periods; slow instruments send less than that in a quarter second.
@@ -76,13 +77,14 @@ class CanClock(Clock):
         self._last_time_s = -np.inf
         self._last_counter: int | None = None
         self._modulus = rule.counter_modulus
+        self._newest = np.full(2, NO_COUNTER, dtype=np.int64)  # The last counts that came.
         self._counter_step = 1
         # Number and time of the first sample since the period was learned.
         self._begin: tuple[float, float] | None = None
 
     def push(self, block: RawBlock, arrivals: Arrival | Arrivals) -> Samples | None:  # noqa: ARG002  frames have their own stamps
         """Return the samples whose time is settled now, None if there are none."""
-        self._widen(int(block.counter.max()))
+        self._widen(block.counter)
         self._pending.append(self._continuous(block))
         return self._release(last=False)
 
@@ -90,12 +92,31 @@ class CanClock(Clock):
         """Return what is kept back; nothing will follow."""
         return self._release(last=True) if self._pending else None
 
-    def _widen(self, counter: int) -> None:
-        """Let a counter that is beyond its stated end go on to the next power of two: ranges of DBC files may be wrong."""
-        if self._modulus and counter >= self._modulus:
-            self._modulus = min(1 << counter.bit_length(), _LARGEST_MODULUS)
+    def _widen(self, counter: IntArray) -> None:
+        """Let a counter that goes on beyond its stated end go on to the next power of two: ranges of DBC files may be wrong.
+
+        A number beyond the end is a count where those before and behind it fit; else it stands for something (15: none).
+        """
+        if not self._modulus:
+            return
+        seen, self._newest = np.append(self._newest, counter), np.append(self._newest, counter)[-2:]
+        if seen[seen.argmax()] < self._modulus:
+            return
+        steps = np.diff(seen)
+        fits = (seen[1:-1] >= self._modulus) & (seen[:-2] >= 0) & np.isin(steps[:-1], self._rule.counter_steps)
+        # From the number beyond the end the counter goes on by the same step, or begins anew behind it.
+        goes_on = fits & (steps[1:] == steps[:-1])
+        ends = [int(seen[2:][goes_on].max(initial=-1))]
+        for place in np.flatnonzero(fits & (steps[1:] < 0) & (seen[2:] >= 0)).tolist():
+            count, behind = int(seen[place + 1]), int(seen[place + 2])
+            ends += [count] if (behind - count) % (1 << count.bit_length()) == steps[place] else []
+        if max(ends) >= self._modulus:
+            self._modulus = min(1 << max(ends).bit_length(), _LARGEST_MODULUS)
             if self._phase is not None:
                 self._set_unit(self._phase)
+
+    def _is_count(self, counter: IntArray) -> NDArray[np.bool_]:
+        return np.asarray((counter >= 0) & (counter < self._modulus))
 
     def _continuous(self, block: RawBlock) -> RawBlock:
         """Take out jumps of the clock that made the stamps, and flag the samples behind them."""
@@ -136,7 +157,7 @@ class CanClock(Clock):
 
     def _learn(self, block: RawBlock) -> _Phase:
         """Learn the period, and the usual step of a counter."""
-        known = block.counter >= 0
+        known = self._is_count(block.counter)
         if np.count_nonzero(known) > len(known) / 2 and self._modulus:
             steps = np.diff(block.counter)[known[1:] & known[:-1]] % self._modulus
             counts = [int(np.count_nonzero(steps == step)) for step in self._rule.counter_steps]
@@ -162,7 +183,7 @@ class CanClock(Clock):
         unit = self._modulus // self._counter_step if self._last_counter is not None else 1
         phase.unit = max(unit, 1)
         unit_s = phase.unit * phase.period_s
-        phase.visible_s = unit_s / 2
+        phase.visible_s, phase.burst = unit_s / 2, 0
         if 2 * phase.delay_s >= unit_s:
             phase.visible_s = max(2 * phase.delay_s, _BURST_S)
             phase.burst = math.ceil(phase.delay_s / phase.period_s)
@@ -173,13 +194,14 @@ class CanClock(Clock):
         """Return how many samples each one is behind the one before, by the counter; 1 where there is none. Shape (n,)."""
         if self._last_counter is None:
             return np.ones(len(counter))
-        known = counter >= 0
+        known = self._is_count(counter)
         # A lost counter message: go on from the last one known.
         filled = counter if every(known) else filled_in(counter, known, self._last_counter, self._counter_step)
         modulus = self._modulus
         steps = steps_between(filled, self._last_counter) % modulus / self._counter_step
         if remember:
-            self._last_counter = int(filled[-1]) % modulus
+            # Not modulo: the counter may turn out to go on beyond the end that it has so far.
+            self._last_counter = int(filled[-1])
         # More than half a round forward is a step back: frames out of order, or a restart.
         back = steps > modulus / self._counter_step / 2
         return np.where(back, 1.0, np.rint(steps))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from imufield.acquire.clock.can_clock import CanClock, _minimum_ahead
+from imufield.acquire.clock.can_clock import CanClock, _minimum_ahead, _Phase
 from imufield.acquire.clock.can_sent_time import CanSentTime
 from imufield.acquire.clock.clock import Arrivals
 from imufield.acquire.decode.assembly import RawBlock
@@ -268,6 +268,35 @@ def test_a_counter_beyond_its_stated_end_has_another(begin: int, block: int) -> 
     _, statistics = run(kept / 400.0, counter=(begin + kept) % 65_536, modulus=255, block=block)
     assert statistics.samples_lost == 7
     assert statistics.losses_estimated == 0
+
+
+@pytest.mark.parametrize("places", [[1014], [1015], [1020], [*range(900, 3000, 97)], [1500, 1501, 1502]])
+@pytest.mark.parametrize("block", [1, 9, 4000])
+def test_a_number_beyond_the_end_that_stands_for_none_is_no_count(places: list[int], block: int) -> None:
+    counter = np.arange(3000) % 15
+    counter[places] = 15
+    samples, statistics = run(np.arange(3000) / 100.0, counter=counter, modulus=15, block=block)
+    assert (statistics.lost, statistics.gaps) == (0, 0)
+    np.testing.assert_allclose(samples.time_s, np.arange(3000) / 100.0, atol=1e-3)
+    assert samples.counter.tolist() == counter.tolist(), "as sent"
+
+
+@pytest.mark.parametrize("block", [1, 9, 4000])
+@pytest.mark.parametrize(("stated", "modulus"), [(15, 16), (255, 256), (255, 65_536), (100, 128)])
+def test_a_counter_that_goes_on_beyond_its_stated_end_loses_nothing_there(stated: int, modulus: int, block: int) -> None:
+    kept = np.delete(np.arange(3000), [1700, 2100, 2101])
+    _, statistics = run(kept / 100.0, counter=kept % modulus, modulus=stated, block=block)
+    assert (statistics.samples_lost, statistics.losses_estimated) == (3, 0)
+
+
+def test_a_longer_round_of_the_counter_is_longer_than_a_burst() -> None:
+    clock = CanClock(ClockRule(counter_modulus=2), SampleUnits(), DecoderStatistics())
+    phase = _Phase(period_s=0.01, window_s=0.25, delay_s=0.02)
+    clock._set_unit(phase)
+    assert phase.burst == 2
+    phase.delay_s = 0.001
+    clock._set_unit(phase)
+    assert phase.burst == 0
 
 
 def test_a_counter_that_has_another_end_tells_its_losses_from_those_that_only_time_shows() -> None:
