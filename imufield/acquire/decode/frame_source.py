@@ -195,7 +195,7 @@ class _FrameReader:
             accelerometer=triads[0],
             gyroscope=triads[1],
             temperature_degc=temperature_degc,
-            counter=no_counters(n) if self._counter is None else self._counter.raw(frames).astype(np.int64),
+            counter=no_counters(n) if self._counter is None else self._counter.counts(frames),
             ticks=self._ticks.read(frames),
             status=status,
             lost_before=np.zeros(n, dtype=np.int64),

@@ -44,6 +44,9 @@ def test_a_counter_of_any_whole_type_wraps_where_its_bits_end(kind: str, first: 
     assert (decoder.statistics.samples_lost, decoder.statistics.losses_estimated) == (10, 0)
     assert np.flatnonzero(samples.status & np.uint32(Status.AFTER_GAP)).tolist() == [50 + 99 * n for n in range(10)]
     assert samples.time_s[-1] - samples.time_s[0] == pytest.approx(9.99)
+    if kind[-2:] != "64":
+        modulus = 1 << 8 * struct.calcsize(CODES[kind])
+        assert samples.counter.tolist() == [(first + n) % modulus for n in range(1000) if n % 100 != 50]
 
 
 @pytest.mark.parametrize("kind", ["i16", "i32"])
