@@ -32,6 +32,7 @@ Rows = NDArray[np.uint8]
 
 CLASSICAL_BYTES = 8
 _MOST_BITS = 64
+_ROUNDING = 1e-9  # Relative: files state ranges with as many digits as they need.
 COUNTER_BITS = 62
 """Of which a counter is read at most: arithmetic is done in 64 bits with a sign."""
 _FLOAT_BITS = (16, 32, 64)
@@ -109,11 +110,13 @@ class CanSignal:
         return (self.start + self.length + 7) // 8
 
     @property
-    def numbers(self) -> int:
-        """How many raw numbers from 0 on there are: by the stated range where that begins at 0, else by the bits."""
+    def counter_modulus(self) -> int:
+        """How many raw numbers a counter from 0 on has: by the stated range where that begins at 0, else by the bits."""
         by_bits = 1 << self.length
         last = (self.maximum - self.offset) / self.factor
-        return round(last) + 1 if self.minimum == self.offset and 1 <= last < by_bits else by_bits
+        # A count that a factor of 0.1 makes to a decimal fraction is whole but for rounding.
+        is_stated = self.minimum == self.offset and 1 <= last < by_bits and abs(last - round(last)) <= _ROUNDING * last
+        return round(last) + 1 if is_stated else by_bits
 
     @property
     def _first_bit_in_order(self) -> int:

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from imufield.acquire.protocol.can_dbc import COUNTER_BITS, CanMessage, CanSignal, DbcFile, Selectors
-from imufield.acquire.protocol.references import check_whole
+from imufield.acquire.protocol.references import check_values, check_whole
 from imufield.acquire.protocol.samples_and_clock import (
     LEAST_TICKS_PER_S,
     MOST_TICKS_PER_S,
@@ -169,7 +169,7 @@ def read_can(top: Table) -> tuple[CanRule, SampleUnits, ClockRule]:
     mapped.others()
     if not any(units_of.values()):
         raise mapped.table.error("", sentence("can_protocol.nothing_mapped", candidates=_candidates(dbc)))
-    modulus = read_modulus(clock, "counter_modulus") or mapped.counter_modulus
+    modulus = mapped.counter_modulus(clock)
     clock_rule = ClockRule(
         counter_modulus=modulus,
         counter_steps=read_steps(clock, "counter_steps", modulus),
@@ -204,10 +204,20 @@ class _Mapping:
     def __init__(self, table: Table, dbc: DbcFile) -> None:
         self.table = table
         self.kinds: dict[tuple[str, Selectors], CanKind] = {}
-        self.counter_modulus = 0
         self.ticks_per_s = 1.0
         self.time_modulus = 0
         self._dbc = dbc
+        self._counter: CanSignal | None = None
+
+    def counter_modulus(self, clock: Table) -> int:
+        """Return where the counter begins anew, as ``[clock]`` states it, else the file; 0 where there is no counter."""
+        stated = read_modulus(clock, "counter_modulus")
+        if self._counter is None:
+            if clock.has("counter_modulus"):
+                raise clock.error("counter_modulus", sentence("can_protocol.no_counter"))
+            return 0
+        check_whole(clock, "counter_modulus", self._counter, counter_modulus=stated - 1)
+        return stated or min(self._counter.counter_modulus, 1 << COUNTER_BITS)
 
     def triad(self, part: str) -> str:
         """Read three axes; return their unit in a sample, "" where the part is not mapped."""
@@ -250,7 +260,7 @@ class _Mapping:
         if self.table.has("counter"):
             kind, signal = self._find("counter", self.table.text("counter"))
             check_whole(self.table, "counter", signal)
-            kind.counter, self.counter_modulus = signal, min(signal.numbers, 1 << COUNTER_BITS)
+            kind.counter = self._counter = signal
         if self.table.has("time"):
             kind, signal = self._find("time", self.table.text("time"))
             kind.time = signal
@@ -262,8 +272,9 @@ class _Mapping:
         for each in self.table.tables("flags"):
             kind, signal = self._find("flags", each.text("signal"))
             flag = read_flag(each, "signal")
-            numbers = {"values": max(flag.values)} if flag.values else {"mask": flag.mask % (1 << 64)}
-            check_whole(each, "signal", signal, **numbers)
+            check_whole(each, "signal", signal, mask=flag.mask % (1 << 64))
+            if flag.values:
+                check_values(each, "values", signal, flag.values)
             kind.flags.append((signal, flag))
         for each in self.table.tables("instrument_status"):
             kind, signal = self._find("instrument_status", each.text("signal"))

@@ -42,6 +42,14 @@ def check_whole(table: Table, key: str, field: Field | CanSignal, **numbers: int
             raise table.error(other, sentence("references.beyond", found=table.value(other), name=field.name, bits=bits))
 
 
+def check_values(table: Table, key: str, signal: CanSignal, values: tuple[int, ...]) -> None:
+    """Refuse numbers of the table that a signal of whole numbers can never have."""
+    low = -(signal.modulus // 2) if signal.is_signed else 0
+    high = low + signal.modulus - 1
+    if min(values) < low or max(values) > high:
+        raise table.error(key, sentence("references.outside", values=values, name=signal.name, low=low, high=high))
+
+
 class References:
     """Checks what the tables of a protocol file name against the fields that samples may have.
 

@@ -7,6 +7,7 @@ import json
 import math
 import os
 import re
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -222,7 +223,8 @@ def with_lines(dbc: Path, after: str, *lines: str, counter: str = "AccX") -> Pro
         ('values = ["on"]', "map.flags.0.values", "toml.integer"),
         ("values = [inf]", "map.flags.0.values", "toml.integer"),
         ("values = [1.5]", "map.flags.0.values", "toml.integer"),
-        ("values = [1, 256]", "map.flags.0.values", "references.beyond"),
+        ("values = [1, 256]", "map.flags.0.values", "references.outside"),
+        ("values = [-1]", "map.flags.0.values", "references.outside"),
         ("mask = 256", "map.flags.0.mask", "references.beyond"),
     ],
 )
@@ -307,6 +309,8 @@ def test_what_is_wrong_with_a_map(dbc: Path, change: dict[str, str], key: str, w
     [
         ("4", "(1,0) [0|14]", 15),
         ("4", "(1,0) [0|15]", 16),
+        ("8", "(1,0) [0|14.9]", 256),
+        ("8", "(0.1,0) [0|1.4]", 15),
         ("4", "(0.5,0) [0|7]", 15),
         ("8", "(1,0) [0|99]", 100),
         ("8", "(1,-10) [-10|89]", 100),
@@ -324,6 +328,26 @@ def test_a_counter_begins_anew_behind_the_range_of_the_file(tmp_path: Path, bits
     assert protocol.clock.counter_modulus == modulus
     told = protocol.text.replace("[clock.rate_hz]", "[clock]\ncounter_modulus = 12\n[clock.rate_hz]")
     assert parse_protocol(told).clock.counter_modulus == 12
+
+
+def test_a_counter_that_cannot_have_the_stated_number_or_is_not_there_is_refused(dbc: Path) -> None:
+    text = protocol_from_dbc(dbc, {**MAP, "counter": "Gyro.Count"}).text
+    told = text.replace("[clock.rate_hz]", "[clock]\ncounter_modulus = {}\n[clock.rate_hz]")
+    with refused(ProtocolError, Reason.BAD_PROTOCOL, "1000", "clock.counter_modulus", key="references.beyond"):
+        parse_protocol(told.replace("{}", "1000"))
+    assert parse_protocol(told.replace("{}", "256")).clock.counter_modulus == 256
+    without = told.replace("{}", "15").replace('counter = "Gyro.Count"\n', "")
+    with refused(ProtocolError, Reason.BAD_PROTOCOL, "clock.counter_modulus", key="can_protocol.no_counter"):
+        parse_protocol(without)
+
+
+@pytest.mark.parametrize(("values", "is_there"), [("[-128, 127]", True), ("[128]", False), ("[-129, 0]", False)])
+def test_values_of_a_signal_with_a_sign_are_those_it_can_have(values: str, is_there: bool) -> None:
+    flag = f'[map]\nflags = [{{ signal = "Gyro.Count", values = {values}, flag = "start_up" }}]'
+    text = protocol_text("mine", "mine.dbc", MAP).replace("[map]", flag, 1)
+    signed = dbc_table(DBC.replace("48|8@1+ (1,0) [0|0]", "48|8@1- (1,0) [0|0]"))
+    with nullcontext() if is_there else refused(ProtocolError, Reason.BAD_PROTOCOL, key="references.outside"):
+        parse_protocol(text + signed)
 
 
 @pytest.mark.parametrize(("signal", "unit"), [("Nameless", "no unit"), ("Speed", "'km/h'")])
