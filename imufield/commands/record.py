@@ -92,16 +92,16 @@ def _record(
     for chunk in heard:
         intake.take(chunk)
     told_s = clock.monotonic_s()
-    start_s, is_silent = (heard[0].monotonic_s, False) if heard else (told_s, True)
-    was_lost, trouble = False, ""
+    start_s, has_begun = (heard[0].monotonic_s, True) if heard else (told_s, False)
+    was_lost, trouble = False, ("", "")
     while options.duration_s is None or clock.monotonic_s() - start_s < options.duration_s:
         read = link.read()
         if link.lost is not None and not was_lost:
             intake.link_lost()
         was_lost = link.lost is not None
-        trouble = _tell_trouble(link, intake.stream, trouble)
+        trouble = _tell_trouble(_trouble(link, intake.stream), trouble, as_json=options.as_json)
         if read is not None:
-            start_s, is_silent = (read.monotonic_s if is_silent else start_s), False
+            start_s, has_begun = (start_s if has_begun else read.monotonic_s), True
             intake.take(read)
         else:
             intake.catch_up()
@@ -117,22 +117,29 @@ def _record(
     if link.is_silent:
         raise LinkTimeoutError(sentence("record.ended_silent", port=link.name, pause_s=link.pause_s))
     if intake.stream.is_unread:
-        raise LinkTimeoutError(sentence("record.ended_unread", port=link.name), Reason.NO_FRAMES)
+        raise LinkTimeoutError(
+            sentence("record.ended_unread", port=link.name, unread_s=intake.stream.unread_s), Reason.NO_FRAMES
+        )
 
 
-def _tell_trouble(link: ReconnectingLink, stream: SameStream, before: str) -> str:
-    """Say why no sample arrives, and when it does again, each once; return what was said, empty while all is well."""
-    trouble = ""
+def _trouble(link: ReconnectingLink, stream: SameStream) -> tuple[str, str]:
+    """Return why no sample arrives, and what is said when it does again; empty while all is well."""
     if link.lost is not None:
-        trouble = sentence("record.waiting", lost=link.lost.message)
-    elif link.is_silent:
-        trouble = sentence("record.silent", port=link.name)
-    elif stream.is_unread:
-        trouble = sentence("record.unread", port=link.name)
-    if trouble != before:
-        if sys.stdout.isatty():
+        return sentence("record.waiting", lost=link.lost.message), sentence("record.back")
+    if link.is_silent:
+        return sentence("record.silent", port=link.name), sentence("record.data_again")
+    if stream.is_unread:
+        return sentence("record.unread", port=link.name), sentence("record.samples_again")
+    return "", ""
+
+
+def _tell_trouble(trouble: tuple[str, str], before: tuple[str, str], *, as_json: bool) -> tuple[str, str]:
+    """Say what is wrong, and when it is over, each once; return what is wrong now."""
+    if trouble[0] != before[0]:
+        # On a terminal the line of the progress stands open; lines for a program do not.
+        if sys.stdout.isatty() and not as_json:
             echo()
-        say(trouble or sentence("record.back"), err=True)
+        say(trouble[0] or before[1], err=True)
     return trouble
 
 

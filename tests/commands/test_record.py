@@ -25,6 +25,7 @@ from imufield.samples import Status, concatenate
 from imufield.sentences import Sentences
 from tests.commands.conftest import SPEED, Program
 from tests.commands.pty_terminal import Terminal
+from tests.commands.told import says
 from tests.refused import refused
 
 sentence = Sentences("imufield.commands.terminal")
@@ -256,7 +257,8 @@ def test_silence_is_said_while_it_lasts_and_at_the_end(
     record_pausing(Pausing(0.0, back_s=43.0), tmp_path / "here", monkeypatch)
     said = capsys.readouterr()
     assert commands_sentence("record.silent", port="line") in said.err
-    assert commands_sentence("record.back") in said.err
+    assert commands_sentence("record.data_again") in said.err
+    assert commands_sentence("record.back") not in said.err, "it was never away"
     assert commands_sentence("record.pauses", pauses_s=40.0) in said.out
     record_pausing(Pausing(0.0, back_s=43.0), tmp_path / "json", monkeypatch, as_json=True)
     *progress, last = [json.loads(text) for text in capsys.readouterr().out.splitlines()]
@@ -291,15 +293,25 @@ def test_a_recording_at_whose_end_only_others_sent_is_an_error(
     lost = Overheard(0.0)
     connect_to(lost, "time,ax,ay,az", 10, monkeypatch)
     options = RecordOptions(connect=ConnectOptions(), session=tmp_path / "here", duration_s=60.0)
-    with refused(LinkTimeoutError, Reason.NO_FRAMES, "line", key="record.ended_unread"):
+    with refused(LinkTimeoutError, Reason.NO_FRAMES, "line", key="record.ended_unread") as caught:
         run_record(options, lost)
+    assert caught.value.values["unread_s"] == pytest.approx(57.0, abs=1.0)
     assert commands_sentence("record.unread", port="line") in capsys.readouterr().err
     host = Overheard(0.0, back_s=40.0)
     connect_to(host, "time,ax,ay,az", 10, monkeypatch)
     run_record(replace(options, session=tmp_path / "back"), host)
     said = capsys.readouterr().err
     assert commands_sentence("record.unread", port="line") in said
-    assert commands_sentence("record.back") in said
+    assert commands_sentence("record.samples_again") in said
+    assert commands_sentence("record.back") not in said, "it was never away"
+
+
+def test_silence_puts_no_empty_line_into_what_a_program_reads_on_a_terminal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    record_pausing(Pausing(0.0, back_s=43.0), tmp_path / "json", monkeypatch, as_json=True)
+    assert all(json.loads(line) for line in capsys.readouterr().out.splitlines())
 
 
 def test_an_instrument_that_stops_is_missed_on_the_terminal(program: Program) -> None:
@@ -308,7 +320,7 @@ def test_an_instrument_that_stops_is_missed_on_the_terminal(program: Program) ->
     with closing(Terminal(program, "record", "--port", port, *options)) as terminal:
         terminal.expect("(Ctrl-C ends)")
         program.started[0].send_signal(signal.SIGSTOP)
-        terminal.expect("no data on")
+        terminal.expect(commands_sentence("record.silent", port=port).split(":")[0])
         terminal.expect("NO DATA for")
         assert terminal.wait() == 3
-        assert "nothing arrived" in terminal.text
+        assert any(says(terminal.text, "commands", "record.pauses", pauses_s=pause_s) for pause_s in range(200))

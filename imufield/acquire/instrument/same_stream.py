@@ -46,23 +46,23 @@ class SameStream:
         self._is_lossy = False
         self._rate_hz: float | None = None  # Of the first stretch that was long enough.
         self._times: list[FloatArray] | None = None  # Of the samples since the link was opened; None once they have told.
-        self._unread_s = 0.0  # Since the newest sample, or since the link was opened.
+        self.unread_s = 0.0  # Of bytes since the newest sample, or since the link was opened.
         self._last_s = math.nan
 
     def begin(self) -> None:
         """Expect what comes behind a reconnection, or the very first samples, which all others are compared with."""
-        self._times, self._unread_s, self._last_s = [], 0.0, math.nan
+        self._times, self.unread_s, self._last_s = [], 0.0, math.nan
         self._window, self._window_begin_s, self._fast_windows = [], math.nan, 0
         self._is_lossy = False
 
     @property
     def is_unread(self) -> bool:
         """Whether bytes alone have come for long, without a sample: other nodes of a bus, or noise."""
-        return self._unread_s > _NO_SAMPLE_S
+        return self.unread_s > _NO_SAMPLE_S
 
     def hear(self, samples: Samples) -> None:
         """Take the samples that the chain has made."""
-        self._unread_s = 0.0
+        self.unread_s = 0.0
         if self._times is not None:
             self._times.append(samples.time_s)
         # The clock of the host tells nothing of itself.
@@ -81,12 +81,12 @@ class SameStream:
         """
         self._check_pace(chunk.monotonic_s)
         pause_s, self._last_s = chunk.monotonic_s - self._last_s, chunk.monotonic_s
-        self._unread_s += min(pause_s, _PAUSE_S) if math.isfinite(pause_s) else 0.0
+        self.unread_s += min(pause_s, _PAUSE_S) if math.isfinite(pause_s) else 0.0
         if self._times is None:
             return
         if not self._times:
             if self.is_unread:
-                other = sentence("same_stream.kind", port=self._port, heard_s=self._unread_s)
+                other = sentence("same_stream.kind", port=self._port, heard_s=self.unread_s)
                 raise LinkError(other, Reason.FOREIGN)
         elif self._times[-1][-1] - self._times[0][0] >= _RATE_S:
             step_s = float(median(np.diff(np.concatenate(self._times))))
