@@ -15,7 +15,6 @@ from imufield.samples import FloatArray, IntArray
 
 Bytes = NDArray[np.uint8]
 Rows = NDArray[np.uint8]
-_MOST_COUNTS = 1 << 62  # Arithmetic is done in 64 bits with a sign.
 """Shape (n, length)."""
 Numbers = NDArray[np.number]
 """As sent, of whatever type the field has."""
@@ -122,9 +121,9 @@ class Field:
         return frames.numbers(kind, self.at, self.count, size)
 
     def counts(self, frames: Frames) -> IntArray:
-        """Return the numbers of a counter, from 0 on whether they have a sign or not. Shape (n,)."""
+        """Return the numbers of a counter, from 0 on whether they have a sign or not; one of 64 bits as sent. Shape (n,)."""
         raw = self.raw(frames).astype(np.int64)
-        return raw & (min(self.modulus, _MOST_COUNTS) - 1) if self.type[0] == "i" else raw
+        return raw & (self.modulus - 1) if self.type[0] == "i" and self.modulus < 1 << 63 else raw
 
     def values(self, frames: Frames) -> FloatArray:
         """Return the numbers in ``unit``, shape (n,) or (n, count)."""
