@@ -6,7 +6,6 @@ from imufield.acquire.recording.session_record import SiteRecord
 from imufield.dataclass import asdict, dataclass, fields, replace
 from imufield.earth import (
     GRAVITIES_DIFFER_SIGMA,
-    NORMAL_GRAVITY_SIGMA_M_S2,
     Gravity,
     choose_gravity,
     height_words,
@@ -71,7 +70,8 @@ class SiteOptions(SiteRecord):
         if now.source != "normal" or before.source == "assumed":
             return None
         apart_ppm = abs(now.gravity_m_s2 - before.gravity_m_s2) / before.gravity_m_s2 * 1e6
-        limit_ppm = GRAVITIES_DIFFER_SIGMA * NORMAL_GRAVITY_SIGMA_M_S2 / before.gravity_m_s2 * 1e6
+        # A height that is not given may explain what differs.
+        limit_ppm = GRAVITIES_DIFFER_SIGMA * now.sigma_m_s2 / before.gravity_m_s2 * 1e6
         if apart_ppm <= limit_ppm:
             return None
         values = {"now": now, "height": height_words(now), "before": before}
