@@ -16,7 +16,6 @@ import math
 
 import numpy as np
 
-from imufield.acquire.clock.can_sent_time import CanSentTime
 from imufield.acquire.clock.clock import Arrival, Arrivals, Clock
 from imufield.acquire.clock.sample_clock import SampleClock
 from imufield.acquire.decode.assembly import Keep, Message, Source
@@ -135,6 +134,7 @@ def _parts(protocol: Protocol, statistics: DecoderStatistics, keep: Keep) -> tup
     if protocol.can is not None:
         # Imported where a bus is used: cantools is slow to import.
         from imufield.acquire.clock.can_clock import CanClock
+        from imufield.acquire.clock.can_sent_time import CanSentTime
         from imufield.acquire.decode.can_source import CanSource
 
         has_time = any(kind.time for kind in protocol.can.kinds)

@@ -17,7 +17,7 @@ from imufield.cli.run import run
 SLOW = {
     *("typer", "pydantic", "rich", "numpy", "numpy.random", "scipy", "serial", "can", "cantools", "mcap.records", "zstandard"),
     *("crccheck", "matplotlib", "jinja2", "tomli_w", "importlib.metadata", "concurrent.futures", "asyncio", "subprocess"),
-    "orjson",
+    *("orjson", "imufield.acquire.clock.can_clock"),
     *("imufield.acquire.decoder", "imufield.calibrate.gyroscope", "imufield.calibrate.moves", "imufield.guide.lead.guide"),
     *("imufield.simulate", "imufield.web", "imufield.study", "imufield.deliver.exports", "imufield.deliver.report"),
 }
