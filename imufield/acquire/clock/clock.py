@@ -29,7 +29,7 @@ class Arrival:
         return [(len(block), self.arrival_s)] if len(block) else []
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)  # As above.
 class Arrivals:
     """When the bytes of several reads came."""
 
@@ -40,12 +40,10 @@ class Arrivals:
 
     def reads_of(self, block: RawBlock) -> Reads:
         """Return (rows up to its end, arrival) of each read that completed a sample of this block."""
-        until = block.stream_end.searchsorted(self.ends, side="right")
+        until = block.stream_end.searchsorted(self.ends, side="right").tolist()
         until[-1] = len(block)
-        before = np.zeros(len(until), dtype=np.intp)
-        before[1:] = until[:-1]
-        with_rows = (until != before).nonzero()[0]
-        return list(zip(until[with_rows].tolist(), self.arrival_s[with_rows].tolist(), strict=True))
+        reads = zip([0, *until], until, self.arrival_s.tolist(), strict=False)
+        return [(end, arrival_s) for begin, end, arrival_s in reads if end > begin]
 
 
 class Clock(ABC):

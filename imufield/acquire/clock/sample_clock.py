@@ -339,21 +339,17 @@ class SampleClock(Clock):
         """Put a block on the clock; return what is settled now. ``reads`` has the last row and arrival of each read."""
         timed = self._time(block, reads)
         settled: list[TimedBlock] = []
-        begin = at = 0
+        shifts = [(0, self._shift_s)]
         for end, arrival_s in reads:
-            last_s = float(timed.time_s[end - 1])
-            if self._watch.passes(arrival_s, last_s):
-                self._follow_host(timed.time_s[at:end], arrival_s)
-                at = end
+            at = shifts[-1][0]
+            if self._watch.passes(arrival_s, float(timed.time_s[end - 1])):
+                shifts.append((end, self._shift_at(arrival_s, end - at)))
                 continue
-            if at > begin:
-                settled.append(timed.part(begin, at, math.nan))
+            settled += self._bent(timed, shifts)
             settled += self._following_host(self._watch.push(timed.part(at, end, arrival_s)))
             self._count_losses(timed.time_s, end)
-            begin = at = end
-        if begin == 0 and at == len(block):
-            return [timed]
-        return [*settled, timed.part(begin, at, math.nan)] if at > begin else settled
+            shifts = [(end, self._shift_s)]
+        return [*settled, *self._bent(timed, shifts)]
 
     def _time_of(self, ticks: IntArray) -> FloatArray:
         return np.asarray(ticks / self._tick_rate_hz + self._origin_s)
@@ -387,25 +383,32 @@ class SampleClock(Clock):
 
     def _following_host(self, released: list[TimedBlock]) -> list[TimedBlock]:
         for timed in released:
-            self._follow_host(timed.time_s, timed.arrival_s)
+            self._bent(timed, [(0, self._shift_s), (len(timed.block), self._shift_at(timed.arrival_s, len(timed.block)))])
         return released
 
-    def _follow_host(self, time_s: FloatArray, arrival_s: float) -> None:
-        """Bend the even steps of a read towards the line of earliest arrivals, in place; device time is left as it is.
+    def _shift_at(self, arrival_s: float, count: int) -> float:
+        """Move the shift of even steps towards the line of earliest arrivals, by the last read and its samples; return it.
 
-        At once, as the line is another after the next read.
+        At once, as the line is another after the next read. Device time is left as it is. Without a slope, as where everything
+        came at once (a dump), the rate learned at the start is the best there is.
         """
-        if self._has_time or self._has_counter or not math.isfinite(arrival_s):
-            return
-        time_s += self._shift_s
-        if self._watch.baseline.slope is None:
-            # Everything at once (a dump) or too early to tell: the rate learned at the start is the best there is.
-            return
-        wanted_s = self._watch.baseline.offset_at(arrival_s) or 0.0
-        span_s = len(time_s) / self._tick_rate_hz
-        step_s = min(max(wanted_s - self._shift_s, -_SLEW * span_s), _SLEW * span_s)
-        time_s += step_s / len(time_s) * self._even_ticks(len(time_s))
-        self._shift_s += step_s
+        baseline = self._watch.baseline
+        by_host = math.isfinite(arrival_s) and not (self._has_time or self._has_counter)
+        if by_host and baseline.slope is not None:
+            wanted_s = baseline.offset_at(arrival_s) or 0.0
+            largest_s = _SLEW * count / self._tick_rate_hz
+            self._shift_s += min(max(wanted_s - self._shift_s, -largest_s), largest_s)
+        return self._shift_s
+
+    def _bent(self, timed: TimedBlock, shifts: list[tuple[int, float]]) -> list[TimedBlock]:
+        """Return the samples from the first to the last of these rows, none if it is one, bent to the shifts between them."""
+        (begin, first_s), (end, last_s) = shifts[0], shifts[-1]
+        if begin == end:
+            return []
+        if first_s or last_s:
+            rows, shifts_s = zip(*shifts, strict=True)
+            timed.time_s[begin:end] += np.interp(self._even_ticks(end)[begin:], rows, shifts_s)
+        return [timed if end - begin == len(timed.block) else timed.part(begin, end, math.nan)]
 
     def _measure(self) -> None:
         """Write the sample rate by the instrument's clock and by the host's into the statistics."""
