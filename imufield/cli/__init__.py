@@ -25,7 +25,7 @@ def main() -> None:
     for library in ("OPENBLAS", "MKL", "OMP"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     # Imports make objects by tens of thousands, all to stay: at the usual 700 the collector goes through them a hundred times.
-    gc.set_threshold(10_000)
+    gc.set_threshold(100_000)
     _open_closed_streams()
     _let_standard_error_fail()
     # Names of files may be no UTF-8. A pipe gets their bytes, as a shell would use them; a terminal gets them spelt out.
