@@ -26,7 +26,7 @@ class Arrival:
 
     def reads_of(self, block: RawBlock) -> Reads:
         """Return (rows of the block, arrival): the read completed all there are."""
-        return [(len(block), self.arrival_s)] if len(block) else []
+        return [(len(block), self.arrival_s)]
 
 
 @dataclass(slots=True)  # As above.

@@ -80,7 +80,7 @@ class SampleClock(Clock):
         """
         reads = arrivals.reads_of(block)
         if self._started:
-            return self._emit(self._settle(block, reads)) if reads else None
+            return self._emit(self._settle(block, reads))
         done: list[TimedBlock] = []
         begin = 0
         while not self._started and reads:
