@@ -21,7 +21,7 @@ import numpy as np
 from imufield.acquire.clock.clock import Arrival, Arrivals, Clock, Reads
 from imufield.acquire.clock.host_lag import LossWatch, TimedBlock
 from imufield.acquire.clock.missing_samples import FREE_LAG_S, LEARN_FROM, StepRule, steps_in_silence
-from imufield.acquire.clock.stamp_clock import MeanStep, StampClock, Stamped, steps_between
+from imufield.acquire.clock.stamp_clock import LONGEST_PAUSE_S, MeanStep, StampClock, Stamped, steps_between
 from imufield.acquire.decode.assembly import RawBlock, join
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
@@ -308,8 +308,10 @@ class SampleClock(Clock):
         return rows
 
     def _begins_anew(self, ticks: IntArray, row: int, reads: Reads) -> bool:
-        """Whether a sample arrived before it was measured, by the steps of the counter."""
+        """Whether a sample arrived before it was measured, by the steps of the counter; without arrival, whether one is too long."""
         arrival_s = next(arrival_s for end, arrival_s in reads if end > row)
+        if not math.isfinite(arrival_s):
+            return bool(ticks[row] > LONGEST_PAUSE_S * self._tick_rate_hz)
         time_s = float(self._time_of(self._ticks + ticks[: row + 1].sum()))
         return self._watch.baseline.lag_s(arrival_s, time_s) < -_DISPROVED_S
 

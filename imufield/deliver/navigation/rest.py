@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from imufield.calibrate.noise.noise_fit import FLICKER
 from imufield.dataclass import dataclass
 from imufield.deliver.navigation.alignment import NoiseDensity
-from imufield.samples import FloatArray, median
+from imufield.samples import FloatArray, IntArray, median
 
 SECOND_S = 1.0
 MOVED_RATE_RAD_S = np.radians(0.3)  # 70 times the Earth's rate, and far below what a hand does.
@@ -65,12 +65,17 @@ class IntervalMeans:
 
     def finish(self) -> FloatArray:
         """Return the means of all complete intervals, shape (m, columns); NaN where one had no sample."""
-        # The last interval may still get samples.
+        numbers, there = self.of_filled()
         means = np.full((max(self._intervals, default=0), self._columns), np.nan)
-        for number, (total, count) in self._intervals.items():
-            if number < len(means):
-                means[number] = total / count
+        means[numbers] = there
         return means
+
+    def of_filled(self) -> tuple[IntArray, FloatArray]:
+        """Return the numbers of the complete intervals that had samples, shape (k,), and their means, shape (k, columns)."""
+        # The last interval may still get samples.
+        numbers = list(self._intervals)[:-1]
+        means = [total / count for total, count in list(self._intervals.values())[:-1]]
+        return np.array(numbers, dtype=np.int64), np.array(means).reshape(-1, self._columns)
 
 
 @dataclass(frozen=True, slots=True)

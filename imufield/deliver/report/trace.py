@@ -30,7 +30,7 @@ class Trace:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TraceCells:
-    """Means over n cells of equal length, raw rates; NaN where a cell has no sample.
+    """Means over n cells of equal length, raw rates; of cells without a sample one of NaN for all in a row.
 
     Attributes
     ----------
@@ -78,11 +78,14 @@ class TraceCollector:
 
     def finish(self) -> TraceCells:
         """Return the cells; none without a sample."""
-        means = np.empty((0, 13)) if self._means is None else self._means.finish()
-        start_s = 0.0 if self._means is None else self._means.start_s
+        collected = self._means or IntervalMeans(0.0, 13, CELL_S)
+        numbers, means = collected.of_filled()
+        # One cell without a sample stands for all in a row: a pause may be of days.
+        pauses = np.flatnonzero(np.diff(numbers) > 1) + 1
+        numbers, means = np.insert(numbers, pauses, numbers[pauses] - 1), np.insert(means, pauses, np.nan, axis=0)
         values = means[:, :7] + self._centre
         return TraceCells(
-            time_s=np.asarray(start_s + (np.arange(len(means)) + 0.5) * CELL_S, dtype=np.float64),
+            time_s=collected.start_s + (numbers + 0.5) * CELL_S,
             temperature_degc=values[:, 6],
             accelerometer=values[:, :3],
             gyroscope=values[:, 3:6],

@@ -271,6 +271,13 @@ def test_counts_that_noise_has_made_invent_no_loss(size: int) -> None:
     np.testing.assert_allclose(np.diff(samples.time_s), 0.01, atol=1e-9)
 
 
+@pytest.mark.parametrize("size", [1, 5, 7])
+def test_a_counter_that_begins_anew_is_no_pause_of_months_where_nobody_noted_arrival(size: int) -> None:
+    wide = replace(COUNTED, counter_modulus=1 << 32)
+    samples, _ = counted(np.concatenate([np.arange(2870) + 1000, np.arange(3000)]), np.full(5870, np.nan), size, wide)
+    np.testing.assert_allclose(np.diff(samples.time_s), 0.01, atol=1e-9)
+
+
 def test_a_cable_that_was_out_for_longer_is_counted() -> None:
     numbers = np.concatenate([np.arange(3000), np.arange(3000) + 20000])
     samples, statistics = counted(numbers, numbers / 100 + 50, 5)
