@@ -32,8 +32,8 @@ from imufield.deliver.report.page import load_weasyprint, render_record, render_
 from imufield.deliver.report.trace import Trace, trace
 from imufield.deliver.verification.result import read_verification, verification_note, verification_path
 from imufield.drawing.style import missing_package
-from imufield.errors import CalibrationError, ParameterFileError, Reason
-from imufield.files import refuse_overwriting, utf8_text
+from imufield.errors import CalibrationError, ParameterFileError, Reason, UsageError
+from imufield.files import real_path, refuse_overwriting, utf8_text
 from imufield.pipeline.solving import read_recording
 from imufield.progress import task
 from imufield.sentences import Sentences
@@ -51,7 +51,7 @@ def run_report(options: ReportOptions) -> tuple[Path, ...]:
     Raises
     ------
     UsageError
-        If matplotlib, jinja2 or, for PDF, WeasyPrint is not installed.
+        If matplotlib, jinja2 or, for PDF, WeasyPrint is not installed, or report and record have one name.
     ParameterFileError
         If the parameters are not of this session, or a page cannot be written.
     """
@@ -68,6 +68,8 @@ def run_report(options: ReportOptions) -> tuple[Path, ...]:
         *filter(None, (data.parameters.path, options.preset)),
         *([] if options.session is None else Session.open(folder).parts),
     ]
+    if len(set(map(real_path, pages))) < len(pages):
+        raise UsageError(sentence("report.one_name", output=pages[0], record=pages[1]))
     # Both before either is written: no page without the other.
     for path in pages:
         refuse_overwriting(path, inputs)
@@ -84,7 +86,7 @@ def run_report(options: ReportOptions) -> tuple[Path, ...]:
 def _pages(options: ReportOptions, parameters: Path | None, folder: Path) -> tuple[Path, ...]:
     """Return where report and record go: unless named, the report is called after the parameters, the record after the report.
 
-    Two results in one folder have two names: one never stands in place of the other.
+    So two results in one folder have two names.
     """
     is_alone = options.session is None and parameters is not None and parameters.name != PARAMETER_FILE
     default = folder / (f"{parameters.stem}.html" if is_alone and parameters is not None else REPORT_FILE)

@@ -15,7 +15,7 @@ from imufield.commands.options.result_commands import ReportOptions
 from imufield.commands.report import gather, run_report
 from imufield.deliver.parameters.file import load
 from imufield.earth import MICRO_G_M_S2
-from imufield.errors import ParameterFileError, Reason
+from imufield.errors import ParameterFileError, Reason, UsageError
 from imufield.pipeline.chain import Chain, ReadingPlan, replay_into
 from tests.commands.told import says
 from tests.refused import refused
@@ -118,6 +118,14 @@ def test_two_results_in_one_folder_keep_a_record_each(solved: Path, tmp_path: Pa
     names = {f"{name}{tail}.html" for name in ("one", "two", "a", "b") for tail in ("", "-record")}
     assert pages == {tmp_path / name for name in names}
     assert {path.name for path in tmp_path.glob("*.html")} == names
+
+
+@pytest.mark.parametrize(("record", "pdf"), [("page.html", False), ("page.htm", True)])
+def test_one_name_for_both_pages_is_refused(solved: Path, tmp_path: Path, record: str, pdf: bool) -> None:
+    pages = {"output": tmp_path / "page.html", "record": tmp_path / record}
+    with pytest.raises(UsageError):
+        run_report(ReportOptions(parameters=solved / "parameters.toml", pdf=pdf, **pages))
+    assert not (tmp_path / "page.html").exists()
 
 
 def test_verification_gets_into_the_page(solved: Path) -> None:
