@@ -18,7 +18,7 @@ def local_cluster(on_path: Path) -> Iterator[Any]:
         n_workers=2,
         threads_per_worker=1,
         processes=True,
-        dashboard_address=None,
+        dashboard_address="127.0.0.1:0",  # Any free port: without one it wants 8787, which another run may have.
         worker_dashboard_address=None,
         silence_logs=50,
         env={"PYTHONPATH": str(on_path)},
