@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from imufield.calibrate.gyroscope.move_integration import centre
+from imufield.calibrate.gyroscope.move_integration import SHORTEST_S, centre
 from imufield.calibrate.gyroscope.residuals import ForceErrors, GyroscopeData, chains_of
 from imufield.calibrate.gyroscope.stills_alone import StaticFree
 from imufield.calibrate.gyroscope.turntable import TurntableRun, no_table, pair_runs
@@ -121,7 +121,7 @@ def make_data(given: GyroscopeInput) -> GyroscopeData:
     # What rounding leaves is no noise that a longer mean makes smaller.
     variance = np.maximum(np.diagonal(observations.gyroscope_unrounded_covariance, 0, 1, 2), 0.0)
     density = np.sqrt(median(variance * observations.duration_s[:, None]))
-    duration = np.maximum(moves.slots.duration_s, 1e-9)[:, None]  # a slot of a clock that stood lasts nothing
+    duration = np.maximum(moves.slots.duration_s, SHORTEST_S)[:, None]
     return GyroscopeData(
         rate_raw=observations.gyroscope_mean_raw - rest,
         rate_covariance=observations.gyroscope_unrounded_covariance,

@@ -43,7 +43,7 @@ from typing import Literal
 import numpy as np
 
 from imufield.calibrate.gyroscope.fit import JointFit, fit_jointly, make_prior
-from imufield.calibrate.gyroscope.move_integration import INVERSE, PARAMETERS, SENSITIVITY, sums_at_end
+from imufield.calibrate.gyroscope.move_integration import INVERSE, PARAMETERS, SENSITIVITY, SHORTEST_S
 from imufield.calibrate.gyroscope.observability import Observability
 from imufield.calibrate.gyroscope.residuals import GyroscopeData
 from imufield.calibrate.model.coverage_factors import NORMAL_FACTOR_95, f_limit_95, f_tail
@@ -223,11 +223,9 @@ def _rate_columns(data: GyroscopeData, fit: JointFit) -> tuple[FloatArray, Float
     """Return the largest rates, shape (3,), and what the residuals of the fit and of half sums change by, six columns each."""
     A, now = fit.p[INVERSE].reshape(3, 3), fit.evaluation
     K, slots, m = np.diag(np.linalg.inv(A)), data.moves.slots, fit.evaluation.moves
-    T = slots.duration_s[:, None]
-    s, s_table = slots.turn / np.maximum(T, 1e-9) / K, data.table.half_difference_raw / K
-    S = np.abs(np.vstack([s, s_table])).max(axis=0)
-    shape = np.hstack([np.abs(s), s**3 / S**2])
-    by_turn = np.einsum("mijc,jc->mic", sums_at_end(fit.p[:PARAMETERS], data.moves, shape * T), np.tile(A * K, 2))
+    raw, s_table = slots.turn.T / np.maximum(slots.duration_s, SHORTEST_S), data.table.half_difference_raw / K
+    S = np.maximum(np.abs(raw).max(axis=1, initial=0.0) / np.abs(K), np.abs(s_table).max(axis=0, initial=0.0))
+    by_turn = now.turns.by_rate * np.concatenate([np.sign(K), 1 / (K * S) ** 2])
     C, t = np.zeros((len(now.residual), 6)), len(s_table)
     C[: 2 * m] = (now.tangent @ skew(now.predicted) @ by_turn).reshape(-1, 6)
     start = 2 * m + 3 * now.stills

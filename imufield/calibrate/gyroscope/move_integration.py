@@ -39,6 +39,7 @@ PARAMETERS = 21
 INVERSE = slice(0, 9)
 BIAS = slice(9, 12)
 SENSITIVITY = slice(12, 21)
+SHORTEST_S = 1e-9  # A slot of a clock that stood lasts nothing.
 _LEAST_SHOWN = 0.3  # Of the length of what is shown best: less is the hand's acceleration rather than the turn.
 _WINDOW_S = 0.1  # Over which a rough inverse takes the specific force to turn at one rate.
 # Total angle turned over the angle between the ups, as the range in which an unknown scale is searched, in steps of 9 %.
@@ -67,6 +68,8 @@ class Turns:
     spread: FloatArray
     net_rad: FloatArray
     """Sum of the rotation vectors in the frame at the end, shape (m, 3): 2 pi for a whole turn."""
+    by_rate: FloatArray
+    """What a scale error of each axis does that goes with the sense of rotation, or the raw rate squared, shape (m, 3, 6)."""
 
 
 def centre(moves: Moves, rest_raw: FloatArray, force_m_s2: FloatArray) -> Moves:
@@ -105,81 +108,47 @@ def integrate(x: FloatArray, moves: Moves, noise_density_raw: FloatArray) -> Tur
     noise_density_raw : ndarray, shape (3,)
         Raw unit per sqrt(Hz), for ``spread``.
     """
-    slots, T, A = moves.slots, moves.slots.duration_s, x[INVERSE].reshape(3, 3)
-    at = _AlongMoves.of(x, moves)
-    by_integrals = at.end_sums(at.integrals)
-    by_turn, by_force = (by_integrals[..., columns].reshape(-1, 3, 9) for columns in (slice(3), slice(3, 6)))
-    duration = by_integrals[..., 6]
+    A, b, H = x[INVERSE].reshape(3, 3), x[BIAS], x[SENSITIVITY].reshape(3, 3)
+    slots, T, M = moves.slots, moves.slots.duration_s, np.linalg.inv(A)
+    # Arrays have a row for each component: NumPy's loops along them are long.
+    turn, force = slots.turn.T, slots.force.T
+    # cof(A) = det(A) A^-T, see moves: A x x A y = cof(A) (x x y)
+    coning = 0.5 * np.linalg.det(A) * M.T @ (slots.area.T - skew(M @ b) @ (T * turn - 2 * slots.moment.T))
+    by_rate = (np.abs(turn), turn * (turn / np.maximum(T, SHORTEST_S)) ** 2)
+    integrals, to_vectors = np.vstack([turn, force, T, coning, *by_rate]), np.column_stack([A, -H, -b, np.eye(3)])
+    vectors = (to_vectors @ integrals[:10]).T
+    running = running_turns(exponential(vectors), moves.first)
+    V = product(matrix(running), right_jacobian(vectors)).reshape(-1, 9).T
+    end = running[moves.first + moves.length - 1]
+    R = matrix(end)
+    sums = _sums(V, integrals, moves).reshape(-1, 3, 48)
+    at_end = (np.swapaxes(R, 1, 2) @ sums).reshape(-1, 3, 3, 16)
+    by_turn, by_force = (at_end[..., columns].reshape(-1, 3, 9) for columns in (slice(3), slice(3, 6)))
+    duration = at_end[..., 6]
+
+    def spread(weight: FloatArray, covariance: FloatArray) -> FloatArray:
+        squares = _sums(V * weight, V, moves).reshape(-1, 3, 3, 3, 3)
+        return np.asarray(np.swapaxes(R, 1, 2) @ np.einsum("mijkl,jl->mik", squares, covariance) @ R)
+
     # White noise of density n gives each slot the variance n^2 T.
-    spread = at.spread(T, (A * noise_density_raw**2) @ A.T)
-    if slots.bridge.any():
-        # A rate that changes anywhere in a gap, evenly likely: a third of the square of the largest error.
-        spread += at.spread(slots.bridge / 3, A @ A.T)
+    of_noise = spread(T, (A * noise_density_raw**2) @ A.T)
     return Turns(
-        quaternion=at.end,
+        quaternion=end,
         jacobian=np.concatenate([by_turn, -duration, -by_force], axis=2),
         duration=duration,
-        spread=spread,
+        # A rate that changes anywhere in a gap, evenly likely: a third of the square of the largest error.
+        spread=of_noise + spread(slots.bridge / 3, A @ A.T) if slots.bridge.any() else of_noise,
         # Jr leaves its own vector as it is.
-        net_rad=np.einsum("mijc,jc->mi", by_integrals, at.to_vectors),
+        net_rad=np.einsum("mijc,jc->mi", at_end[..., :10], to_vectors),
+        by_rate=np.einsum("mijc,jc->mic", at_end[..., 10:], np.tile(A, 2)),
     )
 
 
-def sums_at_end(x: FloatArray, moves: Moves, values: FloatArray) -> FloatArray:
-    """Return the sums of W_k times each of q values of the slots, shape (k, q) to (m, 3, 3, q)."""
-    return _AlongMoves.of(x, moves).end_sums(np.ascontiguousarray(values.T))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _AlongMoves:
-    """The slots of moves at one parameter vector. Arrays have a row for each component: NumPy's loops along them are long."""
-
-    spans: list[slice]
-    """Slots of each move."""
-    integrals: FloatArray
-    """Turn, force, duration and coning of the slots, shape (10, k)."""
-    to_vectors: FloatArray
-    """What makes their rotation vectors of it, shape (3, 10)."""
-    end: FloatArray
-    """Quaternion of each move, shape (m, 4)."""
-    entries: FloatArray
-    """V_k, shape (9, k)."""
-
-    @classmethod
-    def of(cls, x: FloatArray, moves: Moves) -> _AlongMoves:
-        A, b, H = x[INVERSE].reshape(3, 3), x[BIAS], x[SENSITIVITY].reshape(3, 3)
-        slots, first, T, M = moves.slots, moves.first, moves.slots.duration_s, np.linalg.inv(A)
-        # cof(A) = det(A) A^-T, see moves: A x x A y = cof(A) (x x y)
-        cofactor = np.linalg.det(A) * M.T
-        coning = 0.5 * cofactor @ (slots.area.T - skew(M @ b) @ (T * slots.turn.T - 2 * slots.moment.T))
-        integrals = np.vstack([slots.turn.T, slots.force.T, T, coning])
-        to_vectors = np.column_stack([A, -H, -b, np.eye(3)])
-        vectors = (to_vectors @ integrals).T
-        running = running_turns(exponential(vectors), first)
-        last = first + moves.length - 1
-        return cls(
-            spans=[slice(begin, end + 1) for begin, end in zip(first.tolist(), last.tolist(), strict=True)],
-            integrals=integrals,
-            to_vectors=to_vectors,
-            end=running[last],
-            entries=product(matrix(running), right_jacobian(vectors)).reshape(-1, 9).T,
-        )
-
-    def end_sums(self, values: FloatArray) -> FloatArray:
-        """Return the sums of W_k times values of the slots, shape (q, k) to (m, 3, 3, q)."""
-        sums = self._sums(self.entries, values)
-        return (np.swapaxes(matrix(self.end), 1, 2) @ sums.reshape(-1, 3, 3 * len(values))).reshape(-1, 3, 3, len(values))
-
-    def spread(self, weight: FloatArray, covariance: FloatArray) -> FloatArray:
-        """Return the weighted sum of W_k covariance W_k^T, shape (m, 3, 3)."""
-        squares = self._sums(self.entries * weight, self.entries).reshape(-1, 3, 3, 3, 3)
-        R = matrix(self.end)
-        return np.asarray(np.swapaxes(R, 1, 2) @ np.einsum("mijkl,jl->mik", squares, covariance) @ R)
-
-    def _sums(self, factors: FloatArray, others: FloatArray) -> FloatArray:
-        """Return the sums of products over the slots of each move, shape (p, k) and (q, k) to (m, p, q)."""
-        each = [factors[:, span] @ others[:, span].T for span in self.spans]
-        return np.array(each).reshape(-1, len(factors), len(others))  # also of no move at all
+def _sums(factors: FloatArray, others: FloatArray, moves: Moves) -> FloatArray:
+    """Return the sums of products over the slots of each move, shape (p, k) and (q, k) to (m, p, q)."""
+    spans = map(slice, moves.first.tolist(), (moves.first + moves.length).tolist())
+    each = [factors[:, span] @ others[:, span].T for span in spans]
+    return np.array(each).reshape(-1, len(factors), len(others))  # also of no move at all
 
 
 def rough_inverse(moves: Moves, preset: FloatArray | None = None) -> FloatArray:

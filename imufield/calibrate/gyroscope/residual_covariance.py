@@ -112,15 +112,16 @@ def covariances(evaluation: Evaluation, x: FloatArray, data: GyroscopeData) -> C
     within[of_stills, of_stills] = block_diagonal(A @ data.rate_covariance @ A.T)
     within[of_table, of_table] = block_diagonal(A @ table.covariance_raw @ A.T)
     # As a drift: a move begins and ends at rest, where it is rounded as the still beside it.
-    by_rounding = drift @ np.kron(np.eye(len(data.force)), A)
-    within += by_rounding @ data.rounding_covariance @ by_rounding.T
+    if data.rounding_covariance.any():
+        by_rounding = (drift.reshape(rows, -1, 3) @ A).reshape(rows, -1)
+        within += by_rounding @ data.rounding_covariance @ by_rounding.T
     of_rates[of_table, of_table] = block_diagonal(table.rate_covariance)
     at_stops[stops, stops] = data.stop_sigma_rad**2
     turning = [*range(m), *stops]
     turn[turning, turning] = 1.0
     known = {"gyroscope_within_hold": within, "gyroscope_moving": moving, "stops": at_stops, "turntable": of_rates}
     shares, with_accelerometer = _accelerometer_shares(by_force, data.errors)
-    walk = drift @ np.kron(random_walk(data.time_s), np.eye(3)) @ drift.T
+    walk = (random_walk(data.time_s) @ drift.reshape(rows, -1, 3)).reshape(rows, -1) @ drift.T
     return Covariances(
         known=known | shares, drift=drift @ drift.T, wander=walk, turn=turn, with_accelerometer=with_accelerometer
     )
@@ -226,11 +227,10 @@ def next_scatter(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, p
     g-sensitivity with one heading for each still those of six stills; what is left of them is rounding.
     """
     P = _projection(parts.total(scatter), jacobian)
-    components = (parts.drift, parts.wander, parts.turn)
-    products = [P @ V for V in components]
-    Pr = P @ residual
-    score = np.array([Pr @ V @ Pr - np.trace(PV) for V, PV in zip(components, products, strict=True)])  # 2 s_k
-    information = np.array([[np.einsum("ij,ji", a, b) for b in products] for a in products])  # tr(P V_k P V_l)
+    V = np.stack([parts.drift, parts.wander, parts.turn])
+    PV, Pr = P @ V, P @ residual
+    score = Pr @ V @ Pr - np.trace(PV, axis1=1, axis2=2)  # 2 s_k
+    information = PV.reshape(3, -1) @ np.swapaxes(PV, 1, 2).reshape(3, -1).T  # tr(P V_k P V_l)
     now = np.array(scatter) ** 2
     from_stills = _has_freedom(parts.drift, parts.total(Scatter(0.0, 0.0, scatter.turn_rad)), jacobian)
     estimated = np.array([from_stills, from_stills, turns_tell_scatter(scatter, jacobian, parts)])
@@ -246,7 +246,8 @@ def next_scatter(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, p
         answer = score[rest] - information[np.ix_(rest, falling)] @ step[falling]
         step[rest] = _scoring_step(information[np.ix_(rest, rest)], answer)
     # The least variance that a scatter of size one gives to a residual it touches at all; infinite where it touches none.
-    least = np.array([np.min(np.diag(V)[np.diag(V) > 0], initial=np.inf) for V in components])
+    own = np.diagonal(V, axis1=1, axis2=2)
+    least = np.min(own, axis=1, initial=np.inf, where=own > 0)
     most = _MOST_SCATTER * float(np.max(residual**2)) / least
     return Scatter(*np.sqrt(np.where(estimated, np.clip(now + step, 0.0, most), now)).tolist())
 

@@ -131,18 +131,18 @@ class GyroscopeData:
     stops: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     stop_sigma_rad: FloatArray = field(default_factory=lambda: np.empty(0))
     table: TableRows = field(default_factory=no_table)
-    # Not handed on to a copy, whose moves may be others.
-    _known: dict[bytes, Turns] = field(default_factory=dict, init=False, repr=False, compare=False)
+    known_turns: dict[bytes, Turns] = field(default_factory=dict, repr=False, compare=False)
+    """Of these moves, at some parameter vectors; a copy with other moves needs its own."""
 
     def turns(self, x: FloatArray) -> Turns:
         """Return the turns of all moves at ``x``, shape (21,), to 1e-10 rad: near integrated ones they follow from these."""
-        for key, known in reversed(self._known.items()):
+        for key, known in reversed(self.known_turns.items()):
             change = known.jacobian @ (x - np.frombuffer(key))
             if np.abs(change).max(initial=0.0) < _LINEAR_RAD:
                 return replace(known, quaternion=multiply(known.quaternion, exponential(change)))
-        if len(self._known) >= _REMEMBERED:
-            del self._known[next(iter(self._known))]
-        found = self._known[x.tobytes()] = integrate(x, self.moves, self.noise_density_raw)
+        if len(self.known_turns) >= _REMEMBERED:
+            del self.known_turns[next(iter(self.known_turns))]
+        found = self.known_turns[x.tobytes()] = integrate(x, self.moves, self.noise_density_raw)
         return found
 
     @property

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gyroscope_sessions import collect_moves
 
-from imufield.calibrate.gyroscope.move_integration import centre, integrate, rough_inverse, sums_at_end
+from imufield.calibrate.gyroscope.move_integration import centre, integrate, rough_inverse
 from imufield.calibrate.model.rotation import exponential, matrix, multiply, right_jacobian
 from imufield.calibrate.moves.moves import MoveCollector, Moves, cut_moves, join_slots, stretch_stills
 from imufield.dataclass import replace
@@ -107,25 +107,24 @@ def test_sums_over_slots_are_those_of_one_slot_after_the_other() -> None:
     centred = centre(moves, REST, moves.slots.force / moves.slots.duration_s[:, None])
     x, density = np.concatenate([A.ravel(), [1e-3, -2e-3, 1e-3], 1e-4 * np.arange(9)]), np.array([1.0, 2.0, 3.0])
     turns, slots = integrate(x, centred, density), centred.slots
-    values = np.random.default_rng(2).standard_normal((len(slots), 2))
-    summed = sums_at_end(x, centred, values)
+    rate = slots.turn / slots.duration_s[:, None]
     coning = slots.area + np.cross(slots.duration_s[:, None] * slots.turn - 2 * slots.moment, np.linalg.solve(A, x[9:12]))
     vectors = slots.turn @ A.T - x[9:12] * slots.duration_s[:, None] - slots.force @ x[12:].reshape(3, 3).T
     vectors += 0.5 * coning @ (np.linalg.det(A) * np.linalg.inv(A))
     assert slots.bridge.any()
     for k in range(2):
         own = range(centred.first[k], centred.first[k] + centred.length[k])
-        to_end, spread, net, of_values = np.eye(3), np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3, 2))
+        to_end, spread, net, by_rate = np.eye(3), np.zeros((3, 3)), np.zeros(3), np.zeros((3, 6))
         for slot in reversed(own):
             W = to_end @ right_jacobian(vectors[slot])
             spread += W @ A @ np.diag(density**2 * slots.duration_s[slot] + slots.bridge[slot] / 3) @ A.T @ W.T
             net += to_end @ vectors[slot]
-            of_values += W[:, :, None] * values[slot]
+            by_rate += np.hstack([W @ A @ np.diag(f * slots.turn[slot]) for f in (np.sign(rate[slot]), rate[slot] ** 2)])
             to_end = to_end @ matrix(exponential(vectors[slot])).T
         assert matrix(turns.quaternion[k]) == pytest.approx(to_end.T, abs=1e-12)
         assert turns.spread[k] == pytest.approx(spread, rel=1e-9, abs=1e-9 * spread.max())
         assert turns.net_rad[k] == pytest.approx(net, abs=1e-12)
-        assert summed[k] == pytest.approx(of_values, abs=1e-10)
+        assert turns.by_rate[k] == pytest.approx(by_rate, rel=1e-9, abs=1e-9 * np.abs(by_rate).max())
 
 
 def test_a_scale_is_found_from_nothing() -> None:
