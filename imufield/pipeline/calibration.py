@@ -11,16 +11,21 @@ import numpy as np
 from imufield.acquire.protocol.units import nominal_scale
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
 from imufield.calibrate.accelerometer.ellipsoid_start import FEWEST_FOR_MISALIGNMENT
-from imufield.calibrate.accelerometer.methods import cross_check, solve_with
 from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
 from imufield.calibrate.gyroscope.input import FEWEST_STILLS, GyroscopeInput
-from imufield.calibrate.gyroscope.methods import cross_check_gyroscope, solve_gyroscope_with
 from imufield.calibrate.gyroscope.model_choice import GyroscopeModel
 from imufield.calibrate.gyroscope.whole_turns import Stop
 from imufield.calibrate.model.grades import DEFAULT_GRADE
 from imufield.calibrate.model.models import recover_vectors, to_vector
 from imufield.calibrate.model.observations import Observations, join_observations
-from imufield.calibrate.model.result import Calibration, Gauge, ModelChoice, PositionResult, without_drift
+from imufield.calibrate.model.result import (
+    AccelerometerParameters,
+    Calibration,
+    Gauge,
+    ModelChoice,
+    PositionResult,
+    without_drift,
+)
 from imufield.calibrate.moves.moves import Moves, cut_moves, no_slots
 from imufield.calibrate.solvers.agreement import LEAST_SQUARES
 from imufield.dataclass import dataclass, field, replace
@@ -127,21 +132,9 @@ def calibrate(measured: SolveInput, settings: SolveSettings) -> Parameters:
     )
     # One for all that draws, made by the first of them: numpy.random is slow to import, and least squares alone draws nothing.
     rng = cache(lambda: np.random.default_rng(settings.seed))
-    sentences = list(measured.reasons)
-    if settings.cross_check:
-        sentences.append(cross_check(measured.observations, calibration, rng=rng(), preset=preset).sentence)
     # Least squares comes first whatever the method: it chooses the model, and the others are held against it.
-    if settings.method != LEAST_SQUARES:
-        calibration = solve_with(
-            settings.method,
-            measured.observations,
-            calibration,
-            rng=rng(),
-            preset=preset,
-            polish=settings.polish,
-            settings=settings.method_settings,
-            seed=settings.seed,
-        )
+    calibration, checked = _by_other_methods(calibration, measured.observations, settings, rng, preset=preset)
+    sentences = [*measured.reasons, *checked]
     # After the accelerometer, which tells in what position each still was.
     accelerometer_verdict = calibration.quality.verdict
     calibration, gyroscope_verdict = _with_gyroscope(calibration, measured, settings, rng, grade=grade)
@@ -163,6 +156,36 @@ def calibrate(measured: SolveInput, settings: SolveSettings) -> Parameters:
     # Through the document and back: what is printed is what the file holds, digit by digit.
     instrument = replace(measured.context.instrument, grade=grade, grade_source=grade_source)
     return from_document(to_document(calibration, observations, replace(measured.context, instrument=instrument)))
+
+
+def _by_other_methods(
+    calibration: Calibration,
+    observations: Observations,
+    settings: SolveSettings,
+    rng: Callable[[], np.random.Generator],
+    *,
+    preset: AccelerometerParameters | None,
+) -> tuple[Calibration, list[str]]:
+    """Return the accelerometer by the method that is asked for, and what a cross-check says."""
+    sentences = []
+    if settings.cross_check:
+        from imufield.calibrate.accelerometer.methods import cross_check
+
+        sentences.append(cross_check(observations, calibration, rng=rng(), preset=preset).sentence)
+    if settings.method != LEAST_SQUARES:
+        from imufield.calibrate.accelerometer.methods import solve_with
+
+        calibration = solve_with(
+            settings.method,
+            observations,
+            calibration,
+            rng=rng(),
+            preset=preset,
+            polish=settings.polish,
+            settings=settings.method_settings,
+            seed=settings.seed,
+        )
+    return calibration, sentences
 
 
 def _recording_left_out(calibration: Calibration, observations: Observations) -> Calibration:
@@ -218,9 +241,14 @@ def _with_gyroscope(
     )
     try:
         result = calibrate_gyroscope(given, settings.gyroscope_model)
-        check = cross_check_gyroscope(result, rng=rng()) if settings.cross_check else None
-        solved = None
+        check = solved = None
+        if settings.cross_check:
+            from imufield.calibrate.gyroscope.methods import cross_check_gyroscope
+
+            check = cross_check_gyroscope(result, rng=rng())
         if settings.method != LEAST_SQUARES:
+            from imufield.calibrate.gyroscope.methods import solve_gyroscope_with
+
             result, solved = solve_gyroscope_with(
                 settings.method, result, rng=rng(), polish=settings.polish, settings=settings.method_settings
             )

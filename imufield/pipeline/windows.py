@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
-from imufield.calibrate.temperature.fit import SAME_TEMPERATURE_DEGC
-from imufield.calibrate.temperature.ramp import moved_windows
 from imufield.dataclass import dataclass, fields
 from imufield.pipeline.chain import session_samples
 from imufield.samples import UNUSABLE, FloatArray, Samples, Status, TemperatureHold
@@ -79,6 +77,9 @@ class WindowSums:
 
 def is_ramp(session: Session, raw_zero: FloatArray | float) -> bool:
     """Tell whether a recording is of one pose from the first to the last window, and its temperature changes."""
+    from imufield.calibrate.temperature.fit import SAME_TEMPERATURE_DEGC  # late: asked only of a session without positions
+    from imufield.calibrate.temperature.ramp import moved_windows
+
     windows = WindowSums()
     damage: list[Damage] = []  # Dropped: the solve that asks has read the same parts and names what they lack.
     for samples in session_samples(session, damage):

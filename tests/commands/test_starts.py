@@ -17,7 +17,8 @@ from imufield.cli.run import run
 SLOW = {
     *("typer", "pydantic", "rich", "numpy", "numpy.random", "scipy", "serial", "can", "cantools", "mcap.records", "zstandard"),
     *("crccheck", "matplotlib", "jinja2", "tomli_w", "importlib.metadata", "concurrent.futures", "asyncio", "subprocess"),
-    *("orjson", "imufield.acquire.clock.can_clock"),
+    *("orjson", "difflib", "imufield.acquire.clock.can_clock", "imufield.calibrate.accelerometer.methods"),
+    *("imufield.calibrate.gyroscope.methods", "imufield.calibrate.temperature.fit"),
     *("imufield.acquire.decoder", "imufield.calibrate.gyroscope", "imufield.calibrate.moves", "imufield.guide.lead.guide"),
     *("imufield.simulate", "imufield.web", "imufield.study", "imufield.deliver.exports", "imufield.deliver.report"),
 }
@@ -45,7 +46,7 @@ USED = {
     "export-data session --to csv -o samples.csv": {*READING, "orjson"},
     "apply session/parameters.toml session -o corrected.csv": {*READING, "orjson"},
     "history session": {"numpy", "numpy.random", "concurrent.futures", "subprocess", "imufield.calibrate.gyroscope"},
-    "report session": {*SOLVING, "rich", "jinja2", "importlib.metadata"},
+    "report session": {*SOLVING, "rich", "jinja2", "importlib.metadata", "imufield.calibrate.accelerometer.methods"},
 }
 
 

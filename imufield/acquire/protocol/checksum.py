@@ -11,7 +11,6 @@ Sums have the same form with numbers for XOR: each byte adds a weight that depen
 
 from __future__ import annotations
 
-import difflib
 from abc import ABC, abstractmethod
 from functools import cache
 from typing import TYPE_CHECKING, NamedTuple
@@ -327,6 +326,8 @@ def make_checksum(algorithm: str, pad_to: int = 1, *, start: int | None = None, 
         return _PLAIN[algorithm]()
     parameters = _catalogue().get(algorithm)
     if parameters is None:
+        import difflib
+
         near = difflib.get_close_matches(algorithm.upper(), checksum_names(), n=1, cutoff=0.4)
         example = near[0] if near else "CRC-32/MPEG-2"
         raise ProtocolError(sentence("checksum.unknown", algorithm=algorithm, example=example))

@@ -9,7 +9,6 @@ A value may be written out, or taken from a setting::
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from functools import lru_cache
 from typing import Self, TypeVar
@@ -241,6 +240,8 @@ class Table:
 
 def near(word: object, known: Iterable[str]) -> str:
     """Return " (did you mean 'x'?)" for the nearest known word, or nothing."""
+    import difflib
+
     found = difflib.get_close_matches(str(word), sorted(known), n=1)
     return f" (did you mean {found[0]!r}?)" if found else ""
 

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration, GyroscopeParameters
 from imufield.calibrate.model.temperature_polynomials import TriadTemperature
-from imufield.calibrate.temperature.at_temperature import calibration_at
 from imufield.dataclass import dataclass, field, replace
 from imufield.deliver.parameters.apply import (
     at_reference,
@@ -251,6 +250,8 @@ class Parameters:
         """
         if not self.temperature_models:
             return self
+        from imufield.calibrate.temperature.at_temperature import calibration_at
+
         calibration = calibration_at(self.calibration, temperature_degc)
         session = replace(self.context.session, temperature_degc=(temperature_degc, temperature_degc))
         context = replace(self.context, session=session, temperature_sources=())
