@@ -28,6 +28,7 @@ from imufield.guide import refusals
 from imufield.guide.cross_checks.centre import centred
 from imufield.guide.positions import angle_rad
 from imufield.guide.refusals import Refusal
+from imufield.guide.stillness.cells import CellRun, Cells
 from imufield.guide.stillness.detector import LONGEST_WAIT_S, StillnessDetector
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import Judgement, Phase
@@ -116,29 +117,29 @@ class MoveLog:
     """Collects moves from judgements, the newest 24, each up to a minute long."""
 
     def __init__(self) -> None:
-        self._rates: list[list[float]] = []
         self._before: list[float] = []
-        self._slot: int | None = None
-        self._whole = False
-        self._finished: deque[tuple[list[float], list[float], list[list[float]]]] = deque(maxlen=_MOVES_KEPT)
+        self._last: tuple[Cells, int] | None = None  # The cell before and its row.
+        self._way = CellRun()  # From the last cell of a still on.
+        self._finished: deque[tuple[list[float], list[float], FloatArray]] = deque(maxlen=_MOVES_KEPT)
 
     def follow(self, judgement: Judgement, still_mean: list[float]) -> None:
         """Add one judgement and the running mean of the stretch in progress (6 raw rates; empty when there is none)."""
-        slot = int(judgement.cells.slot[judgement.row])
-        # Where its clock was set, the unit may have turned for as long as nobody knows.
-        is_set = int(judgement.cells.flags[judgement.row]) & Status.CLOCK_SET
-        unbroken = self._slot is not None and slot - self._slot == 1 and not is_set
-        self._slot, self._whole = slot, self._whole and unbroken
-        if judgement.ended is not None:
-            # A gap ends a stretch, too, and the unit may have turned during it.
-            self._before, self._rates, self._whole = judgement.ended.mean, [], unbroken
+        last, self._last = self._last, (judgement.cells, judgement.row)
+        if judgement.ended is not None and last is not None:
+            self._before, self._way = judgement.ended.mean, CellRun()
+            self._way.add(*last)
+        if not self._before:
+            return
+        self._way.add(*self._last)
         if judgement.phase is Phase.STILL:
-            if self._before and self._whole and self._rates:
-                self._finished.append((self._before, list(still_mean), self._rates))
-            self._before, self._rates = [], []
-        elif self._before:
-            self._rates.append(judgement.cells.mean[judgement.row, 3:].tolist())
-            self._whole = self._whole and len(self._rates) <= _LONGEST_MOVE_CELLS
+            way = self._way.cells()
+            # In a gap the unit may have turned; where its clock was set, for as long as nobody knows.
+            is_set = way.flags[1:] & np.uint32(Status.CLOCK_SET)
+            if len(way) > 2 and (np.diff(way.slot) == 1).all() and not is_set.any():
+                self._finished.append((self._before, list(still_mean), way.mean[1:-1, 3:]))
+            self._before = []
+        elif len(self._way) > _LONGEST_MOVE_CELLS + 1:
+            self._before = []
 
     def moves(self, scale: RoughScale) -> list[MoveBetweenStills]:
         """Return the moves with a gyroscope that turned up by enough to tell axes apart."""
@@ -146,7 +147,7 @@ class MoveLog:
         for before, after, rates in self._finished:
             start, end = (scale.up(np.array(mean[:3])) for mean in (before, after))
             bias = (np.array(before[3:]) + np.array(after[3:])) / 2
-            rate = np.array(rates) - bias
+            rate = rates - bias
             if np.isfinite(rate).all() and angle_rad(start, end) > math.radians(_LEAST_TURN_DEG):
                 found.append(MoveBetweenStills(start, end, rate))
         return found

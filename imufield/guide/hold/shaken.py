@@ -8,7 +8,7 @@ import numpy as np
 
 from imufield.guide.positions import angle_deg
 from imufield.guide.refusals import NOT_STILL, Refusal
-from imufield.guide.stillness.cells import Cells, cells_in, join_cells
+from imufield.guide.stillness.cells import CellRun, Cells, cells_in
 from imufield.guide.stillness.detector import StillnessDetector
 from imufield.guide.stillness.limits import largest_activity
 from imufield.guide.stillness.stretch import Judgement, Phase
@@ -35,30 +35,29 @@ class ShakenHolds:
     def __init__(self) -> None:
         self.found: list[ShakenHold] = []
         self._run: list[Cells] = []  # Blocks of one direction.
-        self._block: list[Cells] = []
+        self._block = CellRun()
+        self._slot = 0  # Of the cell before.
 
     def follow(self, judgement: Judgement, detector: StillnessDetector, rest_raw: FloatArray) -> None:
         """Take the next cell; ``rest_raw`` is the gyroscope at rest, shape (3,), NaN where not known."""
-        is_still = judgement.phase is Phase.STILL
-        if is_still and not self._run:
-            self._block = []
+        cells, row = judgement.cells, judgement.row
+        before, self._slot = self._slot, int(cells.slot[row])
+        unbroken = not self._block or self._slot - before in (1, 2)
+        if judgement.phase is Phase.STILL or not unbroken or not cells.usable[row]:
+            if self._run or self._block:
+                self.end(detector)
             return
-        cell = judgement.cells[judgement.row : judgement.row + 1]
-        unbroken = not self._block or int(cell.slot[0] - self._block[-1].slot[0]) in (1, 2)
-        if is_still or not unbroken or not cell.usable[0]:
-            self.end(detector)
-            return
-        self._block.append(cell)
+        self._block.add(cells, row)
         if len(self._block) < cells_in(_BLOCK_S):
             return
-        block, self._block = join_cells(self._block), []
+        block, self._block = self._block.cells(), CellRun()
         if not self._run or not self._is_as_before(block, detector, rest_raw):
             self.end(detector)
         self._run.append(block)
 
     def end(self, detector: StillnessDetector) -> None:
         """End the stretch here, and note it where it is as long as a hold and shakes all the time."""
-        run, self._run, self._block = self._run, [], []
+        run, self._run, self._block = self._run, [], CellRun()
         if not cells_in(_LEAST_S) <= sum(map(len, run)) <= cells_in(_MOST_S):
             return
         vibration = np.sqrt([block.variance.mean(axis=0) for block in run]) / detector.limits.vibration
@@ -71,8 +70,8 @@ class ShakenHolds:
 
     def _is_as_before(self, block: Cells, detector: StillnessDetector, rest_raw: FloatArray) -> bool:
         """Whether the unit keeps the direction that it had, and does not turn about the vertical."""
-        up, up_before = (detector.scale.up(each.mean[:, :3].mean(axis=0)) for each in (block, self._run[0]))
-        turned = np.linalg.norm(block.mean[:, 3:].mean(axis=0) - rest_raw) * _BLOCK_S
+        mean, first = (each.mean.mean(axis=0) for each in (block, self._run[0]))
+        turned = np.linalg.norm(mean[3:] - rest_raw) * _BLOCK_S
         # Not where the gyroscope or its scale is not known.
         turns = bool(turned > np.radians(_KEPT_DEG) * (detector.scale.gyroscope or np.inf))
-        return angle_deg(up, up_before) <= _KEPT_DEG and not turns
+        return not turns and angle_deg(detector.scale.up(mean[:3]), detector.scale.up(first[:3])) <= _KEPT_DEG

@@ -94,6 +94,30 @@ def join_cells(parts: Sequence[Cells]) -> Cells:
     return Cells(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in _FIELDS})
 
 
+class CellRun:
+    """Cells one after the other as they are judged; they are joined when somebody asks for them."""
+
+    def __init__(self) -> None:
+        self._parts: list[tuple[Cells, int, int]] = []  # Blocks, and the rows of each: first and behind the last.
+
+    def __len__(self) -> int:
+        return sum(end - begin for _, begin, end in self._parts)
+
+    def add(self, cells: Cells, row: int, count: int = 1) -> None:
+        """Append cells of a block."""
+        begin = row
+        if self._parts and self._parts[-1][0] is cells and self._parts[-1][2] == row:
+            begin = self._parts.pop()[1]
+        self._parts.append((cells, begin, row + count))
+
+    def cells(self) -> Cells:
+        """Return them all; at least one was added."""
+        joined = join_cells([cells[begin:end] for cells, begin, end in self._parts])
+        # Asked again and again of a run that grows cell by cell.
+        self._parts = [(joined, 0, len(joined))]
+        return joined
+
+
 def cells_in(duration_s: float) -> int:
     """Return a duration as a whole number of cells."""
     return round(duration_s / CELL_S)

@@ -205,29 +205,27 @@ class StillnessDetector:
             self._rest = floor.mean.tolist()
 
     def _judge_under_one_floor(self, cells: Cells, start: int) -> Iterator[Judgement]:
-        standard = self._table.standard
-        vibration = [vibration_ratio(cells.variance[start:], tracker.standard.limits).tolist() for tracker in self._trackers]
-        means = cells.mean[start:].tolist()
-        slots = cells.slot[start:].tolist()
-        full = (cells.usable[start:] >= USABLE_SHARE * standard.usual_samples).tolist()
+        standard, rows = self._table.standard, slice(start, len(cells))
+        ratios = [vibration_ratio(cells.variance[rows], tracker.standard.limits).tolist() for tracker in self._trackers]
+        means, slots = cells.mean[rows].tolist(), cells.slot[rows].tolist()
+        full = (cells.usable[rows] >= USABLE_SHARE * standard.usual_samples).tolist()
         # Nobody knows how long it took to set the clock, nor whether the instrument was off meanwhile.
-        timed = ((cells.flags[start:] & np.uint32(Status.CLOCK_SET)) == 0).tolist()
-        for offset, mean in enumerate(means):
-            gap = 1 if self._slot is None else slots[offset] - self._slot
-            if full[offset]:
-                self._slot = slots[offset]
+        timed = ((cells.flags[rows] & np.uint32(Status.CLOCK_SET)) == 0).tolist()
+        for row, slot, mean, is_full, is_timed, *vibration in zip(
+            range(start, len(cells)), slots, means, full, timed, *ratios, strict=True
+        ):
+            gap = 1 if self._slot is None else slot - self._slot
+            if is_full:
+                self._slot = slot
+                # One lost cell between two is bridged.
+                unbroken = gap in (1, 2) and is_timed
                 found = [
-                    tracker.follow(
-                        JudgedCell(cells, start + offset, ratio[offset], mean),
-                        # One lost cell between two is bridged.
-                        unbroken=gap in (1, 2) and timed[offset],
-                        rest=self._rest,
-                    )
+                    tracker.follow(JudgedCell(cells, row, ratio, mean), unbroken=unbroken, rest=self._rest)
                     for tracker, ratio in zip(self._trackers, vibration, strict=True)
                 ]
                 yield self._choose(*found)
             else:
-                yield self._judge_lost(cells, start + offset, gap)
+                yield self._judge_lost(cells, row, gap)
             if self._table.standard is not standard:
                 return
 

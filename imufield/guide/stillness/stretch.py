@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imufield.guide.stillness.cells import Cells, cells_in, join_cells
+from imufield.guide.stillness.cells import CellRun, Cells, cells_in
 from imufield.guide.stillness.limits import OTHER_SIDE, Allowances, Limits
 from imufield.guide.stillness.noise_floor import NoiseFloor
 from imufield.guide.stillness.scale import RoughScale
@@ -32,17 +32,14 @@ class Stretch:
 
     def __init__(self, longest: int) -> None:
         self._longest = longest
-        self._parts: list[tuple[Cells, int, int]] = []
+        self._kept = CellRun()
         self.mean: list[float] = []
         self.judged = 0  # Cells that belong to the stretch, kept or not.
 
     def add(self, cells: Cells, row: int, mean: list[float]) -> None:
         """Append one cell and update the running mean: of all cells at first, of the last 50 or so later."""
         if self.judged < self._longest:
-            if self._parts and self._parts[-1][0] is cells and self._parts[-1][2] == row:
-                self._parts[-1] = (cells, self._parts[-1][1], row + 1)
-            else:
-                self._parts.append((cells, row, row + 1))
+            self._kept.add(cells, row)
         self.judged += 1
         if not self.mean:
             self.mean = list(mean)
@@ -58,15 +55,13 @@ class Stretch:
 
     def cells(self) -> Cells:
         """Return the kept cells; at least one was added."""
-        joined = join_cells([cells[start:stop] for cells, start, stop in self._parts])
-        # Asked again and again of a stretch that grows cell by cell.
-        self._parts = [(joined, 0, len(joined))]
-        return joined
+        return self._kept.cells()
 
     def cut(self, rows: slice) -> None:
         """Keep only some of the kept cells, at least one, and compute the mean of these."""
         whole, cells = self.judged == len(self), self.cells()[rows]
-        self._parts = [(cells, 0, len(cells))]
+        self._kept = CellRun()
+        self._kept.add(cells, 0, len(cells))
         self.judged = len(cells) if whole else self.judged - rows.start
         self.mean = np.nanmean(cells.mean, axis=0).tolist() if whole else self.mean
 
@@ -151,28 +146,23 @@ class Tracker:
             Raw rates (6) of the last stretch that shows the bias of the gyroscope; empty without a gyroscope.
         """
         cells, row, vibration, mean = cell
-        activity = max(vibration, self._change_ratio(mean))
-        reference, limits = self.stretch.mean, self.standard.limits
-        if self.phase is Phase.STILL:
-            if unbroken and activity <= LEAVE_FACTOR:
-                self.stretch.add(cells, row, mean)
-                return Judgement(Phase.STILL, cells, row, reference, limits=limits)
-            ended = self.stretch
+        stretch, was_still = self.stretch, self.phase is Phase.STILL
+        reference, limit = stretch.mean, LEAVE_FACTOR if was_still else 1.0
+        goes_on = unbroken and bool(reference) and vibration <= limit and self._change_ratio(mean) <= limit
+        ended = stretch if was_still and not goes_on else None
+        if ended is not None or not unbroken:
             self._passed.clear()
+        if not was_still:
+            self._passed.append(cell)
+        if not goes_on:
             # What it showed of the rest is learned with the next cell: a turn on its side is none of another side.
-            self._begin(cell, rest and ended.mean)
-            return Judgement(self.phase, cells, row, reference, ended=ended, limits=limits)
-        if not unbroken:
-            self._passed.clear()
-        self._passed.append(cell)
-        if unbroken and activity <= 1 and self.stretch.judged:
-            self.stretch.add(cells, row, mean)
-            self.phase = Phase.STILL if self.stretch.judged >= self._dwell else Phase.SETTLING
-            if self.phase is Phase.STILL:
-                self._reach_back()
+            self._begin(cell, stretch.mean if rest and was_still else rest)
         else:
-            self._begin(cell, rest)
-        return Judgement(self.phase, cells, row, reference, limits=limits)
+            stretch.add(cells, row, mean)
+            if not was_still and stretch.judged >= self._dwell:
+                self.phase = Phase.STILL
+                self._reach_back()
+        return Judgement(self.phase, cells, row, reference, ended, limits=self.standard.limits)
 
     def _reach_back(self) -> None:
         """Add the cells before the stretch to it, the nearest first, up to one that would have ended it."""
@@ -188,7 +178,10 @@ class Tracker:
 
     def _begin(self, cell: JudgedCell, rest: list[float]) -> None:
         """Begin a candidate with this cell if it could be the first of a stretch."""
-        self._drop()
+        if self.stretch.judged:
+            self._drop()
+        if cell.vibration > 1:
+            return
         weight, limits, offset = self.standard.change_weight, self.standard.limits, 0.0
         limit = limits.gyroscope_offset
         if rest:
@@ -196,7 +189,7 @@ class Tracker:
             if math.dist(cell.mean[:3], rest[:3]) > OTHER_SIDE * math.dist(rest[:3], self.standard.raw_zero):
                 limit = limits.offset_on_other_side
         # A cell without a value of the gyroscope, NaN, is judged by the accelerometer alone.
-        if cell.vibration <= 1 and not offset > limit:
+        if not offset > limit:
             self.stretch.add(cell.cells, cell.row, cell.mean)
             self.phase = Phase.SETTLING
 
