@@ -272,15 +272,15 @@ class MoveCollector:
             replace(part, start_s=np.maximum.accumulate(np.maximum(part.start_s, before_s)))
             for part, before_s in zip(parts, [-np.inf, *latest_s.tolist()], strict=False)
         ]
-        groups = [rising[at : at + _JOINED_AT_ONCE] for at in range(0, len(rising), _JOINED_AT_ONCE)]
-        in_groups = [sum_cells(group.start_s, slot_sums(group)) for group in map(stack_slots, groups)]
-        cell_s, sums = sum_cells(*(np.concatenate(each) for each in zip(*in_groups, strict=True)))
+        in_parts = [sum_cells(part.start_s, slot_sums(part)) for part in rising]
+        cell_s, sums = sum_cells(*(np.concatenate(each) for each in zip(*in_parts, strict=True)))
         stills = np.stack([start_s, start_s + duration_s], axis=1)[np.argsort(start_s, kind="stable")]
         stills = stretch_stills(cell_s, sums, stills=stills)
         # The last still that begins before each cell: whole cells of it are joined.
         still = np.searchsorted(stills[:, 0], cell_s + _SLOT_MARGIN, side="right") - 1
         next_s = np.append(cell_s[1:], np.inf)
         inside = (still >= 0) & (next_s <= stills[still, 1] + _SLOT_MARGIN) if len(stills) else np.zeros(len(cell_s), np.bool_)
+        groups = [rising[at : at + _JOINED_AT_ONCE] for at in range(0, len(rising), _JOINED_AT_ONCE)]
         joined = [_join_cells(group, cell_s, inside) for group in map(stack_slots, groups)]
         # Where a group ended in the middle of a cell.
         return joined[0] if len(joined) == 1 else _join_cells(stack_slots(joined), cell_s, inside)
