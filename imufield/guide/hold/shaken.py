@@ -10,7 +10,7 @@ from imufield.guide.positions import angle_deg
 from imufield.guide.refusals import NOT_STILL, Refusal
 from imufield.guide.stillness.cells import CellRun, Cells, cells_in
 from imufield.guide.stillness.detector import StillnessDetector
-from imufield.guide.stillness.limits import largest_activity
+from imufield.guide.stillness.limits import largest_activity, vibration_ratio
 from imufield.guide.stillness.stretch import Judgement, Phase
 from imufield.samples import FloatArray
 
@@ -42,8 +42,8 @@ class ShakenHolds:
         """Take the next cell; ``rest_raw`` is the gyroscope at rest, shape (3,), NaN where not known."""
         cells, row = judgement.cells, judgement.row
         before, self._slot = self._slot, int(cells.slot[row])
-        unbroken = not self._block or self._slot - before in (1, 2)
-        if judgement.phase is Phase.STILL or not unbroken or not cells.usable[row]:
+        is_broken = self._block and self._slot - before not in (1, 2)
+        if judgement.phase is Phase.STILL or is_broken or not cells.usable[row]:
             if self._run or self._block:
                 self.end(detector)
             return
@@ -51,7 +51,7 @@ class ShakenHolds:
         if len(self._block) < cells_in(_BLOCK_S):
             return
         block, self._block = self._block.cells(), CellRun()
-        if not self._run or not self._is_as_before(block, detector, rest_raw):
+        if self._run and not self._is_as_before(block, detector, rest_raw):
             self.end(detector)
         self._run.append(block)
 
@@ -60,12 +60,12 @@ class ShakenHolds:
         run, self._run, self._block = self._run, [], CellRun()
         if not cells_in(_LEAST_S) <= sum(map(len, run)) <= cells_in(_MOST_S):
             return
-        vibration = np.sqrt([block.variance.mean(axis=0) for block in run]) / detector.limits.vibration
-        ratios = [largest_activity(each, np.zeros(6), detector.limits, detector.scale).ratio for each in vibration]
-        if min(ratios) <= 1:
+        variance = np.array([block.variance.mean(axis=0) for block in run])
+        if vibration_ratio(variance, detector.limits).min() <= 1:
             return
         mean_raw = np.mean([block.mean[:, :3].mean(axis=0) for block in run], axis=0)
-        typical = largest_activity(np.sqrt((vibration**2).mean(axis=0)), np.zeros(6), detector.limits, detector.scale)
+        vibration = np.sqrt(variance.mean(axis=0)) / detector.limits.vibration
+        typical = largest_activity(vibration, np.zeros(6), detector.limits, detector.scale)
         self.found.append(ShakenHold(float(run[0].start_s[0]), mean_raw, typical.refusal(NOT_STILL)))
 
     def _is_as_before(self, block: Cells, detector: StillnessDetector, rest_raw: FloatArray) -> bool:

@@ -99,9 +99,10 @@ class CellRun:
 
     def __init__(self) -> None:
         self._parts: list[tuple[Cells, int, int]] = []  # Blocks, and the rows of each: first and behind the last.
+        self._count = 0
 
     def __len__(self) -> int:
-        return sum(end - begin for _, begin, end in self._parts)
+        return self._count
 
     def add(self, cells: Cells, row: int, count: int = 1) -> None:
         """Append cells of a block."""
@@ -109,6 +110,7 @@ class CellRun:
         if self._parts and self._parts[-1][0] is cells and self._parts[-1][2] == row:
             begin = self._parts.pop()[1]
         self._parts.append((cells, begin, row + count))
+        self._count += count
 
     def cells(self) -> Cells:
         """Return them all; at least one was added."""

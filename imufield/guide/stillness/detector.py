@@ -51,7 +51,7 @@ from imufield.guide.stillness.noise_floor import (
     measure_floor,
 )
 from imufield.guide.stillness.scale import RoughScale
-from imufield.guide.stillness.stretch import JudgedCell, Judgement, Phase, Standard, Stretch, Tracker
+from imufield.guide.stillness.stretch import Judgement, Phase, Standard, Stretch, Tracker
 from imufield.samples import Status, median
 
 # No more than this of a stretch is kept: beyond the minimum of the Allan deviation a hold gains nothing.
@@ -211,16 +211,15 @@ class StillnessDetector:
         full = (cells.usable[rows] >= USABLE_SHARE * standard.usual_samples).tolist()
         # Nobody knows how long it took to set the clock, nor whether the instrument was off meanwhile.
         timed = ((cells.flags[rows] & np.uint32(Status.CLOCK_SET)) == 0).tolist()
-        for row, slot, mean, is_full, is_timed, *vibration in zip(
-            range(start, len(cells)), slots, means, full, timed, *ratios, strict=True
-        ):
+        each = zip(slots, means, full, timed, *ratios, strict=True)
+        for row, (slot, mean, is_full, is_timed, *vibration) in enumerate(each, start):
             gap = 1 if self._slot is None else slot - self._slot
             if is_full:
                 self._slot = slot
                 # One lost cell between two is bridged.
                 unbroken = gap in (1, 2) and is_timed
                 found = [
-                    tracker.follow(JudgedCell(cells, row, ratio, mean), unbroken=unbroken, rest=self._rest)
+                    tracker.follow((cells, row, ratio, mean), unbroken=unbroken, rest=self._rest)
                     for tracker, ratio in zip(self._trackers, vibration, strict=True)
                 ]
                 yield self._choose(*found)

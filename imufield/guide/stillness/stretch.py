@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from enum import Enum
+from operator import mul, sub
 from typing import NamedTuple
 
 import numpy as np
@@ -47,11 +48,9 @@ class Stretch:
         share = 1 / min(self.judged, _MEAN_CELLS)
         moved = [old + share * (new - old) for old, new in zip(self.mean, mean, strict=True)]
         # What an axis that is missing in this cell had before, it keeps.
-        self.mean = (
-            [old if math.isnan(now) else now for old, now in zip(self.mean, moved, strict=True)]
-            if math.isnan(sum(moved))
-            else moved
-        )
+        if math.isnan(sum(moved)):
+            moved = [old if math.isnan(now) else now for old, now in zip(self.mean, moved, strict=True)]
+        self.mean = moved
 
     def cells(self) -> Cells:
         """Return the kept cells; at least one was added."""
@@ -103,13 +102,8 @@ class Standard(NamedTuple):
 _NO_STANDARD = Standard(Limits(np.full(6, np.inf), np.full(6, np.inf), 1.0, 1.0), [0.0] * 6, 0.0, [0.0] * 3)
 
 
-class JudgedCell(NamedTuple):
-    """One cell in the form that the loop over cells needs."""
-
-    cells: Cells
-    row: int
-    vibration: float
-    mean: list[float]
+JudgedCell = tuple[Cells, int, float, list[float]]
+"""One cell in the form that the loop over cells needs: its block and row there, its vibration ratio, its mean."""
 
 
 class Tracker:
@@ -148,7 +142,7 @@ class Tracker:
         cells, row, vibration, mean = cell
         stretch, was_still = self.stretch, self.phase is Phase.STILL
         reference, limit = stretch.mean, LEAVE_FACTOR if was_still else 1.0
-        goes_on = unbroken and bool(reference) and vibration <= limit and self._change_ratio(mean) <= limit
+        goes_on = unbroken and bool(reference) and vibration <= limit and max(self._changes(mean, reference)) <= limit
         ended = stretch if was_still and not goes_on else None
         if ended is not None or not unbroken:
             self._passed.clear()
@@ -168,37 +162,34 @@ class Tracker:
         """Add the cells before the stretch to it, the nearest first, up to one that would have ended it."""
         passed = list(self._passed)
         first = begin = max(len(passed) - self.stretch.judged, 0)
-        while begin and max(passed[begin - 1].vibration, self._change_ratio(passed[begin - 1].mean)) <= LEAVE_FACTOR:
+        for _, _, vibration, mean in reversed(passed[:first]):
+            if max(vibration, *self._changes(mean, self.stretch.mean)) > LEAVE_FACTOR:
+                break
             begin -= 1
         self._passed.clear()
         if begin < first:
             self.stretch = Stretch(self._longest)
-            for cell in passed[begin:]:
-                self.stretch.add(cell.cells, cell.row, cell.mean)
+            for cells, row, _, mean in passed[begin:]:
+                self.stretch.add(cells, row, mean)
 
     def _begin(self, cell: JudgedCell, rest: list[float]) -> None:
         """Begin a candidate with this cell if it could be the first of a stretch."""
         if self.stretch.judged:
             self._drop()
-        if cell.vibration > 1:
+        cells, row, vibration, mean = cell
+        if vibration > 1:
             return
-        weight, limits, offset = self.standard.change_weight, self.standard.limits, 0.0
-        limit = limits.gyroscope_offset
+        limit, offset = self.standard.limits.gyroscope_offset, 0.0
         if rest:
-            offset = math.hypot(*((cell.mean[i] - rest[i]) * weight[i] for i in range(3, 6)))
-            if math.dist(cell.mean[:3], rest[:3]) > OTHER_SIDE * math.dist(rest[:3], self.standard.raw_zero):
-                limit = limits.offset_on_other_side
+            _, offset = self._changes(mean, rest)
+            if math.dist(mean[:3], rest[:3]) > OTHER_SIDE * math.dist(rest[:3], self.standard.raw_zero):
+                limit = self.standard.limits.offset_on_other_side
         # A cell without a value of the gyroscope, NaN, is judged by the accelerometer alone.
         if not offset > limit:
-            self.stretch.add(cell.cells, cell.row, cell.mean)
+            self.stretch.add(cells, row, mean)
             self.phase = Phase.SETTLING
 
-    def _change_ratio(self, mean: list[float]) -> float:
-        """Return the larger change ratio of the two triads against the stretch's running mean, 0 without one."""
-        before = self.stretch.mean
-        if not before:
-            return 0.0
-        x, y, z, p, q, r = [
-            (new - old) * weight for new, old, weight in zip(mean, before, self.standard.change_weight, strict=True)
-        ]
-        return max(math.hypot(x, y, z), math.hypot(p, q, r))
+    def _changes(self, mean: list[float], before: list[float]) -> tuple[float, float]:
+        """Return the change ratios of the two triads from one mean to another."""
+        x, y, z, p, q, r = map(mul, map(sub, mean, before), self.standard.change_weight)
+        return math.hypot(x, y, z), math.hypot(p, q, r)
