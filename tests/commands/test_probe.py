@@ -28,10 +28,9 @@ from imufield.samples import Samples
 from imufield.simulate.emulator.emulate import SCRIPTS, Emulation, choose_wire, make_emulator, make_virtual_imu
 from imufield.simulate.emulator.port import PseudoTerminal
 from imufield.simulate.emulator.serial import Emulator
-from imufield.simulate.instruments.device import Answer, Frames
+from imufield.simulate.instruments.device import Answer, Device, Frames
 from imufield.simulate.instruments.microstrain import MicroStrainInstrument
 from imufield.simulate.instruments.protocol_device import ProtocolDevice
-from imufield.simulate.instruments.text import TextDevice
 from tests.acquire.streams import INSTRUMENTS as STREAMS
 from tests.commands.told import missing
 
@@ -84,17 +83,19 @@ def test_an_instrument_is_found_with_its_command_line(name: str) -> None:
     assert there.device.memory_writes == []  # type: ignore[attr-defined]  # each of these has it
 
 
-class Playback(TextDevice):
+class Playback(Device):
     """Sends what an instrument sends, and hears nothing."""
 
     def __init__(self, name: str) -> None:
-        super().__init__()
         _, _, self._sample = STREAMS[name]
 
     def encode(self, samples: Samples) -> Frames:
         parts = [self._sample(int(number), time_s) for number, time_s in zip(samples.counter, samples.time_s, strict=True)]
         ends = np.cumsum([len(part) for part in parts], dtype=np.int64)
         return Frames(np.frombuffer(b"".join(parts), dtype=np.uint8), ends, ends - 1)
+
+    def jump_counter(self, by: int) -> None:
+        """Have none."""
 
 
 @pytest.mark.parametrize("name", STREAMS)

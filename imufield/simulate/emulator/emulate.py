@@ -31,7 +31,6 @@ from imufield.simulate.instruments.microstrain import MicroStrainInstrument
 from imufield.simulate.instruments.protocol_device import InProtocolUnits, ProtocolDevice
 from imufield.simulate.instruments.scripted import ScriptedInstrument
 from imufield.simulate.instruments.stim300 import Stim300Device, Stim300Identity
-from imufield.simulate.instruments.text import TextDevice
 from imufield.simulate.instruments.vectornav import VectorNavInstrument
 from imufield.simulate.instruments.witmotion import WitMotionInstrument
 from imufield.simulate.instruments.xsens import XsensInstrument
@@ -49,7 +48,7 @@ sentence = Sentences(__package__)
 TRUTH_FORMAT = "imufield-truth"
 TRUTH_VERSION = 1
 
-OWN_RATE_HZ = {"stim300": 2000.0, "text": 100.0}
+OWN_RATE_HZ = {"stim300": 2000.0}
 """Usual rates of instruments with a device class of their own; those of the others are in their protocols."""
 SCRIPTS: Mapping[str, Callable[[float, WireForm], ScriptedInstrument]] = {
     "aceinna_serial": AceinnaInstrument,
@@ -63,11 +62,8 @@ SCRIPTS: Mapping[str, Callable[[float, WireForm], ScriptedInstrument]] = {
 DEFAULT_BUS = "slcan"
 _OWN_FORM = WireForm("", 0.0, {}, ())
 STIM300_RATES_HZ = (125.0, 250.0, 500.0, 1000.0, 2000.0)
-# Settings of the protocol that an instrument with a device class of its own takes.
-_EMULATED_SETTINGS = {
-    "text": ("columns", "prefix"),
-    "stim300": ("accelerometer_range_g", "accelerometer_output", "gyroscope_output"),
-}
+# Of the protocol, that the device class takes.
+_STIM300_SETTINGS = ("accelerometer_range_g", "accelerometer_output", "gyroscope_output")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -359,12 +355,8 @@ def make_device(options: Emulation, wire: WireChoice) -> Device:
         return ProtocolDevice(wire.protocol, form, rate_hz, None if script is None else script(rate_hz, form))
     # Values as the protocol has read them, which a format of the same names takes.
     chosen: dict[str, Any] = {name: wire.protocol.settings[name].value for name in options.settings if name != "rate_hz"}
-    if wrong := [name for name in chosen if name not in _EMULATED_SETTINGS[device]]:
-        allowed = _EMULATED_SETTINGS[device]
-        raise UsageError(sentence("emulate.setting", setting=wrong[0], device=device, allowed=allowed))
-    if device == "text":
-        columns = [name.strip() for name in str(wire.protocol.settings["columns"].value).split(",")]
-        return TextDevice(columns, str(wire.protocol.settings["prefix"].value))
+    if wrong := [name for name in chosen if name not in _STIM300_SETTINGS]:
+        raise UsageError(sentence("emulate.setting", setting=wrong[0], device=device, allowed=_STIM300_SETTINGS))
     if rate_hz not in STIM300_RATES_HZ:
         raise UsageError(sentence("emulate.rate", rate_hz=rate_hz, rates_hz=STIM300_RATES_HZ))
     identity = Stim300Identity.of_seed(options.seed, options.grade)

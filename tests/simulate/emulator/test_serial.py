@@ -13,11 +13,11 @@ import pytest
 
 from imufield.errors import Reason, UsageError
 from imufield.simulate.emulator.core import EmulatorSettings
+from imufield.simulate.emulator.emulate import Emulation, choose_wire, make_device
 from imufield.simulate.emulator.faults import Faults
 from imufield.simulate.emulator.port import PseudoTerminal
 from imufield.simulate.emulator.serial import Emulator
 from imufield.simulate.instruments.stim300 import Stim300Device, utility_message
-from imufield.simulate.instruments.text import TextDevice
 from imufield.simulate.truth.grades import TACTICAL, perfect_instrument
 from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.operator import Operator
@@ -207,7 +207,9 @@ def test_counter_jumps_where_faults_say_so() -> None:
 
 
 def test_duration_ends_it() -> None:
-    with Emulator(TextDevice(), source(100.0), EmulatorSettings(speed=20.0, duration_s=2.0, wait_for_reader=True)) as emulator:
+    options = Emulation(device="text")
+    device = make_device(options, choose_wire(options))
+    with Emulator(device, source(100.0), EmulatorSettings(speed=20.0, duration_s=2.0, wait_for_reader=True)) as emulator:
         descriptor = open_port(emulator.port)
         lines = read_until(descriptor, lambda got: got.count(b"\n") >= 200).decode().splitlines()
         assert emulator.wait(LIMIT_S)

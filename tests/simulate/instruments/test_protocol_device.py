@@ -41,6 +41,7 @@ HALF_STEPS = {
     "sbg_sbgecom-IMU_SHORT": (2**-21, 2**-27),
     "sbg_sbgecom-IMU_DATA": SINGLE,
     "motioncal": (G / 16384, DEG / 32),
+    "text": (5e-10, 5e-10),
     "vectornav_ascii": (0.0005, 0.0000005),
     "vectornav_binary": SINGLE,
     "witmotion": (8 * G / 32768, 1000 * DEG / 32768),
