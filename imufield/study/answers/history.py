@@ -18,7 +18,8 @@ from imufield.calibrate.sessions.joint import SessionNumbers
 from imufield.calibrate.sessions.kinds import kind_of
 from imufield.dataclass import replace
 from imufield.deliver.parameters.joined import numbers_of
-from imufield.simulate.truth.grades import TrueInstrument, draw_truth
+from imufield.simulate.truth.grades import draw_truth
+from imufield.study.answers.means import without_quadratic
 from imufield.study.answers.tables import Study, Table
 from imufield.study.answers.together import DAY_MG, DAY_PPM, GRADE, calibrated, on_another_day
 
@@ -43,7 +44,7 @@ def of_numbers(rng: np.random.Generator, *, size: float, step: float = 0.0) -> d
 
 def of_solves(rng: np.random.Generator) -> dict[str, bool]:
     """Judge a history of solved sessions."""
-    instrument = _instrument(rng)
+    instrument = without_quadratic(draw_truth(GRADE, rng))
     found = [calibrated(on_another_day(instrument, rng), rng) for _ in range(SESSIONS)]
     reference = found[-1][1]
     return _counted([_dated(k, numbers_of(calibration, free, reference).own) for k, (calibration, free) in enumerate(found)])
@@ -79,13 +80,8 @@ def _counted(sessions: Sequence[DatedNumbers]) -> dict[str, bool]:
 def _template() -> SessionNumbers:
     """Return the numbers of one solved session."""
     rng = np.random.default_rng(0)
-    calibration, found = calibrated(_instrument(rng), rng)
+    calibration, found = calibrated(without_quadratic(draw_truth(GRADE, rng)), rng)
     return numbers_of(calibration, found, found).own
-
-
-def _instrument(rng: np.random.Generator) -> TrueInstrument:
-    truth = draw_truth(GRADE, rng)
-    return replace(truth, accelerometer=replace(truth.accelerometer, quadratic=np.zeros(3)))
 
 
 def _sigma(name: str) -> float:

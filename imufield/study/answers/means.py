@@ -17,6 +17,7 @@ from imufield.calibrate.model.models import predict, to_vector
 from imufield.calibrate.model.observations import Observations, leave_out
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration
 from imufield.dataclass import dataclass, replace
+from imufield.deliver.parameters.gauge_free import GaugeFree, gauge_free
 from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity
 from imufield.guide.positions import scheme
 from imufield.samples import FloatArray, SampleUnits
@@ -130,6 +131,17 @@ class MeanSession:
         )
         truth = replace(unit.accelerometer, bias_m_s2=unit.accelerometer.bias_m_s2 + drift.mean(axis=0))
         return Observed(observations=observations, truth=truth, touched=frozenset(names[k] for k in touched))
+
+
+def without_quadratic(instrument: TrueInstrument) -> TrueInstrument:
+    """Return the instrument as the linear model has it."""
+    return replace(instrument, accelerometer=replace(instrument.accelerometer, quadratic=np.zeros(3)))
+
+
+def gauge_free_of(calibration: Calibration, observations: Observations) -> GaugeFree:
+    """Return the gauge-free numbers of a calibration from these observations."""
+    sigma_raw = np.sqrt(np.diagonal(observations.covariance_raw, axis1=1, axis2=2))
+    return gauge_free(calibration, observations.mean_raw, sigma_raw)
 
 
 def true_gravity(normal: Gravity, rng: np.random.Generator) -> float:

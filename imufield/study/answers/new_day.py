@@ -7,22 +7,17 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
 from imufield.calibrate.model.coverage_factors import student_factor
 from imufield.calibrate.model.grades import GRADES, Grade
 from imufield.calibrate.model.models import at_temperature
-from imufield.calibrate.model.result import AccelerometerParameters, Calibration
-from imufield.calibrate.model.temperature_polynomials import Polynomials, TriadTemperature
+from imufield.calibrate.model.result import AccelerometerParameters
 from imufield.calibrate.model.uncertainty import rms
 from imufield.calibrate.temperature.fit import TemperatureData, fit_temperature
 from imufield.calibrate.temperature.points import accelerometer_points
-from imufield.dataclass import replace
 from imufield.earth import MILLI_G_M_S2
 from imufield.samples import FloatArray
-from imufield.simulate.truth.grades import draw_truth, perfect_instrument
-from imufield.study.answers.means import KNOWN, MeanSession
 from imufield.study.answers.tables import Rows, Study, Table
-from imufield.study.answers.temperature import BIAS_PER_DEGC, REFERENCE_DEGC, SCALE_PER_DEGC
+from imufield.study.answers.temperature import REFERENCE_DEGC, cheap_chip, linear_truth, of_day, solved
 
 AT_DEGC = {3: (-10.0, 20.0, 50.0), 5: (-10.0, 5.0, 20.0, 35.0, 50.0)}
 """Sessions over 60 degC; the reference is the one at 20."""
@@ -34,19 +29,25 @@ _AWAY_DEGC = 30.0
 
 def covered(sessions: int, order: int, grade: Grade, rng: np.random.Generator) -> dict[str, ArrayLike]:
     """Calibrate an instrument on days at several temperatures, and hold what is stated for another against that day."""
-    drawn = draw_truth(grade, rng).accelerometer
-    truth = AccelerometerParameters(
-        scale=drawn.scale, bias_m_s2=drawn.bias_m_s2, misalignment_rad=np.tril(drawn.misalignment_rad)
-    )
-    over = _drawn(order, rng)
+    truth = linear_truth(grade, rng)
+    sizes = np.array([[1.0], [BENT / _AWAY_DEGC]])[:order]
+    over = cheap_chip((AT_DEGC[5][0], AT_DEGC[5][-1]), sizes, sizes, rng)
+    repeated = grade.accelerometer.turn_on, _DAY_PPM_OF_SCALE * grade.accelerometer.scale_ppm
+
+    def day_at(degc: float) -> AccelerometerParameters:
+        return of_day(at_temperature(truth, over, degc), *repeated, rng)
+
     at_degc = AT_DEGC[sessions]
-    found = [_solved(_of_day(truth, over, degc, grade, rng=rng), grade, rng) for degc in at_degc]
+    found = [solved(day_at(degc), grade, rng) for degc in at_degc]
     reference = at_degc.index(REFERENCE_DEGC)
     base = found[reference]
     points = accelerometer_points(base.accelerometer, found, at_degc, reference)
     model = fit_temperature(TemperatureData(reference_degc=REFERENCE_DEGC, points=points)).temperature
     new_degc = float(rng.uniform(at_degc[0], at_degc[-1]))
-    stated, day = at_temperature(base.accelerometer, model, new_degc), _of_day(truth, over, new_degc, grade, rng=rng)
+    stated, day = (
+        at_temperature(base.accelerometer, model, new_degc),
+        of_day(at_temperature(truth, over, new_degc), *repeated, rng),
+    )
     own = base.accelerometer_sigma
     bias_sigma, scale_sigma = model.sigma_there(new_degc, own.bias_m_s2, own.scale / base.accelerometer.scale)
     if model.new_day is None:
@@ -63,34 +64,6 @@ def covered(sessions: int, order: int, grade: Grade, rng: np.random.Generator) -
 
 def _inside(off: FloatArray, sigma: FloatArray, freedom: float) -> NDArray[np.bool_]:
     return np.asarray(np.abs(off) <= student_factor(freedom) * sigma)
-
-
-def _drawn(order: int, rng: np.random.Generator) -> TriadTemperature:
-    """Return coefficients of a cheap chip."""
-    bent = np.array([[1.0], [BENT / _AWAY_DEGC]])[:order]
-    return TriadTemperature(
-        reference_degc=REFERENCE_DEGC,
-        range_degc=(AT_DEGC[5][0], AT_DEGC[5][-1]),
-        bias=Polynomials(BIAS_PER_DEGC * bent * rng.standard_normal((order, 3)), np.zeros((3, order, order))),
-        scale=Polynomials(SCALE_PER_DEGC * bent * rng.standard_normal((order, 3)), np.zeros((3, order, order))),
-        hysteresis=np.full(3, np.nan),
-        scale_separated=True,
-    )
-
-
-def _of_day(
-    truth: AccelerometerParameters, over: TriadTemperature, degc: float, grade: Grade, *, rng: np.random.Generator
-) -> AccelerometerParameters:
-    """Return the true parameters of one day at a temperature."""
-    there, triad = at_temperature(truth, over, degc), grade.accelerometer
-    factor = 1 + 1e-6 * _DAY_PPM_OF_SCALE * triad.scale_ppm * rng.standard_normal(3)
-    return replace(there, scale=there.scale * factor, bias_m_s2=there.bias_m_s2 + triad.turn_on * rng.standard_normal(3))
-
-
-def _solved(truth: AccelerometerParameters, grade: Grade, rng: np.random.Generator) -> Calibration:
-    instrument = replace(perfect_instrument(grade), accelerometer=truth)
-    session = MeanSession(instrument=instrument, gravity_m_s2=KNOWN.gravity_m_s2).observe(rng)
-    return calibrate_accelerometer(session.observations, KNOWN, model="linear", grade=grade.name)
 
 
 _WAYS = {"five sessions, quadratic": (5, 2), "three sessions, linear": (3, 1)}

@@ -9,12 +9,11 @@ import numpy as np
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
 from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
 from imufield.calibrate.model.grades import find_grade
-from imufield.calibrate.model.observations import Observations
-from imufield.calibrate.model.result import Calibration, ModelChoice
+from imufield.calibrate.model.result import ModelChoice
 from imufield.calibrate.moves.moves import MoveCollector
 from imufield.dataclass import replace
 from imufield.deliver.pair_test import Shared, family_of, typical_turn_on
-from imufield.deliver.parameters.gauge_free import GaugeFree, gauge_free
+from imufield.deliver.parameters.gauge_free import GaugeFree
 from imufield.deliver.parameters.printed_numbers import DEG_PER_HOUR_RAD_S
 from imufield.earth import MILLI_G_M_S2, choose_gravity
 from imufield.guide.lead.guide import Guide
@@ -25,7 +24,7 @@ from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
 from imufield.simulate.truth.effects import Effects
 from imufield.simulate.truth.grades import draw_truth
 from imufield.simulate.truth.operator import OperatorSettings
-from imufield.study.answers.means import MeanSession, true_gravity
+from imufield.study.answers.means import MeanSession, gauge_free_of, true_gravity, without_quadratic
 from imufield.study.answers.recorded import moves_of
 from imufield.study.answers.tables import Statistics, Study, Table
 
@@ -53,14 +52,13 @@ def compare(
     A warm-up is the same in each axis and in both sessions, and slow: what two orders of time do not follow would be scatter.
     """
     drawn = draw_truth(find_grade(grade), rng)
-    linear = replace(drawn.accelerometer, quadratic=np.zeros(3))
     effects = Effects(turn_on_m_s2=turn_on_m_s2, warm_up_m_s2=(warm_up_m_s2, warm_up_m_s2, warm_up_m_s2), warm_up_s=_SLOW_S)
-    truth = replace(drawn, accelerometer=linear, effects=effects)
+    truth = replace(without_quadratic(drawn), effects=effects)
     gravity = choose_gravity(latitude_deg=LATITUDE_DEG)
     # The same in both sessions.
     session = MeanSession(instrument=truth, gravity_m_s2=true_gravity(gravity, rng), order=positions)
     taken = [session.observe(rng).observations for _ in range(2)]
-    return _judged(*(_gauge_free(calibrate_accelerometer(each, gravity, model=model), each) for each in taken), grade=grade)
+    return _judged(*(gauge_free_of(calibrate_accelerometer(each, gravity, model=model), each) for each in taken), grade=grade)
 
 
 def compare_guided(rng: np.random.Generator, *, grade: str) -> dict[str, bool]:
@@ -109,16 +107,11 @@ def _guided(grade: str, seed: int, day: int) -> GaugeFree:
     observations = guide.observations()
     gravity = choose_gravity(options.site.gravity_m_s2)
     given = moves_of(observations, collector, gravity, options.site.latitude_deg)
-    found = _gauge_free(calibrate_gyroscope(given).join(given.calibration), observations)
+    found = gauge_free_of(calibrate_gyroscope(given).join(given.calibration), observations)
     drift = source.imu.mean_drift / np.repeat([MILLI_G_M_S2, DEG_PER_HOUR_RAD_S], 3)
     added = dict(zip((*(f"bias {axis}" for axis in AXES), *(f"gyroscope bias {axis}" for axis in AXES)), drift, strict=True))
     numbers = tuple(replace(number, value=number.value - added.get(number.name, 0.0)) for number in found.numbers)
     return replace(found, numbers=numbers)
-
-
-def _gauge_free(calibration: Calibration, observations: Observations) -> GaugeFree:
-    sigma_raw = np.sqrt(np.diagonal(observations.covariance_raw, axis1=1, axis2=2))
-    return gauge_free(calibration, observations.mean_raw, sigma_raw)
 
 
 def _known_to(pairs: FloatArray) -> float:

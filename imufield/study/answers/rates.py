@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
 from imufield.calibrate.gyroscope.model_choice import typical_rate_terms
@@ -13,9 +16,8 @@ from imufield.calibrate.model.gauge import change_gauge, turn_gyroscope
 from imufield.calibrate.model.grades import GRADES
 from imufield.calibrate.model.models import predict_gyroscope, to_vector
 from imufield.calibrate.model.result import GyroscopeParameters
-from imufield.dataclass import dataclass, replace
+from imufield.dataclass import replace
 from imufield.guide.positions import scheme
-from imufield.samples import FloatArray
 from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
 from imufield.simulate.truth.effects import Effects
 from imufield.simulate.truth.grades import TrueInstrument
@@ -23,8 +25,7 @@ from imufield.simulate.truth.imu import Imu
 from imufield.simulate.truth.operator import OperatorSettings
 from imufield.study.answers.recorded import MOVES_RATE_HZ as RATE_HZ
 from imufield.study.answers.recorded import imported_moves
-from imufield.study.context import StudyContext
-from imufield.study.report import Findings, keyed_table
+from imufield.study.answers.tables import Rows, Study, Table
 
 ASYMMETRY_PPM = 500.0
 """Between positive and negative rates."""
@@ -34,47 +35,33 @@ TABLE_DEG_S = (25.0, 50.0, 100.0, 200.0)
 _TABLE_S = 20.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RatesKind:
-    """A kind of sessions."""
+def with_rates(
+    rng: np.random.Generator,
+    *,
+    grade: str,
+    asymmetry_ppm: float = 0.0,
+    nonlinearity_ppm: float = 0.0,
+    has_turntable: bool = False,
+    is_typical: bool = False,
+) -> dict[str, ArrayLike]:
+    """Calibrate the gyroscope of one session by moves between 24 positions.
 
-    grade: str
-    asymmetry_ppm: float = 0.0
-    nonlinearity_ppm: float = 0.0
-    has_turntable: bool = False
-    is_typical: bool = False
-    """Both drawn from what is typical of the grade instead."""
-
-
-@dataclass(frozen=True, slots=True)
-class RatesRun:
-    """One session."""
-
-    named: frozenset[str]
-    lowers: bool
-    """Whether the verdict is no better than usable because of it."""
-    before: FloatArray
-    """Error of the scales over their 95 % limits, shape (3,), as they would be without the test."""
-    after: FloatArray
-
-
-def run_rates(kind: RatesKind, rng: np.random.Generator) -> RatesRun:
-    """Calibrate the gyroscope of one session by moves between 24 positions."""
+    Both effects are as large as told, of any sign, or drawn from what is typical of the grade.
+    """
     habits = OperatorSettings(hold_s=5.0, initial_still_s=8.0)
     seed = int(rng.integers(2**31))
     drawn = make_virtual_imu(
-        Emulation(rate_hz=RATE_HZ, seed=seed, grade=kind.grade, directions=scheme("paper24").directions(), operator=habits)
+        Emulation(rate_hz=RATE_HZ, seed=seed, grade=grade, directions=scheme("paper24").directions(), operator=habits)
     )
     asymmetry, cubic = (
         (float(x), float(y), float(z))
-        for x, y, z in rng.choice([-1e-6, 1e-6], (2, 3))
-        * [[kind.asymmetry_ppm / 2], [kind.nonlinearity_ppm / np.radians(AT_DEG_S) ** 2]]
+        for x, y, z in rng.choice([-1e-6, 1e-6], (2, 3)) * [[asymmetry_ppm / 2], [nonlinearity_ppm / np.radians(AT_DEG_S) ** 2]]
     )
-    effects = _typical(kind.grade, rng) if kind.is_typical else Effects(gyroscope_asymmetry=asymmetry, gyroscope_cubic=cubic)
+    effects = _typical(grade, rng) if is_typical else Effects(gyroscope_asymmetry=asymmetry, gyroscope_cubic=cubic)
     truth = replace(drawn.imu.instrument, clock_error_ppm=0.0, effects=effects)
-    given = replace(imported_moves(Imu(truth, seed, drawn.imu.settings), drawn.operator), grade=kind.grade)
+    given = replace(imported_moves(Imu(truth, seed, drawn.imu.settings), drawn.operator), grade=grade)
     gyroscope = turn_gyroscope(truth.gyroscope, change_gauge(to_vector(truth.accelerometer), "lower").rotation)
-    if kind.has_turntable:
+    if has_turntable:
         given = replace(given, turntable=_turntable(truth, gyroscope, rng))
     found = calibrate_gyroscope(given)
     solution = found.basis
@@ -82,12 +69,20 @@ def run_rates(kind: RatesKind, rng: np.random.Generator) -> RatesRun:
     linearity = solution.linearity
     nothing = replace(linearity, moved=np.zeros_like(linearity.moved), hidden_root=np.zeros_like(linearity.hidden_root))
     untested = joint_result(replace(solution, linearity=nothing))
+    # The scales as they would be without the test, and with it.
     before, after = (
-        (each.calibration.parameters.scale - gyroscope.scale) / (NORMAL_FACTOR_95 * each.calibration.sigma.scale)
+        np.abs(each.calibration.parameters.scale - gyroscope.scale) <= NORMAL_FACTOR_95 * each.calibration.sigma.scale
         for each in (untested, found)
     )
-    named = frozenset(told.key for told in linearity.sentences)
-    return RatesRun(named, linearity.matters, before, after)
+    named = {told.key for told in linearity.sentences}
+    return {
+        "asymmetry": "model_choice.asymmetry" in named,
+        "nonlinearity": "model_choice.nonlinearity" in named,
+        "lowers": linearity.matters,
+        "before": before,
+        "after": after,
+        "right": linearity.matters | after,
+    }
 
 
 def _typical(grade: str, rng: np.random.Generator) -> Effects:
@@ -115,42 +110,29 @@ def _turntable(truth: TrueInstrument, gyroscope: GyroscopeParameters, rng: np.ra
     return runs
 
 
-_SIZES = {
-    "no effect": {},
-    "asymmetry": {"asymmetry_ppm": ASYMMETRY_PPM},
-    "nonlinearity": {"nonlinearity_ppm": NONLINEARITY_PPM},
-}
-KINDS = {
-    f"{what}, {grade}{', turntable' if has_turntable else ''}": RatesKind(
-        grade=grade, has_turntable=has_turntable, is_typical=False, **sizes
-    )
-    for grade, has_turntable in (("industrial", False), ("mems", False), ("industrial", True))
-    for what, sizes in _SIZES.items()
-} | {f"typical, {grade}": RatesKind(grade=grade, is_typical=True) for grade in GRADES}
-
-
-def slow_and_fast(context: StudyContext) -> Findings:
-    """Count how often the two effects are named, and the scales inside their limits."""
-    runs = context.runs(400, 1)
-    found = context.campaign_of_each("answers-rates", run_rates, [*KINDS.values()], runs)
-    rows = {name: _figures(of_kind) for name, of_kind in zip(KINDS, found, strict=True)}
-    sizes = {"asymmetry_ppm": ASYMMETRY_PPM, "nonlinearity_ppm": NONLINEARITY_PPM, "at_deg_s": AT_DEG_S}
-    of_typical = {f"{grade}_sigmas": _typical_sigmas(grade) for grade in ("industrial", "mems")}
-    return Findings(values={"rows": rows, "runs": runs} | sizes | of_typical, tables=(keyed_table("shares", "session", rows),))
-
-
 def _typical_sigmas(grade: str) -> float:
     """Return the nonlinearity in sigmas of what is typical of a grade."""
     typical = typical_rate_terms(np.full(3, np.radians(AT_DEG_S)), GRADES[grade])
     return 1e-6 * NONLINEARITY_PPM / float(typical[3])
 
 
-def _figures(runs: list[RatesRun]) -> dict[str, float]:
-    return {
-        "asymmetry": float(np.mean(["model_choice.asymmetry" in run.named for run in runs])),
-        "nonlinearity": float(np.mean(["model_choice.nonlinearity" in run.named for run in runs])),
-        "lowers": float(np.mean([run.lowers for run in runs])),
-        "before": float(np.mean(np.abs([run.before for run in runs]) <= 1)),
-        "after": float(np.mean(np.abs([run.after for run in runs]) <= 1)),
-        "right": float(np.mean([run.lowers | (np.abs(run.after) <= 1) for run in runs])),
-    }
+_SIZES = {
+    "no effect": (0.0, 0.0),
+    "asymmetry": (ASYMMETRY_PPM, 0.0),
+    "nonlinearity": (0.0, NONLINEARITY_PPM),
+}
+_ROWS: Rows = {
+    f"{what}, {grade}{', turntable' if has_turntable else ''}": partial(
+        with_rates, grade=grade, asymmetry_ppm=asymmetry_ppm, nonlinearity_ppm=nonlinearity_ppm, has_turntable=has_turntable
+    )
+    for grade, has_turntable in (("industrial", False), ("mems", False), ("industrial", True))
+    for what, (asymmetry_ppm, nonlinearity_ppm) in _SIZES.items()
+} | {f"typical, {grade}": partial(with_rates, grade=grade, is_typical=True) for grade in GRADES}
+slow_and_fast = Study(
+    Table(label="session", campaign="answers-rates", rows=_ROWS, runs=(400, 1)),
+    asymmetry_ppm=ASYMMETRY_PPM,
+    nonlinearity_ppm=NONLINEARITY_PPM,
+    at_deg_s=AT_DEG_S,
+    industrial_sigmas=_typical_sigmas("industrial"),
+    mems_sigmas=_typical_sigmas("mems"),
+)

@@ -9,10 +9,10 @@ from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
-from imufield.calibrate.model.grades import GRADES
+from imufield.calibrate.model.grades import GRADES, Grade
 from imufield.calibrate.model.models import at_temperature, predict, recover
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration
-from imufield.calibrate.model.temperature_polynomials import HIGHEST_ORDER, Polynomials, TriadTemperature, powers, unchanging
+from imufield.calibrate.model.temperature_polynomials import HIGHEST_ORDER, Polynomials, TriadTemperature, powers
 from imufield.calibrate.model.uncertainty import rms
 from imufield.calibrate.temperature.fit import RampBlocks, TemperatureData, fit_orders, fit_temperature
 from imufield.calibrate.temperature.points import accelerometer_points
@@ -88,26 +88,16 @@ def _order_found(data: TemperatureData, truth: NDArray[np.floating], order: int)
 
 def left_after(repeatability_mg: float, repeatability_ppm: float, rng: np.random.Generator) -> dict[str, ArrayLike]:
     """Return the residual specific force, mg, 40 degC from the reference on a new day: one session, one pose, all joined."""
-    unit = perfect_instrument(_INDUSTRIAL)
-    drawn = draw_truth(_INDUSTRIAL, rng).accelerometer
-    truth = AccelerometerParameters(
-        scale=drawn.scale, bias_m_s2=drawn.bias_m_s2, misalignment_rad=np.tril(drawn.misalignment_rad)
-    )
-    over = _drawn_temperature(rng)
+    truth = linear_truth(_INDUSTRIAL, rng)
+    range_degc = (REFERENCE_DEGC - AWAY_DEGC, REFERENCE_DEGC + AWAY_DEGC)
+    over = cheap_chip(range_degc, np.array([[1.0], [_BENT / AWAY_DEGC]]), np.ones((1, 1)), rng)
+    repeated = repeatability_mg * MILLI_G_M_S2, repeatability_ppm
 
     def day(temperature_degc: float) -> AccelerometerParameters:
-        there = at_temperature(truth, over, temperature_degc)
-        factor = 1 + 1e-6 * repeatability_ppm * rng.standard_normal(3)
-        moved = repeatability_mg * MILLI_G_M_S2 * rng.standard_normal(3)
-        return replace(there, scale=there.scale * factor, bias_m_s2=there.bias_m_s2 + moved)
-
-    def solved(temperature_degc: float) -> Calibration:
-        instrument = replace(unit, accelerometer=day(temperature_degc))
-        session = MeanSession(instrument=instrument, gravity_m_s2=KNOWN.gravity_m_s2).observe(rng)
-        return calibrate_accelerometer(session.observations, KNOWN, model="linear", grade="industrial")
+        return of_day(at_temperature(truth, over, temperature_degc), *repeated, rng)
 
     at_degc = [REFERENCE_DEGC - AWAY_DEGC, REFERENCE_DEGC, REFERENCE_DEGC + AWAY_DEGC]
-    sessions = [solved(temperature_degc) for temperature_degc in at_degc]
+    sessions = [solved(day(temperature_degc), _INDUSTRIAL, rng) for temperature_degc in at_degc]
     base = sessions[1].accelerometer
     ramp = _ramp(truth, over, base, rng)
     points = accelerometer_points(base, sessions, at_degc)
@@ -123,17 +113,46 @@ def left_after(repeatability_mg: float, repeatability_ppm: float, rng: np.random
     return {name: _rms_mg(base, temperature, raw, end_degc, force=force) for name, temperature in ways.items()}
 
 
-def _drawn_temperature(rng: np.random.Generator) -> TriadTemperature:
-    """Return coefficients of a cheap chip, quadratic in the temperature."""
-    bent = np.array([[1.0], [_BENT / AWAY_DEGC]])
+def linear_truth(grade: Grade, rng: np.random.Generator) -> AccelerometerParameters:
+    """Draw an accelerometer as the linear model has it, in its gauge."""
+    drawn = draw_truth(grade, rng).accelerometer
+    return AccelerometerParameters(
+        scale=drawn.scale, bias_m_s2=drawn.bias_m_s2, misalignment_rad=np.tril(drawn.misalignment_rad)
+    )
+
+
+def cheap_chip(
+    range_degc: tuple[float, float], bias: FloatArray, scale: FloatArray, rng: np.random.Generator
+) -> TriadTemperature:
+    """Draw the coefficients of a cheap chip; ``bias`` and ``scale`` say how large those of each order are, shape (order, 1)."""
+
+    def drawn(per_degc: float, sizes: FloatArray) -> Polynomials:
+        order = len(sizes)
+        return Polynomials(per_degc * sizes * rng.standard_normal((order, 3)), np.zeros((3, order, order)))
+
     return TriadTemperature(
         reference_degc=REFERENCE_DEGC,
-        range_degc=(REFERENCE_DEGC - AWAY_DEGC, REFERENCE_DEGC + AWAY_DEGC),
-        bias=replace(unchanging(), coefficients=BIAS_PER_DEGC * bent * rng.standard_normal((2, 3))),
-        scale=Polynomials(SCALE_PER_DEGC * rng.standard_normal((1, 3)), np.zeros((3, 1, 1))),
+        range_degc=range_degc,
+        bias=drawn(BIAS_PER_DEGC, bias),
+        scale=drawn(SCALE_PER_DEGC, scale),
         hysteresis=np.full(3, np.nan),
         scale_separated=True,
     )
+
+
+def of_day(
+    there: AccelerometerParameters, bias_m_s2: float, scale_ppm: float, rng: np.random.Generator
+) -> AccelerometerParameters:
+    """Return the true parameters of one day; days differ by that much, 1 sigma."""
+    factor = 1 + 1e-6 * scale_ppm * rng.standard_normal(3)
+    return replace(there, scale=there.scale * factor, bias_m_s2=there.bias_m_s2 + bias_m_s2 * rng.standard_normal(3))
+
+
+def solved(truth: AccelerometerParameters, grade: Grade, rng: np.random.Generator) -> Calibration:
+    """Return the calibration of a session of an instrument that is so on its day."""
+    instrument = replace(perfect_instrument(grade), accelerometer=truth)
+    session = MeanSession(instrument=instrument, gravity_m_s2=KNOWN.gravity_m_s2).observe(rng)
+    return calibrate_accelerometer(session.observations, KNOWN, model="linear", grade=grade.name)
 
 
 def _ramp(

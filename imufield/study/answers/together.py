@@ -16,12 +16,12 @@ from imufield.calibrate.model.result import AccelerometerParameters, Calibration
 from imufield.calibrate.sessions.joint import Joint, adjust
 from imufield.calibrate.sessions.kinds import PPM
 from imufield.dataclass import replace
-from imufield.deliver.parameters.gauge_free import GaugeFree, gauge_free
+from imufield.deliver.parameters.gauge_free import GaugeFree
 from imufield.deliver.parameters.joined import numbers_of, prior_scales
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2
 from imufield.samples import AXES, FloatArray
 from imufield.simulate.truth.grades import TrueInstrument, draw_truth
-from imufield.study.answers.means import KNOWN, PLACED_M_S2, MeanSession
+from imufield.study.answers.means import KNOWN, PLACED_M_S2, MeanSession, gauge_free_of, without_quadratic
 from imufield.study.answers.tables import Study, Table
 
 DAY_MG = 0.1
@@ -34,8 +34,7 @@ GRADE = GRADES["tactical"]
 
 def with_days(sessions: int, rng: np.random.Generator) -> dict[str, ArrayLike]:
     """Draw an instrument, calibrate it on some days, and hold the joint result against mean and another day."""
-    truth = draw_truth(GRADE, rng)
-    instrument = replace(truth, accelerometer=replace(truth.accelerometer, quadratic=np.zeros(3)))
+    instrument = without_quadratic(draw_truth(GRADE, rng))
     found = [calibrated(on_another_day(instrument, rng), rng) for _ in range(sessions)]
     (_, reference), *_ = found
     numbers = [numbers_of(calibration, free, reference).own for calibration, free in found]
@@ -63,10 +62,8 @@ def on_another_day(instrument: TrueInstrument, rng: np.random.Generator) -> True
 def calibrated(instrument: TrueInstrument, rng: np.random.Generator) -> tuple[Calibration, GaugeFree]:
     """Return the calibration of a session of 24 positions, and its gauge-free numbers."""
     session = MeanSession(instrument=instrument, gravity_m_s2=STANDARD_GRAVITY_M_S2, scatter_m_s2=PLACED_M_S2).observe(rng)
-    observations = session.observations
-    calibration = calibrate_accelerometer(observations, KNOWN, model="linear", grade=GRADE.name)
-    sigma_raw = np.sqrt(np.diagonal(observations.covariance_raw, axis1=1, axis2=2))
-    return calibration, gauge_free(calibration, observations.mean_raw, sigma_raw)
+    calibration = calibrate_accelerometer(session.observations, KNOWN, model="linear", grade=GRADE.name)
+    return calibration, gauge_free_of(calibration, session.observations)
 
 
 def _true(accelerometer: AccelerometerParameters, reference: FloatArray) -> dict[str, FloatArray]:
