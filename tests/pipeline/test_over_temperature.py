@@ -172,7 +172,8 @@ def test_the_file_keeps_sessions_and_new_day_and_the_report_draws_them(
     row = int(np.argmin(np.abs(curves.temperature_degc - 55.0)))
     there = joint.at(float(curves.temperature_degc[row])).calibration
     sigma_mg = there.accelerometer_sigma.bias_m_s2 / MILLI_G_M_S2
-    np.testing.assert_allclose(curves.bias.half_95[row], student_factor(model.new_day.bias_freedom) * sigma_mg)
+    np.testing.assert_allclose(curves.bias.sigma[row], sigma_mg)
+    assert curves.bias.factor == student_factor(model.new_day.bias_freedom)
     found = np.abs(there.accelerometer.bias_m_s2 - TRUTH.bias_m_s2 - OVER_TEMPERATURE.bias.at(np.array([35.0]))[0])
     assert np.all(found < 5 * there.accelerometer_sigma.bias_m_s2)
     assert np.all(np.linalg.eigvalsh(there.covariance) > -1e-15)

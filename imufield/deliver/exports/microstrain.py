@@ -6,6 +6,7 @@ import struct
 
 import numpy as np
 
+from imufield.acquire.driver import checksum_of
 from imufield.dataclass import replace
 from imufield.deliver.exports.conventions import Correction
 from imufield.deliver.exports.job import BIAS_ONLY, Draft, Job, sentence
@@ -53,9 +54,4 @@ def packet(descriptor: int, function: int, bias: FloatArray | None = None) -> by
     data = b"" if bias is None else struct.pack(">3f", *bias)
     field = bytes([len(data) + 3, descriptor, function]) + data
     message = b"\x75\x65" + bytes([_COMMANDS_3DM, len(field)]) + field
-    # Fletcher's checksum over everything before it, each sum modulo 256.
-    first = second = 0
-    for byte in message:
-        first = (first + byte) % 256
-        second = (second + first) % 256
-    return message + bytes([first, second])
+    return message + checksum_of("FLETCHER-16/MOD-256", message).to_bytes(2, "big")

@@ -43,7 +43,6 @@ _SPACING = math.sqrt(10.0)
 # 50 s to 5000 s: faster flicker averages out in a step, slower looks like a turn-on bias.
 _TIME_CONSTANTS_S = 50.0 * _SPACING ** np.arange(5)
 _TURNED_RAD = 1e-3  # A turn of the body by less leaves its errors what they were.
-_TERMS = 12  # Of the exponential series: below rounding for steps of a minute.
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,13 +179,11 @@ def simulate(
 
 def transition(scene: Scene, step_s: float) -> tuple[FloatArray, FloatArray]:
     """Return d x / d x and d x / d (df_n, df_e, dw) over one step, shapes (7, 7) and (7, 5)."""
+    from scipy.linalg import expm  # slow to load, and only a check needs it
+
     A = np.zeros((12, 12))
     A[:7, :7], A[:7, 7:] = system(scene.latitude_deg, scene.height_m, scene.gravity_m_s2)
-    term = np.eye(12)
-    total = term.copy()
-    for k in range(1, _TERMS + 1):
-        term = term @ A * (step_s / k)
-        total += term
+    total = expm(A * step_s)
     return total[:7, :7], total[:7, 7:]
 
 

@@ -30,6 +30,13 @@ def decimals(sigma: float, digits: int = 2) -> int:
     return min(digits - 1 - exponent, MOST_DECIMALS)
 
 
+def rounded(value: float, sigma: float, *, sign: bool = False, digits: int = 2) -> str:
+    """Return a value to as many decimals as show ``digits`` significant digits of ``sigma``."""
+    places = decimals(sigma, digits)
+    # Adding zero takes the sign off a value that rounds to nothing.
+    return f"{round(value, places) + 0.0:{'+' if sign else ''}.{max(places, 0)}f}"
+
+
 def with_sigma(value: float, sigma: float, *, sign: bool = False, digits: int = 2) -> str:
     """Return "1.234 ± 0.056"; "fixed" where the gauge leaves no uncertainty, "± ?" where none is known."""
     plus = "+" if sign else ""
@@ -37,10 +44,7 @@ def with_sigma(value: float, sigma: float, *, sign: bool = False, digits: int = 
         return f"{value:{plus}.5g} ± ?" if value else "not estimated"
     if sigma == 0:
         return f"{value:{plus}.5g} fixed" if value else "0 fixed"
-    places = decimals(sigma, digits)
-    shown = max(places, 0)
-    # Adding zero takes the sign off a value that rounds to nothing.
-    return f"{round(value, places) + 0.0:{plus}.{shown}f} ± {round(sigma, places):.{shown}f}"
+    return f"{rounded(value, sigma, sign=sign, digits=digits)} ± {rounded(sigma, sigma, digits=digits)}"
 
 
 def with_sigma_within(width: int, value: float, sigma: float, *, sign: bool = False) -> str:

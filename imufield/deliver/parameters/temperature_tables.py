@@ -5,12 +5,13 @@ They are evaluated by ``calibrate.model.temperature_polynomials``.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
 from imufield.calibrate.model.result import Calibration
 from imufield.calibrate.model.temperature_polynomials import NewDay, Polynomials, SessionChanges, TriadTemperature
+from imufield.dataclass import asdict
 from imufield.deliver.parameters.context import TemperatureSource
 from imufield.deliver.parameters.schema import Document
 from imufield.samples import FloatArray
@@ -23,6 +24,7 @@ BIAS_UNITS = {"accelerometer": "m_s2", "gyroscope": "rad_s"}
 # Over the range measured: no sensor loses half of its scale, and beyond the output of 1 + k = 0 nothing can be corrected.
 _MOST_SCALE = 0.5
 _LEAST_RANGE_DEGC = 1.0  # A tenth of the shortest ramp: polynomials over less mean nothing.
+_ARRAYS = ("sensor_offset_degc", "bias_scale_covariance")  # That not every triad has.
 _ROUNDING = 1e-9  # Relative: covariances are printed with all digits.
 
 
@@ -50,17 +52,6 @@ def add_temperature(document: Document, calibration: Calibration, sources: tuple
 
 
 def _table(model: TriadTemperature, unit: str) -> Document:
-    more = {} if model.new_day is None else {"new_day": _day_table(model.new_day, unit)}
-    if model.sessions is not None:
-        more["sessions"] = {
-            "temperature_degc": model.sessions.temperature_degc.tolist(),
-            f"bias_{unit}": model.sessions.bias.tolist(),
-            "scale": model.sessions.scale.tolist(),
-        }
-    if model.sensor_offset_degc is not None:
-        more["sensor_offset_degc"] = model.sensor_offset_degc.tolist()
-    if model.bias_scale_covariance is not None:
-        more["bias_scale_covariance"] = model.bias_scale_covariance.tolist()
     return {
         "reference_degc": float(model.reference_degc),
         "range_degc": [float(value) for value in model.range_degc],
@@ -70,20 +61,20 @@ def _table(model: TriadTemperature, unit: str) -> Document:
         "scale_separated": model.scale_separated,
         "bias_covariance": model.bias.covariance.tolist(),
         "scale_covariance": model.scale.covariance.tolist(),
-        **more,
+        **_known({name: getattr(model, name) for name in ("new_day", "sessions", *_ARRAYS)}, unit),
     }
 
 
-def _day_table(day: NewDay, unit: str) -> Document:
-    return {
-        f"bias_{unit}": day.bias.tolist(),
-        "scale": day.scale.tolist(),
-        "bias_covariance": day.bias_covariance.tolist(),
-        "scale_covariance": day.scale_covariance.tolist(),
-        "bias_scale_covariance": day.bias_scale_covariance.tolist(),
-        "bias_degrees_of_freedom": day.bias_freedom,
-        "scale_degrees_of_freedom": day.scale_freedom,
-    }
+def _known(values: Mapping[str, object], unit: str) -> Document:
+    """Return what is not None under the keys of the file, arrays as lists, and records as tables."""
+    document: Document = {}
+    for name, value in values.items():
+        key = {"bias": f"bias_{unit}"}.get(name, name).replace("_freedom", "_degrees_of_freedom")
+        if isinstance(value, NewDay | SessionChanges):
+            document[key] = _known(asdict(value), unit)
+        elif value is not None:
+            document[key] = value.tolist() if isinstance(value, np.ndarray) else value
+    return document
 
 
 def temperature_of(document: Document, triad: str) -> TriadTemperature | None:

@@ -14,13 +14,12 @@ from imufield.acquire.protocol.units import nominal_scale
 from imufield.calibrate.model.budget import Share, combined_sigma, effective_freedom
 from imufield.calibrate.model.coverage_factors import degrees_of_freedom, student_factor
 from imufield.calibrate.model.result import GRAVITY_NAME, AccelerometerParameters, Calibration, GyroscopeParameters
-from imufield.calibrate.model.temperature_polynomials import TriadTemperature
 from imufield.calibrate.model.uncertainty import without_gravity
-from imufield.calibrate.temperature.at_temperature import calibration_at
 from imufield.dataclass import dataclass
 from imufield.deliver.parameters.context import ClockFacts
 from imufield.deliver.parameters.file import Parameters
-from imufield.deliver.parameters.printed_numbers import DEG_PER_HOUR_RAD_S, acceleration_unit, decimals
+from imufield.deliver.parameters.printed_numbers import DEG_PER_HOUR_RAD_S, acceleration_unit, decimals, rounded
+from imufield.deliver.report.over_temperature import temperature_curves
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentence, Sentences, three_digits
@@ -32,7 +31,6 @@ COVERAGE = 0.95
 LEAST_SHOWN = 1e-3
 """Of the combined uncertainty: a smaller share changes no digit of it."""
 _TIME_BASE = "time_base"
-_STEPS = 50  # Over the range of temperature: a polynomial of order 5 bends four times.
 _FIXED = 1e-12  # rad: rounding of an angle that the gauge fixes.
 _TITLES = {
     "accelerometer.bias_m_s2": "titles.accelerometer_bias",
@@ -221,34 +219,21 @@ def not_in_budget(parameters: Parameters) -> tuple[Sentence, ...]:
     if not parameters.temperature_models:
         told.append(sentence("budget.no_temperature"))
     else:
-        told += [*_over_temperature(calibration)]
+        told += [*_over_temperature(parameters)]
     return tuple(told)
 
 
-def _over_temperature(calibration: Calibration) -> Iterator[Sentence]:
+def _over_temperature(parameters: Parameters) -> Iterator[Sentence]:
     """Yield 1 sigma of bias and scale, as they are stated at the worst temperature of their range."""
-    gyroscope = calibration.gyroscope
-    if (model := calibration.accelerometer_temperature) is not None:
-        theres = [calibration_at(calibration, degc) for degc in np.linspace(*model.range_degc, _STEPS)]
-        bias = max(np.max(there.accelerometer_sigma.bias_m_s2) for there in theres)
-        scale = max(np.max(there.accelerometer_sigma.scale / np.abs(there.accelerometer.scale)) for there in theres)
-        yield from _worst("accelerometer", model, (("bias", bias / MILLI_G_M_S2, "mg"), ("scale", scale * 1e6, "ppm")))
-    if gyroscope is not None and (model := gyroscope.temperature) is not None:
-        at_degc = np.linspace(*model.range_degc, _STEPS)
-        known = [there for degc in at_degc if (there := calibration_at(calibration, degc).gyroscope) is not None]
-        bias = max(np.max(there.sigma.bias / np.abs(there.parameters.scale)) for there in known)
-        scale = max(np.fmax.reduce(there.sigma.scale / np.abs(there.parameters.scale)) for there in known)
-        yield from _worst("gyroscope", model, (("bias", bias / DEG_PER_HOUR_RAD_S, "°/h"), ("scale", scale * 1e6, "ppm")))
-
-
-def _worst(triad: str, model: TriadTemperature, sigmas: Sequence[tuple[str, float, str]]) -> Iterator[Sentence]:
-    """Yield a sentence for each quantity, its sigma and unit; none for a scale that no turn has shown."""
-    low, high = model.range_degc
-    for quantity, sigma, unit in sigmas:
-        of_days = model.new_day is not None and np.isfinite(getattr(model.new_day, quantity)).any()
-        key = "budget.over_temperature_days" if of_days else "budget.over_temperature"
-        if np.isfinite(sigma):
-            yield sentence(key, triad=triad, low=low, high=high, quantity=quantity, sigma=sigma, unit=unit)
+    for curves in temperature_curves(parameters):
+        low, high = curves.temperature_degc[[0, -1]].tolist()
+        for each in (curves.bias, curves.scale):
+            sigma = float(np.fmax.reduce(each.sigma, axis=None))
+            key = "budget.over_temperature_days" if each.is_of_new_day else "budget.over_temperature"
+            # None for a scale that no turn has shown.
+            if np.isfinite(sigma):
+                told = {"triad": curves.triad, "quantity": each.quantity, "sigma": sigma, "unit": each.unit}
+                yield sentence(key, low=low, high=high, **told)
 
 
 def share_words(share: Share) -> str:
@@ -360,19 +345,14 @@ def _shown(group: Group, calibration: Calibration) -> tuple[str, Sequence[float]
 def _value_words(parameter: ParameterBudget, size: float, group: Group, calibration: Calibration) -> str:
     triad, _, kind = group.key.partition(".")
     if kind != "scale":
-        return _rounded(parameter.value / size, abs(parameter.expanded / size))
+        return rounded(parameter.value / size, abs(parameter.expanded / size), sign=True)
     _, raw_unit = _of_triad(calibration, triad)
     nominal = nominal_scale(raw_unit)
     if nominal is not None:
-        return _rounded((parameter.value / nominal - 1) * 1e6, abs(parameter.expanded / size))
+        return rounded((parameter.value / nominal - 1) * 1e6, abs(parameter.expanded / size), sign=True)
     # Only the maker knows how far it is off: the scale itself, in its own unit.
     places = max(decimals(abs(parameter.expanded)), 0)
     return f"{parameter.value:.{places}f} {raw_unit} per {_INPUT_UNITS[triad]}"
-
-
-def _rounded(value: float, uncertainty: float) -> str:
-    places = decimals(uncertainty)
-    return f"{round(value, places) + 0.0:+.{max(places, 0)}f}"
 
 
 def _of_triad(calibration: Calibration, triad: str) -> tuple[AccelerometerParameters | GyroscopeParameters, str]:
@@ -411,5 +391,4 @@ def short(value: float) -> str:
         return ""
     if value == 0:
         return "0"
-    places = decimals(abs(value))
-    return f"{value:.1e}" if places > 6 or abs(value) >= 1e7 else f"{round(value, places):.{max(places, 0)}f}"
+    return f"{value:.1e}" if decimals(abs(value)) > 6 or abs(value) >= 1e7 else rounded(value, abs(value))

@@ -22,11 +22,16 @@ _STEPS = 81  # Over the range: a polynomial of order 5 bends four times.
 class QuantityCurves:
     """How a quantity changes from the reference, at n temperatures and in m sessions."""
 
-    label: str
+    quantity: str
+    unit: str
     change: FloatArray
     """Shape (n, 3)."""
-    half_95: FloatArray
-    """Half of the 95 % interval, shape (n, 3); NaN where it is not known."""
+    sigma: FloatArray
+    """Of the value, 1 sigma, shape (n, 3); NaN where it is not known."""
+    factor: float
+    """From it to half of the 95 % interval."""
+    is_of_new_day: bool
+    """Whether sigma is that of a day that was not measured."""
     sessions: FloatArray
     """Shape (m, 3)."""
 
@@ -41,8 +46,6 @@ class TemperatureCurves:
     sessions_degc: FloatArray
     """Shape (m,)."""
     reference_degc: float
-    is_of_new_day: bool
-    """Whether the intervals are those of a day that was not measured."""
     bias: QuantityCurves
     scale: QuantityCurves
 
@@ -66,25 +69,23 @@ def _curves(
     d_degc = model.degrees_above(at_degc)
     sigmas = [model.sigma_there(float(degc), bias_sigma, scale_sigma) for degc in at_degc]
     bias, scale = (np.array(of_each) for of_each in zip(*sigmas, strict=True))
-    name, size = unit
-    factors = [NORMAL_FACTOR_95] * 2 if day is None else [student_factor(day.bias_freedom), student_factor(day.scale_freedom)]
-    none = np.empty((0, 3))
+
+    def curves(quantity: str, sigma: FloatArray, unit: str, size: float) -> QuantityCurves:
+        return QuantityCurves(
+            quantity=quantity,
+            unit=unit,
+            change=getattr(model, quantity).at(d_degc) / size,
+            sigma=sigma / size,
+            factor=NORMAL_FACTOR_95 if day is None else student_factor(getattr(day, f"{quantity}_freedom")),
+            is_of_new_day=day is not None and bool(np.isfinite(getattr(day, quantity)).any()),
+            sessions=np.empty((0, 3)) if sessions is None else getattr(sessions, quantity) / size,
+        )
+
     return TemperatureCurves(
         triad=triad,
         temperature_degc=at_degc,
         sessions_degc=np.empty(0) if sessions is None else sessions.temperature_degc,
         reference_degc=model.reference_degc,
-        is_of_new_day=day is not None,
-        bias=QuantityCurves(
-            label=f"bias, {name}",
-            change=model.bias.at(d_degc) / size,
-            half_95=factors[0] * bias / size,
-            sessions=none if sessions is None else sessions.bias / size,
-        ),
-        scale=QuantityCurves(
-            label="scale, ppm",
-            change=model.scale.at(d_degc) / PPM,
-            half_95=factors[1] * scale / PPM,
-            sessions=none if sessions is None else sessions.scale / PPM,
-        ),
+        bias=curves("bias", bias, *unit),
+        scale=curves("scale", scale, "ppm", PPM),
     )

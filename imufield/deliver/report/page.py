@@ -337,7 +337,7 @@ def _figures(data: ReportData, gained: Gain | None) -> Iterator[Figure]:
         )
     for curves in temperature_curves(data.parameters):
         caption = sentence(
-            "page.temperature_day" if curves.is_of_new_day else "page.temperature", reference=curves.reference_degc
+            "page.temperature_day" if curves.bias.is_of_new_day else "page.temperature", reference=curves.reference_degc
         )
         name = f"{curves.triad.capitalize()} over temperature"
         svg = plots.over_temperature(curves)

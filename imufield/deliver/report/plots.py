@@ -258,14 +258,14 @@ def over_temperature(curves: TemperatureCurves) -> str:
             for axis, (name, style, mark, color) in enumerate(
                 zip(AXES, ("-", "--", ":"), "os^", (INK, BLUE, ORANGE), strict=True)
             ):
-                change, half = quantity.change[:, axis], quantity.half_95[:, axis]
+                change, half = quantity.change[:, axis], quantity.factor * quantity.sigma[:, axis]
                 axes.fill_between(curves.temperature_degc, change - half, change + half, color=color, alpha=0.12, linewidth=0)
                 axes.plot(curves.temperature_degc, change, style, color=color, label=name)
                 axes.plot(
                     curves.sessions_degc, quantity.sessions[:, axis], mark, color=color, markerfacecolor="white", markersize=5
                 )
             axes.axvline(curves.reference_degc, color=GREY, linewidth=0.8)
-            axes.set(xlabel="temperature, °C", ylabel=quantity.label)
+            axes.set(xlabel="temperature, °C", ylabel=f"{quantity.quantity}, {quantity.unit}")
         panels[0].legend(loc="upper left", bbox_to_anchor=(0, 1.18), ncols=3)
         return to_svg(drawn, f"temperature-{curves.triad}")
 

@@ -11,7 +11,7 @@ from imufield.acquire.protocol.units import nominal_scale
 from imufield.calibrate.model.result import Calibration, GyroscopeCalibration
 from imufield.dataclass import dataclass, replace
 from imufield.deliver.parameters.document import gyroscope_bias_rad_s
-from imufield.deliver.parameters.printed_numbers import DEG_PER_HOUR_RAD_S, decimals, with_sigma
+from imufield.deliver.parameters.printed_numbers import DEG_PER_HOUR_RAD_S, decimals, rounded, with_sigma
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2
 from imufield.samples import AXES, FloatArray
 
@@ -48,10 +48,8 @@ class Row:
 
     def expanded(self, factor: float) -> str:
         """Half the width of the 95 % interval; empty where there is none."""
-        if not (self.sigma > 0 and math.isfinite(self.sigma * factor)):
-            return ""
-        places = decimals(self.sigma * factor)
-        return f"{round(self.sigma * factor, places):.{max(places, 0)}f}"
+        half = self.sigma * factor
+        return rounded(half, half) if self.sigma > 0 and math.isfinite(half) else ""
 
     @property
     def preset_shown(self) -> str:
