@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from typing import TYPE_CHECKING
 
 from imufield.acquire.decode.statistics import combined
@@ -34,6 +34,7 @@ from imufield.sentences import Sentences, counted, shell_word
 
 if TYPE_CHECKING:
     from imufield.acquire.protocol.can_frame import Frame
+    from imufield.simulate.emulator.port import PseudoTerminal
 
 sentence = Sentences(__package__)
 
@@ -171,15 +172,12 @@ def _replay_to_slcan(session: Session, damage: list[Damage], pace: float | None)
     from imufield.acquire.formats.can_logs import replay_frames
     from imufield.simulate.emulator.slcan import SlcanDevice
 
-    device = SlcanDevice()
+    with closing(SlcanDevice()) as device:
 
-    def send(frame: Frame) -> None:
-        device.send([frame])
-        while device.port.bytes_waiting and device.port.has_reader():
-            time.sleep(SLOT_S)
-            device.port.write(b"")
+        def send(frame: Frame) -> None:
+            device.send([frame])
+            _wait_for_reader(device.port)
 
-    try:
         echo(f"waiting for a reader of slcan:{device.port.address}  (Ctrl-C ends)")
         while not device.is_open:
             device.receive()
@@ -187,32 +185,31 @@ def _replay_to_slcan(session: Session, damage: list[Damage], pace: float | None)
         sent = replay_frames(session, send, damage, pace=pace, on_chunk=device.receive)
         echo(f"{sent - device.frames_dropped} frames sent")
         time.sleep(LINGER_S)
-    finally:
-        device.close()
+
+
+def _wait_for_reader(port: PseudoTerminal) -> None:
+    """Wait until a reader has taken what was written: as fast as possible means as fast as the reader takes it."""
+    while port.bytes_waiting and port.has_reader():
+        time.sleep(SLOT_S)
+        port.write(b"")
 
 
 def _replay_to_pty(session: Session, damage: list[Damage], pace: float | None) -> None:
     """Send the bytes at the pace they were recorded with, from the moment a program opens the port."""
     from imufield.simulate.emulator.port import PseudoTerminal
 
-    port = PseudoTerminal()
     sent, said = 0, False
-    try:
+    with closing(PseudoTerminal()) as port:
         echo(f"waiting for a reader of {port.address}  (Ctrl-C ends)")
         while not port.has_reader():
             time.sleep(WAIT_S)
         for chunk in recorded_chunks(session, damage, pace=pace):
             port.write(chunk.data)
             sent += len(chunk.data)
-            # As fast as possible means as fast as the reader takes it.
-            while port.bytes_waiting and port.has_reader():
-                time.sleep(SLOT_S)
-                port.write(b"")
+            _wait_for_reader(port)
             # Said only when a chunk has shown it: no file says of itself that it has no times.
             if pace and not said and math.isnan(chunk.monotonic_s):
                 said = True
                 say(sentence("replay.no_times"))
         echo(f"{sent} bytes sent")
         time.sleep(LINGER_S)
-    finally:
-        port.close()

@@ -9,7 +9,7 @@ import numpy as np
 
 from imufield.deliver.exports.conventions import rotation_times_triangle
 from imufield.deliver.exports.job import Draft, Job, sentence
-from imufield.deliver.exports.text import comment, text_file, yaml_matrix
+from imufield.deliver.exports.text import comment, text_file, yaml_lines
 from imufield.deliver.exports.vio import bias_lines, bias_loss, imu_lines
 
 
@@ -24,17 +24,13 @@ def export(job: Job) -> Draft:
         "  model: scale-misalignment",
         "  rostopic: /imu0",
         "  time_offset: 0.0",
-        "  accelerometers:",
-        "    M:",
-        *yaml_matrix(np.tril(si.accelerometer.error_matrix), 6),
+        *yaml_lines({"accelerometers": {"M": np.tril(si.accelerometer.error_matrix)}}, 2),
     ]
     if si.gyroscope is not None:
         # raw_g = M_g (C w) + A (C a): the gyroscope's own frame, in which its matrix is triangular too.
         turn, triangle = rotation_times_triangle(si.gyroscope.matrix, "lower")
         M = np.tril(np.asarray(np.linalg.inv(np.tril(triangle)), dtype=np.float64))
-        lines.append("  gyroscopes:")
-        for name, matrix in {"M": M, "A": si.g_sensitivity @ turn, "C_gyro_i": turn.T}.items():
-            lines += [f"    {name}:", *yaml_matrix(matrix, 6)]
+        lines += yaml_lines({"gyroscopes": {"M": M, "A": si.g_sensitivity @ turn, "C_gyro_i": turn.T}}, 2)
     return Draft(
         files={"imu.yaml": text_file(lines)},
         target_model=corrections,

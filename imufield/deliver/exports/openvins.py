@@ -11,7 +11,7 @@ import numpy as np
 
 from imufield.deliver.exports.conventions import Corrections, rotation_times_triangle
 from imufield.deliver.exports.job import Draft, Job, sentence
-from imufield.deliver.exports.text import comment, text_file, yaml_matrix
+from imufield.deliver.exports.text import comment, text_file, yaml_lines
 from imufield.deliver.exports.vio import bias_lines, bias_loss, imu_lines
 from imufield.errors import ParameterFileError, Reason
 from imufield.samples import FloatArray
@@ -38,8 +38,9 @@ def export(job: Job) -> Draft:
         "  time_offset: 0.0",
         f'  model: "{job.options.model}"',
     ]
-    for name, matrix in matrices.items():
-        lines += [f"  {name}:", *yaml_matrix(triangle(matrix) if name in ("Ta", "Tw") else matrix, 4)]
+    # What rounding leaves outside of a triangle goes.
+    matrices |= {name: triangle(matrices[name]) for name in ("Ta", "Tw")}
+    lines += yaml_lines(matrices, 2)
     files = {"kalibr_imu_chain.yaml": text_file(lines)}
     return Draft(files=files, target_model=corrections, losses=bias_loss(si), notes=unknown)
 

@@ -26,11 +26,6 @@ def rows(matrix: FloatArray, start: str, end: str, separator: str = ", ") -> lis
     return [f"{start}{row(values, separator)}{end}" for values in matrix]
 
 
-def yaml_matrix(matrix: FloatArray, indent: int) -> list[str]:
-    """Return a YAML sequence of rows, as ROS tools and OpenCV write it."""
-    return rows(matrix, f"{' ' * indent}- [", "]")
-
-
 def comment(lines: Iterable[str], mark: str = "#") -> list[str]:
     """Return lines as comments."""
     return [f"{mark} {line}".rstrip() for line in lines]
@@ -47,12 +42,13 @@ def json_file(document: object) -> bytes:
 
 
 def yaml_lines(table: Mapping[str, object], indent: int = 0) -> list[str]:
-    """Return block YAML of dictionaries whose leaves are numbers, strings, None, or lists of them.
+    """Return block YAML of dictionaries whose leaves are numbers, strings, None, lists of them, or arrays.
 
     Strings are written in double quotes with JSON escapes, which YAML reads the same way.
     """
     lines = []
-    for key, item in table.items():
+    for key, value in table.items():
+        item = value.tolist() if isinstance(value, np.ndarray) else value
         start = f"{' ' * indent}{key}:"
         if isinstance(item, dict):
             lines += [start, *yaml_lines(item, indent + 2)]

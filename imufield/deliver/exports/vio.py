@@ -6,7 +6,7 @@ import numpy as np
 
 from imufield.deliver.exports.conventions import Corrections
 from imufield.deliver.exports.job import Job, sentence
-from imufield.deliver.exports.text import number, row, yaml_matrix
+from imufield.deliver.exports.text import number, row, yaml_lines
 from imufield.earth import MILLI_G_M_S2
 from imufield.samples import FloatArray
 
@@ -16,7 +16,7 @@ def imu_lines(job: Job) -> tuple[list[str], tuple[str, ...]]:
     figures = noise_figures(job)
     unknown = [name for name, value in figures.items() if value is None]
     # The first IMU is the reference: T_i_b is the identity.
-    lines = ["imu0:", "  T_i_b:", *yaml_matrix(np.eye(4), 4)]
+    lines = yaml_lines({"imu0": {"T_i_b": np.eye(4)}})
     lines += [f"  {name}: {number(value)}" for name, value in figures.items() if value is not None]
     lines += [f"  # {name}: not known, fill in" for name in unknown]
     return lines, (sentence("vio.unknown", names=unknown),) if unknown else ()
