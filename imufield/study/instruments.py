@@ -119,14 +119,12 @@ def bsas_outputs(rng: np.random.Generator, noise_m_s2: float = BSAS_NOISE_M_S2, 
     a = bsas_directions(positions) * BSAS_GRAVITY_M_S2
     clean = predict(from_vector(BSAS_TRUTH, None, BSAS_AXES), a)
     # The norm sees the noise along the direction that points up, which has the sigma of each axis; K makes it raw units.
-    outputs: FloatArray = clean + BSAS_TRUTH[SCALE] * noise_m_s2 * rng.standard_normal(a.shape)
-    return outputs
+    return clean + BSAS_TRUTH[SCALE] * noise_m_s2 * rng.standard_normal(a.shape)
 
 
 def bsas_preset(rng: np.random.Generator, error: PresetError = FIELD_PRESET) -> FloatArray:
     """Return the true parameters of [1]_, off by ``error``, shape (15,)."""
-    preset: FloatArray = BSAS_TRUTH + error.of_each() * rng.uniform(-1, 1, PARAMETERS)
-    return preset
+    return BSAS_TRUTH + error.of_each() * rng.uniform(-1, 1, PARAMETERS)
 
 
 def ide_problem(rng: np.random.Generator, noise_m_s2: float = IDE_NOISE_M_S2) -> TriadProblem:
@@ -152,8 +150,7 @@ def static_rates_deg_s(latitude_deg: float = BEIJING_LATITUDE_DEG) -> FloatArray
     # Each position of the scheme has one body axis horizontal; that axis points north.
     names = [position.name[0] for position in scheme("paper24").positions]
     north = np.eye(3)[["xyz".index(name) for name in names]]
-    rates: FloatArray = rate * (math.cos(latitude) * north + math.sin(latitude) * up)
-    return rates
+    return rate * (math.cos(latitude) * north + math.sin(latitude) * up)
 
 
 def gyroscope_static_problem(rng: np.random.Generator) -> TriadProblem:

@@ -105,8 +105,7 @@ def _covered(time: FloatArray, other: FloatArray) -> np.ndarray[tuple[int], np.d
     before = after - 1
     is_between = (time >= other[before]) & (time <= other[after]) & (other[after] - other[before] <= _GAP_STEPS * step)
     is_near = np.minimum(np.abs(time - other[before]), np.abs(time - other[after])) <= 0.5 * step
-    covered: np.ndarray[tuple[int], np.dtype[np.bool_]] = is_between | is_near
-    return covered
+    return is_between | is_near
 
 
 def _join_by_row(

@@ -87,8 +87,7 @@ def _nanoseconds(time_s: FloatArray) -> NDArray[np.int64]:
     whole = np.floor(time_s)
     # Whole seconds apart: a float64 of both together has no nanoseconds left after an hour.
     parts = np.rint((time_s - whole) * NANOSECONDS).astype(np.int64)
-    nanoseconds: NDArray[np.int64] = whole.astype(np.int64) * NANOSECONDS + parts
-    return nanoseconds
+    return whole.astype(np.int64) * NANOSECONDS + parts
 
 
 def _messages(samples: Samples, stamps: NDArray[np.int64]) -> NDArray[np.void]:

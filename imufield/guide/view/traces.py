@@ -81,5 +81,4 @@ def _strip(low: FloatArray, high: FloatArray, place: IntArray, shape: tuple[int,
     )
     row = np.linspace(1, -1, shape[0])[:, None]
     margin = 1 / max(shape[0] - 1, 1)
-    dots: NDArray[np.bool_] = (row <= highest + margin) & (row >= lowest - margin)
-    return dots
+    return (row <= highest + margin) & (row >= lowest - margin)

@@ -69,8 +69,7 @@ class BiasDrift:
         row = lower - self._first
         weight = (position - lower)[:, np.newaxis]
         below = self._anchors[row]
-        drift: FloatArray = below + weight * (self._anchors[row + 1] - below)
-        return drift
+        return below + weight * (self._anchors[row + 1] - below)
 
     def _next_block(self) -> FloatArray:
         """Return the next anchors, shape (ANCHORS_PER_BLOCK, c), and carry the state on."""

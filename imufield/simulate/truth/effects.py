@@ -81,8 +81,7 @@ class Effects:
     def draw_turn_on(self, rng: np.random.Generator) -> FloatArray:
         """Return what one power-on adds to the biases, shape (6,): m/s^2 of three axes, then rad/s."""
         sizes = np.repeat([self.turn_on_m_s2, self.turn_on_rad_s], 3)
-        drawn: FloatArray = sizes * rng.standard_normal(6)
-        return drawn
+        return sizes * rng.standard_normal(6)
 
     def warming(self, time_s: FloatArray) -> FloatArray:
         """Return what warming up adds to the bias of the accelerometer, shape (n,) to (n, 3), m/s^2."""

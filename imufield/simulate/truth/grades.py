@@ -93,5 +93,4 @@ def perfect_instrument(grade: Grade) -> TrueInstrument:
 
 def _draw_off_diagonals(sigma: float, rng: np.random.Generator) -> FloatArray:
     # The diagonal of T is 1; the scale factors carry what it would say.
-    matrix: FloatArray = sigma * rng.standard_normal((3, 3)) * (1 - np.eye(3))
-    return matrix
+    return sigma * rng.standard_normal((3, 3)) * (1 - np.eye(3))

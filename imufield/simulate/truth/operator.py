@@ -419,5 +419,4 @@ def _rest(start_s: float, end_s: float, quaternion_nb: FloatArray, hand: Hand | 
 
 def _random_direction(rng: np.random.Generator) -> FloatArray:
     vector = rng.standard_normal(3)
-    direction: FloatArray = vector / np.linalg.norm(vector)
-    return direction
+    return vector / np.linalg.norm(vector)

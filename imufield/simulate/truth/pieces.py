@@ -199,8 +199,7 @@ class Piece:
 def _spread(rng: np.random.Generator, low_hz: float, high_hz: float, count: int) -> FloatArray:
     """Draw one frequency from each of ``count`` equal parts of a band: two nearly equal ones would beat for minutes."""
     part = (np.arange(count)[:, np.newaxis] + rng.random((count, 3))) / count
-    frequencies: FloatArray = low_hz + (high_hz - low_hz) * part
-    return frequencies
+    return low_hz + (high_hz - low_hz) * part
 
 
 def _falling(hz: FloatArray, rms: float) -> FloatArray:

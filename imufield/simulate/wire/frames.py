@@ -62,8 +62,7 @@ class WireClock:
 
     def time_s(self, samples: Samples) -> FloatArray:
         """Return the instrument's time of each sample."""
-        time_s: FloatArray = samples.time_s + self.time_offset_s
-        return time_s
+        return samples.time_s + self.time_offset_s
 
     def jump(self, by: int, has_counter: bool) -> None:
         """Let the counter jump; without a counter, the time stamp by as many samples."""
@@ -205,8 +204,7 @@ def _order(big_endian: bool) -> Literal["big", "little"]:
 def _stamp(field: Field, ticks: FloatArray, modulus: float) -> Numbers:
     # A wrap of 0 in the protocol is the wrap of the field itself; a float has none.
     if field.type[0] == "f":
-        wrapped: FloatArray = ticks % modulus if modulus else ticks
-        return wrapped
+        return ticks % modulus if modulus else ticks
     whole = np.rint(ticks).astype(np.int64)
     turn = int(modulus) or (field.modulus if NUMBER_BYTES[field.type] < 8 else _WHOLE_TURN)
     return np.asarray(whole % turn)
