@@ -16,6 +16,8 @@ scoring [1]_: with ``P = S^-1 - S^-1 J (J^T S^-1 J)^-1 J^T S^-1``, score and inf
 
     2 s_k = r^T P V_k P r - tr(P V_k),    2 F_kl = tr(P V_k P V_l)
 
+A step goes no further than ``solvers.scoring`` lets it.
+
 References
 ----------
 .. [1] D. A. Harville, "Maximum likelihood approaches to variance component estimation", J. Am. Stat. Assoc. 72 (1977).
@@ -36,6 +38,7 @@ from imufield.calibrate.model.budget import Share
 from imufield.calibrate.model.models import PARAMETERS as ACCELEROMETER_PARAMETERS
 from imufield.calibrate.model.rotation import skew
 from imufield.calibrate.model.uncertainty import block_diagonal, rms
+from imufield.calibrate.solvers.scoring import climbing
 from imufield.dataclass import dataclass
 from imufield.samples import FloatArray, IntArray
 
@@ -245,6 +248,8 @@ def next_scatter(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, p
         rest = free & ~falling
         answer = score[rest] - information[np.ix_(rest, falling)] @ step[falling]
         step[rest] = _scoring_step(information[np.ix_(rest, rest)], answer)
+    pulled = np.array([V @ Pr for V in components])
+    step = climbing(step, score, 2 * pulled @ P @ pulled.T - information)
     # The least variance that a scatter of size one gives to a residual it touches at all; infinite where it touches none.
     own = np.diagonal(V, axis1=1, axis2=2)
     least = np.min(own, axis=1, initial=np.inf, where=own > 0)

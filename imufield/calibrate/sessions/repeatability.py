@@ -100,9 +100,12 @@ def reml_variance(found: Contrasts) -> float:
     squares, own = found.u**2, found.own_variance
     variance = float(np.mean(squares))
     for _ in range(_STEPS):
-        # Fisher scoring: the weighted mean of u^2 - l with the information on s^2 as weights.
-        information = (variance + own) ** -2.0
-        before, variance = variance, max(float(np.sum(information * (squares - own)) / np.sum(information)), 0.0)
+        # Fisher scoring: towards the weighted mean of u^2 - l with the information on s^2 as weights.
+        weight = (variance + own) ** -2.0
+        expected, observed = float(np.sum(weight)), float(np.sum(weight * (2 * squares / (variance + own) - 1)))
+        # Of one variance, what ``solvers.scoring`` cuts is Newton's step.
+        information = observed if observed > 2 * expected else expected
+        before, variance = variance, max(variance + float(np.sum(weight * (squares - own - variance))) / information, 0.0)
         if abs(variance - before) <= _SETTLED * (variance + float(own.min())):
             break
     return variance

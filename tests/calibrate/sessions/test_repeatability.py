@@ -9,7 +9,7 @@ import pytest
 from scipy.special import chdtri, stdtrit
 
 from imufield.calibrate.model.coverage_factors import NORMAL_FACTOR_95
-from imufield.calibrate.sessions.repeatability import Contrasts, contrasts, repeatability, sigmas, studentised
+from imufield.calibrate.sessions.repeatability import Contrasts, contrasts, reml_variance, repeatability, sigmas, studentised
 
 FLAT = math.inf
 
@@ -47,6 +47,15 @@ def test_sessions_that_scatter_no_more_than_their_errors_show_none() -> None:
     assert (own.sigma, own.low) == (0.0, 0.0)
     found_sigmas = sigmas(quiet, FLAT, np.zeros(3))
     assert np.all(found_sigmas.day > found_sigmas.mean)
+
+
+def test_a_precise_contrast_beside_rough_ones_has_the_largest_likelihood() -> None:
+    """Its likelihood bends more than twice as much as expected: scoring once ended anywhere between two values."""
+    u, own = np.sqrt([0.20, 0.96, 0.33, 0.37, 0.23, 0.07, 4.2]), np.array([11.5, 0.256, 3.4, 8.4, 1.69, 1.38, 5.6])
+    found = Contrasts(y=u, axes=np.zeros((7, 0)), covariance=np.diag(own), u=u, own_variance=own)
+    variance = np.linspace(0, 2, 20001)[:, None] + own
+    best = np.argmin(np.sum(np.log(variance) + u**2 / variance, axis=1)) * 1e-4
+    assert reml_variance(found) == pytest.approx(best, abs=1e-4)
 
 
 def test_a_new_day_is_student_where_the_sessions_have_no_errors() -> None:
