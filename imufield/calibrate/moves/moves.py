@@ -425,7 +425,8 @@ def cut_moves(slots: Slots, start_s: FloatArray, duration_s: FloatArray, ends: F
     stills = np.stack([start_s, start_s + duration_s], axis=1)[order]
     if len(slots) and len(stills):
         latest = np.searchsorted(stills[:, 0], rising_s, side="right") - 1
-        ends = without_held(ends, rising_s, slots.plateau, (latest >= 0) & (rising_s < stills[latest, 1]))
+        rate = slots.turn / np.maximum(slots.duration_s, 1e-9)[:, None]
+        ends = without_held(ends, rising_s, rate, slots.plateau, (latest >= 0) & (rising_s < stills[latest, 1]))
         stills = stretch_stills(*sum_cells(rising_s, slot_sums(slots)), stills=stills)
     kept: list[tuple[int, int, float, float, IntArray]] = []  # Stills before and after, begin and end, rows of the slots.
     dropped: list[Sentence] = []

@@ -12,6 +12,8 @@ _LONGER = 3
 _MORE = 5  # And so many more: of few samples, one and two differ by chance.
 # By hand, a whole turn beyond 120 deg/s, the smallest range there is, takes less; what stands longer is the rate of a table.
 _HELD_S = 3.0
+# Between the quartiles of the other axes, of the largest range of rates: a table's is one step, of a hundred steps of its rate.
+_STEADY = 0.01
 _HOLE_S = 0.25  # Within what is held: noise may reach the next code, and quiet slots are joined into cells of 0.1 s.
 
 
@@ -38,24 +40,31 @@ class LargestOutputs:
 
 
 def without_held(
-    ends: FloatArray | float, time_s: FloatArray, plateau: FloatArray, is_rest: NDArray[np.bool_]
+    ends: FloatArray | float, time_s: FloatArray, rate: FloatArray, plateau: FloatArray, is_rest: NDArray[np.bool_]
 ) -> FloatArray | float:
-    """Return ends, shape (2, 3), with NaN for those at which an axis stands at rest, or longer than turns by hand do.
+    """Return ends, shape (2, 3), with NaN for those at which an axis stands at rest, or as only a table turns it.
+
+    A table holds its rate for longer than a turn by hand takes, and whenever an axis stands at this end, the others are steady:
+    of a turn that saturates one axis, they show how its rate goes on to change.
 
     Parameters
     ----------
     ends : ndarray or float
         NaN where there is none.
-    time_s, plateau : ndarray, shape (k,), (k, 3)
-        Begin of each slot, in time order, and the output that repeats itself there.
+    time_s, rate, plateau : ndarray, shape (k,), (k, 3), (k, 3)
+        Begin of each slot, in time order, its mean output, and the output that repeats itself there.
     is_rest : ndarray of bool, shape (k,)
         Whether it is of a still.
     """
-    reached = plateau[:, None] == ends
+    reached, most = plateau[:, None] == ends, _STEADY * np.ptp(rate, axis=0).max()
     # An axis that was never turned one way ends there at what it reads at rest.
     is_none = np.any(reached[is_rest], axis=0)
     for end, axis in np.argwhere(reached.any(axis=0)):
-        at_s = time_s[reached[:, end, axis]]
-        begins = np.append(0, np.flatnonzero(np.diff(at_s) > _HOLE_S) + 1)
-        is_none[end, axis] |= np.any(at_s[np.append(begins[1:], len(at_s)) - 1] - at_s[begins] > _HELD_S)
+        rows = np.flatnonzero(reached[:, end, axis])
+        stretches = np.split(rows, np.flatnonzero(np.diff(time_s[rows]) > _HOLE_S) + 1)
+        if any(time_s[stretch[-1]] - time_s[stretch[0]] > _HELD_S for stretch in stretches):
+            others = np.delete(rate, axis, axis=1)
+            is_none[end, axis] |= all(
+                np.all(np.ptp(np.quantile(others[stretch], [0.25, 0.75], axis=0), axis=0) <= most) for stretch in stretches
+            )
     return np.where(is_none, np.nan, ends)

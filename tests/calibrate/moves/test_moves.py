@@ -243,6 +243,19 @@ def test_the_rate_of_a_table_is_no_limit(noise: float, shift: float) -> None:
     assert keys(collect_moves([samples], np.array([0.0, 14.5, 27.5]), np.array([2.5, 1.0, 2.0]))) == []
 
 
+@pytest.mark.parametrize("later", [0.8, 1.4])
+def test_a_turn_that_saturates_for_long_is_no_rate_of_a_table(later: float) -> None:
+    """Turns of 10 s by hand up to 2.5 rad/s, and of 3 s, of which codes of 0.01 rad/s show 1 rad/s."""
+    time_s = np.arange(0, 24.0, 0.01)
+    long, short = (np.sin(np.pi * np.clip((time_s - begin) / span, 0, 1)) ** 2 for begin, span in ((3, 10), (17, 3)))
+    rate = np.outer(2.5 * long + later * short, [0.02, -0.01, 1.0])
+    rate[:, 2] = np.minimum(rate[:, 2], 1.0)
+    force = np.array([0.1, 0.2, 9.8]) + 0.001 * np.random.default_rng(6).standard_normal(rate.shape)
+    samples = make_samples(time_s, force, 0.01 * np.rint(100 * rate), units=SampleUnits())
+    moves = collect_moves([samples], np.array([0.0, 14.0, 21.0]), np.array([2.5, 2.0, 2.0]))
+    assert keys(moves) == ["moves.saturated"] * (1 + (later > 1))
+
+
 def test_saturation_is_seen_with_and_without_a_flag() -> None:
     moves = collect_moves([session(saturate)], START_S, DURATION_S)
     assert set(keys(moves)) == {"moves.saturated"}
