@@ -166,11 +166,18 @@ class StaticFit:
     converged: bool
 
 
-def observed_latitude_deg(vertical_rad_s: float, sigma_rad_s: float) -> tuple[float, float]:
-    """Return the latitude of a vertical Earth rate, and its sigma."""
-    sine = float(np.clip(vertical_rad_s / EARTH_RATE_RAD_S, -1, 1))
-    cosine = math.sqrt(max(1 - sine**2, 1e-6))  # near a pole the latitude hardly moves the sine
-    return math.degrees(math.asin(sine)), math.degrees(sigma_rad_s / EARTH_RATE_RAD_S / cosine)
+def in_words(latitude_deg: float, vertical_rad_s: float, sigma_rad_s: float) -> dict[str, float]:
+    """Return what sentences say of a latitude that was given, and of the vertical Earth rate that is seen.
+
+    Near a pole a rate has no sigma as a latitude: what is compared are rates, of Earth's 15 deg/h.
+    """
+    return {
+        "latitude_deg": latitude_deg,
+        "observed_deg": math.degrees(math.asin(float(np.clip(vertical_rad_s / EARTH_RATE_RAD_S, -1, 1)))),
+        "found_deg_h": math.degrees(vertical_rad_s) * 3600,
+        "sigma_deg_h": math.degrees(sigma_rad_s) * 3600,
+        "expected_deg_h": math.degrees(EARTH_RATE_RAD_S * math.sin(math.radians(latitude_deg))) * 3600,
+    }
 
 
 def contradicts(latitude_deg: float, vertical_rad_s: float, sigma_rad_s: float) -> bool:
@@ -180,10 +187,9 @@ def contradicts(latitude_deg: float, vertical_rad_s: float, sigma_rad_s: float) 
 
 def latitude_words(latitude_deg: float, vertical_rad_s: float, sigma_rad_s: float) -> Sentence:
     """Return what u . w says about the latitude that was given."""
-    observed, latitude_sigma = observed_latitude_deg(vertical_rad_s, sigma_rad_s)
     is_contradicted = contradicts(latitude_deg, vertical_rad_s, sigma_rad_s)
     key = "stills_alone.latitude_contradicted" if is_contradicted else "stills_alone.latitude_seen"
-    return sentence(key, latitude_deg=latitude_deg, observed_deg=observed, sigma_deg=latitude_sigma)
+    return sentence(key, **in_words(latitude_deg, vertical_rad_s, sigma_rad_s))
 
 
 def sees_earth(covariance_raw: FloatArray, A: FloatArray) -> bool:

@@ -9,7 +9,6 @@ from imufield.calibrate.gyroscope.stills_alone import (
     StaticData,
     fit_static,
     latitude_words,
-    observed_latitude_deg,
     sees_earth,
 )
 from imufield.earth import EARTH_RATE_RAD_S
@@ -76,10 +75,21 @@ def test_a_wrong_latitude_is_seen() -> None:
     for seed in range(10):
         data, M, _ = stills(seed, 10.0)
         fitted = fit_static(data, np.asarray(np.linalg.inv(M)), 45.5)
-        latitude, sigma = observed_latitude_deg(fitted.vertical_rad_s, fitted.vertical_sigma_rad_s)
-        assert latitude == pytest.approx(45.0, abs=4 * sigma)
-        found = [latitude_words(deg, fitted.vertical_rad_s, fitted.vertical_sigma_rad_s).key for deg in (45.5, 45.0)]
-        assert found == ["stills_alone.latitude_contradicted", "stills_alone.latitude_seen"]
+        off, right = (latitude_words(deg, fitted.vertical_rad_s, fitted.vertical_sigma_rad_s) for deg in (45.5, 45.0))
+        assert [off.key, right.key] == ["stills_alone.latitude_contradicted", "stills_alone.latitude_seen"]
+        assert right.values["observed_deg"] == pytest.approx(45.0, abs=0.2)
+
+
+@pytest.mark.parametrize("latitude_deg", [-90.0, -70.0, 0.0, 48.1, 84.0, 90.0])
+@pytest.mark.parametrize("found_deg_h", [-15.4, 0.1, 11.0, 14.9, 15.5])
+def test_the_numbers_that_are_told_make_the_contradiction(latitude_deg: float, found_deg_h: float) -> None:
+    """A sigma of latitude is none near a pole: 84.0 deg with a sigma of 26 deg does not contradict 48.1 deg."""
+    said = latitude_words(latitude_deg, found_deg_h * DEG_PER_HOUR, 0.7 * DEG_PER_HOUR)
+    told = said.values
+    assert told["found_deg_h"] == pytest.approx(found_deg_h)
+    assert told["sigma_deg_h"] == pytest.approx(0.7)
+    is_far = abs(told["found_deg_h"] - told["expected_deg_h"]) > 4 * told["sigma_deg_h"]
+    assert said.key == ("stills_alone.latitude_contradicted" if is_far else "stills_alone.latitude_seen")
 
 
 def test_only_fine_instruments_see_the_earth() -> None:
