@@ -236,7 +236,7 @@ def _quality(joined: JoinedFrom, joint: Joint, warnings: Sequence[str], notes: S
     """Return the figures of all sessions as one, with a verdict no better than that of any of them."""
     each = [parameters.calibration for parameters in joined.parameters]
     residual, left_out = (
-        np.concatenate([getattr(calibration.positions, name) for calibration in each])
+        np.concatenate([getattr(calibration.positions, name)[calibration.positions.used] for calibration in each])
         for name in ("residual_m_s2", "leave_one_out_m_s2")
     )
     quality = replace(
@@ -270,7 +270,7 @@ def _quality(joined: JoinedFrom, joint: Joint, warnings: Sequence[str], notes: S
 def _summary(joined: JoinedFrom) -> str:
     days = sorted(parameters.context.session.recorded[:10] for parameters in joined.parameters)
     span = "" if not days[0] or days[0] == days[-1] else f", {days[0]} to {days[-1]},"
-    positions = sum(len(parameters.document["position"]) for parameters in joined.parameters)
+    positions = sum(int(parameters.calibration.positions.used.sum()) for parameters in joined.parameters)
     return sentence("joined.summary", sessions=len(joined.parameters), span=span, positions=positions)
 
 
@@ -292,7 +292,7 @@ def _context(joined: JoinedFrom, joint: Joint, shared: Mapping[str, float]) -> C
             name=parameters.context.session.name,
             sha256=parameters.context.session.sha256,
             recorded=parameters.context.session.recorded,
-            positions=len(parameters.document["position"]),
+            positions=int(parameters.calibration.positions.used.sum()),
         )
         for parameters in joined.parameters
     )
