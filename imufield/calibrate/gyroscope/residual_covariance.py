@@ -231,8 +231,8 @@ def next_scatter(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, p
     """
     P = _projection(parts.total(scatter), jacobian)
     V = np.stack([parts.drift, parts.wander, parts.turn])
-    PV, Pr = P @ V, P @ residual
-    score = Pr @ V @ Pr - np.trace(PV, axis1=1, axis2=2)  # 2 s_k
+    PV, pulled = P @ V, V @ (P @ residual)
+    score = pulled @ P @ residual - np.trace(PV, axis1=1, axis2=2)  # 2 s_k
     information = PV.reshape(3, -1) @ np.swapaxes(PV, 1, 2).reshape(3, -1).T  # tr(P V_k P V_l)
     now = np.array(scatter) ** 2
     from_stills = _has_freedom(parts.drift, parts.total(Scatter(0.0, 0.0, scatter.turn_rad)), jacobian)
@@ -248,7 +248,6 @@ def next_scatter(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, p
         rest = free & ~falling
         answer = score[rest] - information[np.ix_(rest, falling)] @ step[falling]
         step[rest] = _scoring_step(information[np.ix_(rest, rest)], answer)
-    pulled = np.array([V @ Pr for V in components])
     step = climbing(step, score, 2 * pulled @ P @ pulled.T - information)
     # The least variance that a scatter of size one gives to a residual it touches at all; infinite where it touches none.
     own = np.diagonal(V, axis1=1, axis2=2)
