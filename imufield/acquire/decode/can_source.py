@@ -312,7 +312,7 @@ class _KindReader:
         if values_only:
             return has_gaps
         if kind.counter is not None:
-            into.counter[rows] = kind.counter.count(data)
+            into.counter[rows] = kind.counter.count(data, kind.counter_modulus)
         if kind.time is not None:
             into.ticks[rows] = kind.time.raw(data).astype(np.float64)
         return has_gaps

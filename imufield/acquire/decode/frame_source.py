@@ -168,7 +168,7 @@ class _FrameReader:
         self._of_sensors = [(place, field) for place, name in enumerate(sensors) if (field := layout.field(name))]
         read = [*self._triads[0].fields, *self._triads[1].fields, *temperatures, *(field for _, field in self._of_sensors)]
         self._has_fractions = any(field.type[0] == "f" for field in read)
-        self._counter = layout.field(protocol.clock.counter_field)
+        self._counter, self._modulus = layout.field(protocol.clock.counter_field), protocol.clock.counter_modulus
         self._ticks = _TickReader(protocol, layout)
         self._status = _StatusReader(protocol, layout)
 
@@ -195,7 +195,7 @@ class _FrameReader:
             accelerometer=triads[0],
             gyroscope=triads[1],
             temperature_degc=temperature_degc,
-            counter=no_counters(n) if self._counter is None else self._counter.counts(frames),
+            counter=no_counters(n) if self._counter is None else self._counter.counts(frames, self._modulus),
             ticks=self._ticks.read(frames),
             status=status,
             lost_before=np.zeros(n, dtype=np.int64),

@@ -19,7 +19,7 @@ from cantools.database import Database, Message, Signal
 from numpy.typing import NDArray
 
 from imufield.acquire.protocol.can_frame import EXTENDED, ID_MASK, MOST_DATA
-from imufield.acquire.protocol.layout import MessageValue, Numbers
+from imufield.acquire.protocol.layout import MessageValue, Numbers, from_zero
 from imufield.acquire.protocol.toml import LARGEST, LEAST_SCALE, near
 from imufield.dataclass import dataclass
 from imufield.errors import ProtocolError, Reason
@@ -110,13 +110,14 @@ class CanSignal:
         return (self.start + self.length + 7) // 8
 
     @property
-    def counter_modulus(self) -> int:
-        """How many raw numbers a counter from 0 on has: by the stated range where that begins at 0, else by the bits."""
-        by_bits = 1 << self.length
-        last = (self.maximum - self.offset) / self.factor
+    def stated_modulus(self) -> int:
+        """How many raw numbers a counter or a time stamp has: by the stated range where that has 0 and 1, else by the bits."""
+        first, last = ((end - self.offset) / self.factor for end in (self.minimum, self.maximum))
+        if not -self.modulus < first <= 0 < 1 <= last < self.modulus:
+            return self.modulus
         # A count that a factor of 0.1 makes to a decimal fraction is whole but for rounding.
-        is_stated = self.minimum == self.offset and 1 <= last < by_bits and abs(last - round(last)) <= _ROUNDING * last
-        return round(last) + 1 if is_stated else by_bits
+        is_whole = all(abs(end - round(end)) <= _ROUNDING * abs(end) for end in (first, last))
+        return min(round(last) - round(first) + 1, self.modulus) if is_whole else self.modulus
 
     @property
     def _first_bit_in_order(self) -> int:
@@ -161,9 +162,9 @@ class CanSignal:
         shift = 64 - self.length
         return (bits << np.uint64(shift)).view(np.int64) >> np.int64(shift)
 
-    def count(self, rows: Rows) -> IntArray:
-        """Return the numbers of a counter, from 0 on whether they have a sign or not. Shape (n,)."""
-        return self.raw(rows).astype(np.int64) & ((1 << min(self.length, COUNTER_BITS)) - 1)
+    def count(self, rows: Rows, modulus: int = 1 << COUNTER_BITS) -> IntArray:
+        """Return the numbers of a counter that begins anew after ``modulus`` of them, from 0 on. Shape (n,)."""
+        return from_zero(self.raw(rows).astype(np.int64), modulus) & ((1 << min(self.length, COUNTER_BITS)) - 1)
 
     def _bits(self, rows: Rows) -> NDArray[np.uint64]:
         """Cut the bits out of a window of 8 bytes, and of a ninth where the signal reaches into it."""

@@ -69,6 +69,7 @@ class CanKind:
     status: list[tuple[CanSignal, int]] = field(default_factory=list)
     """Signals of the instrument's status and by how many bits they are shifted in the upper half of the flags."""
     counter: CanSignal | None = None
+    counter_modulus: int = 0
     time: CanSignal | None = None
     group: CanSignal | None = None
     """Counter that the messages of one sample share."""
@@ -207,17 +208,18 @@ class _Mapping:
         self.ticks_per_s = 1.0
         self.time_modulus = 0
         self._dbc = dbc
-        self._counter: CanSignal | None = None
+        self._counting: CanKind | None = None
 
     def counter_modulus(self, clock: Table) -> int:
         """Return where the counter begins anew, as ``[clock]`` states it, else the file; 0 where there is no counter."""
         stated = read_modulus(clock, "counter_modulus")
-        if self._counter is None:
+        if self._counting is None or (counter := self._counting.counter) is None:
             if clock.has("counter_modulus"):
                 raise clock.error("counter_modulus", sentence("can_protocol.no_counter"))
             return 0
-        check_whole(clock, "counter_modulus", self._counter, counter_modulus=stated - 1)
-        return stated or min(self._counter.counter_modulus, 1 << COUNTER_BITS)
+        check_whole(clock, "counter_modulus", counter, counter_modulus=stated - 1)
+        self._counting.counter_modulus = stated or min(counter.stated_modulus, 1 << COUNTER_BITS)
+        return self._counting.counter_modulus
 
     def triad(self, part: str) -> str:
         """Read three axes; return their unit in a sample, "" where the part is not mapped."""
@@ -260,7 +262,7 @@ class _Mapping:
         if self.table.has("counter"):
             kind, signal = self._find("counter", self.table.text("counter"))
             check_whole(self.table, "counter", signal)
-            kind.counter = self._counter = signal
+            kind.counter, self._counting = signal, kind
         if self.table.has("time"):
             kind, signal = self._find("time", self.table.text("time"))
             kind.time = signal
@@ -268,7 +270,7 @@ class _Mapping:
             unit = unit_name(signal.unit, "time")
             # A factor of 0 is refused with the other rates that no clock has.
             self.ticks_per_s = 1.0 / (SECONDS[unit or "s"] * abs(signal.factor) or math.inf)
-            self.time_modulus = 0 if signal.length >= _LONG_TIME_BITS else signal.modulus
+            self.time_modulus = signal.stated_modulus if signal.stated_modulus < 1 << _LONG_TIME_BITS else 0
         for each in self.table.tables("flags"):
             kind, signal = self._find("flags", each.text("signal"))
             flag = read_flag(each, "signal")

@@ -120,10 +120,9 @@ class Field:
             return self._raw48(frames, kind)
         return frames.numbers(kind, self.at, self.count, size)
 
-    def counts(self, frames: Frames) -> IntArray:
-        """Return the numbers of a counter, from 0 on whether they have a sign or not; one of 64 bits as sent. Shape (n,)."""
-        raw = self.raw(frames).astype(np.int64)
-        return raw & (self.modulus - 1) if self.type[0] == "i" and self.modulus < 1 << 63 else raw
+    def counts(self, frames: Frames, modulus: int) -> IntArray:
+        """Return the numbers of a counter that begins anew after ``modulus`` of them, from 0 on. Shape (n,)."""
+        return from_zero(self.raw(frames).astype(np.int64), modulus)
 
     def values(self, frames: Frames) -> FloatArray:
         """Return the numbers in ``unit``, shape (n,) or (n, count)."""
@@ -161,6 +160,11 @@ class Field:
     def can_be_read(self, length: int) -> bool:
         """Whether a frame of this length has all bytes that are read."""
         return NUMBER_BYTES[self.type] != 3 or 0 <= self.first_read <= length - 3 * self.count - 1
+
+
+def from_zero(counts: IntArray, modulus: int) -> IntArray:
+    """Return counts that begin anew after ``modulus`` of them, those below 0 a round further on: -1 stands for no counter."""
+    return np.where(counts < 0, counts % modulus, counts) if np.count_nonzero(counts < 0) else counts
 
 
 class FieldPair:

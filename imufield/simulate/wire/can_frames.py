@@ -43,7 +43,7 @@ class CanEncoder:
             raise UsageError(sentence("can_frames.no_bus", protocol=protocol.name))
         self._rule = protocol.can
         self._ticks_per_s = protocol.clock.time_ticks_per_s
-        self._counter_modulus = protocol.clock.counter_modulus
+        self._counter_modulus, self._time_modulus = protocol.clock.counter_modulus, protocol.clock.time_modulus
         self._counter_step = protocol.clock.counter_steps[0]
         self._address = DEFAULT_ADDRESS if self._rule.source_address == ANY_ADDRESS else self._rule.source_address
         # The order in which frames win the bus; sorted() keeps the forms of one multiplexed message as they are.
@@ -85,7 +85,7 @@ class CanEncoder:
                 raw[counter.name] = _wrapped(counter, count % modulus if modulus else count)
         if kind.time is not None:
             ticks = np.rint(samples.time_s * self._ticks_per_s).astype(np.int64)
-            raw[kind.time.name] = _wrapped(kind.time, ticks)
+            raw[kind.time.name] = _wrapped(kind.time, ticks % self._time_modulus if self._time_modulus else ticks)
         return raw
 
 

@@ -44,9 +44,24 @@ def test_a_counter_of_any_whole_type_wraps_where_its_bits_end(kind: str, first: 
     assert (decoder.statistics.samples_lost, decoder.statistics.losses_estimated) == (10, 0)
     assert np.flatnonzero(samples.status & np.uint32(Status.AFTER_GAP)).tolist() == [50 + 99 * n for n in range(10)]
     assert samples.time_s[-1] - samples.time_s[0] == pytest.approx(9.99)
-    if kind[-2:] != "64":
+    if kind[-2:] == "64":
+        assert samples.counter.min() >= 0, "-1 stands for no counter"
+    else:
         modulus = 1 << 8 * struct.calcsize(CODES[kind])
         assert samples.counter.tolist() == [(first + n) % modulus for n in range(1000) if n % 100 != 50]
+
+
+@pytest.mark.parametrize("rate_hz", [0.0, 99.0])
+@pytest.mark.parametrize(("kind", "modulus"), [("i8", 100), ("i16", 1000), ("i16", 60_000), ("i64", 1000)])
+def test_a_counter_with_a_sign_wraps_where_the_protocol_says(kind: str, modulus: int, rate_hz: float) -> None:
+    stated = ("counter = { field", f"counter = {{ modulus = {modulus}, field")
+    text = changed(FRAMES, (COUNTER, COUNTER.replace("u8", kind)), stated)
+    kept = [number for number in range(3000) if number % 100 != 50]
+    frames = [frame(struct.pack(CODES[kind], number % modulus - modulus // 2)) for number in kept]
+    samples, decoder = decode(text, frames, rate_hz)
+    assert (decoder.statistics.samples_lost, decoder.statistics.losses_estimated) == (30, 0)
+    assert samples.time_s[-1] - samples.time_s[0] == pytest.approx(29.99)
+    assert samples.counter.tolist() == [(number + modulus // 2) % modulus for number in kept], "from 0 on"
 
 
 @pytest.mark.parametrize("kind", ["i16", "i32"])

@@ -263,6 +263,24 @@ def test_a_signal_with_a_sign_counts(dbc: Path) -> None:
     assert np.flatnonzero(samples.status & Status.AFTER_GAP).tolist() == [130, 249]
 
 
+@pytest.mark.parametrize(("stated", "told"), [("[-50|49]", ""), ("[-50|49]", "100"), ("[0|0]", "100")])
+def test_a_counter_with_a_sign_begins_anew_where_it_is_stated(tmp_path: Path, stated: str, told: str) -> None:
+    path = tmp_path / "mine.dbc"
+    path.write_text(DBC.replace("48|8@1+ (1,0) [0|0]", f"48|8@1- (1,0) {stated}"), encoding="cp1252")
+    text = protocol_from_dbc(path, {**MAP, "counter": "Gyro.Count"}, {"rate_hz": 100}).text
+    line = f"[clock]\ncounter_modulus = {told}\n" if told else ""
+    protocol = parse_protocol(text.replace("[clock.rate_hz]", f"{line}[clock.rate_hz]"))
+    frames = [
+        Frame(can_id, bytes(6) + bytes([(number % 100 - 50) % 256, 0]), number * 0.01 + (can_id & 7) * 1e-4)
+        for number in range(400)
+        if number not in (20, 110, 250)
+        for can_id in (0x100, 0x101, 0x102)
+    ]
+    samples = decode(protocol, frames)
+    assert samples.counter.min() >= 0
+    assert np.flatnonzero(samples.status & Status.AFTER_GAP).tolist() == [20, 109, 248]
+
+
 def test_a_written_protocol_beside_its_dbc(dbc: Path) -> None:
     path = dbc.with_name("mine.toml")
     path.write_text(protocol_text("mine", dbc.name, MAP), encoding="utf-8")
@@ -321,11 +339,16 @@ def test_what_is_wrong_with_a_map(dbc: Path, change: dict[str, str], key: str, w
         ("8", "(-1,0) [0|99]", 256),
     ],
 )
-def test_a_counter_begins_anew_behind_the_range_of_the_file(tmp_path: Path, bits: str, stated: str, modulus: int) -> None:
+@pytest.mark.parametrize("key", ["counter", "time"])
+def test_a_counter_or_a_time_stamp_begins_anew_behind_the_range_of_the_file(
+    tmp_path: Path, bits: str, stated: str, modulus: int, key: str
+) -> None:
     path = tmp_path / "mine.dbc"
-    path.write_text(DBC.replace("48|8@1+ (1,0) [0|0]", f"48|{bits}@1+ {stated}"), encoding="cp1252")
-    protocol = protocol_from_dbc(path, {**MAP, "counter": "Gyro.Count"})
-    assert protocol.clock.counter_modulus == modulus
+    path.write_text(DBC.replace('48|8@1+ (1,0) [0|0] ""', f'48|{bits}@1+ {stated} "s"'), encoding="cp1252")
+    protocol = protocol_from_dbc(path, {**MAP, key: "Gyro.Count"})
+    assert getattr(protocol.clock, f"{key}_modulus") == modulus
+    if key == "time":
+        return
     told = protocol.text.replace("[clock.rate_hz]", "[clock]\ncounter_modulus = 12\n[clock.rate_hz]")
     assert parse_protocol(told).clock.counter_modulus == 12
 
