@@ -11,6 +11,7 @@ import math
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imufield.acquire.clock.can_clock import CanClock
 from imufield.acquire.clock.clock import Arrival, Arrivals, Clock, filled_in
@@ -38,6 +39,7 @@ class CanSentTime(Clock):
         self._started = False
         self._by_frames: CanClock | None = None  # Takes over where the stamps are no times.
         self._last = 0.0
+        self._sent = math.nan  # The last number, which may be no time.
         self._frame_stamps = FrameStamps()
         self._last_stamp_s = math.nan  # Of the bus.
         self._frames_tell = False  # Whether the bus has a time at all.
@@ -107,13 +109,14 @@ class CanSentTime(Clock):
         """
         first = block[: LEARN_FROM + 1]
         self._frames_tell = bool(first.stamp_s[-1] > first.stamp_s[0])
+        ticks = np.where(self._known(first.ticks), first.ticks, np.nan)
         # How often a stamp began anew between two samples cannot be told from it where it does so as fast as they come.
         is_slow = len(first) > 1 and median(np.diff(first.stamp_s)) > self._stamps.wrap_s / 2
-        self._started = self._stamps.tells_time(first.ticks, has_host=self._frames_tell) and not is_slow
+        self._started = self._stamps.tells_time(ticks, has_host=self._frames_tell) and not is_slow
         if self._started:
-            known = self._whole(first.ticks[np.isfinite(first.ticks)])
+            known = ticks[np.isfinite(ticks)]
             self._last = float(known[0])
-            self._steps.learn(self._stamps.start(known))
+            self._steps.learn(self._stamps.start(self._whole(known)))
         return self._started
 
     def _time(self, block: RawBlock, silence_s: FloatArray, unseen_s: float) -> Samples:
@@ -142,12 +145,23 @@ class CanSentTime(Clock):
 
     def _filled(self, ticks: Ticks, step: float) -> Ticks:
         """Put a regular step where the message with the time was lost."""
-        known = np.isfinite(ticks)
+        known = self._known(ticks)
         if not known.all():
             ticks = filled_in(ticks, known, self._last, step)
         self._last = float(ticks[-1])
         return self._whole(ticks)
 
+    def _known(self, ticks: Ticks) -> NDArray[np.bool_]:
+        """Return which are times: a single number beyond the stated end is none.
+
+        Stamps that rise beyond it go on to the next power of two: ranges of DBC files may be wrong.
+        """
+        sent, self._sent = np.append(self._sent, ticks), float(ticks[-1])
+        rising = sent[1:][(sent[:-1] >= self._stamps.modulus) & (sent[1:] > sent[:-1])]
+        if self._stamps.modulus and len(rising):
+            self._stamps.widen(1 << int(rising.max()).bit_length(), int(self._last))
+        return np.asarray(np.isfinite(ticks) & (ticks < (self._stamps.modulus or math.inf)))
+
     def _whole(self, ticks: Ticks) -> Ticks:
         # Stamps that wrap are whole numbers from 0 on, with a sign or without, and are unwrapped without rounding as such.
-        return np.rint(ticks).astype(np.int64) % self._rule.time_modulus if self._rule.time_modulus else ticks
+        return np.rint(ticks).astype(np.int64) % self._stamps.modulus if self._stamps.modulus else ticks

@@ -25,6 +25,7 @@ _LARGEST_TIME_S = 1e11  # 3000 years; in an unchecked stream anything further fr
 LONGEST_PAUSE_S = 3600.0
 # Share of the first samples with another stamp than the one before: of eight with the same, the host dates each better.
 _LEAST_MOVING = 1 / 8
+_LARGEST_PART = 1 / 8  # Of a wrap: a clock set by any step then fits a whole number of wraps in a quarter of all cases at most.
 _PAUSE = 2.5  # Times a tick: stamps of whole milliseconds make two of one.
 _ROUNDING = 1e-9  # Relative, of the sum of a day of time stamps: even ones have the mean of each step.
 
@@ -54,15 +55,25 @@ class StampClock:
     """
 
     def __init__(self, rule: ClockRule) -> None:
-        self._modulus = rule.time_modulus
+        self.modulus = rule.time_modulus
         self._ticks_per_s = rule.time_ticks_per_s
-        self.wrap_s = self._modulus / self._ticks_per_s if self._modulus else math.inf
         self._longest_pause_s = math.inf if rule.gaps_told else LONGEST_PAUSE_S
         self._last: float = 0
-        self._wraps = 0
+        self._added = 0  # Ticks of all wraps.
         self._offset_s = 0.0
         self._raw_s = 0.0
         self._time_s = 0.0
+
+    @property
+    def wrap_s(self) -> float:
+        """After how long the stamps begin anew; infinite where they do not."""
+        return self.modulus / self._ticks_per_s if self.modulus else math.inf
+
+    def widen(self, modulus: int, last: int) -> None:
+        """Let the stamps begin anew later than stated, after ``modulus`` ticks; ``last`` is the one before as it was sent."""
+        self.modulus = modulus
+        self._added += int(self._last) - last % modulus
+        self._last = last % modulus
 
     def tells_time(self, first: Ticks, *, has_host: bool) -> bool:
         """Whether most of the first stamps are times; and whether they move, where a host dates the samples as well."""
@@ -75,29 +86,30 @@ class StampClock:
         """Begin with the first of the first n time stamps; return the n - 1 steps between them, s."""
         stamps = self._without_garbage(stamps)
         # Without any stamp before it a first one that is missing is still ``NO_TICKS``, too far back to compute with.
-        self._last = max(stamps[0].item(), -_LARGEST_TIME_S * self._ticks_per_s)
+        self._last, self._added = max(stamps[0].item(), -_LARGEST_TIME_S * self._ticks_per_s), 0
         self._time_s = self._raw_s = self._last / self._ticks_per_s
         return np.diff(stamps) / self._ticks_per_s
 
     def go_round(self, stamp: float, silence_s: float, within_s: float) -> bool:
         """Add the wraps that a silence before the next stamp has room for; return whether the stamp does not show them.
 
-        A silence that no number of wraps makes to ``within_s`` was none: the clock that measured it was set.
+        A silence that no number of wraps makes to ``within_s`` was none: the clock that measured it was set. Where wraps are
+        so short that nearly any silence is some of them, it shows nothing.
         """
         step = stamp - self._last
-        wraps = round((silence_s * self._ticks_per_s - step) / self._modulus)
-        off_s = silence_s - (step + wraps * self._modulus) / self._ticks_per_s
-        if wraps <= int(step < -(self._modulus // 2)) or abs(off_s) > within_s:
+        wraps = round((silence_s * self._ticks_per_s - step) / self.modulus)
+        off_s = silence_s - (step + wraps * self.modulus) / self._ticks_per_s
+        if wraps <= int(step < -(self.modulus // 2)) or abs(off_s) > within_s or within_s > _LARGEST_PART * self.wrap_s:
             return False
-        self._wraps, self._last = self._wraps + wraps, stamp
+        self._added, self._last = self._added + wraps * self.modulus, stamp
         return True
 
     def add_wraps(self, wraps: int, time_s: FloatArray) -> FloatArray:
         """Add wraps that were found missing before these newest times, which may be none; return them moved on. Shape (n,)."""
-        self._wraps += wraps
+        self._added += wraps * self.modulus
         raw_s = np.append(time_s - self._offset_s, self._raw_s)
         # From whole ticks again: a sum of times would depend in its last bit on how reads were joined into blocks.
-        raw_s = (np.rint(raw_s * self._ticks_per_s) + wraps * self._modulus) / self._ticks_per_s
+        raw_s = (np.rint(raw_s * self._ticks_per_s) + wraps * self.modulus) / self._ticks_per_s
         self._raw_s = raw_s.item(-1)
         self._time_s += wraps * self.wrap_s
         return np.asarray(raw_s[:-1] + self._offset_s)
@@ -119,7 +131,7 @@ class StampClock:
         # Of whole numbers the first is enough: what stands for none is the least of all and would make a step back.
         if stamps[0] == NO_TICKS if stamps.dtype.kind == "i" else not every(self._good(stamps)):
             return None
-        wrapped = stamps + np.array([self._wraps]) * self._modulus if self._wraps else stamps
+        wrapped = stamps + np.array([self._added]) if self._added else stamps
         raw_s: FloatArray = np.divide(wrapped, self._ticks_per_s, dtype=np.float64)
         step_s = steps_between(raw_s, self._raw_s)
         time_s = raw_s + self._offset_s if self._offset_s else raw_s
@@ -162,12 +174,12 @@ class StampClock:
     def _unwrap(self, stamps: Ticks) -> Ticks:
         """Add a wrap wherever a stamp is more than half a wrap behind the one before."""
         before, self._last = self._last, stamps[-1].item()
-        if not self._modulus:
+        if not self.modulus:
             return stamps
-        backwards = steps_between(stamps, before) < -(self._modulus // 2)
-        wraps = self._wraps + backwards.cumsum() if np.count_nonzero(backwards) else np.array([self._wraps])
-        self._wraps = int(wraps[-1])
-        unwrapped: Ticks = np.add(stamps, wraps * self._modulus)
+        backwards = steps_between(stamps, before) < -(self.modulus // 2)
+        added = self._added + backwards.cumsum() * self.modulus if np.count_nonzero(backwards) else np.array([self._added])
+        self._added = int(added[-1])
+        unwrapped: Ticks = np.add(stamps, added)
         return unwrapped
 
 

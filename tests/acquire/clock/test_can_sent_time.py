@@ -106,6 +106,42 @@ def test_a_time_stamp_with_a_sign_begins_anywhere(begin: int) -> None:
     assert (statistics.lost, statistics.gaps, statistics.clock_resets) == (0, 0, 0)
 
 
+@pytest.mark.parametrize(
+    ("stated", "modulus"), [(60_000, 60_000), (1000, 1000), (1001, 1 << 16), (60_000, 1 << 16), (100, 1 << 12)]
+)
+@pytest.mark.parametrize("begin", [0, 59_000, 65_000])
+@pytest.mark.parametrize("block", [1, 7, 10_000])
+def test_a_time_stamp_begins_anew_where_its_range_ends_unless_it_goes_on(
+    stated: int, modulus: int, begin: int, block: int
+) -> None:
+    kept = np.delete(np.arange(9000), [500, 501, 6543])
+    rule = ClockRule(time_modulus=stated, time_ticks_per_s=1e3)
+    samples, statistics = run(kept / 100.0, ticks=(begin + kept * 10.0) % modulus, rule=rule, block=block)
+    assert (statistics.lost, statistics.gaps, statistics.clock_resets) == (3, 2, 0)
+    np.testing.assert_allclose(samples.time_s - samples.time_s[0], kept / 100.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("block", [1, 7, 10_000])
+def test_a_single_number_beyond_the_end_of_a_time_stamp_is_no_time(block: int) -> None:
+    number = np.arange(9000)
+    ticks = number * 10.0 % 60_000
+    ticks[[3, 700, 5999, 6000, 7000]] = 65_535
+    rule = ClockRule(time_modulus=60_000, time_ticks_per_s=1e3)
+    samples, statistics = run(number / 100.0, ticks=ticks, rule=rule, block=block)
+    np.testing.assert_allclose(samples.time_s, number / 100.0, atol=1e-9)
+    assert (statistics.lost, statistics.gaps, statistics.clock_resets) == (0, 0, 0)
+
+
+@pytest.mark.parametrize("wrap_s", [0.256, 0.512, 1.024])
+@pytest.mark.parametrize("step_s", [1.0, 1.024, 7.3, 59.7])
+def test_wraps_shorter_than_usual_delays_are_not_counted_by_silence(wrap_s: float, step_s: float) -> None:
+    number = np.arange(600)
+    rule = ClockRule(time_modulus=round(wrap_s * 1e3), time_ticks_per_s=1e3)
+    samples, statistics = run(number / 100.0 + (number >= 300) * step_s, ticks=number * 10.0 % rule.time_modulus, rule=rule)
+    np.testing.assert_allclose(samples.time_s - samples.time_s[0], number / 100.0, atol=1e-9)
+    assert (statistics.lost, statistics.gaps) == (0, 0)
+
+
 @pytest.mark.parametrize("rate_hz", [2.0, 10.0, 20.0])
 def test_a_time_stamp_that_begins_anew_faster_than_samples_come_gives_way_to_that_of_the_frames(rate_hz: float) -> None:
     true_s = np.arange(400) / rate_hz
