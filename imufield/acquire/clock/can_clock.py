@@ -164,7 +164,7 @@ class CanClock(Clock):
             self._counter_step = self._rule.counter_steps[int(np.argmax(counts))]
             first = int(np.argmax(known))
             self._last_counter = int(block.counter[first]) - (first + 1) * self._counter_step
-        steps = self._steps(block.counter, remember=False)
+        steps = self._steps(block.counter)
         period_s = sample_period_s(block.stamp_s, np.cumsum(steps), self._rule.rate_hz)
         window_s = max(_WINDOW_S, _LEAST_WINDOW * period_s)
         phase = _Phase(period_s=period_s, window_s=window_s)
@@ -183,28 +183,32 @@ class CanClock(Clock):
         unit = self._modulus // self._counter_step if self._last_counter is not None else 1
         phase.unit = max(unit, 1)
         unit_s = phase.unit * phase.period_s
-        phase.visible_s, phase.burst = unit_s / 2, 0
+        # From half a wrap on the counter seems to go back, and the phase moves by one sample less.
+        phase.visible_s, phase.burst = max(phase.unit / 2 - 1, 0.5) * phase.period_s, 0
         if 2 * phase.delay_s >= unit_s:
             phase.visible_s = max(2 * phase.delay_s, _BURST_S)
             phase.burst = math.ceil(phase.delay_s / phase.period_s)
             if self._last_counter is None:
                 self._statistics.least_loss_s = max(self._statistics.least_loss_s, phase.visible_s)
 
-    def _steps(self, counter: IntArray, *, remember: bool = True) -> FloatArray:
+    def _steps(self, counter: IntArray) -> FloatArray:
         """Return how many samples each one is behind the one before, by the counter; 1 where there is none. Shape (n,)."""
-        if self._last_counter is None:
-            return np.ones(len(counter))
+        return np.ones(len(counter)) if self._last_counter is None else self._forward_steps(self._rounds(counter))
+
+    def _forward_steps(self, rounds: FloatArray) -> FloatArray:
+        # More than half a round forward is a step back: frames out of order, or a restart.
+        return np.where(rounds > self._modulus / self._counter_step / 2, 1.0, np.rint(rounds))
+
+    def _rounds(self, counter: IntArray, *, remember: bool = False) -> FloatArray:
+        """Return by which part of a round each count is behind the one before, in samples. Shape (n,)."""
         known = self._is_count(counter)
         # A lost counter message: go on from the last one known.
-        filled = counter if every(known) else filled_in(counter, known, self._last_counter, self._counter_step)
-        modulus = self._modulus
-        steps = steps_between(filled, self._last_counter) % modulus / self._counter_step
+        before = self._last_counter or 0
+        filled = counter if every(known) else filled_in(counter, known, before, self._counter_step)
         if remember:
             # Not modulo: the counter may turn out to go on beyond the end that it has so far.
             self._last_counter = int(filled[-1])
-        # More than half a round forward is a step back: frames out of order, or a restart.
-        back = steps > modulus / self._counter_step / 2
-        return np.where(back, 1.0, np.rint(steps))
+        return steps_between(filled, before) % self._modulus / self._counter_step
 
     def _time(self, block: RawBlock, ready: int, phase: _Phase) -> Samples:
         """Give the first ``ready`` samples of the block their time, fewer where the rate has changed behind them."""
@@ -220,7 +224,8 @@ class CanClock(Clock):
             ready = _until_rate_changes(moved_s, phase)
             envelope_s, moved_s = envelope_s[:ready], moved_s[:ready]
         time_s = envelope_s + number[:ready] * phase.period_s
-        steps = None if self._last_counter is None else self._steps(block.counter[:ready])
+        rounds = None if self._last_counter is None else self._rounds(block.counter[:ready], remember=True)
+        steps = None if rounds is None else self._forward_steps(rounds)
         phase.base_s, phase.number = float(envelope_s[-1]), float(number[ready - 1])
         stands = is_steady and most_s < phase.visible_s
         repeated = steps is not None and not every(steps >= 1)
@@ -229,7 +234,7 @@ class CanClock(Clock):
             phase.last_time_s = float(time_s[-1])
             estimated = None
         else:
-            estimated = _losses(envelope_s, moved_s, phase)
+            estimated = _losses(envelope_s, moved_s, phase, rounds, steps)
             time_s = _forward(time_s, phase)
         before_s = envelope_s if ready > phase.burst else np.concatenate([phase.before_s, envelope_s])
         phase.before_s = before_s[-phase.burst - 1 :]
@@ -252,7 +257,7 @@ class CanClock(Clock):
         """Return the numbers of all samples of the block; what is not ready is counted again in the next call."""
         if self._last_counter is None:
             return np.arange(phase.number + 1, phase.number + len(block) + 0.5)
-        return np.asarray(phase.number + np.cumsum(self._steps(block.counter, remember=False)))
+        return np.asarray(phase.number + np.cumsum(self._steps(block.counter)))
 
     def _samples(self, block: RawBlock, time_s: FloatArray, steps: FloatArray | None, estimated: IntArray | None) -> Samples:
         flags = np.empty(len(block), dtype=np.uint32)
@@ -282,15 +287,22 @@ def _until_rate_changes(moved_s: FloatArray, phase: _Phase) -> int:
     return count
 
 
-def _losses(envelope_s: FloatArray, moved_s: FloatArray, phase: _Phase) -> IntArray:
-    """Return how many samples are missing before each one by the steps of the phase, whole units of them. Shape (n,)."""
+def _losses(
+    envelope_s: FloatArray, moved_s: FloatArray, phase: _Phase, rounds: FloatArray | None, steps: FloatArray | None
+) -> IntArray:
+    """Return how many samples are missing before each one by the steps of the phase. Shape (n,).
+
+    Whole units of them, and what the counter shows if a step that seemed to go back, or none, was one forward.
+    """
     lost = np.zeros(len(moved_s), dtype=np.int64)
-    unit_s = phase.unit * phase.period_s
     for place in np.flatnonzero(moved_s >= phase.visible_s).tolist():
         # The last burst before a loss has nothing behind it that shows how late it was.
         before = np.concatenate([phase.before_s, envelope_s[:place]])[-phase.burst - 1 :]
         step_s = envelope_s[place] - before.min() if len(before) else moved_s[place]
-        lost[place] = round(float(step_s) / unit_s) * phase.unit
+        step = 1 if steps is None else round(float(steps[place]))
+        unseen = 0 if rounds is None else round(float(rounds[place])) - step
+        units = round((float(step_s) / phase.period_s - unseen) / phase.unit)
+        lost[place] = max(units * phase.unit + unseen + min(step - 1, 0), 0)
     return lost
 
 

@@ -308,6 +308,19 @@ def test_a_counter_that_has_another_end_tells_its_losses_from_those_that_only_ti
     assert (statistics.samples_lost, statistics.losses_estimated) == (150, 0)
 
 
+@pytest.mark.parametrize(
+    ("modulus", "missing"),
+    [(15, 7), (15, 8), (15, 14), (15, 100), (16, 8), (16, 9), (16, 15), (16, 140), (256, 128), (256, 140), (256, 255), (2, 1)],
+)
+@pytest.mark.parametrize("block", [1, 9, 4000])
+def test_losses_of_more_than_half_a_round_are_told_by_counter_and_time(modulus: int, missing: int, block: int) -> None:
+    kept = np.concatenate([np.arange(1000), np.arange(1000 + missing, 4000)])
+    stamp_s = kept / 400.0 + jitter(len(kept), 1e-4)
+    samples, statistics = run(stamp_s, counter=kept % modulus, modulus=modulus, block=block)
+    assert (statistics.lost, statistics.losses_estimated, statistics.gaps) == (missing, missing, 1)
+    assert np.flatnonzero(samples.status & Status.GAP_ESTIMATED).tolist() == [1000]
+
+
 def test_whole_wraps_are_estimated() -> None:
     kept = np.concatenate([np.arange(1000), np.arange(1000 + 2 * 256 + 5, 4000)])
     _, statistics = run(kept / 400.0, counter=kept % 256, modulus=256)
