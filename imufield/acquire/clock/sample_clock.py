@@ -254,6 +254,10 @@ class SampleClock(Clock):
             steps = self._add_wraps(steps, stamped.step_s) if self._has_counter else stamped.step_s
             self._learn_mean(stamped, steps if self._has_counter else None)
         else:
+            # A counter that began anew without a silence is a clock that was set, too.
+            is_set = [row for row in by_silence if ticks[row] == self._steps.step]
+            flags[is_set] |= np.uint32(Status.GAP_ESTIMATED | Status.CLOCK_SET)
+            self._statistics.clock_resets += len(is_set)
             self._block_ticks = self._ticks + ticks.cumsum()
             self._ticks = int(self._block_ticks[-1])
             time_s = self._time_of(self._block_ticks)
@@ -308,7 +312,7 @@ class SampleClock(Clock):
         return rows
 
     def _begins_anew(self, ticks: IntArray, row: int, reads: Reads) -> bool:
-        """Whether a sample arrived before it was measured, by the steps of the counter; without arrival, whether one is too long."""
+        """Whether a sample arrived before it was measured, by its counter; without arrival, whether the step is too long."""
         arrival_s = next(arrival_s for end, arrival_s in reads if end > row)
         if not math.isfinite(arrival_s):
             return bool(ticks[row] > LONGEST_PAUSE_S * self._tick_rate_hz)

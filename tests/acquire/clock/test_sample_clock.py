@@ -252,7 +252,7 @@ def test_an_instrument_that_begins_anew_is_a_gap_as_long_as_the_silence(rule: Cl
     assert int(samples.status[gap]) == Status.GAP_ESTIMATED
 
 
-@pytest.mark.parametrize("rule", [STAMPED, BOTH])
+@pytest.mark.parametrize("rule", [COUNTED, STAMPED, BOTH])
 def test_a_time_set_back_without_a_silence_is_no_loss(rule: ClockRule) -> None:
     numbers = np.concatenate([np.arange(2870) + 1000, np.arange(3000)])
     samples, statistics = counted(numbers, np.arange(5870) / 100 + 50, 7, rule)
@@ -274,8 +274,11 @@ def test_counts_that_noise_has_made_invent_no_loss(size: int) -> None:
 @pytest.mark.parametrize("size", [1, 5, 7])
 def test_a_counter_that_begins_anew_is_no_pause_of_months_where_nobody_noted_arrival(size: int) -> None:
     wide = replace(COUNTED, counter_modulus=1 << 32)
-    samples, _ = counted(np.concatenate([np.arange(2870) + 1000, np.arange(3000)]), np.full(5870, np.nan), size, wide)
+    numbers = np.concatenate([np.arange(2870) + 1000, np.arange(3000)])
+    samples, statistics = counted(numbers, np.full(5870, np.nan), size, wide)
     np.testing.assert_allclose(np.diff(samples.time_s), 0.01, atol=1e-9)
+    assert (statistics.lost, statistics.clock_resets) == (0, 1)
+    assert np.flatnonzero(samples.status & Status.CLOCK_SET).tolist() == [2870]
 
 
 def test_a_cable_that_was_out_for_longer_is_counted() -> None:
