@@ -116,7 +116,9 @@ def test_a_time_stamp_begins_anew_where_its_range_ends_unless_it_goes_on(
 ) -> None:
     kept = np.delete(np.arange(9000), [500, 501, 6543])
     rule = ClockRule(time_modulus=stated, time_ticks_per_s=1e3)
-    samples, statistics = run(kept / 100.0, ticks=(begin + kept * 10.0) % modulus, rule=rule, block=block)
+    samples, statistics = run(
+        kept / 100.0, ticks=np.asarray((begin + kept * 10.0) % modulus, dtype=np.float64), rule=rule, block=block
+    )
     assert (statistics.lost, statistics.gaps, statistics.clock_resets) == (3, 2, 0)
     np.testing.assert_allclose(samples.time_s - samples.time_s[0], kept / 100.0, atol=1e-9)
 
@@ -124,7 +126,7 @@ def test_a_time_stamp_begins_anew_where_its_range_ends_unless_it_goes_on(
 @pytest.mark.parametrize("block", [1, 7, 10_000])
 def test_a_single_number_beyond_the_end_of_a_time_stamp_is_no_time(block: int) -> None:
     number = np.arange(9000)
-    ticks = number * 10.0 % 60_000
+    ticks = np.asarray(number * 10.0 % 60_000, dtype=np.float64)
     ticks[[3, 700, 5999, 6000, 7000]] = 65_535
     rule = ClockRule(time_modulus=60_000, time_ticks_per_s=1e3)
     samples, statistics = run(number / 100.0, ticks=ticks, rule=rule, block=block)
@@ -137,7 +139,8 @@ def test_a_single_number_beyond_the_end_of_a_time_stamp_is_no_time(block: int) -
 def test_wraps_shorter_than_usual_delays_are_not_counted_by_silence(wrap_s: float, step_s: float) -> None:
     number = np.arange(600)
     rule = ClockRule(time_modulus=round(wrap_s * 1e3), time_ticks_per_s=1e3)
-    samples, statistics = run(number / 100.0 + (number >= 300) * step_s, ticks=number * 10.0 % rule.time_modulus, rule=rule)
+    ticks = np.asarray(number * 10.0 % rule.time_modulus, dtype=np.float64)
+    samples, statistics = run(number / 100.0 + (number >= 300) * step_s, ticks=ticks, rule=rule)
     np.testing.assert_allclose(samples.time_s - samples.time_s[0], number / 100.0, atol=1e-9)
     assert (statistics.lost, statistics.gaps) == (0, 0)
 
