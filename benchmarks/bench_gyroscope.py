@@ -20,7 +20,7 @@ from imufield.calibrate.accelerometer.accelerometer import calibrate_acceleromet
 from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
 from imufield.calibrate.gyroscope.input import GyroscopeInput, make_data
 from imufield.calibrate.gyroscope.move_integration import rough_inverse
-from imufield.calibrate.gyroscope.stills_alone import StaticData, StaticFree, fit_static, observed_latitude_deg
+from imufield.calibrate.gyroscope.stills_alone import StaticData, StaticFree, fit_static
 from imufield.calibrate.gyroscope.turntable import TurntableRun, pair_runs
 from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS
 from imufield.calibrate.model.result import GYROSCOPE_NAMES, GyroscopeParameters
@@ -173,8 +173,8 @@ def navigation(count: int = 100) -> None:
             found = np.linalg.inv(fitted.x[:9].reshape(3, 3)) @ fitted.x[9:12]
             errors.append((found - bias) / DEG_PER_HOUR)
             wrong = fit_static(data, A, 45.5, free)
-            latitude, sigma = observed_latitude_deg(wrong.vertical_rad_s, wrong.vertical_sigma_rad_s)
-            contradiction.append(abs(latitude - 45.5) / sigma)
+            expected_rad_s = EARTH_RATE_RAD_S * np.sin(np.radians(45.5))
+            contradiction.append(abs(wrong.vertical_rad_s - expected_rad_s) / wrong.vertical_sigma_rad_s)
         rms = np.sqrt(np.mean(np.square(errors)))
         print(
             f"static path, {seconds:g} s a position, free: {free}: bias {rms:.4f} deg/h RMS; "

@@ -107,8 +107,8 @@ def solve_rows(folder: Path, session: Session) -> list[Row]:
 def dask_cluster(workers: int) -> Iterator[str]:
     """Run a cluster on this machine; yield its address."""
     distributed: Any = importlib.import_module("distributed")  # only here: it takes a second
-    options = {"threads_per_worker": 1, "dashboard_address": "127.0.0.1:0", "worker_dashboard_address": None, "silence_logs": 50}
-    with distributed.LocalCluster(n_workers=workers, processes=True, **options) as cluster:
+    options = {"threads_per_worker": 1, "worker_dashboard_address": None, "silence_logs": 50}
+    with distributed.LocalCluster(n_workers=workers, processes=True, dashboard_address="127.0.0.1:0", **options) as cluster:
         yield str(cluster.scheduler_address)
 
 

@@ -122,10 +122,10 @@ def test_two_results_in_one_folder_keep_a_record_each(solved: Path, tmp_path: Pa
 
 @pytest.mark.parametrize(("record", "pdf"), [("page.html", False), ("page.htm", True)])
 def test_one_name_for_both_pages_is_refused(solved: Path, tmp_path: Path, record: str, pdf: bool) -> None:
-    pages = {"output": tmp_path / "page.html", "record": tmp_path / record}
+    page = tmp_path / "page.html"
     with pytest.raises(UsageError):
-        run_report(ReportOptions(parameters=solved / "parameters.toml", pdf=pdf, **pages))
-    assert not (tmp_path / "page.html").exists()
+        run_report(ReportOptions(parameters=solved / "parameters.toml", output=page, record=tmp_path / record, pdf=pdf))
+    assert not page.exists()
 
 
 def test_verification_gets_into_the_page(solved: Path) -> None:

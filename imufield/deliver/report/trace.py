@@ -85,7 +85,7 @@ class TraceCollector:
         numbers, means = np.insert(numbers, pauses, numbers[pauses] - 1), np.insert(means, pauses, np.nan, axis=0)
         values = means[:, :7] + self._centre
         return TraceCells(
-            time_s=collected.start_s + (numbers + 0.5) * CELL_S,
+            time_s=np.asarray(collected.start_s + (numbers + 0.5) * CELL_S, dtype=np.float64),
             temperature_degc=values[:, 6],
             accelerometer=values[:, :3],
             gyroscope=values[:, 3:6],
