@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from imufield.acquire.clock.can_clock import CanClock
 from imufield.acquire.clock.clock import Arrival, Arrivals, Clock, filled_in
 from imufield.acquire.clock.frame_stamps import FrameStamps
-from imufield.acquire.clock.missing_samples import FREE_LAG_S, LEARN_FROM, StepRule, steps_in_silence
+from imufield.acquire.clock.missing_samples import FREE_LAG_S, LEARN_FROM, TOLERANCE, StepRule, steps_in_silence
 from imufield.acquire.clock.stamp_clock import MeanStep, StampClock, steps_between
 from imufield.acquire.decode.assembly import RawBlock, Ticks, join
 from imufield.acquire.decode.statistics import NO_TIME, DecoderStatistics
@@ -39,7 +39,7 @@ class CanSentTime(Clock):
         self._started = False
         self._by_frames: CanClock | None = None  # Takes over where the stamps are no times.
         self._last = 0.0
-        self._sent = math.nan  # The last number, which may be no time.
+        self._sent = np.full(2, np.nan)  # The last two numbers, which may be no times.
         self._frame_stamps = FrameStamps()
         self._last_stamp_s = math.nan  # Of the bus.
         self._frames_tell = False  # Whether the bus has a time at all.
@@ -109,7 +109,8 @@ class CanSentTime(Clock):
         """
         first = block[: LEARN_FROM + 1]
         self._frames_tell = bool(first.stamp_s[-1] > first.stamp_s[0])
-        ticks = np.where(self._known(first.ticks), first.ticks, np.nan)
+        self._widen(first.ticks)
+        ticks = np.where(self._are_times(first.ticks), first.ticks, np.nan)
         # How often a stamp began anew between two samples cannot be told from it where it does so as fast as they come.
         is_slow = len(first) > 1 and median(np.diff(first.stamp_s)) > self._stamps.wrap_s / 2
         self._started = self._stamps.tells_time(ticks, has_host=self._frames_tell) and not is_slow
@@ -145,21 +146,26 @@ class CanSentTime(Clock):
 
     def _filled(self, ticks: Ticks, step: float) -> Ticks:
         """Put a regular step where the message with the time was lost."""
-        known = self._known(ticks)
+        self._widen(ticks)
+        known = self._are_times(ticks)
         if not known.all():
             ticks = filled_in(ticks, known, self._last, step)
         self._last = float(ticks[-1])
         return self._whole(ticks)
 
-    def _known(self, ticks: Ticks) -> NDArray[np.bool_]:
-        """Return which are times: a single number beyond the stated end is none.
+    def _widen(self, ticks: Ticks) -> None:
+        """Let stamps that rise beyond their stated end go on to the next power of two: ranges of DBC files may be wrong."""
+        sent = np.append(self._sent, ticks)
+        self._sent = sent[-2:]
+        steps = np.diff(sent)
+        # By steps alike: what stands for no value may be two numbers one behind the other.
+        rising = (steps[1:] > 0) & (np.abs(np.diff(steps)) <= 2 * TOLERANCE * steps[1:])
+        beyond = sent[2:][rising & (sent[1:-1] >= self._stamps.modulus)]
+        if self._stamps.modulus and len(beyond):
+            self._stamps.widen(1 << int(beyond.max()).bit_length(), int(self._last))
 
-        Stamps that rise beyond it go on to the next power of two: ranges of DBC files may be wrong.
-        """
-        sent, self._sent = np.append(self._sent, ticks), float(ticks[-1])
-        rising = sent[1:][(sent[:-1] >= self._stamps.modulus) & (sent[1:] > sent[:-1])]
-        if self._stamps.modulus and len(rising):
-            self._stamps.widen(1 << int(rising.max()).bit_length(), int(self._last))
+    def _are_times(self, ticks: Ticks) -> NDArray[np.bool_]:
+        """Return which are times: a single number beyond the end is none."""
         return np.asarray(np.isfinite(ticks) & (ticks < (self._stamps.modulus or math.inf)))
 
     def _whole(self, ticks: Ticks) -> Ticks:

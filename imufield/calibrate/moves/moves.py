@@ -37,7 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.calibrate.model.rotation import cross
-from imufield.calibrate.moves.range_ends import LargestOutputs, without_held
+from imufield.calibrate.moves.range_ends import LargestOutputs, without_table_rates
 from imufield.dataclass import dataclass, fields, replace
 from imufield.samples import (
     CELL_S,
@@ -426,7 +426,7 @@ def cut_moves(slots: Slots, start_s: FloatArray, duration_s: FloatArray, ends: F
     if len(slots) and len(stills):
         latest = np.searchsorted(stills[:, 0], rising_s, side="right") - 1
         rate = slots.turn / np.maximum(slots.duration_s, 1e-9)[:, None]
-        ends = without_held(ends, rising_s, rate, slots.plateau, (latest >= 0) & (rising_s < stills[latest, 1]))
+        ends = without_table_rates(ends, rising_s, rate, slots.plateau, (latest >= 0) & (rising_s < stills[latest, 1]))
         stills = stretch_stills(*sum_cells(rising_s, slot_sums(slots)), stills=stills)
     kept: list[tuple[int, int, float, float, IntArray]] = []  # Stills before and after, begin and end, rows of the slots.
     dropped: list[Sentence] = []

@@ -10,9 +10,10 @@ from imufield.samples import FloatArray
 # Times the samples of the next value that make the largest an end of the range: the top of a turn, a parabola, has 2.4 times.
 _LONGER = 3
 _MORE = 5  # And so many more: of few samples, one and two differ by chance.
-# By hand, a whole turn beyond 120 deg/s, the smallest range there is, takes less; what stands longer is the rate of a table.
-_HELD_S = 3.0
-# Between the quartiles of the other axes, of the largest range of rates: a table's is one step, of a hundred steps of its rate.
+# A whole turn by hand beyond 120 deg/s, the smallest range there is, takes less. A table holds its rate for longer, and so does
+# a slow turn that saturates: the other axes tell them apart.
+_LONGEST_TURN_S = 3.0
+# Between the quartiles of the other axes on a table, at most: of the largest range of rates, or one step of the output.
 _STEADY = 0.01
 _HOLE_S = 0.25  # Within what is held: noise may reach the next code, and quiet slots are joined into cells of 0.1 s.
 
@@ -39,7 +40,7 @@ class LargestOutputs:
         self._times = np.stack([np.sum(times, axis=1, where=values == value[:, None]) for value in self._largest.T], axis=1)
 
 
-def without_held(
+def without_table_rates(
     ends: FloatArray | float, time_s: FloatArray, rate: FloatArray, plateau: FloatArray, is_rest: NDArray[np.bool_]
 ) -> FloatArray | float:
     """Return ends, shape (2, 3), with NaN for those at which an axis stands at rest, or as only a table turns it.
@@ -56,13 +57,15 @@ def without_held(
     is_rest : ndarray of bool, shape (k,)
         Whether it is of a still.
     """
-    reached, most = plateau[:, None] == ends, _STEADY * np.ptp(rate, axis=0).max()
+    reached = plateau[:, None] == ends
+    step = np.diff(np.unique(plateau[np.isfinite(plateau)])).min(initial=np.inf)
+    most = max(_STEADY * np.ptp(rate, axis=0).max(), step if np.isfinite(step) else 0.0)
     # An axis that was never turned one way ends there at what it reads at rest.
     is_none = np.any(reached[is_rest], axis=0)
     for end, axis in np.argwhere(reached.any(axis=0)):
         rows = np.flatnonzero(reached[:, end, axis])
         stretches = np.split(rows, np.flatnonzero(np.diff(time_s[rows]) > _HOLE_S) + 1)
-        if any(time_s[stretch[-1]] - time_s[stretch[0]] > _HELD_S for stretch in stretches):
+        if any(time_s[stretch[-1]] - time_s[stretch[0]] > _LONGEST_TURN_S for stretch in stretches):
             others = np.delete(rate, axis, axis=1)
             is_none[end, axis] |= all(
                 np.all(np.ptp(np.quantile(others[stretch], [0.25, 0.75], axis=0), axis=0) <= most) for stretch in stretches

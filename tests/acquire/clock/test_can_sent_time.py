@@ -128,6 +128,7 @@ def test_a_single_number_beyond_the_end_of_a_time_stamp_is_no_time(block: int) -
     number = np.arange(9000)
     ticks = np.asarray(number * 10.0 % 60_000, dtype=np.float64)
     ticks[[3, 700, 5999, 6000, 7000]] = 65_535
+    ticks[[2500, 2501]] = 65_534, 65_535
     rule = ClockRule(time_modulus=60_000, time_ticks_per_s=1e3)
     samples, statistics = run(number / 100.0, ticks=ticks, rule=rule, block=block)
     np.testing.assert_allclose(samples.time_s, number / 100.0, atol=1e-9)

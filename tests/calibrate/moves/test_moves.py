@@ -231,11 +231,12 @@ def test_an_axis_that_is_turned_one_way_only_does_not_end_at_rest() -> None:
 
 @pytest.mark.parametrize("noise", [0.0, 0.05, 0.1, 0.5])
 @pytest.mark.parametrize("shift", [0.0, 0.2, -0.2])
-def test_the_rate_of_a_table_is_no_limit(noise: float, shift: float) -> None:
-    """Codes of 0.01 rad/s and a table that turns at 1 rad/s for 9 s, and back."""
+@pytest.mark.parametrize("steps", [20, 40, 100])
+def test_the_rate_of_a_table_is_no_limit(noise: float, shift: float, steps: int) -> None:
+    """Codes of 0.01 rad/s and a table that turns by so many of them for 9 s, and back."""
     time_s = np.arange(0, 30.0, 0.01)
     speed = np.clip(np.interp(time_s, [3, 4, 13, 14, 16, 17, 26, 27], [0, 1, 1, 0, 0, -1, -1, 0]), -1, 1)
-    codes = 100 * np.stack([0.02 * speed, -0.01 * speed, speed], axis=1) + np.array([0.1, 0.2, shift])
+    codes = steps * np.stack([0.02 * speed, -0.01 * speed, speed], axis=1) + np.array([0.5, 0.2, shift])
     rng = np.random.default_rng(6)
     rate = 0.01 * np.rint(codes + noise * rng.standard_normal(codes.shape))
     force = np.array([0.1, 0.2, 9.8]) + 0.001 * rng.standard_normal(codes.shape)
