@@ -287,7 +287,8 @@ def _next_steps(parameters: Parameters, outcome: Outcome) -> Iterator[Renderable
         if outcome.kept is not None:
             yield from _bullets([sentence("summary.kept", name=outcome.kept.name)])
         if calibration.quality.verdict != "poor":
-            yield from _bullets([sentence("summary.use")])
+            units = [calibration.accelerometer_raw_unit, *([calibration.gyroscope.raw_unit] if calibration.gyroscope else [])]
+            yield from _bullets([sentence("summary.use", units=units)])
 
 
 def _remedy(quality: Quality, session: Session | None) -> Iterator[RenderableType]:
