@@ -32,7 +32,7 @@ from imufield.calibrate.model.result import (
 )
 from imufield.calibrate.model.uncertainty import bounded_cross_covariance, rms
 from imufield.dataclass import dataclass, field, replace
-from imufield.samples import FloatArray
+from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
@@ -44,7 +44,8 @@ _FOUND_SIGMAS = 4.0  # A term as large on one axis is found in two of three sess
 _SHOWN_BELOW = 0.01  # Of a scale: where a term has to be as large to be found, these turns are said not to show it.
 _COMMON_SCALE_LIMIT = 0.1  # Makers of consumer chips state 3 % (MPU-6050).
 _MOVE_ERROR_LIMIT_DEG = 5.0  # RMS: a move that ends further from where gravity says was not seen whole, or not by this unit.
-_SCALE_SIGMA_LIMIT_PPM = 10_000.0  # Data sheets promise as much without a calibration.
+_SCALE_SIGMA_LIMIT_PPM = 5000.0  # The better data sheets of chips promise as much without a calibration.
+_MISALIGNMENT_SIGMA_LIMIT_MRAD = 5.0  # An axis that is off by as much makes as large an error of a rate across it.
 _SUSPICIOUS_SIGMAS = 4.5  # A residual has two components; one good move in 25 000 is further off.
 
 
@@ -214,7 +215,7 @@ def joint_result(solution: JointSolution) -> GyroscopeResult:
         cautions=(
             *solution.cautions,
             *few,
-            *coarse_scale(gyroscope),
+            *coarse_sentences(gyroscope),
             *off_unit,
             *worse,
             *(linearity.sentences if linearity.matters else ()),
@@ -223,14 +224,19 @@ def joint_result(solution: JointSolution) -> GyroscopeResult:
     )
 
 
-def coarse_scale(gyroscope: GyroscopeCalibration, remedy: Sentence | None = None) -> tuple[Sentence, ...]:
-    """Return that the scale is too uncertain for a good verdict, of one session or of several as one; nothing if it is not."""
-    # NaN where a scale is not observable, which is said elsewhere.
-    sigma_ppm = 1e6 * float(np.nan_to_num(np.abs(gyroscope.sigma.scale / gyroscope.parameters.scale)).max())
-    return _beyond("result.coarse", sigma_ppm, _SCALE_SIGMA_LIMIT_PPM, remedy=remedy or sentence("result.more_positions"))
+def coarse_sentences(gyroscope: GyroscopeCalibration, remedy: Sentence | None = None) -> tuple[Sentence, ...]:
+    """Return what is too uncertain for a good verdict, of one session or of several as one; nothing if nothing is."""
+    # NaN where a number is not observable, which is said elsewhere.
+    scale = 1e6 * np.nan_to_num(np.abs(gyroscope.sigma.scale / gyroscope.parameters.scale))
+    skew = 1e3 * np.nan_to_num(gyroscope.sigma.misalignment_rad).max(axis=1)
+    told = [{"remedy": remedy or sentence("result.more_positions"), "axis": AXES[sigma.argmax()]} for sigma in (scale, skew)]
+    return (
+        *_beyond("result.coarse", float(scale.max()), _SCALE_SIGMA_LIMIT_PPM, **told[0]),
+        *_beyond("result.skewed", float(skew.max()), _MISALIGNMENT_SIGMA_LIMIT_MRAD, **told[1]),
+    )
 
 
-def _beyond(key: str, found: float, limit: float, **told: Sentence) -> tuple[Sentence, ...]:
+def _beyond(key: str, found: float, limit: float, **told: str) -> tuple[Sentence, ...]:
     return (sentence(key, found=found, limit=limit, **told),) if found > limit else ()
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from imufield.calibrate.accelerometer.quality import sigma_sentences
-from imufield.calibrate.gyroscope.result import coarse_scale
+from imufield.calibrate.gyroscope.result import coarse_sentences
 from imufield.calibrate.model.models import to_vector
 from imufield.calibrate.model.result import Calibration, Quality
 from imufield.sentences import Sentence
@@ -23,4 +23,4 @@ def sigma_doubts(calibration: Calibration, remedy: Sentence) -> Iterator[tuple[s
     vector, sigma = to_vector(calibration.accelerometer), to_vector(calibration.accelerometer_sigma)
     yield "accelerometer", sigma_sentences(vector, sigma, calibration.gravity, remedy)
     if calibration.gyroscope is not None:
-        yield "gyroscope", coarse_scale(calibration.gyroscope, remedy)
+        yield "gyroscope", coarse_sentences(calibration.gyroscope, remedy)

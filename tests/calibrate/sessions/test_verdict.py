@@ -21,7 +21,8 @@ REMEDY = Sentence("calibrate before each use")
     [
         ("scale", USABLE_SCALE_SIGMA, "quality.scale_sigma"),
         ("bias", USABLE_BIAS_SIGMA_M_S2, "quality.bias_sigma"),
-        ("gyroscope scale", 0.01, "result.coarse"),
+        ("gyroscope scale", 0.005, "result.coarse"),
+        ("gyroscope misalignment", 0.005, "result.skewed"),
     ],
 )
 @pytest.mark.parametrize(("share", "verdict"), [(0.9, "good"), (1.1, "usable")])
@@ -34,13 +35,15 @@ def test_each_triad_has_the_limits_of_one_session(of: str, limit: float, key: st
         sigma = replace(sigma, scale=axis * calibration.accelerometer.scale)
     elif of == "bias":
         sigma = replace(sigma, bias_m_s2=axis)
-    unsure = GyroscopeParameters(axis if of == "gyroscope scale" else 0 * one, none, 0 * one, none)
+    skew = np.outer(axis, [1.0, 0.0, 0.0]) if of == "gyroscope misalignment" else none
+    unsure = GyroscopeParameters(axis if of == "gyroscope scale" else 0 * one, skew, 0 * one, none)
     gyroscope = GyroscopeCalibration(parameters=rates, sigma=unsure, path="")
     quality = replace(calibration.quality, accelerometer_verdict="good", gyroscope_verdict="good")
     judged = judged_by_sigma(quality, replace(calibration, accelerometer_sigma=sigma, gyroscope=gyroscope), REMEDY)
     verdicts = {"accelerometer": judged.accelerometer_verdict, "gyroscope": judged.gyroscope_verdict}
-    triad = "gyroscope" if of == "gyroscope scale" else "accelerometer"
+    triad = "gyroscope" if of.startswith("gyroscope") else "accelerometer"
     assert (judged.verdict, verdicts.pop(triad)) == (verdict, verdict)
     assert [*verdicts.values()] == ["good"]
     assert keys(judged.warnings) == [key] * (verdict == "usable")
     assert all(REMEDY in warning for warning in judged.warnings)
+    assert all(warning.values["axis"] == "y" for warning in judged.warnings if triad == "gyroscope")
