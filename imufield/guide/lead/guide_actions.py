@@ -260,7 +260,7 @@ class GuideActions:
                 nearest.angle_deg,
                 plan.tolerance_deg,
                 position=plan.position(nearest.index).name,
-                left=refusals.what_is_left(plan.missing()),
+                left=refusals.what_is_left([plan.position(k).name for k in plan.pending()]),
             )
             return Input.REFUSED
         closest = pending or nearest

@@ -16,6 +16,7 @@ from imufield.guide.events import Accepted, Advice, Done, Event, Hold, Move, Ref
 from imufield.guide.lead.guide import Guide
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.positions import scheme
+from imufield.guide.refusals import what_is_left
 from imufield.guide.view.marks import with_keys
 from imufield.guide.view.plain import PlainView
 from imufield.samples import FloatArray, Samples
@@ -225,6 +226,12 @@ def test_the_first_position_is_revisited_and_replaces_nothing(make_path: Any) ->
     *before, last = of(events, Move)
     assert last.position == scheme("corners24").positions[0].name
     assert last.why not in {event.why for event in before}
+
+
+def test_another_side_at_the_revisit_is_told_which_is_wanted(make_path: Any) -> None:
+    _, events = feed(corners(make_path, again=(5,)), "corners24", revisit_first=True)
+    wanted = what_is_left([scheme("corners24").positions[0].name])
+    assert [event.remedy for event in of(events, Rejected) if event.reason is RefusalCode.ALREADY_DONE] == [wanted]
 
 
 def test_drift_is_seen_at_the_revisit(make_path: Any) -> None:
