@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from imufield.commands.terminal.output import NoAnswer, echo, say
+from imufield.deliver.parameters.printed_numbers import hanging
 from imufield.errors import ImufieldError
 from imufield.progress import hidden
 
@@ -30,7 +31,7 @@ def ask(question: str) -> str:
         At the end of the input.
     """
     with hidden():
-        echo(f"{question}: ", end="")
+        echo(hanging("", f"{question}:"), end=" ")
         _wait_for_line()
         line = sys.stdin.readline()
     if not line:

@@ -83,3 +83,15 @@ def test_answers_from_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         assert ask("Latitude in degrees") == "51"
         with pytest.raises(NoAnswer):
             ask("Latitude in degrees")
+
+
+def test_a_narrow_terminal_breaks_no_word_of_a_question(
+    keys: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "60")
+    os.write(keys, b"yes\n")
+    question = "Instrument, a name of the list (Enter: it is detected at each connection)"
+    assert ask(question) == "yes"
+    shown = capsys.readouterr().out
+    assert max(map(len, shown.splitlines())) <= 60
+    assert shown.split() == f"{question}:".split()
