@@ -23,6 +23,7 @@ from imufield.deliver.parameters.apply import (
     correct_gyroscope,
     temperatures_for,
 )
+from imufield.deliver.parameters.clock import clock_words
 from imufield.deliver.parameters.context import Context, InstrumentFacts, Noise, SessionFacts
 from imufield.deliver.parameters.document import calibration_from_document, context_from_document, to_document
 from imufield.deliver.parameters.read import read_document
@@ -300,6 +301,13 @@ class Parameters:
             said = {"method": solver.method, "status": solver.status, "message": solver.message}
             return sentence("file.not_converged", name=self._name, verdict=quality.verdict, **said)
         return sentence("file.poor", name=self._name, reason=quality.main_reason) if quality.verdict == "poor" else ""
+
+    @property
+    def clock_note(self) -> str:
+        """The sentence that says so where no other clock was compared with that of the gyroscope's scale, else an empty one."""
+        clock, gyroscope = self.context.clock, self.calibration.gyroscope
+        knows_scale = gyroscope is not None and np.isfinite(gyroscope.sigma.scale).any()
+        return clock_words(clock) if knows_scale and clock is not None and clock.source == "unchecked" else ""
 
     def check_unit(self, triad: str, unit: str) -> None:
         """Raise ``ParameterFileError`` if a triad whose rates are in this unit is not what the parameters are for."""

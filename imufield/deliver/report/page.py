@@ -119,7 +119,7 @@ def _facts(data: ReportData, gained: Gain | None) -> Document:
     parameters = data.parameters
     calibration, context = parameters.calibration, parameters.context
     instrument, quality = context.instrument, calibration.quality
-    factor = quality.student_factor_95
+    factor, clock = quality.student_factor_95, [*filter(None, [parameters.clock_note])]
     preset = None if data.preset is None else data.preset.calibration
     verification = data.verification or {}
     rows = parameter_rows(calibration, preset)
@@ -130,8 +130,8 @@ def _facts(data: ReportData, gained: Gain | None) -> Document:
         "verdict": quality.verdict,
         "verdict_words": VERDICT_WORDS[quality.verdict],
         "edited": parameters.edited,
-        "reasons": [*map(with_minus, folded([*quality.warnings, *quality.reasons[:1], *data.notes]))],
-        "notes": [*map(with_minus, folded(quality.details))],
+        "reasons": [*map(with_minus, folded([*quality.warnings, *clock, *quality.reasons[:1], *data.notes]))],
+        "notes": [*map(with_minus, folded(reason for reason in quality.details if reason not in clock))],
         "triads": {"accelerometer": quality.accelerometer_verdict, "gyroscope": quality.gyroscope_verdict},
         "sigma": sigma_words(quality),
         "two_clocks": scale_words(parameters),

@@ -88,8 +88,9 @@ def summary(parameters: Parameters, outcome: Outcome | None = None, width: int =
     if calibration.gyroscope is not None:
         parts += ["", _table("Gyroscope", calibration, width), Text(calibration.gyroscope.path, style="dim")]
     parts += ["", _facts(calibration), "", *_residuals(parameters, width)]
-    if calibration.quality.details:
-        parts += ["", Text("Details", style="bold"), *_bullets(calibration.quality.details)]
+    # It may be far more than the sigma of scale above: beside the verdict.
+    if details := [reason for reason in calibration.quality.details if reason != parameters.clock_note]:
+        parts += ["", Text("Details", style="bold"), *_bullets(details)]
     parts += ["", _verdict(parameters)]
     parts += _next_steps(parameters, outcome or Outcome())
     return Group(*parts)
@@ -256,7 +257,7 @@ def _verdict(parameters: Parameters) -> RenderableType:
     if quality.gyroscope_verdict:
         words = {"accelerometer": quality.accelerometer_verdict, "gyroscope": quality.gyroscope_verdict}
         line.append(f" ({', '.join(f'{triad} {_loud(verdict)}' for triad, verdict in words.items())})", style="not bold")
-    return Group(line, *_bullets((*quality.warnings, *quality.reasons[:1])))
+    return Group(line, *_bullets(filter(None, (*quality.warnings, parameters.clock_note, *quality.reasons[:1]))))
 
 
 def _loud(verdict: str) -> str:

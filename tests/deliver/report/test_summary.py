@@ -12,7 +12,8 @@ from rich.console import Console
 from imufield.acquire.recording.session import Session
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration, GyroscopeCalibration, Quality
-from imufield.deliver.parameters.context import Context
+from imufield.deliver.parameters.clock import clock_words
+from imufield.deliver.parameters.context import ClockFacts, Context
 from imufield.deliver.parameters.file import Parameters, from_document, to_document
 from imufield.deliver.report.summary import Outcome, print_summary, summary_text
 from imufield.earth import choose_gravity
@@ -198,6 +199,21 @@ def test_the_nine_g_sensitivities_are_shown_where_fitted(
 def test_residuals_of_rounding_have_no_worst(calibration: Calibration, observations: Observations, context: Context) -> None:
     exact = replace(calibration, positions=replace(calibration.positions, residual_m_s2=np.full(24, 1e-15)))
     assert "◄" not in made(exact, observations, context)
+
+
+@pytest.mark.parametrize(("source", "is_beside"), [("unchecked", True), ("compared", False)])
+def test_a_clock_that_nothing_checks_is_said_beside_the_verdict(
+    calibration: Calibration, observations: Observations, context: Context, source: str, is_beside: bool
+) -> None:
+    """It was 30000 ppm among the details, below a scale of 49 ppm."""
+    gyroscope = calibration.gyroscope
+    assert gyroscope is not None
+    clock = ClockFacts(source=source, sample_period_s=0.01, sigma=0.03)
+    known = replace(gyroscope, sigma=replace(gyroscope.sigma, scale=np.full(3, 5e-5)))
+    judged = replace(calibration, gyroscope=known, quality=calibration.quality.with_reasons(clock_words(clock)))
+    text = made(judged, observations, replace(context, clock=clock))
+    assert text.count("30000 ppm") == 1
+    assert ("30000 ppm" in text.partition("Verdict: ")[2]) is is_beside
 
 
 def test_edited_file_is_said(full: Parameters) -> None:
