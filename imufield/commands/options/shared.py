@@ -316,8 +316,8 @@ class Place:
         float | None,
         option(
             "--gravity",
-            help="Local gravity, m/s^2, e.g. 9.8089+-0.0001; without +-, 1 sigma is the rounding error: 0.29 of "
-            "the last digit.",
+            help="Local gravity, m/s^2, e.g. 9.8089+-0.0001; without +-, 1 sigma is 0.29 of the last digit, but "
+            "0.018 for textbook values (9.8, 9.81, 9.807, 9.80665).",
             envvar="IMUFIELD_GRAVITY_M_S2",
             parser=TypedNumber,
         ),
