@@ -52,6 +52,19 @@ def test_every_target_goes_without_gyroscope(target: str) -> None:
 
 
 @pytest.mark.parametrize("target", TARGETS)
+def test_what_was_not_determined_is_said_with_the_verdict(target: str) -> None:
+    made = made_up(2)
+    hidden = tuple(f"accelerometer.misalignment_rad.{place}" for place in ("yx", "zx", "zy"))
+    quality = replace(made.calibration.quality, verdict="usable")
+    unsure = replace(made, calibration=replace(made.calibration, unobservable=hidden, quality=quality))
+    exported = export_parameters(unsure, target)
+    (note,) = told(exported.notes, "job.not_determined")
+    assert note.values["names"] == ["accelerometer.misalignment_rad"]
+    assert told(exported.notes, "job.usable")
+    assert not {"job.not_determined", "job.usable"} & set(keys(export_parameters(made, target).notes))
+
+
+@pytest.mark.parametrize("target", TARGETS)
 def test_gyroscope_without_scale_is_left_out_and_said(target: str) -> None:
     made = made_up(3).calibration
     gyroscope = replace(made.gyroscope.parameters, scale=np.full(3, np.nan))
