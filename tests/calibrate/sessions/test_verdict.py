@@ -11,7 +11,7 @@ from imufield.calibrate.sessions.verdict import judged_by_sigma
 from imufield.dataclass import replace
 from imufield.sentences import Sentence
 from tests.pipeline.test_over_temperature import solved
-from tests.told import keys
+from tests.told import keys, told
 
 REMEDY = Sentence("calibrate before each use")
 
@@ -46,4 +46,4 @@ def test_each_triad_has_the_limits_of_one_session(of: str, limit: float, key: st
     assert [*verdicts.values()] == ["good"]
     assert keys(judged.warnings) == [key] * (verdict == "usable")
     assert all(REMEDY in warning for warning in judged.warnings)
-    assert all(warning.values["axis"] == "y" for warning in judged.warnings if triad == "gyroscope")
+    assert all(found.values["axis"] == "y" for found in told(judged.warnings, key) if triad == "gyroscope")
