@@ -176,7 +176,7 @@ def _replay_to_slcan(session: Session, damage: list[Damage], pace: float | None)
 
         def send(frame: Frame) -> None:
             device.send([frame])
-            _wait_for_reader(device.port)
+            _wait_until_read(device.port)
 
         echo(f"waiting for a reader of slcan:{device.port.address}  (Ctrl-C ends)")
         while not device.is_open:
@@ -187,8 +187,8 @@ def _replay_to_slcan(session: Session, damage: list[Damage], pace: float | None)
         time.sleep(LINGER_S)
 
 
-def _wait_for_reader(port: PseudoTerminal) -> None:
-    """Wait until a reader has taken what was written: as fast as possible means as fast as the reader takes it."""
+def _wait_until_read(port: PseudoTerminal) -> None:
+    """Wait until the reader has taken what was written, or has left: as fast as possible means as fast as it takes bytes."""
     while port.bytes_waiting and port.has_reader():
         time.sleep(SLOT_S)
         port.write(b"")
@@ -206,7 +206,7 @@ def _replay_to_pty(session: Session, damage: list[Damage], pace: float | None) -
         for chunk in recorded_chunks(session, damage, pace=pace):
             port.write(chunk.data)
             sent += len(chunk.data)
-            _wait_for_reader(port)
+            _wait_until_read(port)
             # Said only when a chunk has shown it: no file says of itself that it has no times.
             if pace and not said and math.isnan(chunk.monotonic_s):
                 said = True

@@ -123,7 +123,7 @@ def test_two_results_in_one_folder_keep_a_record_each(solved: Path, tmp_path: Pa
 @pytest.mark.parametrize(("record", "pdf"), [("page.html", False), ("page.htm", True)])
 def test_one_name_for_both_pages_is_refused(solved: Path, tmp_path: Path, record: str, pdf: bool) -> None:
     page = tmp_path / "page.html"
-    with pytest.raises(UsageError):
+    with refused(UsageError, Reason.USAGE, key="report.one_name"):
         run_report(ReportOptions(parameters=solved / "parameters.toml", output=page, record=tmp_path / record, pdf=pdf))
     assert not page.exists()
 

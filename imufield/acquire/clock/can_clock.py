@@ -15,8 +15,8 @@ is E(i) + i T. Where k samples are missing, L rises by k T and stays there, so E
 Such losses are estimates and flagged so. Where frames come in bursts longer than a period (an adapter without stamps of its
 own), only steps beyond that delay can be told from it; a cable that becomes slower for good looks like a loss.
 
-A counter in the messages numbers the samples itself: losses below one wrap of it are exact, and the steps of E that are left
-are whole wraps. A time stamp of the instrument replaces all of this.
+A counter in the messages numbers the samples itself: losses below half a wrap of it are exact. How many samples a longer one
+took follows from the counter and the step of E together, and is an estimate. A time stamp of the instrument replaces all this.
 """
 
 from __future__ import annotations
@@ -193,14 +193,14 @@ class CanClock(Clock):
 
     def _steps(self, counter: IntArray) -> FloatArray:
         """Return how many samples each one is behind the one before, by the counter; 1 where there is none. Shape (n,)."""
-        return np.ones(len(counter)) if self._last_counter is None else self._forward_steps(self._rounds(counter))
+        return np.ones(len(counter)) if self._last_counter is None else self._without_steps_back(self._all_forward(counter))
 
-    def _forward_steps(self, rounds: FloatArray) -> FloatArray:
+    def _without_steps_back(self, forward: FloatArray) -> FloatArray:
         # More than half a round forward is a step back: frames out of order, or a restart.
-        return np.where(rounds > self._modulus / self._counter_step / 2, 1.0, np.rint(rounds))
+        return np.where(forward > self._modulus / self._counter_step / 2, 1.0, np.rint(forward))
 
-    def _rounds(self, counter: IntArray, *, remember: bool = False) -> FloatArray:
-        """Return by which part of a round each count is behind the one before, in samples. Shape (n,)."""
+    def _all_forward(self, counter: IntArray, *, remember: bool = False) -> FloatArray:
+        """Return the steps of the counter as if all went forward, from 0 up to one wrap, in samples. Shape (n,)."""
         known = self._is_count(counter)
         # A lost counter message: go on from the last one known.
         before = self._last_counter or 0
@@ -224,8 +224,8 @@ class CanClock(Clock):
             ready = _until_rate_changes(moved_s, phase)
             envelope_s, moved_s = envelope_s[:ready], moved_s[:ready]
         time_s = envelope_s + number[:ready] * phase.period_s
-        rounds = None if self._last_counter is None else self._rounds(block.counter[:ready], remember=True)
-        steps = None if rounds is None else self._forward_steps(rounds)
+        forward = None if self._last_counter is None else self._all_forward(block.counter[:ready], remember=True)
+        steps = None if forward is None else self._without_steps_back(forward)
         phase.base_s, phase.number = float(envelope_s[-1]), float(number[ready - 1])
         stands = is_steady and most_s < phase.visible_s
         repeated = steps is not None and not every(steps >= 1)
@@ -234,7 +234,7 @@ class CanClock(Clock):
             phase.last_time_s = float(time_s[-1])
             estimated = None
         else:
-            estimated = _losses(envelope_s, moved_s, phase, rounds, steps)
+            estimated = _losses(envelope_s, moved_s, phase, forward, steps)
             time_s = _forward(time_s, phase)
         before_s = envelope_s if ready > phase.burst else np.concatenate([phase.before_s, envelope_s])
         phase.before_s = before_s[-phase.burst - 1 :]
@@ -288,7 +288,7 @@ def _until_rate_changes(moved_s: FloatArray, phase: _Phase) -> int:
 
 
 def _losses(
-    envelope_s: FloatArray, moved_s: FloatArray, phase: _Phase, rounds: FloatArray | None, steps: FloatArray | None
+    envelope_s: FloatArray, moved_s: FloatArray, phase: _Phase, forward: FloatArray | None, steps: FloatArray | None
 ) -> IntArray:
     """Return how many samples are missing before each one by the steps of the phase. Shape (n,).
 
@@ -300,8 +300,10 @@ def _losses(
         before = np.concatenate([phase.before_s, envelope_s[:place]])[-phase.burst - 1 :]
         step_s = envelope_s[place] - before.min() if len(before) else moved_s[place]
         step = 1 if steps is None else round(float(steps[place]))
-        unseen = 0 if rounds is None else round(float(rounds[place])) - step
+        # What the counter went on by if the step that was taken for one back was forward.
+        unseen = 0 if forward is None else round(float(forward[place])) - step
         units = round((float(step_s) / phase.period_s - unseen) / phase.unit)
+        # A count that was repeated is one sample less.
         lost[place] = max(units * phase.unit + unseen + min(step - 1, 0), 0)
     return lost
 

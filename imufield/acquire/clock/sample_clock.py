@@ -96,7 +96,9 @@ class SampleClock(Clock):
     def flush(self) -> Samples | None:
         """Return what is still kept back; nothing will follow."""
         done = [] if self._started or not self._early else self._start_blocks()
-        done += self._following_host(self._watch.finish())
+        released = self._watch.finish()
+        self._bend_each(released)
+        done += released
         self._count_losses(np.empty(0), len(self._block_ticks))
         return self._emit(done)
 
@@ -349,13 +351,15 @@ class SampleClock(Clock):
         for end, arrival_s in reads:
             at = shifts[-1][0]
             if self._watch.passes(arrival_s, float(timed.time_s[end - 1])):
-                shifts.append((end, self._shift_at(arrival_s, end - at)))
+                shifts.append((end, self._follow_host(arrival_s, end - at)))
                 continue
-            settled += self._bent(timed, shifts)
-            settled += self._following_host(self._watch.push(timed.part(at, end, arrival_s)))
+            settled += self._followed(timed, shifts)
+            released = self._watch.push(timed.part(at, end, arrival_s))
+            self._bend_each(released)
+            settled += released
             self._count_losses(timed.time_s, end)
             shifts = [(end, self._shift_s)]
-        return [*settled, *self._bent(timed, shifts)]
+        return [*settled, *self._followed(timed, shifts)]
 
     def _time_of(self, ticks: IntArray) -> FloatArray:
         return np.asarray(ticks / self._tick_rate_hz + self._origin_s)
@@ -387,12 +391,12 @@ class SampleClock(Clock):
         time_s, flags = np.concatenate([each.time_s for each in done]), np.concatenate([each.flags for each in done])
         return self._timed(join([each.block for each in done]), time_s, flags)
 
-    def _following_host(self, released: list[TimedBlock]) -> list[TimedBlock]:
+    def _bend_each(self, released: list[TimedBlock]) -> None:
         for timed in released:
-            self._bent(timed, [(0, self._shift_s), (len(timed.block), self._shift_at(timed.arrival_s, len(timed.block)))])
-        return released
+            before_s, count = self._shift_s, len(timed.block)
+            self._bend(timed.time_s, [(0, before_s), (count, self._follow_host(timed.arrival_s, count))])
 
-    def _shift_at(self, arrival_s: float, count: int) -> float:
+    def _follow_host(self, arrival_s: float, count: int) -> float:
         """Move the shift of even steps towards the line of earliest arrivals, by the last read and its samples; return it.
 
         At once, as the line is another after the next read. Device time is left as it is. Without a slope, as where everything
@@ -406,15 +410,19 @@ class SampleClock(Clock):
             self._shift_s += min(max(wanted_s - self._shift_s, -largest_s), largest_s)
         return self._shift_s
 
-    def _bent(self, timed: TimedBlock, shifts: list[tuple[int, float]]) -> list[TimedBlock]:
-        """Return the samples from the first to the last of these rows, none if it is one, bent to the shifts between them."""
-        (begin, first_s), (end, last_s) = shifts[0], shifts[-1]
+    def _followed(self, timed: TimedBlock, shifts: list[tuple[int, float]]) -> list[TimedBlock]:
+        """Bend the times of the samples between these rows, and return them; nothing where it is one row."""
+        begin, end = shifts[0][0], shifts[-1][0]
         if begin == end:
             return []
-        if first_s or last_s:
-            rows, shifts_s = zip(*shifts, strict=True)
-            timed.time_s[begin:end] += np.interp(self._even_ticks(end)[begin:], rows, shifts_s)
+        self._bend(timed.time_s, shifts)
         return [timed if end - begin == len(timed.block) else timed.part(begin, end, math.nan)]
+
+    def _bend(self, time_s: FloatArray, shifts: list[tuple[int, float]]) -> None:
+        """Shift even steps in place: up to each of these rows by as much as is given for it, evenly between them."""
+        rows, shifts_s = zip(*shifts, strict=True)
+        if shifts_s[0] or shifts_s[-1]:
+            time_s[rows[0] : rows[-1]] += np.interp(self._even_ticks(rows[-1])[rows[0] :], rows, shifts_s)
 
     def _measure(self) -> None:
         """Write the sample rate by the instrument's clock and by the host's into the statistics."""

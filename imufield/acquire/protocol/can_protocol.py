@@ -69,7 +69,8 @@ class CanKind:
     status: list[tuple[CanSignal, int]] = field(default_factory=list)
     """Signals of the instrument's status and by how many bits they are shifted in the upper half of the flags."""
     counter: CanSignal | None = None
-    counter_modulus: int = 0
+    counter_modulus: int = 1
+    """After how many counts it begins anew; 1 without a counter."""
     time: CanSignal | None = None
     group: CanSignal | None = None
     """Counter that the messages of one sample share."""
@@ -170,7 +171,7 @@ def read_can(top: Table) -> tuple[CanRule, SampleUnits, ClockRule]:
     mapped.others()
     if not any(units_of.values()):
         raise mapped.table.error("", sentence("can_protocol.nothing_mapped", candidates=_candidates(dbc)))
-    modulus = mapped.counter_modulus(clock)
+    modulus = mapped.settle_counter(clock)
     clock_rule = ClockRule(
         counter_modulus=modulus,
         counter_steps=read_steps(clock, "counter_steps", modulus),
@@ -208,18 +209,18 @@ class _Mapping:
         self.ticks_per_s = 1.0
         self.time_modulus = 0
         self._dbc = dbc
-        self._counting: CanKind | None = None
+        self._counter_kind: CanKind | None = None
 
-    def counter_modulus(self, clock: Table) -> int:
-        """Return where the counter begins anew, as ``[clock]`` states it, else the file; 0 where there is no counter."""
+    def settle_counter(self, clock: Table) -> int:
+        """Note in its kind where the counter begins anew, as ``[clock]`` states it, else the file; 0 without a counter."""
         stated = read_modulus(clock, "counter_modulus")
-        if self._counting is None or (counter := self._counting.counter) is None:
+        if self._counter_kind is None or (counter := self._counter_kind.counter) is None:
             if clock.has("counter_modulus"):
                 raise clock.error("counter_modulus", sentence("can_protocol.no_counter"))
             return 0
         check_whole(clock, "counter_modulus", counter, counter_modulus=stated - 1)
-        self._counting.counter_modulus = stated or min(counter.stated_modulus, 1 << COUNTER_BITS)
-        return self._counting.counter_modulus
+        self._counter_kind.counter_modulus = stated or min(counter.stated_modulus, 1 << COUNTER_BITS)
+        return self._counter_kind.counter_modulus
 
     def triad(self, part: str) -> str:
         """Read three axes; return their unit in a sample, "" where the part is not mapped."""
@@ -262,7 +263,7 @@ class _Mapping:
         if self.table.has("counter"):
             kind, signal = self._find("counter", self.table.text("counter"))
             check_whole(self.table, "counter", signal)
-            kind.counter, self._counting = signal, kind
+            kind.counter, self._counter_kind = signal, kind
         if self.table.has("time"):
             kind, signal = self._find("time", self.table.text("time"))
             kind.time = signal

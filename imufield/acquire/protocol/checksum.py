@@ -326,7 +326,7 @@ def make_checksum(algorithm: str, pad_to: int = 1, *, start: int | None = None, 
         return _PLAIN[algorithm]()
     parameters = _catalogue().get(algorithm)
     if parameters is None:
-        import difflib
+        import difflib  # late: only for a misspelt name
 
         near = difflib.get_close_matches(algorithm.upper(), checksum_names(), n=1, cutoff=0.4)
         example = near[0] if near else "CRC-32/MPEG-2"

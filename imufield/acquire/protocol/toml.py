@@ -240,7 +240,7 @@ class Table:
 
 def near(word: object, known: Iterable[str]) -> str:
     """Return " (did you mean 'x'?)" for the nearest known word, or nothing."""
-    import difflib
+    import difflib  # late: only for a misspelt word
 
     found = difflib.get_close_matches(str(word), sorted(known), n=1)
     return f" (did you mean {found[0]!r}?)" if found else ""

@@ -40,7 +40,7 @@ from imufield.calibrate.gyroscope.stills_alone import (
     StaticData,
     contradicts,
     fit_static,
-    in_words,
+    latitude_figures,
     latitude_words,
     sees_earth,
     static_bias,
@@ -150,7 +150,7 @@ def _latitude_told(given: GyroscopeInput, data: GyroscopeData, chosen: ChosenMod
         return (words,) if fitted.heading_fitted or is_contradicted else (), is_contradicted
     if not is_contradicted or abs(vertical_rad_s) > EARTH_RATE_RAD_S + CONTRADICTED * sigma_rad_s:
         return (), False
-    told = sentence("calibrate.alike", **in_words(latitude_deg, vertical_rad_s, sigma_rad_s))
+    told = sentence("calibrate.alike", **latitude_figures(latitude_deg, vertical_rad_s, sigma_rad_s))
     # Of nine independent entries the part along c I is Student's over the root mean square of the other eight.
     H = loose.p[SENSITIVITY].reshape(3, 3)
     others = gravity_m_s2 * float(np.linalg.norm(H - np.trace(H) / 3 * np.eye(3))) / math.sqrt(3 * _OTHERS)

@@ -38,7 +38,7 @@ from imufield.calibrate.model.budget import Share
 from imufield.calibrate.model.models import PARAMETERS as ACCELEROMETER_PARAMETERS
 from imufield.calibrate.model.rotation import skew
 from imufield.calibrate.model.uncertainty import block_diagonal, rms
-from imufield.calibrate.solvers.scoring import climbing
+from imufield.calibrate.solvers.scoring import cut_at_top
 from imufield.dataclass import dataclass
 from imufield.samples import FloatArray, IntArray
 
@@ -231,8 +231,8 @@ def next_scatter(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, p
     """
     P = _projection(parts.total(scatter), jacobian)
     V = np.stack([parts.drift, parts.wander, parts.turn])
-    PV, pulled = P @ V, V @ (P @ residual)
-    score = pulled @ P @ residual - np.trace(PV, axis1=1, axis2=2)  # 2 s_k
+    PV, VPr = P @ V, V @ (P @ residual)
+    score = VPr @ P @ residual - np.trace(PV, axis1=1, axis2=2)  # 2 s_k
     information = PV.reshape(3, -1) @ np.swapaxes(PV, 1, 2).reshape(3, -1).T  # tr(P V_k P V_l)
     now = np.array(scatter) ** 2
     from_stills = _has_freedom(parts.drift, parts.total(Scatter(0.0, 0.0, scatter.turn_rad)), jacobian)
@@ -248,7 +248,7 @@ def next_scatter(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, p
         rest = free & ~falling
         answer = score[rest] - information[np.ix_(rest, falling)] @ step[falling]
         step[rest] = _scoring_step(information[np.ix_(rest, rest)], answer)
-    step = climbing(step, score, 2 * pulled @ P @ pulled.T - information)
+    step = cut_at_top(step, score, 2 * VPr @ P @ VPr.T - information)
     # The least variance that a scatter of size one gives to a residual it touches at all; infinite where it touches none.
     own = np.diagonal(V, axis1=1, axis2=2)
     least = np.min(own, axis=1, initial=np.inf, where=own > 0)

@@ -132,7 +132,7 @@ class GyroscopeData:
     stop_sigma_rad: FloatArray = field(default_factory=lambda: np.empty(0))
     table: TableRows = field(default_factory=no_table)
     known_turns: dict[bytes, Turns] = field(default_factory=dict, repr=False, compare=False)
-    """Of these moves, at some parameter vectors; a copy with other moves needs its own."""
+    """Of these moves, at some parameter vectors; a copy with other moves or another noise needs its own."""
 
     def turns(self, x: FloatArray) -> Turns:
         """Return the turns of all moves at ``x``, shape (21,), to 1e-10 rad: near integrated ones they follow from these."""

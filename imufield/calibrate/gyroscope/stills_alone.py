@@ -166,8 +166,8 @@ class StaticFit:
     converged: bool
 
 
-def in_words(latitude_deg: float, vertical_rad_s: float, sigma_rad_s: float) -> dict[str, float]:
-    """Return what sentences say of a latitude that was given, and of the vertical Earth rate that is seen.
+def latitude_figures(latitude_deg: float, vertical_rad_s: float, sigma_rad_s: float) -> dict[str, float]:
+    """Return the numbers of the sentences about a latitude that was given, and of the vertical Earth rate that is seen.
 
     Near a pole a rate has no sigma as a latitude: what is compared are rates, of Earth's 15 deg/h.
     """
@@ -189,7 +189,7 @@ def latitude_words(latitude_deg: float, vertical_rad_s: float, sigma_rad_s: floa
     """Return what u . w says about the latitude that was given."""
     is_contradicted = contradicts(latitude_deg, vertical_rad_s, sigma_rad_s)
     key = "stills_alone.latitude_contradicted" if is_contradicted else "stills_alone.latitude_seen"
-    return sentence(key, **in_words(latitude_deg, vertical_rad_s, sigma_rad_s))
+    return sentence(key, **latitude_figures(latitude_deg, vertical_rad_s, sigma_rad_s))
 
 
 def sees_earth(covariance_raw: FloatArray, A: FloatArray) -> bool:

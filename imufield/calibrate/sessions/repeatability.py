@@ -33,6 +33,7 @@ import math
 import numpy as np
 
 from imufield.calibrate.model.coverage_factors import chi_squared_quantile, sigma_of_mixture
+from imufield.calibrate.solvers.scoring import cut_at_top
 from imufield.dataclass import dataclass
 from imufield.samples import FloatArray
 
@@ -103,9 +104,9 @@ def reml_variance(found: Contrasts) -> float:
         # Fisher scoring: towards the weighted mean of u^2 - l with the information on s^2 as weights.
         weight = (variance + own) ** -2.0
         expected, observed = float(np.sum(weight)), float(np.sum(weight * (2 * squares / (variance + own) - 1)))
-        # Of one variance, what ``solvers.scoring`` cuts is Newton's step.
-        information = observed if observed > 2 * expected else expected
-        before, variance = variance, max(variance + float(np.sum(weight * (squares - own - variance))) / information, 0.0)
+        score = np.array([np.sum(weight * (squares - own - variance))])
+        step = cut_at_top(score / expected, score, np.array([[observed]]))
+        before, variance = variance, max(variance + float(step[0]), 0.0)
         if abs(variance - before) <= _SETTLED * (variance + float(own.min())):
             break
     return variance

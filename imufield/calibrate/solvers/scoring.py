@@ -15,14 +15,14 @@ from __future__ import annotations
 from imufield.samples import FloatArray
 
 
-def climbing(step: FloatArray, score: FloatArray, observed: FloatArray) -> FloatArray:
+def cut_at_top(step: FloatArray, score: FloatArray, observed: FloatArray) -> FloatArray:
     """Return a step of k variances, cut to the top of the likelihood's parabola along it where it goes twice as far or more.
 
     Parameters
     ----------
     step, score : ndarray, shape (k,)
     observed : ndarray, shape (k, k)
-        Observed information, times the factor of the score.
+        Observed information, in the same multiple as the score.
     """
     gain, curvature = score @ step, step @ observed @ step
     return step * (gain / curvature) if 0 < gain < curvature / 2 else step

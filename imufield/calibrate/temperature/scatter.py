@@ -11,8 +11,8 @@ bounds, so f >= 1. The three variances are those of all axes of a triad together
 
     sum_j tr(P Z_i P Z_j) (v_j' - v_j) = y^T P Z_i P y - tr(P Z_i)
 
-no further than ``solvers.scoring`` lets it,
-and half of that matrix is the information on the variances, from which the degrees of freedom of what is stated come [2]_.
+A step goes no further than ``solvers.scoring`` lets it. Half of the matrix is the information on the variances, from which
+the degrees of freedom of what is stated come [2]_.
 
 References
 ----------
@@ -30,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.calibrate.solvers.scoring import climbing
+from imufield.calibrate.solvers.scoring import cut_at_top
 from imufield.dataclass import dataclass
 from imufield.samples import FloatArray
 
@@ -142,12 +142,12 @@ def whitened(equations: Equations, variances: FloatArray) -> Whitened:
 def scatter_of(axes: Sequence[Equations]) -> Scatter:
     """Return the variances of the largest restricted likelihood of all axes."""
     variances = _first(axes)
-    information, bent, squares, traces, freedom = _sums(axes, variances)
+    information, observed_part, squares, traces, freedom = _sums(axes, variances)
     for _ in range(_STEPS):
         score = squares - traces
         step = _bounded(information, information @ variances + score, variances) - variances
-        before, variances = variances, variances + climbing(step, score, 2 * bent - information)
-        information, bent, squares, traces, freedom = _sums(axes, variances)
+        before, variances = variances, variances + cut_at_top(step, score, 2 * observed_part - information)
+        information, observed_part, squares, traces, freedom = _sums(axes, variances)
         if np.all(np.abs(variances - before) <= _SETTLED * variances):
             break
     size = np.sqrt(np.where(np.diag(information) > 0, np.diag(information), 1.0))
@@ -184,7 +184,7 @@ class _Terms(NamedTuple):
 
     information: FloatArray
     """tr(P Z_i P Z_j), shape (3, 3)."""
-    bent: FloatArray
+    observed_part: FloatArray
     """y^T P Z_i P Z_j P y, shape (3, 3)."""
     squares: FloatArray
     """y^T P Z_i P y, shape (3,)."""
@@ -217,13 +217,13 @@ def _terms(equations: Equations, variances: FloatArray) -> _Terms:
     whole[RAMP, RAMP] = blocks / variances[RAMP] ** 2
     information = whole - 2 * np.einsum("inp,jnp->ij", fitted, fitted) + np.einsum("ipq,jqp->ij", inside, inside)
     traces = np.append(np.trace(parts, axis1=1, axis2=2), blocks / variances[RAMP]) - np.trace(inside, axis1=1, axis2=2)
-    pulled = np.zeros((3, len(U)))
-    pulled[:RAMP, :sessions] = parts @ residual[:sessions]
-    pulled[RAMP, sessions:] = residual[sessions:] / variances[RAMP]
-    bent = pulled @ pulled.T - (pulled @ U) @ (pulled @ U).T
+    ZPy = np.zeros((3, len(U)))
+    ZPy[:RAMP, :sessions] = parts @ residual[:sessions]
+    ZPy[RAMP, sessions:] = residual[sessions:] / variances[RAMP]
+    observed_part = ZPy @ ZPy.T - (ZPy @ U) @ (ZPy @ U).T
     # Of rows that count alike the share of free ones.
     share = np.diag(information) / np.maximum(np.diag(whole), np.finfo(np.float64).tiny)
-    return _Terms(information, bent, pulled @ residual, traces, np.bincount(equations.kind, minlength=3) * share)
+    return _Terms(information, observed_part, ZPy @ residual, traces, np.bincount(equations.kind, minlength=3) * share)
 
 
 def _bounded(information: FloatArray, right: FloatArray, variances: FloatArray) -> FloatArray:

@@ -65,14 +65,14 @@ class IntervalMeans:
 
     def finish(self) -> FloatArray:
         """Return the means of all complete intervals, shape (m, columns); NaN where one had no sample."""
-        numbers, there = self.of_filled()
+        numbers, filled = self.filled()
         means = np.full((max(self._intervals, default=0), self._columns), np.nan)
-        means[numbers] = there
+        means[numbers] = filled
         return means
 
-    def of_filled(self) -> tuple[IntArray, FloatArray]:
+    def filled(self) -> tuple[IntArray, FloatArray]:
         """Return the numbers of the complete intervals that had samples, shape (k,), and their means, shape (k, columns)."""
-        # The last interval may still get samples.
+        # The last interval may still get samples; time rises, so it is the last one here, too.
         numbers = list(self._intervals)[:-1]
         means = [total / count for total, count in list(self._intervals.values())[:-1]]
         return np.array(numbers, dtype=np.int64), np.array(means).reshape(-1, self._columns)

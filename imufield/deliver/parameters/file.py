@@ -251,7 +251,7 @@ class Parameters:
         """
         if not self.temperature_models:
             return self
-        from imufield.calibrate.temperature.at_temperature import calibration_at
+        from imufield.calibrate.temperature.at_temperature import calibration_at  # late: only with tables over temperature
 
         calibration = calibration_at(self.calibration, temperature_degc)
         session = replace(self.context.session, temperature_degc=(temperature_degc, temperature_degc))

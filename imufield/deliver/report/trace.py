@@ -30,7 +30,7 @@ class Trace:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TraceCells:
-    """Means over n cells of equal length, raw rates; of cells without a sample one of NaN for all in a row.
+    """Means over n cells of equal length, raw rates; a pause is one cell of NaN, however long, so times are not evenly spaced.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class TraceCollector:
     def finish(self) -> TraceCells:
         """Return the cells; none without a sample."""
         collected = self._means or IntervalMeans(0.0, 13, CELL_S)
-        numbers, means = collected.of_filled()
+        numbers, means = collected.filled()
         # One cell without a sample stands for all in a row: a pause may be of days.
         pauses = np.flatnonzero(np.diff(numbers) > 1) + 1
         numbers, means = np.insert(numbers, pauses, numbers[pauses] - 1), np.insert(means, pauses, np.nan, axis=0)

@@ -119,26 +119,26 @@ class MoveLog:
     def __init__(self) -> None:
         self._before: list[float] = []
         self._last: tuple[Cells, int] | None = None  # The cell before and its row.
-        self._way = CellRun()  # From the last cell of a still on.
+        self._move = CellRun()  # From the last cell of a still on.
         self._finished: deque[tuple[list[float], list[float], FloatArray]] = deque(maxlen=_MOVES_KEPT)
 
     def follow(self, judgement: Judgement, still_mean: list[float]) -> None:
         """Add one judgement and the running mean of the stretch in progress (6 raw rates; empty when there is none)."""
         last, self._last = self._last, (judgement.cells, judgement.row)
         if judgement.ended is not None and last is not None:
-            self._before, self._way = judgement.ended.mean, CellRun()
-            self._way.add(*last)
+            self._before, self._move = judgement.ended.mean, CellRun()
+            self._move.add(*last)
         if not self._before:
             return
-        self._way.add(*self._last)
+        self._move.add(*self._last)
         if judgement.phase is Phase.STILL:
-            way = self._way.cells()
+            move = self._move.cells()
             # In a gap the unit may have turned; where its clock was set, for as long as nobody knows.
-            is_set = way.flags[1:] & np.uint32(Status.CLOCK_SET)
-            if len(way) > 2 and (np.diff(way.slot) == 1).all() and not is_set.any():
-                self._finished.append((self._before, list(still_mean), way.mean[1:-1, 3:]))
+            is_set = move.flags[1:] & np.uint32(Status.CLOCK_SET)
+            if len(move) > 2 and (np.diff(move.slot) == 1).all() and not is_set.any():
+                self._finished.append((self._before, list(still_mean), move.mean[1:-1, 3:]))
             self._before = []
-        elif len(self._way) > _LONGEST_MOVE_CELLS + 1:
+        elif len(self._move) > _LONGEST_MOVE_CELLS + 1:
             self._before = []
 
     def moves(self, scale: RoughScale) -> list[MoveBetweenStills]:

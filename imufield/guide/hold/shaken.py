@@ -42,7 +42,7 @@ class ShakenHolds:
         """Take the next cell; ``rest_raw`` is the gyroscope at rest, shape (3,), NaN where not known."""
         cells, row = judgement.cells, judgement.row
         before, self._slot = self._slot, int(cells.slot[row])
-        is_broken = self._block and self._slot - before not in (1, 2)
+        is_broken = bool(self._block) and self._slot - before not in (1, 2)
         if judgement.phase is Phase.STILL or is_broken or not cells.usable[row]:
             if self._run or self._block:
                 self.end(detector)

@@ -103,7 +103,7 @@ _NO_STANDARD = Standard(Limits(np.full(6, np.inf), np.full(6, np.inf), 1.0, 1.0)
 
 
 JudgedCell = tuple[Cells, int, float, list[float]]
-"""One cell in the form that the loop over cells needs: its block and row there, its vibration ratio, its mean."""
+"""One cell: its block and row there, its vibration ratio, its mean. No class: one is made for each cell."""
 
 
 class Tracker:
@@ -156,7 +156,7 @@ class Tracker:
             if not was_still and stretch.judged >= self._dwell:
                 self.phase = Phase.STILL
                 self._reach_back()
-        return Judgement(self.phase, cells, row, reference, ended, limits=self.standard.limits)
+        return Judgement(self.phase, cells, row, reference, ended=ended, limits=self.standard.limits)
 
     def _reach_back(self) -> None:
         """Add the cells before the stretch to it, the nearest first, up to one that would have ended it."""

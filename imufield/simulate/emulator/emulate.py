@@ -62,8 +62,6 @@ SCRIPTS: Mapping[str, Callable[[float, WireForm], ScriptedInstrument]] = {
 DEFAULT_BUS = "slcan"
 _OWN_FORM = WireForm("", 0.0, {}, ())
 STIM300_RATES_HZ = (125.0, 250.0, 500.0, 1000.0, 2000.0)
-# Of the protocol, that the device class takes.
-_STIM300_SETTINGS = ("accelerometer_range_g", "accelerometer_output", "gyroscope_output")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -347,7 +345,7 @@ def make_device(options: Emulation, wire: WireChoice) -> Device:
     Raises
     ------
     UsageError
-        If it has not the rate, or a setting is not emulated.
+        If it has not the rate.
     """
     form, rate_hz, device = wire.form or _OWN_FORM, wire.rate_hz, options.device
     if device not in OWN_RATE_HZ:
@@ -355,8 +353,6 @@ def make_device(options: Emulation, wire: WireChoice) -> Device:
         return ProtocolDevice(wire.protocol, form, rate_hz, None if script is None else script(rate_hz, form))
     # Values as the protocol has read them, which a format of the same names takes.
     chosen: dict[str, Any] = {name: wire.protocol.settings[name].value for name in options.settings if name != "rate_hz"}
-    if wrong := [name for name in chosen if name not in _STIM300_SETTINGS]:
-        raise UsageError(sentence("emulate.setting", setting=wrong[0], device=device, allowed=_STIM300_SETTINGS))
     if rate_hz not in STIM300_RATES_HZ:
         raise UsageError(sentence("emulate.rate", rate_hz=rate_hz, rates_hz=STIM300_RATES_HZ))
     identity = Stim300Identity.of_seed(options.seed, options.grade)

@@ -33,12 +33,12 @@ def test_its_lines_by_hand() -> None:
     samples = make_samples(
         np.zeros(1),
         np.array([[1.0, -2.5, 3e-4]]),
-        np.array([[-1.0, 0.0, 1.0]]),
+        np.array([[-1.0, np.nan, 1.0]]),
         units=SampleUnits(),
         temperature_degc=np.array([25.0]),
         counter=np.arange(1),
     )
-    line = b"0.000000,1.000000000,-2.500000000,0.000300000,-1.000000000,0.000000000,1.000000000\r\n"
+    line = b"0.000000,1.000000000,-2.500000000,0.000300000,-1.000000000,nan,1.000000000\r\n"
     assert text().encode(samples).data.tobytes() == line
     device = text(columns="counter, ax, ay, az, temperature", prefix="$IMU ")
     assert device.encode(samples).data.tobytes() == b"$IMU 0,1.000000000,-2.500000000,0.000300000,25.00\r\n"
