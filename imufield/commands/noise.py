@@ -66,6 +66,9 @@ def run_noise(options: NoiseOptions) -> None:
         write_output(options.plot, picture, as_json=options.as_json)
     if options.parameters is not None and parameters is not None:
         path = parameters.path or options.parameters
+        note = parameters.instrument_note(session.record.instrument)
+        if note and session.sha256() != parameters.context.session.sha256:
+            say(note, err=True)
         tell_written(path, _write_into(path, parameters, result), as_json=options.as_json)
     if options.as_json:
         echo(json.dumps(_document(result)))

@@ -217,11 +217,8 @@ def _gravity_notes(task: _Task, found: LeftOutPositions) -> Iterator[str]:
 
 def _instrument_notes(task: _Task) -> Iterator[str]:
     """Yield that nothing shows whether session and parameters are of one instrument, where that is so."""
-    stated, recorded = task.parameters.context.instrument.serial_number, task.session.serial_number
-    if task.is_its_own or (stated and recorded):
-        return
-    who = "recording names" if stated else "parameter file names" if recorded else "recording and the parameter file name"
-    yield sentence("verify.no_serial_number", who=who)
+    if not task.is_its_own and (note := task.parameters.instrument_note(task.session.record.instrument)):
+        yield note
 
 
 def _before_accelerometer(task: _Task, protocol: Protocol | None) -> AccelerometerParameters | None:

@@ -109,6 +109,18 @@ def test_parameters_of_other_units_or_of_another_instrument_are_refused(solved_s
     fails(["noise", str(counts), "--parameters", str(other)], 5, Reason.FOREIGN, "A1", "B2", key="file.instrument")
 
 
+def test_noise_of_an_instrument_without_serial_number_is_said_not_to_be_checked(
+    solved_session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    parameters = with_document(solved_session / "parameters.toml", tmp_path / "p.toml", instrument={"model": "mine"})
+    for serial_number, is_told in (("B2", False), ("", True)):
+        with_document(parameters, parameters, instrument={"serial_number": serial_number})
+        instrument = {"model": "other-bench", "serial_number": "B2"}
+        rest = rest_session(tmp_path / f"rest{serial_number}", 600.0, instrument=instrument).folder
+        assert run(["noise", str(rest), "--parameters", str(parameters)]) == 0
+        assert (not missing(capsys.readouterr().err, "mine", "other-bench")) == is_told
+
+
 def test_a_date_that_is_none_ends_with_a_sentence(program: Program, tmp_path: Path) -> None:
     folder = rest_session(tmp_path / "rest", 600.0).folder
     found = program.run("noise", folder, variables={"SOURCE_DATE_EPOCH": "x"})

@@ -35,6 +35,7 @@ from imufield.samples import FloatArray, Samples, Status, TemperatureHold
 from imufield.sentences import Sentences
 
 if TYPE_CHECKING:
+    from imufield.acquire.recording.session_record import InstrumentRecord
     from imufield.deliver.parameters.gauge_free import GaugeFree
 
 sentence = Sentences(__package__)
@@ -322,6 +323,15 @@ class Parameters:
         if known and serial_number and known != serial_number:
             refused = sentence("file.instrument", name=self._name, parameters=known, recording=serial_number)
             raise ParameterFileError(refused, Reason.FOREIGN)
+
+    def instrument_note(self, recorded: InstrumentRecord) -> str:
+        """Say that no serial numbers show whether a recording is of this instrument; an empty text where they do."""
+        own = self.context.instrument
+        if own.serial_number and recorded.serial_number:
+            return ""
+        who = "recording names" if own.serial_number else "parameter file names"
+        who = who if own.serial_number or recorded.serial_number else "recording and the parameter file name"
+        return sentence("file.no_serial_number", who=who, own=own.model or "unknown", recorded=recorded.model or "unknown")
 
 
 def from_document(document: Document, *, path: Path | None = None) -> Parameters:
