@@ -84,7 +84,7 @@ def test_a_torn_end_may_be_that_of_a_recording_under_way() -> None:
 
 def test_options_of_import_are_named_with_their_command() -> None:
     """``apply`` reads the same tables and has none of them."""
-    first = re.compile(r"(imufield import )?--(?:set|columns|zero)\b(?! was given)")
+    first = re.compile(r"(imufield import (?:with )?)?--(?:set|columns|zero)\b(?! was given)")
     of_tables = [
         (key, named)
         for key, text in sentences()

@@ -332,7 +332,7 @@ def _as_imported(chain: Chain, session: Session, refusals: list[Refusal]) -> lis
     # Offsets, of which nothing is known, lengthen some and shorten others.
     typical_m_s2 = float(median(np.array([each.measured for each in refusals if each.reason is RefusalCode.GRAVITY] or [0.0])))
     unit = fitting_unit(scale * typical_m_s2 / STANDARD_GRAVITY_M_S2, "m/s^2")
-    remedy = sentence("solving.import_unit", unit=unit) if unit else sentence("solving.import_scale")
+    remedy = sentence("solving.import_unit" if unit else "solving.import_scale", unit=unit, folder=session.folder)
     return [replace(each, remedy=remedy) if each.reason is RefusalCode.GRAVITY else each for each in refusals]
 
 

@@ -21,18 +21,25 @@ _ROWS_AT_ONCE = 4096
 
 def with_units_of_stills(table: ImportedTable) -> ImportedTable:
     """Return a table with the units that its stills show in place of guesses, and what is to be said of them."""
-    stated = {triad: str(table.settings[f"{triad}_unit"]) for triad in TRIADS}
+    kept = {triad: str(table.settings[f"{triad}_unit"]) for triad in TRIADS}
     found = find_scales(_blocks(table), np.array(table.raw_zero))
-    units, said = found.choose(stated, table.guessed)
+    stated = {triad: table.stated.get(triad, unit) for triad, unit in kept.items()}
+    # Of the numbers as they stand in the file: a unit may have been converted.
+    factors = {triad: (nominal_scale(stated[triad]) or 1.0) / (nominal_scale(unit) or 1.0) for triad, unit in kept.items()}
+    as_written = replace(found, scales={triad: scale * factors[triad] for triad, scale in found.scales.items()})
+    units, said = as_written.choose(stated, table.guessed)
     if units.get("gyroscope") == "count" and "rate_hz" in table.settings:
         said |= _other_rate(found.scales["gyroscope"], float(table.settings["rate_hz"]), table.rows[:, 4:7])
     if found.centre_raw is not None:
         said |= {"raw_zero": sentence("still_units.raw_zero", centre=[round(each) for each in found.centre_raw.tolist()])}
     guesses = {guess: said.pop(triad) for triad, guess in table.guessed.items() if triad in said}
+    # A wrong unit makes gravity look small.
+    told = [] if "accelerometer" not in said else ["tables.no_gravity"]
+    assumptions = [each for each in table.assumptions if getattr(each, "key", "") not in told]
     return replace(
         table,
         settings=table.settings | {f"{triad}_unit": unit for triad, unit in units.items()},
-        assumptions=(*(guesses.get(assumption, assumption) for assumption in table.assumptions), *said.values()),
+        assumptions=(*(guesses.get(assumption, assumption) for assumption in assumptions), *said.values()),
     )
 
 

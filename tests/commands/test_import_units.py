@@ -15,7 +15,7 @@ from imufield.acquire.recording.session import Session
 from imufield.cli.run import run
 from imufield.commands.import_files import import_session
 from imufield.commands.options.acquire_commands import ImportOptions
-from imufield.errors import CalibrationError, Reason
+from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.pipeline.calibration import SolveSettings
 from imufield.pipeline.site import SiteOptions
 from imufield.pipeline.solving import solve_session
@@ -116,6 +116,7 @@ def test_a_stated_unit_that_the_stills_contradict_is_kept_and_told(tmp_path: Pat
     [
         (1 / G, "m/s^2", "still_scales.other_accelerometer", "g"),
         (1000 / G, "g", "still_scales.other_accelerometer", "mg"),
+        (1 / G, "mg", "still_scales.other_accelerometer", "g"),
         (0.612 / G, "g", "still_scales.no_accelerometer_unit", ""),
     ],
 )
@@ -126,13 +127,21 @@ def test_only_a_unit_that_fits_is_named(tmp_path: Path, accelerometer: float, st
     _, said = import_session(options)
     (words,) = (one for one in said if key_of(one) == key)
     assert words.values["right"] == right  # type: ignore[attr-defined]
-    assert not right or f"accelerometer_unit={right} --replace" in words
+    assert words.values["stated"] == stated  # type: ignore[attr-defined]
+    assert "tables.no_gravity" not in map(key_of, said)
 
 
 def test_an_import_in_a_wrong_unit_is_not_sent_to_a_driver(tmp_path: Path) -> None:
     session, _ = imported(table(tmp_path, 1 / G), accelerometer_unit="m/s^2")
-    with refused(CalibrationError, Reason.TOO_FEW, "imufield import", "accelerometer_unit=g --replace", key="solving.too_few"):
+    with refused(
+        CalibrationError, Reason.TOO_FEW, "accelerometer_unit=g --replace --output", str(session.folder), key="solving.too_few"
+    ):
         solve_session(session, SolveSettings(), SiteOptions(gravity_m_s2=G))
+
+
+def test_a_unit_that_is_none_is_refused_with_all_that_are_taken(tmp_path: Path) -> None:
+    with refused(UsageError, Reason.UNITS, "'gs'", "mg", key="table_columns.unknown_unit"):
+        imported(table(tmp_path, 1 / G), accelerometer_unit="gs")
 
 
 def test_a_stated_unit_that_is_right_needs_no_word(tmp_path: Path) -> None:

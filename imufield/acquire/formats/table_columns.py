@@ -382,7 +382,7 @@ def choose_unit(
     Raises
     ------
     UsageError
-        If a header names a unit that is none, and the user none.
+        If the user names a unit that is none, or a header and the user none.
     """
     setting = given.get(f"{quantity}_unit")
     is_whole = ~np.isnan(values).any(axis=1)
@@ -393,8 +393,6 @@ def choose_unit(
     if written is not None:
         name = unit_name(written, quantity)
         if name is None:
-            if setting is not None:
-                return written, 1.0, ""  # The protocol says what it takes.
             known = known_units(quantity)
             raise UsageError(sentence("table_columns.unknown_unit", quantity=quantity, unit=written, known=known), Reason.UNITS)
         unit, factor = (_THOUSANDTHS[name], 1e-3) if name in _THOUSANDTHS else TO_SI[name]

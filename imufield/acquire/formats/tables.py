@@ -33,7 +33,7 @@ from imufield.acquire.formats.table_join import join
 from imufield.acquire.formats.table_names import TIME
 from imufield.acquire.formats.table_text import TextTable
 from imufield.acquire.link.chunk import Chunk
-from imufield.acquire.protocol.units import SECONDS
+from imufield.acquire.protocol.units import SECONDS, unit_name
 from imufield.dataclass import dataclass, field, replace
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import UsageError
@@ -73,6 +73,8 @@ class ImportedTable:
         Sentences.
     guessed : mapping
         Triads whose unit is taken from the size of their numbers alone, with the sentence that says so.
+    stated : mapping
+        Unit of a triad as file or user state it, where its numbers were converted to another.
     status : ndarray of uint32, shape (n,), or None
         ``Status`` flags, where the file is an export of our own or a recording that tells.
     counter : ndarray of int64, shape (n,), or None
@@ -86,6 +88,7 @@ class ImportedTable:
     raw_zero: tuple[float, ...]
     assumptions: tuple[str, ...]
     guessed: Mapping[str, str] = field(default_factory=dict)
+    stated: Mapping[str, str] = field(default_factory=dict)
     status: NDArray[np.uint32] | None = None
     counter: IntArray | None = None
     begin_s: float = 0.0
@@ -307,15 +310,16 @@ def _table(
         if name in joined:
             rows[:, place] = joined[name]
     # Rows have flags where a column of them is read, whatever a recording has.
-    found, guessed = {name: value for name, value in known.items() if name != STATUS}, {}
+    found, guessed, stated = {name: value for name, value in known.items() if name != STATUS}, {}, {}
     for quantity, columns in (("accelerometer", slice(1, 4)), ("gyroscope", slice(4, 7))):
         unit, factor, assumption = choose_unit(quantity, rows[:, columns], units, given, has_zero=zero is not None)
         if factor != 1.0:
             rows[:, columns] *= factor
+            stated[quantity] = str(unit_name(str(given.get(f"{quantity}_unit", units.get(quantity))), quantity))
+        elif assumption and quantity not in units:
+            guessed[quantity] = assumption
         found[f"{quantity}_unit"] = unit
         said += [assumption] if assumption else []
-        if assumption and quantity not in units:
-            guessed[quantity] = assumption
     if rate_hz is not None:
         found["rate_hz"] = float(rate_hz)
     # The user knows better than the file.
@@ -334,6 +338,7 @@ def _table(
         raw_zero=(*stated_zero,),
         assumptions=tuple(said),
         guessed=guessed,
+        stated=stated,
         status=status,
         counter=counter,
         begin_s=zero_s + float(rows[0, 0]),

@@ -85,7 +85,7 @@ class StillScales:
                 key = kind.taken if unit in kind.units else kind.taken_as_count
                 count = {"count": 1 / scale, "count_deg": math.degrees(1 / scale)}
                 said[triad] = sentence(key, unit=unit, stills=self.stills, ratio=_ratio(scale, unit), **count)
-            elif stated[triad] in kind.units and unit != stated[triad]:
+            elif _is_other(scale, stated[triad], kind.units[0]):
                 right = fitting_unit(scale, kind.units[0])
                 key = kind.contradicted if right else kind.fits_none
                 said[triad] = sentence(key, stated=stated[triad], ratio=_ratio(scale, stated[triad]), right=right)
@@ -96,6 +96,11 @@ def fitting_unit(scale: float, si_unit: str) -> str:
     """Return the unit of which so many are one of the SI unit; empty where no usual unit has about that scale."""
     units = [unit for unit, (si, _) in TO_SI.items() if si == si_unit and scale > 0]
     return next((unit for unit in units if abs(math.log(_ratio(scale, unit))) < _SAME_FACTOR), "")
+
+
+def _is_other(scale: float, unit: str, si_unit: str) -> bool:
+    """Whether a stated unit is one that a scale can tell, and another."""
+    return TO_SI.get(unit, ("",))[0] == si_unit and abs(math.log(_ratio(scale, unit))) >= _SAME_FACTOR
 
 
 def _ratio(scale: float, unit: str) -> float:
