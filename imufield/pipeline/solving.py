@@ -146,12 +146,12 @@ def solve_session(
 
 @contextmanager
 def _naming_unfinished(session: Session) -> Iterator[None]:
-    """Say of a guided session that has too few positions how it goes on."""
+    """Say of a guided session that has too few positions how it goes on, also where it was finished early."""
     try:
         yield
     except CalibrationError as error:
-        can_go_on = session.record.scheme is not None and not session.finished and not session.is_being_recorded
-        if error.reason is not Reason.TOO_FEW or not can_go_on:
+        is_done = session.finished and not error.values.get("finished_early")
+        if error.reason is not Reason.TOO_FEW or session.record.scheme is None or is_done or session.is_being_recorded:
             raise
         values = {"error": error.message.removesuffix("."), "folder": session.folder}
         raise CalibrationError(sentence("solving.unfinished", **values), Reason.TOO_FEW, **error.values) from error
@@ -281,9 +281,14 @@ def _guided(chain: Chain, guide: Guide, refusals: list[Rejected]) -> _Usable:
     missing = guide.plan.missing()
     # A position that was taken again lacks nothing.
     lacking = [event for event in refusals if missing and (event.position or missing[0]) in missing]
-    _check_count(len(observations), [event for event in lacking if event.position or event.reason in _SPOIL_DATA])
+    held = [event for event in lacking if event.position or event.reason in _SPOIL_DATA]
+    only_moved = all(event.reason is RefusalCode.MOVED for event in held)
+    # Where the holds that moved would not be enough either, it is the other positions that lack.
+    if not only_moved or len(observations) + len({event.position for event in held}) >= FEWEST_FOR_SCALE_AND_BIAS:
+        _check_count(len(observations), held)
     if missing and len(observations) < FEWEST_FOR_SCALE_AND_BIAS and axes.error is None:
         values = {"positions": len(observations), "limit": FEWEST_FOR_SCALE_AND_BIAS, "left": what_is_left(missing)}
+        values |= {"more": FEWEST_FOR_SCALE_AND_BIAS - len(observations), "finished_early": guide.finished_early}
         raise CalibrationError(sentence("solving.too_few_measured", **values), Reason.TOO_FEW)
     clipped = [event for event in lacking if event.reason in _AT_LIMIT]
     return _Usable(

@@ -202,6 +202,19 @@ def test_what_was_refused_and_measured_then_is_not_what_is_missing(make_session:
     fails(f"solve {session.folder}", 6, Reason.TOO_FEW, "5 positions", "1 left", missed, "--resume", key="solving.unfinished")
 
 
+def test_a_hold_that_moved_is_not_what_is_missing_where_it_would_not_be_enough(make_session: Callable[..., Session]) -> None:
+    """The second side is knocked until the recording ends; four others are never shown."""
+
+    def knock(samples: Samples) -> Samples:
+        hit = samples.time_s > 29
+        samples.accelerometer[hit] += np.random.default_rng(0).normal(0, 3, (hit.sum(), 3))
+        return samples
+
+    session = make_session("faces6", visits=2, hold_s=14.0, finished=False, change=knock)
+    error = fails(f"solve {session.folder}", 6, Reason.TOO_FEW, "--resume", key="solving.unfinished")
+    assert (error.values["positions"], error.values["more"]) == (1, 5)
+
+
 def test_turns_that_are_missing_are_counted(whole_session: Path, capsys: pytest.CaptureFixture[str]) -> None:
     ended = Captured(session=Session.open(whole_session), accepted=24, planned=24, turns=(1, 6), finished=False)
     farewell(ended, "plain", SystemClock())
