@@ -162,6 +162,7 @@ def _import_bytes(options: ImportOptions, protocol: Protocol) -> tuple[Session, 
     """Put the bytes of a dump or the frames of logs into a recording as they are."""
     # With all that listens to ports, of which a table knows nothing.
     from imufield.acquire.instrument.connected import assumed, with_settings
+    from imufield.acquire.instrument.text_columns import other_lines, read_lines
 
     losses: list[str] = []
     decoder = Decoder(protocol)
@@ -175,6 +176,9 @@ def _import_bytes(options: ImportOptions, protocol: Protocol) -> tuple[Session, 
         return _import_bytes(options, told)
     counts = decoder.statistics
     if not counts.samples:
+        first = b"" if protocol.can is not None else next(_chunks(options, protocol, [])).data
+        if differs := other_lines(str(options.files[0]), read_lines(first), protocol):
+            raise RecordingError(differs, Reason.NO_FRAMES)
         foreign = "import_files.dump_without_samples" if protocol.can is None else "import_files.log_without_samples"
         none = sentence(
             "import_files.frames_without_samples" if protocol.can is None and counts.is_understood else foreign,

@@ -121,6 +121,17 @@ def test_a_protocol_of_ones_own_says_its_rate(tmp_path: Path) -> None:
     assert imported(tmp_path / "session").time_s[50] == 1.0
 
 
+@pytest.mark.parametrize(("columns", "prefix"), [(7, "$A"), (6, "$B")])
+def test_lines_of_other_numbers_or_of_another_word_are_told(tmp_path: Path, columns: int, prefix: str) -> None:
+    rows = np.random.default_rng(0).normal(0, 1, (400, columns))
+    rows[:, 2] += 9.8
+    path = tmp_path / "lines.txt"
+    path.write_text("".join("$A," + ",".join(f"{value:.4f}" for value in row) + "\n" for row in rows))
+    given = f"--driver text --set prefix={prefix} --rate-hz 100 --output {tmp_path / 'session'}"
+    arguments = f"import {path} --set columns=ax,ay,az,gx,gy,gz {given}"
+    fails(arguments, 4, Reason.NO_FRAMES, f"{columns} numbers behind '$A'", "6 numbers", key="text_columns.other_lines")
+
+
 def of_other_kinds(path: Path) -> Path:
     """Write what a receiver sends whose corrected data are logged instead of raw ones."""
     dump_of(Wire("novatel_oem7", "IMURATECORRIMUS"), path, 766)

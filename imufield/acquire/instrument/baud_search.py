@@ -11,7 +11,14 @@ from itertools import chain, zip_longest
 
 from imufield.acquire.driver import Driver, Wire
 from imufield.acquire.instrument.recognise import FEWEST_SAMPLES, Candidate, Listener, best
-from imufield.acquire.instrument.text_columns import LineListener, are_labelled, first_lines, read_lines, usual_columns
+from imufield.acquire.instrument.text_columns import (
+    LineListener,
+    are_labelled,
+    first_lines,
+    other_lines,
+    read_lines,
+    usual_columns,
+)
 from imufield.acquire.link.chunk import Chunk
 from imufield.acquire.link.host_clock import HostClock, patience_s
 from imufield.acquire.link.serial import PSEUDO_TERMINALS, SerialLink, open_link
@@ -254,6 +261,9 @@ def nothing_recognised(port: str, result: Search) -> LinkError:
         other = sentence("baud_search.without_samples", port=port, title=closest.title, why=closest.reason)
         return LinkError(other, Reason.NO_FRAMES)
     lines = next(filter(None, (read_lines(hearing.data) for hearing in reversed(result.hearings))), None)
+    given = [listener.candidate.protocol for listener in listeners if not listener.candidate.driver]
+    if given and (differs := other_lines(port, lines, given[0])):
+        return LinkError(differs, Reason.NO_FRAMES)
     texts = [listener for listener in listeners if listener.candidate.protocol.lines and listener.candidate.driver]
     text = next((listener.candidate for listener in texts if "columns" in listener.candidate.protocol.settings), None)
     if lines is not None and text is not None and text.protocol.lines is not None:

@@ -19,11 +19,11 @@ from imufield.acquire.formats.table_names import TIME, named_column
 from imufield.acquire.formats.table_text import delimiter_of, is_number, split_cells
 from imufield.acquire.instrument.recognise import CERTAIN_SAMPLES, FEWEST_SAMPLES, RATE_S, Candidate, Listener, usual_rate
 from imufield.acquire.link.chunk import Chunk
-from imufield.acquire.protocol.protocol import load_protocol
+from imufield.acquire.protocol.protocol import Protocol, load_protocol
 from imufield.acquire.protocol.units import nominal_scale
 from imufield.dataclass import dataclass, replace
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, LARGEST_OUTPUT, FloatArray, median
-from imufield.sentences import Sentences
+from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
 
@@ -108,6 +108,17 @@ def read_lines(data: bytes) -> Lines | None:
     # A line that lacks what the others have tells nothing, and its gaps would spread through every sum.
     usual = np.mean(np.isfinite(table), axis=0) > _MOST
     return Lines(table[np.isfinite(table[:, usual]).all(axis=1)], tuple(heading), prefix)
+
+
+def other_lines(source: str, lines: Lines | None, protocol: Protocol) -> Sentence | None:
+    """Return how lines of numbers differ from those of a protocol by their number and the word in front; None else."""
+    rule = protocol.lines
+    if lines is None or rule is None or rule.sentences:
+        return None
+    both = ((lines.prefix, lines.rows.shape[1]), (rule.prefix, len(rule.columns)))
+    found, expected = (f"{number} numbers" + (f" behind {prefix!r}" if prefix else "") for prefix, number in both)
+    values = {"source": source, "found": found, "expected": expected, "protocol": protocol.name}
+    return None if found == expected else sentence("text_columns.other_lines", **values)
 
 
 def _parted(line: str) -> tuple[str, list[str]]:
