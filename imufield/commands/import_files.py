@@ -8,10 +8,12 @@ import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
+from imufield.acquire.clock.sample_clock import LARGEST_RATE_ERROR
 from imufield.acquire.decode.statistics import remarks, without_samples
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.formats.can_log_heads import begins_as_can_log
@@ -153,9 +155,14 @@ def _import_tables(options: ImportOptions) -> tuple[Session, list[str]]:
 
 def _said_of_table(table: ImportedTable) -> Sentence:
     triads = {"accelerometer": table.rows[:, 1:4], "gyroscope": table.rows[:, 4:7]}
-    units = [f"{triad} in {table.settings[f'{triad}_unit']}" for triad, values in triads.items() if np.isfinite(values).any()]
-    duration_s = float(table.rows[-1, 0] - table.rows[0, 0])
-    return sentence("import_files.table", samples=len(table.rows), duration_s=duration_s, units=units)
+    units = {triad: str(table.settings[f"{triad}_unit"]) for triad, values in triads.items() if np.isfinite(values).any()}
+    return _imported(len(table.rows), float(table.rows[-1, 0] - table.rows[0, 0]), units)
+
+
+def _imported(samples: int, duration_s: float, units: dict[str, str]) -> Sentence:
+    values = {"duration_s": duration_s, "rate_hz": (samples - 1) / duration_s if duration_s > 0 else math.nan}
+    told = [f"{triad} in {unit}" for triad, unit in units.items()]
+    return sentence("import_files.imported", samples=samples, units=told, **values)
 
 
 def _import_bytes(options: ImportOptions, protocol: Protocol) -> tuple[Session, list[str]]:
@@ -165,9 +172,10 @@ def _import_bytes(options: ImportOptions, protocol: Protocol) -> tuple[Session, 
     from imufield.acquire.instrument.text_columns import other_lines, read_lines
 
     losses: list[str] = []
+    times_s: list[float] = []
     decoder = Decoder(protocol)
     # Decoded before anything is made of them, so that nothing is put aside for files without a sample.
-    blocks = _with_possible_temperatures(_samples(options, decoder, losses), options.files)
+    blocks = _with_possible_temperatures(_samples(options, decoder, losses, times_s), options.files)
     scales = find_scales(blocks, protocol.nominal.raw_zero)
     driver = None if options.driver is None else load_driver(options.driver)
     told = with_settings(driver, protocol, decoder.messages())
@@ -201,11 +209,22 @@ def _import_bytes(options: ImportOptions, protocol: Protocol) -> tuple[Session, 
     units, said_of_units = settings_of_stills(scales, protocol)
     if units:
         protocol = _protocol(replace(options, settings={**options.settings, **units})) or protocol
+    of = {"accelerometer": protocol.units.accelerometer, "gyroscope": protocol.units.gyroscope}
+    told_first = (_imported(counts.samples, times_s[-1] - times_s[0], of), *_other_rate(counts.nominal_rate_hz, protocol))
     began = _began(next(_chunks(options, protocol, [])).monotonic_s)
     with _whole_or_nothing(_new_session(options, protocol, None, began), protocol) as (session, recorder):
         for chunk in _chunks(options, protocol, []):  # What is lost was said while they were tried.
             recorder.write_chunk(chunk)
-    return session, [*losses, said, *remarks([counts]), *assumed(protocol), *said_of_units, *_said_of(began)]
+    return session, [*losses, *told_first, said, *remarks([counts]), *assumed(protocol), *said_of_units, *_said_of(began)]
+
+
+def _other_rate(rate_hz: float | None, protocol: Protocol) -> tuple[Sentence, ...]:
+    """Say that the time stamps of a log show another rate than its protocol states, where they do."""
+    setting, stated_hz = protocol.settings.get("rate_hz"), protocol.clock.rate_hz
+    is_stated = setting is None or setting.origin != "assumed"
+    if not (is_stated and stated_hz and rate_hz) or abs(rate_hz / stated_hz - 1) <= LARGEST_RATE_ERROR:
+        return ()
+    return (sentence("import_files.other_rate", rate_hz=rate_hz, stated_hz=stated_hz),)
 
 
 def _began(time_s: float) -> str:
@@ -219,11 +238,12 @@ def _said_of(began: str) -> tuple[Sentence, ...]:
     return (sentence("import_files.began", began=began),) if began else ()
 
 
-def _samples(options: ImportOptions, decoder: Decoder, losses: list[str]) -> Iterator[Samples]:
-    """Decode what the files hold, to its end."""
-    for chunk in _chunks(options, decoder.protocol, losses):
-        yield decoder.feed(chunk.data, chunk.monotonic_s)
-    yield decoder.flush()
+def _samples(options: ImportOptions, decoder: Decoder, losses: list[str], times_s: list[float]) -> Iterator[Samples]:
+    """Decode what the files hold, to its end; ``times_s`` receives the first and last time of each block."""
+    blocks = (decoder.feed(chunk.data, chunk.monotonic_s) for chunk in _chunks(options, decoder.protocol, losses))
+    for samples in chain(blocks, map(Decoder.flush, (decoder,))):
+        times_s += samples.time_s[[0, -1]].tolist() if len(samples) else []
+        yield samples
 
 
 def _with_possible_temperatures(blocks: Iterable[Samples], files: list[Path]) -> Iterator[Samples]:

@@ -15,6 +15,8 @@ from imufield.acquire.protocol.checksum import make_checksum
 from imufield.acquire.recording.recorder import Recorder, part_metadata
 from imufield.acquire.recording.session import Session, create_session
 from imufield.acquire.registry import load_driver
+from imufield.commands.import_files import import_session
+from imufield.commands.options.acquire_commands import ImportOptions
 from imufield.errors import Reason
 from imufield.samples import SampleUnits, make_samples
 from imufield.simulate.instruments.stim300 import Stim300Device
@@ -22,6 +24,19 @@ from imufield.simulate.wire.stim300 import Stim300Format, close_datagrams
 from tests.commands.test_import import imported, typed
 from tests.commands.told import fails, says
 from tests.simulate.accounting import Wire, random_samples
+
+PROTOCOL_OF_LINES = """
+format = "imufield-protocol"
+version = 1
+name = "mine"
+title = "mine"
+manual = "none"
+kind = "text"
+text = {{ columns = "time,ax,ay,az" }}
+samples.accelerometer = {{ fields = ["ax", "ay", "az"], unit = "m/s^2" }}
+clock.time = {{ field = "time", ticks_per_s = {ticks_per_s} }}
+clock.rate_hz = 100
+"""
 
 
 def dump_of(wire: Wire, path: Path, count: int = 400) -> Path:
@@ -130,6 +145,17 @@ def test_lines_of_other_numbers_or_of_another_word_are_told(tmp_path: Path, colu
     given = f"--driver text --set prefix={prefix} --rate-hz 100 --output {tmp_path / 'session'}"
     arguments = f"import {path} --set columns=ax,ay,az,gx,gy,gz {given}"
     fails(arguments, 4, Reason.NO_FRAMES, f"{columns} numbers behind '$A'", "6 numbers", key="text_columns.other_lines")
+
+
+@pytest.mark.parametrize(("ticks_per_s", "is_told"), [(1e3, False), (1e6, True)])
+def test_a_rate_that_the_stamps_contradict_is_told(tmp_path: Path, ticks_per_s: float, is_told: bool) -> None:
+    path, protocol = tmp_path / "lines.txt", tmp_path / "mine.toml"
+    path.write_text("".join(f"{10 * k},0,0,9.8\n" for k in range(400)))
+    protocol.write_text(PROTOCOL_OF_LINES.format(ticks_per_s=ticks_per_s))
+    _, said = import_session(ImportOptions(files=[path], protocol=protocol, output=tmp_path / "session"))
+    of_key = {getattr(one, "key", ""): getattr(one, "values", {}) for one in said}
+    assert of_key["import_files.imported"]["duration_s"] == pytest.approx(3990 / ticks_per_s)
+    assert ("import_files.other_rate" in of_key) == is_told
 
 
 def of_other_kinds(path: Path) -> Path:

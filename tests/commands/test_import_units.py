@@ -63,7 +63,7 @@ def imported(path: Path, **settings: str) -> tuple[Session, list[str]]:
     """Import a table; return the session and what was assumed, behind what was read."""
     session, said = import_session(ImportOptions(files=[path], output=path.parent / "session", settings=settings))
     first, *assumed = [key_of(one) for one in said]
-    assert first == "import_files.table"
+    assert first == "import_files.imported"
     return session, assumed
 
 

@@ -34,7 +34,7 @@ sentence = Sentences(__package__)
 _HALF_A_SAMPLE = 0.5
 _MEASURE_RATE_S = 0.5  # Host time over which the rate is first measured where the instrument sends neither counter nor time.
 # Part by which the stated rate of increments may differ from the learned one: coarse time stamps learn badly.
-_LARGEST_RATE_ERROR = 0.25
+LARGEST_RATE_ERROR = 0.25
 # A step of a counter that puts a sample so far ahead of its arrival is none: above what waits in buffers, and drift.
 _DISPROVED_S = 2.0
 _SLEW = 0.1  # Largest part by which steps are stretched to follow the host clock.
@@ -172,7 +172,7 @@ class SampleClock(Clock):
         interval_s, step_s = self._units.interval_s, self._step_s
         if interval_s is None or learned_from <= LEARN_FROM or step_s <= 0 or not (self._has_counter or self._has_time):
             return
-        if abs(step_s / interval_s - 1) > _LARGEST_RATE_ERROR:
+        if abs(step_s / interval_s - 1) > LARGEST_RATE_ERROR:
             wrong = sentence("sample_clock.rate", rate_hz=1 / step_s, stated_hz=1 / interval_s)
             raise ProtocolError(wrong, Reason.UNITS)
 
@@ -441,5 +441,5 @@ def _usual(steps_s: FloatArray) -> float:
     if len(positive) == 0:
         return 0.0
     middle = float(median(positive))
-    near = positive[np.abs(positive - middle) <= _LARGEST_RATE_ERROR * middle]
+    near = positive[np.abs(positive - middle) <= LARGEST_RATE_ERROR * middle]
     return float(np.mean(near)) if len(near) else middle
