@@ -11,7 +11,7 @@ from imufield.calibrate.model.observations import Observations, join_observation
 from imufield.calibrate.moves.moves import MoveCollector, Moves, Slots, cut_moves, no_slots
 from imufield.dataclass import dataclass, replace
 from imufield.deliver.report.trace import TraceCells, TraceCollector
-from imufield.guide.events import VERTICAL, Event, Rejected, Turned
+from imufield.guide.events import VERTICAL, Event, LinkLost, Rejected, Turned
 from imufield.samples import FloatArray, Samples, concatenate
 
 _AT_ONCE = 4096  # Samples that are summed at once: a live link brings them by tens, each time at the price of hundreds.
@@ -34,6 +34,8 @@ class Reading:
         Lowest and highest output of the gyroscope where it is an end of its range, else NaN.
     turned_s : ndarray, shape (k,)
         Times of the whole turns about the vertical.
+    resumed_s : ndarray, shape (k,)
+        Times of the last samples before an operator went on with the session.
     cells : TraceCells
     best : DecoderStatistics or None
         Of the part whose rate is known best.
@@ -58,6 +60,7 @@ class Reading:
     slots: Slots
     ends_raw: FloatArray
     turned_s: FloatArray
+    resumed_s: FloatArray
     cells: TraceCells
     best: DecoderStatistics | None
     temperature_degc: FloatArray
@@ -75,7 +78,7 @@ class Reading:
     def between(self, observations: Observations) -> Moves:
         """Return the moves between the observed stills, and those between whole turns."""
         stills = observations if self.rests is None else join_observations(observations, self.rests)
-        return cut_moves(self.slots, stills.start_s, stills.duration_s, self.ends_raw)
+        return cut_moves(self.slots, stills.start_s, stills.duration_s, self.ends_raw, self.resumed_s)
 
 
 class ReadingCollector:
@@ -84,6 +87,7 @@ class ReadingCollector:
     def __init__(self) -> None:
         self.refusals: list[Rejected] = []
         self.turned_s: list[float] = []
+        self.resumed_s: list[float] = []
         self.trace = TraceCollector()
         self._moves: MoveCollector | None = None
         self._waiting: list[Samples] = []
@@ -95,12 +99,14 @@ class ReadingCollector:
             self._take()
 
     def hear(self, events: Iterable[Event]) -> None:
-        """Remember refused holds, and the whole turns about the vertical that the guide saw."""
+        """Remember refused holds, where the operator went on, and the whole turns about the vertical that the guide saw."""
         for event in events:
             if isinstance(event, Rejected):
                 self.refusals.append(event)
             elif isinstance(event, Turned) and event.about == VERTICAL:
                 self.turned_s.append((event.start_s + event.end_s) / 2)
+            elif isinstance(event, LinkLost) and event.resumed:
+                self.resumed_s.append(event.time_s)
 
     def slots(self, stills: Observations) -> tuple[Slots, FloatArray]:
         """Return the slots of all samples, those inside stills joined, and the ends of the outputs' range, shape (2, 3)."""

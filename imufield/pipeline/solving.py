@@ -226,6 +226,7 @@ def reading_of(
         slots=slots,
         ends_raw=ends_raw,
         turned_s=np.array(collected.turned_s),
+        resumed_s=np.array(collected.resumed_s),
         cells=collected.trace.finish(),
         best=best_rate(chain.statistics),
         temperature_degc=np.array(chain.temperature_degc),

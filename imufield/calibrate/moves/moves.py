@@ -416,12 +416,21 @@ class Moves:
         return np.add.reduceat(self.slots.duration_s, self.first)
 
 
-def cut_moves(slots: Slots, start_s: FloatArray, duration_s: FloatArray, ends: FloatArray | float = np.nan) -> Moves:
-    """Cut slots at still intervals; ``ends`` are those of the range of the outputs, shape (2, 3), NaN where it has none."""
+def cut_moves(
+    slots: Slots,
+    start_s: FloatArray,
+    duration_s: FloatArray,
+    ends: FloatArray | float = np.nan,
+    resumed_s: FloatArray | None = None,
+) -> Moves:
+    """Cut slots at still intervals; ``ends`` are those of the range of the outputs, shape (2, 3), NaN where it has none.
+
+    Before an operator went on with the session, the last samples have the times ``resumed_s``, shape (k,).
+    """
     # Means that somebody else averaged have no time: nothing is known of what lies between them.
     order = np.argsort(start_s, kind="stable") if np.isfinite(start_s).all() else np.empty(0, dtype=np.int64)
     # A clock that jumps back must not hide what lies behind the jump; the move with the jump is dropped.
-    rising_s = np.maximum.accumulate(slots.start_s)
+    rising_s, pauses_s = np.maximum.accumulate(slots.start_s), np.empty(0) if resumed_s is None else resumed_s
     stills = np.stack([start_s, start_s + duration_s], axis=1)[order]
     if len(slots) and len(stills):
         latest = np.searchsorted(stills[:, 0], rising_s, side="right") - 1
@@ -434,6 +443,9 @@ def cut_moves(slots: Slots, start_s: FloatArray, duration_s: FloatArray, ends: F
         begin, end = float(stills[k, 1]), float(stills[k + 1, 0])
         low, high = (int(row) for row in np.searchsorted(rising_s, [begin - _SLOT_MARGIN, end - _SLOT_MARGIN]))
         fault = _fault(slots[low:high], begin, end, ends)
+        # Where the operator had stopped there is nothing to check.
+        if fault and fault.key == "moves.interrupted" and np.any((pauses_s >= begin - CELL_S) & (pauses_s <= end)):
+            fault = sentence("moves.resumed", **fault.values)
         if fault is None:
             kept.append((int(before), int(after), begin, end, np.arange(low, high)))
         else:

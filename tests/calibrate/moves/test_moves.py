@@ -174,6 +174,13 @@ def test_an_interruption_is_not_called_a_loss() -> None:
     assert "1.2 s" in moves.dropped[0]
 
 
+@pytest.mark.parametrize(("resumed_s", "key"), [(2.4, "moves.resumed"), (9.0, "moves.interrupted")])
+def test_where_the_operator_had_stopped_there_is_nothing_to_check(resumed_s: float, key: str) -> None:
+    collector = MoveCollector(session().units)
+    collector.feed(session(lose(2.4, 3.6)))
+    assert keys(cut_moves(collector.slots(), START_S, DURATION_S, np.nan, np.array([resumed_s]))) == [key]
+
+
 def test_two_stills_of_one_rest_are_not_stretched_over_one_another() -> None:
     """All ten seconds are calm."""
     sums = np.column_stack([np.full(100, 0.1), 0.1 * np.random.default_rng(1).standard_normal((100, 6))])
