@@ -152,7 +152,7 @@ def test_a_rate_that_the_stamps_contradict_is_told(tmp_path: Path, ticks_per_s: 
     path, protocol = tmp_path / "lines.txt", tmp_path / "mine.toml"
     path.write_text("".join(f"{10 * k},0,0,9.8\n" for k in range(400)))
     protocol.write_text(PROTOCOL_OF_LINES.format(ticks_per_s=ticks_per_s))
-    _, said = import_session(ImportOptions(files=[path], protocol=protocol, output=tmp_path / "session"))
+    _, said = import_session(ImportOptions(files=[path], protocol=str(protocol), output=tmp_path / "session"))
     of_key = {getattr(one, "key", ""): getattr(one, "values", {}) for one in said}
     assert of_key["import_files.imported"]["duration_s"] == pytest.approx(3990 / ticks_per_s)
     assert ("import_files.other_rate" in of_key) == is_told

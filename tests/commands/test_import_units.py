@@ -144,6 +144,11 @@ def test_a_unit_that_is_none_is_refused_with_all_that_are_taken(tmp_path: Path) 
         imported(table(tmp_path, 1 / G), accelerometer_unit="gs")
 
 
+def test_a_setting_that_is_none_is_refused_with_all_that_are_taken(tmp_path: Path) -> None:
+    with refused(UsageError, Reason.UNKNOWN_KEY, "gyroscope_unit", "time_unit", key="settings.unknown"):
+        imported(table(tmp_path), gyro_unit="deg/s")
+
+
 def test_a_stated_unit_that_is_right_needs_no_word(tmp_path: Path) -> None:
     _, said = imported(table(tmp_path, 1 / G), accelerometer_unit="g", gyroscope_unit="rad/s")
     assert not [key for key in said if key.startswith("still_scales.")]
