@@ -24,6 +24,7 @@ from imufield.acquire.protocol.samples_and_clock import ClockRule
 from imufield.dataclass import replace
 from imufield.samples import FloatArray, Samples, SampleUnits, Status, concatenate, median
 
+_MOST_TICKS = 2.0**53  # Numbers beyond are no time stamps that wrap; a float does not tell them from their neighbours.
 _DRIFT = 2e-4  # Two crystals differ by less.
 
 
@@ -129,9 +130,12 @@ class CanSentTime(Clock):
         stamped = self._stamps.time(ticks, lambda row: steps_in_silence(silence_s[row], step_s) * step_s)
         lost = self._steps.examine(stamped.step_s).lost
         is_set = stamped.reset & (stamped.step_s <= step_s)
-        guessed = stamped.reset.copy()
+        # Nobody knows whether the bus was silent for longer than the stamps show, or the clock of its frames was set.
+        is_hidden = unseen_s - stamped.step_s[0] > within_s and not self._stamps.silence_tells(within_s)
+        is_set[0] |= is_hidden
+        guessed = stamped.reset | is_set
         guessed[0] |= went_round
-        estimated = int(lost[0]) if went_round else 0
+        estimated = int(lost[0]) if went_round or is_hidden else 0
         flags = np.where((lost > 0) & ~guessed, np.uint32(Status.AFTER_GAP), np.uint32(0))
         flags[guessed] |= np.uint32(Status.GAP_ESTIMATED)
         flags[is_set] |= np.uint32(Status.CLOCK_SET)
@@ -160,7 +164,7 @@ class CanSentTime(Clock):
         steps = np.diff(sent)
         # By steps alike: what stands for no value may be two numbers one behind the other.
         rising = (steps[1:] > 0) & (np.abs(np.diff(steps)) <= 2 * TOLERANCE * steps[1:])
-        beyond = sent[2:][rising & (sent[1:-1] >= self._stamps.modulus)]
+        beyond = sent[2:][rising & (sent[1:-1] >= self._stamps.modulus) & (sent[2:] < _MOST_TICKS)]
         if self._stamps.modulus and len(beyond):
             self._stamps.widen(1 << int(beyond.max()).bit_length(), int(self._last))
 

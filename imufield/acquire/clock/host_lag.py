@@ -214,7 +214,10 @@ class LossWatch:
     def push(self, timed: TimedBlock) -> list[TimedBlock]:
         """Return the blocks whose time is settled now, in order."""
         if not math.isfinite(timed.arrival_s):
-            return [*self.finish(), timed]
+            released = self.finish()
+            # It lies behind the loss, if one was found.
+            timed.time_s += self.lost_units * self._unit_s
+            return [*released, timed]
         last_s = float(timed.time_s[-1])
         lag_s = self.baseline.lag_s(timed.arrival_s, last_s)
         if not self._pending:

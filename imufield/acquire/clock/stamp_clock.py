@@ -93,16 +93,19 @@ class StampClock:
     def go_round(self, stamp: float, silence_s: float, within_s: float) -> bool:
         """Add the wraps that a silence before the next stamp has room for; return whether the stamp does not show them.
 
-        A silence that no number of wraps makes to ``within_s`` was none: the clock that measured it was set. Where wraps are
-        so short that nearly any silence is some of them, it shows nothing.
+        A silence that no number of wraps makes to ``within_s`` was none: the clock that measured it was set.
         """
         step = stamp - self._last
         wraps = round((silence_s * self._ticks_per_s - step) / self.modulus)
         off_s = silence_s - (step + wraps * self.modulus) / self._ticks_per_s
-        if wraps <= int(step < -(self.modulus // 2)) or abs(off_s) > within_s or within_s > _LARGEST_PART * self.wrap_s:
+        if wraps <= int(step < -(self.modulus // 2)) or abs(off_s) > within_s or not self.silence_tells(within_s):
             return False
         self._added, self._last = self._added + wraps * self.modulus, stamp
         return True
+
+    def silence_tells(self, within_s: float) -> bool:
+        """Whether a silence known to ``within_s`` tells wraps: nearly any is a whole number of short ones."""
+        return within_s <= _LARGEST_PART * self.wrap_s
 
     def add_wraps(self, wraps: int, time_s: FloatArray) -> FloatArray:
         """Add wraps that were found missing before these newest times, which may be none; return them moved on. Shape (n,)."""

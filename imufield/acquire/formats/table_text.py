@@ -300,8 +300,13 @@ def _head_lines(path: Path) -> tuple[list[str], list[tuple[int, str]]]:
 
 def _first_row(path: Path, texts: list[tuple[int, str]]) -> int:
     """Return which of the lines is the first row: what stands above the rows may hold numbers, too, but fewer."""
-    last = range(max(len(texts) - ROWS_LOOKED_AT, 0), len(texts))
-    rows = sorted(shape for place in last if (shape := _shape(texts, place)).numbers)
+    places = range(len(texts))
+
+    def with_numbers(some: range) -> list[_Shape]:
+        return sorted(shape for place in some if (shape := _shape(texts, place)).numbers)
+
+    # The last lines tell the shape of a row, where they are no notes below the rows.
+    rows = with_numbers(places[-ROWS_LOOKED_AT:]) or with_numbers(places)
     if not rows:
         raise _bad("table_text.no_rows", path)
     usual = rows[len(rows) // 2]
@@ -311,7 +316,7 @@ def _first_row(path: Path, texts: list[tuple[int, str]]) -> int:
         is_of_numbers_alone, is_as_wide = shape.numbers == shape.cells, shape.cells == usual.cells
         return shape.numbers > 0 and (is_of_numbers_alone or is_as_wide or 2 * shape.numbers >= usual.numbers)
 
-    return next(place for place in range(len(texts)) if is_row(_shape(texts, place)))
+    return next(place for place in places if is_row(_shape(texts, place)))
 
 
 class _Shape(NamedTuple):

@@ -143,7 +143,18 @@ def test_wraps_shorter_than_usual_delays_are_not_counted_by_silence(wrap_s: floa
     ticks = np.asarray(number * 10.0 % rule.time_modulus, dtype=np.float64)
     samples, statistics = run(number / 100.0 + (number >= 300) * step_s, ticks=ticks, rule=rule)
     np.testing.assert_allclose(samples.time_s - samples.time_s[0], number / 100.0, atol=1e-9)
-    assert (statistics.lost, statistics.gaps) == (0, 0)
+    assert (statistics.lost, statistics.gaps, statistics.clock_resets) == (0, 1, 1)
+
+
+@pytest.mark.parametrize("block", [1, 50, 600])
+@pytest.mark.parametrize("silence_s", [1.1, 4.3, 20.45])
+def test_a_silence_that_short_wraps_do_not_show_is_no_exact_loss(silence_s: float, block: int) -> None:
+    number = np.arange(600)
+    true_s = number / 100.0 + (number >= 300) * silence_s
+    rule = ClockRule(time_modulus=1000, time_ticks_per_s=1e3)
+    samples, statistics = run(true_s, ticks=np.rint(true_s * 1e3) % 1000.0, rule=rule, block=block)
+    assert np.flatnonzero(samples.status & Status.CLOCK_SET).tolist() == [300]
+    assert (statistics.samples_lost, statistics.gaps, statistics.clock_resets) == (0, 1, 1)
 
 
 @pytest.mark.parametrize("rate_hz", [2.0, 10.0, 20.0])

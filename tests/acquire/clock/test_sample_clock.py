@@ -118,6 +118,22 @@ def test_wraps_of_a_time_stamp_are_estimated_from_the_host_clock(missing: int, s
     np.testing.assert_array_equal(concatenate([each for each in timed if each]).time_s[:rest], alone.time_s)
 
 
+@pytest.mark.parametrize("unknown", [None, 605, 615, 630, 648, 700])
+@pytest.mark.parametrize("rule", [COUNTER, WRAPPING])
+def test_a_read_without_arrival_behind_a_loss_keeps_the_order_of_time(rule: ClockRule, unknown: int | None) -> None:
+    number = np.concatenate([np.arange(600), np.arange(600, 1500) + (5 * 256 if rule is COUNTER else 2000)])
+    arrival_s = 50 + number / (2000 if rule is COUNTER else 100)
+    if unknown is not None:
+        arrival_s[unknown] = np.nan
+    counter, ticks = (number % 256, None) if rule is COUNTER else (None, number * 100 % (1 << 16))
+    blocks = [
+        block(None if counter is None else counter[row : row + 1], None if ticks is None else ticks[row : row + 1])
+        for row in range(1500)
+    ]
+    samples, _ = run(rule, list(zip(blocks, arrival_s.tolist(), strict=True)))
+    assert np.diff(samples.time_s).min() >= 0
+
+
 @pytest.mark.parametrize("pace", [1.5, 10.0])
 def test_time_stamps_that_wrapped_while_data_were_late_are_no_loss(pace: float) -> None:
     true_s = np.arange(8000) / 100.0
