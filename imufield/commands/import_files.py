@@ -185,7 +185,7 @@ def _import_bytes(options: ImportOptions, protocol: Protocol) -> tuple[Session, 
         return _import_bytes(options, told)
     counts = decoder.statistics
     if not counts.samples:
-        first = b"" if protocol.can is not None else next(_chunks(options, protocol, [])).data
+        first = b"" if protocol.can is not None else next((chunk.data for chunk in _chunks(options, protocol, [])), b"")
         if differs := other_lines(str(options.files[0]), read_lines(first), protocol):
             raise RecordingError(differs, Reason.NO_FRAMES)
         foreign = "import_files.dump_without_samples" if protocol.can is None else "import_files.log_without_samples"

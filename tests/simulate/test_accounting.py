@@ -12,7 +12,7 @@ from tests.simulate.accounting import Wire, account_for, has_checksum, random_sa
 
 WIRES = serial_wires()
 WITHOUT_CHECKSUM = {
-    "text": "lines of numbers",
+    "text-default": "lines of numbers",
     "motioncal-default": "lines of numbers",
     "witmotion-bluetooth": "no checksum",
     "witmotion-card": "no checksum",

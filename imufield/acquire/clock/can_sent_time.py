@@ -20,11 +20,10 @@ from imufield.acquire.clock.missing_samples import FREE_LAG_S, LEARN_FROM, TOLER
 from imufield.acquire.clock.stamp_clock import MeanStep, StampClock, steps_between
 from imufield.acquire.decode.assembly import RawBlock, Ticks, join
 from imufield.acquire.decode.statistics import NO_TIME, DecoderStatistics
-from imufield.acquire.protocol.samples_and_clock import ClockRule
+from imufield.acquire.protocol.samples_and_clock import MOST_TICKS, ClockRule
 from imufield.dataclass import replace
 from imufield.samples import FloatArray, Samples, SampleUnits, Status, concatenate, median
 
-_MOST_TICKS = 2.0**53  # Numbers beyond are no time stamps that wrap; a float does not tell them from their neighbours.
 _DRIFT = 2e-4  # Two crystals differ by less.
 
 
@@ -164,7 +163,7 @@ class CanSentTime(Clock):
         steps = np.diff(sent)
         # By steps alike: what stands for no value may be two numbers one behind the other.
         rising = (steps[1:] > 0) & (np.abs(np.diff(steps)) <= 2 * TOLERANCE * steps[1:])
-        beyond = sent[2:][rising & (sent[1:-1] >= self._stamps.modulus) & (sent[2:] < _MOST_TICKS)]
+        beyond = sent[2:][rising & (sent[1:-1] >= self._stamps.modulus) & (sent[2:] < MOST_TICKS)]
         if self._stamps.modulus and len(beyond):
             self._stamps.widen(1 << int(beyond.max()).bit_length(), int(self._last))
 

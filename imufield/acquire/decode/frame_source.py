@@ -168,7 +168,9 @@ class _FrameReader:
         self._of_sensors = [(place, field) for place, name in enumerate(sensors) if (field := layout.field(name))]
         read = [*self._triads[0].fields, *self._triads[1].fields, *temperatures, *(field for _, field in self._of_sensors)]
         self._has_fractions = any(field.type[0] == "f" for field in read)
-        self._counter, self._modulus = layout.field(protocol.clock.counter_field), protocol.clock.counter_modulus
+        self._counter = layout.field(protocol.clock.counter_field)
+        # Of imported rows, whose counter is one beside their time, a number below 0 stands for none.
+        self._modulus = 0 if protocol.clock.counter_counts_others else protocol.clock.counter_modulus
         self._ticks = _TickReader(protocol, layout)
         self._status = _StatusReader(protocol, layout)
 

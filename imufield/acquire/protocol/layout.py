@@ -121,8 +121,9 @@ class Field:
         return frames.numbers(kind, self.at, self.count, size)
 
     def counts(self, frames: Frames, modulus: int) -> IntArray:
-        """Return the numbers of a counter that begins anew after ``modulus`` of them, from 0 on. Shape (n,)."""
-        return from_zero(self.raw(frames).astype(np.int64), modulus)
+        """Return the numbers of a counter that begins anew after ``modulus`` of them, from 0 on; 0: as sent. Shape (n,)."""
+        raw = self.raw(frames).astype(np.int64)
+        return from_zero(raw, modulus) if modulus else raw
 
     def values(self, frames: Frames) -> FloatArray:
         """Return the numbers in ``unit``, shape (n,) or (n, count)."""
