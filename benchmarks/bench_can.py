@@ -48,16 +48,18 @@ with CanEmulator(load_protocol(sys.argv[4]), source, sys.argv[1], EmulatorSettin
 _READ = """
 import json, resource, sys, time
 from pathlib import Path
-from imufield.acquire.instrument.can_map import open_can
+from imufield.acquire.decoder import Decoder
+from imufield.acquire.link.can import open_can_link
+from imufield.acquire.protocol.protocol import load_protocol
 from imufield.acquire.recording.recorder import Recorder
 from imufield.errors import LinkError
-opened = open_can(sys.argv[1], driver=sys.argv[3])
+link, decoder = open_can_link(sys.argv[1]), Decoder(load_protocol(sys.argv[3]))
 recorder = Recorder(Path(sys.argv[2]) / "part-001.mcap", {})
 print("ready", flush=True)
 samples, last, began = 0, time.monotonic(), None
 while time.monotonic() - last < 2.0 or began is None:
     try:
-        chunk = opened.link.read()
+        chunk = link.read()
     except LinkError:
         break
     if chunk is None:
@@ -66,13 +68,13 @@ while time.monotonic() - last < 2.0 or began is None:
         before, began = resource.getrusage(resource.RUSAGE_SELF), time.monotonic()
     last = time.monotonic()
     recorder.write_chunk(chunk)
-    samples += len(opened.decoder.feed(chunk.data, chunk.monotonic_s))
+    samples += len(decoder.feed(chunk.data, chunk.monotonic_s))
     after = resource.getrusage(resource.RUSAGE_SELF)
-samples += len(opened.decoder.flush())
+samples += len(decoder.flush())
 recorder.close()
-opened.link.close()
+link.close()
 cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-lost = opened.decoder.statistics.losses_estimated
+lost = decoder.statistics.losses_estimated
 print(json.dumps({"samples": samples, "lost": lost, "cpu": cpu / (last - began)}), flush=True)
 """
 _RECEIVE = """
@@ -213,7 +215,7 @@ def live_rows(live_s: float) -> list[Row]:
     """Return what a live bus of 1000 Hz x 2 messages costs, and what it loses."""
     bus = f"udp_multicast:{GROUP}"
     with tempfile.TemporaryDirectory() as folder:
-        readers = [_start(_READ, bus, folder, "aceinna_can"), _start(_RECEIVE, bus)]
+        readers = [_start(_READ, bus, folder, "j1939_imu"), _start(_RECEIVE, bus)]
         assert [_line(reader) for reader in readers] == ["ready", "ready"]
         emulator = _start(_EMULATE, bus, str(RATE_HZ), str(live_s), "j1939_imu")
         _line(emulator)
