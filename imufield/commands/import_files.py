@@ -8,7 +8,6 @@ import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
-from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -241,8 +240,13 @@ def _said_of(began: str) -> tuple[Sentence, ...]:
 
 def _samples(options: ImportOptions, decoder: Decoder, losses: list[str], times_s: list[float]) -> Iterator[Samples]:
     """Decode what the files hold, to its end; ``times_s`` receives the first and last time of each block."""
-    blocks = (decoder.feed(chunk.data, chunk.monotonic_s) for chunk in _chunks(options, decoder.protocol, losses))
-    for samples in chain(blocks, map(Decoder.flush, (decoder,))):
+
+    def blocks() -> Iterator[Samples]:
+        for chunk in _chunks(options, decoder.protocol, losses):
+            yield decoder.feed(chunk.data, chunk.monotonic_s)
+        yield decoder.flush()
+
+    for samples in blocks():
         times_s += samples.time_s[[0, -1]].tolist() if len(samples) else []
         yield samples
 

@@ -167,14 +167,15 @@ def _by_other_methods(
     preset: AccelerometerParameters | None,
 ) -> tuple[Calibration, list[str]]:
     """Return the accelerometer by the method that is asked for, and what a cross-check says."""
+    if settings.method == LEAST_SQUARES and not settings.cross_check:
+        return calibration, []
+    # Least squares alone, as nearly always, needs none of it.
+    from imufield.calibrate.accelerometer.methods import cross_check, solve_with
+
     sentences = []
     if settings.cross_check:
-        from imufield.calibrate.accelerometer.methods import cross_check
-
         sentences.append(cross_check(observations, calibration, rng=rng(), preset=preset).sentence)
     if settings.method != LEAST_SQUARES:
-        from imufield.calibrate.accelerometer.methods import solve_with
-
         calibration = solve_with(
             settings.method,
             observations,
@@ -243,11 +244,11 @@ def _with_gyroscope(
         result = calibrate_gyroscope(given, settings.gyroscope_model)
         check = solved = None
         if settings.cross_check:
-            from imufield.calibrate.gyroscope.methods import cross_check_gyroscope
+            from imufield.calibrate.gyroscope.methods import cross_check_gyroscope  # late, as those of the accelerometer
 
             check = cross_check_gyroscope(result, rng=rng())
         if settings.method != LEAST_SQUARES:
-            from imufield.calibrate.gyroscope.methods import solve_gyroscope_with
+            from imufield.calibrate.gyroscope.methods import solve_gyroscope_with  # late, as those of the accelerometer
 
             result, solved = solve_gyroscope_with(
                 settings.method, result, rng=rng(), polish=settings.polish, settings=settings.method_settings

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from imufield.calibrate.gyroscope.move_integration import SHORTEST_S, centre
+from imufield.calibrate.gyroscope.move_integration import centre
 from imufield.calibrate.gyroscope.residuals import ForceErrors, GyroscopeData, chains_of
 from imufield.calibrate.gyroscope.stills_alone import StaticFree
 from imufield.calibrate.gyroscope.turntable import TurntableRun, no_table, pair_runs
@@ -21,7 +21,7 @@ from imufield.calibrate.model.result import (
     Calibration,
     GyroscopeParameters,
 )
-from imufield.calibrate.moves.moves import Moves
+from imufield.calibrate.moves.moves import SHORTEST_SLOT_S, Moves
 from imufield.dataclass import dataclass
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray, median
@@ -121,7 +121,7 @@ def make_data(given: GyroscopeInput) -> GyroscopeData:
     # What rounding leaves is no noise that a longer mean makes smaller.
     variance = np.maximum(np.diagonal(observations.gyroscope_unrounded_covariance, 0, 1, 2), 0.0)
     density = np.sqrt(median(variance * observations.duration_s[:, None]))
-    duration = np.maximum(moves.slots.duration_s, SHORTEST_S)[:, None]
+    duration = np.maximum(moves.slots.duration_s, SHORTEST_SLOT_S)[:, None]
     return GyroscopeData(
         rate_raw=observations.gyroscope_mean_raw - rest,
         rate_covariance=observations.gyroscope_unrounded_covariance,

@@ -43,13 +43,14 @@ from typing import Literal
 import numpy as np
 
 from imufield.calibrate.gyroscope.fit import JointFit, fit_jointly, make_prior
-from imufield.calibrate.gyroscope.move_integration import INVERSE, PARAMETERS, SENSITIVITY, SHORTEST_S
+from imufield.calibrate.gyroscope.move_integration import INVERSE, PARAMETERS, SENSITIVITY
 from imufield.calibrate.gyroscope.observability import Observability
 from imufield.calibrate.gyroscope.residuals import GyroscopeData
 from imufield.calibrate.model.coverage_factors import NORMAL_FACTOR_95, f_limit_95, f_tail
 from imufield.calibrate.model.grades import Grade
 from imufield.calibrate.model.rotation import skew
 from imufield.calibrate.model.uncertainty import block_diagonal, told_apart
+from imufield.calibrate.moves.moves import SHORTEST_SLOT_S
 from imufield.dataclass import dataclass, replace
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray
@@ -223,7 +224,7 @@ def _rate_columns(data: GyroscopeData, fit: JointFit) -> tuple[FloatArray, Float
     """Return the largest rates, shape (3,), and what the residuals of the fit and of half sums change by, six columns each."""
     A, now = fit.p[INVERSE].reshape(3, 3), fit.evaluation
     K, slots, m = np.diag(np.linalg.inv(A)), data.moves.slots, fit.evaluation.moves
-    raw, s_table = slots.turn.T / np.maximum(slots.duration_s, SHORTEST_S), data.table.half_difference_raw / K
+    raw, s_table = slots.turn.T / np.maximum(slots.duration_s, SHORTEST_SLOT_S), data.table.half_difference_raw / K
     S = np.maximum(np.abs(raw).max(axis=1, initial=0.0) / np.abs(K), np.abs(s_table).max(axis=0, initial=0.0))
     by_turn = now.turns.by_rate * np.concatenate([np.sign(K), 1 / (K * S) ** 2])
     C, t = np.zeros((len(now.residual), 6)), len(s_table)

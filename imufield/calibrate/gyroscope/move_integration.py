@@ -31,7 +31,7 @@ from imufield.calibrate.model.rotation import (
     signed_permutations,
     skew,
 )
-from imufield.calibrate.moves.moves import Moves
+from imufield.calibrate.moves.moves import SHORTEST_SLOT_S, Moves
 from imufield.dataclass import dataclass, replace
 from imufield.samples import FloatArray, IntArray, median
 
@@ -39,7 +39,6 @@ PARAMETERS = 21
 INVERSE = slice(0, 9)
 BIAS = slice(9, 12)
 SENSITIVITY = slice(12, 21)
-SHORTEST_S = 1e-9  # A slot of a clock that stood lasts nothing.
 _LEAST_SHOWN = 0.3  # Of the length of what is shown best: less is the hand's acceleration rather than the turn.
 _WINDOW_S = 0.1  # Over which a rough inverse takes the specific force to turn at one rate.
 # Total angle turned over the angle between the ups, as the range in which an unknown scale is searched, in steps of 9 %.
@@ -114,7 +113,7 @@ def integrate(x: FloatArray, moves: Moves, noise_density_raw: FloatArray) -> Tur
     turn, force = slots.turn.T, slots.force.T
     # cof(A) = det(A) A^-T, see moves: A x x A y = cof(A) (x x y)
     coning = 0.5 * np.linalg.det(A) * M.T @ (slots.area.T - skew(M @ b) @ (T * turn - 2 * slots.moment.T))
-    by_rate = (np.abs(turn), turn * (turn / np.maximum(T, SHORTEST_S)) ** 2)
+    by_rate = (np.abs(turn), turn * (turn / np.maximum(T, SHORTEST_SLOT_S)) ** 2)
     integrals, to_vectors = np.vstack([turn, force, T, coning, *by_rate]), np.column_stack([A, -H, -b, np.eye(3)])
     vectors = (to_vectors @ integrals[:10]).T
     running = running_turns(exponential(vectors), moves.first)

@@ -152,6 +152,11 @@ class PositionResult:
     bias_drift_m_s2: FloatArray
     """Bias at this position less the calibration's, which is the mean over the positions, shape (m, 3)."""
 
+    @property
+    def count(self) -> int:
+        """How many were used."""
+        return int(np.count_nonzero(self.used))
+
     @classmethod
     def none(cls) -> PositionResult:
         """Return the result of no position: of parameters that were solved from elsewhere."""

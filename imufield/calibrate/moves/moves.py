@@ -54,6 +54,8 @@ from imufield.samples import (
 from imufield.sentences import Sentence, Sentences
 
 sentence = Sentences(__package__)
+SHORTEST_SLOT_S = 1e-9
+"""Instead of nothing, for a slot of a clock that stood."""
 
 _GUARD_CELLS = 10  # Kept between the stretched still and what looks like motion.
 _SIGMAS = 5.0  # Of the cells inside the still; what is further off looks like motion.
@@ -80,7 +82,7 @@ def stretch_stills(cell_s: FloatArray, sums: FloatArray, *, stills: FloatArray) 
     stills : ndarray, shape (s, 2)
         Begin and end, in time order.
     """
-    cells = sums[:, 1:] / np.maximum(sums[:, :1], 1e-9)
+    cells = sums[:, 1:] / np.maximum(sums[:, :1], SHORTEST_SLOT_S)
     low = np.searchsorted(cell_s, stills[:, 0])
     high = np.searchsorted(cell_s, stills[:, 1] - CELL_S)
     stretched = stills.copy()
@@ -369,7 +371,7 @@ class MoveCollector:
         """Join the slots of the quieter half of the recording into cells of 0.1 s."""
         slots = stack_slots(self._parts)
         cell_starts = _run_starts(_interval_of(slots.start_s, CELL_S))
-        rate = slots.turn / np.maximum(slots.duration_s, 1e-9)[:, None]
+        rate = slots.turn / np.maximum(slots.duration_s, SHORTEST_SLOT_S)[:, None]
         swing = np.max(np.maximum.reduceat(rate, cell_starts) - np.minimum.reduceat(rate, cell_starts), axis=1)
         quiet = swing <= 2 * median(swing[swing > 0]) if np.any(swing > 0) else np.ones(len(swing), dtype=np.bool_)
         joined = _join_runs(slots, cell_starts, quiet)
@@ -434,7 +436,7 @@ def cut_moves(
     stills = np.stack([start_s, start_s + duration_s], axis=1)[order]
     if len(slots) and len(stills):
         latest = np.searchsorted(stills[:, 0], rising_s, side="right") - 1
-        rate = slots.turn / np.maximum(slots.duration_s, 1e-9)[:, None]
+        rate = slots.turn / np.maximum(slots.duration_s, SHORTEST_SLOT_S)[:, None]
         ends = without_table_rates(ends, rising_s, rate, slots.plateau, (latest >= 0) & (rising_s < stills[latest, 1]))
         stills = stretch_stills(*sum_cells(rising_s, slot_sums(slots)), stills=stills)
     kept: list[tuple[int, int, float, float, IntArray]] = []  # Stills before and after, begin and end, rows of the slots.

@@ -170,7 +170,7 @@ def conditions(certificate: Certificate) -> Iterator[tuple[Sentence, str]]:
     is_known = math.isfinite(low + high)
     at = sentence("conditions.between", low=low, high=high) if is_known else sentence("conditions.temperature_unknown")
     yield sentence("conditions.temperature"), at
-    positions = int(parameters.calibration.positions.used.sum()) or sum(each.positions for each in _sessions(parameters))
+    positions = parameters.calibration.positions.count or sum(each.positions for each in _sessions(parameters))
     yield sentence("conditions.positions"), str(positions)
     up_to = sentence("conditions.up_to_gravity", limit_g=gravity.gravity_m_s2 / STANDARD_GRAVITY_M_S2)
     yield sentence("conditions.valid_acceleration"), up_to

@@ -270,7 +270,7 @@ def _quality(joined: JoinedFrom, joint: Joint, warnings: Sequence[str], notes: S
 def _summary(joined: JoinedFrom) -> str:
     days = sorted(parameters.context.session.recorded[:10] for parameters in joined.parameters)
     span = "" if not days[0] or days[0] == days[-1] else f", {days[0]} to {days[-1]},"
-    positions = sum(int(parameters.calibration.positions.used.sum()) for parameters in joined.parameters)
+    positions = sum(parameters.calibration.positions.count for parameters in joined.parameters)
     return sentence("joined.summary", sessions=len(joined.parameters), span=span, positions=positions)
 
 
@@ -292,7 +292,7 @@ def _context(joined: JoinedFrom, joint: Joint, shared: Mapping[str, float]) -> C
             name=parameters.context.session.name,
             sha256=parameters.context.session.sha256,
             recorded=parameters.context.session.recorded,
-            positions=int(parameters.calibration.positions.used.sum()),
+            positions=parameters.calibration.positions.count,
         )
         for parameters in joined.parameters
     )

@@ -61,17 +61,17 @@ def _table(model: TriadTemperature, unit: str) -> Document:
         "scale_separated": model.scale_separated,
         "bias_covariance": model.bias.covariance.tolist(),
         "scale_covariance": model.scale.covariance.tolist(),
-        **_known({name: getattr(model, name) for name in ("new_day", "sessions", *_ARRAYS)}, unit),
+        **_as_table({name: getattr(model, name) for name in ("new_day", "sessions", *_ARRAYS)}, unit),
     }
 
 
-def _known(values: Mapping[str, object], unit: str) -> Document:
+def _as_table(values: Mapping[str, object], unit: str) -> Document:
     """Return what is not None under the keys of the file, arrays as lists, and records as tables."""
     document: Document = {}
     for name, value in values.items():
         key = {"bias": f"bias_{unit}"}.get(name, name).replace("_freedom", "_degrees_of_freedom")
         if isinstance(value, NewDay | SessionChanges):
-            document[key] = _known(asdict(value), unit)
+            document[key] = _as_table(asdict(value), unit)
         elif value is not None:
             document[key] = value.tolist() if isinstance(value, np.ndarray) else value
     return document

@@ -149,6 +149,6 @@ def closure(
         latitude_deg=calibration.gravity.latitude_deg,
         preset=preset,
         nominal_scale=nominal,
-        rests=len(observations) - int(calibration.positions.used.sum()),
+        rests=len(observations) - calibration.positions.count,
     )
     return Closure(moves.start_s, *angle_errors_deg(given, calibration.gyroscope.parameters))

@@ -214,7 +214,7 @@ def _identity(data: ReportData) -> Iterator[tuple[str, str]]:
     low, high = session.temperature_degc
     yield "Temperature", f"{low:.1f} to {high:.1f} °C" if math.isfinite(low + high) else UNKNOWN
     yield "Session", session.name or UNKNOWN
-    yield "Positions", str(data.parameters.calibration.positions.used.sum())
+    yield "Positions", str(data.parameters.calibration.positions.count)
     if math.isfinite(session.sample_rate_hz):
         yield "Sample rate", f"{session.sample_rate_hz:.3f} Hz"
 

@@ -100,7 +100,7 @@ def _heading(parameters: Parameters) -> RenderableType:
     instrument, session = parameters.context.instrument, parameters.context.session
     who = " ".join(word for word in (instrument.model or instrument.driver or "IMU", instrument.serial_number) if word)
     low, high = session.temperature_degc
-    facts = [f"{parameters.calibration.positions.used.sum()} positions"]
+    facts = [f"{parameters.calibration.positions.count} positions"]
     if math.isfinite(low) and math.isfinite(high):
         facts.append(f"{low:.0f} °C" if round(low) == round(high) else f"{low:.0f} to {high:.0f} °C")
     facts.append(parameters.context.measured.replace("T", " ").replace("Z", " UTC"))
