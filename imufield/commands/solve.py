@@ -12,12 +12,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from rich.table import Table
-
 from imufield.acquire.recording.session import Session
 from imufield.commands.options.result_commands import SolveOptions
 from imufield.commands.terminal.output import echo, say, tell_written
-from imufield.console import PlainTextConsole
 from imufield.dataclass import dataclass, replace
 from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, json_ready
 from imufield.deliver.parameters.printed_numbers import WIDTH, hanging
@@ -200,6 +197,11 @@ def _write(outcome: SessionOutcome) -> SessionOutcome:
 
 
 def _print(outcomes: list[SessionOutcome]) -> None:
+    # Slow to import, and most solve one session.
+    from rich.table import Table
+
+    from imufield.console import PlainTextConsole
+
     console = PlainTextConsole(width=None if sys.stdout.isatty() else WIDTH)
     table = Table(box=None, pad_edge=False)
     table.add_column("session", overflow="fold")

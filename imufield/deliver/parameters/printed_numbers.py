@@ -70,13 +70,16 @@ def hanging(start: str, sentence: str) -> str:
     )
 
 
+def columns(text: str) -> int:
+    """Return how wide a text is; Chinese and Japanese characters take two columns."""
+    return len(text) if text.isascii() else sum(1 + (east_asian_width(character) in "WF") for character in text)
+
+
 def beside(words: str, path: object, indent: int = 0) -> str:
     """Return words and a path, the path on a line of its own where both are too long for one: broken it cannot be copied."""
     shown = printable(str(path))
     line = f"{words} {shown}"
-    # Chinese and Japanese characters take two columns.
-    columns = sum(1 + (east_asian_width(character) in "WF") for character in line)
-    return line if columns <= line_width() else f"{words.rstrip()}\n{' ' * indent}{shown}"
+    return line if columns(line) <= line_width() else f"{words.rstrip()}\n{' ' * indent}{shown}"
 
 
 def bar(share: float, width: int) -> str:

@@ -5,20 +5,16 @@ The verdict comes last, because the end is what a terminal of 24 lines shows.
 
 from __future__ import annotations
 
-import io
 import math
+import sys
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO
 
 import numpy as np
-from rich.console import Console, Group, RenderableType
-from rich.table import Table
-from rich.text import Text
 
 from imufield.calibrate.model.coverage_factors import degrees_of_freedom
 from imufield.calibrate.model.result import Calibration, Quality
-from imufield.console import PlainTextConsole
 from imufield.dataclass import dataclass
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.printed_numbers import (
@@ -26,6 +22,7 @@ from imufield.deliver.parameters.printed_numbers import (
     WIDTH,
     acceleration_unit,
     bar,
+    columns,
     to_ascii,
     with_sigma,
     with_sigma_within,
@@ -33,6 +30,7 @@ from imufield.deliver.parameters.printed_numbers import (
 from imufield.deliver.report.gain import gain
 from imufield.deliver.report.rows import GAUGE_WORDS, VERDICT_WORDS, Quantity, quantities
 from imufield.earth import MICRO_G_M_S2, height_words
+from imufield.progress import hidden
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentence, Sentences, folded, printable, shell_word, three_digits
 
@@ -40,6 +38,9 @@ if TYPE_CHECKING:
     from imufield.acquire.recording.session import Session
 
 sentence = Sentences(__package__)
+
+Line = list[tuple[str, str]]
+"""Words of a line, each with the style that rich gives them on a terminal."""
 
 _VERDICT_STYLES = {"good": "bold green", "usable": "bold yellow", "poor": "bold red"}
 # Three columns of each fit 80 characters.
@@ -61,42 +62,70 @@ class Outcome:
     """Of that session alone, where others were joined to it."""
 
 
-def print_summary(parameters: Parameters, outcome: Outcome | None = None, console: Console | None = None) -> None:
+def print_summary(parameters: Parameters, outcome: Outcome | None = None, file: TextIO | None = None) -> None:
     """Print the summary; without a terminal as plain text of 80 columns, without Unicode in ASCII."""
-    console = console or PlainTextConsole()
-    if console.is_terminal and not console.options.ascii_only:
+    file = file or sys.stdout
+    knows_unicode = (file.encoding or "").lower().startswith("utf")
+    if file.isatty() and knows_unicode:
+        # Late, as laying out takes a tenth of a whole ``solve`` with it.
+        from rich.text import Text
+
+        from imufield.console import PlainTextConsole
+
+        console = PlainTextConsole(file=file)
+        lines = [Text.assemble(*line) for line in summary(parameters, outcome, console.width)]
+        for line in lines:
+            line.rstrip()
         # Not cropped: a path longer than the line is still to be copied.
-        console.print(summary(parameters, outcome, console.width), crop=False)
+        console.print(Text("\n").join(lines), no_wrap=True, overflow="ignore", crop=False)
         return
     text = summary_text(parameters, outcome)
-    console.out(to_ascii(text) if console.options.ascii_only else text, end="", highlight=False)
+    with hidden():
+        file.write(text if knows_unicode else to_ascii(text))
+        file.flush()
 
 
 def summary_text(parameters: Parameters, outcome: Outcome | None = None) -> str:
     """Return the summary as plain text of 80 columns."""
-    console = PlainTextConsole(width=WIDTH, file=io.StringIO())
-    with console.capture() as capture:
-        console.print(summary(parameters, outcome), crop=False)
-    # rich fills columns with blanks; in a file or a mail they are only noise.
-    return "".join(f"{line.rstrip()}\n" for line in capture.get().splitlines())
+    lines = ("".join(words for words, _ in line) for line in summary(parameters, outcome))
+    return "".join(f"{printable(line.rstrip())}\n" for line in lines)
 
 
-def summary(parameters: Parameters, outcome: Outcome | None = None, width: int = WIDTH) -> RenderableType:
-    """Return the summary as something rich can draw in that width; below 80 columns each axis has a line of its own."""
+def summary(parameters: Parameters, outcome: Outcome | None = None, width: int = WIDTH) -> list[Line]:
+    """Return the lines of the summary in that width; below 80 columns each axis has a line of its own."""
     calibration = parameters.calibration
-    parts: list[RenderableType] = [_heading(parameters), "", _table("Accelerometer", calibration, width)]
+    lines = [*_heading(parameters), [], *_triad("Accelerometer", calibration, width)]
     if calibration.gyroscope is not None:
-        parts += ["", _table("Gyroscope", calibration, width), Text(calibration.gyroscope.path, style="dim")]
-    parts += ["", _facts(calibration), "", *_residuals(parameters, width)]
+        lines += [[], *_triad("Gyroscope", calibration, width), *_wrapped([(calibration.gyroscope.path, "dim")], width)]
+    lines += [[], *_facts(calibration, width), [], *_residuals(parameters, width)]
     # It may be far more than the sigma of scale above: beside the verdict.
     if details := [reason for reason in calibration.quality.details if reason != parameters.clock_note]:
-        parts += ["", Text("Details", style="bold"), *_bullets(details)]
-    parts += ["", _verdict(parameters)]
-    parts += _next_steps(parameters, outcome or Outcome())
-    return Group(*parts)
+        lines += [[], [("Details", "bold")], *_bullets(details, width)]
+    return [*lines, [], *_verdict(parameters, width), *_next_steps(parameters, outcome or Outcome(), width)]
 
 
-def _heading(parameters: Parameters) -> RenderableType:
+def _wrapped(parts: Line, width: int, indent: int = 0) -> Iterator[Line]:
+    """Yield the parts, with blanks between them, in lines of that width: words whole, lines below the first indented."""
+    line, column = Line(), 0
+    for word, style in [(word, style) for words, style in parts for word in words.split(" ")]:
+        if line and column + columns(word) > width:
+            yield line
+            line, column = [(" " * indent, "")], indent
+        line.append((f"{word} ", style))
+        column += columns(word) + 1
+    yield line
+
+
+def _aligned(rows: Sequence[Line], places: str, least: Sequence[int]) -> Iterator[Line]:
+    """Yield rows with their cells below each other, "<" at the left and ">" at the right, as wide as ``least`` or wider."""
+    widths = [max(most, *(columns(row[k][0]) for row in rows if k < len(row))) for k, most in enumerate(least)]
+    for row in rows:
+        blanks = [" " * (width - columns(words)) for width, (words, _) in zip(widths, row, strict=False)]
+        cells = zip(row, blanks, places, strict=False)
+        yield [(f"{words}{blank} " if place == "<" else f"{blank}{words} ", style) for (words, style), blank, place in cells]
+
+
+def _heading(parameters: Parameters) -> Iterator[Line]:
     instrument, session = parameters.context.instrument, parameters.context.session
     who = " ".join(word for word in (instrument.model or instrument.driver or "IMU", instrument.serial_number) if word)
     low, high = session.temperature_degc
@@ -104,30 +133,25 @@ def _heading(parameters: Parameters) -> RenderableType:
     if math.isfinite(low) and math.isfinite(high):
         facts.append(f"{low:.0f} °C" if round(low) == round(high) else f"{low:.0f} to {high:.0f} °C")
     facts.append(parameters.context.measured.replace("T", " ").replace("Z", " UTC"))
-    return Group(Text(f"Calibration of {who}", style="bold"), Text(" · ".join(facts), style="dim"))
+    yield [(f"Calibration of {who}", "bold")]
+    yield [(" · ".join(facts), "dim")]
 
 
-class _TriadTable:
+class _TriadRows:
     """Rows of three numbers, each in a line or, in a narrow window, in a line for each axis."""
 
     def __init__(self, title: str, width: int) -> None:
         self._is_narrow = width < WIDTH
-        self.table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False)
-        self.table.add_column(Text(title, style="bold"), no_wrap=True, min_width=13)
-        self.table.add_column("", no_wrap=True, style="dim", min_width=6)
-        if self._is_narrow:
-            self.table.add_column("", no_wrap=True, style="bold")
-        for axis in AXES[:1] if self._is_narrow else AXES:
-            name = "" if self._is_narrow else axis
-            self.table.add_column(name, justify="right", no_wrap=True, min_width=_NUMBER_WIDTH, header_style="bold")
+        axes = ["", ""] if self._is_narrow else AXES
+        self._rows: list[Line] = [[(title, "bold"), ("", ""), *((axis, "bold") for axis in axes)]]
 
     def add(self, name: str, unit: str, cells: Sequence[str], *, places: Sequence[str] = AXES, style: str = "") -> None:
         """Add a row; ``places`` are what lines of a narrow window call the cells."""
         if not self._is_narrow:
-            self.table.add_row(name, unit, *cells, style=style)
+            self._rows.append([(name, style), (unit, "dim"), *((cell, style) for cell in cells)])
             return
         for place, cell in zip(places, cells, strict=False):
-            self.table.add_row(name, unit, place, cell, style=style)
+            self._rows.append([(name, style), (unit, "dim"), (place, "bold"), (cell, style)])
             name = unit = ""
 
     def add_numbers(self, name: str, unit: str, values: FloatArray, sigma: FloatArray, *, sign: bool = True) -> None:
@@ -135,10 +159,15 @@ class _TriadTable:
         numbers = zip(values.tolist(), sigma.tolist(), strict=True)
         self.add(name, unit, [with_sigma_within(_NUMBER_WIDTH, value, spread, sign=sign) for value, spread in numbers])
 
+    def lines(self) -> Iterator[Line]:
+        """Yield them below each other."""
+        cells = [0, _NUMBER_WIDTH] if self._is_narrow else [_NUMBER_WIDTH] * 3
+        return _aligned(self._rows, "<<<>" if self._is_narrow else "<<>>>", [13, 6, *cells])
 
-def _table(title: str, calibration: Calibration, width: int) -> Table:
+
+def _triad(title: str, calibration: Calibration, width: int) -> Iterator[Line]:
     """Return the table of one triad."""
-    table = _TriadTable(title, width)
+    table = _TriadRows(title, width)
     for quantity in quantities(calibration):
         value, sigma = quantity.value, quantity.sigma
         if quantity.triad != title:
@@ -155,10 +184,10 @@ def _table(title: str, calibration: Calibration, width: int) -> Table:
             table.add_numbers(quantity.name, quantity.unit, value, sigma)
         if quantity.name == "bias" and title == "Accelerometer":
             table.add_numbers("", "m/s²", calibration.accelerometer.bias_m_s2, calibration.accelerometer_sigma.bias_m_s2)
-    return table.table
+    return table.lines()
 
 
-def _add_misalignment(table: _TriadTable, quantity: Quantity) -> None:
+def _add_misalignment(table: _TriadRows, quantity: Quantity) -> None:
     every = list(zip(quantity.places, quantity.value.tolist(), quantity.sigma.tolist(), strict=True))
     shown = [(pair, value, sigma) for pair, value, sigma in every if value != 0 or sigma != 0]
     if not any(math.isfinite(sigma) and value for _, value, sigma in shown):
@@ -173,20 +202,20 @@ def _add_misalignment(table: _TriadTable, quantity: Quantity) -> None:
         table.add("", "arcmin", minutes, places=pairs, style="dim")
 
 
-def _facts(calibration: Calibration) -> Table:
+def _facts(calibration: Calibration, width: int) -> Iterator[Line]:
     quality, gravity = calibration.quality, calibration.gravity
-    table = Table.grid(padding=(0, 2, 0, 0))
-    table.add_column(style="bold", no_wrap=True)
-    table.add_column()
     source: str = gravity.source_words
     if gravity.source == "assumed":
         source = sentence("summary.assumed")
     elif gravity.source == "normal" and gravity.latitude_deg is not None:
         source = sentence("summary.normal", latitude_deg=gravity.latitude_deg, height=height_words(gravity))
-    table.add_row("Gravity", f"{with_sigma(gravity.gravity_m_s2, gravity.sigma_m_s2)} m/s², {source}")
-    table.add_row("Frame", f"{GAUGE_WORDS[calibration.gauge]} (gauge {calibration.gauge})")
-    table.add_row("Sigma", sigma_words(quality))
-    return table
+    facts = {
+        "Gravity": f"{with_sigma(gravity.gravity_m_s2, gravity.sigma_m_s2)} m/s², {source}",
+        "Frame": f"{GAUGE_WORDS[calibration.gauge]} (gauge {calibration.gauge})",
+        "Sigma": sigma_words(quality),
+    }
+    for name, words in facts.items():
+        yield from _wrapped([(f"{name:8}", "bold"), (words, "")], width, indent=9)
 
 
 def sigma_words(quality: Quality) -> Sentence:
@@ -198,101 +227,90 @@ def sigma_words(quality: Quality) -> Sentence:
     return sentence("summary.sigma" if math.isfinite(freedom) else "summary.sigma_normal", factor=factor, freedom=freedom)
 
 
-def _residuals(parameters: Parameters, width: int) -> Iterator[RenderableType]:
+def _residuals(parameters: Parameters, width: int) -> Iterator[Line]:
     tables = parameters.document["position"]
     residual = np.array([table["residual_m_s2"] for table in tables], dtype=np.float64)
     used = np.array([table["used"] for table in tables], dtype=np.bool_)
     largest = float(np.nanmax(np.abs(residual), initial=0.0))
     quality = parameters.calibration.quality
     unit, size = acceleration_unit(largest)
-    title = Text("Residual by position", style="bold")
     if quality.degrees_of_freedom < 1:
         # Zeros would look like a perfect fit.
-        yield title.append(f": {sentence('summary.no_residual')}", style="not bold")
+        yield from _wrapped([("Residual by position:", "bold"), (sentence("summary.no_residual"), "")], width)
         return
-    figures = f", {unit}: RMS {three_digits(quality.residual_rms_m_s2 / size)}, largest {three_digits(largest / size)}"
+    figures = f"{unit}: RMS {three_digits(quality.residual_rms_m_s2 / size)}, largest {three_digits(largest / size)}"
     if math.isfinite(quality.leave_one_out_rms_m_s2):
         figures += f", leave-one-out RMS {three_digits(quality.leave_one_out_rms_m_s2 / size)}"
-    title.append(figures, style="not bold")
-    yield title
+    yield from _wrapped([("Residual by position,", "bold"), (figures, "")], width)
     # Residuals of nothing but rounding have no worst.
     worst = int(np.nanargmax(np.abs(residual))) if largest > 1e-3 * MICRO_G_M_S2 else -1
     cells = []
     for k, (table, value, is_used) in enumerate(zip(tables, (residual / size).tolist(), used.tolist(), strict=True)):
         if not is_used or not math.isfinite(value):
-            cells.append((table["name"], Text("not used", style="dim"), Text("")))
+            cells.append([(table["name"], ""), ("not used", "dim"), ("", "")])
             continue
         style = "bold yellow" if k == worst else ""
-        bar_of = Text(bar(abs(value) / (largest / size) if worst >= 0 else 0, _BAR_WIDTH), style=style or "cyan")
+        bar_of = bar(abs(value) / (largest / size) if worst >= 0 else 0, _BAR_WIDTH)
         number = f"{value:+.0f}" if worst >= 0 and largest / size >= 10 else f"{value:+.2f}"
-        cells.append((table["name"], bar_of, Text(number + (" ◄" if k == worst else "  "), style=style)))
-    yield _in_columns(cells, max(len(table["name"]) for table in tables), width)
+        cells.append([(table["name"], ""), (bar_of, style or "cyan"), (number + (" ◄" if k == worst else "  "), style)])
+    yield from _in_columns(cells, width)
 
 
-def _in_columns(cells: list[tuple[str, Text, Text]], name_width: int, width: int) -> Table:
+def _in_columns(cells: list[Line], width: int) -> Iterator[Line]:
     # Name, bar, number and their gaps; three columns at most, so that 24 positions take eight lines.
-    columns = max(1, min(3, width // (name_width + _BAR_WIDTH + 10)))
-    rows = -(-len(cells) // columns)
-    table = Table.grid(padding=(0, 1, 0, 0))
-    for _ in range(columns):
-        table.add_column(no_wrap=True)
-        table.add_column(no_wrap=True)
-        table.add_column(justify="right", no_wrap=True, min_width=8)
-    for row in range(rows):
-        # Down the first column, then the second: the order in which they were taken.
-        table.add_row(*(part for cell in cells[row::rows] for part in cell))
-    return table
+    name_width = max(columns(name) for (name, _), *_ in cells)
+    beside = max(1, min(3, width // (name_width + _BAR_WIDTH + 10)))
+    rows = -(-len(cells) // beside)
+    # Down the first column, then the second: the order in which they were taken.
+    lines = [[part for cell in cells[row::rows] for part in cell] for row in range(rows)]
+    return _aligned(lines, "<<>" * beside, [name_width, _BAR_WIDTH, 8] * beside)
 
 
-def _verdict(parameters: Parameters) -> RenderableType:
+def _verdict(parameters: Parameters, width: int) -> Iterator[Line]:
     quality, gained = parameters.calibration.quality, gain(parameters)
-    line = Text() if gained is None else Text(f"{gained.words}\n", style="bold")
-    line.append("Verdict: ", style="bold")
-    line.append(quality.verdict.upper(), style=_VERDICT_STYLES[quality.verdict])
-    line.append(f", {VERDICT_WORDS[quality.verdict]}", style="not bold")
+    if gained is not None:
+        yield from _wrapped([(gained.words, "bold")], width)
+    line = [("Verdict:", "bold"), (f"{quality.verdict.upper()},", _VERDICT_STYLES[quality.verdict])]
+    line.append((VERDICT_WORDS[quality.verdict], ""))
     if parameters.edited:
-        line.append(f" {sentence('summary.edited')}", style="bold yellow")
+        line.append((sentence("summary.edited"), "bold yellow"))
     if parameters.is_converted:
-        line.append(f" {sentence('summary.converted', version=parameters.version)}", style="bold yellow")
+        line.append((sentence("summary.converted", version=parameters.version), "bold yellow"))
     if quality.gyroscope_verdict:
         words = {"accelerometer": quality.accelerometer_verdict, "gyroscope": quality.gyroscope_verdict}
-        line.append(f" ({', '.join(f'{triad} {_loud(verdict)}' for triad, verdict in words.items())})", style="not bold")
-    return Group(line, *_bullets(filter(None, (*quality.warnings, parameters.clock_note, *quality.reasons[:1]))))
+        line.append((f"({', '.join(f'{triad} {_loud(verdict)}' for triad, verdict in words.items())})", ""))
+    yield from _wrapped(line, width)
+    yield from _bullets(filter(None, (*quality.warnings, parameters.clock_note, *quality.reasons[:1])), width)
 
 
 def _loud(verdict: str) -> str:
     return verdict.upper() if verdict in VERDICT_WORDS else verdict
 
 
-def _bullets(texts: Iterable[str]) -> Iterator[RenderableType]:
-    table = Table.grid(padding=(0, 1, 0, 0))
-    table.add_column(no_wrap=True)
-    table.add_column()
+def _bullets(texts: Iterable[str], width: int) -> Iterator[Line]:
     for text in folded(texts):
-        table.add_row(" ·", Text(text))
-    if table.row_count:
-        yield table
+        yield from _wrapped([(" ·", ""), (text, "")], width, indent=3)
 
 
-def _next_steps(parameters: Parameters, outcome: Outcome) -> Iterator[RenderableType]:
+def _next_steps(parameters: Parameters, outcome: Outcome, width: int) -> Iterator[Line]:
     calibration = parameters.calibration
     if calibration.gravity.source == "assumed":
         again = "imufield solve" if outcome.session is None else f"imufield solve {shell_word(outcome.session.folder)}"
-        yield from _bullets([sentence("summary.tell_place")])
-        yield _unbroken(f"   {again} --latitude DEGREES --height METRES")
-    yield from _remedy(outcome.quality or calibration.quality, outcome.session)
+        yield from _bullets([sentence("summary.tell_place")], width)
+        yield [(f"   {again} --latitude DEGREES --height METRES", "")]
+    yield from _remedy(outcome.quality or calibration.quality, outcome.session, width)
     if outcome.path is not None:
-        yield Text("")
-        yield Text("Written to", style="bold")
-        yield _unbroken(str(outcome.path))
+        yield from ([], [("Written to", "bold")])
+        # In two pieces it could not be copied.
+        yield [(str(outcome.path), "")]
         if outcome.kept is not None:
-            yield from _bullets([sentence("summary.kept", name=outcome.kept.name)])
+            yield from _bullets([sentence("summary.kept", name=outcome.kept.name)], width)
         if calibration.quality.verdict != "poor":
             units = [calibration.accelerometer_raw_unit, *([calibration.gyroscope.raw_unit] if calibration.gyroscope else [])]
-            yield from _bullets([sentence("summary.use", units=units)])
+            yield from _bullets([sentence("summary.use", units=units)], width)
 
 
-def _remedy(quality: Quality, session: Session | None) -> Iterator[RenderableType]:
+def _remedy(quality: Quality, session: Session | None, width: int) -> Iterator[Line]:
     """Yield what to do about positions that disagree or are too few, and the command that this session takes for it."""
     is_poor = (quality.accelerometer_verdict or quality.verdict) == "poor"
     guided = session if session is not None and session.record.kind == "capture" else None
@@ -307,10 +325,5 @@ def _remedy(quality: Quality, session: Session | None) -> Iterator[RenderableTyp
         key, command = "summary.take_again", f"imufield capture --resume --session {folder} --retake NAME"
     else:
         key, command = "summary.leave_out", f"imufield solve {folder or '--observations FILE'} --without NAME"
-    yield from _bullets([sentence(key)])
-    yield _unbroken(f"   {command}")
-
-
-def _unbroken(text: str) -> Text:
-    """Return a path or a command on a line of its own: in two pieces it cannot be copied."""
-    return Text(printable(text), overflow="ignore", no_wrap=True)
+    yield from _bullets([sentence(key)], width)
+    yield [(f"   {command}", "")]
