@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from datetime import UTC, datetime
+from datetime import datetime
 from enum import Enum
 from pathlib import Path, PurePath
 from typing import Any, TypeVar
@@ -165,11 +165,13 @@ class SessionRecord:
     def recorded(self) -> str:
         """When the recording began, UTC, ISO 8601; empty where nobody knows, or where the file was edited."""
         moment = self.began if self.kind == "import" else self.created
+        if not _MOMENT.fullmatch(moment):
+            return ""
         try:
-            datetime.strptime(moment, "%Y-%m-%dT%H:%M:%SZ").replace(tzinfo=UTC)
+            datetime.fromisoformat(moment)
         except ValueError:
             return ""
-        return moment if _MOMENT.fullmatch(moment) else ""
+        return moment
 
     @property
     def setting_values(self) -> dict[str, object]:

@@ -58,7 +58,9 @@ def without_table_rates(
         Whether it is of a still.
     """
     reached = plateau[:, None] == ends
-    step = np.diff(np.unique(plateau[np.isfinite(plateau)])).min(initial=np.inf)
+    # Without ``numpy.unique``, which imports NumPy's masked arrays.
+    steps = np.diff(np.sort(plateau[np.isfinite(plateau)]))
+    step = steps.min(initial=np.inf, where=steps > 0)
     most = max(_STEADY * np.ptp(rate, axis=0).max(), step if np.isfinite(step) else 0.0)
     # An axis that was never turned one way ends there at what it reads at rest.
     is_none = np.any(reached[is_rest], axis=0)

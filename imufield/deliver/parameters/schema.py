@@ -12,7 +12,7 @@ import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
-from importlib.resources import files
+from pathlib import Path
 from typing import Any, NamedTuple, TypeGuard
 
 from imufield.dataclass import dataclass
@@ -40,7 +40,7 @@ class Fault(NamedTuple):
 @cache
 def parameter_schema() -> Document:
     """Return the JSON Schema of the parameter file."""
-    text = (files("imufield.deliver.parameters") / "parameters.schema.json").read_text(encoding="utf-8")
+    text = Path(__file__).with_name("parameters.schema.json").read_text(encoding="utf-8")
     schema: Document = json.loads(text)
     return schema
 
